@@ -1,0 +1,206 @@
+"""A planar chain of capsules: the physics of a rope that lies on a table and is held at both ends.
+
+The chain is inextensible (rigid links), bends at hinges with a little stiffness and damping, and is dragged by a
+viscous medium that stands in for the friction of the table. Gravity and contacts are off: nothing falls, nothing
+collides. Each end link is welded to a mocap body, its gripper.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shape_obs_envs.mujoco.engine import mujoco
+from shape_obs_envs.mujoco.rays import cast_rays
+
+Array = NDArray[np.float64]
+
+#: Geom group of the object, so that rays can be cast at it alone. Table and grippers are in group 0.
+OBJECT_GROUP = 1
+GRIPPERS = ("gripper0", "gripper1")
+
+
+@dataclass(frozen=True)
+class ChainSpec:
+    """Size and material of the chain. Lengths in metres, from real tip to real tip (caps included)."""
+
+    length: float = 0.5
+    radius: float = 0.008
+    links: int = 32
+    stiffness: float = 0.05
+    damping: float = 6e-4
+    rgba: tuple[float, float, float, float] = (0.05, 0.25, 0.95, 1.0)
+
+    @property
+    def link_length(self) -> float:
+        """Distance of two neighbouring hinges [m]; a cap of one radius stands beyond each end link."""
+        return (self.length - 2 * self.radius) / self.links
+
+
+def chain_bodies(spec: ChainSpec) -> str:
+    """MJCF of the chain, straight along x about the world's origin, with its two grippers."""
+    link = spec.link_length
+    rgba = " ".join(map(str, spec.rgba))
+    parts = [f'<body name="link0" pos="{-link * spec.links / 2} 0 {spec.radius}">']
+    parts.append('<joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>')
+    parts.append('<joint name="heading" type="hinge" axis="0 0 1"/>')
+    for i in range(spec.links):
+        if i:
+            parts.append(f'<body name="link{i}" pos="{link} 0 0">')
+            parts.append(
+                f'<joint name="bend{i}" type="hinge" axis="0 0 1" stiffness="{spec.stiffness}" '
+                f'damping="{spec.damping}" armature="1e-6"/>'
+            )
+        parts.append(
+            f'<geom name="link{i}" type="capsule" fromto="0 0 0 {link} 0 0" size="{spec.radius}" '
+            f'group="{OBJECT_GROUP}" rgba="{rgba}"/>'
+        )
+        if i == 0:
+            parts.append(_jaws(spec, -spec.radius, -1))
+    parts.append(_jaws(spec, link + spec.radius, 1))
+    parts.append("</body>" * spec.links)
+    parts += [
+        f'<body name="{name}" mocap="true" pos="{sign * spec.length / 2} 0 {spec.radius}"/>'
+        for name, sign in zip(GRIPPERS, (-1, 1), strict=True)
+    ]
+    return "\n".join(parts)
+
+
+def chain_equality(spec: ChainSpec) -> str:
+    """MJCF of the welds of the end links to their grippers."""
+    ends = ("link0", f"link{spec.links - 1}")
+    return "\n".join(
+        f'<weld body1="{gripper}" body2="{link}" solref=".02 1" solimp=".95 .99 .001"/>'
+        for gripper, link in zip(GRIPPERS, ends, strict=True)
+    )
+
+
+def _jaws(spec: ChainSpec, tip: float, sign: int) -> str:
+    """The gripper's looks: two fingers beside the tip and a palm beyond it; `sign` points along x out of the rope.
+
+    They are drawn on the end link, not on the mocap body, which the compliant weld lets run a few millimetres ahead.
+    Nothing reaches above the rope's axis, and 0.35 r is left free around the rope: so no line of sight within 42
+    degrees of the vertical that meets the rope is cut by the gripper.
+    """
+    r = spec.radius
+    gap, thick, ahead, palm = 1.35 * r, 0.006, 0.018, 0.02
+    behind = 0.35 * r + palm
+    fingers = "".join(
+        f'<geom type="box" mass="0" rgba=".24 .24 .24 1" size="{(ahead + behind) / 2} {thick / 2} {r / 2}" '
+        f'pos="{tip + sign * (behind - ahead) / 2} {side * (gap + thick / 2)} {-r / 2}"/>'
+        for side in (-1, 1)
+    )
+    return (
+        f'{fingers}<geom type="box" mass="0" rgba=".18 .18 .18 1" size="{palm / 2} {gap} {r / 2}" '
+        f'pos="{tip + sign * (behind - palm / 2)} 0 {-r / 2}"/>'
+    )
+
+
+class Chain:
+    """The chain inside a compiled model: poses, shape, state and stepping.
+
+    Args:
+        spec: What the model was written from.
+        model: The compiled model.
+    """
+
+    def __init__(self, spec: ChainSpec, model: Any) -> None:
+        self.spec = spec
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self._bodies = np.array([model.body(f"link{i}").id for i in range(spec.links)])
+        self._grippers = np.array([int(model.body(name).mocapid[0]) for name in GRIPPERS])
+        self._state_size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
+        cuts = np.full(spec.links, spec.link_length)
+        cuts[[0, -1]] += spec.radius
+        self._arc = np.concatenate([[0.0], np.cumsum(cuts)])
+
+    # ---- state
+
+    def get_state(self) -> Array:
+        """The whole physics state (positions, velocities, mocap poses, warm start, time)."""
+        state = np.empty(self._state_size)
+        mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        return state
+
+    def set_state(self, state: Array) -> None:
+        """Restore what `get_state` returned."""
+        mujoco.mj_setState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self.refresh()
+
+    def place(self, tip: Array, headings: Array) -> None:
+        """Put the chain at rest with its first tip at `tip` (x, y) [m] and its links at `headings` (links,) [rad]."""
+        mujoco.mj_resetData(self.model, self.data)
+        first = self.model.body("link0").pos[:2]
+        start = tip + self.spec.radius * np.array([np.cos(headings[0]), np.sin(headings[0])])
+        self.data.qpos[:2] = start - first
+        self.data.qpos[2] = headings[0]
+        self.data.qpos[3:] = np.diff(headings)
+        self.refresh()
+        self.set_grippers(self.tip_poses())
+
+    def refresh(self) -> None:
+        """Bring the poses of bodies and geoms up to date: `mj_step` leaves them one substep behind."""
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
+    def span(self, headings: Array) -> Array:
+        """Vector (2,) [m] from the first to the second tip of a chain with links at `headings` (links,) [rad]."""
+        return np.diff(self._arc) @ np.column_stack([np.cos(headings), np.sin(headings)])
+
+    # ---- grippers
+
+    def tip_poses(self) -> Array:
+        """Where the tips are: (2, 3) rows of x, y [m] and heading [rad] in the world frame."""
+        heading = np.array([self.data.qpos[2], self.data.qpos[2:].sum()])
+        return np.column_stack([self.vertices()[[0, -1], :2], heading])
+
+    def set_grippers(self, poses: Array) -> None:
+        """Move both mocap bodies to `poses`, (2, 3) rows of x, y [m] and yaw [rad] in the world frame."""
+        self.data.mocap_pos[self._grippers, :2] = poses[:, :2]
+        self.data.mocap_quat[self._grippers, 0] = np.cos(poses[:, 2] / 2)
+        self.data.mocap_quat[self._grippers, 3] = np.sin(poses[:, 2] / 2)
+
+    def step_to(self, start: Array, target: Array, substeps: int) -> None:
+        """Move the grippers from pose `start` to pose `target` in equal parts, one for each substep."""
+        for i in range(1, substeps + 1):
+            # A ramp: a jump of the target would pull at the welds with the whole step's length at once.
+            self.set_grippers(start + (target - start) * (i / substeps))
+            mujoco.mj_step(self.model, self.data)
+        self.refresh()
+
+    # ---- shape
+
+    def vertices(self) -> Array:
+        """The axis as a polyline from tip to tip: (links + 1, 3) [m] in the world frame."""
+        joints = self.data.xpos[self._bodies]
+        out = np.empty((len(joints) + 1, 3))
+        out[1:-1] = joints[1:]
+        along = self.data.xmat[self._bodies[[0, -1]]].reshape(2, 3, 3)[:, :, 0]
+        out[0] = joints[0] - self.spec.radius * along[0]
+        out[-1] = joints[-1] + (self.spec.link_length + self.spec.radius) * along[1]
+        return out
+
+    def points(self, fractions: Array) -> Array:
+        """Points of the axis at `fractions` (n,) of the arc length: (n, 3) [m] in the world frame."""
+        arc = np.clip(fractions, 0.0, 1.0) * self.spec.length
+        i = np.clip(np.searchsorted(self._arc, arc, side="right") - 1, 0, self.spec.links - 1)
+        t = ((arc - self._arc[i]) / (self._arc[i + 1] - self._arc[i]))[:, None]
+        vertices = self.vertices()
+        return vertices[i] * (1 - t) + vertices[i + 1] * t
+
+    def surface_points(self, points: Array, eye: Array) -> Array:
+        """What a camera at `eye` (3,) sees of the object in the direction of `points` (n, 3); world frame, metres.
+
+        Where the line of sight only grazes the object (at its very tips) the point itself is returned.
+        """
+        rays = points - eye
+        distance = np.linalg.norm(rays, axis=1)
+        rays /= distance[:, None]
+        hit, _ = cast_rays(self.model, self.data, eye, rays, groups=(OBJECT_GROUP,))
+        # A hit far before the point is another part of the object.
+        near = (hit >= 0) & (distance - hit < 3 * self.spec.radius)
+        return np.where(near[:, None], eye + rays * hit[:, None], points)

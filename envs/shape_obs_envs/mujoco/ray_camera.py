@@ -1,0 +1,134 @@
+"""The camera without OpenGL: rays where the geoms can be, the table by formula."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from shape_obs_envs.mujoco.engine import mujoco
+from shape_obs_envs.mujoco.rays import cast_rays
+from shape_obs_envs.mujoco.scene import CAMERA, CameraSpec
+
+Array = NDArray[np.float64]
+_CAPSULE, _BOX = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_BOX)
+_SHIFT = 4  # OpenCV draws with 1/16 pixel
+
+
+class RayCamera:
+    """Casts a ray for each pixel that a geom may cover, and shades it as OpenGL would: ambient plus Lambert.
+
+    Args:
+        spec: The camera's size and intrinsics.
+        model: A model from `compile_scene`.
+    """
+
+    name = "rays"
+
+    def __init__(self, spec: CameraSpec, model: Any) -> None:
+        self._model = model
+        self._shape = (spec.height, spec.width)
+        self._k = spec.intrinsics
+        self._camera = model.camera(CAMERA).id
+        self._table = model.geom("table").id
+        self._geoms = np.flatnonzero(np.arange(model.ngeom) != self._table)
+        self._capsules = self._geoms[model.geom_type[self._geoms] == _CAPSULE]
+        self._others = self._geoms[model.geom_type[self._geoms] != _CAPSULE]
+        u, v = np.meshgrid(np.arange(spec.width), np.arange(spec.height))
+        self._rays = np.stack([(u - self._k.cx) / self._k.fx, (v - self._k.cy) / self._k.fy, np.ones(u.shape)], axis=-1)
+        self._pose = np.zeros(0)
+        self._background: tuple[NDArray[np.uint8], NDArray[np.float32]] | None = None
+
+    def render(self, data: Any) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Draw the scene: rgb (H, W, 3) and depth (H, W) [m] along the optical axis."""
+        # MuJoCo's camera looks along its -z with y up; rays here are in the optical frame.
+        rotation = data.cam_xmat[self._camera].reshape(3, 3) * (1.0, -1.0, -1.0)
+        eye = data.cam_xpos[self._camera].copy()
+        rgb, depth = (image.copy() for image in self._empty_table(data, rotation, eye))
+        rows, columns = np.nonzero(self._region(data, rotation, eye))
+        rays = self._rays[rows, columns]
+        scale = np.linalg.norm(rays, axis=1)
+        directions = (rays / scale[:, None]) @ rotation.T
+        distance, geom = cast_rays(self._model, data, eye, directions)
+        hit = (geom >= 0) & (geom != self._table)
+        rows, columns, geom, distance = rows[hit], columns[hit], geom[hit], distance[hit]
+        depth[rows, columns] = distance / scale[hit]
+        points = eye + directions[hit] * distance[:, None]
+        rgb[rows, columns] = self._shade(data, geom, self._normals(data, points, geom, eye))
+        return rgb, depth
+
+    def close(self) -> None:
+        """Nothing to free."""
+
+    def _empty_table(self, data: Any, rotation: Array, eye: Array) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """The picture of the bare table z = 0, kept until the camera moves."""
+        pose = np.concatenate([rotation.ravel(), eye])
+        if self._background is None or not np.array_equal(pose, self._pose):
+            down = self._rays @ rotation[2]
+            with np.errstate(divide="ignore"):
+                depth = np.where(down < 0, -eye[2] / down, 0.0).astype(np.float32)
+            colour = self._shade(data, np.array([self._table]), np.array([[0.0, 0.0, 1.0]]))[0]
+            rgb = np.where((depth > 0)[..., None], colour, 0).astype(np.uint8)
+            self._pose, self._background = pose, (rgb, depth)
+        return self._background
+
+    def _region(self, data: Any, rotation: Array, eye: Array) -> NDArray[np.uint8]:
+        """Mask (H, W) of the pixels that any geom but the table may cover, with a pixel to spare."""
+        mask = np.zeros(self._shape, np.uint8)
+        model = self._model
+        ids = self._capsules
+        axis = data.geom_xmat[ids].reshape(-1, 3, 3)[:, :, 2] * model.geom_size[ids, 1, None]
+        ends = np.stack([data.geom_xpos[ids] - axis, data.geom_xpos[ids] + axis], axis=1)
+        pixels, z = self._project(ends.reshape(-1, 3), rotation, eye)
+        pixels = pixels.reshape(-1, 2, 2)
+        # seen obliquely, a ball's outline is an ellipse longer than its width by the ray's slant
+        reach = self._k.fx * model.geom_size[ids, 0] / z.reshape(-1, 2).min(axis=1) * self._slant(pixels)
+        for (a, b), width in zip(_fixed(pixels).tolist(), np.ceil(2 * reach + 3).astype(int).tolist(), strict=True):
+            cv2.line(mask, a, b, 1, width, cv2.LINE_8, _SHIFT)
+        ids = self._others
+        pixels, z = self._project(data.geom_xpos[ids], rotation, eye)
+        reach = self._k.fx * model.geom_rbound[ids] / (z - model.geom_rbound[ids]) * self._slant(pixels[:, None]) + 2
+        for centre, radius in zip(_fixed(pixels).tolist(), (reach * 2**_SHIFT).astype(int).tolist(), strict=True):
+            cv2.circle(mask, centre, radius, 1, -1, cv2.LINE_8, _SHIFT)
+        return mask
+
+    def _project(self, points: Array, rotation: Array, eye: Array) -> tuple[Array, Array]:
+        """Pixels (N, 2) and depths (N,) of world points (N, 3)."""
+        local = (points - eye) @ rotation
+        z = np.maximum(local[:, 2], 1e-3)
+        return local[:, :2] / z[:, None] * (self._k.fx, self._k.fy) + (self._k.cx, self._k.cy), z
+
+    def _slant(self, pixels: Array) -> Array:
+        """How much longer than at the image's centre a ball's outline is: (N, K, 2) pixels -> (N,)."""
+        tangent = (pixels - (self._k.cx, self._k.cy)) / (self._k.fx, self._k.fy)
+        return np.sqrt(1 + (tangent**2).sum(axis=-1)).max(axis=1)
+
+    def _normals(self, data: Any, points: Array, geom: NDArray[np.int32], eye: Array) -> Array:
+        """Outward unit normals (M, 3), world frame, of capsules and boxes; anything else faces the eye."""
+        rotation = data.geom_xmat[geom].reshape(-1, 3, 3)
+        local = np.einsum("mji,mj->mi", rotation, points - data.geom_xpos[geom])
+        size, kind = self._model.geom_size[geom], self._model.geom_type[geom]
+        normals = np.einsum("mji,mj->mi", rotation, eye - points)
+        capsule = kind == _CAPSULE
+        half = size[capsule, 1]
+        normals[capsule] = local[capsule]
+        normals[capsule, 2] -= np.clip(local[capsule, 2], -half, half)
+        box = np.flatnonzero(kind == _BOX)
+        face = np.argmax(np.abs(local[box]) / size[box], axis=1)
+        normals[box] = 0
+        normals[box, face] = np.sign(local[box, face])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return np.einsum("mij,mj->mi", rotation, normals)
+
+    def _shade(self, data: Any, geom: NDArray[Any], normals: Array) -> NDArray[np.uint8]:
+        """Colours (M, 3) of surfaces with `normals` (M, 3)."""
+        facing = np.maximum(-normals @ data.light_xdir.T, 0)
+        light = self._model.light_ambient.sum(axis=0) + facing @ self._model.light_diffuse
+        return np.rint(np.clip(self._model.geom_rgba[geom, :3] * light, 0, 1) * 255).astype(np.uint8)
+
+
+def _fixed(pixels: Array) -> NDArray[np.int32]:
+    """Pixels in OpenCV's fixed-point coordinates."""
+    return np.rint(pixels * 2**_SHIFT).astype(np.int32)

@@ -1,0 +1,123 @@
+"""What every simulated scene shares: the table, the light, the camera above it and the solver's settings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from shape_obs.camera import CameraModel, Intrinsics
+from shape_obs_envs.arguments import one_of
+from shape_obs_envs.mujoco.engine import mujoco
+
+CAMERA = "camera"
+TIMESTEP = 0.01
+#: Focal length of a D455's colour stream at 480 rows [px]; other sizes keep the vertical field of view.
+_FOCAL_480 = 386.0
+_SIZES = {"rl": (160, 120), "d455": (640, 480)}
+_SMALLEST, _LARGEST = 16, 4096
+
+
+@dataclass(frozen=True)
+class CameraSpec:
+    """An RGB-D camera above the table that looks at the world's origin.
+
+    Attributes:
+        width: Image width [px].
+        height: Image height [px].
+        distance: From the camera to the origin [m].
+        tilt: Angle between the optical axis and the vertical [rad]; the camera stands on the -y side.
+    """
+
+    width: int
+    height: int
+    distance: float = 0.56
+    tilt: float = math.radians(10)
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """Pinhole intrinsics; the principal point is the image's centre, pixel centres are at integers."""
+        focal = _FOCAL_480 * self.height / 480
+        return Intrinsics(self.width, self.height, focal, focal, (self.width - 1) / 2, (self.height - 1) / 2)
+
+    @property
+    def fovy(self) -> float:
+        """Vertical field of view [deg]."""
+        return math.degrees(2 * math.atan(480 / 2 / _FOCAL_480))
+
+
+def camera_spec(camera: str | Sequence[int]) -> CameraSpec:
+    """The camera that an environment's argument `camera` asks for.
+
+    Raises:
+        ValueError: Neither a known name nor a size in pixels.
+    """
+    if isinstance(camera, str):
+        return CameraSpec(*_SIZES[one_of("camera", camera, _SIZES, "[width, height]")])
+    size = list(camera) if isinstance(camera, (list, tuple)) else []
+    whole = [isinstance(side, (int, np.integer)) and not isinstance(side, bool) for side in size]
+    if len(size) != 2 or not all(whole) or not all(_SMALLEST <= side <= _LARGEST for side in size):
+        names = ", ".join(map(repr, _SIZES))
+        raise ValueError(
+            f"camera: expected {names} or [width, height] with two whole numbers from {_SMALLEST} to {_LARGEST}, "
+            f"got {camera!r}. For square training frames write camera=[84, 84]."
+        )
+    if size[0] < size[1]:
+        raise ValueError(
+            f"camera: expected a width of at least the height, to keep the whole workspace in view, got {camera!r}. "
+            f"Write camera=[{size[1]}, {size[1]}] or camera=[{size[1]}, {size[0]}]."
+        )
+    return CameraSpec(int(size[0]), int(size[1]))
+
+
+def compile_scene(camera: CameraSpec, bodies: str, equality: str = "") -> Any:
+    """Compile a scene: `bodies` and `equality` are MJCF of what lies on the table.
+
+    The world frame is the robot's base frame: origin on the table under the camera's aim, z up, x to the image's right.
+
+    Returns:
+        The compiled `mujoco.MjModel`.
+    """
+    sin, cos = math.sin(camera.tilt), math.cos(camera.tilt)
+    model = mujoco.MjModel.from_xml_string(f"""
+<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="{TIMESTEP}" integrator="implicitfast" viscosity="1">
+    <flag contact="disable" gravity="disable"/>
+  </option>
+  <statistic center="0 0 0" extent="1"/>
+  <visual>
+    <global offwidth="{camera.width}" offheight="{camera.height}"/>
+    <quality numslices="10" numstacks="6" numquads="1" offsamples="0" shadowsize="0"/>
+    <map znear="0.05" zfar="4"/>
+    <headlight active="0"/>
+  </visual>
+  <default><geom contype="0" conaffinity="0"/></default>
+  <worldbody>
+    <light name="lamp" pos="0 0 2" dir=".25 .35 -1" ambient=".4 .4 .4" diffuse=".6 .6 .6" specular="0 0 0"
+           castshadow="false"/>
+    <camera name="{CAMERA}" pos="0 {-camera.distance * sin} {camera.distance * cos}"
+            xyaxes="1 0 0 0 {cos} {sin}" fovy="{camera.fovy}"/>
+    <geom name="table" type="plane" size="4 4 .1" rgba=".8 .78 .74 1"/>
+    {bodies}
+  </worldbody>
+  <equality>{equality}</equality>
+</mujoco>""")
+    if hasattr(model, "light_type"):
+        model.light_type[:] = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    else:  # MuJoCo 3.3.0 and 3.3.1; later ones have no such attribute in MJCF either
+        model.light_directional[:] = 1
+    return model
+
+
+def camera_model(spec: CameraSpec, model: Any, data: Any) -> CameraModel:
+    """Intrinsics and pose of the scene's camera; p_base = T p_camera, optical frame (x right, y down, z forward)."""
+    index = model.camera(CAMERA).id
+    transform = np.eye(4)
+    # MuJoCo's camera looks along its -z with y up
+    transform[:3, :3] = data.cam_xmat[index].reshape(3, 3) * (1.0, -1.0, -1.0)
+    transform[:3, 3] = data.cam_xpos[index]
+    return CameraModel(spec.intrinsics, transform)

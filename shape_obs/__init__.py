@@ -1,0 +1,65 @@
+"""Ordered shape vectors of deformable objects from RGB-D: in simulation and on the robot alike.
+
+Names are loaded on first use, so that ``import shape_obs`` stays light.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from shape_obs.camera import CameraModel as CameraModel
+    from shape_obs.camera import Intrinsics as Intrinsics
+    from shape_obs.config import load_config as load_config
+    from shape_obs.config import save_config as save_config
+    from shape_obs.config import schema_hash as schema_hash
+    from shape_obs.configurations import Centerline as Centerline
+    from shape_obs.configurations import Configuration as Configuration
+    from shape_obs.detector import ShapeDetector as ShapeDetector
+    from shape_obs.features import Feature as Feature
+    from shape_obs.frame import Frame as Frame
+    from shape_obs.missing import ShapeLostError as ShapeLostError
+    from shape_obs.roi import ROI as ROI
+    from shape_obs.roi import Polygon as Polygon
+    from shape_obs.roi import Rectangle as Rectangle
+    from shape_obs.roi import Whole as Whole
+    from shape_obs.segmentation import DepthRange as DepthRange
+    from shape_obs.segmentation import GrayRange as GrayRange
+    from shape_obs.segmentation import HSVRange as HSVRange
+    from shape_obs.segmentation import Segmentation as Segmentation
+    from shape_obs.shape import Detection as Detection
+    from shape_obs.shape import Shape as Shape
+    from shape_obs.spec import Spec as Spec
+    from shape_obs.spec import SpecError as SpecError
+    from shape_obs.wrappers import ShapeObservation as ShapeObservation
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "shape_obs.camera": ("CameraModel", "Intrinsics"),
+    "shape_obs.config": ("load_config", "save_config", "schema_hash"),
+    "shape_obs.configurations": ("Centerline", "Configuration"),
+    "shape_obs.detector": ("ShapeDetector",),
+    "shape_obs.features": ("Feature",),
+    "shape_obs.frame": ("Frame",),
+    "shape_obs.missing": ("ShapeLostError",),
+    "shape_obs.roi": ("ROI", "Polygon", "Rectangle", "Whole"),
+    "shape_obs.segmentation": ("DepthRange", "GrayRange", "HSVRange", "Segmentation"),
+    "shape_obs.shape": ("Detection", "Shape"),
+    "shape_obs.spec": ("Spec", "SpecError"),
+    "shape_obs.wrappers": ("ShapeObservation",),
+}
+_MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
+
+__all__ = sorted(_MODULE_OF)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'shape_obs' has no attribute {name!r}; it has: {', '.join(__all__)}.")
+    return getattr(import_module(_MODULE_OF[name]), name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

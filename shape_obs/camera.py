@@ -1,0 +1,205 @@
+"""Cameras: intrinsics with lens distortion, and the camera's place in the robot's base frame.
+
+Conventions, everywhere in shape_obs: pixels are ``(u right, v down)`` with pixel centres at integers; the camera
+frame is the optical frame ``(x right, y down, z forward)`` in metres; depth is ``z``, not the length of the ray.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.spec import Spec
+
+Distortion = Literal["pinhole", "brown_conrady", "inverse_brown_conrady"]
+_MODELS: Final = ("pinhole", "brown_conrady", "inverse_brown_conrady")
+_MAX_ITERATIONS: Final = 60
+_TOLERANCE: Final = 1e-10
+
+Points = npt.NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class Intrinsics(Spec):
+    """A camera's projection: image size, focal lengths, principal point and lens distortion.
+
+    Args:
+        width: Image width in pixels.
+        height: Image height in pixels.
+        fx: Focal length along u, in pixels.
+        fy: Focal length along v, in pixels.
+        cx: Principal point's u, in pixels (pixel centres at integers).
+        cy: Principal point's v, in pixels.
+        model: ``"pinhole"``, ``"brown_conrady"`` (OpenCV's five-parameter model) or ``"inverse_brown_conrady"``
+            (librealsense's, in which the tangential part acts on the radially distorted point).
+        coeffs: ``(k1, k2, p1, p2, k3)``; all zero for a pinhole.
+
+    References:
+        D. C. Brown, "Decentering Distortion of Lenses", Photogrammetric Engineering 32(3), 1966; librealsense,
+        ``rsutil.h``: ``rs2_project_point_to_pixel`` and ``rs2_deproject_pixel_to_point``.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    model: Distortion = "pinhole"
+    coeffs: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "coeffs", tuple(float(c) for c in self.coeffs))
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"Intrinsics: width and height must be positive, got {self.width} x {self.height}.")
+        if not (self.fx > 0 and self.fy > 0):
+            raise ValueError(f"Intrinsics: fx and fy must be positive, got {self.fx} and {self.fy}.")
+        if self.model not in _MODELS:
+            raise ValueError(f"Intrinsics: unknown distortion model {self.model!r}; known: {', '.join(_MODELS)}.")
+        if len(self.coeffs) != 5 or not np.all(np.isfinite(self.coeffs)):
+            raise ValueError(f"Intrinsics: coeffs must be five finite numbers (k1, k2, p1, p2, k3), got {self.coeffs}.")
+
+    @property
+    def matrix(self) -> npt.NDArray[np.float64]:
+        """The (3,3) camera matrix K."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=np.float64)
+
+    @property
+    def distorted(self) -> bool:
+        """Whether the model bends straight lines."""
+        return self.model != "pinhole" and any(self.coeffs)
+
+    def project(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Project points to pixels.
+
+        Args:
+            points: (..., 3) metres, camera frame.
+
+        Returns:
+            (..., 2) pixels; NaN for points that are not in front of the camera.
+        """
+        xyz = _as_points(points, 3, "points")
+        z = np.where(xyz[..., 2] > 0, xyz[..., 2], np.nan)
+        xy = self._distort(xyz[..., :2] / z[..., None])
+        return xy * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def deproject(self, pixels: npt.ArrayLike, depth: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Lift pixels to points.
+
+        Args:
+            pixels: (..., 2) pixels.
+            depth: (...) metres along the optical axis.
+
+        Returns:
+            (..., 3) metres, camera frame; NaN where the depth is NaN.
+        """
+        rays = self.rays(pixels)
+        return rays * np.asarray(depth, dtype=np.float64)[..., None]
+
+    def rays(self, pixels: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Viewing rays through pixels, scaled to z = 1: (..., 2) pixels -> (..., 3)."""
+        uv = _as_points(pixels, 2, "pixels")
+        xy = self._undistort((uv - (self.cx, self.cy)) / (self.fx, self.fy))
+        return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+
+    def _distort(self, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        if not self.distorted:
+            return xy
+        radial, tangential = self._terms(xy, xy)
+        if self.model == "inverse_brown_conrady":
+            tangential = self._terms(xy * radial, xy)[1]
+        return xy * radial + tangential
+
+    def _undistort(self, target: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Solve ``distort(xy) = target`` by the fixed point that OpenCV and librealsense iterate, to convergence."""
+        if not self.distorted:
+            return target
+        xy = target
+        for _ in range(_MAX_ITERATIONS):
+            radial, tangential = self._terms(xy, xy)
+            if self.model == "inverse_brown_conrady":
+                tangential = self._terms(xy * radial, xy)[1]
+            step = (target - tangential) / radial
+            change = np.abs(step - xy)
+            xy = step
+            if np.nanmax(change, initial=0.0) < _TOLERANCE:
+                break
+        return xy
+
+    def _terms(
+        self, xy: npt.NDArray[np.float64], radius_of: npt.NDArray[np.float64]
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        k1, k2, p1, p2, k3 = self.coeffs
+        x, y = xy[..., 0], xy[..., 1]
+        r2 = np.sum(radius_of * radius_of, axis=-1)
+        radial = 1 + ((k3 * r2 + k2) * r2 + k1) * r2
+        tangential = np.stack([2 * p1 * x * y + p2 * (r2 + 2 * x * x), 2 * p2 * x * y + p1 * (r2 + 2 * y * y)], axis=-1)
+        return radial[..., None], tangential
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """A camera and where it stands.
+
+    Args:
+        intrinsics: The projection.
+        transform_camera_to_base: (4,4) homogeneous transform, metres, ``p_base = T p_camera``; None if unknown.
+    """
+
+    intrinsics: Intrinsics
+    transform_camera_to_base: npt.NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        if self.transform_camera_to_base is None:
+            return
+        transform = np.array(self.transform_camera_to_base, dtype=np.float64)
+        rotation = transform[:3, :3] if transform.shape == (4, 4) else np.zeros((3, 3))
+        rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) and np.linalg.det(rotation) > 0
+        if not rigid or not np.all(np.isfinite(transform)) or not np.allclose(transform[3], (0, 0, 0, 1)):
+            raise ValueError(
+                "CameraModel: transform_camera_to_base must be a rigid (4,4) transform (rotation, translation in "
+                f"metres, last row 0 0 0 1), got shape {np.shape(self.transform_camera_to_base)}:\n{transform}"
+            )
+        transform.setflags(write=False)
+        object.__setattr__(self, "transform_camera_to_base", transform)
+
+    def to_base(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Camera frame -> base frame: (..., 3) metres -> (..., 3) metres."""
+        transform = self._transform()
+        return _as_points(points, 3, "points") @ transform[:3, :3].T + transform[:3, 3]
+
+    def from_base(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Base frame -> camera frame: (..., 3) metres -> (..., 3) metres."""
+        transform = self._transform()
+        return (_as_points(points, 3, "points") - transform[:3, 3]) @ transform[:3, :3]
+
+    def project_from_base(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Base frame -> pixels: (..., 3) metres -> (..., 2)."""
+        return self.intrinsics.project(self.from_base(points))
+
+    def _transform(self) -> npt.NDArray[np.float64]:
+        if self.transform_camera_to_base is None:
+            raise ValueError(
+                "CameraModel: this needs the camera's place in the base frame; "
+                "give CameraModel(intrinsics, transform_camera_to_base=T) with p_base = T p_camera."
+            )
+        return self.transform_camera_to_base
+
+
+def as_camera_model(camera: CameraModel | Intrinsics | None) -> CameraModel | None:
+    """Accept bare intrinsics where a camera model is asked for."""
+    if isinstance(camera, Intrinsics):
+        return CameraModel(camera)
+    if camera is None or isinstance(camera, CameraModel):
+        return camera
+    raise TypeError(f"camera: expected Intrinsics, CameraModel or None, got {type(camera).__name__}.")
+
+
+def _as_points(points: npt.ArrayLike, dimension: int, name: str) -> npt.NDArray[np.float64]:
+    array = np.asarray(points, dtype=np.float64)
+    if array.ndim < 1 or array.shape[-1] != dimension:
+        raise ValueError(f"{name}: expected shape (..., {dimension}), got {array.shape}.")
+    return array

@@ -1,0 +1,1 @@
+"""Clusterers: samples and a start -> centres, one file each."""

@@ -1,0 +1,42 @@
+"""Self-organising map: batch epochs from a good start.
+
+References:
+    T. Kohonen, "Self-Organizing Maps", Springer, 2001, the batch map; the local-linear neighbourhood follows the
+    locally weighted regression of J. Fan, "Design-adaptive Nonparametric Regression", JASA 87, 1992.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.kernels import numpy_ as kernels
+from shape_obs.samples import Samples
+from shape_obs.topology import Chain
+
+# Neighbourhood widths epoch by epoch, in node units: wide first where the start may be off by a node.
+STATIC: Final = (0.8, 0.4, 0.4)
+MOVING: Final = (1.2, 0.6, 0.4, 0.4)
+
+
+def fit(
+    samples: Samples, start: npt.NDArray[np.float64], topology: Chain, sigmas: tuple[float, ...] = STATIC
+) -> npt.NDArray[np.float64]:
+    """Fit the map to the samples.
+
+    Args:
+        samples: M weighted points.
+        start: (K,D) nodes.
+        topology: How the nodes hang together.
+        sigmas: Neighbourhood width of each epoch, node units.
+
+    Returns:
+        (K,D) nodes in the order of ``start``, the pull of the averaging undone.
+    """
+    centre = samples.points.mean(axis=0)
+    points, nodes = samples.points - centre, start - centre
+    for sigma in sigmas:
+        nodes = kernels.som_epoch(points, samples.weight, nodes, topology.neighbourhood(sigma))
+    return topology.unshrink(nodes, sigmas[-1]) + centre

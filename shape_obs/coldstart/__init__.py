@@ -1,0 +1,1 @@
+"""Where the nodes start when there is no previous frame."""

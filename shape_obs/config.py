@@ -1,0 +1,169 @@
+"""A detector's configuration, as one spec and as a YAML file of three sections.
+
+``shape`` says what comes out (hashed: a policy is trained for it), ``scene`` where to look for it (differs from site
+to site), ``runtime`` how to behave while running (free).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+from shape_obs.configurations import Anchor, Centerline, Configuration, Ends, Order
+from shape_obs.missing import OnInvalid, OnMissing
+from shape_obs.roi import ROI, Whole
+from shape_obs.segmentation import Segmentation
+from shape_obs.spec import Spec, SpecError, did_you_mean
+
+VERSION: Final = 1
+SECTIONS: Final = {
+    "shape": ("shapes", "features", "order", "ends", "anchor"),
+    "scene": ("segmentation", "roi", "workspace"),
+    "runtime": ("on_missing", "on_invalid", "max_age", "dt"),
+}
+_WRAPPER_ONLY: Final = ("features", "workspace")
+
+
+@dataclass(frozen=True)
+class DetectorConfig(Spec):
+    """Everything a ``ShapeDetector`` is told.
+
+    Args:
+        shapes: The configurations to find, all in one pass.
+        segmentation: The pixel rule; None when masks are given, or every shape has its own.
+        roi: Where to look.
+        order: ``"tracked"`` keeps point 0 on its material point; ``"image"`` numbers each frame anew.
+        ends: Default for centerlines: ``"centers"`` or ``"tips"``.
+        anchor: Default for shapes without one: where point 0 belongs.
+        on_missing: What a lost shape becomes: ``"hold"``, ``"truncate"``, ``"raise"`` or ``"nan"``.
+        on_invalid: What a point without depth becomes: ``"nan"``, ``"interpolate"`` or ``"hold"``.
+        max_age: Seconds for which a held shape counts as ok.
+        dt: Seconds between frames that carry no stamp.
+    """
+
+    shapes: tuple[Configuration, ...] = (Centerline(),)
+    segmentation: Segmentation | None = None
+    roi: ROI = Whole()
+    order: Order = "tracked"
+    ends: Ends = "centers"
+    anchor: Anchor = None
+    on_missing: OnMissing = "hold"
+    on_invalid: OnInvalid = "nan"
+    max_age: float = 0.5
+    dt: float = 1 / 30
+
+    def __post_init__(self) -> None:
+        if not self.shapes:
+            raise SpecError("shapes: expected at least one configuration, got none.")
+        twice = [name for name, count in Counter(shape.name for shape in self.shapes).items() if count > 1]
+        if twice:
+            raise SpecError(f"shapes: two are named {twice[0]!r}; give each its own name=.")
+        if not (self.max_age >= 0 and self.dt > 0):
+            raise SpecError(f"expected max_age >= 0 and dt > 0 seconds, got {self.max_age} and {self.dt}.")
+
+    def resolved(self) -> tuple[Configuration, ...]:
+        """The configurations with this detector's defaults filled in."""
+        filled = []
+        for shape in self.shapes:
+            shape = replace(
+                shape,
+                order=shape.order or self.order,
+                segmentation=shape.segmentation or self.segmentation,
+                anchor=self.anchor if shape.anchor is None else shape.anchor,
+            )
+            if isinstance(shape, Centerline):
+                shape = replace(shape, ends=shape.ends or self.ends)
+            filled.append(shape)
+        return tuple(filled)
+
+
+def load_config(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read a YAML config file.
+
+    Returns:
+        The arguments of ``ShapeObservation`` in it; ``detector_arguments`` picks those of ``ShapeDetector``.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        SpecError: The file is no YAML, of another version, or holds an unknown section or field.
+    """
+    try:
+        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise SpecError(f"{path}: not a YAML file: {error}") from error
+    if not isinstance(data, Mapping):
+        raise SpecError(f"{path}: expected 'version', 'shape', 'scene' and 'runtime', got {type(data).__name__}.")
+    if data.get("version") != VERSION:
+        raise SpecError(f"{path}: expected 'version: {VERSION}', got {data.get('version')!r}.")
+    arguments: dict[str, Any] = {}
+    for section, content in data.items():
+        if section == "version":
+            continue
+        if section not in SECTIONS:
+            raise SpecError(f"{path}: unknown section {section!r}{did_you_mean(section, SECTIONS)}")
+        if not isinstance(content, Mapping):
+            raise SpecError(f"{path}: section {section!r} must be a mapping, got {type(content).__name__}.")
+        for name, value in content.items():
+            if name not in SECTIONS[section]:
+                raise SpecError(f"{path}: {section}: unknown field {name!r}{did_you_mean(name, SECTIONS[section])}")
+            arguments[name] = value
+    try:
+        DetectorConfig.from_dict(detector_arguments(arguments))
+    except SpecError as error:
+        raise SpecError(f"{path}: {error}") from error
+    return arguments
+
+
+def save_config(path: str | os.PathLike[str], arguments: Mapping[str, Any]) -> None:
+    """Write a YAML config file, whole or not at all, defaults filled in.
+
+    Args:
+        path: Where to.
+        arguments: Arguments of ``ShapeDetector`` or ``ShapeObservation``, as specs or plain values.
+    """
+    filled = _filled(arguments)
+    data = {"version": VERSION} | {
+        section: {name: filled[name] for name in names if name in filled} for section, names in SECTIONS.items()
+    }
+    target = Path(path)
+    beside = target.with_name(f".{target.name}.{os.getpid()}")
+    try:
+        beside.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+        beside.replace(target)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def detector_arguments(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """What of a wrapper's arguments a detector takes."""
+    return {name: value for name, value in arguments.items() if name not in _WRAPPER_ONLY}
+
+
+def schema_hash(arguments: Mapping[str, Any]) -> str:
+    """SHA-256 of the ``shape`` section: equal hashes mean that a policy reads the same numbers in the same places.
+
+    Defaults are filled in and segmentations left out, so that another site's colours do not change it.
+    """
+    filled = _filled(arguments)
+    content = {name: filled[name] for name in SECTIONS["shape"] if name in filled}
+    content["shapes"] = [{k: v for k, v in shape.items() if k != "segmentation"} for shape in content["shapes"]]
+    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def _filled(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    extra = {name: _plain(arguments[name]) for name in _WRAPPER_ONLY if arguments.get(name) is not None}
+    return DetectorConfig.from_dict(detector_arguments(arguments)).to_dict() | extra
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Spec):
+        return value.to_dict()
+    return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value

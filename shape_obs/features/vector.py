@@ -1,0 +1,46 @@
+"""The feature vector: blocks of features, shape after shape, finite and within bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.configurations import Configuration
+from shape_obs.features.base import Feature, View
+from shape_obs.shape import Shape
+
+
+class FeatureVector:
+    """Computes and bounds the concatenation of features of shapes.
+
+    Args:
+        features: In the order of the vector, for each shape.
+        shapes: The configurations, in the order of the vector.
+        view: What the bounds are made from; later views may have another camera pose, the bounds stay.
+
+    Attributes:
+        low: (D,) float32 lowest values.
+        high: (D,) float32 highest values.
+    """
+
+    def __init__(self, features: Sequence[Feature], shapes: Sequence[Configuration], view: View) -> None:
+        self.features = tuple(features)
+        bounds = [feature.bounds(shape.count, view) for shape in shapes for feature in self.features]
+        self.low = np.concatenate([low for low, _ in bounds]).astype(np.float32)
+        self.high = np.concatenate([high for _, high in bounds]).astype(np.float32)
+        if not np.all(self.low < self.high) or not np.all(np.isfinite([self.low, self.high])):
+            raise ValueError(f"features: bounds must be finite and low < high, got {self.low} and {self.high}.")
+
+    def compute(self, shapes: Sequence[Shape], views: Sequence[View]) -> npt.NDArray[np.float32]:
+        """(D,) float32: unknown values sit at the centre of their bounds, the others are clipped to them."""
+        values = np.concatenate(
+            [
+                feature.compute(shape, view)
+                for shape, view in zip(shapes, views, strict=True)
+                for feature in self.features
+            ]
+        ).astype(np.float32)
+        centre = self.low + (self.high - self.low) / 2
+        return np.clip(np.where(np.isfinite(values), values, centre), self.low, self.high)

@@ -1,0 +1,106 @@
+"""One RGB-D frame, checked once at the door so that no stage behind it needs to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.camera import CameraModel
+
+MILLIMETRE = 1e-3
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What a camera saw at one instant.
+
+    Args:
+        rgb: (H,W,3) uint8, RGB order; None when only a mask or depth is at hand.
+        depth: (H,W) uint16 millimetres or floating metres along the optical axis; 0, negative or non-finite = invalid.
+        camera: The camera model; needed for 3D and for anchors in the base frame.
+        stamp: Seconds; None when the source has no clock.
+
+    Raises:
+        TypeError: A wrong array type or dtype.
+        ValueError: A wrong shape, or sizes that differ between rgb, depth and camera.
+    """
+
+    rgb: npt.NDArray[np.uint8] | None = None
+    depth: npt.NDArray[Any] | None = None
+    camera: CameraModel | None = None
+    stamp: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.rgb is not None:
+            _check_rgb(self.rgb)
+        if self.depth is not None:
+            depth = _check_depth(self.depth)
+            object.__setattr__(self, "depth", depth)
+            if self.rgb is not None and depth.shape != self.rgb.shape[:2]:
+                raise ValueError(
+                    f"depth has {_size(depth)}, rgb has {_size(self.rgb)}: "
+                    "give depth aligned to the colour image (rs.align, or render both with one camera)."
+                )
+        if self.camera is not None and self.size is not None:
+            intrinsics = self.camera.intrinsics
+            if (intrinsics.height, intrinsics.width) != self.size:
+                raise ValueError(
+                    f"the camera's intrinsics are for {intrinsics.width} x {intrinsics.height} pixels, "
+                    f"the image has {self.size[1]} x {self.size[0]}: give the intrinsics of this stream."
+                )
+        if self.stamp is not None and not np.isfinite(self.stamp):
+            raise ValueError(f"stamp must be a finite number of seconds, got {self.stamp}.")
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """(H, W) in pixels."""
+        for image in (self.rgb, self.depth):
+            if image is not None:
+                return image.shape[0], image.shape[1]
+        return None
+
+
+def depth_in_metres(depth: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    """Depth values -> metres, NaN where invalid. For the few values that a stage reads, not for whole images."""
+    metres = depth.astype(np.float64) * (MILLIMETRE if depth.dtype == np.uint16 else 1.0)
+    metres[~(np.isfinite(metres) & (metres > 0))] = np.nan
+    return metres
+
+
+def check_mask(mask: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """A (H,W) bool or uint8 mask as uint8, without a copy."""
+    if not isinstance(mask, np.ndarray) or mask.dtype not in (np.dtype(bool), np.dtype(np.uint8)):
+        raise TypeError(f"mask: expected a numpy array of bool or uint8, got {_describe(mask)}.")
+    if mask.ndim != 2 or mask.size == 0:
+        raise ValueError(f"mask: expected shape (H, W), got {mask.shape}.")
+    return mask.view(np.uint8)
+
+
+def _check_rgb(rgb: Any) -> None:
+    if not isinstance(rgb, np.ndarray) or rgb.dtype != np.uint8:
+        raise TypeError(
+            f"rgb: expected a numpy array of uint8 (0...255), got {_describe(rgb)}; for floats in 0...1 multiply by 255."
+        )
+    if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.size == 0:
+        raise ValueError(f"rgb: expected shape (H, W, 3), RGB order, got {rgb.shape}.")
+
+
+def _check_depth(depth: Any) -> npt.NDArray[Any]:
+    if not isinstance(depth, np.ndarray) or not (depth.dtype == np.uint16 or np.issubdtype(depth.dtype, np.floating)):
+        raise TypeError(f"depth: expected uint16 millimetres or floating metres, got {_describe(depth)}.")
+    if depth.ndim == 3 and depth.shape[2] == 1:
+        depth = depth[:, :, 0]
+    if depth.ndim != 2 or depth.size == 0:
+        raise ValueError(f"depth: expected shape (H, W), got {depth.shape}.")
+    return depth
+
+
+def _size(image: npt.NDArray[Any]) -> str:
+    return f"{image.shape[1]} x {image.shape[0]} pixels"
+
+
+def _describe(value: Any) -> str:
+    return f"an array of {value.dtype}" if isinstance(value, np.ndarray) else f"{type(value).__name__}"

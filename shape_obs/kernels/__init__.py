@@ -1,0 +1,1 @@
+"""The inner loops, one module a backend, same signatures."""

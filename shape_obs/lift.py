@@ -1,0 +1,91 @@
+"""From pixels to metres: robust local depth under each point."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import savgol_filter
+
+from shape_obs.camera import Intrinsics
+from shape_obs.frame import depth_in_metres
+from shape_obs.region import Region
+
+Array = npt.NDArray[np.float64]
+
+_MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry depth
+_SMOOTHING: Final = 9  # points of the fine curve
+
+
+def local_depth(points: Array, depth: npt.NDArray[Any], region: Region, width: float) -> Array:
+    """Median depth of the mask around each point.
+
+    Looks at the middle half of the object's width, so that a round rope's flanks do not pull the median down, and
+    at mask pixels only, so that the table does not either.
+
+    Args:
+        points: (N,2) pixels.
+        depth: (H,W) the frame's depth.
+        region: The mask.
+        width: The object's width, pixels.
+
+    Returns:
+        (N,) metres; NaN where fewer than a quarter of the mask pixels carry depth: a hole stays a hole.
+    """
+    reach = max(1, int(round(width / 4)))
+    offsets = np.arange(-reach, reach + 1)
+    u = np.rint(points[:, 0]).astype(int)[:, None, None] + offsets[None, None, :]
+    v = np.rint(points[:, 1]).astype(int)[:, None, None] + offsets[None, :, None]
+    u, v = (np.ascontiguousarray(a).reshape(len(points), -1) for a in np.broadcast_arrays(u, v))
+    column, row = u - region.window.left, v - region.window.top
+    height, across = region.mask.shape
+    inside = (column >= 0) & (column < across) & (row >= 0) & (row < height)
+    inside &= region.mask[np.where(inside, row, 0), np.where(inside, column, 0)] > 0
+    z = depth_in_metres(depth[np.where(inside, v, 0), np.where(inside, u, 0)])
+    z[~inside] = np.nan
+    known = np.isfinite(z).sum(axis=1)
+    enough = known >= np.maximum(_MIN_SHARE * inside.sum(axis=1), 1)
+    out = np.full(len(points), np.nan)
+    if enough.any():
+        out[enough] = np.nanmedian(z[enough], axis=1)
+    return out
+
+
+def lift(points: Array, z: Array, intrinsics: Intrinsics, radius: float) -> Array:
+    """Points on the object: the visible surface, or with ``radius`` the axis behind it.
+
+    Args:
+        points: (N,2) pixels.
+        z: (N,) metres, NaN where unknown.
+        intrinsics: The projection.
+        radius: Metres from the surface to the axis along the viewing ray; 0 stays on the surface.
+
+    Returns:
+        (N,3) metres, camera frame; NaN where unknown.
+    """
+    rays = intrinsics.rays(points)
+    along = z + radius / np.linalg.norm(rays, axis=1)
+    return rays * along[:, None]
+
+
+def lift_curve(
+    curve: Array, depth: npt.NDArray[Any], region: Region, width: float, intrinsics: Intrinsics
+) -> Array | None:
+    """A whole curve in space, for measuring arc length in metres.
+
+    Holes are bridged in a straight line and the depth is smoothed over a few points (millimetre steps would make the
+    curve longer than it is); the points that leave the detector are lifted afresh.
+
+    Returns:
+        (P,3) metres, or None where less than half of the curve has depth.
+    """
+    z = local_depth(curve, depth, region, width)
+    known = np.isfinite(z)
+    if known.mean() < 0.5:
+        return None
+    at = np.arange(len(z))
+    z = np.interp(at, at[known], z[known])
+    if len(z) > _SMOOTHING:
+        z = np.asarray(savgol_filter(z, _SMOOTHING, 1, mode="interp"))
+    return intrinsics.deproject(curve, z)

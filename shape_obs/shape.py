@@ -1,0 +1,101 @@
+"""What a detector returns: shapes, and the detection that holds them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.spec import did_you_mean
+
+
+@dataclass(frozen=True)
+class Shape:
+    """N ordered points on an object. Point i stays the same material point from frame to frame.
+
+    Args:
+        name: The configuration's name.
+        points2d: (N,2) float32 pixels (u right, v down), pixel centres at integers; NaN where there is nothing to tell.
+        points3d: (N,3) float32 metres, camera optical frame; NaN where unknown; None without depth and camera.
+        visible: (N,) bool: the mask carries the point.
+        valid: (N,) bool: visible and, in 3D, a real depth under it.
+        ok: Found and through the gate in this frame, or held for no longer than ``max_age`` seconds (``age`` > 0 then).
+        quality: 0...1, how well the curve explains the mask.
+        reason: Why the shape was not found in this frame; empty if it was.
+        age: Seconds since the points were seen; 0 when found in this frame.
+    """
+
+    name: str
+    points2d: npt.NDArray[np.float32]
+    points3d: npt.NDArray[np.float32] | None
+    visible: npt.NDArray[np.bool_]
+    valid: npt.NDArray[np.bool_]
+    ok: bool = True
+    quality: float = 1.0
+    reason: str = ""
+    age: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.points2d)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able values; NaN becomes None."""
+        return {
+            "name": self.name,
+            "ok": self.ok,
+            "quality": round(self.quality, 4),
+            "reason": self.reason,
+            "age": self.age,
+            "points2d": _listed(self.points2d, 3),
+            "points3d": None if self.points3d is None else _listed(self.points3d, 5),
+            "visible": self.visible.tolist(),
+            "valid": self.valid.tolist(),
+        }
+
+
+@dataclass(frozen=True)
+class Detection:
+    """The shapes of one frame.
+
+    Args:
+        shapes: In the order of the detector's configurations; ``detection["name"]`` finds one by name.
+        stamp: Seconds.
+        timings: Milliseconds by stage, and ``"total"``.
+    """
+
+    shapes: tuple[Shape, ...]
+    stamp: float
+    timings: Mapping[str, float] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> Shape:
+        for shape in self.shapes:
+            if shape.name == name:
+                return shape
+        raise KeyError(f"no shape named {name!r}{did_you_mean(name, [shape.name for shape in self.shapes])}")
+
+    def __iter__(self) -> Iterator[Shape]:
+        return iter(self.shapes)
+
+    def __len__(self) -> int:
+        return len(self.shapes)
+
+    @property
+    def ok(self) -> bool:
+        """Whether every shape is ok."""
+        return all(shape.ok for shape in self.shapes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able values."""
+        return {
+            "ok": self.ok,
+            "stamp": self.stamp,
+            "shapes": [shape.to_dict() for shape in self.shapes],
+            "timings_ms": {stage: round(time, 3) for stage, time in self.timings.items()},
+        }
+
+
+def _listed(points: npt.NDArray[np.float32], digits: int) -> list[list[float | None]]:
+    return [[None if np.isnan(value) else round(float(value), digits) for value in row] for row in points]

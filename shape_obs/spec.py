@@ -1,0 +1,187 @@
+"""Specs: frozen dataclasses that configure a stage and travel as plain dicts and YAML.
+
+A family of interchangeable stages (segmentations, regions of interest, features, ...) is a subclass of ``Spec``
+declared with ``family=``; its members name themselves with ``kind=``. Other packages add members through the
+entry-point group ``shape_obs.<family>``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import types
+import typing
+from collections.abc import Iterable, Mapping
+from importlib import metadata
+from typing import TYPE_CHECKING, Any, ClassVar, Union
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+
+class SpecError(ValueError):
+    """A configuration that cannot be understood; the message names the place, what came and what was expected."""
+
+
+class Spec:
+    """Base of all configuration dataclasses: ``from_dict``, ``to_dict`` and ``kind`` registries."""
+
+    family: ClassVar[str] = ""
+    kind: ClassVar[str] = ""
+    _members: ClassVar[dict[str, type[Spec]]] = {}
+
+    def __init_subclass__(cls, *, family: str | None = None, kind: str | None = None, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if family is not None:
+            cls.family = family
+            cls._members = {}
+        if kind is not None:
+            if not cls.family:
+                raise TypeError(f"{cls.__name__}: kind={kind!r} needs a base class declared with family=.")
+            cls.kind = kind
+            cls._members[kind] = cls
+
+    @classmethod
+    def kinds(cls) -> tuple[str, ...]:
+        """The kinds that this family knows, entry points of other packages included."""
+        for entry in metadata.entry_points(group=f"shape_obs.{cls.family}"):
+            if entry.name not in cls._members:
+                entry.load()
+        return tuple(sorted(cls._members))
+
+    @classmethod
+    def from_dict(cls, value: Self | Mapping[str, Any] | str) -> Self:
+        """Build a spec from a mapping; a spec passes through, and a bare string is read as ``{"kind": string}``.
+
+        Args:
+            value: The fields by name. In a family, ``kind`` chooses the member.
+
+        Raises:
+            SpecError: An unknown field or kind (the nearest known name is told), or a value of the wrong type.
+        """
+        if isinstance(value, cls):
+            return value
+        if isinstance(value, str) and cls.family:
+            value = {"kind": value}
+        if not isinstance(value, Mapping):
+            raise SpecError(f"{cls.__name__}: expected a mapping or a {cls.__name__}, got {_describe(value)}.")
+        fields = dict(value)
+        member = cls._choose(fields.pop("kind", cls.kind or None)) if cls.family else cls
+        return member._build(fields)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The spec as JSON-able values, defaults filled in; ``from_dict`` gives an equal spec back."""
+        head = {"kind": self.kind} if self.kind else {}
+        return {**head, **{f.name: _plain(getattr(self, f.name)) for f in dataclasses.fields(self)}}  # type: ignore[arg-type]
+
+    @classmethod
+    def _choose(cls, kind: Any) -> type[Self]:
+        known = cls.kinds()
+        if kind is None:
+            raise SpecError(f"{cls.family}: 'kind' is missing; known kinds: {', '.join(known)}.")
+        if kind not in known:
+            raise SpecError(f"{cls.family}: unknown kind {kind!r}{did_you_mean(kind, known)}")
+        member = cls._members[kind]
+        if not issubclass(member, cls):
+            raise SpecError(f"{cls.__name__}: kind {kind!r} is a {member.__name__}; expected {cls.kind!r}.")
+        return member
+
+    @classmethod
+    def _build(cls, values: Mapping[str, Any]) -> Self:
+        fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+        where = cls.kind or cls.__name__
+        for name in values:
+            if name not in fields:
+                raise SpecError(f"{where}: unknown field {name!r}{did_you_mean(name, fields)}")
+        missing = [
+            name
+            for name, f in fields.items()
+            if name not in values and f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING
+        ]
+        if missing:
+            raise SpecError(f"{where}: missing {', '.join(missing)}; fields: {', '.join(fields)}.")
+        hints = typing.get_type_hints(cls)
+        return cls(**{name: _convert(value, hints[name], f"{where}.{name}") for name, value in values.items()})
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """``"; did you mean 'x'? Known: ..."``: the end of an error message about a name that nobody knows."""
+    names = list(known)
+    near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
+    hint = f"; did you mean {near[0]!r}?" if near else "."
+    return f"{hint} Known: {', '.join(names)}."
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Spec):
+        return value.to_dict()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    return value
+
+
+def _convert(value: Any, hint: Any, where: str) -> Any:
+    """Turn a JSON or YAML value into what a field's annotation asks for."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if hint is Any:
+        return value
+    if origin in (Union, types.UnionType):
+        return _convert_union(value, arguments, hint, where)
+    if origin is typing.Literal:
+        if value not in arguments:
+            raise SpecError(f"{where}: unknown value {value!r}{did_you_mean(value, map(str, arguments))}")
+        return value
+    if origin is tuple:
+        return _convert_tuple(value, arguments, hint, where)
+    if origin is not None and issubclass(origin, Mapping):
+        if not isinstance(value, Mapping):
+            raise SpecError(f"{where}: expected a mapping, got {_describe(value)}.")
+        return {str(key): _convert(item, arguments[1], f"{where}.{key}") for key, item in value.items()}
+    if isinstance(hint, type) and issubclass(hint, Spec):
+        try:
+            return hint.from_dict(value)
+        except SpecError as error:
+            raise SpecError(f"{where}: {error}") from error
+    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        return float(value)
+    if hint is int and isinstance(value, float) and value.is_integer():
+        return int(value)
+    if (isinstance(value, bool) and hint is not bool) or not isinstance(value, hint):
+        raise SpecError(f"{where}: expected {_name(hint)}, got {_describe(value)}.")
+    return value
+
+
+def _convert_union(value: Any, arguments: tuple[Any, ...], hint: Any, where: str) -> Any:
+    if value is None and type(None) in arguments:
+        return None
+    errors: list[str] = []
+    for argument in arguments:
+        if argument is type(None):
+            continue
+        try:
+            return _convert(value, argument, where)
+        except SpecError as error:
+            errors.append(str(error))
+    if len(errors) == 1:
+        raise SpecError(errors[0])
+    raise SpecError(f"{where}: expected {_name(hint)}, got {_describe(value)}.")
+
+
+def _convert_tuple(value: Any, arguments: tuple[Any, ...], hint: Any, where: str) -> tuple[Any, ...]:
+    if not isinstance(value, (list, tuple)):
+        raise SpecError(f"{where}: expected a list, got {_describe(value)}.")
+    if len(arguments) == 2 and arguments[1] is Ellipsis:
+        return tuple(_convert(item, arguments[0], f"{where}[{i}]") for i, item in enumerate(value))
+    if len(value) != len(arguments):
+        raise SpecError(f"{where}: expected {len(arguments)} values, got {len(value)}: {list(value)!r}.")
+    return tuple(_convert(item, a, f"{where}[{i}]") for i, (item, a) in enumerate(zip(value, arguments, strict=True)))
+
+
+def _name(hint: Any) -> str:
+    return hint.__name__ if isinstance(hint, type) else str(hint).replace("typing.", "").replace("shape_obs.", "")
+
+
+def _describe(value: Any) -> str:
+    return f"{value!r} ({type(value).__name__})"

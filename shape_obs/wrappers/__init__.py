@@ -1,0 +1,5 @@
+"""Gymnasium wrappers."""
+
+from shape_obs.wrappers.shape_observation import ShapeObservation
+
+__all__ = ["ShapeObservation"]

@@ -1,0 +1,95 @@
+"""How a wrapped observation is laid out: the space, what is kept, and the scalars in ``info``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from shape_obs.features import FeatureVector
+from shape_obs.shape import Detection
+from shape_obs.spec import did_you_mean
+from shape_obs.wrappers.env_protocol import GOALS
+
+Vector = npt.NDArray[np.float32]
+
+
+class Layout:
+    """Lays features, kept keys and goals out as one observation.
+
+    Args:
+        source: The env's observation space.
+        keep: Keys of it to pass on. In a goal-conditioned env kept vectors join ``observation``, since nothing but
+            the camera's view of the goal may reach a policy there.
+        vector: The features.
+        goal: The feature of the goals, where the env has them.
+
+    Attributes:
+        space: The wrapped observation space.
+
+    Raises:
+        ValueError: A key that cannot be kept.
+    """
+
+    def __init__(
+        self, source: spaces.Space[Any], keep: Sequence[str], vector: FeatureVector, goal: FeatureVector | None
+    ) -> None:
+        kept = _kept_spaces(source, keep, privileged=GOALS if goal is not None else ())
+        self._joined = [key for key, space in kept.items() if goal is not None and _is_vector(space)]
+        self._apart = [key for key in kept if key not in self._joined]
+        low, high = [vector.low], [vector.high]
+        for key in self._joined:
+            low.append(np.asarray(kept[key].low, dtype=np.float32))
+            high.append(np.asarray(kept[key].high, dtype=np.float32))
+        box = spaces.Box(np.concatenate(low), np.concatenate(high), dtype=np.float32)
+        apart = {key: kept[key] for key in self._apart}
+        self._name: str | None = "observation" if goal is not None else "shape" if keep else None
+        if goal is not None:
+            bounds = spaces.Box(goal.low, goal.high, dtype=np.float32)
+            self.space: spaces.Space[Any] = spaces.Dict({"observation": box, **dict.fromkeys(GOALS, bounds), **apart})
+        elif self._name is not None:
+            self.space = spaces.Dict({self._name: box, **apart})
+        else:
+            self.space = box
+
+    def compose(self, values: Vector, source: Any, goals: Sequence[Vector] = ()) -> Any:
+        """The observation: features, then what is kept of ``source``, then (achieved, desired) goals."""
+        if self._name is None:
+            return values
+        joined = np.concatenate([values, *(np.asarray(source[key], np.float32) for key in self._joined)])
+        apart = {key: np.array(source[key]) for key in self._apart}
+        return {self._name: joined, **dict(zip(GOALS, goals, strict=False)), **apart}
+
+
+def scalars(detection: Detection) -> dict[str, Any]:
+    """What ``info`` gains: flat scalars."""
+    out: dict[str, Any] = {
+        "shape/ok": bool(detection.ok),
+        "shape/age": float(max(shape.age for shape in detection)),
+        "shape/latency_ms": float(detection.timings["total"]),
+    }
+    for shape in detection:
+        out[f"shape/{shape.name}/ok"] = bool(shape.ok)
+        out[f"shape/{shape.name}/valid_fraction"] = float(shape.valid.mean())
+        out[f"shape/{shape.name}/quality"] = float(shape.quality)
+    return out
+
+
+def _is_vector(space: spaces.Space[Any]) -> bool:
+    return isinstance(space, spaces.Box) and len(space.shape) == 1
+
+
+def _kept_spaces(source: spaces.Space[Any], keep: Sequence[str], privileged: Sequence[str]) -> Mapping[str, Any]:
+    if not keep:
+        return {}
+    if not isinstance(source, spaces.Dict):
+        raise ValueError(f"keep={list(keep)} needs a Dict observation, got {source}.")
+    for key in keep:
+        if key in privileged:
+            raise ValueError(f"keep: {key!r} is the simulator's truth; this wrapper computes it from the camera.")
+        if key not in source.spaces:
+            raise ValueError(f"keep: no key {key!r} in the observation{did_you_mean(key, source.spaces)}")
+    return {key: source[key] for key in keep}

@@ -1,0 +1,296 @@
+"""The cable environment against its own ground truth."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
+
+pytest.importorskip("mujoco")
+
+import shape_obs_envs  # noqa: F401
+from shape_obs_envs.mujoco.cable import CableEnv
+
+SMALL = [84, 84]
+
+
+def make(**kwargs: Any) -> CableEnv:
+    return cast(CableEnv, gym.make("ShapeObs/Cable-v0", **{"camera": SMALL, "renderer": "rays", **kwargs}).unwrapped)
+
+
+def rollout(env, seed, steps=10):
+    rng = np.random.default_rng(seed)
+    first = env.reset(seed=seed)
+    return [first, *(env.step(rng.uniform(-1, 1, 6).astype(np.float32)) for _ in range(steps))]
+
+
+@pytest.fixture(scope="module")
+def env():
+    env = make()
+    yield env
+    env.close()
+
+
+@pytest.fixture(scope="module")
+def episodes():
+    """True shapes (E, T, 100, 3) and pixels (E, T, 100, 2), tips and targets over 40 episodes of held actions."""
+    env = make()
+    blank = np.zeros((84, 84, 3), np.uint8), np.zeros((84, 84), np.float32)
+    monkeypatch = pytest.MonkeyPatch()
+    monkeypatch.setattr(env, "_capture", lambda: blank)  # the pictures are not looked at
+    rng = np.random.default_rng(0)
+    points, pixels, goals, targets = [], [], [], []
+    action = np.zeros(6, np.float32)
+    for seed in range(40):
+        observation, _ = env.reset(seed=seed)
+        goals.append(observation["desired_goal"].reshape(-1, 3))
+        for k in range(50):
+            if k % 8 == 0:  # held: white noise moves the grippers much less
+                action = rng.uniform(-1, 1, 6).astype(np.float32)
+            observation, *_ = env.step(action)
+            assert env.observation_space.contains(observation)
+            targets.append(env._target.copy())
+            if k % 5 == 4:
+                points.append(env.truth(100))
+                pixels.append(env.truth(100, frame="pixels"))
+    return np.array(points), np.array(pixels), np.array(goals), np.array(targets)
+
+
+@pytest.mark.parametrize("renderer", ["rays", "auto"])
+def test_both_checkers_pass(renderer):
+    sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
+    check_env(make(renderer=renderer))
+    sb3.check_env(make(renderer=renderer), warn=False)
+
+
+def test_spaces_are_exact(env):
+    for observation, *_ in rollout(env, 0):
+        assert env.observation_space.contains(observation)
+        assert {k: v.dtype.name for k, v in observation.items()} == {
+            "rgb": "uint8", "depth": "uint16", "gripper": "float32",
+            "achieved_goal": "float32", "desired_goal": "float32",
+        }  # fmt: skip
+    spaces = cast(gym.spaces.Dict, env.observation_space).spaces
+    for space in cast(dict[str, gym.spaces.Box], spaces).values():
+        assert np.isfinite(space.low).all()
+        assert np.isfinite(space.high).all()
+
+
+def test_returned_arrays_are_fresh(env):
+    first, info = env.reset(seed=0)
+    kept = {k: v.copy() for k, v in first.items()}
+    truth = info["truth/points"].copy()
+    second, *_ = env.step(np.ones(6, np.float32))
+    for key, value in first.items():
+        assert np.array_equal(value, kept[key])
+        assert not np.shares_memory(value, second[key])
+    assert np.array_equal(info["truth/points"], truth)
+
+
+@pytest.mark.parametrize("renderer", ["rays", "auto"])
+def test_same_seed_same_trajectory_and_images(renderer):
+    one, two = rollout(make(renderer=renderer), 5), rollout(make(renderer=renderer), 5)
+    for a, b in zip(one, two, strict=True):
+        for key in a[0]:
+            assert np.array_equal(a[0][key], b[0][key]), key
+    other = rollout(make(renderer=renderer), 6)
+    assert not np.array_equal(one[-1][0]["achieved_goal"], other[-1][0]["achieved_goal"])
+
+
+def test_reset_forgets_the_past(env):
+    fresh = rollout(make(), 3)
+    rollout(env, 4)
+    for a, b in zip(fresh, rollout(env, 3), strict=True):
+        assert np.array_equal(a[0]["achieved_goal"], b[0]["achieved_goal"])
+        assert np.array_equal(a[0]["rgb"], b[0]["rgb"])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_goal_is_reached_by_its_own_actions(env, seed):
+    observation, info = env.reset(seed=seed)
+    assert info["truth/mean_error"] > 0.03
+    assert len(env.goal_actions) <= 40
+    for action in env.goal_actions:
+        observation, _, terminated, _, info = env.step(action)
+        assert not terminated
+    assert np.array_equal(observation["achieved_goal"], observation["desired_goal"])
+    assert info["is_success"] is True
+
+
+def test_reward_equals_compute_reward(env):
+    frames = rollout(env, 1)
+    achieved = np.stack([f[0]["achieved_goal"] for f in frames[1:]])
+    desired = np.stack([f[0]["desired_goal"] for f in frames[1:]])
+    batched = env.compute_reward(achieved, desired, np.array([f[4] for f in frames[1:]]))
+    assert batched.shape == (len(achieved),)
+    for i, (_, reward, _, _, info) in enumerate(frames[1:]):
+        assert reward == env.compute_reward(achieved[i], desired[i], info) == batched[i]
+        assert reward == -info["truth/mean_error"]
+    shaped = env.compute_reward(achieved.reshape(2, 5, 60), desired.reshape(2, 5, 60), None)
+    assert np.array_equal(shaped.ravel(), batched)
+
+
+def test_reward_by_hand():
+    achieved, desired = np.zeros(6, np.float32), np.array([3, 4, 0, 0, 0, 1], np.float32) / 100
+    assert make().compute_reward(achieved, desired, {}) == pytest.approx(-0.03)
+    sparse = make(reward_type="sparse")
+    assert sparse.compute_reward(achieved, desired, {}) == -1
+    assert sparse.compute_reward(achieved, achieved, {}) == 0
+    assert sparse.compute_reward(np.stack([achieved, achieved]), np.stack([achieved, desired]), {}).tolist() == [0, -1]
+    with pytest.raises(ValueError, match=r"expected two goals of equal shape .* got \(6,\) and \(9,\)"):
+        sparse.compute_reward(achieved, np.zeros(9), {})
+
+
+def test_truth_is_equidistant_and_runs_from_tip_to_tip(env):
+    rollout(env, 2)
+    fine = env.truth(4001)
+    assert np.linalg.norm(np.diff(fine, axis=0), axis=1).sum() == pytest.approx(0.5, abs=1e-4)
+    assert np.allclose(fine[:, 2], 0.008)
+    assert np.allclose(env.truth(11), fine[::400])
+    assert np.allclose(env.truth(10, ends="centers"), fine[200::400])
+    anchors = env.anchors
+    assert np.allclose([anchors["gripper0"], anchors["gripper1"]], fine[[0, -1]])
+    observation = env._observe()
+    assert np.allclose(observation["achieved_goal"].reshape(20, 3), env.truth(20), atol=1e-6)
+    assert np.allclose(observation["gripper"].reshape(2, 5)[:, :3], fine[[0, -1]], atol=1e-6)
+    heading = fine[1] - fine[0]
+    assert np.allclose(observation["gripper"][3:5], heading[:2] / np.linalg.norm(heading), atol=1e-5)
+
+
+def test_frames_of_the_truth_agree(env):
+    rollout(env, 2)
+    camera = env.camera_model
+    local = env.truth(15, frame="camera")
+    assert np.allclose(camera.to_base(local), env.truth(15))
+    assert np.allclose(camera.intrinsics.project(local), env.truth(15, frame="pixels"))
+    # along the line of sight the surface is nearer, at the same pixel
+    surface = env.truth(15, frame="camera", surface=True)
+    assert np.allclose(env.truth(15, frame="pixels", surface=True), env.truth(15, frame="pixels"), atol=1e-6)
+    gap = (local - surface)[1:-1, 2]
+    assert (gap > 0.006).all()
+    assert (gap < 0.014).all()
+    assert np.linalg.norm((local - surface)[[0, -1]], axis=1).max() < 0.016
+
+
+def test_the_rope_keeps_its_length_and_does_not_touch_itself(episodes):
+    points, _, goals, _ = episodes
+    for shapes, slack in ((points, 5e-3), (goals, 0.04)):  # chords are shorter than the arc
+        length = np.linalg.norm(np.diff(shapes, axis=1), axis=2).sum(axis=1)
+        assert np.all(length <= 0.5 + 1e-6)
+        assert np.all(length > 0.5 - slack)
+    arc = np.linspace(0, 0.5, points.shape[1])
+    far = np.abs(arc[:, None] - arc) > 0.048
+    closest = [np.linalg.norm(p[:, None] - p, axis=2)[far].min() for p in points]
+    assert min(closest) > 0.03  # the rope is 16 mm thick
+
+
+def test_the_whole_rope_stays_in_the_smallest_image(episodes):
+    _, pixels, _, _ = episodes
+    thick = 2  # pixels, half the width and some more
+    assert pixels.min() > thick
+    assert pixels.max() < 83 - thick
+
+
+def test_targets_stay_within_the_strain_limit(episodes):
+    *_, targets = episodes
+    span = np.linalg.norm(targets[:, 1, :2] - targets[:, 0, :2], axis=1)
+    assert span.max() <= 0.97 * 0.5
+    assert span.min() >= 0.25 - 1e-6
+
+
+def test_actions_move_each_gripper(env):
+    env.reset(seed=0)
+    start = env._target.copy()
+    env.step(np.array([0.2, -0.2, 0.1, 0, 0, 0], np.float32))
+    assert np.allclose(env._target - start, [[0.003, -0.003, 0.012], [0, 0, 0]], atol=1e-8)
+    moved = env._target.copy()
+    for _ in range(10):
+        env.step(np.zeros(6, np.float32))
+    assert np.array_equal(env._target, moved)
+    # measured poses have caught up
+    assert np.abs(env._chain.tip_poses()[:, :2] - moved[:, :2]).max() < 1e-3
+    with pytest.raises(ValueError, match=r"action: expected \(6,\) finite numbers"):
+        env.step(np.full(6, np.nan, np.float32))
+
+
+def test_no_instability_warning(env):
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+    action = np.zeros(6)
+    for k in range(150):
+        if k % 10 == 0:
+            action = np.sign(rng.uniform(-1, 1, 6))
+        env._move(action)
+    assert not any(w.number for w in env._data.warning)
+
+
+def test_time_limit_and_no_termination():
+    env = gym.make("ShapeObs/Cable-v0", camera=[16, 16], renderer="rays")
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(6, np.float32))[2:4] for _ in range(50)]
+    assert ends == [(False, False)] * 49 + [(False, True)]
+
+
+def test_rebuild_from_json():
+    env = gym.make("ShapeObs/Cable-v0", camera=[84, 84], renderer="rays", reward_type="sparse")
+    assert env.spec is not None
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.observation_space == env.observation_space
+    assert again.get_wrapper_attr("reward_type") == "sparse"
+    json.dumps(again.get_wrapper_attr("shape_obs_defaults"))
+    assert again.get_wrapper_attr("dt") == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        (
+            {"camera": "d445"},
+            r"camera: expected one of 'rl', 'd455' or \[width, height\], got 'd445'. Did you mean 'd455'",
+        ),
+        ({"camera": [84]}, r"camera: expected .* got \[84\]"),
+        ({"camera": [84, 96]}, r"camera: expected a width of at least the height"),
+        ({"camera": [84.0, 84.0]}, r"two whole numbers from 16 to 4096, got \[84.0, 84.0\]"),
+        ({"renderer": "ray"}, r"renderer: expected one of 'auto', 'gl', 'rays', got 'ray'. Did you mean 'rays'"),
+        ({"reward_type": "spars"}, r"reward_type: .* Did you mean 'sparse'"),
+        ({"success_threshold": 0}, r"success_threshold: expected a distance in metres above 0, got 0"),
+    ],
+)
+def test_bad_arguments(kwargs, message):
+    with pytest.raises(ValueError, match=message):
+        make(**kwargs)
+
+
+def test_bad_calls(env):
+    with pytest.raises(ValueError, match=r"render_mode: expected one of None, 'rgb_array', got 'human'"):
+        type(env)(render_mode="human")
+    with pytest.raises(ValueError, match=r"options: expected none, got 'goal'"):
+        env.reset(options={"goal": 1})
+    with pytest.raises(ValueError, match=r"frame: expected one of .* Did you mean 'pixels'"):
+        env.truth(frame="pixel")
+    with pytest.raises(ValueError, match=r"n: expected a whole number of points"):
+        env.truth(1)
+
+
+def test_mujoco_is_imported_only_when_needed(tmp_path):
+    code = """
+import sys
+import gymnasium as gym, shape_obs_envs
+assert "mujoco" not in sys.modules
+sys.modules["mujoco"] = None
+try:
+    gym.make("ShapeObs/Cable-v0")
+except ImportError as error:
+    assert 'pip install "shape-obs[sim]"' in str(error), error
+else:
+    raise SystemExit("made without MuJoCo")
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path, timeout=60)
+    assert not list(tmp_path.iterdir())
