@@ -11,7 +11,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -49,9 +49,9 @@ class DetectorConfig(Spec):
         dt: Seconds between frames that carry no stamp.
     """
 
-    shapes: tuple[Configuration, ...] = (Centerline(),)
+    shapes: tuple[Configuration, ...] = field(default_factory=lambda: (Centerline(),))
     segmentation: Segmentation | None = None
-    roi: ROI = Whole()
+    roi: ROI = field(default_factory=Whole)
     order: Order = "tracked"
     ends: Ends = "centers"
     anchor: Anchor = None

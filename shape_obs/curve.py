@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-# Chords are equalised this often, and no point leaves its arc position by more than this share of a gap: where a hairpin
-# is narrower than a gap, equal chords would cost the points their places on the material.
+# Chords are equalised this often, and no point leaves its arc position by more than this share of a gap: where a
+# hairpin is narrower than a gap, equal chords would cost the points their places on the material.
 _EQUALISING_PASSES = 8
 _MAX_SHIFT = 0.35
 

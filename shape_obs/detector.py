@@ -173,10 +173,8 @@ class ShapeDetector:
         return Detection(tuple(shapes), stamp, timings)
 
     def _next_stamp(self, frame: Frame) -> float:
-        if frame.stamp is not None:
-            stamp = frame.stamp
-        else:
-            stamp = 0.0 if self._stamp is None else self._stamp + self.config.dt
+        following = 0.0 if self._stamp is None else self._stamp + self.config.dt
+        stamp = following if frame.stamp is None else frame.stamp
         self._stamp = stamp
         return stamp
 

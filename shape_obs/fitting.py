@@ -59,32 +59,34 @@ def fit(
         return Fit(None, reason="the mask is empty"), None
     if region.area < _MIN_PIXELS:
         return Fit(None, reason=f"the mask has {region.area} pixels, at least {_MIN_PIXELS} are needed"), None
-    found = Fit(None, reason="not yet looked for")
-    if track is not None:
-        start = predict(track, stamp)
-        found = _settle(start, som.MOVING, region, spec, track)
-    if not found.ok:
-        start = _cold_start(region, spec, track, stamp)
-        found = _settle(start, som.STATIC, region, spec, None)
-        if track is None:
-            found = _numbered(found, spec, anchor)
+    if track is None:
+        topology = spec.topology(region)
+        start = _centres(spec.parameterise(region), topology.size)
+        found = _numbered(_settle(start, topology, som.STATIC, region, spec, None), spec, anchor)
+    else:
+        topology = Chain(len(track.nodes))
+        prediction = predict(track, stamp)
+        found = _settle(prediction, topology, som.MOVING, region, spec, track)
+        if not found.ok:
+            start = orient(spec.symmetries(_centres(spec.parameterise(region), topology.size)), prediction)
+            found = _settle(start, topology, som.STATIC, region, spec, None)
     if found.curve is None or not found.ok:
         return found, None
-    nodes = _centres(found.curve, len(start))
+    nodes = _centres(found.curve, topology.size)
     present = advance(track, nodes, float(arc_length(found.curve)[-1]), stamp)
     return (_numbered(found, spec, anchor) if spec.order == "image" else found), present
 
 
-def _cold_start(region: Region, spec: Configuration, track: Track | None, stamp: float) -> Array:
-    """Nodes along the configuration's own curve; turned to the prediction where there is one."""
-    size = spec.topology(region).size if track is None else len(track.nodes)
-    nodes = _centres(spec.parameterise(region), size)
-    return nodes if track is None else orient(spec.symmetries(nodes), predict(track, stamp))
-
-
-def _settle(start: Array, sigmas: tuple[float, ...], region: Region, spec: Configuration, track: Track | None) -> Fit:
+def _settle(
+    start: Array,
+    topology: Chain,
+    sigmas: tuple[float, ...],
+    region: Region,
+    spec: Configuration,
+    track: Track | None,
+) -> Fit:
     """Cluster, finish, judge."""
-    nodes = som.fit(region.samples, start, Chain(len(start)), sigmas)
+    nodes = som.fit(region.samples, start, topology, sigmas)
     curve = spec.finish(nodes, region)
     verdict = gate(curve, float(arc_length(curve)[-1]), region, track)
     return Fit(curve, verdict.quality, verdict.reason)

@@ -82,7 +82,7 @@ def check_mask(mask: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
 def _check_rgb(rgb: Any) -> None:
     if not isinstance(rgb, np.ndarray) or rgb.dtype != np.uint8:
         raise TypeError(
-            f"rgb: expected a numpy array of uint8 (0...255), got {_describe(rgb)}; for floats in 0...1 multiply by 255."
+            f"rgb: expected a numpy array of uint8 (0...255), got {_describe(rgb)}; scale floats in 0...1 by 255."
         )
     if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.size == 0:
         raise ValueError(f"rgb: expected shape (H, W, 3), RGB order, got {rgb.shape}.")

@@ -33,7 +33,7 @@ def local_depth(points: Array, depth: npt.NDArray[Any], region: Region, width: f
     Returns:
         (N,) metres; NaN where fewer than a quarter of the mask pixels carry depth: a hole stays a hole.
     """
-    reach = max(1, int(round(width / 4)))
+    reach = max(1, round(width / 4))
     offsets = np.arange(-reach, reach + 1)
     u = np.rint(points[:, 0]).astype(int)[:, None, None] + offsets[None, None, :]
     v = np.rint(points[:, 1]).astype(int)[:, None, None] + offsets[None, :, None]

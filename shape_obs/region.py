@@ -99,7 +99,8 @@ def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_
     Returns:
         The region; without components when nothing is left.
     """
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    count, found, table, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    labels, stats = np.asarray(found, dtype=np.int32), np.asarray(table, dtype=np.int32)
     areas = stats[1:count, cv2.CC_STAT_AREA]
     floor = max(min_area, min_share * float(areas.max(initial=0)))
     kept = np.flatnonzero(areas >= floor) + 1

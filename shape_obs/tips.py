@@ -47,7 +47,8 @@ def _heading(nodes: Array) -> Array:
 
 def _extension(node: Array, heading: Array, region: Region, width: float) -> Array:
     """March along the strand while it goes on, then step to the middle of its last piece and measure the rest."""
-    front, path = node, []
+    front, rest = node, 0.0
+    path: list[Array] = []
     for _ in range(_MAX_STEPS):
         offset, along, side = _strand_ahead(region, front, heading, width)
         rest = _rest(along, side, width)

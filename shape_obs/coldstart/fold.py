@@ -55,7 +55,7 @@ def _fold_tips(z: npt.NDArray[np.complex128]) -> list[float]:
 
 def _sharp_bends(z: npt.NDArray[np.complex128], width: float) -> list[float]:
     """Where the outline turns most within a ribbon's width; ``width`` in outline steps."""
-    reach = max(int(round(width)), 1)
+    reach = max(round(width), 1)
     turn = np.angle((np.roll(z, -reach) - z) / np.where(z == np.roll(z, reach), 1, z - np.roll(z, reach)))
     turn = np.abs(np.convolve(np.concatenate([turn[-reach:], turn, turn[:reach]]), np.ones(2 * reach + 1), "valid"))
     peaks: list[float] = []

@@ -8,7 +8,7 @@ from typing import Any, Final, Literal
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 Curve = npt.NDArray[np.float64]
 Kind = Literal["smooth", "u", "s", "hairpin", "loop", "spiral", "fat"]
@@ -41,7 +41,7 @@ class Rope:
 
 
 def random_rope(rng: np.random.Generator, kind: Kind = "smooth", size: tuple[int, int] = SIZE) -> Rope:
-    """A rope of 8 to 16 px thickness that neither crosses nor touches itself, well inside an image of ``size`` = (H, W)."""
+    """A rope 8 to 16 px thick that neither crosses nor touches itself, well inside an image of ``size`` = (H, W)."""
     for _ in range(2000):
         width = float(rng.uniform(8, 16))
         curve = _place(resample(_MAKERS[kind](rng, width), _STEP), rng, size, width)
@@ -76,7 +76,7 @@ def draw_rope(
 def resample(curve: Curve, step: float) -> Curve:
     """A curve at equal arc-length steps of about ``step``."""
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
-    at = np.linspace(0, arc[-1], max(int(round(arc[-1] / step)) + 1, 2))
+    at = np.linspace(0, arc[-1], max(round(arc[-1] / step) + 1, 2))
     return np.stack([np.interp(at, arc, curve[:, d]) for d in range(curve.shape[1])], axis=1)
 
 
@@ -163,5 +163,5 @@ def _place(curve: Curve, rng: np.random.Generator, size: tuple[int, int], width:
 
 def _touches(curve: Curve, width: float) -> bool:
     """Whether strands come closer than the drawn width and a gap of 3 px, or bend tighter than the ribbon allows."""
-    pairs = cKDTree(curve).query_pairs(width + 3, output_type="ndarray")
+    pairs = KDTree(curve).query_pairs(width + 3, output_type="ndarray")
     return bool(np.any(np.abs(pairs[:, 1] - pairs[:, 0]) * _STEP > np.pi / 2 * (width + 3) + 2))

@@ -58,7 +58,7 @@ class Points3D(Feature, kind="points3d"):
     def _camera(self, view: View) -> CameraModel:
         if view.camera is None:
             raise ValueError(
-                "feature 'points3d' needs a camera model: let the env publish `camera_model`, or pass camera=Intrinsics(...)."
+                "feature 'points3d' needs a camera model: let the env publish `camera_model`, or pass camera=."
             )
         if self.frame != "camera" and view.camera.transform_camera_to_base is None:
             raise ValueError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -45,10 +46,8 @@ class HSVRange(Segmentation, kind="hsv"):
         if self.low[0] <= self.high[0]:
             return _in_range(hsv, self.low, self.high)
         mask = _in_range(hsv, self.low, (HUES - 1, *self.high[1:]))
-        return np.asarray(cv2.bitwise_or(mask, _in_range(hsv, (0, *self.low[1:]), self.high), dst=mask))
+        return mask | _in_range(hsv, (0, *self.low[1:]), self.high)
 
 
-def _in_range(
-    hsv: npt.NDArray[np.uint8], low: tuple[int, int, int], high: tuple[int, int, int]
-) -> npt.NDArray[np.uint8]:
+def _in_range(hsv: npt.NDArray[Any], low: tuple[int, int, int], high: tuple[int, int, int]) -> npt.NDArray[np.uint8]:
     return np.asarray(cv2.inRange(hsv, np.array(low, np.uint8), np.array(high, np.uint8)), dtype=np.uint8)

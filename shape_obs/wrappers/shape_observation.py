@@ -17,7 +17,7 @@ from shape_obs.wrappers.goals import goal_vector, target_shape
 from shape_obs.wrappers.layout import Layout, scalars
 from shape_obs.wrappers.recording import plain, read_camera
 
-Box = tuple[Sequence[float], Sequence[float]]
+Corners = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
@@ -59,7 +59,7 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         keep: Sequence[str] = (),
         rgb_key: str = "rgb",
         depth_key: str = "depth",
-        workspace: Box | None = None,
+        workspace: Corners | None = None,
         **options: Any,
     ) -> None:
         given = {"shapes": shapes, "segmentation": segmentation, "features": features, "workspace": workspace}
