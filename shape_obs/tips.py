@@ -33,6 +33,7 @@ def extend_to_tips(nodes: Array, region: Region, width: float) -> Array:
     Returns:
         (K+J,2) pixels; the first and last points lie on the tips.
     """
+    width = max(width, 3.0)
     head = _extension(nodes[0], _heading(nodes[:3]), region, width)
     tail = _extension(nodes[-1], _heading(nodes[:-4:-1]), region, width)
     return np.concatenate([head[::-1], nodes, tail])
@@ -57,6 +58,8 @@ def _extension(node: Array, heading: Array, region: Region, width: float) -> Arr
         elif rest > _LAST[1] * width:
             ahead = along > rest - _LAST[0] * width
         else:
+            break
+        if not ahead.any():
             break
         step = offset[ahead].mean(axis=0)
         heading = _continue(heading, step)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from shape_obs_envs.arguments import one_of
 from shape_obs_envs.mujoco.chain import GRIPPERS, Chain, ChainSpec, chain_bodies, chain_equality
-from shape_obs_envs.mujoco.goal_env import POINTS, SUBSTEPS, ShapeGoalEnv
+from shape_obs_envs.mujoco.goal_env import POINTS, POINTS_HIGH, POINTS_LOW, SUBSTEPS, ShapeGoalEnv
 from shape_obs_envs.mujoco.scene import compile_scene
 from shape_obs_envs.mujoco.workspace import TwoGripperWorkspace
 
@@ -83,9 +83,20 @@ class CableEnv(ShapeGoalEnv, EzPickle):
     def shape_obs_defaults(self) -> dict[str, Any]:
         """Arguments of `shape_obs.ShapeObservation` that suit this environment."""
         return {
-            "shapes": [{"kind": "centerline", "n": POINTS, "anchor": "gripper0"}],
+            "shapes": [
+                {
+                    "kind": "centerline",
+                    "n": POINTS,
+                    "anchor": "gripper0",
+                    "ends": "tips",
+                    "spacing": "m",
+                    "radius": self._chain.spec.radius,
+                }
+            ],
             "segmentation": {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]},
-            "features": ["points3d"],
+            "features": [{"kind": "points3d", "frame": "base"}],
+            # Below the table too: measured points scatter, and clipping them would bias their mean.
+            "workspace": [[*POINTS_LOW[:2], -0.1], [*POINTS_HIGH[:2], 0.2]],
         }
 
     def truth(self, n: int = POINTS, frame: str = "world", ends: str = "tips", surface: bool = False) -> Array:
