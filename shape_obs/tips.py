@@ -20,10 +20,12 @@ _STEP: Final = (0.2, 0.6)
 # In widths: the length of the last piece, and the rest below which there is none. In pixels: the shortest rest.
 _LAST: Final = (0.6, 0.5)
 _SHORTEST: Final = 0.25
+# Pixels: a thinner rope is looked at as if it were this wide, or the slices above would hold no pixel.
+_THINNEST: Final = 3.0
 
 
 def extend_to_tips(nodes: Array, region: Region, width: float) -> Array:
-    """Lengthen a chain of cluster centres to the ribbon's tips.
+    """Cut a chain of cluster centres where it hangs over the mask, and lengthen it to the ribbon's tips.
 
     Args:
         nodes: (K,2) pixels, K >= 3.
@@ -31,12 +33,19 @@ def extend_to_tips(nodes: Array, region: Region, width: float) -> Array:
         width: The ribbon's width, pixels.
 
     Returns:
-        (K+J,2) pixels; the first and last points lie on the tips.
+        (K',2) pixels; the first and last points lie on the tips.
     """
-    width = max(width, 3.0)
+    width = max(width, _THINNEST)
+    nodes = _without_overhang(nodes, region)
     head = _extension(nodes[0], _heading(nodes[:3]), region, width)
     tail = _extension(nodes[-1], _heading(nodes[:-4:-1]), region, width)
     return np.concatenate([head[::-1], nodes, tail])
+
+
+def _without_overhang(nodes: Array, region: Region) -> Array:
+    """The nodes from the first to the last on the mask: a prediction that overshoots leaves empty ones past the end."""
+    on = np.flatnonzero(region.contains(nodes, reach=1))
+    return nodes[on[0] : on[-1] + 1] if len(on) and on[-1] - on[0] >= 2 else nodes
 
 
 def _heading(nodes: Array) -> Array:

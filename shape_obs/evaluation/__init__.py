@@ -1,0 +1,1 @@
+"""Ground truth and scores: what the tests and ``shape-obs bench`` measure with."""

@@ -1,0 +1,79 @@
+"""Found points against a known curve."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+
+from shape_obs.configurations import Ends
+from shape_obs.curve import arc_length, interpolate, resample
+
+Array = npt.NDArray[np.float64]
+
+_FINE: float = 0.1
+
+
+class Score(NamedTuple):
+    """How well ordered points follow a curve; lengths in the curve's unit.
+
+    Args:
+        ordered: The points' places along the curve strictly increase.
+        flipped: They run against the curve's direction.
+        distance: Mean distance of the points to the curve.
+        tip: Larger distance of the first and last point to the curve's ends.
+        gap_cv: Standard deviation over mean of the distances between neighbours.
+        slip: Largest distance of a point from its own arc position, along the curve, in gaps.
+    """
+
+    ordered: bool
+    flipped: bool
+    distance: float
+    tip: float
+    gap_cv: float
+    slip: float
+
+
+def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = True) -> Score:
+    """Compare N found points with a known curve.
+
+    Args:
+        points: (N,D).
+        curve: (P,D), from end to end.
+        ends: Where the points belong: ``"centers"`` of N equal pieces or from tip to tip (``"tips"``).
+        directed: Whether point 0 belongs to the curve's start; else either direction is right.
+    """
+    found = np.asarray(points, dtype=np.float64)
+    forward, backward = (float(np.sum((found - _places(c, len(found), ends)) ** 2)) for c in (curve, curve[::-1]))
+    flipped = backward < forward
+    if flipped and not directed:
+        curve, flipped = curve[::-1], False
+    arc = arc_length(curve)
+    fine = resample(curve, max(int(arc[-1] / _FINE * _unit_of(arc)), 2))
+    distance, nearest = KDTree(fine).query(found)
+    place = nearest * arc[-1] / (len(fine) - 1)
+    size = len(found)
+    true_place = arc[-1] * ((np.arange(size) + 0.5) / size if ends == "centers" else np.linspace(0, 1, size))
+    gap = arc[-1] / (size if ends == "centers" else size - 1)
+    chords = np.linalg.norm(np.diff(found, axis=0), axis=1)
+    return Score(
+        ordered=bool(np.all(np.diff(place) > 0)),
+        flipped=bool(flipped),
+        distance=float(distance.mean()),
+        tip=float(max(np.linalg.norm(found[0] - curve[0]), np.linalg.norm(found[-1] - curve[-1]))),
+        gap_cv=float(chords.std() / chords.mean()),
+        slip=float(np.abs(place - true_place).max() / gap),
+    )
+
+
+def _unit_of(arc: Array) -> float:
+    """1 for curves in pixels; for curves in metres a factor that gives them as many fine points."""
+    return 1.0 if arc[-1] > 10 else 1000.0
+
+
+def _places(curve: Array, count: int, ends: Ends) -> Array:
+    arc = arc_length(curve)
+    share = (np.arange(count) + 0.5) / count if ends == "centers" else np.linspace(0, 1, count)
+    return interpolate(curve, arc, share * arc[-1])
