@@ -15,7 +15,6 @@ import numpy.typing as npt
 from shape_obs.spec import Spec
 
 Distortion = Literal["pinhole", "brown_conrady", "inverse_brown_conrady"]
-_MODELS: Final = ("pinhole", "brown_conrady", "inverse_brown_conrady")
 _MAX_ITERATIONS: Final = 60
 _TOLERANCE: Final = 1e-10
 
@@ -52,13 +51,13 @@ class Intrinsics(Spec):
     coeffs: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "coeffs", tuple(float(c) for c in self.coeffs))
+        super().__post_init__()
         if self.width < 1 or self.height < 1:
             raise ValueError(f"Intrinsics: width and height must be positive, got {self.width} x {self.height}.")
-        if not (self.fx > 0 and self.fy > 0):
-            raise ValueError(f"Intrinsics: fx and fy must be positive, got {self.fx} and {self.fy}.")
-        if self.model not in _MODELS:
-            raise ValueError(f"Intrinsics: unknown distortion model {self.model!r}; known: {', '.join(_MODELS)}.")
+        if not (0 < self.fx < np.inf and 0 < self.fy < np.inf):
+            raise ValueError(f"Intrinsics: fx and fy must be positive and finite, got {self.fx} and {self.fy}.")
+        if not np.all(np.isfinite((self.cx, self.cy))):
+            raise ValueError(f"Intrinsics: cx and cy must be finite, got {self.cx} and {self.cy}.")
         if len(self.coeffs) != 5 or not np.all(np.isfinite(self.coeffs)):
             raise ValueError(f"Intrinsics: coeffs must be five finite numbers (k1, k2, p1, p2, k3), got {self.coeffs}.")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 from collections import Counter
 from collections.abc import Mapping
@@ -18,10 +19,11 @@ from typing import Any, Final
 import yaml
 
 from shape_obs.configurations import Anchor, Centerline, Configuration, Ends, Order
+from shape_obs.features import read_features
 from shape_obs.missing import OnInvalid, OnMissing
 from shape_obs.roi import ROI, Whole
 from shape_obs.segmentation import Segmentation
-from shape_obs.spec import Spec, SpecError, did_you_mean
+from shape_obs.spec import Spec, SpecError, did_you_mean, plain
 
 VERSION: Final = 1
 SECTIONS: Final = {
@@ -61,13 +63,14 @@ class DetectorConfig(Spec):
     dt: float = 1 / 30
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.shapes:
             raise SpecError("shapes: expected at least one configuration, got none.")
         twice = [name for name, count in Counter(shape.name for shape in self.shapes).items() if count > 1]
         if twice:
             raise SpecError(f"shapes: two are named {twice[0]!r}; give each its own name=.")
-        if not (self.max_age >= 0 and self.dt > 0):
-            raise SpecError(f"expected max_age >= 0 and dt > 0 seconds, got {self.max_age} and {self.dt}.")
+        if not (0 <= self.max_age < math.inf and 0 < self.dt < math.inf):
+            raise SpecError(f"expected finite max_age >= 0 and dt > 0 seconds, got {self.max_age} and {self.dt}.")
 
     def resolved(self) -> tuple[Configuration, ...]:
         """The configurations with this detector's defaults filled in."""
@@ -116,8 +119,8 @@ def load_config(path: str | os.PathLike[str]) -> dict[str, Any]:
                 raise SpecError(f"{path}: {section}: unknown field {name!r}{did_you_mean(name, SECTIONS[section])}")
             arguments[name] = value
     try:
-        DetectorConfig.from_dict(detector_arguments(arguments))
-    except SpecError as error:
+        _filled(arguments)
+    except ValueError as error:
         raise SpecError(f"{path}: {error}") from error
     return arguments
 
@@ -150,20 +153,22 @@ def detector_arguments(arguments: Mapping[str, Any]) -> dict[str, Any]:
 def schema_hash(arguments: Mapping[str, Any]) -> str:
     """SHA-256 of the ``shape`` section: equal hashes mean that a policy reads the same numbers in the same places.
 
-    Defaults are filled in and segmentations left out, so that another site's colours do not change it.
+    Defaults are filled in, the detector's too, and segmentations left out: another site's colours do not change it.
     """
-    filled = _filled(arguments)
-    content = {name: filled[name] for name in SECTIONS["shape"] if name in filled}
-    content["shapes"] = [{k: v for k, v in shape.items() if k != "segmentation"} for shape in content["shapes"]]
+    shapes = [shape.to_dict() for shape in DetectorConfig.from_dict(detector_arguments(arguments)).resolved()]
+    content = {
+        "shapes": [{name: value for name, value in shape.items() if name != "segmentation"} for shape in shapes],
+        "features": _features(arguments),
+    }
     return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def _filled(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    extra = {name: _plain(arguments[name]) for name in _WRAPPER_ONLY if arguments.get(name) is not None}
-    return DetectorConfig.from_dict(detector_arguments(arguments)).to_dict() | extra
+    extra = {"features": _features(arguments), "workspace": plain(arguments.get("workspace"))}
+    given = {name: value for name, value in extra.items() if value is not None}
+    return DetectorConfig.from_dict(detector_arguments(arguments)).to_dict() | given
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, Spec):
-        return value.to_dict()
-    return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
+def _features(arguments: Mapping[str, Any]) -> list[dict[str, Any]] | None:
+    features = arguments.get("features")
+    return None if features is None else [feature.to_dict() for feature in read_features(features)]

@@ -57,7 +57,8 @@ class ShapeDetector:
     ) -> None:
         given: dict[str, Any] = dict(options)
         if shapes is not None:
-            given["shapes"] = list(shapes) if not isinstance(shapes, (str, Mapping, Configuration)) else [shapes]
+            alone = isinstance(shapes, (str, Mapping, Configuration)) or not isinstance(shapes, Iterable)
+            given["shapes"] = [shapes] if alone else list(shapes)
         if segmentation is not None:
             given["segmentation"] = segmentation
         self.config = DetectorConfig.from_dict(given)
@@ -164,7 +165,7 @@ class ShapeDetector:
                 shape = self._finish(spec, found, region, frame, stamp)
             if present is not None:
                 self._tracks[spec.name] = present
-            if shape.ok and shape.age == 0:
+            if not shape.reason:
                 self._last[spec.name] = (shape, stamp)
             elif stamp - self._last.get(spec.name, (shape, stamp))[1] > self.config.max_age:
                 self._tracks.pop(spec.name, None)
@@ -262,4 +263,7 @@ def _anchor_pixel(
         return point
     if camera is None:
         raise ValueError(f"shape {spec.name!r}: an anchor in the base frame needs camera=CameraModel(...).")
-    return camera.project_from_base(point)
+    pixel = camera.project_from_base(point)
+    if not np.all(np.isfinite(pixel)):
+        raise ValueError(f"shape {spec.name!r}: anchor {anchor!r} does not lie in front of the camera.")
+    return pixel

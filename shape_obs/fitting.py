@@ -18,6 +18,8 @@ from shape_obs.tracking import Track, advance, gate, orient, predict
 Array = npt.NDArray[np.float64]
 
 _MIN_PIXELS: Final = 16
+# The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
+_MAX_PIECES: Final = 16
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,8 @@ def fit(
         return Fit(None, reason="the mask is empty"), None
     if region.area < _MIN_PIXELS:
         return Fit(None, reason=f"the mask has {region.area} pixels, at least {_MIN_PIXELS} are needed"), None
+    if len(region.components) > _MAX_PIECES:
+        return Fit(None, reason=f"the mask falls into {len(region.components)} pieces, at most {_MAX_PIECES}"), None
     if track is None:
         topology = spec.topology(region)
         start = _centres(spec.parameterise(region), topology.size)

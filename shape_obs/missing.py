@@ -50,11 +50,12 @@ def lost_shape(
     if policy == "raise":
         raise ShapeLostError(f"shape {name!r} was not found: {reason}")
     nobody = np.zeros(count, bool)
+    nowhere = np.full((count, 3), np.nan, np.float32) if in_3d else None
     if last is None or policy == "nan":
         return Shape(
             name,
             np.full((count, 2), np.nan, np.float32),
-            np.full((count, 3), np.nan, np.float32) if in_3d else None,
+            nowhere,
             visible=nobody,
             valid=nobody.copy(),
             ok=False,
@@ -65,7 +66,7 @@ def lost_shape(
     return replace(
         last,
         points2d=last.points2d.copy(),
-        points3d=None if last.points3d is None else last.points3d.copy(),
+        points3d=nowhere if last.points3d is None else last.points3d.copy(),
         visible=nobody,
         valid=nobody.copy(),
         ok=policy == "hold" and age <= max_age,

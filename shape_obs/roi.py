@@ -67,6 +67,7 @@ class Rectangle(ROI, kind="rectangle"):
     height: int
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.width < 1 or self.height < 1:
             raise ValueError(f"Rectangle: width and height must be positive, got {self.width} x {self.height}.")
 
@@ -87,8 +88,11 @@ class Polygon(ROI, kind="polygon"):
     points: tuple[tuple[float, float], ...]
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if len(self.points) < 3:
             raise ValueError(f"Polygon: needs at least three corners, got {len(self.points)}.")
+        if not np.all(np.isfinite(self.points)):
+            raise ValueError(f"Polygon: corners must be finite, got {self.points}.")
 
     def window(self, size: tuple[int, int]) -> Window:
         """The bounding box of the polygon, clipped to the image."""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from shape_obs.spec import did_you_mean
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shape:
     """N ordered points on an object. Point i stays the same material point from frame to frame.
 
@@ -56,7 +56,7 @@ class Shape:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Detection:
     """The shapes of one frame.
 

@@ -12,6 +12,7 @@ import difflib
 import types
 import typing
 from collections.abc import Iterable, Mapping
+from functools import cache
 from importlib import metadata
 from typing import TYPE_CHECKING, Any, ClassVar, Union
 
@@ -24,7 +25,11 @@ class SpecError(ValueError):
 
 
 class Spec:
-    """Base of all configuration dataclasses: ``from_dict``, ``to_dict`` and ``kind`` registries."""
+    """Base of all configuration dataclasses: ``from_dict``, ``to_dict`` and ``kind`` registries.
+
+    Fields are checked against their annotations and converted (lists to tuples, NumPy values to plain ones) however a
+    spec is made; a member's own ``__post_init__`` calls ``super().__post_init__()`` first.
+    """
 
     family: ClassVar[str] = ""
     kind: ClassVar[str] = ""
@@ -40,6 +45,11 @@ class Spec:
                 raise TypeError(f"{cls.__name__}: kind={kind!r} needs a base class declared with family=.")
             cls.kind = kind
             cls._members[kind] = cls
+
+    def __post_init__(self) -> None:
+        where, hints = self.kind or type(self).__name__, _field_types(type(self))
+        for name in hints:
+            object.__setattr__(self, name, _convert(getattr(self, name), hints[name], f"{where}.{name}"))
 
     @classmethod
     def kinds(cls) -> tuple[str, ...]:
@@ -72,15 +82,15 @@ class Spec:
     def to_dict(self) -> dict[str, Any]:
         """The spec as JSON-able values, defaults filled in; ``from_dict`` gives an equal spec back."""
         head = {"kind": self.kind} if self.kind else {}
-        return {**head, **{f.name: _plain(getattr(self, f.name)) for f in dataclasses.fields(self)}}  # type: ignore[arg-type]
+        return {**head, **{name: plain(getattr(self, name)) for name in _field_types(type(self))}}
 
     @classmethod
     def _choose(cls, kind: Any) -> type[Self]:
-        known = cls.kinds()
         if kind is None:
-            raise SpecError(f"{cls.family}: 'kind' is missing; known kinds: {', '.join(known)}.")
-        if kind not in known:
-            raise SpecError(f"{cls.family}: unknown kind {kind!r}{did_you_mean(kind, known)}")
+            raise SpecError(f"{cls.family}: 'kind' is missing; known kinds: {', '.join(cls.kinds())}.")
+        # Other packages are asked only for what this one does not have: the look-up takes milliseconds.
+        if not isinstance(kind, str) or (kind not in cls._members and kind not in cls.kinds()):
+            raise SpecError(f"{cls.family}: unknown kind {kind!r}{did_you_mean(kind, cls.kinds())}")
         member = cls._members[kind]
         if not issubclass(member, cls):
             raise SpecError(f"{cls.__name__}: kind {kind!r} is a {member.__name__}; expected {cls.kind!r}.")
@@ -100,8 +110,7 @@ class Spec:
         ]
         if missing:
             raise SpecError(f"{where}: missing {', '.join(missing)}; fields: {', '.join(fields)}.")
-        hints = typing.get_type_hints(cls)
-        return cls(**{name: _convert(value, hints[name], f"{where}.{name}") for name, value in values.items()})
+        return cls(**values)
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
@@ -112,18 +121,30 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     return f"{hint} Known: {', '.join(names)}."
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Specs, arrays, tuples and other iterables -> dicts, lists and scalars."""
     if isinstance(value, Spec):
         return value.to_dict()
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return {str(key): plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
+        return [plain(item) for item in value]
     return value
 
 
+@cache
+def _field_types(cls: type[Spec]) -> dict[str, Any]:
+    """The fields of a spec and their annotations, evaluated."""
+    hints = typing.get_type_hints(cls)
+    return {f.name: hints[f.name] for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+
+
 def _convert(value: Any, hint: Any, where: str) -> Any:
-    """Turn a JSON or YAML value into what a field's annotation asks for."""
+    """Turn a JSON, YAML or NumPy value into what a field's annotation asks for."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if hint is Any:
         return value

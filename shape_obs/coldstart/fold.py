@@ -25,7 +25,7 @@ def fold(outline: Array, width: float) -> Array:
     """The centreline of a ribbon.
 
     Args:
-        outline: (P,2) closed outline, pixels, P >= 3.
+        outline: (P,2) closed outline, pixels.
         width: The ribbon's width, pixels.
 
     Returns:
@@ -34,6 +34,8 @@ def fold(outline: Array, width: float) -> Array:
     closed = np.concatenate([outline, outline[:1]])
     arc = arc_length(closed)
     perimeter = float(arc[-1])
+    if perimeter == 0:  # a single pixel
+        return np.repeat(outline[:1], _SIDE_POINTS, axis=0)
     even = interpolate(closed, arc, np.arange(_OUTLINE_POINTS) * perimeter / _OUTLINE_POINTS)
     z = even[:, 0] + 1j * even[:, 1]
     tips = _fold_tips(z) + _sharp_bends(z, width * _OUTLINE_POINTS / perimeter)

@@ -42,15 +42,11 @@ class Configuration(Spec, family="configuration"):
     radius: float = 0.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.name:
             object.__setattr__(self, "name", self.kind)
-        if isinstance(self.anchor, (list, tuple)):
-            object.__setattr__(self, "anchor", tuple(float(value) for value in self.anchor))
-            if len(self.anchor) not in (2, 3) or not np.all(np.isfinite(self.anchor)):
-                raise ValueError(
-                    f"{self.kind}: anchor must be a pixel (u, v), a base-frame point (x, y, z) or a name, "
-                    f"got {self.anchor}."
-                )
+        if isinstance(self.anchor, tuple) and not np.all(np.isfinite(self.anchor)):
+            raise ValueError(f"{self.kind}: anchor must be finite, got {self.anchor}.")
         if self.radius < 0 or not np.isfinite(self.radius):
             raise ValueError(f"{self.kind}: radius must be >= 0 metres, got {self.radius}.")
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -54,3 +55,11 @@ class Feature(Spec, family="feature"):
     @abstractmethod
     def compute(self, shape: Shape, view: View) -> Array:
         """(D,) values; NaN where the shape does not tell."""
+
+
+def read_features(
+    value: Iterable[Feature | Mapping[str, Any] | str] | Feature | Mapping[str, Any] | str,
+) -> list[Feature]:
+    """Features from specs, mappings or names; a single one stands for a list of it."""
+    alone = isinstance(value, (Feature, Mapping, str)) or not isinstance(value, Iterable)
+    return [Feature.from_dict(item) for item in ([value] if alone else value)]  # type: ignore[list-item]

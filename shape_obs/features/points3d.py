@@ -29,6 +29,11 @@ class Points3D(Feature, kind="points3d"):
     max_depth: float = 2.0
     needs_depth: ClassVar[bool] = True
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.max_depth < np.inf:
+            raise ValueError(f"points3d: max_depth must be a positive number of metres, got {self.max_depth}.")
+
     def bounds(self, count: int, view: View) -> tuple[Array, Array]:
         """The camera's view up to ``max_depth``, or in the base frame the workspace where one is given."""
         camera = self._camera(view)

@@ -33,6 +33,7 @@ class Segmentation(Spec, family="segmentation"):
     min_share: float = 0.05
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.open < 0 or self.close < 0 or self.min_area < 1:
             raise ValueError(
                 f"{self.kind}: open and close must be >= 0 and min_area >= 1, "

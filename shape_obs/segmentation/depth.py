@@ -33,7 +33,7 @@ class DepthRange(Segmentation, kind="depth"):
         """(h,w) uint8 mask, 0 or 255."""
         depth = need(frame.depth, "depth", self)[window.slices]
         if depth.dtype == np.uint16:
-            low, high = np.ceil(self.near / MILLIMETRE - 1e-6), np.floor(self.far / MILLIMETRE + 1e-6)
+            low, high = max(np.ceil(self.near / MILLIMETRE - 1e-6), 1), np.floor(self.far / MILLIMETRE + 1e-6)
             inside = (depth >= low) & (depth <= high)
         else:
             inside = (depth >= self.near) & (depth <= self.far)

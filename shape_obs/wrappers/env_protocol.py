@@ -66,19 +66,21 @@ class Images:
     size: tuple[int, int]
 
     @classmethod
-    def find(cls, space: spaces.Space[Any], rgb_key: str, depth_key: str) -> Images:
-        """Look at an observation space.
+    def find(cls, space: spaces.Space[Any], rgb_key: str | None = None, depth_key: str | None = None) -> Images:
+        """Look at an observation space; keys that are not given are ``"rgb"`` and, where there is one, ``"depth"``.
 
         Raises:
             ValueError: No image where one was expected; the message tells the keys there are.
         """
         if isinstance(space, spaces.Dict):
-            if rgb_key not in space.spaces:
-                raise ValueError(
-                    f"rgb_key {rgb_key!r} is not in the observation{did_you_mean(rgb_key, space.spaces)} "
-                    "Pass rgb_key= and depth_key=."
-                )
-            depth = depth_key if depth_key in space.spaces else None
+            rgb_key = rgb_key or "rgb"
+            for name, key in (("rgb_key", rgb_key), ("depth_key", depth_key)):
+                if key is not None and key not in space.spaces:
+                    raise ValueError(
+                        f"{name} {key!r} is not in the observation{did_you_mean(key, space.spaces)} "
+                        "Pass rgb_key= and depth_key=."
+                    )
+            depth = depth_key or ("depth" if "depth" in space.spaces else None)
             return cls(rgb_key, depth, _image_size(space[rgb_key], f"observation[{rgb_key!r}]"))
         return cls(None, None, _image_size(space, "the observation"))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,8 @@ class Layout:
         box = spaces.Box(np.concatenate(low), np.concatenate(high), dtype=np.float32)
         apart = {key: kept[key] for key in self._apart}
         self._name: str | None = "observation" if goal is not None else "shape" if keep else None
+        if self._name in apart:
+            raise ValueError(f"keep: {self._name!r} is where this wrapper puts the shape; rename the env's key.")
         if goal is not None:
             bounds = spaces.Box(goal.low, goal.high, dtype=np.float32)
             self.space: spaces.Space[Any] = spaces.Dict({"observation": box, **dict.fromkeys(GOALS, bounds), **apart})
@@ -60,7 +63,7 @@ class Layout:
         if self._name is None:
             return values
         joined = np.concatenate([values, *(np.asarray(source[key], np.float32) for key in self._joined)])
-        apart = {key: np.array(source[key]) for key in self._apart}
+        apart = {key: deepcopy(source[key]) for key in self._apart}
         return {self._name: joined, **dict(zip(GOALS, goals, strict=False)), **apart}
 
 

@@ -11,11 +11,12 @@ from gymnasium.utils import RecordConstructorArgs
 
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.detector import ShapeDetector
-from shape_obs.features import Feature, FeatureVector, View
+from shape_obs.features import Feature, FeatureVector, View, read_features
+from shape_obs.shape import Detection
 from shape_obs.wrappers.env_protocol import Images, anchors, base_point, camera_model, published, seconds_per_step
 from shape_obs.wrappers.goals import goal_vector, target_shape
 from shape_obs.wrappers.layout import Layout, scalars
-from shape_obs.wrappers.recording import plain, read_camera
+from shape_obs.wrappers.recording import OWN, check_names, plain, read_camera
 
 Corners = tuple[tuple[float, float, float], tuple[float, float, float]]
 
@@ -38,10 +39,14 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         features: Features of each shape; default ``points3d`` with depth and camera, else ``points2d_normalized``.
         camera: Intrinsics or camera model, for envs that publish none.
         keep: Keys of the env's observation to pass on.
-        rgb_key: Key of the image.
-        depth_key: Key of the depth image, uint16 millimetres or float metres.
+        rgb_key: Key of the image, default ``"rgb"``.
+        depth_key: Key of the depth image, uint16 millimetres or float metres; default ``"depth"`` where there is one.
         workspace: (low, high) corners in metres, base frame, that bound points in the base frame.
         options: The other fields of ``DetectorConfig``; ``on_invalid`` defaults to ``"interpolate"`` here.
+
+    Attributes:
+        detector: The ``ShapeDetector``; its state is the wrapper's.
+        detection: What it found in the last observation; None before the first.
 
     Example:
         >>> env = ShapeObservation(gym.make("shape_obs_envs:ShapeObs/Cable-v0"))  # doctest: +SKIP
@@ -56,43 +61,42 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         features: Iterable[Feature | Mapping[str, Any] | str] | None = None,
         *,
         camera: CameraModel | Intrinsics | Mapping[str, Any] | None = None,
-        keep: Sequence[str] = (),
-        rgb_key: str = "rgb",
-        depth_key: str = "depth",
+        keep: Sequence[str] | None = None,
+        rgb_key: str | None = None,
+        depth_key: str | None = None,
         workspace: Corners | None = None,
         **options: Any,
     ) -> None:
-        given = {"shapes": shapes, "segmentation": segmentation, "features": features, "workspace": workspace}
-        given = {name: plain(value) for name, value in {**given, **options}.items() if value is not None}
-        images = {"camera": plain(camera), "keep": list(keep), "rgb_key": rgb_key, "depth_key": depth_key}
-        RecordConstructorArgs.__init__(self, **given, **images)
+        given = {"shapes": shapes, "segmentation": segmentation, "features": features, "camera": camera, "keep": keep}
+        given |= {"rgb_key": rgb_key, "depth_key": depth_key, "workspace": workspace, **options}
+        given = {name: plain(value) for name, value in given.items() if value is not None}
+        RecordConstructorArgs.__init__(self, **given)
         gym.ObservationWrapper.__init__(self, env)
 
-        chosen = {"on_invalid": "interpolate", **published(env, "shape_obs_defaults", {}), **given}
+        chosen = {"on_invalid": "interpolate", "dt": seconds_per_step(env), "anchor": next(iter(anchors(env)), None)}
+        chosen |= {**published(env, "shape_obs_defaults", {}), **given}
+        check_names(chosen)
         for policy in ("on_missing", "on_invalid"):
             if chosen.get(policy) == "nan":
                 raise ValueError(
                     f"{policy}='nan' would put NaN into observations; choose another, or use ShapeDetector."
                 )
-        self._images = Images.find(env.observation_space, rgb_key, depth_key)
-        self._given_camera = read_camera(camera)
+        own = {name: chosen.pop(name, None) for name in OWN}
+        self.detector = ShapeDetector(**chosen)
+        self._images = Images.find(env.observation_space, own["rgb_key"], own["depth_key"])
+        self._given_camera = read_camera(own["camera"])
         self._camera = self._given_camera or camera_model(env)
-        in_3d = self._images.depth_key is not None and self._camera is not None
-        wanted = chosen.pop("features", None) or ["points3d" if in_3d else "points2d_normalized"]
-        parsed = [
-            Feature.from_dict(feature) for feature in ([wanted] if isinstance(wanted, (str, Mapping)) else wanted)
-        ]
-        self._dt = seconds_per_step(env)
-        workspace = chosen.pop("workspace", None)
-        self.detector = ShapeDetector(**{"dt": self._dt, "anchor": next(iter(anchors(env)), None), **chosen})
         height, width = self._images.size
-        self._view = View(width, height, self._camera, workspace, self.detector.config.max_age)
+        self._view = View(width, height, self._camera, own["workspace"], self.detector.config.max_age)
+        in_3d = self._images.depth_key is not None and self._camera is not None
+        parsed = read_features(own["features"] or ("points3d" if in_3d else "points2d_normalized"))
         if self._images.depth_key is None and any(feature.needs_depth for feature in parsed):
-            raise ValueError(f"features need depth, but the observation has no {depth_key!r}; pass depth_key=.")
+            raise ValueError("features need depth, but the observation has no 'depth'; pass depth_key=.")
         self._vector = FeatureVector(parsed, self.detector.shapes, self._view)
         self._goal = goal_vector(env.observation_space, parsed, self.detector.shapes, self._view)
-        self._layout = Layout(env.observation_space, keep, self._vector, self._goal)
+        self._layout = Layout(env.observation_space, own["keep"] or (), self._vector, self._goal)
         self.observation_space = self._layout.space
+        self.detection: Detection | None = None
         self._time = 0.0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -106,7 +110,7 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the env; the reward of a goal-conditioned env is computed from what the camera saw."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        self._time += self._dt
+        self._time += self.detector.config.dt
         seen = self._observe(observation, info)
         if self._goal is not None:
             info["truth/reward"] = reward
@@ -127,6 +131,7 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         named = anchors(self.env)
         stamp = info.get("stamp", self._time)
         detection = self.detector.detect(rgb, depth, self._camera, stamp=stamp, anchors=named)
+        self.detection = detection
         info.update(scalars(detection))
         views = [replace(self._view, camera=self._camera, anchor=base_point(s, named)) for s in self.detector.shapes]
         values = self._vector.compute(detection.shapes, views)

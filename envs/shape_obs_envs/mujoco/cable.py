@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 STEP = np.array([0.015, 0.015, 0.12])
 #: A goal nearer to the start than this [m] is drawn again.
 _LEAST_CHANGE = 0.03
+#: Steps at rest before a goal is recorded: a goal that is still relaxing could be reached but not kept.
+_SETTLING = 20
 
 
 class CableEnv(ShapeGoalEnv, EzPickle):
@@ -38,7 +40,8 @@ class CableEnv(ShapeGoalEnv, EzPickle):
         ValueError: An argument is out of its range; the message says what it takes.
 
     Attributes:
-        goal_actions: (T, 6) the actions that lead from the last start state to its goal: a demonstration.
+        goal_actions: (T, 6) the actions that lead from the last start state to its goal, where the rope comes to rest
+            within a second: a demonstration.
     """
 
     def __init__(
@@ -162,6 +165,8 @@ class CableEnv(ShapeGoalEnv, EzPickle):
             self.goal_actions = self._smooth_actions()
             for action in self.goal_actions:
                 self._move(action.astype(np.float64))
+            for _ in range(_SETTLING):
+                self._move(np.zeros(6))
             goal = self._chain.points(np.linspace(0, 1, POINTS))
             self._chain.set_state(start)
             self._target = target

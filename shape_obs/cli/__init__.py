@@ -1,0 +1,49 @@
+"""The command line: ``shape-obs COMMAND``. Only the command that runs is imported."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Final
+
+from shape_obs import __version__
+from shape_obs.spec import did_you_mean
+
+COMMANDS: Final = {
+    "demo": "run an episode of the simulated cable and draw what is seen",
+    "detect": "find the shape in image files",
+    "bench": "measure: `bench claims` checks the accuracy that the project claims",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Entry point. Exits with 0, with 1 and one line on stderr where something is wrong, with 2 on wrong usage."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(_usage())
+        sys.exit(0)
+    if arguments[0] == "--version":
+        print(f"shape-obs {__version__}")
+        sys.exit(0)
+    command, *rest = arguments
+    if command not in COMMANDS:
+        print(f"shape-obs: unknown command {command!r}{did_you_mean(command, COMMANDS)}", file=sys.stderr)
+        sys.exit(2)
+    try:
+        status = import_module(f"shape_obs.cli.{command}").main(rest)
+    except (ValueError, TypeError, OSError, ImportError) as error:
+        message = " ".join(str(error).split()) or type(error).__name__
+        print(f"shape-obs {command}: {message}", file=sys.stderr)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print(f"shape-obs {command}: interrupted", file=sys.stderr)
+        sys.exit(130)
+    sys.exit(status)
+
+
+def _usage() -> str:
+    lines = [f"  {name:<8} {what}" for name, what in COMMANDS.items()]
+    return "\n".join(
+        ["usage: shape-obs COMMAND [OPTIONS]", "", *lines, "", "`shape-obs COMMAND --help` tells a command's options."]
+    )

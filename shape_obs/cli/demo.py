@@ -1,0 +1,129 @@
+"""``shape-obs demo``: an episode of the simulated cable, seen through the wrapper."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import tyro
+from tqdm import tqdm
+
+from shape_obs.cli.files import make_folder, write_gif, write_image
+from shape_obs.draw import draw_curve, draw_detection
+from shape_obs.shape import Detection
+
+GOAL = (235, 130, 40)
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Run an episode of the simulated cable through the shape wrapper and draw what it sees."""
+
+    out: Path = Path("demo")
+    """Folder for the picture and the animation."""
+    steps: int = 50
+    """Steps of the episode, at most 50."""
+    seed: int = 0
+    """Of start, goal and motion."""
+    camera: Literal["d455", "rl"] = "d455"
+    """The simulated camera: 640 x 480 or 160 x 120."""
+    renderer: Literal["auto", "gl", "rays"] = "auto"
+    """OpenGL, ray casting, or whichever there is."""
+
+
+@dataclass
+class Record:
+    """What an episode leaves behind."""
+
+    frames: list[npt.NDArray[np.uint8]]
+    vectors: list[npt.NDArray[np.float32]]
+    errors_mm: list[float]
+    errors_px: list[float]
+    latencies_ms: list[float]
+    goal_distances_mm: list[float]
+    flips: int = 0
+    lost: int = 0
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command; returns the exit code."""
+    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs demo")
+    if not 1 <= args.steps <= 50:
+        raise ValueError(f"--steps: expected 1...50, got {args.steps}.")
+    out = make_folder(args.out)
+    record = run_episode(args)
+    write_image(out / "demo.png", record.frames[-1])
+    write_gif(out / "demo.gif", record.frames, 0.05)
+    print(summary(record))
+    print(f"pictures        {out / 'demo.png'}, {out / 'demo.gif'}")
+    return 0
+
+
+def run_episode(args: Arguments) -> Record:
+    """Play the motion that leads to the episode's goal, and look at it through the wrapper."""
+    import gymnasium as gym
+
+    from shape_obs.wrappers import ShapeObservation
+
+    cable = "shape_obs_envs:ShapeObs/Cable-v0"
+    env = ShapeObservation(gym.make(cable, camera=args.camera, renderer=args.renderer, render_mode="rgb_array"))
+    simulator: Any = env.unwrapped
+    record = Record([], [], [], [], [], [])
+    try:
+        observation, info = env.reset(seed=args.seed)
+        actions = list(simulator.goal_actions)
+        for step in tqdm(range(args.steps), unit="step", leave=False):
+            action = actions[step] if step < len(actions) else np.zeros(6, np.float32)
+            observation, _, _, _, info = env.step(action)
+            _remember(record, env, observation, info)
+    finally:
+        env.close()
+    return record
+
+
+def summary(record: Record) -> str:
+    """The lines that the demo prints."""
+    first = record.vectors[0].reshape(-1, 3)
+    rows = [f"  point {i:2d}        x {x:+.4f}  y {y:+.4f}  z {z:+.4f} m" for i, (x, y, z) in enumerate(first[:4])]
+    return "\n".join(
+        [
+            f"observation     {len(record.vectors[0])} numbers: {len(first)} points on the cable's axis, base frame",
+            *rows,
+            "  ...",
+            f"frames          {len(record.vectors)}, of which not ok: {record.lost}, order reversed: {record.flips}",
+            f"ms per frame    {np.median(record.latencies_ms):.2f} median, "
+            f"{np.percentile(record.latencies_ms, 95):.2f} 95th percentile (image to vector)",
+            f"error           {np.mean(record.errors_mm):.2f} mm mean, {np.max(record.errors_mm):.2f} mm worst frame; "
+            f"{np.mean(record.errors_px):.2f} px mean (against the simulator's truth)",
+            f"goal            {record.goal_distances_mm[0]:.1f} mm away at first, "
+            f"{record.goal_distances_mm[-1]:.1f} mm at the end (as the camera sees it)",
+        ]
+    )
+
+
+def _remember(record: Record, env: Any, observation: dict[str, Any], info: dict[str, Any]) -> None:
+    detection: Detection = env.detection
+    shape = detection.shapes[0]
+    simulator = env.unwrapped
+    truth = simulator.truth(n=len(shape), frame="world")
+    found = observation["achieved_goal"].reshape(-1, 3)
+    forward = np.linalg.norm(found - truth, axis=1).mean()
+    record.flips += bool(np.linalg.norm(found[::-1] - truth, axis=1).mean() < forward)
+    record.lost += not info["shape/ok"]
+    record.errors_mm.append(1e3 * float(forward))
+    pixels = simulator.truth(n=len(shape), frame="pixels", surface=True)
+    record.errors_px.append(float(np.linalg.norm(shape.points2d - pixels, axis=1).mean()))
+    record.latencies_ms.append(info["shape/latency_ms"])
+    goal = observation["desired_goal"].reshape(-1, 3)
+    record.goal_distances_mm.append(1e3 * float(np.linalg.norm(found - goal, axis=1).mean()))
+    record.vectors.append(observation["observation"])
+    picture = env.render()
+    scale = max(1, 480 // picture.shape[0])
+    target = (simulator.camera_model.project_from_base(goal) + 0.5) * scale - 0.5
+    canvas = draw_detection(picture, detection, scale=scale)
+    draw_curve(canvas, target, GOAL, thickness=1)
+    record.frames.append(canvas)

@@ -1,0 +1,45 @@
+"""One thread for every library, and the scenes that several tests share."""
+
+from __future__ import annotations
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import settings
+
+from shape_obs import CameraModel, Intrinsics
+from shape_obs.evaluation.ropes import Rope, draw_rope
+
+cv2.setNumThreads(1)
+settings.register_profile("shape_obs", deadline=None, max_examples=30, derandomize=True)
+settings.load_profile("shape_obs")
+
+
+@pytest.fixture(scope="session")
+def wave() -> Rope:
+    """A wavy rope from left to right, 10 px thick, flat ends, in 320 x 240 pixels; its left end lies at (50, 140)."""
+    u = np.linspace(50, 270, 400)
+    return draw_rope(np.stack([u, 140 + 40 * np.sin((u - 50) / 40)], axis=1), 10.0, size=(240, 320))
+
+
+@pytest.fixture(scope="session")
+def intrinsics() -> Intrinsics:
+    """A pinhole of 320 x 240 pixels."""
+    return Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
+
+
+@pytest.fixture(scope="session")
+def overhead(intrinsics: Intrinsics) -> CameraModel:
+    """That pinhole one metre above the base frame's origin, looking straight down, image right along base x."""
+    return CameraModel(intrinsics, np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 1], [0, 0, 0, 1]]))
+
+
+@pytest.fixture(scope="session")
+def blue(wave: Rope) -> np.ndarray:
+    """The wavy rope in blue on gray: (240,320,3) uint8."""
+    return np.where(wave.mask[..., None] > 0, np.array([30, 60, 200]), np.array([150, 150, 150])).astype(np.uint8)

@@ -1,0 +1,190 @@
+"""Projection and back, against OpenCV, librealsense and plain matrices."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shape_obs import CameraModel, Intrinsics, SpecError
+
+MODELS = ("pinhole", "brown_conrady", "inverse_brown_conrady")
+# a real D455 at 1280 x 800, the magnitudes of librealsense's and of wider lenses
+D455 = {"width": 1280, "height": 800, "fx": 636.5, "fy": 635.9, "cx": 644.4, "cy": 407.8}
+COEFFS = st.tuples(
+    st.floats(-0.08, 0.08), st.floats(-0.08, 0.08), st.floats(-2e-3, 2e-3), st.floats(-2e-3, 2e-3), st.floats(-0.03, 0.03)
+)
+
+
+def grid(intrinsics: Intrinsics) -> np.ndarray:
+    u, v = np.meshgrid(np.linspace(0, intrinsics.width - 1, 9), np.linspace(0, intrinsics.height - 1, 7))
+    return np.stack([u.ravel(), v.ravel()], axis=1)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@given(coeffs=COEFFS, z=st.floats(0.1, 10))
+def test_a_pixel_lifted_and_projected_is_itself(model, coeffs, z):
+    camera = Intrinsics(**D455, model=model, coeffs=coeffs)
+    pixels = grid(camera)
+    points = camera.deproject(pixels, np.full(len(pixels), z))
+    np.testing.assert_allclose(points[:, 2], z)
+    np.testing.assert_allclose(camera.project(points), pixels, atol=1e-5)
+
+
+@given(coeffs=COEFFS)
+def test_brown_conrady_is_opencvs(coeffs):
+    camera = Intrinsics(**D455, model="brown_conrady", coeffs=coeffs)
+    pixels = grid(camera)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+    if hasattr(cv2, "undistortPointsIter"):
+        ideal = cv2.undistortPointsIter(pixels, camera.matrix, np.array(coeffs), None, None, criteria)
+    else:
+        ideal = cv2.undistortPoints(pixels, camera.matrix, np.array(coeffs), R=None, P=None, criteria=criteria)
+    rays = camera.rays(pixels)
+    np.testing.assert_allclose(rays[:, :2], np.asarray(ideal).reshape(-1, 2), atol=1e-6)
+    projected = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.matrix, np.array(coeffs))[0]
+    np.testing.assert_allclose(camera.project(rays), np.asarray(projected).reshape(-1, 2), atol=1e-6)
+
+
+def test_distortion_moves_pixels():
+    """The comparisons above would also pass if coefficients were ignored on both ways."""
+    pinhole = Intrinsics(**D455)
+    corner = pinhole.deproject([[100.0, 100.0]], [1.0])
+    for model in MODELS[1:]:
+        bent = Intrinsics(**D455, model=model, coeffs=(-0.05, 0.06, 1e-3, -1e-3, -0.02))
+        assert np.linalg.norm(bent.project(corner) - (100, 100)) > 5
+    assert not Intrinsics(**D455, coeffs=(0.1, 0, 0, 0, 0)).distorted
+
+
+@pytest.fixture(scope="module")
+def realsense() -> Any:
+    try:
+        import libusb_package
+    except ImportError:
+        pass
+    else:
+        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+    return pytest.importorskip("pyrealsense2", exc_type=ImportError)
+
+
+@pytest.mark.parametrize(
+    ("model", "theirs"),
+    [("pinhole", "none"), ("brown_conrady", "brown_conrady"), ("inverse_brown_conrady", "inverse_brown_conrady")],
+)
+def test_librealsense_agrees(realsense, model, theirs):
+    coeffs = (-0.056, 0.067, 4e-4, -6e-4, -0.021)  # a D455's, as its firmware tells them
+    camera = Intrinsics(**D455, model=model, coeffs=coeffs)
+    raw = realsense.intrinsics()
+    raw.width, raw.height, raw.fx, raw.fy, raw.ppx, raw.ppy = 1280, 800, 636.5, 635.9, 644.4, 407.8
+    raw.model, raw.coeffs = getattr(realsense.distortion, theirs), list(coeffs)
+    pixels = grid(camera)
+    lifted = np.array([realsense.rs2_deproject_pixel_to_point(raw, pixel, 0.7) for pixel in pixels.tolist()])
+    np.testing.assert_allclose(camera.deproject(pixels, np.full(len(pixels), 0.7)), lifted, atol=2e-5)  # it stops early
+    points = camera.deproject(pixels, np.full(len(pixels), 0.7))
+    projected = np.array([realsense.rs2_project_point_to_pixel(raw, point) for point in points.tolist()])
+    np.testing.assert_allclose(camera.project(points), projected, atol=2e-3)  # it counts in single precision
+
+
+def test_arrays_of_any_rank():
+    camera = Intrinsics(**D455)
+    assert camera.project(np.ones((3,))).shape == (2,)
+    assert camera.project(np.ones((4, 5, 3))).shape == (4, 5, 2)
+    assert camera.deproject(np.zeros((4, 5, 2)), np.ones((4, 5))).shape == (4, 5, 3)
+
+
+def test_the_optical_frame_has_x_right_y_down_and_z_as_depth():
+    camera = Intrinsics(640, 480, 600.0, 500.0, 320.0, 240.0)
+    np.testing.assert_allclose(camera.deproject([920.0, 740.0], 2.0), [2.0, 2.0, 2.0])
+    np.testing.assert_allclose(camera.matrix @ [2.0, 2.0, 2.0], np.array([920.0, 740.0, 1.0]) * 2)
+
+
+def test_nothing_behind_the_camera_is_projected():
+    pixels = Intrinsics(**D455).project([[0.1, 0.1, 1.0], [0.1, 0.1, 0.0], [0.1, 0.1, -1.0], [0.1, 0.1, np.nan]])
+    assert np.isfinite(pixels[0]).all()
+    assert np.isnan(pixels[1:]).all()
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_unknown_depth_and_pixels_stay_unknown(model):
+    camera = Intrinsics(**D455, model=model, coeffs=(0.01, 0, 0, 0, 0))
+    points = camera.deproject([[10.0, 10.0], [np.nan, 1.0], [20.0, 20.0]], [np.nan, 1.0, 1.0])
+    assert np.isnan(points[:2]).any(axis=1).all()
+    np.testing.assert_allclose(camera.project(points[2]), [20, 20], atol=1e-6)
+
+
+@given(
+    turn=st.tuples(*[st.floats(-3, 3)] * 3), shift=st.tuples(*[st.floats(-2, 2)] * 3), point=st.tuples(*[st.floats(-3, 3)] * 3)
+)
+def test_base_and_camera_frame_are_inverse(turn, shift, point):
+    transform = np.eye(4)
+    transform[:3, :3] = cv2.Rodrigues(np.array(turn))[0]
+    transform[:3, 3] = shift
+    camera = CameraModel(Intrinsics(**D455), transform)
+    np.testing.assert_allclose(camera.to_base(point), (transform @ [*point, 1])[:3], atol=1e-9)
+    np.testing.assert_allclose(camera.from_base(camera.to_base(point)), point, atol=1e-9)
+
+
+def test_a_base_point_projects_through_the_pose(overhead):
+    # one metre above the origin, looking down: base x is image right, base y image up
+    np.testing.assert_allclose(overhead.project_from_base([0.1, 0.2, 0.0]), [159.5 + 30, 119.5 - 60])
+    np.testing.assert_allclose(overhead.from_base([0.1, 0.2, 0.25]), [0.1, -0.2, 0.75])
+
+
+def test_the_pose_is_a_copy_that_cannot_be_written():
+    given_pose = np.eye(4)
+    camera = CameraModel(Intrinsics(**D455), given_pose)
+    given_pose[0, 3] = 5.0
+    assert camera.transform_camera_to_base is not None
+    assert camera.transform_camera_to_base[0, 3] == 0
+    with pytest.raises(ValueError, match="read-only"):
+        camera.transform_camera_to_base[0, 3] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"fx": 0.0}, "fx and fy must be positive and finite, got 0.0 and 635.9"),
+        ({"fy": float("inf")}, "fx and fy must be positive and finite"),
+        ({"cx": float("nan")}, "cx and cy must be finite, got nan and 407.8"),
+        ({"width": 0}, "width and height must be positive, got 0 x 800"),
+        ({"width": 640.5}, r"Intrinsics.width: expected int, got 640.5 \(float\)"),
+        ({"coeffs": (0.1, 0.2)}, r"coeffs must be five finite numbers \(k1, k2, p1, p2, k3\), got \(0.1, 0.2\)"),
+        ({"model": "brown_conradi"}, "unknown value 'brown_conradi'; did you mean 'brown_conrady'"),
+    ],
+)
+def test_wrong_intrinsics_are_told(change, message):
+    with pytest.raises(ValueError, match=message):
+        Intrinsics(**{**D455, **change})
+
+
+@pytest.mark.parametrize(
+    "pose", [np.eye(3), 2 * np.eye(4), np.diag([1.0, 1, -1, 1]), np.full((4, 4), np.nan), np.eye(4)[[0, 1, 3, 2]]]
+)
+def test_a_pose_that_is_not_rigid_is_refused(pose):
+    with pytest.raises(ValueError, match=r"transform_camera_to_base must be a rigid \(4,4\) transform"):
+        CameraModel(Intrinsics(**D455), pose)
+
+
+def test_what_needs_the_pose_says_so():
+    with pytest.raises(ValueError, match="give CameraModel"):
+        CameraModel(Intrinsics(**D455)).to_base([0, 0, 1])
+
+
+def test_wrong_shapes_are_told():
+    with pytest.raises(ValueError, match=r"points: expected shape \(..., 3\), got \(4, 2\)"):
+        Intrinsics(**D455).project(np.zeros((4, 2)))
+    with pytest.raises(ValueError, match=r"pixels: expected shape \(..., 2\), got \(\)"):
+        Intrinsics(**D455).rays(1.0)
+
+
+def test_numpy_values_and_lists_make_the_same_intrinsics():
+    camera = Intrinsics(np.int64(640), 480, np.float32(600), 600, 320, 240, coeffs=np.zeros(5))  # type: ignore[arg-type]
+    assert camera == Intrinsics.from_dict(camera.to_dict()) == Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+    assert type(camera.fx) is float
+    with pytest.raises(SpecError, match="Intrinsics: unknown field 'ppx'"):
+        Intrinsics.from_dict({**D455, "ppx": 1})

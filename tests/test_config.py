@@ -1,0 +1,189 @@
+"""Config files: three sections, told errors, whole or not at all; and the schema hash."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from shape_obs import Centerline, GrayRange, HSVRange, Rectangle, ShapeDetector, load_config, save_config, schema_hash
+from shape_obs.config import detector_arguments
+from shape_obs.features import Ok, Points3D
+
+ARGUMENTS: dict[str, Any] = {
+    "shapes": [Centerline(n=7, name="rope", anchor="gripper", segmentation=GrayRange(1, 9)), {"kind": "centerline"}],
+    "segmentation": HSVRange((170, 60, 30), (10, 255, 255), close=5),
+    "roi": Rectangle(1, 2, 30, 40),
+    "features": ["points2d", Points3D(frame="base"), "ok"],
+    "workspace": ((-1.0, -1.0, 0.0), np.array([1.0, 1.0, 0.5])),
+    "on_missing": "truncate",
+    "dt": 0.1,
+}
+
+
+def test_a_saved_config_comes_back(tmp_path):
+    path = tmp_path / "rope.yaml"
+    save_config(path, ARGUMENTS)
+    loaded = load_config(path)
+    assert ShapeDetector(**detector_arguments(loaded)).config == ShapeDetector(**detector_arguments(ARGUMENTS)).config
+    assert loaded["workspace"] == [[-1.0, -1.0, 0.0], [1.0, 1.0, 0.5]]
+    assert loaded["features"][1] == {"kind": "points3d", "frame": "base", "max_depth": 2.0}
+    assert schema_hash(loaded) == schema_hash(ARGUMENTS)
+    save_config(tmp_path / "again.yaml", loaded)
+    assert (tmp_path / "again.yaml").read_text() == path.read_text()
+
+
+def test_the_file_has_a_version_and_three_sections(tmp_path):
+    save_config(tmp_path / "c.yaml", {})
+    data = yaml.safe_load((tmp_path / "c.yaml").read_text())
+    assert list(data) == ["version", "shape", "scene", "runtime"]
+    assert data["version"] == 1
+    assert data["shape"]["shapes"][0]["n"] == 20
+    assert data["runtime"]["on_missing"] == "hold"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("version: 2\n", "expected 'version: 1', got 2."),
+        ("shape: {}\n", "expected 'version: 1', got None."),
+        ("- 1\n", "expected 'version', 'shape', 'scene' and 'runtime', got list."),
+        ("", "expected 'version', 'shape', 'scene' and 'runtime', got NoneType."),
+        ("a: [1\n", "not a YAML file: "),
+        ("version: 1\nscenes: {}\n", "unknown section 'scenes'; did you mean 'scene'? Known: shape, scene, runtime."),
+        ("version: 1\nscene: [1]\n", "section 'scene' must be a mapping, got list."),
+        ("version: 1\nscene:\n  segmentaton: {}\n", "scene: unknown field 'segmentaton'; did you mean 'segmentation'?"),
+        ("version: 1\nruntime:\n  segmentation: {}\n", "runtime: unknown field 'segmentation'."),
+        ("version: 1\nshape:\n  shapes: [{kind: centerline, m: 3}]\n", "DetectorConfig.shapes[0]: centerline: unknown field 'm'"),
+        ("version: 1\nshape:\n  features: [point3d]\n", "feature: unknown kind 'point3d'; did you mean 'points3d'?"),
+        ("version: 1\nshape:\n  shapes: [{kind: centerline, n: 1}]\n", "centerline: n must lie in 2...1000, got 1."),
+    ],
+)  # fmt: skip
+def test_a_wrong_file_is_told_with_its_name(tmp_path, text, message):
+    path = tmp_path / "c.yaml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match="c.yaml") as error:
+        load_config(path)
+    assert str(error.value).startswith(f"{path}: {message}")
+
+
+def test_a_binary_file_is_no_config(tmp_path):
+    (tmp_path / "c.yaml").write_bytes(b"\x89PNG\xff\xfe")
+    with pytest.raises(ValueError, match=r"c.yaml: not a YAML file"):
+        load_config(tmp_path / "c.yaml")
+
+
+def test_a_missing_file_is_missing(tmp_path):
+    with pytest.raises(FileNotFoundError, match="nowhere.yaml"):
+        load_config(tmp_path / "nowhere.yaml")
+
+
+def test_a_config_that_is_refused_leaves_the_old_file(tmp_path):
+    path = tmp_path / "c.yaml"
+    save_config(path, {"dt": 0.25})
+    before = path.read_text()
+    with pytest.raises(ValueError, match="unknown field 'dtt'"):
+        save_config(path, {"dtt": 1})
+    assert path.read_text() == before
+    assert os.listdir(tmp_path) == ["c.yaml"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="file size limits are POSIX")
+def test_a_write_that_breaks_off_leaves_the_old_file(tmp_path):
+    """The disk is full after 40 bytes."""
+    path = tmp_path / "c.yaml"
+    save_config(path, {"dt": 0.25})
+    before = path.read_text()
+    script = (
+        "import resource, signal, sys\n"
+        "from shape_obs import save_config\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (40, 40))\n"
+        "save_config(sys.argv[1], {'dt': 0.5})\n"
+    )
+    done = subprocess.run([sys.executable, "-B", "-c", script, str(path)], capture_output=True, text=True, timeout=120)
+    assert done.returncode != 0
+    assert "File too large" in done.stderr
+    assert path.read_text() == before
+    assert os.listdir(tmp_path) == ["c.yaml"]
+
+
+def test_an_unwritable_place_is_an_os_error(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        save_config(tmp_path / "no" / "c.yaml", {})
+    (tmp_path / "folder.yaml").mkdir()
+    with pytest.raises(OSError, match="folder.yaml"):
+        save_config(tmp_path / "folder.yaml", {})
+    assert sorted(os.listdir(tmp_path)) == ["folder.yaml"]
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_write_permission_keeps_the_old_file(tmp_path: Path):
+    path = tmp_path / "c.yaml"
+    save_config(path, {"dt": 0.25})
+    before = path.read_text()
+    tmp_path.chmod(0o500)
+    try:
+        with pytest.raises(PermissionError):
+            save_config(path, {"dt": 0.5})
+        assert path.read_text() == before
+    finally:
+        tmp_path.chmod(0o700)
+
+
+BASE = {"shapes": [{"kind": "centerline"}], "features": ["points3d"]}
+
+
+@pytest.mark.parametrize(
+    "same",
+    [
+        {"shapes": [Centerline(n=20, order="tracked", ends="centers", radius=0)]},
+        {"shapes": "centerline"},
+        {"order": "tracked", "ends": "centers", "anchor": None},
+        {"features": "points3d"},
+        {"features": [{"kind": "points3d", "frame": "camera", "max_depth": 2}]},
+        {"features": [Points3D()]},
+        {"segmentation": {"kind": "gray"}},
+        {"shapes": [{"kind": "centerline", "segmentation": {"kind": "gray"}}]},
+        {"roi": {"kind": "rectangle", "left": 0, "top": 0, "width": 9, "height": 9}, "workspace": [[0, 0, 0], [1, 1, 1]]},
+        {"on_missing": "raise", "on_invalid": "hold", "max_age": 3, "dt": 0.1},
+    ],
+)
+def test_the_hash_ignores_how_it_is_said_and_where_it_runs(same):
+    assert schema_hash({**BASE, **same}) == schema_hash(BASE)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"shapes": [{"kind": "centerline", "n": 21}]},
+        {"shapes": [{"kind": "centerline", "anchor": "gripper"}]},
+        {"shapes": [{"kind": "centerline", "spacing": "m"}]},
+        {"shapes": [{"kind": "centerline", "radius": 0.005}]},
+        {"shapes": ["centerline", {"kind": "centerline", "name": "second"}]},
+        {"order": "image"},
+        {"ends": "tips"},
+        {"anchor": [3, 4]},
+        {"features": ["points3d", Ok()]},
+        {"features": [Ok(), "points3d"]},
+        {"features": [Points3D(frame="base")]},
+    ],
+)
+def test_the_hash_tells_what_a_policy_reads(other):
+    assert schema_hash({**BASE, **other}) != schema_hash(BASE)
+
+
+def test_the_hash_is_the_same_in_every_process():
+    """Guards against hashing by id or by set order. The value changes when the schema itself does: then say so."""
+    script = f"from shape_obs import schema_hash; print(schema_hash({BASE!r}))"
+    for seed in ("0", "1"):
+        done = subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, env={**os.environ, "PYTHONHASHSEED": seed}
+        )
+        assert done.stdout.strip() == schema_hash(BASE)

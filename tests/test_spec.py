@@ -1,0 +1,219 @@
+"""Specs: dicts in and out, and errors that name what was meant."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shape_obs import (
+    ROI,
+    Centerline,
+    Configuration,
+    DepthRange,
+    Feature,
+    GrayRange,
+    HSVRange,
+    Polygon,
+    Rectangle,
+    Segmentation,
+    ShapeDetector,
+    Spec,
+    SpecError,
+    Whole,
+)
+from shape_obs.config import DetectorConfig
+from shape_obs.features import Points3D
+
+BYTE = st.integers(0, 255)
+CLEAN_UP = {
+    "open": st.integers(0, 9),
+    "close": st.integers(0, 9),
+    "min_area": st.integers(1, 500),
+    "min_share": st.floats(0, 1),
+}
+HSV = st.builds(
+    lambda hues, s, v, **rest: HSVRange((hues[0], *map(min, (s, v))), (hues[1], *map(max, (s, v))), **rest),
+    st.tuples(st.integers(0, 179), st.integers(0, 179)),
+    st.tuples(BYTE, BYTE),
+    st.tuples(BYTE, BYTE),
+    **CLEAN_UP,
+)
+GRAY = st.builds(lambda ends, **rest: GrayRange(min(ends), max(ends), **rest), st.tuples(BYTE, BYTE), **CLEAN_UP)
+METRES = st.tuples(st.floats(0.01, 10), st.floats(0.01, 10))
+DEPTH = st.builds(lambda ends, **rest: DepthRange(min(ends), max(ends), **rest), METRES, **CLEAN_UP)
+SEGMENTATIONS = st.one_of(HSV, GRAY, DEPTH)
+NUMBER = st.floats(-1e3, 1e3)
+ANCHORS = st.one_of(
+    st.none(), st.text(min_size=1), st.tuples(NUMBER, NUMBER), st.tuples(NUMBER, NUMBER, NUMBER)
+)
+SHAPES = st.builds(
+    Centerline,
+    name=st.text(min_size=1),
+    n=st.integers(2, 1000),
+    anchor=ANCHORS,
+    ends=st.sampled_from([None, "centers", "tips"]),
+    order=st.sampled_from([None, "tracked", "image"]),
+    spacing=st.sampled_from(["px", "m"]),
+    radius=st.floats(0, 1),
+    segmentation=st.none() | SEGMENTATIONS,
+)
+ROIS = st.one_of(
+    st.just(Whole()),
+    st.builds(Rectangle, st.integers(-50, 50), st.integers(-50, 50), st.integers(1, 900), st.integers(1, 900)),
+    st.builds(Polygon, st.lists(st.tuples(NUMBER, NUMBER), min_size=3, max_size=6).map(tuple)),
+)
+CONFIGS = st.builds(
+    DetectorConfig,
+    shapes=st.lists(SHAPES, min_size=1, max_size=3, unique_by=lambda shape: shape.name).map(tuple),
+    segmentation=st.none() | SEGMENTATIONS,
+    roi=ROIS,
+    anchor=ANCHORS,
+    on_missing=st.sampled_from(["hold", "truncate", "raise", "nan"]),
+    on_invalid=st.sampled_from(["nan", "interpolate", "hold"]),
+    max_age=st.floats(0, 100),
+    dt=st.floats(1e-4, 10),
+)
+
+
+@given(CONFIGS)
+def test_a_config_survives_json(config):
+    assert DetectorConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+
+
+@given(SEGMENTATIONS)
+def test_a_member_of_a_family_is_found_by_its_kind(rule):
+    again = Segmentation.from_dict(rule.to_dict())
+    assert again == rule
+    assert type(again) is type(rule)
+
+
+def test_to_dict_fills_defaults_in_and_names_the_kind():
+    assert GrayRange(low=3).to_dict() == {
+        "kind": "gray", "open": 0, "close": 0, "min_area": 20, "min_share": 0.05, "low": 3, "high": 255,
+    }  # fmt: skip
+
+
+def test_specs_mappings_and_names_are_the_same():
+    assert Configuration.from_dict("centerline") == Configuration.from_dict({"kind": "centerline"}) == Centerline()
+    assert Centerline.from_dict({"n": 5}) == Centerline.from_dict(Centerline(5)) == Centerline(n=5)
+    assert ShapeDetector("centerline").config == ShapeDetector([Centerline()]).config == ShapeDetector().config
+
+
+def test_lists_and_numpy_values_become_plain_ones_whichever_way_they_come():
+    """A list would make the spec unhashable, a NumPy value would break JSON, and 0 would hash unlike 0.0."""
+    low, high = np.array([1, 2, 3]), [4, 5, np.int64(6)]
+    rule = HSVRange(low, high)  # type: ignore[arg-type]
+    assert rule == HSVRange.from_dict({"low": low, "high": high}) == HSVRange((1, 2, 3), (4, 5, 6))
+    assert hash(rule) == hash(HSVRange((1, 2, 3), (4, 5, 6)))
+    shape = Centerline(n=np.int32(7), radius=0, anchor=np.array([1, 2]))  # type: ignore[arg-type]
+    assert json.dumps(shape.to_dict()) == json.dumps(Centerline(n=7, radius=0.0, anchor=(1.0, 2.0)).to_dict())
+    assert Polygon([[0, 0], [1, 0], [1, 1]]) == Polygon(((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("family", "value", "message"),
+    [
+        (Segmentation, {"kind": "hvs"}, "segmentation: unknown kind 'hvs'; did you mean 'hsv'? Known: depth, gray, hsv."),
+        (Segmentation, {"low": 3}, "segmentation: 'kind' is missing; known kinds: depth, gray, hsv."),
+        (Segmentation, {"kind": 5}, "segmentation: unknown kind 5. Known: depth, gray, hsv."),
+        (
+            Segmentation,
+            {"kind": "gray", "hihg": 3},
+            "gray: unknown field 'hihg'; did you mean 'high'? Known: open, close, min_area, min_share, low, high.",
+        ),
+        (Segmentation, {"kind": "hsv", "low": [1, 2, 3]}, "hsv: missing high; fields: open, close, min_area, "),
+        (Segmentation, 7, "Segmentation: expected a mapping or a Segmentation, got 7 (int)."),
+        (HSVRange, {"kind": "gray"}, "HSVRange: kind 'gray' is a GrayRange; expected 'hsv'."),
+        (Segmentation, {"kind": "hsv", "low": [1, 2], "high": [1, 2, 3]}, "hsv.low: expected 3 values, got 2: [1, 2]."),
+        (Segmentation, {"kind": "hsv", "low": 5, "high": [1, 2, 3]}, "hsv.low: expected a list, got 5 (int)."),
+        (Segmentation, {"kind": "gray", "low": "dark"}, "gray.low: expected int, got 'dark' (str)."),
+        (Segmentation, {"kind": "gray", "low": True}, "gray.low: expected int, got True (bool)."),
+        (Segmentation, {"kind": "gray", "low": 1.5}, "gray.low: expected int, got 1.5 (float)."),
+        (Configuration, {"kind": "centreline"}, "configuration: unknown kind 'centreline'; did you mean 'centerline'?"),
+        (Configuration, {"kind": "centerline", "ends": "tip"}, "centerline.ends: unknown value 'tip'; did you mean 'tips'?"),
+        (Configuration, {"kind": "centerline", "anchor": [1]}, "centerline.anchor: expected str | tuple[float, float] |"),
+        (ROI, {"kind": "polygon", "points": [[1, 2], [3]]}, "polygon.points[1]: expected 2 values, got 1: [3]."),
+        (Feature, "point3d", "feature: unknown kind 'point3d'; did you mean 'points3d'?"),
+    ],
+)  # fmt: skip
+def test_errors_name_the_place_what_came_and_what_is_known(family, value, message):
+    with pytest.raises(SpecError) as error:
+        family.from_dict(value)
+    assert str(error.value).startswith(message)
+
+
+def test_a_nested_error_tells_the_way_there():
+    config = {"shapes": ["centerline", {"kind": "centerline", "name": "b", "segmentation": {"kind": "gray", "low": "x"}}]}
+    with pytest.raises(SpecError) as error:
+        DetectorConfig.from_dict(config)
+    path = "DetectorConfig.shapes[1]: centerline.segmentation: gray.low: expected int, got 'x' (str)."
+    assert str(error.value) == path
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Centerline(n="20"), r"centerline.n: expected int, got '20' \(str\)."),
+        (lambda: Centerline(n=1), r"centerline: n must lie in 2...1000, got 1."),
+        (lambda: Centerline(radius=-1), "centerline: radius must be >= 0 metres, got -1.0."),
+        (lambda: Centerline(anchor=(np.nan, 1)), r"centerline: anchor must be finite, got \(nan, 1.0\)."),
+        (lambda: HSVRange((180, 0, 0), (10, 255, 255)), "hsv: low must be .h 0...179, s 0...255, v 0...255., got .180, 0"),
+        (lambda: HSVRange((1, 90, 0), (1, 80, 0)), "low saturation 90 is above high saturation 80; only hue wraps around"),
+        (lambda: GrayRange(9, 8), "gray: expected 0 <= low <= high <= 255, got low 9 and high 8."),
+        (lambda: DepthRange(0.0, 1.0), "depth: expected 0 < near <= far in metres, got near 0.0 and far 1.0."),
+        (lambda: GrayRange(min_share=1.1), "gray: min_share must lie in 0...1, got 1.1."),
+        (lambda: GrayRange(open=-1), "gray: open and close must be >= 0 and min_area >= 1, got -1, 0 and 20."),
+        (lambda: Rectangle(0, 0, 0, 4), "Rectangle: width and height must be positive, got 0 x 4."),
+        (lambda: Polygon(((0, 0), (1, 1))), "Polygon: needs at least three corners, got 2."),
+        (lambda: Polygon(((0, 0), (1, 1), (np.inf, 0))), "Polygon: corners must be finite"),
+        (lambda: Points3D(max_depth=0), "points3d: max_depth must be a positive number of metres, got 0.0."),
+        (lambda: ShapeDetector(max_age=float("inf")), "expected finite max_age >= 0 and dt > 0 seconds, got inf"),
+        (lambda: ShapeDetector(dt=0), "expected finite max_age >= 0 and dt > 0 seconds"),
+        (lambda: ShapeDetector(shapes=[]), "shapes: expected at least one configuration, got none."),
+        (lambda: ShapeDetector(shapes=5), r"DetectorConfig.shapes\[0\]: Configuration: expected a mapping"),
+        (lambda: ShapeDetector(["centerline"] * 2), "shapes: two are named 'centerline'; give each its own name=."),
+        (lambda: ShapeDetector(on_mising="hold"), "unknown field 'on_mising'; did you mean 'on_missing'"),
+    ],
+)
+def test_values_that_make_no_sense_are_told(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_a_subclass_registers_a_new_kind():
+    @dataclass(frozen=True)
+    class Everything(Segmentation, kind="test-everything"):
+        value: int = 255
+
+        def threshold(self, frame: Any, window: Any) -> Any:
+            return np.full((window.height, window.width), self.value, np.uint8)
+
+    try:
+        assert "test-everything" in Segmentation.kinds()
+        assert "test-everything" not in Configuration.kinds()
+        detector = ShapeDetector(segmentation={"kind": "test-everything", "value": 1})
+        assert detector.config.segmentation == Everything(value=1)
+        assert detector.detect(np.zeros((40, 300, 3), np.uint8)).shapes[0].ok  # a fat rope as large as the image
+        with pytest.raises(SpecError, match=r"test-everything.value: expected int, got 'x' \(str\)"):
+            Everything(value="x")  # type: ignore[arg-type]
+    finally:
+        Segmentation._members.pop("test-everything")
+
+
+def test_a_kind_needs_a_family():
+    with pytest.raises(TypeError, match="Lonely: kind='lonely' needs a base class declared with family="):
+
+        class Lonely(Spec, kind="lonely"):
+            pass
+
+
+def test_specs_are_frozen():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Centerline().n = 3  # type: ignore[misc]
