@@ -100,6 +100,8 @@ def load_config(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     try:
         data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"{path}: no such config file") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise SpecError(f"{path}: not a YAML file: {error}") from error
     if not isinstance(data, Mapping):

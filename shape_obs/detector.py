@@ -51,14 +51,17 @@ class ShapeDetector:
 
     def __init__(
         self,
-        shapes: Iterable[Configuration | Mapping[str, Any] | str] | None = None,
+        shapes: Iterable[Configuration | Mapping[str, Any] | str]
+        | Configuration
+        | Mapping[str, Any]
+        | str
+        | None = None,
         segmentation: Segmentation | Mapping[str, Any] | None = None,
         **options: Any,
     ) -> None:
         given: dict[str, Any] = dict(options)
         if shapes is not None:
-            alone = isinstance(shapes, (str, Mapping, Configuration)) or not isinstance(shapes, Iterable)
-            given["shapes"] = [shapes] if alone else list(shapes)
+            given["shapes"] = shapes
         if segmentation is not None:
             given["segmentation"] = segmentation
         self.config = DetectorConfig.from_dict(given)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import numbers
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +13,7 @@ import numpy.typing as npt
 from shape_obs.camera import CameraModel
 
 MILLIMETRE = 1e-3
+_FARTHEST = 1e6  # metres; what lies beyond is garbage, and would overflow single precision
 
 
 @dataclass(frozen=True)
@@ -19,7 +22,8 @@ class Frame:
 
     Args:
         rgb: (H,W,3) uint8, RGB order; None when only a mask or depth is at hand.
-        depth: (H,W) uint16 millimetres or floating metres along the optical axis; 0, negative or non-finite = invalid.
+        depth: (H,W) uint16 millimetres or floating metres along the optical axis; 0, negative, non-finite or absurd
+            (1000 km) = invalid.
         camera: The camera model; needed for 3D and for anchors in the base frame.
         stamp: Seconds; None when the source has no clock.
 
@@ -51,7 +55,9 @@ class Frame:
                     f"the camera's intrinsics are for {intrinsics.width} x {intrinsics.height} pixels, "
                     f"the image has {self.size[1]} x {self.size[0]}: give the intrinsics of this stream."
                 )
-        if self.stamp is not None and not np.isfinite(self.stamp):
+        if self.stamp is not None and not isinstance(self.stamp, numbers.Real):
+            raise TypeError(f"stamp must be a number of seconds, got {self.stamp!r}.")
+        if self.stamp is not None and not math.isfinite(self.stamp):
             raise ValueError(f"stamp must be a finite number of seconds, got {self.stamp}.")
 
     @property
@@ -66,7 +72,7 @@ class Frame:
 def depth_in_metres(depth: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     """Depth values -> metres, NaN where invalid. For the few values that a stage reads, not for whole images."""
     metres = depth.astype(np.float64) * (MILLIMETRE if depth.dtype == np.uint16 else 1.0)
-    metres[~(np.isfinite(metres) & (metres > 0))] = np.nan
+    metres[~((metres > 0) & (metres < _FARTHEST))] = np.nan
     return metres
 
 

@@ -191,9 +191,13 @@ def _convert_union(value: Any, arguments: tuple[Any, ...], hint: Any, where: str
 
 
 def _convert_tuple(value: Any, arguments: tuple[Any, ...], hint: Any, where: str) -> tuple[Any, ...]:
-    if not isinstance(value, (list, tuple)):
+    many = len(arguments) == 2 and arguments[1] is Ellipsis
+    if many and isinstance(arguments[0], type) and issubclass(arguments[0], Spec):
+        value = [value] if isinstance(value, (Spec, Mapping, str)) else value  # one spec stands for a list of it
+    if not isinstance(value, Iterable) or isinstance(value, (str, bytes, Mapping)):
         raise SpecError(f"{where}: expected a list, got {_describe(value)}.")
-    if len(arguments) == 2 and arguments[1] is Ellipsis:
+    value = list(value)
+    if many:
         return tuple(_convert(item, arguments[0], f"{where}[{i}]") for i, item in enumerate(value))
     if len(value) != len(arguments):
         raise SpecError(f"{where}: expected {len(arguments)} values, got {len(value)}: {list(value)!r}.")

@@ -83,7 +83,9 @@ def _rest(along: Array, side: Array, width: float) -> float:
     Exact to a fraction of a pixel for flat caps, a twentieth of the radius short for round ones.
     """
     breadth = max(width / 4, 0.5)
-    return float(((along > 0) & (np.abs(side) <= breadth)).sum() / (2 * breadth))
+    strip = along[(along > 0) & (np.abs(side) <= breadth)]
+    # On a strip of one or two rows the area is off by a pixel; no rest is longer than its farthest pixel.
+    return min(len(strip) / (2 * breadth), float(strip.max(initial=0.0)) + 0.5)
 
 
 def _continue(heading: Array, step: Array) -> Array:

@@ -16,9 +16,20 @@ from shape_obs import CameraModel, Intrinsics, SpecError
 MODELS = ("pinhole", "brown_conrady", "inverse_brown_conrady")
 # a real D455 at 1280 x 800, the magnitudes of librealsense's and of wider lenses
 D455 = {"width": 1280, "height": 800, "fx": 636.5, "fy": 635.9, "cx": 644.4, "cy": 407.8}
+
+
+def unfolded(coeffs: tuple[float, ...]) -> bool:
+    """Whether radii grow monotonously out to the corners of the image: what folds over cannot be undone."""
+    r = np.linspace(0, 1.6, 60)
+    slope = 1 + 3 * coeffs[0] * r**2 + 5 * coeffs[1] * r**4 + 7 * coeffs[4] * r**6
+    reached = r * (1 + coeffs[0] * r**2 + coeffs[1] * r**4 + coeffs[4] * r**6)
+    return bool(slope[: np.argmax(reached > 1.25)].min(initial=1) > 0.4 and reached.max() > 1.25)
+
+
+TANGENTIAL = st.floats(-2e-3, 2e-3)
 COEFFS = st.tuples(
-    st.floats(-0.08, 0.08), st.floats(-0.08, 0.08), st.floats(-2e-3, 2e-3), st.floats(-2e-3, 2e-3), st.floats(-0.03, 0.03)
-)
+    st.floats(-0.08, 0.08), st.floats(-0.08, 0.08), TANGENTIAL, TANGENTIAL, st.floats(-0.03, 0.03)
+).filter(unfolded)
 
 
 def grid(intrinsics: Intrinsics) -> np.ndarray:
@@ -118,7 +129,9 @@ def test_unknown_depth_and_pixels_stay_unknown(model):
 
 
 @given(
-    turn=st.tuples(*[st.floats(-3, 3)] * 3), shift=st.tuples(*[st.floats(-2, 2)] * 3), point=st.tuples(*[st.floats(-3, 3)] * 3)
+    turn=st.tuples(*[st.floats(-3, 3)] * 3),
+    shift=st.tuples(*[st.floats(-2, 2)] * 3),
+    point=st.tuples(*[st.floats(-3, 3)] * 3),
 )
 def test_base_and_camera_frame_are_inverse(turn, shift, point):
     transform = np.eye(4)

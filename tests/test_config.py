@@ -151,7 +151,10 @@ BASE = {"shapes": [{"kind": "centerline"}], "features": ["points3d"]}
         {"features": [Points3D()]},
         {"segmentation": {"kind": "gray"}},
         {"shapes": [{"kind": "centerline", "segmentation": {"kind": "gray"}}]},
-        {"roi": {"kind": "rectangle", "left": 0, "top": 0, "width": 9, "height": 9}, "workspace": [[0, 0, 0], [1, 1, 1]]},
+        {
+            "roi": {"kind": "rectangle", "left": 0, "top": 0, "width": 9, "height": 9},
+            "workspace": [[0, 0, 0], [1, 1, 1]],
+        },
         {"on_missing": "raise", "on_invalid": "hold", "max_age": 3, "dt": 0.1},
     ],
 )

@@ -21,10 +21,11 @@ _BOTH_ENDS: Final[tuple[Ends, ...]] = ("centers", "tips")
 
 
 class RopeResult(NamedTuple):
-    """One drawn rope, looked at cold."""
+    """One drawn rope, looked at cold. ``hairpin``: a gap is longer than the rope's narrowest bend is wide."""
 
     kind: str
     n: int
+    hairpin: bool
     ends: Ends
     ok: bool
     score: Score
@@ -70,12 +71,14 @@ def drawn_ropes(
             for n in counts:
                 for ends in _BOTH_ENDS:
                     shape = ShapeDetector([Centerline(n=n, ends=ends)]).detect_mask(rope.mask).shapes[0]
-                    yield RopeResult(
-                        kind, n, ends, shape.ok, score(shape.points2d, rope.curve, ends, directed=False)
-                    )
+                    judged = score(shape.points2d, rope.curve, ends, directed=False)
+                    hairpin = rope.length / n > 2 * rope.bend_radius
+                    yield RopeResult(kind, n, hairpin, ends, shape.ok, judged)
 
 
-def moving_ropes(speeds: Iterable[float], seeds: Iterable[int], frames: int = 180, n: int = 20) -> Iterator[MotionResult]:
+def moving_ropes(
+    speeds: Iterable[float], seeds: Iterable[int], frames: int = 180, n: int = 20
+) -> Iterator[MotionResult]:
     """Ropes that wander and bend, point 0 told once by an anchor at the first frame."""
     for seed in seeds:
         for speed in speeds:
@@ -83,7 +86,9 @@ def moving_ropes(speeds: Iterable[float], seeds: Iterable[int], frames: int = 18
             detector, not_ok = None, 0
             for rope in moving_rope(np.random.default_rng(seed), speed, frames):
                 if detector is None:
-                    detector = ShapeDetector([Centerline(n=n, ends="tips", anchor=(rope.curve[0][0], rope.curve[0][1]))])
+                    detector = ShapeDetector(
+                        [Centerline(n=n, ends="tips", anchor=(rope.curve[0][0], rope.curve[0][1]))]
+                    )
                 shape = detector.detect_mask(rope.mask).shapes[0]
                 not_ok += not shape.ok
                 scores.append(score(shape.points2d, rope.curve, "tips"))
@@ -148,7 +153,9 @@ def rope_table(results: Iterable[RopeResult]) -> list[dict[str, Any]]:
 
 
 def _rope_row(kind: str, found: list[RopeResult]) -> dict[str, Any]:
-    spaced = [r.score.gap_cv for r in found if r.n >= 12]
+    # Where a bend is narrower than a gap, equal chords would move points off their material.
+    spaced = [r.score.gap_cv for r in found if r.n >= 12 and not r.hairpin]
+    tight = [r.score.gap_cv for r in found if r.n >= 12 and r.hairpin]
     tips = [r.score.tip for r in found if r.ends == "tips"]
     distances = [r.score.distance for r in found]
     return {
@@ -161,4 +168,6 @@ def _rope_row(kind: str, found: list[RopeResult]) -> dict[str, Any]:
         "tip_mean_px": float(np.mean(tips)),
         "tip_worst_px": float(np.max(tips)),
         "gap_cv_worst": float(np.max(spaced)),
+        "narrow_bends": len(tight),
+        "gap_cv_worst_there": float(np.max(tight, initial=0.0)),
     }

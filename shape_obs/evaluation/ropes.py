@@ -39,6 +39,15 @@ class Rope:
         """Arc length from tip to tip, pixels."""
         return float(np.linalg.norm(np.diff(self.curve, axis=0), axis=1).sum())
 
+    @property
+    def bend_radius(self) -> float:
+        """Radius of the tightest bend, pixels, measured over half a turn of it."""
+        step = np.diff(self.curve, axis=0)
+        heading = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+        reach = max(round(1.5 * self.width), 1)
+        turn = np.abs(heading[reach:] - heading[:-reach]).max(initial=0.0) if len(heading) > reach else 0.0
+        return float(reach * self.length / len(step) / max(turn, 1e-6))
+
 
 def random_rope(rng: np.random.Generator, kind: Kind = "smooth", size: tuple[int, int] = SIZE) -> Rope:
     """A rope 8 to 16 px thick that neither crosses nor touches itself, well inside an image of ``size`` = (H, W)."""

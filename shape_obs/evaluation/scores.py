@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,8 @@ from shape_obs.curve import arc_length, interpolate, resample
 
 Array = npt.NDArray[np.float64]
 
-_FINE: float = 0.1
+_FINE: Final = 0.1
+_BEYOND: Final = 100
 
 
 class Score(NamedTuple):
@@ -52,8 +53,11 @@ def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = T
         curve, flipped = curve[::-1], False
     arc = arc_length(curve)
     fine = resample(curve, max(int(arc[-1] / _FINE * _unit_of(arc)), 2))
-    distance, nearest = KDTree(fine).query(found)
-    place = nearest * arc[-1] / (len(fine) - 1)
+    distance = KDTree(fine).query(found)[0]
+    # Continued beyond its ends, so that points past a tip still have an order.
+    longer = np.concatenate([_beyond(fine), fine, _beyond(fine[::-1])[::-1]])
+    step = arc[-1] / (len(fine) - 1)
+    place = (KDTree(longer).query(found)[1] - _BEYOND) * step
     size = len(found)
     true_place = arc[-1] * ((np.arange(size) + 0.5) / size if ends == "centers" else np.linspace(0, 1, size))
     gap = arc[-1] / (size if ends == "centers" else size - 1)
@@ -66,6 +70,11 @@ def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = T
         gap_cv=float(chords.std() / chords.mean()),
         slip=float(np.abs(place - true_place).max() / gap),
     )
+
+
+def _beyond(curve: Array) -> Array:
+    """(100,D) a straight continuation before the curve's first point, at its steps."""
+    return curve[0] + (curve[0] - curve[1]) * np.arange(_BEYOND, 0, -1)[:, None]
 
 
 def _unit_of(arc: Array) -> float:

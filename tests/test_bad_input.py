@@ -1,0 +1,273 @@
+"""Whatever comes in, a clear error or the declared policy comes out: never a warning, a NaN in an observation, a crash."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from shape_obs import (
+    CameraModel,
+    Centerline,
+    DepthRange,
+    GrayRange,
+    HSVRange,
+    Intrinsics,
+    ShapeDetector,
+    ShapeLostError,
+)
+
+BLUE = HSVRange((100, 100, 60), (125, 255, 255))
+
+
+@pytest.fixture(autouse=True)
+def _no_warnings():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def far(mask: np.ndarray, metres: float = 0.7) -> np.ndarray:
+    return np.full(mask.shape[:2], metres, np.float32)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"rgb": None}, ValueError, "detect needs an rgb or a depth image, got neither."),
+        ({"rgb": [[1, 2, 3]]}, TypeError, "rgb: expected a numpy array of uint8 .0...255., got list"),
+        ({"rgb": np.zeros((9, 9, 3))}, TypeError, "got an array of float64; scale floats in 0...1 by 255"),
+        ({"rgb": np.zeros((9, 9), np.uint8)}, ValueError, r"rgb: expected shape \(H, W, 3\), RGB order, got \(9, 9\)"),
+        ({"rgb": np.zeros((9, 9, 4), np.uint8)}, ValueError, r"got \(9, 9, 4\)"),
+        ({"rgb": np.zeros((0, 9, 3), np.uint8)}, ValueError, r"got \(0, 9, 3\)"),
+        ({"depth": np.zeros((240, 320), np.int32)}, TypeError, "depth: expected uint16 millimetres or floating metres, got"),
+        ({"depth": np.zeros((240, 320, 3), np.float32)}, ValueError, r"depth: expected shape \(H, W\), got \(240, 320, 3\)"),
+        ({"depth": np.zeros((480, 640), np.uint16)}, ValueError, "depth has 640 x 480 pixels, rgb has 320 x 240 pixels: give"),
+        ({"camera": Intrinsics(640, 480, 1, 1, 0, 0)}, ValueError, "intrinsics are for 640 x 480 pixels, the image has 320 x"),
+        ({"camera": np.eye(3)}, TypeError, "camera: expected Intrinsics, CameraModel or None, got ndarray"),
+        ({"stamp": float("nan")}, ValueError, "stamp must be a finite number of seconds, got nan"),
+        ({"stamp": float("inf")}, ValueError, "stamp must be a finite number of seconds, got inf"),
+        ({"stamp": "now"}, TypeError, "stamp must be a number of seconds, got 'now'"),
+    ],
+)  # fmt: skip
+def test_a_wrong_frame_is_told(blue, arguments, error, message):
+    with pytest.raises(error, match=message):
+        ShapeDetector(segmentation=BLUE).detect(**{"rgb": blue, **arguments})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"mask": np.zeros((9, 9))}, TypeError, "mask: expected a numpy array of bool or uint8, got an array of float64"),
+        ({"mask": None}, TypeError, "mask: expected a numpy array of bool or uint8, got NoneType"),
+        ({"mask": np.zeros((9, 9, 1), bool)}, ValueError, r"mask: expected shape \(H, W\), got \(9, 9, 1\)"),
+        ({"depth": np.zeros((9, 9), np.uint16)}, ValueError, "the mask has 320 x 240 pixels, depth 9 x 9: they must be equal"),
+        ({"camera": Intrinsics(9, 9, 1, 1, 0, 0)}, ValueError, "the camera's intrinsics 9 x 9: they must be equal"),
+    ],
+)  # fmt: skip
+def test_a_wrong_mask_is_told(wave, arguments, error, message):
+    with pytest.raises(error, match=message):
+        ShapeDetector().detect_mask(**{"mask": wave.mask, **arguments})
+
+
+def test_a_refused_frame_leaves_the_track_alone(blue):
+    detector = ShapeDetector(segmentation=BLUE)
+    detector.detect(blue, stamp=0.0)
+    with pytest.raises(ValueError, match="stamp"):
+        detector.detect(blue, stamp=float("nan"))
+    assert detector.detect(blue).stamp == pytest.approx(1 / 30)
+
+
+def test_what_a_rule_reads_must_be_there(blue):
+    with pytest.raises(ValueError, match="segmentation 'hsv' needs rgb, but the frame has none."):
+        ShapeDetector(segmentation=BLUE).detect(None, np.zeros((9, 9), np.uint16))
+    with pytest.raises(ValueError, match="segmentation 'depth' needs depth, but the frame has none."):
+        ShapeDetector(segmentation=DepthRange(0.1, 1)).detect(blue)
+    with pytest.raises(ValueError, match="shape 'centerline' has no segmentation: pass segmentation=HSVRange"):
+        ShapeDetector().detect(blue)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "reason"),
+    [
+        (0, "the mask is empty"),
+        (15, "the mask has 15 pixels, at least 16 are needed"),
+    ],
+)
+def test_too_few_pixels_lose_the_shape_and_say_why(pixels, reason):
+    mask = np.zeros((60, 80), bool)
+    mask.ravel()[1000 : 1000 + pixels] = True
+    shape = ShapeDetector(segmentation=GrayRange(min_area=1)).detect_mask(mask).shapes[0]
+    assert not shape.ok
+    assert shape.reason == reason
+    assert np.isnan(shape.points2d).all()
+    assert not shape.visible.any()
+    assert not shape.valid.any()
+
+
+def test_a_table_full_of_specks_is_no_rope_and_takes_no_time():
+    """Joining pieces costs the cube of their number: hundreds of them would take minutes."""
+    mask = np.zeros((480, 640), bool)
+    for row in range(10, 470, 20):
+        for column in range(10, 630, 20):
+            mask[row : row + 6, column : column + 6] = True
+    shape = ShapeDetector().detect_mask(mask).shapes[0]
+    assert not shape.ok
+    assert shape.reason == "the mask falls into 713 pieces, at most 16"
+
+
+@pytest.mark.parametrize("blob", ["whole", "square", "disc", "triangle", "cross"])
+def test_a_blob_is_refused(blob):
+    """As a colour range that is too wide gives."""
+    mask = np.zeros((240, 320), np.uint8)
+    if blob == "whole":
+        mask[:] = 1
+    elif blob == "square":
+        mask[50:150, 80:180] = 1
+    elif blob == "disc":
+        cv2.circle(mask, (160, 120), 60, 1, -1)
+    elif blob == "triangle":
+        cv2.fillPoly(mask, [np.array([[50, 50], [250, 60], [150, 200]])], 1)
+    else:
+        mask[20:220, 150:170] = mask[110:130, 60:260] = 1
+    shape = ShapeDetector().detect_mask(mask).shapes[0]
+    assert not shape.ok
+    assert any(word in shape.reason for word in ("too stout for a rope", "it is no single rope", "off the mask"))
+
+
+@pytest.mark.parametrize("hole", [0.0, np.nan, np.inf, -1.0])
+def test_depth_without_a_valid_value_loses_the_shape(wave, intrinsics, hole):
+    shape = ShapeDetector().detect_mask(wave.mask, far(wave.mask, hole), intrinsics).shapes[0]
+    assert (shape.ok, shape.reason) == (False, "no point has depth under it")
+    with pytest.raises(ShapeLostError, match="shape 'centerline' was not found: no point has depth under it"):
+        ShapeDetector(on_missing="raise").detect_mask(wave.mask, far(wave.mask, hole), intrinsics)
+    millimetres = np.zeros(wave.mask.shape, np.uint16)
+    assert not ShapeDetector().detect_mask(wave.mask, millimetres, intrinsics).shapes[0].ok
+
+
+@pytest.mark.parametrize("spacing", ["px", "m"])
+def test_absurd_depth_counts_as_none(wave, intrinsics, spacing):
+    depth = far(wave.mask).astype(np.float64)
+    depth[:, 150:] = 1e300
+    detector = ShapeDetector(Centerline(spacing=spacing))
+    shape = detector.detect_mask(wave.mask, depth, intrinsics).shapes[0]
+    assert shape.points3d is not None
+    assert shape.valid[:6].all()
+    assert not shape.valid[-8:].any()
+    assert np.isnan(shape.points3d[-8:]).all()
+
+
+def test_equal_spacing_in_metres_needs_depth(wave, intrinsics):
+    with pytest.raises(ValueError, match="spacing='m' needs depth and a camera; give both, or spacing='px'"):
+        ShapeDetector(Centerline(spacing="m")).detect_mask(wave.mask, None, intrinsics)
+
+
+SHAPE = st.tuples(st.integers(1, 40), st.integers(1, 60))
+RULES = st.builds(GrayRange, low=st.integers(0, 255), open=st.integers(0, 3), close=st.integers(0, 4),
+                  min_area=st.integers(1, 30), min_share=st.floats(0, 1))  # fmt: skip
+METRES = st.floats(-1, 3, width=32) | st.sampled_from([0.0, np.nan, np.inf, -np.inf, 3e38])
+
+
+def check(shape: Any, n: int, *, in_3d: bool) -> None:
+    assert shape.points2d.shape == (n, 2)
+    assert shape.points2d.dtype == np.float32
+    assert shape.visible.dtype == shape.valid.dtype == bool
+    assert not (shape.valid & ~shape.visible).any()
+    assert 0 <= shape.quality <= 1
+    assert not shape.ok or shape.reason or np.isfinite(shape.points2d).all()
+    assert (shape.points3d is None) is not in_3d
+    if in_3d:
+        assert shape.points3d.shape == (n, 3)
+        assert np.isfinite(shape.points3d[shape.valid]).all()
+        assert (shape.points3d[shape.valid, 2] > 0).all()
+
+
+@settings(max_examples=150)
+@given(
+    st.data(),
+    SHAPE,
+    st.integers(2, 40),
+    RULES,
+    st.sampled_from(["px", "m"]),
+    st.sampled_from(["nan", "interpolate", "hold"]),
+)
+def test_garbage_masks_and_depth_never_break_the_detector(data, size, n, rule, spacing, on_invalid):
+    camera = CameraModel(Intrinsics(size[1], size[0], 50.0, 50.0, size[1] / 2, size[0] / 2), np.eye(4))
+    spec = Centerline(n=n, spacing=spacing, anchor=data.draw(st.sampled_from([None, (3.0, 4.0), (0.0, 0.0, 1.0)])),
+                      ends=data.draw(st.sampled_from(["tips", "centers"])))  # fmt: skip
+    detector = ShapeDetector(spec, rule, on_invalid=on_invalid, max_age=0.05)
+    for _ in range(3):
+        mask = data.draw(hnp.arrays(bool, size, elements=st.booleans(), fill=st.booleans()))
+        depth = data.draw(hnp.arrays(np.float32, size, elements=METRES, fill=METRES))
+        check(detector.detect_mask(mask, depth, camera).shapes[0], n, in_3d=True)
+
+
+@settings(max_examples=100)
+@given(st.data(), SHAPE, RULES)
+def test_garbage_images_never_break_the_detector(data, size, rule):
+    detector = ShapeDetector(segmentation=rule)
+    for _ in range(2):
+        check(detector.detect(data.draw(hnp.arrays(np.uint8, (*size, 3)))).shapes[0], 20, in_3d=False)
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.floats(0.02, 0.98), st.integers(1, 9), st.integers(40, 160))
+def test_noise_of_every_grain_never_breaks_the_detector(seed, share, grain, side):
+    """Random blobs: many pieces, holes, crossings, touching edges."""
+    rng = np.random.default_rng(seed)
+    detector = ShapeDetector(Centerline(n=9), GrayRange(min_area=1, min_share=0), max_age=0.05)
+    for _ in range(2):
+        coarse = rng.uniform(size=(-(-side // grain),) * 2) < share
+        mask = np.kron(coarse, np.ones((grain, grain), bool))[:side, :side]
+        check(detector.detect_mask(mask).shapes[0], 9, in_3d=False)
+
+
+@pytest.mark.parametrize("size", [(1, 30), (30, 1), (1, 1), (16, 1), (2, 12), (5, 5), (1, 640)])
+def test_masks_that_are_all_object(size):
+    for ends in ("tips", "centers"):
+        detector = ShapeDetector(Centerline(n=5, ends=ends), GrayRange(min_area=1))
+        check(detector.detect_mask(np.ones(size, bool)).shapes[0], 5, in_3d=False)
+
+
+def test_a_rope_one_pixel_thick_is_followed_to_its_ends():
+    mask = np.zeros((60, 100), bool)
+    mask[30, 10:90] = True
+    shape = ShapeDetector(Centerline(n=5, ends="tips")).detect_mask(mask).shapes[0]
+    np.testing.assert_allclose(shape.points2d[:, 1], 30, atol=0.3)
+    np.testing.assert_allclose(shape.points2d[:, 0], np.linspace(9.5, 89.5, 5), atol=1)
+
+
+@pytest.mark.parametrize("layout", ["read-only", "reversed", "fortran", "strided"])
+def test_the_memory_layout_does_not_matter_and_nothing_is_written(blue, intrinsics, layout):
+    depth = np.full(blue.shape[:2], 700, np.uint16)
+    truth = ShapeDetector(segmentation=BLUE).detect(blue, depth, intrinsics).shapes[0]
+    if layout == "reversed":
+        image = np.ascontiguousarray(blue[..., ::-1])[..., ::-1]
+    elif layout == "fortran":
+        image, depth = np.asfortranarray(blue), np.asfortranarray(depth)
+    elif layout == "strided":
+        image, depth = np.repeat(blue, 2, axis=1)[:, ::2], np.repeat(depth, 2, axis=1)[:, ::2]
+    else:
+        image = blue.copy()
+        image.setflags(write=False)
+        depth.setflags(write=False)
+    before = image.copy()
+    shape = ShapeDetector(segmentation=BLUE).detect(image, depth, intrinsics).shapes[0]
+    np.testing.assert_array_equal(shape.points2d, truth.points2d)
+    np.testing.assert_array_equal(shape.points3d, truth.points3d)
+    np.testing.assert_array_equal(image, before)
+
+
+def test_a_mask_is_not_written(wave):
+    mask = wave.mask.copy()
+    mask[5:7, 5:7] = 255  # dropped as too small, in a copy
+    before = mask.copy()
+    ShapeDetector(roi={"kind": "polygon", "points": [[0, 0], [320, 0], [320, 240]]}).detect_mask(mask)
+    ShapeDetector().detect_mask(mask)
+    np.testing.assert_array_equal(mask, before)

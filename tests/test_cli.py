@@ -1,0 +1,170 @@
+"""The command line as people and programs use it."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from shape_obs.cli import main
+from shape_obs.evaluation.ropes import draw_rope
+
+BLUE = (30, 60, 200)
+HSV = ["--hsv", "100", "100", "50", "130", "255", "255"]
+
+
+@pytest.fixture
+def photo(tmp_path):
+    """A blue rope on gray, at millimetre depth 700 on a table at 720."""
+    t = np.linspace(0, 1, 400)
+    rope = draw_rope(np.stack([60 + 200 * t, 120 + 50 * np.sin(5 * t)], axis=1), 11.0, size=(240, 320))
+    rgb = np.full((240, 320, 3), (190, 185, 180), np.uint8)
+    rgb[rope.mask > 0] = BLUE
+    depth = np.where(rope.mask > 0, 700, 720).astype(np.uint16)
+    cv2.imwrite(str(tmp_path / "rope.png"), rgb[..., ::-1])
+    cv2.imwrite(str(tmp_path / "depth.png"), depth)
+    return tmp_path
+
+
+def run(capsys, *arguments):
+    """(exit code, stdout, stderr) of a command run in this process."""
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return stop.value.code, captured.out, captured.err
+
+
+def test_detect_prints_json_and_draws(photo, capsys):
+    code, out, err = run(capsys, "detect", photo / "rope.png", *HSV, "--out", photo / "o", "--ends", "tips", "--n", 12)
+    result = json.loads(out)
+    shape = result["shapes"][0]
+    assert code == 0
+    assert err == ""
+    assert result["ok"] is True
+    assert len(shape["points2d"]) == 12
+    assert np.allclose(shape["points2d"][0], (60, 120), atol=2)
+    assert shape["points3d"] is None
+    overlay = np.asarray(Image.open(result["overlay"]))
+    assert overlay.shape == (240, 320, 3)
+    assert (overlay != cv2.imread(str(photo / "rope.png"))[..., ::-1]).any()
+
+
+def test_detect_lifts_with_depth_and_intrinsics(photo, capsys):
+    code, out, _ = run(
+        capsys, "detect", photo / "rope.png", *HSV, "--out", photo / "o",
+        "--depth", photo / "depth.png", "--intrinsics", 200, 200, 160, 120,
+    )  # fmt: skip
+    shape = json.loads(out)["shapes"][0]
+    points2d, points3d = np.array(shape["points2d"]), np.array(shape["points3d"])
+    assert code == 0
+    assert np.allclose(points3d[:, 2], 0.7)
+    assert np.allclose(points3d[:, 0], (points2d[:, 0] - 160) / 200 * 0.7, atol=1e-4)
+
+
+def test_pick_proposes_a_range_that_detect_then_reads(photo, capsys):
+    config = photo / "rope.yaml"
+    run(capsys, "detect", photo / "rope.png", "--pick", "160,143", "--save-config", config, "--out", photo / "o")
+    segmentation = yaml.safe_load(config.read_text())["scene"]["segmentation"]
+    assert segmentation["kind"] == "hsv"
+    code, out, _ = run(capsys, "detect", photo / "rope.png", "--config", config, "--out", photo / "o")
+    assert code == 0
+    assert json.loads(out)["ok"] is True
+
+
+def test_one_bad_file_does_not_lose_the_others(photo, capsys):
+    (photo / "junk.png").write_bytes(b"this is no picture")
+    code, out, err = run(
+        capsys, "detect", photo / "junk.png", photo / "rope.png", photo / "none.png", *HSV, "--out", photo / "o"
+    )
+    results = [json.loads(line) for line in out.splitlines()]
+    assert code == 1
+    assert [result["ok"] for result in results] == [False, True, False]
+    assert "not an image that can be read" in results[0]["error"]
+    assert "no such file" in results[2]["error"]
+    assert "junk.png" in err
+    assert "image" in err, "a progress bar belongs to several files"
+
+
+def test_a_shape_that_is_not_there_is_told(photo, capsys):
+    red = ["--hsv", "170", "200", "200", "10", "255", "255"]
+    code, out, _ = run(capsys, "detect", photo / "rope.png", *red, "--out", photo / "o")
+    result = json.loads(out)
+    assert code == 1
+    assert result["ok"] is False
+    assert result["shapes"][0]["reason"] == "the mask is empty"
+    assert result["shapes"][0]["points2d"][0] == [None, None]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["detect", "{photo}"], "give exactly one of --config FILE, --hsv ... or --pick u,v"),
+        (["detect", "{photo}", "--pick", "middle"], "--pick: expected u,v such as 300,123, got 'middle'"),
+        (["detect", "{photo}", "--pick", "900,5"], "pixel (900, 5) lies outside the image of 320 x 240"),
+        (["detect", "{photo}", "--pick", "5,5"], "of the image looks like pixel (5, 5)"),
+        (["detect", "{photo}", "--config", "none.yaml"], "none.yaml: no such config file"),
+        (["detect", "{photo}", *HSV, "--depth", "a.png", "b.png"], "got 1 images but 2 depth files"),
+        (["detect", "{photo}", *HSV, "--depth", "a.png"], "--depth needs --intrinsics"),
+        (["detect", "{photo}", "{photo}", *HSV], "several images are named 'rope'"),
+        (["detect", "{photo}", *HSV, "--ends", "tip"], "unknown value 'tip'; did you mean 'tips'?"),
+        (["demo", "--steps", "0"], "--steps: expected 1...50, got 0"),
+        (["bench", "claim"], "unknown measurement 'claim'; did you mean 'claims'?"),
+    ],
+)
+def test_bad_arguments_get_one_clear_line(photo, capsys, monkeypatch, arguments, message):
+    monkeypatch.chdir(photo)
+    code, out, err = run(capsys, *(argument.format(photo=photo / "rope.png") for argument in arguments))
+    assert code == 1
+    assert out == ""
+    assert message in err
+    assert len(err.strip().splitlines()) == 1
+
+
+def test_unknown_commands_get_a_hint(capsys):
+    code, _, err = run(capsys, "detekt")
+    assert code == 2
+    assert "unknown command 'detekt'; did you mean 'detect'?" in err
+
+
+def test_an_unwritable_folder_is_told_before_work_begins(photo, capsys):
+    blocked = photo / "file"
+    blocked.write_text("")
+    code, out, err = run(capsys, "detect", photo / "rope.png", *HSV, "--out", blocked / "o")
+    assert code == 1
+    assert out == ""
+    assert f"cannot make the output folder {blocked / 'o'}" in err
+
+
+def test_demo_runs_without_gl_and_writes_its_pictures(tmp_path, capsys):
+    code, out, _ = run(capsys, "demo", "--out", tmp_path, "--steps", 6, "--camera", "rl", "--renderer", "rays")
+    assert code == 0
+    assert "20 points" in out
+    assert "of which not ok: 0, order reversed: 0" in out
+    assert Image.open(tmp_path / "demo.png").size == (640, 480)
+    assert getattr(Image.open(tmp_path / "demo.gif"), "n_frames", 1) >= 5
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["demo.gif", "demo.png"], "nothing half-written stays"
+
+
+def test_bench_claims_gives_json(capsys):
+    code, out, _ = run(capsys, "bench", "claims", "--ropes", 1, "--motions", 0, "--episodes", 0, "--json")
+    tables = json.loads(out)
+    assert code == 0
+    assert len(tables["drawn ropes, cold"]) == 7
+    assert all(row["order_wrong"] == 0 for row in tables["drawn ropes, cold"])
+
+
+@pytest.mark.parametrize("command", [[], ["demo"], ["detect"], ["bench"], ["bench", "claims"]])
+def test_every_command_has_help(command):
+    script = Path(sys.executable).with_name("shape-obs")
+    done = subprocess.run(
+        [script, *command, "--help"], capture_output=True, text=True, timeout=60, env={**os.environ, "COLUMNS": "100"}
+    )
+    assert done.returncode == 0
+    assert "usage" in done.stdout.lower()
+    assert done.stderr == ""
