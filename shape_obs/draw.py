@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Sequence
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from shape_obs.shape import Detection, Shape
 
 Image = npt.NDArray[np.uint8]
+Array = npt.NDArray[np.float64]
 Colour = tuple[int, int, int]
 
 VALID: Final[Colour] = (60, 200, 80)
@@ -22,29 +24,34 @@ _ANTIALIASED: Final = cv2.LINE_AA
 _SHIFT: Final = 4
 
 
-def draw_detection(rgb: Image, detection: Detection, *, scale: int = 1) -> Image:
+def draw_detection(
+    rgb: Image, detection: Detection, *, scale: int = 1, under: Sequence[tuple[Array, Colour]] = ()
+) -> Image:
     """Every shape over a copy of the image.
 
     Args:
         rgb: (H,W,3) uint8, RGB.
         detection: What was found in it.
         scale: Enlarges the picture first, so that numbers fit on small images.
+        under: Curves of (K,2) pixels with their colours, drawn below the shapes: goals, truth.
 
     Returns:
         (H*scale, W*scale, 3) uint8, RGB: green points are valid, orange ones on the mask but without depth, red ones
         hidden or held; numbers run from 0 and the first point is ringed. A shape that is not ok says why.
     """
     picture = np.repeat(np.repeat(rgb, scale, axis=0), scale, axis=1) if scale > 1 else rgb.copy()
+    for curve, colour in under:
+        draw_curve(picture, _enlarged(curve, scale), colour, thickness=2)
     for row, shape in enumerate(detection):
         draw_shape(picture, shape, scale=scale)
         if shape.reason:
-            _text(picture, f"{shape.name}: {shape.reason}", (8, 20 + 18 * row), HIDDEN)
+            draw_text(picture, f"{shape.name}: {shape.reason}", (8, 20 + 18 * row), HIDDEN)
     return picture
 
 
 def draw_shape(picture: Image, shape: Shape, *, scale: int = 1) -> None:
     """One shape, in place; nothing where it has no points."""
-    points = (shape.points2d.astype(np.float64) + 0.5) * scale - 0.5
+    points = _enlarged(shape.points2d, scale)
     known = np.isfinite(points).all(axis=1)
     draw_curve(picture, points[known], _PAPER, thickness=1)
     beside = _beside(points)
@@ -58,14 +65,18 @@ def draw_shape(picture: Image, shape: Shape, *, scale: int = 1) -> None:
         _number(picture, str(i), points[i] + beside[i])
 
 
-def draw_curve(picture: Image, points: npt.NDArray[np.float64], colour: Colour, *, thickness: int = 1) -> None:
+def draw_curve(picture: Image, points: Array, colour: Colour, *, thickness: int = 1) -> None:
     """A polyline of (N,2) pixels, in place."""
     if len(points) > 1:
         line = np.round(points * (1 << _SHIFT)).astype(np.int32)
         cv2.polylines(picture, [line], False, colour, thickness, _ANTIALIASED, _SHIFT)
 
 
-def _beside(points: npt.NDArray[np.float64], distance: float = 16.0) -> npt.NDArray[np.float64]:
+def _enlarged(points: npt.NDArray[Any], scale: int) -> Array:
+    return (points.astype(np.float64) + 0.5) * scale - 0.5
+
+
+def _beside(points: Array, distance: float = 16.0) -> Array:
     """Where each number goes: beside the curve, on the outside of its bends, so that it hides no other point."""
     tangent = np.gradient(points, axis=0)
     normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
@@ -74,16 +85,19 @@ def _beside(points: npt.NDArray[np.float64], distance: float = 16.0) -> npt.NDAr
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9) * distance
 
 
-def _fixed(point: npt.NDArray[np.float64]) -> tuple[int, int]:
+def _fixed(point: Array) -> tuple[int, int]:
     return round(point[0] * (1 << _SHIFT)), round(point[1] * (1 << _SHIFT))
 
 
-def _number(picture: Image, text: str, centre: npt.NDArray[np.float64]) -> None:
+def _number(picture: Image, text: str, centre: Array) -> None:
     if np.isfinite(centre).all():
         (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.4, 1)
-        _text(picture, text, (round(centre[0] - width / 2), round(centre[1] + height / 2)), _INK)
+        draw_text(picture, text, (round(centre[0] - width / 2), round(centre[1] + height / 2)))
 
 
-def _text(picture: Image, text: str, origin: tuple[int, int], colour: Colour) -> None:
-    for ink, thickness in ((_PAPER, 3), (colour, 1)):
-        cv2.putText(picture, text, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.4, ink, thickness, _ANTIALIASED)
+def draw_text(picture: Image, text: str, origin: tuple[int, int], colour: Colour = _INK) -> None:
+    """Small text with a halo, its lower left corner at ``origin`` = (u, v), in place."""
+    # Shifted copies, not a bolder one: OpenCV 5 spaces bold letters wider.
+    for du, dv, ink in ((-1, 0, _PAPER), (1, 0, _PAPER), (0, -1, _PAPER), (0, 1, _PAPER), (0, 0, colour)):
+        place = (origin[0] + du, origin[1] + dv)
+        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, ink, 1, _ANTIALIASED)

@@ -122,7 +122,7 @@ def test_a_table_full_of_specks_is_no_rope_and_takes_no_time():
     assert shape.reason == "the mask falls into 713 pieces, at most 16"
 
 
-@pytest.mark.parametrize("blob", ["whole", "square", "disc", "triangle", "cross"])
+@pytest.mark.parametrize("blob", ["whole", "square", "disc", "cross"])
 def test_a_blob_is_refused(blob):
     """As a colour range that is too wide gives."""
     mask = np.zeros((240, 320), np.uint8)
@@ -132,8 +132,6 @@ def test_a_blob_is_refused(blob):
         mask[50:150, 80:180] = 1
     elif blob == "disc":
         cv2.circle(mask, (160, 120), 60, 1, -1)
-    elif blob == "triangle":
-        cv2.fillPoly(mask, [np.array([[50, 50], [250, 60], [150, 200]])], 1)
     else:
         mask[20:220, 150:170] = mask[110:130, 60:260] = 1
     shape = ShapeDetector().detect_mask(mask).shapes[0]

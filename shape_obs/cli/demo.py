@@ -13,7 +13,7 @@ import tyro
 from tqdm import tqdm
 
 from shape_obs.cli.files import make_folder, write_gif, write_image
-from shape_obs.draw import draw_curve, draw_detection
+from shape_obs.draw import draw_detection, draw_text
 from shape_obs.shape import Detection
 
 GOAL = (235, 130, 40)
@@ -56,7 +56,7 @@ def main(argv: Sequence[str]) -> int:
         raise ValueError(f"--steps: expected 1...50, got {args.steps}.")
     out = make_folder(args.out)
     record = run_episode(args)
-    write_image(out / "demo.png", record.frames[-1])
+    write_image(out / "demo.png", np.concatenate([record.frames[0], record.frames[-1]], axis=1))
     write_gif(out / "demo.gif", record.frames, 0.05)
     print(summary(record))
     print(f"pictures        {out / 'demo.png'}, {out / 'demo.gif'}")
@@ -123,7 +123,8 @@ def _remember(record: Record, env: Any, observation: dict[str, Any], info: dict[
     record.vectors.append(observation["observation"])
     picture = env.render()
     scale = max(1, 480 // picture.shape[0])
-    target = (simulator.camera_model.project_from_base(goal) + 0.5) * scale - 0.5
-    canvas = draw_detection(picture, detection, scale=scale)
-    draw_curve(canvas, target, GOAL, thickness=1)
+    goal_pixels = simulator.camera_model.project_from_base(goal)
+    canvas = draw_detection(picture, detection, scale=scale, under=[(goal_pixels, GOAL)])
+    away = record.goal_distances_mm[-1]
+    draw_text(canvas, f"step {len(record.frames) + 1}: {away:.1f} mm from the goal (orange)", (12, 24))
     record.frames.append(canvas)

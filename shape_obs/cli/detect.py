@@ -15,6 +15,7 @@ from tqdm import tqdm
 from shape_obs.camera import Intrinsics
 from shape_obs.cli.files import make_folder, read_depth, read_image, write_image
 from shape_obs.config import detector_arguments, load_config, save_config
+from shape_obs.configurations import Configuration
 from shape_obs.detector import ShapeDetector
 from shape_obs.draw import draw_detection
 from shape_obs.segmentation import HSVRange
@@ -99,6 +100,7 @@ def _detector_arguments(args: Arguments) -> dict[str, Any]:
     ways = [name for name in ("config", "hsv", "pick") if getattr(args, name) is not None]
     if len(ways) != 1:
         raise ValueError(f"give exactly one of --config FILE, --hsv ... or --pick u,v; got {ways or 'none'}.")
+    arguments: dict[str, Any]
     if args.config is not None:
         arguments = detector_arguments(load_config(args.config))
     elif args.hsv is not None:
@@ -109,7 +111,7 @@ def _detector_arguments(args: Arguments) -> dict[str, Any]:
         arguments["ends"] = args.ends
     if args.n is not None:
         shapes = arguments.get("shapes", [{"kind": "centerline"}])
-        arguments["shapes"] = [{**shape, "n": args.n} for shape in shapes]
+        arguments["shapes"] = [{**Configuration.from_dict(shape).to_dict(), "n": args.n} for shape in shapes]
     if args.pick is not None:
         save_config(args.save_config, arguments)
         print(f"wrote {args.save_config}: {arguments['segmentation'].to_dict()}", file=sys.stderr)

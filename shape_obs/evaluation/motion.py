@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Final
 
 import numpy as np
@@ -54,7 +54,7 @@ def moving_rope(
         curve = curve_at(time)
 
 
-def _after(curve_at, curve: Array, time: float, speed: float) -> float:  # noqa: ANN001
+def _after(curve_at: Callable[[float], Array], curve: Array, time: float, speed: float) -> float:
     """The next time at which some point has moved ``speed`` pixels."""
     low, high = 0.0, 0.05
     while np.linalg.norm(curve_at(time + high) - curve, axis=1).max() < speed:

@@ -1,0 +1,32 @@
+"""Every example runs as its first lines say, is short, and prints what it promises."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+EXPECTED = {
+    "first_vector.py": "observation: (60,)",
+    "wrap_your_env.py": "bend 0.8: the middle lies 13",
+    "detect_photo.py": "ok: True",
+}
+
+
+def test_every_example_is_tested():
+    assert {path.name for path in EXAMPLES.glob("*.py")} == set(EXPECTED)
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_example_runs(name, tmp_path):
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / name], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert EXPECTED[name] in done.stdout
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_example_is_short(name):
+    assert len((EXAMPLES / name).read_text().splitlines()) <= 90
