@@ -11,6 +11,7 @@ Array = npt.NDArray[np.float64]
 # hairpin is narrower than a gap, equal chords would cost the points their places on the material.
 _EQUALISING_PASSES = 8
 _MAX_SHIFT = 0.35
+_EQUAL = 2e-3
 
 
 def arc_length(curve: Array) -> Array:
@@ -75,6 +76,9 @@ def equidistant_positions(curve: Array, arc: Array, count: int, *, centers: bool
     shift = _MAX_SHIFT * (even[1] - even[0])
     for _ in range(_EQUALISING_PASSES):
         chord = arc_length(interpolate(curve, arc, at))
+        gaps = np.diff(chord)
+        if np.ptp(gaps) < _EQUAL * chord[-1] / count:
+            break
         at = np.interp(np.linspace(0.0, chord[-1], count), chord, at)
         at = np.clip(at, even - shift, even + shift)
     return at

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from shape_obs.clustering import som
 from shape_obs.configurations import Configuration
-from shape_obs.curve import arc_length, equidistant_positions, interpolate
+from shape_obs.curve import arc_length, interpolate
 from shape_obs.region import Region
 from shape_obs.topology import Chain
 from shape_obs.tracking import Track, advance, gate, orient, predict
@@ -112,4 +112,4 @@ def _numbered(found: Fit, spec: Configuration, anchor: Array | None) -> Fit:
 def _centres(curve: Array, count: int) -> Array:
     """(count,2) the centres of equal pieces of a curve."""
     arc = arc_length(curve)
-    return interpolate(curve, arc, equidistant_positions(curve, arc, count, centers=True))
+    return interpolate(curve, arc, (np.arange(count) + 0.5) * (arc[-1] / count))

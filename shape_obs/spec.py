@@ -116,6 +116,8 @@ class Spec:
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """``"; did you mean 'x'? Known: ..."``: the end of an error message about a name that nobody knows."""
     names = list(known)
+    if not names:
+        return "; there are none."
     near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
     hint = f"; did you mean {near[0]!r}?" if near else "."
     return f"{hint} Known: {', '.join(names)}."

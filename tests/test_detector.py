@@ -49,9 +49,10 @@ def test_points_lie_on_the_centreline_in_order(seed, kind, n):
 def test_tips_and_centres(wave):
     for n in (2, 5, 20):
         tips = one(ShapeDetector(Centerline(n=n, ends="tips")), wave.mask).points2d
-        np.testing.assert_allclose(tips, at_shares(wave.curve, np.linspace(0, 1, n)), atol=2.0)
+        atol = 1 + 0.1 * wave.length / n  # gaps are equal as the crow flies, not along the rope
+        np.testing.assert_allclose(tips, at_shares(wave.curve, np.linspace(0, 1, n)), atol=atol)
         centres = one(ShapeDetector(Centerline(n=n), ends="centers"), wave.mask).points2d
-        np.testing.assert_allclose(centres, at_shares(wave.curve, (np.arange(n) + 0.5) / n), atol=2.0)
+        np.testing.assert_allclose(centres, at_shares(wave.curve, (np.arange(n) + 0.5) / n), atol=atol)
 
 
 @pytest.mark.parametrize("n", [12, 20, 50, 100, 300])
@@ -108,8 +109,8 @@ class TestAnchors:
     @pytest.mark.parametrize(
         ("anchor", "anchors", "message"),
         [
-            ("griper", {"gripper": (1, 2), "hand": (3, 4)}, "anchor 'griper' was not given; did you mean 'gripper'? Known: g"),
-            ("gripper", None, "anchor 'gripper' was not given. Known: ."),
+            ("griper", {"gripper": (1, 2), "hand": (3, 4)}, "anchor 'griper' was not given; did you mean 'gripper'. Known: gripper, hand"),
+            ("gripper", None, "anchor 'gripper' was not given; there are none."),
             ("gripper", {"gripper": (1, 2, 3, 4)}, r"anchor must be a finite \(u, v\) or \(x, y, z\), got \(1, 2, 3, 4\)"),
             ("gripper", {"gripper": (1, np.nan)}, r"anchor must be a finite \(u, v\) or \(x, y, z\), got \(1, nan\)"),
             ((1, 2, 3), None, r"an anchor in the base frame needs camera=CameraModel\(...\)"),

@@ -1,0 +1,126 @@
+"""A lost shape: hold, truncate, raise, nan; by stamps and without."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from shape_obs import Centerline, ShapeDetector, ShapeLostError
+
+
+@pytest.fixture
+def empty(wave):
+    return np.zeros_like(wave.mask)
+
+
+def test_hold_repeats_the_points_for_max_age_seconds(wave, empty):
+    detector = ShapeDetector(max_age=0.5)
+    seen = detector.detect_mask(wave.mask, stamp=10.0).shapes[0]
+    assert (seen.ok, seen.age, seen.reason) == (True, 0.0, "")
+    for stamp, ok in ((10.1, True), (10.5, True), (10.51, False), (15.0, False)):
+        shape = detector.detect_mask(empty, stamp=stamp).shapes[0]
+        assert shape.ok is ok
+        assert shape.age == pytest.approx(stamp - 10.0)
+        assert shape.reason == "the mask is empty"
+        assert shape.quality == 0
+        assert not shape.visible.any()
+        assert not shape.valid.any()
+        np.testing.assert_array_equal(shape.points2d, seen.points2d)
+
+
+def test_frames_without_stamps_are_dt_apart(wave, empty):
+    detector = ShapeDetector(max_age=0.25, dt=0.1)
+    detections = [detector.detect_mask(mask) for mask in (wave.mask, wave.mask, empty, empty, empty)]
+    assert [d.stamp for d in detections] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+    assert [d.ok for d in detections] == [True, True, True, True, False]
+    assert detector.detect_mask(empty, stamp=7.0).stamp == 7.0
+    assert detector.detect_mask(empty).stamp == pytest.approx(7.1)
+
+
+def test_a_stamp_that_stands_still_does_not_make_a_held_shape_a_seen_one(wave, empty):
+    detector = ShapeDetector()
+    detector.detect_mask(wave.mask, stamp=1.0)
+    held = detector.detect_mask(empty, stamp=1.0).shapes[0]
+    assert (held.ok, held.age, held.reason) == (True, 0.0, "the mask is empty")
+    later = detector.detect_mask(empty, stamp=1.4).shapes[0]
+    assert later.age == pytest.approx(0.4)
+    assert not detector.detect_mask(empty, stamp=1.6).ok
+
+
+def test_stamps_that_run_backwards_are_survived(wave):
+    detector = ShapeDetector()
+    for stamp in (5.0, 4.0, 4.0, 1e9, 0.0):
+        assert detector.detect_mask(wave.mask, stamp=stamp).ok
+
+
+@pytest.mark.parametrize("policy", ["truncate", "nan"])
+def test_the_others_are_never_ok(wave, empty, policy):
+    detector = ShapeDetector(on_missing=policy)
+    seen = detector.detect_mask(wave.mask).shapes[0]
+    shape = detector.detect_mask(empty).shapes[0]
+    assert not shape.ok
+    assert shape.age > 0
+    expected = seen.points2d if policy == "truncate" else np.full_like(seen.points2d, np.nan)
+    np.testing.assert_array_equal(shape.points2d, expected)
+
+
+def test_raise_says_which_and_why_and_goes_on_afterwards(wave, empty):
+    detector = ShapeDetector(Centerline(name="rope"), on_missing="raise")
+    detector.detect_mask(wave.mask)
+    with pytest.raises(ShapeLostError, match=r"^shape 'rope' was not found: the mask is empty$"):
+        detector.detect_mask(empty)
+    assert detector.detect_mask(wave.mask).ok
+
+
+@pytest.mark.parametrize("policy", ["hold", "truncate", "nan"])
+def test_with_nothing_to_hold_there_are_no_points(empty, policy):
+    shape = ShapeDetector(on_missing=policy).detect_mask(empty).shapes[0]
+    assert not shape.ok
+    assert np.isnan(shape.points2d).all()
+    assert shape.points3d is None
+
+
+@pytest.mark.parametrize(("wait", "first"), [(0.2, 270), (2.0, 50)])
+def test_a_short_loss_keeps_the_index_and_a_long_one_starts_afresh(wave, empty, wait, first):
+    """The hand has gone to the left end meanwhile: only a fresh start goes by it."""
+    detector = ShapeDetector(Centerline(ends="tips", anchor="hand"), max_age=0.5)
+    right, left = {"hand": (319, 110)}, {"hand": (0, 140)}
+    assert detector.detect_mask(wave.mask, stamp=0.0, anchors=right).shapes[0].points2d[0, 0] == pytest.approx(270, abs=2)
+    assert detector.detect_mask(wave.mask, stamp=0.1, anchors=left).shapes[0].points2d[0, 0] == pytest.approx(270, abs=2)
+    for stamp in (0.15, wait, wait + 0.01):
+        detector.detect_mask(empty, stamp=stamp, anchors=left)
+    found = detector.detect_mask(wave.mask, stamp=wait + 0.02, anchors=left).shapes[0]
+    assert (found.ok, found.age) == (True, 0.0)
+    assert found.points2d[0, 0] == pytest.approx(first, abs=2)
+
+
+def test_depth_that_comes_later_finds_room_for_points_in_space(wave, empty, intrinsics):
+    """Held from a frame without depth, a shape has points3d all the same: unknown ones."""
+    depth = np.full(wave.mask.shape, 0.8)
+    detector = ShapeDetector()
+    detector.detect_mask(wave.mask)
+    held: Any = detector.detect_mask(empty, depth, intrinsics).shapes[0]
+    assert held.points3d.shape == (20, 3)
+    assert np.isnan(held.points3d).all()
+    assert np.isfinite(held.points2d).all()
+
+
+def test_held_points_in_space_are_held_too(wave, empty, intrinsics):
+    depth = np.full(wave.mask.shape, 0.8)
+    detector = ShapeDetector()
+    seen = detector.detect_mask(wave.mask, depth, intrinsics).shapes[0]
+    for frame in ((empty, depth), (wave.mask, np.zeros_like(depth))):
+        held = detector.detect_mask(*frame, intrinsics).shapes[0]
+        assert held.reason
+        np.testing.assert_array_equal(held.points3d, seen.points3d)
+
+
+def test_one_lost_shape_does_not_take_the_others_with_it(wave):
+    shapes = [
+        Centerline(name="here"),
+        {"kind": "centerline", "name": "gone", "segmentation": {"kind": "gray", "min_area": 100_000}},
+    ]
+    detection = ShapeDetector(shapes).detect_mask(wave.mask)  # type: ignore[arg-type]
+    assert (detection["here"].ok, detection["gone"].ok, detection.ok) == (True, False, False)
