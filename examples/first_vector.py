@@ -16,7 +16,8 @@ def main() -> None:
         observation, _, _, _, info = env.step(env.action_space.sample())
     points = observation["observation"].reshape(20, 3)
     print("held by gripper 0:", points[0].round(3), "  held by gripper 1:", points[-1].round(3))
-    print(f"found: {info['shape/ok']}, in {info['shape/latency_ms']:.1f} ms")
+    assert env.detection is not None
+    print(f"found: {info['shape/ok']}, in {env.detection.timings['total']:.1f} ms")
     env.close()
 
 

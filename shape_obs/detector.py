@@ -178,7 +178,7 @@ class ShapeDetector:
 
     def _next_stamp(self, frame: Frame) -> float:
         following = 0.0 if self._stamp is None else self._stamp + self.config.dt
-        stamp = following if frame.stamp is None else frame.stamp
+        stamp = following if frame.stamp is None else float(frame.stamp)
         self._stamp = stamp
         return stamp
 
@@ -264,8 +264,11 @@ def _anchor_pixel(
         raise ValueError(f"shape {spec.name!r}: anchor must be a finite (u, v) or (x, y, z), got {anchor!r}.")
     if len(point) == 2:
         return point
-    if camera is None:
-        raise ValueError(f"shape {spec.name!r}: an anchor in the base frame needs camera=CameraModel(...).")
+    if camera is None or camera.transform_camera_to_base is None:
+        raise ValueError(
+            f"shape {spec.name!r}: anchor {anchor!r} in the base frame needs the camera's place there: give "
+            "camera=CameraModel(intrinsics, transform_camera_to_base=T), or an anchor in pixels (u, v)."
+        )
     pixel = camera.project_from_base(point)
     if not np.all(np.isfinite(pixel)):
         raise ValueError(f"shape {spec.name!r}: anchor {anchor!r} does not lie in front of the camera.")

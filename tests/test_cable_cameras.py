@@ -281,3 +281,17 @@ def test_auto_says_once_that_it_uses_gl(caplog, monkeypatch):
     assert [record.message for record in caplog.records if record.name == "shape_obs_envs"] == [
         "Rendering with OpenGL."
     ]
+
+
+@needs_gl
+def test_torch_still_optimises_after_rendering(tmp_path):
+    """Mesa puts its LLVM into the global scope; triton, loaded by torch's first optimiser, must not take it."""
+    pytest.importorskip("torch")
+    code = """
+import gymnasium as gym, shape_obs_envs
+gym.make("ShapeObs/Cable-v0", camera=[84, 84], renderer="gl").reset(seed=0)
+import torch
+torch.optim.Adam(torch.nn.Linear(2, 2).parameters())
+print("optimises")
+"""
+    assert "optimises" in run(code, tmp_path)

@@ -52,10 +52,8 @@ def test_brown_conrady_is_opencvs(coeffs):
     camera = Intrinsics(**D455, model="brown_conrady", coeffs=coeffs)
     pixels = grid(camera)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
-    if hasattr(cv2, "undistortPointsIter"):
-        ideal = cv2.undistortPointsIter(pixels, camera.matrix, np.array(coeffs), None, None, criteria)
-    else:
-        ideal = cv2.undistortPoints(pixels, camera.matrix, np.array(coeffs), R=None, P=None, criteria=criteria)
+    undistort = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)  # OpenCV 4 has two, 5 one with both signatures
+    ideal = undistort(pixels, camera.matrix, np.array(coeffs), R=None, P=None, criteria=criteria)
     rays = camera.rays(pixels)
     np.testing.assert_allclose(rays[:, :2], np.asarray(ideal).reshape(-1, 2), atol=1e-6)
     projected = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.matrix, np.array(coeffs))[0]

@@ -12,7 +12,17 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from shape_obs import CameraModel, Centerline, Feature, Shape
-from shape_obs.features import Age, FeatureVector, Ok, Points2D, Points2DNormalized, Points3D, Valid, View, read_features
+from shape_obs.features import (
+    Age,
+    FeatureVector,
+    Ok,
+    Points2D,
+    Points2DNormalized,
+    Points3D,
+    Valid,
+    View,
+    read_features,
+)
 
 WORKSPACE = ((-0.5, -0.4, -0.1), (0.5, 0.4, 0.3))
 
@@ -29,7 +39,16 @@ def view(overhead) -> View:
     return View(320, 240, overhead, WORKSPACE, max_age=0.5, anchor=(0.1, 0.0, 0.2))
 
 
-ALL = [Points2D(), Points2DNormalized(), Points3D(), Points3D(frame="base"), Points3D(frame="anchor"), Ok(), Age(), Valid()]
+ALL = [
+    Points2D(),
+    Points2DNormalized(),
+    Points3D(),
+    Points3D(frame="base"),
+    Points3D(frame="anchor"),
+    Ok(),
+    Age(),
+    Valid(),
+]
 
 
 @pytest.mark.parametrize("feature", ALL, ids=repr)
@@ -51,7 +70,9 @@ def test_the_edge_of_the_image_is_the_edge_of_the_bounds(view):
 
 def test_pixels_are_u_then_v_point_by_point(view):
     np.testing.assert_array_equal(Points2D().compute(shape([[1, 2], [3, 4]]), view), [1, 2, 3, 4])
-    np.testing.assert_allclose(Points2DNormalized().compute(shape([[159.5, 119.5], [239.5, 119.5]]), view), [0, 0, 0.5, 0])
+    np.testing.assert_allclose(
+        Points2DNormalized().compute(shape([[159.5, 119.5], [239.5, 119.5]]), view), [0, 0, 0.5, 0]
+    )
 
 
 def test_metres_in_three_frames(view):
@@ -70,7 +91,9 @@ def test_the_base_frame_follows_the_camera_of_the_moment(view, overhead):
     raised[2, 3] = 1.5
     moved = replace(view, camera=CameraModel(overhead.intrinsics, raised))
     feature, points = Points3D(frame="base"), shape()
-    np.testing.assert_allclose(feature.compute(points, moved) - feature.compute(points, view), [0, 0, 0.5] * 2, atol=1e-6)
+    np.testing.assert_allclose(
+        feature.compute(points, moved) - feature.compute(points, view), [0, 0, 0.5] * 2, atol=1e-6
+    )
 
 
 def test_bounds_in_the_camera_frame_are_what_it_sees(view):
@@ -111,7 +134,11 @@ def test_trust_as_numbers(view):
 @pytest.mark.parametrize(
     ("feature", "change", "message"),
     [
-        (Points3D(), {"camera": None}, "feature 'points3d' needs a camera model: let the env publish `camera_model`, or pass"),
+        (
+            Points3D(),
+            {"camera": None},
+            "feature 'points3d' needs a camera model: let the env publish `camera_model`, or pass",
+        ),
         (Points3D(frame="base"), {"pose": None}, "feature 'points3d' in frame 'base' needs transform_camera_to_base"),
         (Points3D(frame="anchor"), {"anchor": None}, "in frame 'anchor' needs a shape anchored to a base-frame point"),
     ],
@@ -119,25 +146,28 @@ def test_trust_as_numbers(view):
 def test_what_is_needed_is_told(feature, change, message, view):
     if "pose" in change:
         change = {"camera": CameraModel(view.camera.intrinsics)}
+    lacking = replace(view, **change)
+    failing = feature.compute if "anchor" in change else lambda shape, view: feature.bounds(2, view)
     with pytest.raises(ValueError, match=message):
-        feature.compute(shape(), replace(view, **change))
-        feature.bounds(2, replace(view, **change))
+        failing(shape(), lacking)
     with pytest.raises(ValueError, match="needs depth and a camera, but the shape has no points3d"):
         feature.compute(shape(points3d=None), view)
 
 
 class TestVector:
-    def vector(self, view, features=("points2d", "ok"), shapes=(Centerline(n=2), Centerline(n=3, name="b"))):
-        return FeatureVector(read_features(features), shapes, view)
+    def vector(self, view, features, *shapes):
+        return FeatureVector(read_features(features), shapes or [Centerline(n=2)], view)
 
     def test_blocks_follow_one_another_shape_after_shape(self, view):
         a, b = shape([[1, 2], [3, 4]]), shape([[5, 6], [7, 8], [9, 10]], ok=False)
-        values = self.vector(view).compute([a, b], [view, view])
+        values = self.vector(view, ["points2d", "ok"], Centerline(n=2), Centerline(n=3, name="b")).compute(
+            [a, b], [view, view]
+        )
         assert values.dtype == np.float32
         np.testing.assert_array_equal(values, [1, 2, 3, 4, 1, 5, 6, 7, 8, 9, 10, 0])
 
     def test_what_is_unknown_sits_at_the_centre_of_its_bounds(self, view):
-        vector = self.vector(view, [Points2D(), Points3D(frame="base"), Ok()], [Centerline(n=2)])
+        vector = self.vector(view, [Points2D(), Points3D(frame="base"), Ok()])
         nothing = shape(np.full((2, 2), np.nan), np.full((2, 3), np.nan), ok=False)
         np.testing.assert_allclose(
             vector.compute([nothing], [view]), [159.5, 119.5] * 2 + [0, 0, 0.1] * 2 + [0], atol=1e-6
@@ -146,7 +176,7 @@ class TestVector:
         np.testing.assert_allclose(vector.compute([half], [view])[:4], [1, 2, 159.5, 4])
 
     def test_what_is_out_of_bounds_is_clipped(self, view):
-        values = self.vector(view, "points2d", [Centerline(n=2)]).compute([shape([[-9, 500], [1e9, -np.inf]])], [view])
+        values = self.vector(view, "points2d").compute([shape([[-9, 500], [1e9, -np.inf]])], [view])
         np.testing.assert_array_equal(values, [-0.5, 239.5, 319.5, 119.5])
 
     @given(hnp.arrays(np.float32, (4, 2)), hnp.arrays(np.float32, (4, 3)), st.booleans(), st.floats(0, 1e9))
@@ -165,7 +195,9 @@ class TestVector:
 
 
 def test_one_feature_stands_for_a_list_of_it():
-    assert read_features("ok") == read_features(Ok()) == read_features({"kind": "ok"}) == read_features(["ok"]) == [Ok()]
+    assert (
+        read_features("ok") == read_features(Ok()) == read_features({"kind": "ok"}) == read_features(["ok"]) == [Ok()]
+    )
     with pytest.raises(ValueError, match="unknown kind 'okay'; did you mean 'ok'"):
         read_features(["okay"])
     with pytest.raises(ValueError, match="expected a mapping or a Feature, got 3"):

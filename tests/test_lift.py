@@ -69,7 +69,11 @@ def test_equal_gaps_in_metres_are_the_material_points(tilted):
 def test_millimetres_and_metres_of_any_float_agree(tilted):
     spec = Centerline(ends="tips", spacing="m")
     metres = one(ShapeDetector(spec), tilted.rope.mask, tilted.depth).points3d
-    for depth in (tilted.depth.astype(np.float32), np.rint(tilted.depth * 1000).astype(np.uint16), tilted.depth[..., None]):
+    for depth in (
+        tilted.depth.astype(np.float32),
+        np.rint(tilted.depth * 1000).astype(np.uint16),
+        tilted.depth[..., None],
+    ):
         np.testing.assert_allclose(one(ShapeDetector(spec), tilted.rope.mask, depth).points3d, metres, atol=0.004)
 
 
@@ -136,6 +140,16 @@ def test_a_hole_is_told_and_never_filled_unasked(wave, intrinsics, nothing):
     assert shape.visible.all()
     assert shape.ok
     assert shape.quality < one(ShapeDetector(Centerline(n=30)), wave.mask, np.full((240, 320), 0.8), intrinsics).quality
+
+
+def test_a_bridged_point_is_not_valid_though_the_rope_beside_it_has_depth(wave, intrinsics):
+    mask = wave.mask.copy()
+    mask[:, 150:164] = 0
+    shape = one(ShapeDetector(Centerline(n=200)), mask, np.full(mask.shape, 0.8), intrinsics)
+    bridged = ~shape.visible
+    assert bridged.sum() > 4
+    assert not shape.valid[bridged].any()
+    assert np.isfinite(shape.points3d[bridged]).any()  # else this could not go wrong
 
 
 class TestInvalidPoints:

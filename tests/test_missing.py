@@ -87,8 +87,12 @@ def test_a_short_loss_keeps_the_index_and_a_long_one_starts_afresh(wave, empty, 
     """The hand has gone to the left end meanwhile: only a fresh start goes by it."""
     detector = ShapeDetector(Centerline(ends="tips", anchor="hand"), max_age=0.5)
     right, left = {"hand": (319, 110)}, {"hand": (0, 140)}
-    assert detector.detect_mask(wave.mask, stamp=0.0, anchors=right).shapes[0].points2d[0, 0] == pytest.approx(270, abs=2)
-    assert detector.detect_mask(wave.mask, stamp=0.1, anchors=left).shapes[0].points2d[0, 0] == pytest.approx(270, abs=2)
+    assert detector.detect_mask(wave.mask, stamp=0.0, anchors=right).shapes[0].points2d[0, 0] == pytest.approx(
+        270, abs=2
+    )
+    assert detector.detect_mask(wave.mask, stamp=0.1, anchors=left).shapes[0].points2d[0, 0] == pytest.approx(
+        270, abs=2
+    )
     for stamp in (0.15, wait, wait + 0.01):
         detector.detect_mask(empty, stamp=stamp, anchors=left)
     found = detector.detect_mask(wave.mask, stamp=wait + 0.02, anchors=left).shapes[0]

@@ -117,7 +117,7 @@ def _remember(record: Record, env: Any, observation: dict[str, Any], info: dict[
     record.errors_mm.append(1e3 * float(forward))
     pixels = simulator.truth(n=len(shape), frame="pixels", surface=True)
     record.errors_px.append(float(np.linalg.norm(shape.points2d - pixels, axis=1).mean()))
-    record.latencies_ms.append(info["shape/latency_ms"])
+    record.latencies_ms.append(detection.timings["total"])
     goal = observation["desired_goal"].reshape(-1, 3)
     record.goal_distances_mm.append(1e3 * float(np.linalg.norm(found - goal, axis=1).mean()))
     record.vectors.append(observation["observation"])

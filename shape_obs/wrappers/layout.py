@@ -72,7 +72,6 @@ def scalars(detection: Detection) -> dict[str, Any]:
     out: dict[str, Any] = {
         "shape/ok": bool(detection.ok),
         "shape/age": float(max(shape.age for shape in detection)),
-        "shape/latency_ms": float(detection.timings["total"]),
     }
     for shape in detection:
         out[f"shape/{shape.name}/ok"] = bool(shape.ok)

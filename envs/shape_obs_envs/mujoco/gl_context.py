@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import importlib
+import importlib.util
 import os
 import sys
 from collections.abc import Iterator
@@ -49,8 +50,9 @@ def open_context(model: Any, width: int, height: int) -> tuple[Any, Any]:
             "this process was forked off one that was already rendering, which its GL driver does not survive: "
             'start workers with "spawn" or "forkserver", or before the first picture'
         )
-    reasons = []
-    for backend in candidates():
+    backends, reasons = candidates(), []
+    _bind_triton()
+    for backend in backends:
         try:
             with _without_raster_threads():
                 gl = make_context(backend, width, height)
@@ -67,6 +69,21 @@ def open_context(model: Any, width: int, height: int) -> tuple[Any, Any]:
             _owner.update(pid=os.getpid(), fork_safe=_is_threadless())
         return gl, context
     raise GLUnavailableError("; ".join(reasons))
+
+
+def _bind_triton() -> None:
+    """Bind triton's library to the LLVM within it, where triton is installed and not yet loaded.
+
+    Mesa loads its drivers, and the LLVM they use, into the process's global scope; triton, which torch loads when it
+    first makes an optimiser, would then take that LLVM for its own and crash. Loading the library takes 12 ms once and
+    imports neither triton nor torch.
+    """
+    if not sys.platform.startswith("linux") or "triton" in sys.modules:
+        return
+    spec = importlib.util.find_spec("triton")
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        with contextlib.suppress(OSError):
+            ctypes.CDLL(os.path.join(folder, "_C", "libtriton.so"))
 
 
 @contextlib.contextmanager
