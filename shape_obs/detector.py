@@ -18,7 +18,6 @@ from shape_obs.frame import Frame, check_mask
 from shape_obs.lift import lift, lift_curve, local_depth
 from shape_obs.missing import fill_invalid, lost_shape
 from shape_obs.region import Region, find_region
-from shape_obs.roi import Window
 from shape_obs.segmentation import Segmentation
 from shape_obs.shape import Detection, Shape
 from shape_obs.spec import did_you_mean
@@ -73,6 +72,7 @@ class ShapeDetector:
         self._tracks: dict[str, Track] = {}
         self._last: dict[str, tuple[Shape, float]] = {}
         self._stamp: float | None = None
+        self._begin = 0.0
 
     def detect(
         self,
@@ -113,8 +113,7 @@ class ShapeDetector:
         for rule in dict.fromkeys(spec.segmentation for spec in self.shapes):
             assert rule is not None
             with _Timed(timings, "segmentation"):
-                mask = rule.apply(frame, window)
-                self.config.roi.blank(mask, window)
+                mask = self.config.roi.blank(rule.apply(frame, window), window)
             with _Timed(timings, "region"):
                 regions[rule] = find_region(mask, window, rule.min_area, rule.min_share)
         return self._shapes(frame, regions, anchors, timings, begin)
@@ -144,8 +143,7 @@ class ShapeDetector:
         for rule in dict.fromkeys(spec.segmentation for spec in self.shapes):
             floor = rule or _NO_RULE
             with _Timed(timings, "region"):
-                cut = mask[window.slices].copy() if window != Window(0, 0, size[1], size[0]) else mask.copy()
-                self.config.roi.blank(cut, window)
+                cut = self.config.roi.blank(mask[window.slices], window)
                 regions[rule] = find_region(cut, window, floor.min_area, floor.min_share)
         return self._shapes(frame, regions, anchors, timings, begin)
 
@@ -179,6 +177,8 @@ class ShapeDetector:
     def _next_stamp(self, frame: Frame) -> float:
         following = 0.0 if self._stamp is None else self._stamp + self.config.dt
         stamp = following if frame.stamp is None else float(frame.stamp)
+        if self._stamp is None:
+            self._begin = stamp
         self._stamp = stamp
         return stamp
 
@@ -193,7 +193,7 @@ class ShapeDetector:
             if not in_3d or shape.valid.any():
                 return shape
             reason = "no point has depth under it"
-        last, seen = self._last.get(spec.name, (None, stamp))
+        last, seen = self._last.get(spec.name, (None, self._begin))
         return lost_shape(
             spec.name,
             spec.count,

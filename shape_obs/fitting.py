@@ -18,9 +18,6 @@ from shape_obs.tracking import Track, advance, gate, orient, predict
 Array = npt.NDArray[np.float64]
 
 _MIN_PIXELS: Final = 16
-# The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
-_MAX_PIECES: Final = 16
-_MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no axis to speak of, and a chain would fold up in it
 
 
 @dataclass(frozen=True)
@@ -62,11 +59,9 @@ def fit(
         return Fit(None, reason="the mask is empty"), None
     if region.area < _MIN_PIXELS:
         return Fit(None, reason=f"the mask has {region.area} pixels, at least {_MIN_PIXELS} are needed"), None
-    if len(region.components) > _MAX_PIECES:
-        return Fit(None, reason=f"the mask falls into {len(region.components)} pieces, at most {_MAX_PIECES}"), None
-    length = region.area / region.width
-    if length < _MIN_ASPECT * region.width:
-        return Fit(None, reason=f"the mask is {length:.0f} x {region.width:.0f} px: too stout for a rope"), None
+    unfit = spec.unfit(region)
+    if unfit:
+        return Fit(None, reason=unfit), None
     if track is None:
         topology = spec.topology(region)
         start = _centres(spec.parameterise(region), topology.size)

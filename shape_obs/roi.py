@@ -37,8 +37,9 @@ class ROI(Spec, family="roi"):
         """
         raise NotImplementedError
 
-    def blank(self, mask: npt.NDArray[np.uint8], window: Window) -> None:
-        """Set what lies outside the region to 0, in place."""
+    def blank(self, mask: npt.NDArray[np.uint8], window: Window) -> npt.NDArray[np.uint8]:
+        """The mask with 0 outside the region; the mask given stays as it is."""
+        return mask
 
 
 @dataclass(frozen=True)
@@ -100,12 +101,12 @@ class Polygon(ROI, kind="polygon"):
         low, high = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int) + 1
         return _clip((int(low[0]), int(low[1]), int(high[0]), int(high[1])), size, self)
 
-    def blank(self, mask: npt.NDArray[np.uint8], window: Window) -> None:
-        """Blank the outside of the polygon."""
+    def blank(self, mask: npt.NDArray[np.uint8], window: Window) -> npt.NDArray[np.uint8]:
+        """The mask with 0 outside the polygon."""
         inside = np.zeros(mask.shape, np.uint8)
         corners = np.asarray(self.points, dtype=np.float64) - (window.left, window.top)
         cv2.fillPoly(inside, [np.round(corners).astype(np.int32)], 255)
-        cv2.bitwise_and(mask, inside, dst=mask)
+        return np.asarray(cv2.bitwise_and(mask, inside), dtype=np.uint8)
 
 
 def _clip(box: tuple[int, int, int, int], size: tuple[int, int], roi: ROI) -> Window:

@@ -25,7 +25,7 @@ class Shape:
         ok: Found and through the gate in this frame, or held for no longer than ``max_age`` seconds (``age`` > 0 then).
         quality: 0...1, how well the curve explains the mask.
         reason: Why the shape was not found in this frame; empty if it was.
-        age: Seconds since the points were seen; 0 when found in this frame.
+        age: Seconds since the points were seen, or since the first frame if they never were; 0 when found in this one.
     """
 
     name: str

@@ -151,8 +151,9 @@ class TestROI:
         assert shape.points2d[:, 0].max() <= 160.5
         triangle = Polygon(((0, 0), (319, 0), (0, 239)))
         window = triangle.window(self.SIZE)
-        inside = np.full(self.SIZE, 255, np.uint8)
-        triangle.blank(inside, window)
+        full = np.full(self.SIZE, 255, np.uint8)
+        inside = triangle.blank(full, window)
+        assert full.all(), "the mask given stays as it is"
         v, u = np.mgrid[:240, :320]
         beyond = u / 319 + v / 239 - 1
         assert inside[beyond < -0.01].all()

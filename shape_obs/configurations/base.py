@@ -56,6 +56,10 @@ class Configuration(Spec, family="configuration"):
         """N, how many points the shape has."""
 
     @abstractmethod
+    def unfit(self, region: Region) -> str:
+        """Why a region cannot hold this shape; empty if it can. Asked before any work is done."""
+
+    @abstractmethod
     def topology(self, region: Region) -> Chain:
         """The map that suits the region: how many nodes, and how they hang together."""
 

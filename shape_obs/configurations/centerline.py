@@ -23,6 +23,9 @@ Array = npt.NDArray[np.float64]
 # corners. N is sampled from the curve afterwards, so it does not matter here.
 _NODE_SPACING: Final = 1.4
 _NODES: Final = (6, 48)
+# The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
+_MAX_PIECES: Final = 16
+_MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no axis to speak of, and a chain would fold up in it
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,15 @@ class Centerline(Configuration, kind="centerline"):
     def count(self) -> int:
         """N."""
         return self.n
+
+    def unfit(self, region: Region) -> str:
+        """Too many pieces, or no rope: at least three times as long as wide."""
+        if len(region.components) > _MAX_PIECES:
+            return f"the mask falls into {len(region.components)} pieces, at most {_MAX_PIECES}"
+        length = region.area / region.width
+        if length < _MIN_ASPECT * region.width:
+            return f"the mask is {length:.0f} x {region.width:.0f} px: too stout for a rope"
+        return ""
 
     def topology(self, region: Region) -> Chain:
         """A chain with a node every 1.4 widths, 6 to 48 of them."""
