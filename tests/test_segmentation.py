@@ -65,7 +65,7 @@ def test_gray_weighs_colours_as_the_eye_does():
     assert mask_of(GrayRange(60, 100), image).tolist() == [[True, False, False]]  # luma 76, 150, 29
 
 
-DEPTHS = st.sampled_from([0.0, -1.0, np.nan, np.inf, 0.3, 0.5, 0.699, 0.7, 0.701, 5.0])
+DEPTHS = st.sampled_from([float(np.float32(z)) for z in (0.0, -1.0, np.nan, np.inf, 0.3, 0.5, 0.699, 0.7, 0.701, 5.0)])
 
 
 @given(hnp.arrays(np.float32, (3, 4), elements=DEPTHS))

@@ -23,9 +23,9 @@ class Claims:
     """Accuracy on drawn ropes, moving ropes and the simulated cable, against known truth."""
 
     ropes: int = 40
-    """Drawn ropes of each kind."""
+    """Drawn ropes of each kind; 0 leaves them out."""
     motions: int = 6
-    """Moving ropes at each speed."""
+    """Moving ropes at each speed; 0 leaves them out."""
     episodes: int = 20
     """Episodes of the cable for each camera; 0 leaves the simulator out."""
     renderer: Literal["auto", "gl", "rays"] = "auto"
@@ -54,17 +54,15 @@ def main(argv: Sequence[str]) -> int:
 
 
 def measure(args: Claims) -> dict[str, list[dict[str, Any]]]:
-    """All three measurements."""
-    cold = args.ropes * len(KINDS) * len(COUNTS) * 2
-    tables = {
-        "drawn ropes, cold": rope_table(_bar(drawn_ropes(args.ropes, args.seed), cold, "drawn ropes")),
-        "moving ropes, tracked": [
-            result._asdict()
-            for result in _bar(
-                moving_ropes((10, 40), range(args.seed, args.seed + args.motions)), 2 * args.motions, "moving ropes"
-            )
-        ],
-    }
+    """The measurements that are asked for."""
+    tables: dict[str, list[dict[str, Any]]] = {}
+    if args.ropes:
+        cold = args.ropes * len(KINDS) * len(COUNTS) * 2
+        tables["drawn ropes, cold"] = rope_table(_bar(drawn_ropes(args.ropes, args.seed), cold, "drawn ropes"))
+    if args.motions:
+        moved = moving_ropes((10, 40), range(args.seed, args.seed + args.motions))
+        moved = _bar(moved, 2 * args.motions, "moving ropes")
+        tables["moving ropes, tracked"] = [result._asdict() for result in moved]
     if args.episodes:
         seeds = range(args.seed, args.seed + args.episodes)
         cameras = ("d455", "rl", [84, 84])

@@ -167,6 +167,7 @@ def _rope_row(kind: str, found: list[RopeResult]) -> dict[str, Any]:
         "distance_worst_px": float(np.max(distances)),
         "tip_mean_px": float(np.mean(tips)),
         "tip_worst_px": float(np.max(tips)),
+        "tips_over_1.5_px": float(np.mean(np.array(tips) > 1.5)),
         "gap_cv_worst": float(np.max(spaced)),
         "narrow_bends": len(tight),
         "gap_cv_worst_there": float(np.max(tight, initial=0.0)),
