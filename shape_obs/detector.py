@@ -141,7 +141,7 @@ class ShapeDetector:
         regions: dict[Segmentation | None, Region] = {}
         window = self.config.roi.window(size)
         for rule in dict.fromkeys(spec.segmentation for spec in self.shapes):
-            floor = rule or _NO_RULE
+            floor = rule or Segmentation
             with _Timed(timings, "region"):
                 cut = self.config.roi.blank(mask[window.slices], window)
                 regions[rule] = find_region(cut, window, floor.min_area, floor.min_share)
@@ -238,9 +238,6 @@ class _Timed:
     def __exit__(self, *_: object) -> None:
         spent = 1e3 * (time.perf_counter() - self._begin)
         self._timings[self._stage] = self._timings.get(self._stage, 0.0) + spent
-
-
-_NO_RULE = Segmentation()
 
 
 def _size(camera: CameraModel | None) -> tuple[int, int] | None:

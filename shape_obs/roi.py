@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -29,13 +30,13 @@ class Window(NamedTuple):
 class ROI(Spec, family="roi"):
     """A region of interest: the window to read, and what to blank in it."""
 
+    @abstractmethod
     def window(self, size: tuple[int, int]) -> Window:
         """The pixels to read of an image of ``size`` = (H, W).
 
         Raises:
             ValueError: The region leaves nothing of the image.
         """
-        raise NotImplementedError
 
     def blank(self, mask: npt.NDArray[np.uint8], window: Window) -> npt.NDArray[np.uint8]:
         """The mask with 0 outside the region; the mask given stays as it is."""

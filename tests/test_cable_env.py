@@ -18,11 +18,9 @@ pytest.importorskip("mujoco")
 import shape_obs_envs  # noqa: F401
 from shape_obs_envs.mujoco.cable import CableEnv
 
-SMALL = [84, 84]
-
 
 def make(**kwargs: Any) -> CableEnv:
-    return cast(CableEnv, gym.make("ShapeObs/Cable-v0", **{"camera": SMALL, "renderer": "rays", **kwargs}).unwrapped)
+    return cast(CableEnv, gym.make("ShapeObs/Cable-v0", **{"camera": [84, 84], "renderer": "rays", **kwargs}).unwrapped)
 
 
 def rollout(env, seed, steps=10):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,9 +52,9 @@ class Segmentation(Spec, family="segmentation"):
                 cv2.morphologyEx(mask, operation, square, dst=mask)
         return mask
 
+    @abstractmethod
     def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
         """The bare rule: (h,w) uint8, 0 or 255."""
-        raise NotImplementedError
 
 
 def need(image: npt.NDArray[Any] | None, name: str, rule: Segmentation) -> npt.NDArray[Any]:
