@@ -14,6 +14,7 @@ from shape_obs.config import DetectorConfig
 from shape_obs.configurations import Configuration
 from shape_obs.curve import arc_length, interpolate
 from shape_obs.fitting import Fit, fit
+from shape_obs.forking import use_no_threads_in_forked_children
 from shape_obs.frame import Frame, check_mask
 from shape_obs.lift import lift, lift_curve, local_depth
 from shape_obs.missing import fill_invalid, lost_shape
@@ -24,6 +25,8 @@ from shape_obs.spec import did_you_mean
 from shape_obs.tracking import Track
 
 Array = npt.NDArray[np.float64]
+
+use_no_threads_in_forked_children()
 
 
 class ShapeDetector:
