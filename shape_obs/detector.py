@@ -12,7 +12,6 @@ import numpy.typing as npt
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
 from shape_obs.config import DetectorConfig
 from shape_obs.configurations import Configuration
-from shape_obs.curve import arc_length, interpolate
 from shape_obs.fitting import Fit, fit
 from shape_obs.forking import use_no_threads_in_forked_children
 from shape_obs.frame import Frame, check_mask
@@ -191,7 +190,7 @@ class ShapeDetector:
         if spec.spacing == "m" and not in_3d:
             raise ValueError(f"shape {spec.name!r}: spacing='m' needs depth and a camera; give both, or spacing='px'.")
         reason = found.reason
-        if found.curve is not None and found.ok:
+        if found.form is not None and found.ok:
             shape = self._points(spec, found, region, frame)
             if not in_3d or shape.valid.any():
                 return shape
@@ -199,8 +198,9 @@ class ShapeDetector:
         last, seen = self._last.get(spec.name, (None, self._begin))
         return lost_shape(
             spec.name,
-            spec.count,
+            spec.layout,
             reason=reason,
+            in_2d=True,
             in_3d=in_3d,
             last=last,
             age=stamp - seen,
@@ -209,24 +209,27 @@ class ShapeDetector:
         )
 
     def _points(self, spec: Configuration, found: Fit, region: Region, frame: Frame) -> Shape:
-        assert found.curve is not None
-        metric = curve = found.curve
+        assert found.form is not None
+        metric = form = found.form
         camera = frame.camera
         if spec.spacing == "m" and frame.depth is not None and camera is not None:
-            lifted = lift_curve(curve, frame.depth, region, region.width, camera.intrinsics)
-            metric = curve if lifted is None else lifted
-        arc = arc_length(metric)
-        points = interpolate(curve, arc, spec.positions(metric, arc))
-        visible = region.contains(points, reach=1)
+            lifted = lift_curve(form.points, frame.depth, region, region.width, camera.intrinsics)
+            metric = form if lifted is None else form.measured(lifted)
+        points, bridged = spec.place(form, metric)
+        visible = region.carries(points) & ~bridged
         valid, points3d = visible, None
         if frame.depth is not None and camera is not None:
             z = local_depth(points, frame.depth, region, region.width)
+            z[~visible] = np.nan
             points3d = lift(points, z, camera.intrinsics, spec.radius).astype(np.float32)
             valid = visible & np.isfinite(z)
             last = self._last.get(spec.name)
-            points3d = fill_invalid(points3d, None if last is None else last[0].points3d, self.config.on_invalid)
+            before = None if last is None else last[0].points3d
+            points3d = fill_invalid(points3d, before, self.config.on_invalid, spec.layout)
         quality = found.quality * float(valid.mean())
-        return Shape(spec.name, points.astype(np.float32), points3d, visible, valid.copy(), quality=quality)
+        return Shape(
+            spec.name, points.astype(np.float32), points3d, visible, valid.copy(), spec.layout, quality=quality
+        )
 
 
 class _Timed:

@@ -51,7 +51,7 @@ def draw_detection(
 
 def draw_shape(picture: Image, shape: Shape, *, scale: int = 1) -> None:
     """One shape, in place; nothing where it has no points."""
-    points = _enlarged(shape.points2d, scale)
+    points = _enlarged(shape.pixels, scale)
     known = np.isfinite(points).all(axis=1)
     draw_curve(picture, points[known], _PAPER, thickness=1)
     beside = _beside(points)

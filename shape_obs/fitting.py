@@ -1,36 +1,37 @@
-"""One shape, one frame: from a region and the past to a curve and the present. Pure: the detector remembers."""
+"""One shape, one frame: from a body and the past to a form and the present. Pure: the detector remembers."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.body import Body
 from shape_obs.clustering import som
 from shape_obs.configurations import Configuration
-from shape_obs.curve import arc_length, interpolate
-from shape_obs.region import Region
-from shape_obs.topology import Chain
-from shape_obs.tracking import Track, advance, gate, orient, predict
+from shape_obs.form import Form
+from shape_obs.gate import MAX_HIDDEN
+from shape_obs.topology import Topology
+from shape_obs.tracking import Prediction, Track, advance, predict, size_jump
 
 Array = npt.NDArray[np.float64]
 
-_MIN_PIXELS: Final = 16
+_MIN_SAMPLES: Final = 16
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A curve found in a region.
+    """A form found on a body.
 
     Args:
-        curve: (P,2) pixels from end to end, in the order of the points; None when nothing was found.
+        form: In the order of the points; None when nothing was found.
         quality: 0...1.
         reason: Why it was refused; empty if it was not.
     """
 
-    curve: Array | None
+    form: Form | None
     quality: float = 0.0
     reason: str = ""
 
@@ -41,70 +42,80 @@ class Fit:
 
 
 def fit(
-    region: Region, spec: Configuration, track: Track | None, anchor: Array | None, stamp: float
+    body: Body, spec: Configuration, track: Track | None, target: Array | None, stamp: float
 ) -> tuple[Fit, Track | None]:
     """Find one shape: from the prediction while there is a track, else (or when that fails) from a cold start.
 
     Args:
-        region: The mask.
+        body: What was segmented.
         spec: What to look for.
         track: The past; None at the start. It orients a cold start too.
-        anchor: (2,) pixel where point 0 belongs; None for the image's top-left.
+        target: Where point 0 belongs, as ``body.seen`` sees it; None for the top left.
         stamp: Seconds.
 
     Returns:
         The fit, and the track to remember (None when the fit was refused).
     """
-    if not region.components:
-        return Fit(None, reason="the mask is empty"), None
-    if region.area < _MIN_PIXELS:
-        return Fit(None, reason=f"the mask has {region.area} pixels, at least {_MIN_PIXELS} are needed"), None
-    unfit = spec.unfit(region)
-    if unfit:
-        return Fit(None, reason=unfit), None
+    reason = _too_little(body) or spec.unfit(body)
+    if reason:
+        return Fit(None, reason=reason), None
     if track is None:
-        topology = spec.topology(region)
-        start = _centres(spec.parameterise(region), topology.size)
-        found = _numbered(_settle(start, topology, som.STATIC, region, spec, None), spec, anchor)
+        topology = spec.topology(body)
+        found = _numbered(_cold(body, spec, topology, None), body, spec, target)
     else:
-        topology = Chain(len(track.nodes))
         prediction = predict(track, stamp)
-        found = _settle(prediction, topology, som.MOVING, region, spec, track)
+        topology = prediction.topology
+        found = _settle(spec.warm(body, prediction), body, spec, topology, True, MAX_HIDDEN, prediction)
+        if found.form is not None and found.ok:
+            found = replace(found, reason=size_jump(prediction.size, found.form.size, body.unit))
         if not found.ok:
-            start = orient(spec.symmetries(_centres(spec.parameterise(region), topology.size)), prediction)
-            found = _settle(start, topology, som.STATIC, region, spec, None)
-    if found.curve is None or not found.ok:
+            found = _cold(body, spec, topology, prediction)
+    if found.form is None or not found.ok:
         return found, None
-    nodes = _centres(found.curve, topology.size)
-    present = advance(track, nodes, float(arc_length(found.curve)[-1]), stamp)
-    return (_numbered(found, spec, anchor) if spec.order == "image" else found), present
+    present = advance(track, spec.nodes(found.form, topology), found.form.size, stamp, topology)
+    return (_numbered(found, body, spec, target) if spec.order == "image" else found), present
+
+
+def _too_little(body: Body) -> str:
+    if not body.components:
+        return f"the {body.noun} is empty"
+    if body.amount < _MIN_SAMPLES:
+        return f"the {body.noun} has {body.amount} {body.grains}, at least {_MIN_SAMPLES} are needed"
+    return ""
+
+
+def _cold(body: Body, spec: Configuration, topology: Topology, prediction: Prediction | None) -> Fit:
+    """From the configuration's own start, turned to the prediction where there is one."""
+    form = spec.parameterise(body)
+    if form.doubt:
+        return Fit(None, reason=form.doubt)
+    if prediction is not None:
+        form = spec.follow(form, prediction)
+    start = spec.nodes(form, topology)
+    return _settle(start, body, spec, topology, False, float(form.bridged.mean()), prediction)
 
 
 def _settle(
     start: Array,
-    topology: Chain,
-    sigmas: tuple[float, ...],
-    region: Region,
+    body: Body,
     spec: Configuration,
-    track: Track | None,
+    topology: Topology,
+    moving: bool,
+    bridged: float,
+    prediction: Prediction | None,
 ) -> Fit:
-    """Cluster, finish, judge."""
-    nodes = som.fit(region.samples, start, topology, sigmas)
-    curve = spec.finish(nodes, region)
-    verdict = gate(curve, float(arc_length(curve)[-1]), region, track)
-    return Fit(curve, verdict.quality, verdict.reason)
+    """Cluster, finish, follow the past, judge."""
+    nodes = som.fit(spec.samples(body), start, topology, moving=moving)
+    form = spec.finish(nodes, body)
+    if prediction is not None:
+        form = spec.follow(form, prediction)
+    verdict = spec.judge(form, body, bridged)
+    return Fit(form, verdict.quality, verdict.reason)
 
 
-def _numbered(found: Fit, spec: Configuration, anchor: Array | None) -> Fit:
-    """The fit so that point 0 lies at the end nearest the anchor, else nearest the image's top-left."""
-    if found.curve is None:
+def _numbered(found: Fit, body: Body, spec: Configuration, target: Array | None) -> Fit:
+    """The fit numbered by the paper's rule."""
+    if found.form is None:
         return found
-    target = np.zeros(2) if anchor is None else anchor
-    curve = min(spec.symmetries(found.curve), key=lambda c: float(np.sum((c[0] - target) ** 2)))
-    return Fit(curve, found.quality, found.reason)
-
-
-def _centres(curve: Array, count: int) -> Array:
-    """(count,2) the centres of equal pieces of a curve."""
-    arc = arc_length(curve)
-    return interpolate(curve, arc, (np.arange(count) + 0.5) * (arc[-1] / count))
+    seen = body.seen(found.form.points, target)
+    return replace(found, form=spec.numbered(found.form, seen, target))

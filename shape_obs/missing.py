@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.shape import Shape
+from shape_obs.topology import Topology
 
 OnMissing = Literal["hold", "truncate", "raise", "nan"]
 OnInvalid = Literal["interpolate", "hold", "nan"]
@@ -20,9 +21,10 @@ class ShapeLostError(RuntimeError):
 
 def lost_shape(
     name: str,
-    count: int,
+    layout: Topology,
     *,
     reason: str,
+    in_2d: bool,
     in_3d: bool,
     last: Shape | None,
     age: float,
@@ -36,8 +38,9 @@ def lost_shape(
 
     Args:
         name: The configuration's name.
-        count: N.
+        layout: How its N points hang together.
         reason: Why it was not found.
+        in_2d: Whether points2d are wanted.
         in_3d: Whether points3d are wanted.
         last: The shape when it was last found.
         age: Seconds since then.
@@ -49,15 +52,16 @@ def lost_shape(
     """
     if policy == "raise":
         raise ShapeLostError(f"shape {name!r} was not found: {reason}")
-    nobody = np.zeros(count, bool)
-    nowhere = np.full((count, 3), np.nan, np.float32) if in_3d else None
+    nobody = np.zeros(layout.size, bool)
+    nowhere = np.full((layout.size, 3), np.nan, np.float32) if in_3d else None
     if last is None or policy == "nan":
         return Shape(
             name,
-            np.full((count, 2), np.nan, np.float32),
+            np.full((layout.size, 2), np.nan, np.float32) if in_2d else None,
             nowhere,
             visible=nobody,
             valid=nobody.copy(),
+            layout=layout,
             ok=False,
             quality=0.0,
             reason=reason,
@@ -65,7 +69,7 @@ def lost_shape(
         )
     return replace(
         last,
-        points2d=last.points2d.copy(),
+        points2d=None if last.points2d is None else last.points2d.copy(),
         points3d=nowhere if last.points3d is None else last.points3d.copy(),
         visible=nobody,
         valid=nobody.copy(),
@@ -77,28 +81,26 @@ def lost_shape(
 
 
 def fill_invalid(
-    points3d: npt.NDArray[np.float32], last: npt.NDArray[np.float32] | None, policy: OnInvalid
+    points3d: npt.NDArray[np.float32], last: npt.NDArray[np.float32] | None, policy: OnInvalid, layout: Topology
 ) -> npt.NDArray[np.float32]:
     """Fill points without depth; they stay ``valid=False`` whatever fills them.
 
     Args:
         points3d: (N,3) metres, NaN where unknown.
         last: (N,3) of the last frame, for ``"hold"``.
-        policy: ``"interpolate"`` along the index (the points are equidistant), ends repeated; ``"hold"`` the last
+        policy: ``"interpolate"`` between neighbours (the points are equidistant), ends repeated; ``"hold"`` the last
             frame's; ``"nan"`` leaves them.
+        layout: How the points hang together.
 
     Returns:
         (N,3); NaN where the policy has nothing to fill from.
     """
-    unknown = ~np.isfinite(points3d).all(axis=1)
-    if policy == "nan" or not unknown.any():
+    known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(points3d).all(axis=1))
+    if policy == "nan" or known.all():
         return points3d
+    if policy == "interpolate":
+        return layout.interpolate(points3d, known) if known.any() else points3d
     filled = points3d.copy()
-    if policy == "hold":
-        if last is not None:
-            filled[unknown] = last[unknown]
-    elif not unknown.all():
-        at = np.arange(len(points3d))
-        for d in range(3):
-            filled[unknown, d] = np.interp(at[unknown], at[~unknown], points3d[~unknown, d])
+    if last is not None:
+        filled[~known] = last[~known]
     return filled

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -55,9 +56,12 @@ class Region:
     window: Window
     mask: npt.NDArray[np.uint8]
     components: tuple[Component, ...]
+    unit: ClassVar[str] = "px"
+    noun: ClassVar[str] = "mask"
+    grains: ClassVar[str] = "pixels"
 
     @cached_property
-    def area(self) -> int:
+    def amount(self) -> int:
         """Pixels."""
         return sum(component.area for component in self.components)
 
@@ -75,6 +79,23 @@ class Region:
     def samples(self) -> Samples:
         """The pixels in cells of half the object's width: thin ropes keep their pixels, thick ones shed them."""
         return cells(self.pixels, self.window, int(np.clip(self.width / 3, 1, MAX_CELL)))
+
+    @property
+    def stretch(self) -> float:
+        """Length of the ribbon of this area and width, pixels."""
+        return self.amount / self.width
+
+    def breadth(self, length: float) -> float:
+        """Width of a ribbon of this area and the given length, pixels."""
+        return max(self.amount / max(length, 1e-9), 1.0)
+
+    def seen(self, points: npt.NDArray[np.float64], target: npt.NDArray[np.float64] | None) -> npt.NDArray[np.float64]:
+        """(N,2) pixels as they are."""
+        return points
+
+    def carries(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+        """Whether the mask carries (N,2) pixels, or a pixel beside them: (N,) bool."""
+        return self.contains(points, reach=1)
 
     def contains(self, points: npt.NDArray[np.float64], reach: int = 0) -> npt.NDArray[np.bool_]:
         """Whether the mask carries (N,2) pixels, or any pixel at most ``reach`` away: (N,) bool."""

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.spec import did_you_mean
+from shape_obs.topology import Topology
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,28 +19,42 @@ class Shape:
 
     Args:
         name: The configuration's name.
-        points2d: (N,2) float32 pixels (u right, v down), pixel centres at integers; NaN where there is nothing to tell.
+        points2d: (N,2) float32 pixels (u right, v down), pixel centres at integers; NaN where there is nothing to tell;
+            None for a cloud.
         points3d: (N,3) float32 metres, camera optical frame; NaN where unknown; None without depth and camera.
         visible: (N,) bool: the mask carries the point.
         valid: (N,) bool: visible and, in 3D, a real depth under it.
         ok: Found and through the gate in this frame, or held for no longer than ``max_age`` seconds (``age`` > 0 then).
         quality: 0...1, how well the curve explains the mask.
         reason: Why the shape was not found in this frame; empty if it was.
+        layout: How the points hang together: a chain, a ring or a lattice; ``layout.edges()`` are the neighbours.
         age: Seconds since the points were seen, or since the first frame if they never were; 0 when found in this one.
     """
 
     name: str
-    points2d: npt.NDArray[np.float32]
+    points2d: npt.NDArray[np.float32] | None
     points3d: npt.NDArray[np.float32] | None
     visible: npt.NDArray[np.bool_]
     valid: npt.NDArray[np.bool_]
+    layout: Topology
     ok: bool = True
     quality: float = 1.0
     reason: str = ""
     age: float = 0.0
 
     def __len__(self) -> int:
-        return len(self.points2d)
+        return len(self.visible)
+
+    @property
+    def pixels(self) -> npt.NDArray[np.float32]:
+        """(N,2) ``points2d``.
+
+        Raises:
+            ValueError: The shape was found in a cloud, which has no pixels.
+        """
+        if self.points2d is None:
+            raise ValueError(f"shape {self.name!r} was found in a cloud and has no points2d: use points3d.")
+        return self.points2d
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able values; NaN becomes None."""
@@ -49,7 +64,7 @@ class Shape:
             "quality": round(self.quality, 4),
             "reason": self.reason,
             "age": self.age,
-            "points2d": _listed(self.points2d, 3),
+            "points2d": None if self.points2d is None else _listed(self.points2d, 3),
             "points3d": None if self.points3d is None else _listed(self.points3d, 5),
             "visible": self.visible.tolist(),
             "valid": self.valid.tolist(),

@@ -1,57 +1,218 @@
-"""Neighbourhoods of self-organising maps: which nodes hang together, and what smoothing along them does."""
+"""Topologies of self-organising maps: which nodes hang together, and what averaging along them does.
+
+The same classes say how a shape's points hang together: a chain, a ring, or a lattice.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 Array = npt.NDArray[np.float64]
+Values = TypeVar("Values", bound=npt.NDArray[np.floating[Any]])
 
 
 class Neighbourhood(NamedTuple):
-    """Kernel moments for a local-linear update; all (K,K), row k weighs the bins as node k sees them.
+    """Kernel moments for a local-linear update; row k weighs the bins as node k sees them.
+
+    With phi(k,j) = (1, offset of j from k in each of the P lattice directions):
 
     Args:
-        weight: h(k,j) = exp(-(j-k)^2 / 2 sigma^2).
-        first: h (j-k).
-        second: h (j-k)^2.
+        first: (P+1,K,K) h(k,j) phi_a, h = exp(-|offset|^2 / 2 sigma^2).
+        second: (P+1,P+1,K,K) h(k,j) phi_a phi_b.
     """
 
-    weight: Array
     first: Array
     second: Array
 
 
-@dataclass(frozen=True)
-class Chain:
-    """An open chain of ``size`` nodes."""
+class Topology(ABC):
+    """How nodes or points hang together.
 
-    size: int
+    Attributes:
+        static: Widths of the neighbourhood epoch by epoch, node units, where the start is good to half a node.
+        moving: The same where the start may be off by a node.
+    """
+
+    static: ClassVar[tuple[float, ...]]
+    moving: ClassVar[tuple[float, ...]]
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """How many nodes."""
+
+    @abstractmethod
+    def offsets(self) -> Array:
+        """(P,K,K) the way from node k to node j in each lattice direction, node units."""
+
+    @abstractmethod
+    def edges(self) -> npt.NDArray[np.intp]:
+        """(E,2) pairs of neighbours, the lower index first but where a ring closes."""
+
+    @abstractmethod
+    def unshrink(self, nodes: Array, sigma: float) -> Array:
+        """Undo the pull of averaging with a kernel of width ``sigma`` towards the inside of a bend: (K,D) -> (K,D)."""
+
+    @abstractmethod
+    def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
+        """(K,D) values with the unknown ones filled from their known neighbours; at least one must be known."""
 
     def neighbourhood(self, sigma: float) -> Neighbourhood:
         """The kernel of width ``sigma``, in node units."""
-        return _chain_neighbourhood(self.size, sigma)
+        return _neighbourhood(self, sigma)
+
+
+@dataclass(frozen=True)
+class Chain(Topology):
+    """An open chain of ``count`` nodes."""
+
+    count: int
+    static: ClassVar = (0.8, 0.4, 0.4)
+    moving: ClassVar = (1.2, 0.6, 0.4, 0.4)
+
+    @property
+    def size(self) -> int:
+        """How many nodes."""
+        return self.count
+
+    def offsets(self) -> Array:
+        """(1,K,K)."""
+        at = np.arange(self.count, dtype=np.float64)
+        return (at[None, :] - at[:, None])[None]
+
+    def edges(self) -> npt.NDArray[np.intp]:
+        """(K-1,2)."""
+        at = np.arange(self.count)
+        return np.stack([at[:-1], at[1:]], axis=1)
 
     def unshrink(self, nodes: Array, sigma: float) -> Array:
-        """Undo the pull of averaging towards the inside of a bend, to second order.
+        """The second difference stands for the bend, at an end its neighbour's."""
+        return nodes - _shrinkage(nodes, sigma)
 
-        The mean over a unit cell of a curve C is C + C''/24, and the kernel mean over both neighbours adds
-        h/(1+2h) C'' with h = exp(-1/2 sigma^2); the second difference stands for C'', at an end its neighbour's.
-        """
-        h = np.exp(-0.5 / sigma**2)
-        bend = nodes[2:] - 2 * nodes[1:-1] + nodes[:-2]
-        out = nodes.copy()
-        out[1:-1] -= (1 / 24 + h / (1 + 2 * h)) * bend
-        out[[0, -1]] -= bend[[0, -1]] / 24
-        return out
+    def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
+        """In a straight line along the index, the ends repeated."""
+        return _along_index(values, known, None)
+
+
+@dataclass(frozen=True)
+class Ring(Topology):
+    """A closed ring of ``count`` nodes."""
+
+    count: int
+    static: ClassVar = (0.8, 0.4, 0.4)
+    moving: ClassVar = (0.8, 0.4, 0.4)
+
+    @property
+    def size(self) -> int:
+        """How many nodes."""
+        return self.count
+
+    def offsets(self) -> Array:
+        """(1,K,K) the shorter way round."""
+        at = np.arange(self.count, dtype=np.float64)
+        half = self.count // 2
+        return ((at[None, :] - at[:, None] + half) % self.count - half)[None]
+
+    def edges(self) -> npt.NDArray[np.intp]:
+        """(K,2), the last closes the ring."""
+        at = np.arange(self.count)
+        return np.stack([at, np.roll(at, -1)], axis=1)
+
+    def unshrink(self, nodes: Array, sigma: float) -> Array:
+        """The second difference stands for the bend."""
+        around = np.concatenate([nodes[-1:], nodes, nodes[:1]])
+        return nodes - _shrinkage(around, sigma)[1:-1]
+
+    def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
+        """In a straight line along the index, across the closure too."""
+        return _along_index(values, known, self.count)
+
+
+@dataclass(frozen=True)
+class Grid(Topology):
+    """A lattice of ``rows`` x ``cols`` nodes, row by row."""
+
+    rows: int
+    cols: int
+    static: ClassVar = (0.5, 0.5, 0.5)
+    moving: ClassVar = (0.5, 0.5, 0.5)
+
+    @property
+    def size(self) -> int:
+        """How many nodes."""
+        return self.rows * self.cols
+
+    def places(self) -> Array:
+        """(K,2) row and column of each node."""
+        row, column = np.divmod(np.arange(self.size), self.cols)
+        return np.stack([row, column], axis=1).astype(np.float64)
+
+    def offsets(self) -> Array:
+        """(2,K,K) along the rows' and the columns' index."""
+        at = self.places().T
+        return at[:, None, :] - at[:, :, None]
+
+    def edges(self) -> npt.NDArray[np.intp]:
+        """(E,2) to the right and down."""
+        at = np.arange(self.size).reshape(self.rows, self.cols)
+        right = np.stack([at[:, :-1].ravel(), at[:, 1:].ravel()], axis=1)
+        down = np.stack([at[:-1].ravel(), at[1:].ravel()], axis=1)
+        return np.concatenate([right, down])
+
+    def unshrink(self, nodes: Array, sigma: float) -> Array:
+        """As along a chain, down every column and along every row."""
+        lattice = nodes.reshape(self.rows, self.cols, -1)
+        out = lattice.copy()
+        if self.rows > 2:
+            out -= _shrinkage(lattice, sigma)
+        if self.cols > 2:
+            out -= _shrinkage(lattice.swapaxes(0, 1), sigma).swapaxes(0, 1)
+        return out.reshape(nodes.shape)
+
+    def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
+        """Linearly over the lattice; outside the known ones the nearest is repeated."""
+        places, filled = self.places(), values.copy()
+        filled[~known] = NearestNDInterpolator(places[known], values[known])(places[~known])
+        spread = np.ptp(places[known], axis=0)
+        if known.sum() >= 3 and np.linalg.matrix_rank(places[known] - places[known][0]) == 2 and spread.all():
+            inside = LinearNDInterpolator(places[known], values[known])(places[~known])
+            filled[~known] = np.where(np.isfinite(inside), inside, filled[~known])
+        return filled
+
+
+def _shrinkage(nodes: Array, sigma: float) -> Array:
+    """How far averaging has pulled the nodes of a chain (K,...) from their curve, to second order.
+
+    The mean over a unit cell of a curve C is C + C''/24, and the kernel mean over both neighbours adds h/(1+2h) C''
+    with h = exp(-1/2 sigma^2).
+    """
+    h = np.exp(-0.5 / sigma**2)
+    bend = nodes[2:] - 2 * nodes[1:-1] + nodes[:-2]
+    out = np.zeros_like(nodes)
+    out[1:-1] = (1 / 24 + h / (1 + 2 * h)) * bend
+    out[[0, -1]] = bend[[0, -1]] / 24
+    return out
+
+
+def _along_index(values: Values, known: npt.NDArray[np.bool_], period: int | None) -> Values:
+    at = np.arange(len(values))
+    filled = values.copy()
+    for d in range(values.shape[1]):
+        filled[~known, d] = np.interp(at[~known], at[known], values[known, d], period=period)
+    return filled
 
 
 @lru_cache(maxsize=64)
-def _chain_neighbourhood(size: int, sigma: float) -> Neighbourhood:
-    offset = np.arange(size)[None, :] - np.arange(size)[:, None].astype(np.float64)
-    weight = np.exp(-0.5 * (offset / sigma) ** 2)
-    return Neighbourhood(weight, weight * offset, weight * offset**2)
+def _neighbourhood(topology: Any, sigma: float) -> Neighbourhood:
+    offsets: Array = topology.offsets()
+    weight = np.exp(-0.5 * np.sum((offsets / sigma) ** 2, axis=0))
+    basis = np.concatenate([np.ones((1, *weight.shape)), offsets])
+    first = weight * basis
+    return Neighbourhood(first, first[:, None] * basis[None])

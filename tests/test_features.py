@@ -23,6 +23,7 @@ from shape_obs.features import (
     View,
     read_features,
 )
+from shape_obs.topology import Chain
 
 WORKSPACE = ((-0.5, -0.4, -0.1), (0.5, 0.4, 0.3))
 
@@ -31,7 +32,8 @@ def shape(points2d: Any = ((0, 0), (10, 20)), points3d: Any = ((0, 0, 1), (0.1, 
     points2d = np.array(points2d, np.float32)
     known = np.ones(len(points2d), bool)
     points3d = None if points3d is None else np.array(points3d, np.float32)
-    return Shape("rope", points2d, points3d, **{"visible": known, "valid": known, **rest})
+    given = {"visible": known, "valid": known, "layout": Chain(len(known)), **rest}
+    return Shape("rope", points2d, points3d, **given)
 
 
 @pytest.fixture

@@ -7,22 +7,16 @@ References:
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.kernels import numpy_ as kernels
 from shape_obs.samples import Samples
-from shape_obs.topology import Chain
-
-# Neighbourhood widths epoch by epoch, in node units: wide first where the start may be off by a node.
-STATIC: Final = (0.8, 0.4, 0.4)
-MOVING: Final = (1.2, 0.6, 0.4, 0.4)
+from shape_obs.topology import Topology
 
 
 def fit(
-    samples: Samples, start: npt.NDArray[np.float64], topology: Chain, sigmas: tuple[float, ...] = STATIC
+    samples: Samples, start: npt.NDArray[np.float64], topology: Topology, *, moving: bool = False
 ) -> npt.NDArray[np.float64]:
     """Fit the map to the samples.
 
@@ -30,11 +24,12 @@ def fit(
         samples: M weighted points.
         start: (K,D) nodes.
         topology: How the nodes hang together.
-        sigmas: Neighbourhood width of each epoch, node units.
+        moving: Whether the start may be off by a node.
 
     Returns:
         (K,D) nodes in the order of ``start``, the pull of the averaging undone.
     """
+    sigmas = topology.moving if moving else topology.static
     centre = samples.points.mean(axis=0)
     points, nodes = samples.points - centre, start - centre
     for sigma in sigmas:

@@ -1,6 +1,6 @@
 """Configurations: what kind of shape is looked for, and how its points are ordered."""
 
-from shape_obs.configurations.base import Anchor, Configuration, Order, Spacing
-from shape_obs.configurations.centerline import Centerline, Ends
+from shape_obs.configurations.base import Anchor, Configuration, Ends, Lift, Order, Points, Spacing
+from shape_obs.configurations.centerline import Centerline
 
-__all__ = ["Anchor", "Centerline", "Configuration", "Ends", "Order", "Spacing"]
+__all__ = ["Anchor", "Centerline", "Configuration", "Ends", "Lift", "Order", "Points", "Spacing"]

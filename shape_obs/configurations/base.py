@@ -1,27 +1,46 @@
-"""What every configuration is told: its name, its anchor, and what it overrides of the detector's defaults."""
+"""What every configuration is told, and the steps in which each one finds its shape."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Literal
+from typing import Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.region import Region
+from shape_obs.body import Body
+from shape_obs.form import Form
+from shape_obs.gate import Verdict
+from shape_obs.samples import Samples
 from shape_obs.segmentation import Segmentation
 from shape_obs.spec import Spec
-from shape_obs.topology import Chain
+from shape_obs.topology import Topology
+from shape_obs.tracking import Prediction
 
 Order = Literal["tracked", "image"]
 Spacing = Literal["px", "m"]
+Lift = Literal["points", "cloud"]
+Ends = Literal["centers", "tips"]
 Anchor = str | tuple[float, float] | tuple[float, float, float] | None
 Array = npt.NDArray[np.float64]
+F = TypeVar("F", bound=Form)
+
+
+class Points(NamedTuple):
+    """The N points of a shape on its form.
+
+    Args:
+        places: (N,D) pixels or metres.
+        bridged: (N,) bool: on a bridged piece of the form.
+    """
+
+    places: Array
+    bridged: npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Configuration(Spec, family="configuration"):
+class Configuration(Spec, Generic[F], family="configuration"):
     """One shape to find.
 
     Args:
@@ -30,7 +49,9 @@ class Configuration(Spec, family="configuration"):
             ``detect(anchors={...})`` resolves; None leaves it to the image's top-left.
         order: Overrides the detector's.
         segmentation: Overrides the detector's.
-        spacing: Equal gaps in the image (``"px"``) or, with depth, in space (``"m"``).
+        lift: ``"points"`` fits in the image and puts depth under the points found; ``"cloud"`` fits in space, to the
+            deprojected pixels, and gaps are equal in metres.
+        spacing: Equal gaps in the image (``"px"``) or, with depth, in space (``"m"``); no say over a cloud.
         radius: Metres from the visible surface to the axis; 0 reports the surface.
     """
 
@@ -38,6 +59,7 @@ class Configuration(Spec, family="configuration"):
     anchor: Anchor = None
     order: Order | None = None
     segmentation: Segmentation | None = None
+    lift: Lift = "points"
     spacing: Spacing = "px"
     radius: float = 0.0
 
@@ -52,29 +74,72 @@ class Configuration(Spec, family="configuration"):
 
     @property
     @abstractmethod
+    def layout(self) -> Topology:
+        """How the shape's points hang together."""
+
+    @property
     def count(self) -> int:
         """N, how many points the shape has."""
+        return self.layout.size
 
     @abstractmethod
-    def unfit(self, region: Region) -> str:
-        """Why a region cannot hold this shape; empty if it can. Asked before any work is done."""
+    def unfit(self, body: Body) -> str:
+        """Why a body cannot hold this shape; empty if it can. Asked before any work is done."""
 
     @abstractmethod
-    def topology(self, region: Region) -> Chain:
-        """The map that suits the region: how many nodes, and how they hang together."""
+    def samples(self, body: Body) -> Samples:
+        """What the map is fitted to: all of the body, or its outline."""
 
     @abstractmethod
-    def parameterise(self, region: Region) -> Array:
-        """(P,2) pixels: the curve that a cold start lays over the mask, in no particular direction."""
+    def topology(self, body: Body) -> Topology:
+        """The map that suits the body: how many nodes, and how they hang together."""
 
     @abstractmethod
-    def finish(self, nodes: Array, region: Region) -> Array:
-        """(P,2) pixels: the fine curve through the fitted nodes, from end to end of the object."""
+    def parameterise(self, body: Body) -> F:
+        """The form that a cold start lays over the body, in no particular direction."""
 
     @abstractmethod
-    def symmetries(self, nodes: Array) -> tuple[Array, ...]:
-        """The ways to number the same nodes, the given one first."""
+    def nodes(self, form: F, topology: Topology) -> Array:
+        """(K,D) where the map's nodes sit on a form."""
 
     @abstractmethod
-    def positions(self, curve: Array, arc: Array) -> Array:
-        """(N,) arc positions of the points on the fine curve, which may be given in pixels or in metres."""
+    def finish(self, nodes: Array, body: Body) -> F:
+        """The fine form through the fitted nodes, over the whole of the body."""
+
+    @abstractmethod
+    def judge(self, form: F, body: Body, bridged: float) -> Verdict:
+        """How well a form explains the body, and why it cannot be believed.
+
+        Args:
+            form: The finished form.
+            body: What it was fitted to.
+            bridged: The share of the form that may lie off the body: gaps that a cold start has bridged, or what a
+                known size says is hidden.
+        """
+
+    @abstractmethod
+    def numbered(self, form: F, seen: Array, target: Array | None) -> F:
+        """The form numbered by the paper's rule, as a cold start numbers it.
+
+        Args:
+            form: In no particular direction.
+            seen: (P,2) its points in pixels; without an image, (P,D) its points.
+            target: (2,) pixel where point 0 belongs ((D,) point without an image); None for the top left.
+        """
+
+    @abstractmethod
+    def follow(self, form: F, prediction: Prediction) -> F:
+        """The form numbered as the prediction is, so that points stay on their material."""
+
+    def warm(self, body: Body, prediction: Prediction) -> Array:
+        """(K,D) where the nodes start on a frame that has a past."""
+        return self.nodes(self.follow(self.parameterise(body), prediction), prediction.topology)
+
+    @abstractmethod
+    def place(self, form: F, metric: F) -> Points:
+        """The shape's points, evenly spread.
+
+        Args:
+            form: Where the points lie.
+            metric: The same form in the space in which gaps are to be equal: pixels or metres.
+        """

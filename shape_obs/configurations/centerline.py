@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.coldstart.bridge import join
-from shape_obs.coldstart.fold import fold
-from shape_obs.configurations.base import Configuration
+from shape_obs.body import Body
+from shape_obs.coldstart.axis import axis
+from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.curve import catmull_rom, equidistant_positions
-from shape_obs.region import Region
+from shape_obs.form import Curve
+from shape_obs.gate import Verdict, judge_ribbon
+from shape_obs.occlusion import follow_chain
+from shape_obs.samples import Samples
 from shape_obs.tips import extend_to_tips
-from shape_obs.topology import Chain
+from shape_obs.topology import Chain, Topology
+from shape_obs.tracking import Prediction
 
-Ends = Literal["centers", "tips"]
 Array = npt.NDArray[np.float64]
 
 # Nodes sit about this many widths apart: closer, and a chain starts to fold across the rope; farther, and it cuts
@@ -29,7 +32,7 @@ _MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no axis to sp
 
 
 @dataclass(frozen=True)
-class Centerline(Configuration, kind="centerline"):
+class Centerline(Configuration[Curve], kind="centerline"):
     """A rope's axis.
 
     Args:
@@ -47,36 +50,58 @@ class Centerline(Configuration, kind="centerline"):
             raise ValueError(f"centerline: n must lie in 2...1000, got {self.n}.")
 
     @property
-    def count(self) -> int:
-        """N."""
-        return self.n
+    def layout(self) -> Chain:
+        """A chain of n points."""
+        return Chain(self.n)
 
-    def unfit(self, region: Region) -> str:
+    def unfit(self, body: Body) -> str:
         """Too many pieces, or no rope: at least three times as long as wide."""
-        if len(region.components) > _MAX_PIECES:
-            return f"the mask falls into {len(region.components)} pieces, at most {_MAX_PIECES}"
-        length = region.area / region.width
-        if length < _MIN_ASPECT * region.width:
-            return f"the mask is {length:.0f} x {region.width:.0f} px: too stout for a rope"
+        if len(body.components) > _MAX_PIECES:
+            return f"the mask falls into {len(body.components)} pieces, at most {_MAX_PIECES}"
+        if body.stretch < _MIN_ASPECT * body.width:
+            return f"the mask is {body.stretch:.4g} x {body.width:.4g} {body.unit}: too stout for a rope"
         return ""
 
-    def topology(self, region: Region) -> Chain:
+    def samples(self, body: Body) -> Samples:
+        """All of the body."""
+        return body.samples
+
+    def topology(self, body: Body) -> Chain:
         """A chain with a node every 1.4 widths, 6 to 48 of them."""
-        length = region.area / region.width
-        return Chain(int(np.clip(round(length / (_NODE_SPACING * region.width)), *_NODES)))
+        return Chain(int(np.clip(round(body.stretch / (_NODE_SPACING * body.width)), *_NODES)))
 
-    def parameterise(self, region: Region) -> Array:
-        """Each component folded, the pieces joined end to end."""
-        return join([fold(component.outline, component.width) for component in region.components])
+    def parameterise(self, body: Body) -> Curve:
+        """The axis from tip to tip."""
+        return axis(body)
 
-    def finish(self, nodes: Array, region: Region) -> Array:
+    def nodes(self, form: Curve, topology: Topology) -> Array:
+        """The centres of K equal pieces."""
+        return form.at((np.arange(topology.size) + 0.5) * (form.size / topology.size))
+
+    def warm(self, body: Body, prediction: Prediction) -> Array:
+        """The prediction itself: the chain settles from there, and only a lost one pays for a cold start."""
+        return prediction.nodes
+
+    def finish(self, nodes: Array, body: Body) -> Curve:
         """The curve through the nodes, lengthened to the rope's tips."""
-        return catmull_rom(extend_to_tips(nodes, region, region.width))
+        points = catmull_rom(extend_to_tips(nodes, body, body.width))
+        return Curve(points, ~body.carries(points))
 
-    def symmetries(self, nodes: Array) -> tuple[Array, ...]:
-        """Forward and reversed."""
-        return nodes, nodes[::-1]
+    def judge(self, form: Curve, body: Body, bridged: float) -> Verdict:
+        """As a ribbon."""
+        return judge_ribbon(form, body, bridged)
 
-    def positions(self, curve: Array, arc: Array) -> Array:
+    def numbered(self, form: Curve, seen: Array, target: Array | None) -> Curve:
+        """Point 0 at the end nearest the target, else nearest the top left."""
+        corner = np.zeros(seen.shape[1]) if target is None else target
+        first, last = (float(np.sum((seen[end] - corner) ** 2)) for end in (0, -1))
+        return form if first <= last else form.reversed()
+
+    def follow(self, form: Curve, prediction: Prediction) -> Curve:
+        """In the prediction's direction, hidden ends put back."""
+        return follow_chain(form, prediction)
+
+    def place(self, form: Curve, metric: Curve) -> Points:
         """Equal chords, from tip to tip or at the centres of N pieces."""
-        return equidistant_positions(curve, arc, self.n, centers=self.ends != "tips")
+        at = equidistant_positions(metric.points, metric.arc, self.n, centers=self.ends != "tips")
+        return Points(form.at(np.interp(at, metric.arc, form.arc)), metric.bridged_at(at))

@@ -71,7 +71,7 @@ def drawn_ropes(
             for n in counts:
                 for ends in _BOTH_ENDS:
                     shape = ShapeDetector([Centerline(n=n, ends=ends)]).detect_mask(rope.mask).shapes[0]
-                    judged = score(shape.points2d, rope.curve, ends, directed=False)
+                    judged = score(shape.pixels, rope.curve, ends, directed=False)
                     hairpin = rope.length / n > 2 * rope.bend_radius
                     yield RopeResult(kind, n, hairpin, ends, shape.ok, judged)
 
@@ -91,7 +91,7 @@ def moving_ropes(
                     )
                 shape = detector.detect_mask(rope.mask).shapes[0]
                 not_ok += not shape.ok
-                scores.append(score(shape.points2d, rope.curve, "tips"))
+                scores.append(score(shape.pixels, rope.curve, "tips"))
             yield MotionResult(
                 speed=speed,
                 frames=len(scores),
@@ -132,7 +132,7 @@ def cable_episodes(camera: Any, renderer: str, seeds: Iterable[int], steps: int 
             flips, slips, not_ok = flips + judged.flipped, slips + slipped, not_ok + (not shape.ok)
             wrong += shape.ok and (slipped or error > 0.015)
             mm.append(1e3 * error)
-            px.append(float(np.linalg.norm(shape.points2d - pixels, axis=1).mean()))
+            px.append(float(np.linalg.norm(shape.pixels - pixels, axis=1).mean()))
             if step < steps:
                 env.step(env.action_space.sample())
     env.close()

@@ -23,7 +23,7 @@ class Points2D(Feature, kind="points2d"):
 
     def compute(self, shape: Shape, view: View) -> Array:
         """(2N,) pixels."""
-        return shape.points2d.astype(np.float64).ravel()
+        return shape.pixels.astype(np.float64).ravel()
 
 
 @dataclass(frozen=True)
@@ -36,4 +36,4 @@ class Points2DNormalized(Feature, kind="points2d_normalized"):
 
     def compute(self, shape: Shape, view: View) -> Array:
         """(2N,) without unit: 2 (u + 0.5) / width - 1, likewise v."""
-        return (2 * (shape.points2d.astype(np.float64) + 0.5) / (view.width, view.height) - 1).ravel()
+        return (2 * (shape.pixels.astype(np.float64) + 0.5) / (view.width, view.height) - 1).ravel()

@@ -21,14 +21,14 @@ def best_matching_units(points: Array, nodes: Array) -> npt.NDArray[np.intp]:
 def som_epoch(points: Array, weight: Array, nodes: Array, neighbourhood: Neighbourhood) -> Array:
     """One batch epoch of a self-organising map with a local-linear neighbourhood.
 
-    Each node moves to the intercept of a straight line fitted to its neighbours' bins over their index; a plain
-    kernel mean would pull the ends of a chain inwards by 2 to 20 px.
+    Each node moves to the intercept of a line (on a lattice, a plane) fitted to its neighbours' bins over their
+    index; a plain kernel mean would pull the ends of a chain inwards by 2 to 20 px.
 
     Args:
         points: (M,D).
         weight: (M,).
         nodes: (K,D).
-        neighbourhood: (K,K) kernel moments.
+        neighbourhood: The kernel's moments over the K nodes.
 
     Returns:
         (K,D) new nodes.
@@ -42,6 +42,6 @@ def som_epoch(points: Array, weight: Array, nodes: Array, neighbourhood: Neighbo
     trace = _TRACE * count.sum() / size
     count += trace
     total += trace * nodes
-    s0, s1, s2 = neighbourhood.weight @ count, neighbourhood.first @ count, neighbourhood.second @ count
-    t0, t1 = neighbourhood.weight @ total, neighbourhood.first @ total
-    return (s2[:, None] * t0 - s1[:, None] * t1) / (s0 * s2 - s1 * s1)[:, None]
+    moments = np.moveaxis(neighbourhood.second @ count, -1, 0)
+    sums = np.moveaxis(neighbourhood.first @ total, 1, 0)
+    return np.linalg.solve(moments, sums)[:, 0]

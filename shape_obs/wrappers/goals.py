@@ -11,8 +11,9 @@ from gymnasium import spaces
 
 from shape_obs.camera import CameraModel
 from shape_obs.configurations import Configuration
-from shape_obs.curve import arc_length, catmull_rom, interpolate
+from shape_obs.curve import catmull_rom
 from shape_obs.features import Feature, FeatureVector, Points3D, View
+from shape_obs.form import Curve
 from shape_obs.shape import Shape
 from shape_obs.wrappers.env_protocol import GOALS
 
@@ -54,14 +55,10 @@ def target_shape(points: npt.ArrayLike, spec: Configuration, camera: CameraModel
     array = np.asarray(points, dtype=np.float64)
     if array.size % 3 or array.size < 9 or not np.all(np.isfinite(array)):
         raise ValueError(f"desired_goal: expected flat finite (x, y, z) points in the base frame, got {array.shape}.")
-    curve = catmull_rom(camera.from_base(array.reshape(-1, 3)))
-    arc = arc_length(curve)
-    at = spec.positions(curve, arc)
-    if spec.spacing == "px":
-        image = camera.intrinsics.project(curve)
-        pixel_arc = arc_length(image)
-        at = np.interp(spec.positions(image, pixel_arc), pixel_arc, arc)
-    points3d = interpolate(curve, arc, at)
+    points = catmull_rom(camera.from_base(array.reshape(-1, 3)))
+    curve = Curve(points, np.zeros(len(points), bool))
+    metric = curve if spec.spacing == "m" else curve.measured(camera.intrinsics.project(points))
+    points3d = spec.place(curve, metric).places
     known = np.ones(spec.count, bool)
     points2d = camera.intrinsics.project(points3d)
-    return Shape(spec.name, points2d.astype(np.float32), points3d.astype(np.float32), known, known.copy())
+    return Shape(spec.name, points2d.astype(np.float32), points3d.astype(np.float32), known, known.copy(), spec.layout)

