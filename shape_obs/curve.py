@@ -31,7 +31,7 @@ def resample(curve: Array, count: int) -> Array:
     return interpolate(curve, arc, np.linspace(0.0, arc[-1], count))
 
 
-def catmull_rom(nodes: Array, subdivisions: int = 4) -> Array:
+def catmull_rom(nodes: Array, subdivisions: int = 4, *, closed: bool = False) -> Array:
     """A smooth curve through nodes, for uneven gaps too.
 
     Cubic Hermite pieces over the chord length with the three-point tangents of Catmull and Rom ("A Class of Local
@@ -40,10 +40,14 @@ def catmull_rom(nodes: Array, subdivisions: int = 4) -> Array:
     Args:
         nodes: (K,D), K >= 3, no two neighbours equal.
         subdivisions: Pieces between two nodes.
+        closed: Whether the last node is followed by the first.
 
     Returns:
-        ((K-1) * subdivisions + 1, D) points, the nodes among them.
+        ((K-1) * subdivisions + 1, D) points, the nodes among them; (K * subdivisions, D) when closed.
     """
+    if closed:
+        around = catmull_rom(np.concatenate([nodes[-1:], nodes, nodes[:2]]), subdivisions)
+        return around[subdivisions : -subdivisions - 1]
     step = np.diff(nodes, axis=0)
     gap = np.maximum(np.sqrt(np.einsum("kd,kd->k", step, step)), 1e-9)[:, None]
     slope = step / gap
@@ -82,3 +86,18 @@ def equidistant_positions(curve: Array, arc: Array, count: int, *, centers: bool
         at = np.interp(np.linspace(0.0, chord[-1], count), chord, at)
         at = np.clip(at, even - shift, even + shift)
     return at
+
+
+def equidistant_around(curve: Array, arc: Array, count: int) -> Array:
+    """Arc positions of ``count`` >= 2 points with equal chords around a closed curve, the first at its first point.
+
+    Args:
+        curve: (P,D), the first point not repeated.
+        arc: (P+1,) its arc length, the last entry the whole.
+        count: How many.
+
+    Returns:
+        (count,) arc positions, increasing from 0.
+    """
+    around = np.concatenate([curve, curve[:1]])
+    return equidistant_positions(around, arc, count + 1, centers=False)[:-1]

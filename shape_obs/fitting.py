@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.body import Body
-from shape_obs.clustering import som
 from shape_obs.configurations import Configuration
 from shape_obs.form import Form
 from shape_obs.gate import MAX_HIDDEN
@@ -63,7 +62,7 @@ def fit(
         topology = spec.topology(body)
         found = _numbered(_cold(body, spec, topology, None), body, spec, target)
     else:
-        prediction = predict(track, stamp)
+        prediction = predict(track, stamp, body.grain)
         topology = prediction.topology
         found = _settle(spec.warm(body, prediction), body, spec, topology, True, MAX_HIDDEN, prediction)
         if found.form is not None and found.ok:
@@ -72,7 +71,7 @@ def fit(
             found = _cold(body, spec, topology, prediction)
     if found.form is None or not found.ok:
         return found, None
-    present = advance(track, spec.nodes(found.form, topology), found.form.size, stamp, topology)
+    present = advance(track, spec.nodes(found.form, topology), found.form, stamp, topology)
     return (_numbered(found, body, spec, target) if spec.order == "image" else found), present
 
 
@@ -92,7 +91,7 @@ def _cold(body: Body, spec: Configuration, topology: Topology, prediction: Predi
     if prediction is not None:
         form = spec.follow(form, prediction)
     start = spec.nodes(form, topology)
-    return _settle(start, body, spec, topology, False, float(form.bridged.mean()), prediction)
+    return _settle(start, body, spec, topology, False, form.empty, prediction)
 
 
 def _settle(
@@ -105,7 +104,7 @@ def _settle(
     prediction: Prediction | None,
 ) -> Fit:
     """Cluster, finish, follow the past, judge."""
-    nodes = som.fit(spec.samples(body), start, topology, moving=moving)
+    nodes = spec.fitted(start, body, topology, moving=moving)
     form = spec.finish(nodes, body)
     if prediction is not None:
         form = spec.follow(form, prediction)

@@ -27,17 +27,28 @@ class Form(ABC):
     Args:
         points: (P,D) pixels (D = 2) or metres (D = 3).
         bridged: (P,) bool: nothing of the body was seen there (a gap, or an end that is hidden).
+        hidden: Arc length at the start and at the end of an open curve that is known to be there but hidden.
+        reference: (K,D) nodes of its past that a closed curve was numbered by, for the next frame; else None.
+        slack: Hidden ends that are shorter than this are within what can be measured.
         doubt: Of a cold start: why it may be wrong; empty when there is no doubt.
     """
 
     points: Array
     bridged: Mask
+    hidden: tuple[float, float] = field(default=(0.0, 0.0), kw_only=True)
+    reference: Array | None = field(default=None, kw_only=True)
+    slack: float = field(default=0.0, kw_only=True)
     doubt: str = field(default="", kw_only=True)
 
     @property
     @abstractmethod
     def size(self) -> float:
         """What the object's own size is judged by from frame to frame, in the unit of ``points``."""
+
+    @property
+    def empty(self) -> float:
+        """The share of the form that is bridged."""
+        return float(self.bridged.mean())
 
     @abstractmethod
     def measured(self, points: Array) -> Self:
@@ -60,6 +71,17 @@ class Curve(Form):
         """Arc length from end to end, or once around."""
         return float(self.arc[-1])
 
+    @property
+    def empty(self) -> float:
+        """The share of the length that is bridged."""
+        step = np.diff(self.arc)
+        flags = np.append(self.bridged, self.bridged[0]) if self.closed else self.bridged
+        return float(step @ (flags[:-1] / 2 + flags[1:] / 2) / max(self.size, 1e-9))
+
+    def cut(self, piece: slice) -> Self:
+        """An open curve's piece."""
+        return replace(self, points=self.points[piece], bridged=self.bridged[piece])
+
     def at(self, arc: npt.ArrayLike) -> Array:
         """(N,D) points at (N,) arc positions; a closed curve wraps around."""
         at = np.asarray(arc, dtype=np.float64)
@@ -75,6 +97,18 @@ class Curve(Form):
         nearer = np.where(at - self.arc[after - 1] < self.arc[after] - at, after - 1, after)
         return flags[nearer]
 
+    def begun_at(self, arc: float) -> Curve:
+        """The same closed curve with its first point at an arc position."""
+        start = arc % self.size
+        points, bridged = (
+            np.concatenate([self.at([start]), self.points]),
+            np.append(self.bridged_at([start]), self.bridged),
+        )
+        ahead = (self.arc[:-1] - start) % self.size
+        ahead[ahead < 1e-9 * self.size] = self.size  # the point that is there already
+        order = np.append(0, 1 + np.argsort(ahead)[: int(np.sum(ahead < self.size))])
+        return replace(self, points=points[order], bridged=bridged[order])
+
     def measured(self, points: Array) -> Self:
         """The same curve with its points elsewhere: (P,D') for (P,D), say in metres for pixels."""
         return replace(self, points=points)
@@ -82,9 +116,10 @@ class Curve(Form):
     def reversed(self) -> Curve:
         """The same curve run through backwards; closed, the first point stays the first."""
         if not self.closed:
-            return Curve(self.points[::-1], self.bridged[::-1])
+            head, tail = self.hidden
+            return replace(self, points=self.points[::-1], bridged=self.bridged[::-1], hidden=(tail, head))
         back = -np.arange(len(self.points))
-        return Curve(self.points[back], self.bridged[back], True)
+        return replace(self, points=self.points[back], bridged=self.bridged[back])
 
     def _polyline(self, points: Array) -> Array:
         return np.concatenate([points, points[:1]]) if self.closed else points
@@ -95,26 +130,57 @@ class Patch(Form):
     """A lattice of points over a sheet, row by row; the border rows and columns lie on the sheet's border.
 
     Args:
-        v: (rows,) 0...1, the coordinate of each row from the sheet's top (0) to its bottom.
-        u: (cols,) 0...1, the coordinate of each column from left to right.
+        rows: How many rows, from the sheet's top to its bottom; the columns follow, from left to right.
     """
 
-    v: Array
-    u: Array
+    rows: int
 
     @property
     def lattice(self) -> Array:
         """(rows, cols, D)."""
-        return self.points.reshape(len(self.v), len(self.u), -1)
+        return self.points.reshape(self.rows, -1, self.points.shape[1])
 
     @property
     def size(self) -> float:
-        """Half the length of the border: the mean row plus the mean column."""
-        return float(
-            np.mean([arc_length(self.lattice[i])[-1] for i in (0, -1)])
-            + np.mean([arc_length(self.lattice[:, j])[-1] for j in (0, -1)])
-        )
+        """Half the length around: the mean row plus the mean column."""
+        return float(sum(gauge[-1] for gauge in self.gauges))
+
+    @cached_property
+    def gauges(self) -> tuple[Array, Array]:
+        """How far down each row lies (rows,), and how far right each column (cols,): mean distances added up."""
+        down, right = (np.diff(self.lattice, axis=axis) for axis in (0, 1))
+        steps = (np.sqrt(np.einsum("rcd,rcd->rc", step, step)) for step in (down, right))
+        v, u = (np.append(0.0, np.cumsum(step.mean(axis=1 - axis))) for axis, step in enumerate(steps))
+        return v, u
+
+    @property
+    def corners(self) -> Array:
+        """(4,D) top left, top right, bottom right, bottom left."""
+        return self.lattice[[0, 0, -1, -1], [0, -1, -1, 0]]
+
+    def at(self, v: Array, u: Array) -> Array:
+        """(R*C,D) points at every pair of (R,) places down and (C,) places to the right, row by row.
+
+        Places are rows and columns of the lattice, fractions of them included; in between it is bilinear.
+        """
+        across = _between(u, self.lattice.shape[1]) @ self.lattice
+        return np.tensordot(_between(v, self.rows), across, axes=1).reshape(len(v) * len(u), -1)
+
+    def bridged_at(self, v: Array, u: Array) -> Mask:
+        """(R*C,) whether most of what lies around such a place is bridged."""
+        flags = self.bridged.reshape(self.rows, -1).astype(np.float64)
+        return (_between(v, self.rows) @ flags @ _between(u, flags.shape[1]).T).ravel() > 0.5
+
+    def turned(self, quarters: int) -> Self:
+        """The same patch with its first corner ``quarters`` corners further on, clockwise."""
+        lattice, bridged = np.rot90(self.lattice, quarters), np.rot90(self.bridged.reshape(self.rows, -1), quarters)
+        return replace(self, points=lattice.reshape(self.points.shape), bridged=bridged.ravel(), rows=lattice.shape[0])
 
     def measured(self, points: Array) -> Self:
         """The same patch with its points elsewhere: (P,D') for (P,D), say in metres for pixels."""
         return replace(self, points=points)
+
+
+def _between(at: Array, count: int) -> Array:
+    """(N,count) weights that interpolate ``count`` values at (N,) fractions of an index."""
+    return np.maximum(1 - np.abs(at[:, None] - np.arange(count)), 0.0)

@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.body import Body
-from shape_obs.form import Curve
+from shape_obs.form import Curve, Patch
 from shape_obs.kernels import numpy_ as kernels
+from shape_obs.samples import Samples
 
 Array = npt.NDArray[np.float64]
 
@@ -17,6 +18,12 @@ _MAX_OFF: Final = 0.10
 _MAX_SPREAD: Final = 0.40
 _IDEAL_SPREAD: Final = 12**-0.5
 MAX_HIDDEN: Final = 0.5  # of a tracked shape
+# Of an outline: the staircase of pixels alone lies 0.25 px (0.12 samples) off the best curve, flipped border pixels
+# twice that; from half a sample on the curve cuts through the body somewhere. A few hundred samples tell it.
+_IDEAL_MISS: Final = 0.15
+_MAX_MISS: Final = 0.75
+_MIN_PIECE: Final = 0.6
+_JUDGED: Final = 256
 
 
 class Verdict(NamedTuple):
@@ -42,9 +49,8 @@ def judge_ribbon(curve: Curve, body: Body, bridged: float) -> Verdict:
         body: What it was fitted to.
         bridged: The share of the curve that is known to be bridged or hidden.
     """
-    empty = float(curve.bridged.mean())
-    hidden = min(empty, bridged)
-    off = empty - hidden
+    hidden = min(curve.empty, bridged)
+    off = curve.empty - hidden
     if off > _MAX_OFF:
         return Verdict(f"{off:.0%} of the curve lies off the {body.noun} (at most {_MAX_OFF:.0%})", 0.0)
     spread = _spread(curve.points, body) / max(body.breadth(curve.size * (1 - hidden)), 1e-9)
@@ -58,6 +64,57 @@ def judge_ribbon(curve: Curve, body: Body, bridged: float) -> Verdict:
     return Verdict("", float(np.clip(1 - off / _MAX_OFF, 0, 1) * np.clip(1 - excess, 0, 1)) ** 0.5)
 
 
+def judge_outline(curve: Curve, body: Body, samples: Samples) -> Verdict:
+    """Judge the outline of a body's largest piece.
+
+    Refused are a piece that is less than 60 % of the body, and a curve that the outline's samples miss by 0.75 of
+    their distance on average.
+
+    Args:
+        curve: Closed.
+        body: What it was fitted to.
+        samples: The outline's, in their order around.
+    """
+    piece = body.components[0].area / max(body.amount, 1)
+    if piece < _MIN_PIECE:
+        return Verdict(
+            f"the {body.noun} falls into {len(body.components)} pieces, and the largest is {piece:.0%} of it "
+            f"(at least {_MIN_PIECE:.0%})",
+            0.0,
+        )
+    miss = _miss(curve, samples.points[:: -(-len(samples) // _JUDGED)]) / samples.scale
+    if miss > _MAX_MISS:
+        return Verdict(f"the outline misses the {body.noun}'s by {miss:.2f} samples (at most {_MAX_MISS:.2f})", 0.0)
+    excess = max(miss - _IDEAL_MISS, 0.0) / (_MAX_MISS - _IDEAL_MISS)
+    return Verdict("", float((1 - excess) * piece) ** 0.5)
+
+
+def judge_sheet(patch: Patch, body: Body) -> Verdict:
+    """Judge a lattice over a sheet.
+
+    Args:
+        patch: The lattice.
+        body: What it was fitted to.
+    """
+    if patch.doubt:
+        return Verdict(patch.doubt, 0.0)
+    if patch.empty > _MAX_OFF:
+        return Verdict(f"{patch.empty:.0%} of the lattice lies off the {body.noun} (at most {_MAX_OFF:.0%})", 0.0)
+    return Verdict("", 1.0)
+
+
+def _miss(curve: Curve, points: Array) -> float:
+    """Mean distance of (M,D) points from the tangents of a closed curve."""
+    nearest = kernels.best_matching_units(points, curve.points)
+    tangent = np.roll(curve.points, -1, axis=0) - np.roll(curve.points, 1, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1), 1e-9)[:, None]
+    offset = points - curve.points[nearest]
+    along = np.einsum("md,md->m", offset, tangent[nearest])
+    square = np.einsum("md,md->m", offset, offset)
+    beyond = np.maximum(np.abs(along) - curve.size / len(curve.points), 0)
+    return float(np.mean(np.sqrt(np.maximum(square - along**2, 0) + beyond**2)))
+
+
 def _spread(curve: Array, body: Body) -> float:
     """Root mean square distance of the body's samples from the curve, in the body's unit."""
     samples = body.samples
@@ -68,5 +125,4 @@ def _spread(curve: Array, body: Body) -> float:
     offset = samples.points - curve[nearest]
     along = np.clip(np.einsum("md,md->m", offset, tangent[nearest]), -reach[nearest], reach[nearest])
     offset -= along[:, None] * tangent[nearest]
-    within_cells = min(samples.scale, body.width) ** 2 / 12
-    return float(np.sqrt(np.average(np.einsum("md,md->m", offset, offset), weights=samples.weight) + within_cells))
+    return float(np.sqrt(np.average(np.einsum("md,md->m", offset, offset), weights=samples.weight) + body.within))

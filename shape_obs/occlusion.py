@@ -1,19 +1,168 @@
-"""Occlusion: which piece of a known rope a visible curve is."""
+"""Occlusion: which piece of a known rope a visible curve is, and where the hidden rest lies.
+
+A hand over one end shortens what is seen; it does not shorten the rope. The known length is kept, the visible piece
+is put where it agrees with the prediction, and the hidden ends are carried along.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.curve import arc_length, interpolate
 from shape_obs.form import Curve
 from shape_obs.tracking import Prediction
 
 Array = npt.NDArray[np.float64]
 
+_PROBES: Final = 32  # points at which a visible piece is compared with the prediction
+_OFFSETS: Final = 13  # places along the rope that are tried for it
+# Of what is missing: when the best place leaves less than this at one end, all of it is hidden at the other. One hand
+# hides one end; that both are hidden needs evidence.
+_ONE_END: Final = 0.35
+# The weight of where the piece was in the last frame against where it now agrees best: hands move slowly.
+_INERTIA: Final = 0.05
+_STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
+_PLACE: Final = 0.1  # the weight of where a rope is predicted against how it is bent
+# Of the length, and in grains (pixels): what is missing below this is noise or a rope seen at a steeper angle. The
+# points then run from visible tip to visible tip, and the known length gives way, slowly, or a hand that creeps in
+# would shrink the rope.
+_SLACK: Final = (0.015, 2.5)
+_GIVING: Final = 0.003
+
 
 def follow_chain(form: Curve, prediction: Prediction) -> Curve:
-    """The curve in the prediction's direction."""
-    count = len(prediction.nodes)
-    centres = form.at((np.arange(count) + 0.5) * (form.size / count))
-    forward, backward = (float(np.sum((nodes - prediction.nodes) ** 2)) for nodes in (centres, centres[::-1]))
-    return form if forward <= backward else form.reversed()
+    """The curve in the prediction's direction, as long as the rope is known to be.
+
+    A curve that is shorter than the known length is either the whole rope (seen at a steeper angle, or compressed) or
+    a piece of it. The hypothesis that agrees better with the predicted points is taken; for a piece, the hidden ends
+    follow as predicted, moved along with the visible end, and are marked as bridged.
+    """
+    slack = max(_SLACK[0] * prediction.size, _SLACK[1] * prediction.grain)
+    if form.size > prediction.size - slack:
+        prediction = prediction._replace(size=max((1 - _GIVING) * prediction.size, form.size))
+    known = _Known(prediction)
+    whole = known.filled(min((form, form.reversed()), key=known.distance))
+    form = whole
+    missing = known.size - form.size
+    if missing <= 0:
+        return whole
+    starts = np.linspace(0, missing, _OFFSETS)
+    costs = np.array([known.disagreement(whole, start, start + form.size) for start in starts])
+    if costs.min() >= known.disagreement(whole, 0.0, known.size):
+        return whole
+    completed = known.completed(whole, _start(starts, costs, prediction.hidden[0], missing))
+    return replace(completed, slack=slack)
+
+
+def shown(form: Curve) -> slice:
+    """The piece of a followed curve over which points are spread: all of it but for ends that are hidden by a hair."""
+    head, tail = form.hidden
+    first = np.searchsorted(form.arc, head - 1e-9) if head < form.slack else 0
+    last = np.searchsorted(form.arc, form.size - tail + 1e-9) if tail < form.slack else len(form.points)
+    return slice(int(first), int(last))
+
+
+def _start(starts: Array, costs: Array, before: float, missing: float) -> float:
+    """Where along the rope a visible piece starts."""
+    inertia = _INERTIA * (starts - min(before, missing)) ** 2
+    start = float(starts[np.argmin(costs + inertia)])
+    if start <= _ONE_END * missing:
+        return 0.0
+    return missing if start >= (1 - _ONE_END) * missing else start
+
+
+def _apart(first: Array, second: Array) -> float:
+    return float(np.mean(np.sum((first - second) ** 2, axis=1)))
+
+
+def _widest_gap(curve: Curve) -> tuple[int, int]:
+    """The last point before and the first after the widest bridged piece that has visible ones on both sides."""
+    seen = np.flatnonzero(~curve.bridged)
+    if len(seen) < 2:
+        return 0, 0
+    widest = int(np.argmax(np.diff(curve.arc[seen])))
+    return int(seen[widest]), int(seen[widest + 1])
+
+
+class _Known:
+    """The predicted rope from tip to tip.
+
+    Args:
+        prediction: Its nodes lie at the centres of K equal pieces.
+    """
+
+    def __init__(self, prediction: Prediction) -> None:
+        nodes, self.size = prediction.nodes, prediction.size
+        gap = self.size / len(nodes)
+        self.arc = np.concatenate([[0.0], (np.arange(len(nodes)) + 0.5) * gap, [self.size]])
+        self.points = np.concatenate([1.5 * nodes[:1] - 0.5 * nodes[1:2], nodes, 1.5 * nodes[-1:] - 0.5 * nodes[-2:-1]])
+
+    def distance(self, curve: Curve) -> float:
+        """Mean square distance between a curve and the whole rope, point by point."""
+        share = np.linspace(0, 1, _PROBES)
+        return _apart(self.at(share * self.size), curve.at(share * curve.size))
+
+    def disagreement(self, curve: Curve, start: float, end: float) -> float:
+        """Mean square distance between a curve and the rope's piece from arc ``start`` to ``end``.
+
+        Most of it is taken after the best rigid motion (Kabsch 1976): a prediction fails first in where a rope is,
+        and last in how it is bent.
+        """
+        share = np.linspace(0, 1, _PROBES)
+        expected, found = self.at(start + share * (end - start)), curve.at(share * curve.size)
+        apart = _apart(expected, found)
+        expected, found = expected - expected.mean(axis=0), found - found.mean(axis=0)
+        u, overlap, v = np.linalg.svd(expected.T @ found)
+        overlap[-1] *= np.sign(np.linalg.det(u @ v))
+        bent = float(np.sum(expected**2) + np.sum(found**2) - 2 * overlap.sum()) / _PROBES
+        return bent + _PLACE * apart
+
+    def at(self, arc: Array) -> Array:
+        """(N,D) points at arc positions."""
+        return interpolate(self.points, self.arc, arc)
+
+    def filled(self, curve: Curve) -> Curve:
+        """The curve with its widest gap bent as predicted: a straight bridge would make the rope too short."""
+        first, last = _widest_gap(curve)
+        before, after = float(curve.arc[first]), float(curve.arc[last])
+        behind = self.size - (curve.size - after)
+        if after - before < self.arc[2] or behind - before < self.arc[2]:
+            return curve
+        piece = self.at(np.linspace(before, behind, max(last - first + 1, 3)))
+        chord, wanted = piece[-1] - piece[0], curve.points[last] - curve.points[first]
+        scale = np.linalg.norm(wanted) / max(float(np.linalg.norm(chord)), 1e-9)
+        if not 1 / _STRETCH < scale < _STRETCH:
+            return curve
+        # What is left over at the far end is spread along the piece, so that it meets both ends.
+        piece = piece - piece[0] + curve.points[first]
+        piece += np.linspace(0, 1, len(piece))[:, None] * (curve.points[last] - piece[-1])
+        points = np.concatenate([curve.points[:first], piece, curve.points[last + 1 :]])
+        inside = np.ones(len(piece), bool)
+        inside[[0, -1]] = False
+        return Curve(points, np.concatenate([curve.bridged[:first], inside, curve.bridged[last + 1 :]]))
+
+    def completed(self, curve: Curve, start: float) -> Curve:
+        """The visible piece that begins at arc ``start``, with the hidden ends before and behind it."""
+        end = start + curve.size
+        head = self._hidden(end=start, joint=curve.points[0])
+        tail = self._hidden(start=end, joint=curve.points[-1])
+        points = np.concatenate([head, curve.points, tail])
+        seen = np.concatenate([np.ones(len(head), bool), curve.bridged, np.ones(len(tail), bool)])
+        return Curve(points, seen, hidden=(start, self.size - end))
+
+    def _hidden(self, joint: Array, start: float = 0.0, end: float | None = None) -> Array:
+        """The rope from arc ``start`` to ``end`` without its joint, moved to the joint and of exactly that length."""
+        at_start = end is not None
+        stop = self.size if end is None else end
+        length = stop - start
+        if length <= 0:
+            return np.zeros((0, len(joint)))
+        arc = np.linspace(start, stop, max(int(np.ceil(length / self.arc[1])) + 1, 2))
+        piece = self.at(arc)
+        piece -= piece[-1 if at_start else 0]
+        piece *= length / max(float(arc_length(piece)[-1]), 1e-9)
+        return (piece[:-1] if at_start else piece[1:]) + joint

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.border import Border, clockwise
 from shape_obs.roi import Window
 from shape_obs.samples import Samples, cells, mask_pixels
 
@@ -59,6 +60,8 @@ class Region:
     unit: ClassVar[str] = "px"
     noun: ClassVar[str] = "mask"
     grains: ClassVar[str] = "pixels"
+    grain: ClassVar[float] = 1.0
+    thinnest: ClassVar[float] = 3.0
 
     @cached_property
     def amount(self) -> int:
@@ -71,6 +74,23 @@ class Region:
         return self.components[0].width
 
     @cached_property
+    def border(self) -> Border:
+        """The outer outline of the largest component."""
+        return Border(_clockwise(self.components[0].outline))
+
+    @cached_property
+    def holes(self) -> tuple[Border, ...]:
+        """The holes of the largest component, the largest first."""
+        found, table = cv2.findContours(self.mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+        contours = [contour.reshape(-1, 2) + (self.window.left, self.window.top) for contour in found]
+        start = self.components[0].outline[0]
+        parents = np.asarray(table).reshape(-1, 4)[:, 3]
+        largest = next(i for i in np.flatnonzero(parents < 0) if np.any(np.all(contours[i] == start, axis=1)))
+        inner = [contours[i] for i in np.flatnonzero(parents == largest)]
+        inner.sort(key=cv2.contourArea, reverse=True)
+        return tuple(Border(_clockwise(contour.astype(np.float64)), hole=True) for contour in inner)
+
+    @cached_property
     def pixels(self) -> npt.NDArray[np.int32]:
         """(M,2) pixels, window coordinates."""
         return mask_pixels(self.mask)
@@ -79,6 +99,11 @@ class Region:
     def samples(self) -> Samples:
         """The pixels in cells of half the object's width: thin ropes keep their pixels, thick ones shed them."""
         return cells(self.pixels, self.window, int(np.clip(self.width / 3, 1, MAX_CELL)))
+
+    @property
+    def within(self) -> float:
+        """Variance across a strand that the samples hide, square pixels."""
+        return min(self.samples.scale, self.width) ** 2 / 12
 
     @property
     def stretch(self) -> float:
@@ -139,3 +164,7 @@ def _component(labels: npt.NDArray[np.int32], stats: npt.NDArray[np.int32], labe
     contours = cv2.findContours(piece, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
     outline = max(contours, key=len).reshape(-1, 2).astype(np.float64)
     return Component(outline + (window.left + left, window.top + top), area)
+
+
+def _clockwise(outline: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    return outline if clockwise(outline) else outline[::-1]

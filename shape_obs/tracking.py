@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.form import Form
 from shape_obs.topology import Topology
 
 Array = npt.NDArray[np.float64]
@@ -25,6 +26,8 @@ class Track(NamedTuple):
         size: The size of the form (arc length of a curve), hidden pieces included.
         stamp: Seconds.
         topology: How the nodes hang together.
+        hidden: Arc length that is hidden at the start and at the end of a chain.
+        reference: (K,D) nodes of a ring's past, whose numbering it keeps; None elsewhere.
     """
 
     nodes: Array
@@ -33,6 +36,8 @@ class Track(NamedTuple):
     size: float
     stamp: float
     topology: Topology
+    hidden: tuple[float, float] = (0.0, 0.0)
+    reference: Array | None = None
 
 
 class Prediction(NamedTuple):
@@ -42,27 +47,34 @@ class Prediction(NamedTuple):
         nodes: (K,D).
         size: Of the form.
         topology: How the nodes hang together.
+        hidden: Arc length that was hidden at the start and at the end of a chain.
+        reference: Of the track.
+        grain: What the body resolves: nothing smaller can be told from noise.
     """
 
     nodes: Array
     size: float
     topology: Topology
+    hidden: tuple[float, float] = (0.0, 0.0)
+    reference: Array | None = None
+    grain: float = 0.0
 
 
-def predict(track: Track, stamp: float) -> Prediction:
+def predict(track: Track, stamp: float, grain: float) -> Prediction:
     """Where the nodes should be at ``stamp``: the last place plus most of the last step.
 
     Nothing is extrapolated farther than the last interval, so a shape that was lost is looked for near its last place.
     """
     ahead = min(max(stamp - track.stamp, 0.0), track.interval)
-    return Prediction(track.nodes + _VELOCITY_SHARE * ahead * track.velocity, track.size, track.topology)
+    nodes = track.nodes + _VELOCITY_SHARE * ahead * track.velocity
+    return Prediction(nodes, track.size, track.topology, track.hidden, track.reference, grain)
 
 
-def advance(track: Track | None, nodes: Array, size: float, stamp: float, topology: Topology) -> Track:
-    """The track after a frame in which the nodes were found."""
+def advance(track: Track | None, nodes: Array, form: Form, stamp: float, topology: Topology) -> Track:
+    """The track after a frame in which a form was found, and its nodes."""
     interval = 0.0 if track is None else stamp - track.stamp
     velocity = np.zeros_like(nodes) if track is None or interval <= 0 else (nodes - track.nodes) / interval
-    return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology)
+    return Track(nodes, velocity, max(interval, 0.0), form.size, stamp, topology, form.hidden, form.reference)
 
 
 def size_jump(before: float, after: float, unit: str) -> str:

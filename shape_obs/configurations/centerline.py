@@ -14,7 +14,7 @@ from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.curve import catmull_rom, equidistant_positions
 from shape_obs.form import Curve
 from shape_obs.gate import Verdict, judge_ribbon
-from shape_obs.occlusion import follow_chain
+from shape_obs.occlusion import follow_chain, shown
 from shape_obs.samples import Samples
 from shape_obs.tips import extend_to_tips
 from shape_obs.topology import Chain, Topology
@@ -103,5 +103,7 @@ class Centerline(Configuration[Curve], kind="centerline"):
 
     def place(self, form: Curve, metric: Curve) -> Points:
         """Equal chords, from tip to tip or at the centres of N pieces."""
+        piece = shown(form)
+        form, metric = form.cut(piece), metric.cut(piece)
         at = equidistant_positions(metric.points, metric.arc, self.n, centers=self.ends != "tips")
         return Points(form.at(np.interp(at, metric.arc, form.arc)), metric.bridged_at(at))
