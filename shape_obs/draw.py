@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.shape import Detection, Shape
+from shape_obs.topology import Grid, Ring, Topology
 
 Image = npt.NDArray[np.uint8]
 Array = npt.NDArray[np.float64]
@@ -50,11 +51,22 @@ def draw_detection(
 
 
 def draw_shape(picture: Image, shape: Shape, *, scale: int = 1) -> None:
-    """One shape, in place; nothing where it has no points."""
+    """One shape, in place: its points, and lines between neighbours; nothing where it has no points.
+
+    Args:
+        picture: (H,W,3) uint8, RGB.
+        shape: With pixels; its layout says which points are neighbours.
+        scale: By how much the picture was enlarged.
+
+    Raises:
+        ValueError: The shape was found in a cloud: there is nothing to draw it over.
+    """
     points = _enlarged(shape.pixels, scale)
-    known = np.isfinite(points).all(axis=1)
-    draw_curve(picture, points[known], _PAPER, thickness=1)
-    beside = _beside(points)
+    known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=1))
+    for first, second in shape.layout.edges():
+        if known[first] and known[second]:
+            draw_curve(picture, points[[first, second]], _PAPER, thickness=1)
+    numbers = points + _beside(points, shape.layout)
     for i in np.flatnonzero(known):
         colour = VALID if shape.valid[i] else VISIBLE if shape.visible[i] else HIDDEN
         centre = _fixed(points[i])
@@ -62,7 +74,7 @@ def draw_shape(picture: Image, shape: Shape, *, scale: int = 1) -> None:
         cv2.circle(picture, centre, 4 << _SHIFT, colour, -1, _ANTIALIASED, _SHIFT)
         if i == 0:
             cv2.circle(picture, centre, 8 << _SHIFT, _INK, 1, _ANTIALIASED, _SHIFT)
-        _number(picture, str(i), points[i] + beside[i])
+        _number(picture, str(i), numbers[i])
 
 
 def draw_curve(picture: Image, points: Array, colour: Colour, *, thickness: int = 1) -> None:
@@ -76,13 +88,20 @@ def _enlarged(points: npt.NDArray[Any], scale: int) -> Array:
     return (points.astype(np.float64) + 0.5) * scale - 0.5
 
 
-def _beside(points: Array, distance: float = 16.0) -> Array:
-    """Where each number goes: beside the curve, on the outside of its bends, so that it hides no other point."""
-    tangent = np.gradient(points, axis=0)
+def _beside(points: Array, layout: Topology, distance: float = 16.0) -> Array:
+    """From each point to its number, where it hides no other point.
+
+    Beside a curve, on the outside of its bends; within a mesh, up and to the left.
+    """
+    if isinstance(layout, Grid):
+        return np.full(points.shape, -0.7 * distance)
+    around = np.concatenate([points[-1:], points, points[:1]]) if isinstance(layout, Ring) else points
+    tangent = np.gradient(around, axis=0)
     normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
     if np.nansum(normal * np.gradient(tangent, axis=0)) > 0:
         normal = -normal
-    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9) * distance
+    normal *= distance / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    return normal[1:-1] if isinstance(layout, Ring) else normal
 
 
 def _fixed(point: Array) -> tuple[int, int]:

@@ -67,8 +67,13 @@ def fit(
         found = _settle(spec.warm(body, prediction), body, spec, topology, True, MAX_HIDDEN, prediction)
         if found.form is not None and found.ok:
             found = replace(found, reason=size_jump(prediction.size, found.form.size, body.unit))
-        if not found.ok:
+        if found.form is None or not found.ok:
             found = _cold(body, spec, topology, prediction)
+        elif sum(found.form.hidden) > sum(prediction.hidden) + found.form.slack:
+            # Something came over an end, or the chain lost its way there: a fresh start knows.
+            again = _cold(body, spec, topology, prediction)
+            better = again.ok and again.form is not None and sum(again.form.hidden) < sum(found.form.hidden)
+            found = again if better else found
     if found.form is None or not found.ok:
         return found, None
     present = advance(track, spec.nodes(found.form, topology), found.form, stamp, topology)

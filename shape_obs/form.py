@@ -9,15 +9,20 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import distance_transform_edt
+from scipy.signal import savgol_filter
 from typing_extensions import Self
 
 from shape_obs.curve import arc_length, interpolate
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+
+_SMOOTHING: Final = 9  # points of a fine curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +34,7 @@ class Form(ABC):
         bridged: (P,) bool: nothing of the body was seen there (a gap, or an end that is hidden).
         hidden: Arc length at the start and at the end of an open curve that is known to be there but hidden.
         reference: (K,D) nodes of its past that a closed curve was numbered by, for the next frame; else None.
+        known: The object's size as it is remembered, where that is not the size found; 0 where it is.
         slack: Hidden ends that are shorter than this are within what can be measured.
         doubt: Of a cold start: why it may be wrong; empty when there is no doubt.
     """
@@ -37,6 +43,7 @@ class Form(ABC):
     bridged: Mask
     hidden: tuple[float, float] = field(default=(0.0, 0.0), kw_only=True)
     reference: Array | None = field(default=None, kw_only=True)
+    known: float = field(default=0.0, kw_only=True)
     slack: float = field(default=0.0, kw_only=True)
     doubt: str = field(default="", kw_only=True)
 
@@ -49,6 +56,10 @@ class Form(ABC):
     def empty(self) -> float:
         """The share of the form that is bridged."""
         return float(self.bridged.mean())
+
+    @abstractmethod
+    def smoothed(self, values: Array, known: Mask) -> Array:
+        """(P,) values at the points, the unknown ones filled in, smoothed over a few points."""
 
     @abstractmethod
     def measured(self, points: Array) -> Self:
@@ -109,6 +120,14 @@ class Curve(Form):
         order = np.append(0, 1 + np.argsort(ahead)[: int(np.sum(ahead < self.size))])
         return replace(self, points=points[order], bridged=bridged[order])
 
+    def smoothed(self, values: Array, known: Mask) -> Array:
+        """(P,) values at the points, the unknown ones in a straight line between the known, smoothed over nine."""
+        at, count = np.arange(len(values)), len(values)
+        filled = np.interp(at, at[known], values[known], period=count if self.closed else None)
+        if count <= _SMOOTHING:
+            return filled
+        return np.asarray(savgol_filter(filled, _SMOOTHING, 1, mode="wrap" if self.closed else "interp"))
+
     def measured(self, points: Array) -> Self:
         """The same curve with its points elsewhere: (P,D') for (P,D), say in metres for pixels."""
         return replace(self, points=points)
@@ -158,6 +177,47 @@ class Patch(Form):
         """(4,D) top left, top right, bottom right, bottom left."""
         return self.lattice[[0, 0, -1, -1], [0, -1, -1, 0]]
 
+    @property
+    def sides(self) -> tuple[Array, Array, Array, Array]:
+        """The four border lines, (cols,D) or (rows,D), clockwise: each ends where the next begins."""
+        lattice = self.lattice
+        return lattice[0], lattice[:, -1], lattice[-1, ::-1], lattice[::-1, 0]
+
+    @property
+    def angles(self) -> Array:
+        """(4,) degrees between the sides at the corners, taken over an eighth of each side, clockwise."""
+        sides = self.sides
+        back = np.stack([side[-1 - len(side) // 8] - side[-1] for side in (sides[3], *sides[:3])])
+        ahead = np.stack([side[len(side) // 8] - side[0] for side in sides])
+        reach = np.linalg.norm(back, axis=1) * np.linalg.norm(ahead, axis=1)
+        return np.degrees(np.arccos(np.clip(np.sum(back * ahead, axis=1) / np.maximum(reach, 1e-9), -1, 1)))
+
+    @property
+    def windings(self) -> Array:
+        """(4,) by which share each side is longer than the way from corner to corner."""
+        chords = np.array([np.linalg.norm(side[-1] - side[0]) for side in self.sides])
+        return np.array([arc_length(side)[-1] for side in self.sides]) / np.maximum(chords, 1e-9) - 1
+
+    @cached_property
+    def cells(self) -> Array:
+        """(rows-1, cols-1, 3) area vectors of the cells: their areas along their normals."""
+        across, down = self.lattice[1:, 1:] - self.lattice[:-1, :-1], self.lattice[1:, :-1] - self.lattice[:-1, 1:]
+        if across.shape[2] == 2:
+            across, down = (np.pad(diagonal, ((0, 0), (0, 0), (0, 1))) for diagonal in (across, down))
+        return np.cross(across, down) / 2
+
+    @property
+    def folds(self) -> float:
+        """The share of cells that face away from a neighbour, at most over rows and over columns."""
+        pairs = ((self.cells[1:], self.cells[:-1]), (self.cells[:, 1:], self.cells[:, :-1]))
+        return max(float(np.mean(np.einsum("rcd,rcd->rc", a, b) < 0)) for a, b in pairs)
+
+    @property
+    def unevenness(self) -> float:
+        """Standard deviation over mean of the cells' areas."""
+        area = np.sqrt(np.einsum("rcd,rcd->rc", self.cells, self.cells))
+        return float(area.std() / max(float(area.mean()), 1e-18))
+
     def at(self, v: Array, u: Array) -> Array:
         """(R*C,D) points at every pair of (R,) places down and (C,) places to the right, row by row.
 
@@ -175,6 +235,16 @@ class Patch(Form):
         """The same patch with its first corner ``quarters`` corners further on, clockwise."""
         lattice, bridged = np.rot90(self.lattice, quarters), np.rot90(self.bridged.reshape(self.rows, -1), quarters)
         return replace(self, points=lattice.reshape(self.points.shape), bridged=bridged.ravel(), rows=lattice.shape[0])
+
+    def smoothed(self, values: Array, known: Mask) -> Array:
+        """(P,) values at the points, the unknown ones as the nearest known, smoothed over 3 x 3 by local planes."""
+        lattice = values.reshape(self.rows, -1)
+        missing = ~known.reshape(lattice.shape)
+        nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
+        filled = lattice[tuple(np.asarray(nearest))]
+        for axis in (0, 1):
+            filled = savgol_filter(filled, 3, 1, axis=axis, mode="interp")
+        return np.asarray(filled).ravel()
 
     def measured(self, points: Array) -> Self:
         """The same patch with its points elsewhere: (P,D') for (P,D), say in metres for pixels."""

@@ -32,6 +32,7 @@ _PLACE: Final = 0.1  # the weight of where a rope is predicted against how it is
 # would shrink the rope.
 _SLACK: Final = (0.015, 2.5)
 _GIVING: Final = 0.003
+_GAINING: Final = 0.01  # a chain that bulges in one frame does not make the rope longer for good
 
 
 def follow_chain(form: Curve, prediction: Prediction) -> Curve:
@@ -42,14 +43,14 @@ def follow_chain(form: Curve, prediction: Prediction) -> Curve:
     follow as predicted, moved along with the visible end, and are marked as bridged.
     """
     slack = max(_SLACK[0] * prediction.size, _SLACK[1] * prediction.grain)
-    if form.size > prediction.size - slack:
+    if prediction.size - slack < form.size < prediction.size:
         prediction = prediction._replace(size=max((1 - _GIVING) * prediction.size, form.size))
     known = _Known(prediction)
     whole = known.filled(min((form, form.reversed()), key=known.distance))
     form = whole
     missing = known.size - form.size
     if missing <= 0:
-        return whole
+        return replace(whole, known=min(form.size, (1 + _GAINING) * prediction.size))
     starts = np.linspace(0, missing, _OFFSETS)
     costs = np.array([known.disagreement(whole, start, start + form.size) for start in starts])
     if costs.min() >= known.disagreement(whole, 0.0, known.size):

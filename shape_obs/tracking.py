@@ -74,7 +74,8 @@ def advance(track: Track | None, nodes: Array, form: Form, stamp: float, topolog
     """The track after a frame in which a form was found, and its nodes."""
     interval = 0.0 if track is None else stamp - track.stamp
     velocity = np.zeros_like(nodes) if track is None or interval <= 0 else (nodes - track.nodes) / interval
-    return Track(nodes, velocity, max(interval, 0.0), form.size, stamp, topology, form.hidden, form.reference)
+    size = form.known or form.size
+    return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hidden, form.reference)
 
 
 def size_jump(before: float, after: float, unit: str) -> str:
