@@ -32,7 +32,7 @@ class Shape:
     """
 
     name: str
-    points2d: npt.NDArray[np.float32] | None
+    points2d: npt.NDArray[np.float32] | Any  # None for a cloud; Any, so that users of images need no check
     points3d: npt.NDArray[np.float32] | None
     visible: npt.NDArray[np.bool_]
     valid: npt.NDArray[np.bool_]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from shape_obs.camera import CameraModel
-from shape_obs.configurations import Configuration
+from shape_obs.configurations import Centerline, Configuration
 from shape_obs.curve import catmull_rom
 from shape_obs.features import Feature, FeatureVector, Points3D, View
 from shape_obs.form import Curve
@@ -28,6 +28,11 @@ def goal_vector(
     """
     if not isinstance(space, spaces.Dict) or not all(key in space.spaces for key in GOALS):
         return None
+    if not isinstance(shapes[0], Centerline):
+        raise ValueError(
+            "this env has goals, which are curves from end to end: the first of shapes must be a 'centerline', "
+            f"got {shapes[0].kind!r}."
+        )
     metric = [feature for feature in features if isinstance(feature, Points3D)]
     if not metric:
         raise ValueError(

@@ -1,0 +1,193 @@
+"""The pictures of 'How a shape is found': uv run python docs/pictures/stages.py."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from shape_obs import Centerline, Configuration, Contour, HSVRange, ShapeDetector, Surface
+from shape_obs.draw import draw_curve, draw_detection, draw_text
+from shape_obs.evaluation.ropes import draw_rope
+from shape_obs.fitting import fit
+from shape_obs.form import Curve, Form, Patch
+from shape_obs.frame import Frame
+from shape_obs.kernels import numpy_ as kernels
+from shape_obs.region import Region, find_region
+from shape_obs.roi import Whole
+from shape_obs.samples import Samples
+from shape_obs.topology import Topology
+
+IMAGES = Path(__file__).parent.parent / "images"
+SIZE = (240, 320)
+SCALE = 2
+BLUE, ORANGE, GREEN = (45, 85, 200), (225, 120, 40), (60, 150, 80)
+PALE, PAPER = (205, 215, 230), (250, 250, 250)
+INK, START, NODE = (30, 30, 30), (235, 130, 40), (210, 40, 160)
+RULES = {
+    "centerline": HSVRange(low=(100, 80, 40), high=(125, 255, 255)),
+    "contour": HSVRange(low=(5, 120, 60), high=(20, 255, 255)),
+    "surface": HSVRange(low=(50, 80, 40), high=(80, 255, 255)),
+}
+
+
+def rope() -> np.ndarray:
+    """A bent rope."""
+    u = np.linspace(35, 285, 500)
+    return draw_rope(np.stack([u, 120 + 55 * np.sin((u - 35) / 48)], axis=1), 13.0, size=SIZE).mask
+
+
+def ring() -> np.ndarray:
+    """A dented elastic band lying flat."""
+    angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    radius = 75 + 16 * np.cos(2 * angle + 0.6) - 14 * np.cos(3 * angle)
+    outline = np.stack([160 + 1.25 * radius * np.cos(angle), 120 + radius * np.sin(angle)], axis=1)
+    return cv2.fillPoly(np.zeros(SIZE, np.uint8), [np.rint(outline * 16).astype(np.int32)], 255, shift=4)
+
+
+def cloth() -> np.ndarray:
+    """A towel, pulled a little out of shape."""
+    t = np.linspace(0, 1, 60)[:, None]
+    corners = np.array([[75.0, 40], [275, 70], [255, 205], [45, 190]])
+    sides = []
+    for start, end, bulge in zip(corners, np.roll(corners, -1, axis=0), (9, -8, 10, 7), strict=True):
+        normal = np.array([(end - start)[1], -(end - start)[0]]) / np.linalg.norm(end - start)
+        sides.append(start + t * (end - start) + bulge * np.sin(np.pi * t) * normal)
+    outline = np.rint(np.concatenate(sides) * 16).astype(np.int32)
+    return cv2.fillPoly(np.zeros(SIZE, np.uint8), [outline], 255, shift=4)
+
+
+def photograph(masks: dict[str, np.ndarray], seed: int = 0) -> np.ndarray:
+    """Coloured things on a gray table, with uneven light and noise: (H,W,3) uint8, RGB."""
+    rng = np.random.default_rng(seed)
+    height, width = next(iter(masks.values())).shape
+    scene = np.full((height, width, 3), (165.0, 162, 155))
+    for name, colour in zip(RULES, (BLUE, ORANGE, GREEN), strict=True):
+        if name in masks:
+            soft = cv2.GaussianBlur(masks[name], (0, 0), 0.7)[..., None] / 255.0
+            scene = scene * (1 - soft) + np.array(colour) * soft
+    light = np.linspace(1.08, 0.85, width)[None, :, None] * np.linspace(1.03, 0.95, height)[:, None, None]
+    return np.clip(scene * light + rng.normal(0, 5, scene.shape), 0, 255).astype(np.uint8)
+
+
+def stages(spec: Configuration, mask: np.ndarray) -> np.ndarray:
+    """Six panels: the image, the mask in cells, the cold start, the map's nodes, the form, the points."""
+    image = photograph({spec.kind: mask})
+    rule = RULES[spec.kind]
+    window = Whole().window(SIZE)
+    region = find_region(rule.apply(Frame(image, None, None, None), window), window, rule.min_area, rule.min_share)
+    start, topology = spec.parameterise(region), spec.topology(region)
+    nodes = spec.nodes(start, topology)
+    path = [nodes, *epochs(spec.samples(region), nodes, topology)]
+    found = fit(region, spec, None, None, 0.0)[0].form
+    assert found is not None
+    detection = ShapeDetector([spec], rule).detect(image)
+    pale = np.where(region.mask[..., None] > 0, PALE, PAPER).astype(np.uint8)
+    panels = {
+        "1  image": enlarged(image),
+        "2  mask, as weighted samples": samples(spec.samples(region), region),
+        f"3  cold start: {COLD[spec.kind]}": with_form(pale, start),
+        f"4  self-organising map, {len(nodes)} nodes": with_nodes(pale, path, topology),
+        "5  the form through the nodes": with_form(pale, found),
+        f"6  {spec.count} ordered points, quality {detection.shapes[0].quality:.2f}": draw_detection(
+            image, detection, scale=SCALE
+        ),
+    }
+    tiles = [titled(panel, title) for title, panel in panels.items()]
+    return np.concatenate([np.concatenate(tiles[:3], axis=1), np.concatenate(tiles[3:], axis=1)])
+
+
+COLD = {"centerline": "the outline, folded", "contour": "the outline", "surface": "corners and a Coons patch"}
+
+
+def epochs(samples: Samples, nodes: np.ndarray, topology: Topology) -> list[np.ndarray]:
+    """The nodes after each epoch."""
+    out = []
+    for sigma in topology.static:
+        nodes = kernels.som_epoch(samples.points, samples.weight, nodes, topology.neighbourhood(sigma))
+        out.append(nodes)
+    return out
+
+
+def enlarged(image: np.ndarray) -> np.ndarray:
+    """The picture at the size of a panel."""
+    return np.repeat(np.repeat(image, SCALE, axis=0), SCALE, axis=1)
+
+
+def place(points: np.ndarray) -> np.ndarray:
+    """Pixels of the image as pixels of a panel."""
+    return (points + 0.5) * SCALE - 0.5
+
+
+def samples(found: Samples, region: Region) -> np.ndarray:
+    """Each sample as a dot as large as its weight."""
+    picture = enlarged(np.where(region.mask[..., None] > 0, PALE, PAPER).astype(np.uint8))
+    for point, weight in zip(place(found.points), found.weight, strict=True):
+        radius = max(0.35 * SCALE * weight**0.5, 1.5)
+        cv2.circle(picture, np.rint(point * 16).astype(int).tolist(), round(radius * 16), BLUE, -1, cv2.LINE_AA, 4)
+    return picture
+
+
+def with_form(pale: np.ndarray, form: Form) -> np.ndarray:
+    """A curve as a line, a patch as a mesh."""
+    picture = enlarged(pale)
+    if isinstance(form, Patch):
+        lattice = place(form.lattice)
+        for line in (*lattice, *lattice.swapaxes(0, 1)):
+            draw_curve(picture, line, START, thickness=1)
+    else:
+        assert isinstance(form, Curve)
+        points = np.concatenate([form.points, form.points[:1]]) if form.closed else form.points
+        draw_curve(picture, place(points), START, thickness=2)
+    return picture
+
+
+def with_nodes(pale: np.ndarray, path: list[np.ndarray], topology: Topology) -> np.ndarray:
+    """The nodes at the end, and how they came there."""
+    picture = enlarged(pale)
+    for first, second in topology.edges():
+        draw_curve(picture, place(path[-1][[first, second]]), (120, 130, 150), thickness=1)
+    for node in range(len(path[0])):
+        draw_curve(picture, place(np.stack([nodes[node] for nodes in path])), START, thickness=2)
+        cv2.circle(picture, np.rint(place(path[-1][node]) * 16).astype(int).tolist(), 56, NODE, -1, cv2.LINE_AA, 4)
+    return picture
+
+
+def titled(panel: np.ndarray, title: str) -> np.ndarray:
+    """The panel under its title, with a frame of paper."""
+    band = np.full((30, panel.shape[1], 3), 255, np.uint8)
+    draw_text(band, title, (8, 20), INK)
+    return np.pad(np.concatenate([band, panel]), ((0, 6), (3, 3), (0, 0)), constant_values=255)
+
+
+def together() -> np.ndarray:
+    """Three shapes of three colours in one pass."""
+    canvas = {}
+    for name, mask, (left, top) in (
+        ("centerline", rope(), (0, 0)),
+        ("contour", ring(), (320, 0)),
+        ("surface", cloth(), (150, 230)),
+    ):
+        whole = np.zeros((480, 640), np.uint8)
+        whole[top : top + SIZE[0], left : left + SIZE[1]] = mask
+        canvas[name] = whole
+    image = photograph(canvas)
+    shapes = [
+        Centerline(n=20, segmentation=RULES["centerline"]),
+        Contour(n=32, segmentation=RULES["contour"]),
+        Surface(rows=4, cols=8, segmentation=RULES["surface"]),
+    ]
+    return draw_detection(image, ShapeDetector(shapes).detect(image))
+
+
+def write(name: str, picture: np.ndarray) -> None:
+    """Write a picture of the docs."""
+    cv2.imwrite(str(IMAGES / name), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 90])
+
+
+if __name__ == "__main__":
+    write("stages_centerline.jpg", stages(Centerline(n=20), rope()))
+    write("stages_contour.jpg", stages(Contour(n=32), ring()))
+    write("stages_surface.jpg", stages(Surface(rows=4, cols=8), cloth()))
+    write("three_shapes.jpg", together())
