@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from shape_obs.config import schema_hash as schema_hash
     from shape_obs.configurations import Centerline as Centerline
     from shape_obs.configurations import Configuration as Configuration
+    from shape_obs.configurations import Contour as Contour
+    from shape_obs.configurations import Surface as Surface
     from shape_obs.detector import ShapeDetector as ShapeDetector
     from shape_obs.features import Feature as Feature
     from shape_obs.frame import Frame as Frame
@@ -39,7 +41,7 @@ __version__ = "0.1.0"
 _HOME = {
     "shape_obs.camera": ("CameraModel", "Intrinsics"),
     "shape_obs.config": ("load_config", "save_config", "schema_hash"),
-    "shape_obs.configurations": ("Centerline", "Configuration"),
+    "shape_obs.configurations": ("Centerline", "Configuration", "Contour", "Surface"),
     "shape_obs.detector": ("ShapeDetector",),
     "shape_obs.features": ("Feature",),
     "shape_obs.frame": ("Frame",),

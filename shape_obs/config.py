@@ -43,7 +43,7 @@ class DetectorConfig(Spec):
         segmentation: The pixel rule; None when masks are given, or every shape has its own.
         roi: Where to look.
         order: ``"tracked"`` keeps point 0 on its material point; ``"image"`` numbers each frame anew.
-        ends: Default for centerlines: ``"centers"`` or ``"tips"``.
+        ends: Default for shapes with ends or a border: ``"centers"`` or ``"tips"``.
         anchor: Default for shapes without one: where point 0 belongs.
         on_missing: What a lost shape becomes: ``"hold"``, ``"truncate"``, ``"raise"`` or ``"nan"``.
         on_invalid: What a point without depth becomes: ``"nan"``, ``"interpolate"`` or ``"hold"``.
@@ -75,16 +75,10 @@ class DetectorConfig(Spec):
     def resolved(self) -> tuple[Configuration, ...]:
         """The configurations with this detector's defaults filled in."""
         filled = []
+        defaults = {"order": self.order, "segmentation": self.segmentation, "anchor": self.anchor, "ends": self.ends}
         for shape in self.shapes:
-            shape = replace(
-                shape,
-                order=shape.order or self.order,
-                segmentation=shape.segmentation or self.segmentation,
-                anchor=self.anchor if shape.anchor is None else shape.anchor,
-            )
-            if isinstance(shape, Centerline):
-                shape = replace(shape, ends=shape.ends or self.ends)
-            filled.append(shape)
+            open_ones = {name: value for name, value in defaults.items() if getattr(shape, name, value) is None}
+            filled.append(replace(shape, **open_ones))
         return tuple(filled)
 
 

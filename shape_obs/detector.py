@@ -9,18 +9,22 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.anchors import Anchors, anchor_pixel, anchor_point
+from shape_obs.body import Body
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
+from shape_obs.cloud import Cloud, read_cloud
 from shape_obs.config import DetectorConfig
 from shape_obs.configurations import Configuration
+from shape_obs.deproject import SeenCloud, deproject
 from shape_obs.fitting import Fit, fit
 from shape_obs.forking import use_no_threads_in_forked_children
 from shape_obs.frame import Frame, check_mask
-from shape_obs.lift import lift, lift_curve, local_depth
-from shape_obs.missing import fill_invalid, lost_shape
+from shape_obs.missing import lost_shape
+from shape_obs.points import shape_of
 from shape_obs.region import Region, find_region
 from shape_obs.segmentation import Segmentation
 from shape_obs.shape import Detection, Shape
-from shape_obs.spec import did_you_mean
+from shape_obs.timing import Timed
 from shape_obs.tracking import Track
 
 Array = npt.NDArray[np.float64]
@@ -72,6 +76,7 @@ class ShapeDetector:
     def reset(self) -> None:
         """Forget the track: the next frame is a cold start."""
         self._tracks: dict[str, Track] = {}
+        self._kinds: dict[str, type[Body]] = {}
         self._last: dict[str, tuple[Shape, float]] = {}
         self._stamp: float | None = None
         self._begin = 0.0
@@ -83,7 +88,7 @@ class ShapeDetector:
         camera: CameraModel | Intrinsics | None = None,
         *,
         stamp: float | None = None,
-        anchors: Mapping[str, Sequence[float]] | None = None,
+        anchors: Anchors = None,
     ) -> Detection:
         """Find the shapes in a frame.
 
@@ -114,11 +119,11 @@ class ShapeDetector:
         window = self.config.roi.window(frame.size)
         for rule in dict.fromkeys(spec.segmentation for spec in self.shapes):
             assert rule is not None
-            with _Timed(timings, "segmentation"):
+            with Timed(timings, "segmentation"):
                 mask = self.config.roi.blank(rule.apply(frame, window), window)
-            with _Timed(timings, "region"):
+            with Timed(timings, "region"):
                 regions[rule] = find_region(mask, window, rule.min_area, rule.min_share)
-        return self._shapes(frame, regions, anchors, timings, begin)
+        return self._on_image(frame, regions, anchors, timings, begin)
 
     def detect_mask(
         self,
@@ -127,7 +132,7 @@ class ShapeDetector:
         camera: CameraModel | Intrinsics | None = None,
         *,
         stamp: float | None = None,
-        anchors: Mapping[str, Sequence[float]] | None = None,
+        anchors: Anchors = None,
     ) -> Detection:
         """Find the shapes in a mask that someone else made: (H,W) bool or uint8, 0 = background. Else as ``detect``."""
         begin = time.perf_counter()
@@ -144,28 +149,86 @@ class ShapeDetector:
         window = self.config.roi.window(size)
         for rule in dict.fromkeys(spec.segmentation for spec in self.shapes):
             floor = rule or Segmentation
-            with _Timed(timings, "region"):
+            with Timed(timings, "region"):
                 cut = self.config.roi.blank(mask[window.slices], window)
                 regions[rule] = find_region(cut, window, floor.min_area, floor.min_share)
-        return self._shapes(frame, regions, anchors, timings, begin)
+        return self._on_image(frame, regions, anchors, timings, begin)
+
+    def detect_cloud(
+        self,
+        points: npt.NDArray[np.floating[Any]],
+        *,
+        camera: CameraModel | Intrinsics | None = None,
+        stamp: float | None = None,
+        anchors: Anchors = None,
+    ) -> Detection:
+        """Find the shapes in a cloud of one object's points; segmentation and ROI have no say.
+
+        Shapes have ``points3d`` in the cloud's frame and no ``points2d``; a point is visible and valid where the cloud
+        has points near it. Without an anchor numbering goes by how the cloud looks along +z (x right, y down).
+
+        Args:
+            points: (M,3) or (H,W,3) floating metres; rows that are not finite, or all zero, are no points.
+            camera: Says that the cloud is in the camera's frame, and anchors in the base frame.
+            stamp: Seconds; without stamps clouds are ``dt`` apart.
+            anchors: Name -> point (x, y, z), for configurations with a named anchor; in the cloud's frame without a
+                camera.
+
+        Raises:
+            TypeError: An array of a wrong dtype.
+            ValueError: A wrong shape, or an anchor that cannot be resolved.
+            ShapeLostError: A shape was not found and ``on_missing="raise"``.
+        """
+        begin = time.perf_counter()
+        frame = Frame(None, None, as_camera_model(camera), stamp)
+        timings: dict[str, float] = {}
+        with Timed(timings, "cloud"):
+            cloud = read_cloud(points)
+        targets = [anchor_point(spec, anchors, frame.camera) for spec in self.shapes]
+        return self._shapes(frame, [cloud] * len(self.shapes), targets, timings, begin)
+
+    def _on_image(
+        self,
+        frame: Frame,
+        regions: Mapping[Segmentation | None, Region],
+        anchors: Anchors,
+        timings: dict[str, float],
+        begin: float,
+    ) -> Detection:
+        """Give each shape its mask, or the cloud under it."""
+        clouds: dict[Segmentation | None, Cloud] = {}
+        bodies: list[Body] = []
+        for spec in self.shapes:
+            asked = "lift='cloud'" if spec.lift == "cloud" else "spacing='m'" if spec.spacing == "m" else ""
+            if asked and (frame.depth is None or frame.camera is None):
+                instead = "lift='points'" if spec.lift == "cloud" else "spacing='px'"
+                raise ValueError(f"shape {spec.name!r}: {asked} needs depth and a camera; give both, or {instead}.")
+            rule = spec.segmentation
+            if spec.lift == "cloud" and frame.depth is not None and frame.camera is not None and rule not in clouds:
+                with Timed(timings, "cloud"):
+                    clouds[rule] = deproject(regions[rule], frame.depth, frame.camera.intrinsics)
+            bodies.append(clouds[rule] if spec.lift == "cloud" else regions[rule])
+        targets = [anchor_pixel(spec, anchors, frame.camera) for spec in self.shapes]
+        return self._shapes(frame, bodies, targets, timings, begin)
 
     def _shapes(
         self,
         frame: Frame,
-        regions: Mapping[Segmentation | None, Region],
-        anchors: Mapping[str, Sequence[float]] | None,
+        bodies: Sequence[Body],
+        targets: Sequence[Array | None],
         timings: dict[str, float],
         begin: float,
     ) -> Detection:
         stamp = self._next_stamp(frame)
         shapes = []
-        for spec in self.shapes:
-            region = regions[spec.segmentation]
-            track = self._tracks.get(spec.name)
-            with _Timed(timings, "fit"):
-                found, present = fit(region, spec, track, _anchor_pixel(spec, anchors, frame.camera), stamp)
-            with _Timed(timings, "lift"):
-                shape = self._finish(spec, found, region, frame, stamp)
+        for spec, body, target in zip(self.shapes, bodies, targets, strict=True):
+            if self._kinds.setdefault(spec.name, type(body)) is not type(body):
+                self._forget(spec.name)  # pixels say nothing about metres
+                self._kinds[spec.name] = type(body)
+            with Timed(timings, "fit"):
+                found, present = fit(body, spec, self._tracks.get(spec.name), target, stamp)
+            with Timed(timings, "lift"):
+                shape = self._finish(spec, found, body, frame, stamp)
             if present is not None:
                 self._tracks[spec.name] = present
             if not shape.reason:
@@ -176,6 +239,10 @@ class ShapeDetector:
         timings["total"] = 1e3 * (time.perf_counter() - begin)
         return Detection(tuple(shapes), stamp, timings)
 
+    def _forget(self, name: str) -> None:
+        self._tracks.pop(name, None)
+        self._last.pop(name, None)
+
     def _next_stamp(self, frame: Frame) -> float:
         following = 0.0 if self._stamp is None else self._stamp + self.config.dt
         stamp = following if frame.stamp is None else float(frame.stamp)
@@ -184,23 +251,21 @@ class ShapeDetector:
         self._stamp = stamp
         return stamp
 
-    def _finish(self, spec: Configuration, found: Fit, region: Region, frame: Frame, stamp: float) -> Shape:
-        """From a curve to ordered points, lifted where there is depth; or what stands in for them."""
-        in_3d = frame.depth is not None and frame.camera is not None
-        if spec.spacing == "m" and not in_3d:
-            raise ValueError(f"shape {spec.name!r}: spacing='m' needs depth and a camera; give both, or spacing='px'.")
+    def _finish(self, spec: Configuration, found: Fit, body: Body, frame: Frame, stamp: float) -> Shape:
+        """From a form to ordered points, in space where there is depth; or what stands in for them."""
+        in_3d = isinstance(body, Cloud) or (frame.depth is not None and frame.camera is not None)
+        last, seen = self._last.get(spec.name, (None, self._begin))
         reason = found.reason
         if found.form is not None and found.ok:
-            shape = self._points(spec, found, region, frame)
+            shape = shape_of(spec, found, found.form, body, frame, last, self.config.on_invalid)
             if not in_3d or shape.valid.any():
                 return shape
             reason = "no point has depth under it"
-        last, seen = self._last.get(spec.name, (None, self._begin))
         return lost_shape(
             spec.name,
             spec.layout,
             reason=reason,
-            in_2d=True,
+            in_2d=not isinstance(body, Cloud) or isinstance(body, SeenCloud),
             in_3d=in_3d,
             last=last,
             age=stamp - seen,
@@ -208,71 +273,6 @@ class ShapeDetector:
             policy=self.config.on_missing,
         )
 
-    def _points(self, spec: Configuration, found: Fit, region: Region, frame: Frame) -> Shape:
-        assert found.form is not None
-        metric = form = found.form
-        camera = frame.camera
-        if spec.spacing == "m" and frame.depth is not None and camera is not None:
-            lifted = lift_curve(form.points, frame.depth, region, region.width, camera.intrinsics)
-            metric = form if lifted is None else form.measured(lifted)
-        points, bridged = spec.place(form, metric)
-        visible = region.carries(points) & ~bridged
-        valid, points3d = visible, None
-        if frame.depth is not None and camera is not None:
-            z = local_depth(points, frame.depth, region, region.width)
-            z[~visible] = np.nan
-            points3d = lift(points, z, camera.intrinsics, spec.radius).astype(np.float32)
-            valid = visible & np.isfinite(z)
-            last = self._last.get(spec.name)
-            before = None if last is None else last[0].points3d
-            points3d = fill_invalid(points3d, before, self.config.on_invalid, spec.layout)
-        quality = found.quality * float(valid.mean())
-        return Shape(
-            spec.name, points.astype(np.float32), points3d, visible, valid.copy(), spec.layout, quality=quality
-        )
-
-
-class _Timed:
-    """Adds the time spent in its block to a stage, in milliseconds."""
-
-    def __init__(self, timings: dict[str, float], stage: str) -> None:
-        self._timings, self._stage = timings, stage
-
-    def __enter__(self) -> None:
-        self._begin = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        spent = 1e3 * (time.perf_counter() - self._begin)
-        self._timings[self._stage] = self._timings.get(self._stage, 0.0) + spent
-
 
 def _size(camera: CameraModel | None) -> tuple[int, int] | None:
     return None if camera is None else (camera.intrinsics.height, camera.intrinsics.width)
-
-
-def _anchor_pixel(
-    spec: Configuration, anchors: Mapping[str, Sequence[float]] | None, camera: CameraModel | None
-) -> Array | None:
-    """The pixel of a configuration's anchor."""
-    anchor: Any = spec.anchor
-    if isinstance(anchor, str):
-        known = anchors or {}
-        if anchor not in known:
-            raise ValueError(f"shape {spec.name!r}: anchor {anchor!r} was not given{did_you_mean(anchor, known)}")
-        anchor = known[anchor]
-    if anchor is None:
-        return None
-    point = np.asarray(anchor, dtype=np.float64)
-    if point.shape not in ((2,), (3,)) or not np.all(np.isfinite(point)):
-        raise ValueError(f"shape {spec.name!r}: anchor must be a finite (u, v) or (x, y, z), got {anchor!r}.")
-    if len(point) == 2:
-        return point
-    if camera is None or camera.transform_camera_to_base is None:
-        raise ValueError(
-            f"shape {spec.name!r}: anchor {anchor!r} in the base frame needs the camera's place there: give "
-            "camera=CameraModel(intrinsics, transform_camera_to_base=T), or an anchor in pixels (u, v)."
-        )
-    pixel = camera.project_from_base(point)
-    if not np.all(np.isfinite(pixel)):
-        raise ValueError(f"shape {spec.name!r}: anchor {anchor!r} does not lie in front of the camera.")
-    return pixel

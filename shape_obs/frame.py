@@ -13,7 +13,7 @@ import numpy.typing as npt
 from shape_obs.camera import CameraModel
 
 MILLIMETRE = 1e-3
-_FARTHEST = 1e6  # metres; what lies beyond is garbage, and would overflow single precision
+FARTHEST = 1e6  # metres; what lies beyond is garbage, and would overflow single precision
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Frame:
 def depth_in_metres(depth: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     """Depth values -> metres, NaN where invalid. For the few values that a stage reads, not for whole images."""
     metres = depth.astype(np.float64) * (MILLIMETRE if depth.dtype == np.uint16 else 1.0)
-    metres[~((metres > 0) & (metres < _FARTHEST))] = np.nan
+    metres[~((metres > 0) & (metres < FARTHEST))] = np.nan
     return metres
 
 

@@ -6,23 +6,23 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import savgol_filter
 
 from shape_obs.camera import Intrinsics
+from shape_obs.form import Form
 from shape_obs.frame import depth_in_metres
 from shape_obs.region import Region
 
 Array = npt.NDArray[np.float64]
 
 _MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry depth
-_SMOOTHING: Final = 9  # points of the fine curve
+_MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
 
 
 def local_depth(points: Array, depth: npt.NDArray[Any], region: Region, width: float) -> Array:
     """Median depth of the mask around each point.
 
-    Looks at the middle half of the object's width, so that a round rope's flanks do not pull the median down, and
-    at mask pixels only, so that the table does not either.
+    Looks at the middle half of the object's width (13 pixels at most), so that a round rope's flanks do not pull the
+    median down, and at mask pixels only, so that the table does not either.
 
     Args:
         points: (N,2) pixels.
@@ -33,7 +33,7 @@ def local_depth(points: Array, depth: npt.NDArray[Any], region: Region, width: f
     Returns:
         (N,) metres; NaN where fewer than a quarter of the mask pixels carry depth: a hole stays a hole.
     """
-    reach = max(1, round(width / 4))
+    reach = int(np.clip(round(width / 4), 1, _MAX_REACH))
     offsets = np.arange(-reach, reach + 1)
     u = np.rint(points[:, 0]).astype(int)[:, None, None] + offsets[None, None, :]
     v = np.rint(points[:, 1]).astype(int)[:, None, None] + offsets[None, :, None]
@@ -69,23 +69,17 @@ def lift(points: Array, z: Array, intrinsics: Intrinsics, radius: float) -> Arra
     return rays * along[:, None]
 
 
-def lift_curve(
-    curve: Array, depth: npt.NDArray[Any], region: Region, width: float, intrinsics: Intrinsics
+def lift_form(
+    form: Form, depth: npt.NDArray[Any], region: Region, width: float, intrinsics: Intrinsics
 ) -> Array | None:
-    """A whole curve in space, for measuring arc length in metres.
+    """A whole form in space, for measuring distances in metres.
 
-    Holes are bridged in a straight line and the depth is smoothed over a few points (millimetre steps would make the
-    curve longer than it is); the points that leave the detector are lifted afresh.
+    Holes are bridged and the depth is smoothed over a few points (millimetre steps would make the form longer than it
+    is); the points that leave the detector are lifted afresh.
 
     Returns:
-        (P,3) metres, or None where less than half of the curve has depth.
+        (P,3) metres, or None where less than half of the form has depth.
     """
-    z = local_depth(curve, depth, region, width)
+    z = local_depth(form.points, depth, region, width)
     known = np.isfinite(z)
-    if known.mean() < 0.5:
-        return None
-    at = np.arange(len(z))
-    z = np.interp(at, at[known], z[known])
-    if len(z) > _SMOOTHING:
-        z = np.asarray(savgol_filter(z, _SMOOTHING, 1, mode="interp"))
-    return intrinsics.deproject(curve, z)
+    return None if known.mean() < 0.5 else intrinsics.deproject(form.points, form.smoothed(z, known))

@@ -78,6 +78,11 @@ class Region:
         """The outer outline of the largest component."""
         return Border(_clockwise(self.components[0].outline))
 
+    @property
+    def outlined(self) -> float:
+        """The share of the mask that the outline goes around: the largest component."""
+        return self.components[0].area / max(self.amount, 1)
+
     @cached_property
     def holes(self) -> tuple[Border, ...]:
         """The holes of the largest component, the largest first."""

@@ -106,8 +106,9 @@ class Ring(Topology):
     """A closed ring of ``count`` nodes."""
 
     count: int
-    static: ClassVar = (0.8, 0.4, 0.4)
-    moving: ClassVar = (0.8, 0.4, 0.4)
+    # A ring starts on the outline of its own frame, moving or not: one epoch is as exact as three.
+    static: ClassVar = (0.4,)
+    moving: ClassVar = (0.4,)
 
     @property
     def size(self) -> int:

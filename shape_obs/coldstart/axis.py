@@ -8,12 +8,16 @@ from shape_obs.body import Body
 from shape_obs.cloud import Cloud
 from shape_obs.coldstart.bridge import join
 from shape_obs.coldstart.fold import fold
+from shape_obs.coldstart.geodesic import geodesic_axis
+from shape_obs.deproject import SeenCloud
 from shape_obs.form import Curve
 
 
 def axis(body: Body) -> Curve:
     """The axis of a rope from tip to tip, in no particular direction."""
+    if isinstance(body, SeenCloud):
+        return body.lifted(axis(body.region))
     if isinstance(body, Cloud):
-        raise NotImplementedError
+        return geodesic_axis(body)
     curve = join([fold(component.outline, component.width) for component in body.components])
     return Curve(curve, np.zeros(len(curve), bool))

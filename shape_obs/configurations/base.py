@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.body import Body
+from shape_obs.clustering import som
 from shape_obs.form import Form
 from shape_obs.gate import Verdict
 from shape_obs.samples import Samples
@@ -101,6 +102,10 @@ class Configuration(Spec, Generic[F], family="configuration"):
     @abstractmethod
     def nodes(self, form: F, topology: Topology) -> Array:
         """(K,D) where the map's nodes sit on a form."""
+
+    def fitted(self, start: Array, body: Body, topology: Topology, *, moving: bool) -> Array:
+        """(K,D) the map's nodes after its epochs from (K,D) a start, which may be off by a node if ``moving``."""
+        return som.fit(self.samples(body), start, topology, moving=moving)
 
     @abstractmethod
     def finish(self, nodes: Array, body: Body) -> F:

@@ -57,9 +57,9 @@ class Centerline(Configuration[Curve], kind="centerline"):
     def unfit(self, body: Body) -> str:
         """Too many pieces, or no rope: at least three times as long as wide."""
         if len(body.components) > _MAX_PIECES:
-            return f"the mask falls into {len(body.components)} pieces, at most {_MAX_PIECES}"
+            return f"the {body.noun} falls into {len(body.components)} pieces, at most {_MAX_PIECES}"
         if body.stretch < _MIN_ASPECT * body.width:
-            return f"the mask is {body.stretch:.4g} x {body.width:.4g} {body.unit}: too stout for a rope"
+            return f"the {body.noun} is {body.stretch:.4g} x {body.width:.4g} {body.unit}: too stout for a rope"
         return ""
 
     def samples(self, body: Body) -> Samples:

@@ -1,0 +1,43 @@
+"""The outline of a body as a closed curve, clockwise as seen: of a mask, or of a cloud along its z axis."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shape_obs.body import Body
+from shape_obs.border import Border
+from shape_obs.cloud import Cloud
+from shape_obs.form import Curve
+from shape_obs.region import Region
+from shape_obs.samples import Samples
+
+
+def outline(body: Body, hole: int | None = None) -> Curve:
+    """The outline of the largest piece.
+
+    Args:
+        body: A region or a cloud.
+        hole: None for the outer outline; else which hole, the largest first; a cloud has none.
+    """
+    if isinstance(body, Cloud):
+        points = body.outline()
+        return Curve(points, np.zeros(len(points), bool), closed=True)
+    return _border(body, hole).curve
+
+
+def outline_samples(body: Body, hole: int | None = None) -> Samples:
+    """What that outline is made of, before any smoothing; weighed by arc length."""
+    if isinstance(body, Cloud):
+        curve = outline(body)
+        step = np.diff(curve.arc)
+        return Samples(curve.points, (step + np.roll(step, 1)) / 2, curve.size / len(curve.points))
+    return _border(body, hole).samples
+
+
+def holes(body: Body) -> int:
+    """How many holes the largest piece has."""
+    return len(body.holes) if isinstance(body, Region) else 0
+
+
+def _border(region: Region, hole: int | None) -> Border:
+    return region.border if hole is None else region.holes[hole]

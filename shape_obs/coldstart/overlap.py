@@ -1,0 +1,114 @@
+"""What two strands do along a branch that they share: run side by side, or cross.
+
+The silhouette tells: strands side by side are as thick as two, and where one crosses the other they lie on top of each
+other and are as thick as one. Each such waist is a crossing.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import maximum_filter1d
+
+from shape_obs.coldstart.bending import Lead
+from shape_obs.coldstart.skeleton import Branch
+from shape_obs.coldstart.zones import Arm
+from shape_obs.curve import arc_length
+
+Array = npt.NDArray[np.float64]
+
+# Radius over the width of one strand: 0.5 to 0.71 in the middle of a crossing, from acute to square; 0.9 to 1 of
+# strands side by side. Below the first they lie on top of each other, above the second they do not.
+_ONE: Final = 0.76
+_TWO: Final = 0.82
+# A waist of strands that cross at 25 degrees is two widths long, a little longer where they bend. Along a longer one
+# strands may change sides unseen.
+_LONGEST: Final = 4.0
+# Nowhere are strands that cross thinner than one strand: a neck is where two touch in a few pixels, side by side. A
+# branch this short, in widths, is a node that thinning took apart.
+_NECK: Final = 0.42
+_SHORT: Final = 0.5
+_TOUCH: Final = 1.3  # the longest branch, in widths, from the axis of one strand to that of another that it touches
+# The skeleton strays from the axis by a pixel, and the radius drops: within so many widths the largest counts.
+_JITTER: Final = 0.2
+
+
+class Overlap(NamedTuple):
+    """Two strands along a shared branch.
+
+    Args:
+        pairs: Which strand comes out as which.
+        paths: (P,2) pixels each, the centre of either strand on the way, in the direction of its pair.
+        back: Whether the strands may also turn back before the branch: it is no longer than where two touch.
+        doubt: Why this may be wrong, or nothing.
+    """
+
+    pairs: tuple[tuple[Arm, Arm], tuple[Arm, Arm]]
+    paths: tuple[Array, Array]
+    back: bool
+    doubt: str
+
+    @property
+    def denied(self) -> tuple[tuple[Arm, Arm], ...]:
+        """What the silhouette speaks against."""
+        (a, b), (c, d) = self.pairs
+        return ((a, d), (c, b)) if self.back else ((a, d), (c, b), (a, c), (b, d))
+
+
+def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, Lead], width: float) -> Overlap | None:
+    """Follow two strands along the branch they share; None where it says nothing, and least bending must decide.
+
+    Args:
+        branch: With the skeleton's radii.
+        starts: The two strands at its first node.
+        ends: The two strands at its last node.
+        leads: How they leave.
+        width: Of one strand, pixels.
+    """
+    side, doubt = _sides(branch, width)
+    is_neck = float(branch.radius.min()) < _NECK * width
+    if is_neck or (doubt and branch.length < _SHORT * width):
+        return None
+    arc = arc_length(branch.points)
+    near, far = np.searchsorted(arc, (min(width, arc[-1]), max(arc[-1] - width, 0.0)))
+    behind = np.mean([leads[arm].point for arm in starts], axis=0)
+    ahead = np.mean([leads[arm].point for arm in ends], axis=0)
+    first = _by_side(starts, leads, behind, branch.points[near] - behind)
+    last = _by_side(ends, leads, ahead, ahead - branch.points[far])
+    if side[-1] != side[0]:
+        last = last[::-1]
+    tangent = np.gradient(branch.points, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+    offset = (side * np.maximum(branch.radius - width / 2, 0.0))[:, None] * normal
+    paths = branch.points - offset, branch.points + offset
+    back = branch.length < _TOUCH * width
+    return Overlap(((first[0], last[0]), (first[1], last[1])), paths, back, doubt)
+
+
+def _by_side(arms: list[Arm], leads: dict[Arm, Lead], middle: Array, ahead: Array) -> list[Arm]:
+    """The strands from left to right, looking ahead, as the image is seen."""
+    return sorted(arms, key=lambda arm: float((leads[arm].point - middle) @ (-ahead[1], ahead[0])))
+
+
+def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], str]:
+    """On which side a strand runs that begins on the right (1): (P,) 1 or -1, and why this may be wrong, or nothing."""
+    arc = arc_length(branch.points)
+    steps = round(_JITTER * width * (len(arc) - 1) / max(float(arc[-1]), 1e-9))
+    relative = maximum_filter1d(branch.radius, 2 * steps + 1) / width
+    side = np.ones(len(arc), np.intp)
+    doubt = ""
+    start: int | None = None
+    for i, value in enumerate(relative):
+        if start is None and value < _ONE:
+            start = i
+        if start is not None and (value > _TWO or i == len(arc) - 1):
+            side[(start + i + 1) // 2 :] *= -1
+            if arc[i] - arc[start] > _LONGEST * width:
+                doubt = f"strands lie on each other for {arc[i] - arc[start]:.0f} px: which comes out where is a guess"
+            start = None
+    if _ONE <= float(relative.min()) < _TWO:
+        doubt = f"strands touch for {arc[-1]:.0f} px: whether they cross cannot be told"
+    return side, doubt

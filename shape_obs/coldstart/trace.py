@@ -1,0 +1,148 @@
+"""Tracing: the axis of a rope from tip to tip when there is no previous frame, over crossings and gaps."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+
+from shape_obs.coldstart.bridge import Bridged, bridge
+from shape_obs.coldstart.crossings import Strands, untangle
+from shape_obs.coldstart.fold import fold
+from shape_obs.coldstart.skeleton import skeleton_graph
+from shape_obs.curve import arc_length, interpolate
+from shape_obs.region import Component, Region
+
+Array = npt.NDArray[np.float64]
+
+_POINTS: Final = (96, 256)
+_SPACING: Final = 0.4  # of the points of a traced curve, in widths
+# Of a simple ribbon: holes are no larger than this share of a squared width, and no point of the outline lies farther
+# from the folded curve than this, in widths (half a width along the sides, 0.7 at square ends).
+_HOLE: Final = 0.25
+_RIBBON: Final = 1.0
+# A strand that ends on another one is left out as noise while no more of the skeleton than this is left out in all.
+_UNEXPLAINED: Final = 0.1
+# A rope that crosses itself ten times has 31 branches, and the work grows with their square.
+_MOST_BRANCHES: Final = 60
+# Another way to join the pieces that is dearer by this little is as likely.
+_RIVAL: Final = 1.15
+
+
+class Trace(NamedTuple):
+    """The axis of a rope.
+
+    Args:
+        curve: (P,2) pixels, image coordinates, from tip to tip (a width short of it, at most).
+        bridged: (P,) bool, the points in gaps between pieces of the mask.
+        doubt: Why the curve may be wrong, in words; empty where there is no reason to doubt it.
+    """
+
+    curve: Array
+    bridged: npt.NDArray[np.bool_]
+    doubt: str
+
+
+def trace(region: Region) -> Trace:
+    """Find the axis of a rope in its mask.
+
+    A simple ribbon is folded; what crosses itself is thinned to a skeleton, and its strands strung together; the
+    pieces of all components are joined end to end.
+
+    Args:
+        region: With one component or more.
+    """
+    ribbons = [(component, curve) for component in region.components if (curve := folded(component)) is not None]
+    if len(ribbons) == len(region.components) == 1:
+        curve = ribbons[0][1]
+        return _doubted(curve, "")
+    pieces = [curve for _, curve in ribbons]
+    width = max((component.width for component, _ in ribbons), default=0.0)
+    doubts: list[str] = []
+    if len(ribbons) < len(region.components):
+        skeleton = skeleton_graph(_without(region, [c for c, _ in ribbons]), (region.window.left, region.window.top))
+        if len(skeleton.branches) > _MOST_BRANCHES:
+            curve = fold(region.components[0].outline, region.components[0].width)
+            return _doubted(curve, f"the mask branches {len(skeleton.branches)} times: it is no rope")
+        strands = untangle(skeleton)
+        width = skeleton.width
+        kept = _explained(strands)
+        pieces += [strands.curves[i] for i in kept]
+        doubts += _doubts(strands, kept, alone=len(region.components) == 1)
+    if not pieces:
+        curve = fold(region.components[0].outline, region.components[0].width)
+        return _doubted(curve, "the mask has no axis")
+    joined = bridge(pieces, width)
+    doubts += _doubts_of_gaps(joined)
+    curve, bridged = _even(joined.curve, joined.bridged, width)
+    return Trace(curve, bridged & ~region.contains(curve), "; ".join(dict.fromkeys(doubts)))
+
+
+def folded(component: Component) -> Array | None:
+    """The centreline of a component that is a simple ribbon: it has no hole, and all of it lies near; else None."""
+    outline = component.outline
+    following = np.roll(outline, -1, axis=0)
+    area = abs(float(np.sum(outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]))) / 2
+    # Pick's theorem: pixels in and on a polygon through pixels.
+    filled = area + len(outline) / 2 + 1
+    if filled - component.area > max(_HOLE * component.width**2, 1.0):
+        return None
+    curve = fold(outline, component.width)
+    spacing = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).max(initial=0.0))
+    distance = KDTree(curve).query(outline[::2])[0]
+    return curve if float(distance.max()) <= _RIBBON * component.width + spacing / 2 else None
+
+
+def _without(region: Region, ribbons: list[Component]) -> npt.NDArray[np.uint8]:
+    """The region's mask without some of its components, which have no holes."""
+    if not ribbons:
+        return region.mask
+    origin = (region.window.left, region.window.top)
+    outlines = [np.rint(component.outline - origin).astype(np.int32) for component in ribbons]
+    return np.asarray(cv2.drawContours(region.mask.copy(), outlines, -1, (0.0,), cv2.FILLED), dtype=np.uint8)
+
+
+def _explained(strands: Strands) -> list[int]:
+    """The strands that are the rope: without the short ones that end on another, a tenth of all at most."""
+    length = [float(arc_length(curve)[-1]) for curve in strands.curves]
+    spare = _UNEXPLAINED * sum(length)
+    kept = list(range(len(length)))
+    for i in sorted(kept, key=lambda i: length[i]):
+        if any(strands.inside[i]) and len(kept) > 1 and length[i] <= spare:
+            spare -= length[i]
+            kept.remove(i)
+    return kept
+
+
+def _doubts(strands: Strands, kept: list[int], *, alone: bool) -> list[str]:
+    """Why the strands of a skeleton may not be those of one rope; ``alone`` if there is nothing but them."""
+    doubts = list(strands.doubts)
+    if strands.rings:
+        doubts.append("the mask holds a closed ring: where the rope begins cannot be told")
+    ends = sum(not inside for i in kept for inside in strands.inside[i])
+    joints = sum(inside for i in kept for inside in strands.inside[i])
+    if len(kept) > 1 and (alone or joints):
+        doubts.append(f"the mask branches: {ends} free ends and {joints} that lie on another strand")
+    return doubts
+
+
+def _doubts_of_gaps(joined: Bridged) -> list[str]:
+    if joined.rival < _RIVAL:
+        return ["the pieces could be joined in another order about as well"]
+    return []
+
+
+def _doubted(curve: Array, doubt: str) -> Trace:
+    """A folded curve."""
+    return Trace(curve, np.zeros(len(curve), bool), doubt)
+
+
+def _even(curve: Array, bridged: npt.NDArray[np.bool_], width: float) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """The curve at even steps, and which of its points lie in gaps."""
+    arc = arc_length(curve)
+    at = np.linspace(0.0, arc[-1], int(np.clip(round(arc[-1] / (_SPACING * width)), *_POINTS)))
+    nearest = np.clip(np.searchsorted(arc, at), 1, len(arc) - 1)
+    return interpolate(curve, arc, at), bridged[nearest] | bridged[nearest - 1]

@@ -1,0 +1,130 @@
+"""Contour: the outline of a cloth or any flat thing as N points, clockwise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.body import Body
+from shape_obs.border import clockwise
+from shape_obs.coldstart.outline import holes, outline, outline_samples
+from shape_obs.configurations.base import Configuration, Points
+from shape_obs.curve import catmull_rom, equidistant_around
+from shape_obs.form import Curve
+from shape_obs.gate import Verdict, judge_outline
+from shape_obs.phase import blend, lag
+from shape_obs.samples import Samples
+from shape_obs.topology import Ring, Topology
+from shape_obs.tracking import Prediction
+
+Array = npt.NDArray[np.float64]
+
+_NODE_SPACING: Final = 3.0  # samples a node should stand for, whatever N is: fewer follow the pixels, more cut corners
+_NODES: Final = (24, 192)
+_MIN_SAMPLES: Final = 12  # less than half of the fewest nodes would leave most of them without a sample
+
+# Numbered by the last frame alone, an outline of noisy pixels creeps by 6 px in 180 frames. The mean of some twenty
+# frames holds it, and is left behind by slow changes of shape alone.
+_FORGETTING: Final = 0.05
+
+
+@dataclass(frozen=True)
+class Contour(Configuration[Curve], kind="contour"):
+    """The outline of the largest piece, clockwise as seen in the image, its points equally far from their neighbours.
+
+    Point 0 lies where the outline is nearest the anchor; without one, at its topmost-left point, which is where u + v
+    is least.
+
+    Args:
+        n: How many points.
+        hole: None for the outer outline; 0 for the outline of the largest hole, 1 for the next.
+    """
+
+    n: int = 32
+    hole: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 3 <= self.n <= 1000:
+            raise ValueError(f"contour: n must lie in 3...1000, got {self.n}.")
+        if self.hole is not None and self.hole < 0:
+            raise ValueError(f"contour: hole must be None or >= 0, got {self.hole}.")
+
+    @property
+    def layout(self) -> Ring:
+        """A ring of n points."""
+        return Ring(self.n)
+
+    def unfit(self, body: Body) -> str:
+        """No such hole, or an outline of a few pixels."""
+        found = holes(body) if self.hole is not None else 0
+        if self.hole is not None and self.hole >= found:
+            return f"hole {self.hole} was asked for, the {body.noun} has {found}"
+        samples = len(self.samples(body))
+        if samples < _MIN_SAMPLES:
+            return f"the outline is too small: {samples} samples, at least {_MIN_SAMPLES} are needed"
+        return ""
+
+    def samples(self, body: Body) -> Samples:
+        """The outline."""
+        return outline_samples(body, self.hole)
+
+    def topology(self, body: Body) -> Ring:
+        """A ring with a node every six samples, 24 to 192 of them."""
+        samples = self.samples(body)
+        return Ring(int(np.clip(round(self.parameterise(body).size / (_NODE_SPACING * samples.scale)), *_NODES)))
+
+    def parameterise(self, body: Body) -> Curve:
+        """The outline, clockwise as seen."""
+        return outline(body, self.hole)
+
+    def nodes(self, form: Curve, topology: Topology) -> Array:
+        """K places of equal arc length, the first at the form's first point."""
+        return form.at(np.arange(topology.size) * (form.size / topology.size))
+
+    def warm(self, body: Body, prediction: Prediction) -> Array:
+        """On this frame's own outline. They begin near where they are expected; it is the fitted form that follows."""
+        form = self.parameterise(body)
+        nearest = np.argmin(np.sum((form.points - prediction.nodes[0]) ** 2, axis=1))
+        return self.nodes(form.begun_at(float(form.arc[nearest])), prediction.topology)
+
+    def finish(self, nodes: Array, body: Body) -> Curve:
+        """The closed curve through the nodes."""
+        points = catmull_rom(nodes, closed=True)
+        return Curve(points, np.zeros(len(points), bool), closed=True)
+
+    def judge(self, form: Curve, body: Body, bridged: float) -> Verdict:
+        """By how closely it follows the outline, and how much of the body lies within."""
+        return judge_outline(form, body, self.samples(body))
+
+    def numbered(self, form: Curve, seen: Array, target: Array | None) -> Curve:
+        """Clockwise as seen, from the place nearest the target, else from the least u + v."""
+        if not clockwise(seen):
+            form, seen = form.reversed(), np.roll(seen[::-1], 1, axis=0)
+        far = seen[:, 0] + seen[:, 1] if target is None else np.sum((seen - target) ** 2, axis=1)
+        return form.begun_at(_least(far, form))
+
+    def follow(self, form: Curve, prediction: Prediction) -> Curve:
+        """From the place where the predicted outline begins, whichever way it has turned."""
+        reference = prediction.nodes if prediction.reference is None else prediction.reference
+        behind = lag(reference, prediction.nodes, self.nodes(form, prediction.topology))
+        turned = form.begun_at(behind * form.size / prediction.topology.size)
+        return replace(turned, reference=blend(reference, self.nodes(turned, prediction.topology), _FORGETTING))
+
+    def place(self, form: Curve, metric: Curve) -> Points:
+        """Equal chords around, from the form's first point."""
+        at = equidistant_around(metric.points, metric.arc, self.n)
+        return Points(form.at(np.interp(at, metric.arc, form.arc)), metric.bridged_at(at))
+
+
+def _least(values: Array, form: Curve) -> float:
+    """Arc position of the least of (P,) values on a form's points: of the parabola through it and its neighbours."""
+    at = int(np.argmin(values))
+    before, after = form.arc[at] - form.arc[at - 1] if at else form.arc[-1] - form.arc[-2], np.diff(form.arc)[at]
+    fall, rise = (values[at - 1] - values[at]) / before, (values[(at + 1) % len(values)] - values[at]) / after
+    bend = fall + rise
+    shift = (fall * after - rise * before) / (2 * bend) if bend > 0 else 0.0
+    return float(form.arc[at] + np.clip(shift, -before, after))

@@ -1,0 +1,203 @@
+"""Surface: a cloth or a towel as a lattice of points, row by row, each on its material."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.body import Body
+from shape_obs.border import Border
+from shape_obs.cloud import Cloud
+from shape_obs.coldstart.coons import coons
+from shape_obs.coldstart.corners import Indices, Rim
+from shape_obs.configurations.base import Configuration, Ends, Points
+from shape_obs.form import Patch
+from shape_obs.gate import Verdict, judge_sheet
+from shape_obs.region import Region
+from shape_obs.samples import Samples
+from shape_obs.topology import Grid, Topology
+from shape_obs.tracking import Prediction
+
+Array = npt.NDArray[np.float64]
+
+_FINE: Final = 25  # rows and columns of a patch: between them it is taken to be bilinear, 0.1 px off
+_NODES: Final = 8  # rows and columns that are remembered from frame to frame, whatever lattice is sampled
+_MIN_SIDE: Final = 6.0  # grains: what is narrower has no two sides to speak of
+_MAX_ASPECT: Final = 8.0  # length over width; what is longer is a ribbon, whose corners are its ends
+_MAX_CUT: Final = 0.03  # of the outline
+_MIN_PIECE: Final = 0.8  # of the body: the largest piece, since a sheet has no way to hang together over a gap
+
+
+@dataclass(frozen=True)
+class Surface(Configuration[Patch], kind="surface"):
+    """A lattice over a sheet with four corners, row by row from its top left.
+
+    Args:
+        rows: How many points from top to bottom.
+        cols: How many from left to right.
+        ends: ``"centers"``: the points are centres of rows x cols equal pieces, as cluster centres are; ``"tips"``:
+            the outer rows and columns lie on the border. None takes the detector's.
+    """
+
+    rows: int = 4
+    cols: int = 8
+    ends: Ends | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (2 <= self.rows <= 100 and 2 <= self.cols <= 100):
+            raise ValueError(f"surface: rows and cols must lie in 2...100, got {self.rows} and {self.cols}.")
+
+    @property
+    def layout(self) -> Grid:
+        """A lattice of rows x cols points."""
+        return Grid(self.rows, self.cols)
+
+    def unfit(self, body: Body) -> str:
+        """A speck, a ribbon, several pieces, or a sheet that leaves the image, whose corners cannot be known."""
+        if body.width < _MIN_SIDE * body.grain:
+            return f"the {body.noun} is {body.width:.3g} {body.unit} wide: too small for a sheet"
+        if body.stretch > _MAX_ASPECT * body.width:
+            return f"the {body.noun} is {body.stretch:.4g} x {body.width:.4g} {body.unit}: too slender for a sheet"
+        if isinstance(body, Region):
+            piece, cut = body.components[0].area / body.amount, _cut(body)
+            if piece < _MIN_PIECE:
+                return f"the mask falls into {len(body.components)} pieces, and the largest is {piece:.0%} of it"
+            if cut > _MAX_CUT:
+                return f"{cut:.0%} of the outline lies on the image's edge: the sheet's corners are out of sight"
+        return ""
+
+    def samples(self, body: Body) -> Samples:
+        """All of the body."""
+        return body.samples
+
+    def topology(self, body: Body) -> Grid:
+        """A lattice of 8 x 8 nodes, to be remembered."""
+        return Grid(_NODES, _NODES)
+
+    def parameterise(self, body: Body) -> Patch:
+        """A Coons patch between the corners of the outline, numbered by the paper's rule."""
+        rim = _rim(body)
+        corners, doubt = rim.corners(), ""
+        if corners is None:
+            doubt = f"the outline has {len(rim.candidates)} corners, a sheet has four"
+            corners = np.arange(4) * (len(rim.points) // 4)
+        form = replace(_laid(rim, corners, body), doubt=doubt)
+        return self.numbered(form, body.seen(form.points, None), None)
+
+    def nodes(self, form: Patch, topology: Topology) -> Array:
+        """The centres of K equal pieces."""
+        assert isinstance(topology, Grid)
+        return form.at(*_spread(form, topology.rows, topology.cols, "centers"))
+
+    def warm(self, body: Body, prediction: Prediction) -> Array:
+        """As on a cold start, with the corners that are nearest to the predicted ones."""
+        rim = _rim(body)
+        corners = rim.corners_near(_corners(prediction.nodes, prediction.topology))
+        return prediction.nodes if corners is None else self.nodes(_laid(rim, corners, body), prediction.topology)
+
+    def fitted(self, start: Array, body: Body, topology: Topology, *, moving: bool) -> Array:
+        """The start itself: what is seen of a sheet's material is its outline.
+
+        A map that spreads nodes over equal areas moves them along the sheet, 2 px off their material where the Coons
+        patch is 0.9 px off; in a cloud it follows the noise.
+        """
+        return start
+
+    def finish(self, nodes: Array, body: Body) -> Patch:
+        """The Coons patch between the corners nearest to the nodes'."""
+        rim = _rim(body)
+        corners = rim.corners_near(_corners(nodes, self.topology(body)))
+        if corners is None:
+            return replace(self.parameterise(body), doubt="the outline's corners are not where the lattice's are")
+        form = _laid(rim, corners, body)
+        return replace(form, bridged=~body.carries(form.points))
+
+    def judge(self, form: Patch, body: Body, bridged: float) -> Verdict:
+        """As a sheet; over a cloud as it lies unrolled, where a bent side does not wind."""
+        rim = _rim(body)
+        corners = rim.corners_near(form.corners)
+        if form.doubt or corners is None:
+            return Verdict(form.doubt or "the lattice's corners are not in order around the outline", 0.0)
+        if isinstance(body, Cloud):
+            form = form.measured(_unrolled(rim, corners))
+        return judge_sheet(form, body, float(np.degrees(rim.kink(corners))))
+
+    def numbered(self, form: Patch, seen: Array, target: Array | None) -> Patch:
+        """The first corner nearest the target; else rows run to the right and columns down, as far as they can."""
+        if target is not None:
+            corners = form.measured(seen).corners
+            return form.turned(int(np.argmin(np.sum((corners - target) ** 2, axis=1))))
+        lattice = form.measured(seen).lattice
+        right, down = (lattice[:, -1] - lattice[:, 0]).mean(axis=0), (lattice[-1] - lattice[0]).mean(axis=0)
+        right, down = (way / max(float(np.linalg.norm(way)), 1e-9) for way in (right, down))
+        level, upright = right[0] + down[1], down[0] - right[1]
+        return form.turned(int(np.argmax([level, upright, -level, -upright])))
+
+    def follow(self, form: Patch, prediction: Prediction) -> Patch:
+        """Turned so that its corners lie nearest to the predicted ones."""
+        expected, corners = _corners(prediction.nodes, prediction.topology), form.corners
+        away = [np.sum((np.roll(corners, -quarters, axis=0) - expected) ** 2) for quarters in range(4)]
+        return form.turned(int(np.argmin(away)))
+
+    def place(self, form: Patch, metric: Patch) -> Points:
+        """Equal gaps down and across, on the mean over the lattice."""
+        at = _spread(metric, self.rows, self.cols, self.ends or "centers")
+        return Points(form.at(*at), form.bridged_at(*at))
+
+
+def _cut(region: Region) -> float:
+    """The share of the outline that runs along the edge of the window."""
+    height, width = region.mask.shape
+    place = region.border.traced - (region.window.left, region.window.top)
+    return float(np.mean(np.any((place <= 0) | (place >= (width - 1, height - 1)), axis=1)))
+
+
+def _rim(body: Body) -> Rim:
+    """The outline of a body's largest piece; of a cloud as unrolled."""
+    if isinstance(body, Cloud):
+        sheet = body.sheet()
+        return Rim.along(sheet.outline, sheet.outline_flat)
+    return _mask_rim(body.border)
+
+
+@lru_cache(maxsize=1)  # of the frame at hand: it is asked for twice
+def _mask_rim(border: Border) -> Rim:
+    return Rim.along(border.curve.points, border.curve.points)
+
+
+def _laid(rim: Rim, corners: Indices, body: Body) -> Patch:
+    """The Coons patch between four corners; for a cloud in its unrolled plane, then put back onto the sheet."""
+    if isinstance(body, Cloud):
+        points = body.chart.to_space(_unrolled(rim, corners))
+    else:
+        points = coons(rim.sides(corners, _FINE)).reshape(-1, 2)
+    return Patch(points, np.zeros(len(points), bool), _FINE)
+
+
+def _unrolled(rim: Rim, corners: Indices) -> Array:
+    """(P,2) the Coons patch between four corners in the plane of the unrolled outline."""
+    return coons(replace(rim, points=rim.flat).sides(corners, _FINE)).reshape(-1, 2)
+
+
+def _spread(form: Patch, rows: int, cols: int, ends: Ends) -> tuple[Array, Array]:
+    """Places on a patch, (rows,) down and (cols,) across, with equal gaps on the mean over the patch."""
+    found = []
+    for count, gauge in zip((rows, cols), form.gauges, strict=True):
+        share = np.linspace(0, 1, count) if ends == "tips" else (np.arange(count) + 0.5) / count
+        found.append(np.interp(share * gauge[-1], gauge, np.arange(len(gauge))))
+    return found[0], found[1]
+
+
+def _corners(nodes: Array, topology: Topology) -> Array:
+    """(4,D) where the corners of a sheet belong whose pieces have their centres at the nodes, clockwise."""
+    assert isinstance(topology, Grid)
+    lattice = nodes.reshape(topology.rows, topology.cols, -1)
+    outer = [lattice[i, j] for i, j in ((0, 0), (0, -1), (-1, -1), (-1, 0))]
+    beside = [lattice[i, j] for i, j in ((0, 1), (0, -2), (-1, -2), (-1, 1))]
+    beneath = [lattice[i, j] for i, j in ((1, 0), (1, -1), (-2, -1), (-2, 0))]
+    return 2 * np.array(outer) - (np.array(beside) + np.array(beneath)) / 2

@@ -1,0 +1,95 @@
+"""From a form to the points of a shape: spread evenly, told whether they were seen, and put in space."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import gaussian_filter1d
+
+from shape_obs.body import Body
+from shape_obs.cloud import Cloud
+from shape_obs.configurations import Configuration
+from shape_obs.deproject import SeenCloud
+from shape_obs.fitting import Fit
+from shape_obs.form import Curve, Form
+from shape_obs.frame import Frame
+from shape_obs.lift import lift, lift_form, local_depth
+from shape_obs.missing import OnInvalid, fill_invalid
+from shape_obs.region import Region
+from shape_obs.shape import Shape
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+# What is fitted to the visible half of a round rope lies this share of a radius in front of its axis.
+_HALF_ROUND: Final = np.pi / 4
+_SMOOTH: Final = 3.0  # points of the fine curve, over which its direction is taken
+
+
+def shape_of(
+    spec: Configuration, found: Fit, form: Form, body: Body, frame: Frame, last: Shape | None, policy: OnInvalid
+) -> Shape:
+    """The shape of a fit.
+
+    Args:
+        spec: What was looked for.
+        found: What the gate said.
+        form: Where it lies, pixels on a mask, metres in a cloud.
+        body: What it was fitted to.
+        frame: Depth and camera, for a mask.
+        last: The shape when it was last found.
+        policy: What becomes of points without depth.
+    """
+    if isinstance(body, Cloud):
+        points2d, points3d, visible, valid = _in_cloud(spec, form, body)
+    else:
+        points2d, points3d, visible, valid = _in_image(spec, form, body, frame)
+    if points3d is not None:
+        points3d = fill_invalid(points3d, None if last is None else last.points3d, policy, spec.layout)
+    quality = found.quality * float(valid.mean())
+    return Shape(spec.name, points2d, points3d, visible, valid, spec.layout, quality=quality)
+
+
+_Parts = tuple[npt.NDArray[np.float32] | None, npt.NDArray[np.float32] | None, Mask, Mask]
+
+
+def _in_image(spec: Configuration, form: Form, region: Region, frame: Frame) -> _Parts:
+    """Points in pixels with the depth under them."""
+    metric, camera = form, frame.camera
+    if spec.spacing == "m" and frame.depth is not None and camera is not None:
+        lifted = lift_form(form, frame.depth, region, region.width, camera.intrinsics)
+        metric = form if lifted is None else form.measured(lifted)
+    points, bridged = spec.place(form, metric)
+    visible = region.carries(points) & ~bridged
+    if frame.depth is None or camera is None:
+        return points.astype(np.float32), None, visible, visible.copy()
+    z = local_depth(points, frame.depth, region, region.width)
+    z[~visible] = np.nan
+    points3d = lift(points, z, camera.intrinsics, spec.radius).astype(np.float32)
+    return points.astype(np.float32), points3d, visible, visible & np.isfinite(z)
+
+
+def _in_cloud(spec: Configuration, form: Form, cloud: Cloud) -> _Parts:
+    """The fitted points themselves, of a curve moved to the axis; pixels are their projection."""
+    if spec.radius and isinstance(form, Curve):
+        form = form.measured(form.points + _HALF_ROUND * spec.radius * _inwards(form))
+    points, bridged = spec.place(form, form)
+    visible = cloud.carries(points) & ~bridged
+    valid = visible & cloud.near(points)
+    if not isinstance(cloud, SeenCloud):
+        visible = valid.copy()
+    points2d = cloud.pixels(points).astype(np.float32) if isinstance(cloud, SeenCloud) else None
+    points3d = points.astype(np.float32)
+    points3d[~valid] = np.nan
+    return points2d, points3d, visible, valid
+
+
+def _inwards(curve: Curve) -> Array:
+    """(P,3) unit vectors away from the origin, at right angles to the curve: from a rope's visible side to its axis."""
+    points, mode = curve.points, "wrap" if curve.closed else "nearest"
+    tangent = np.stack([gaussian_filter1d(points[:, d], _SMOOTH, order=1, mode=mode) for d in range(3)], axis=1)
+    square = np.maximum(np.sum(tangent**2, axis=1, keepdims=True), 1e-18)
+    across = points - tangent * (np.sum(points * tangent, axis=1, keepdims=True) / square)
+    return across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)

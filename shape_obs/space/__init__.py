@@ -1,0 +1,1 @@
+"""Geometry of point clouds: thickness, voxels, geodesics, unrolling. Knows arrays alone."""

@@ -1,0 +1,197 @@
+"""Clouds under masks (``lift="cloud"``), clouds as bodies, and slices of what is claimed for them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from shape_obs import Centerline, Contour, ShapeDetector, Surface
+from shape_obs.cloud import Cloud
+from shape_obs.evaluation import cloud_claims
+from shape_obs.evaluation.clouds import SheetCloud, sheet_cloud
+from shape_obs.evaluation.tilted import CAMERA, tilted_rope, tilted_sheet
+
+
+def straight(count: int = 3000) -> np.ndarray:
+    """A rope of 4 mm noise along x."""
+    draw = np.random.default_rng(1)
+    points = draw.normal(0, 0.004, (count, 3)) + (0, 0, 1)
+    points[:, 0] = draw.uniform(-0.3, 0.3, count)
+    return points
+
+
+class TestClaims:
+    """Slices of what ``shape-obs bench claims`` counts in full."""
+
+    def test_rope_clouds(self):
+        found = list(cloud_claims.rope_clouds(5))
+        assert all(result.ok and result.ordered for result in found)
+        assert np.mean([result.curve_mm for result in found]) < 1.5
+        assert max(result.curve_mm for result in found) < 3.0
+        assert np.mean([result.place_mm for result in found if result.n >= 20]) < 2.5
+        assert max(result.gap_cv for result in found) < 0.03
+        assert np.mean([result.valid for result in found]) > 0.9
+        assert {row["not_ok"] for row in cloud_claims.cloud_table(found)} == {0}
+
+    def test_ring_clouds(self):
+        found = list(cloud_claims.ring_clouds(6))
+        assert all(result.ok and result.ordered for result in found)
+        assert max(result.curve_mm for result in found) < 2.0
+        assert max(result.gap_cv for result in found) < 0.03
+
+    def test_sheet_clouds(self):
+        found = list(cloud_claims.sheet_clouds(6))
+        assert all(result.ok and result.ordered for result in found)
+        assert max(result.curve_mm for result in found) < 5.0
+        assert max(result.gap_cv for result in found) < 0.04
+
+    def test_a_moving_rope_is_tracked(self):
+        for result in cloud_claims.moving_rope_clouds([0.005, 0.015], [0], frames=60):
+            assert (result.flips, result.slips, result.not_ok) == (0, 0, 0)
+            assert result.mean_mm < 2.0
+
+    def test_a_cloud_under_a_tilted_mask_has_equal_gaps_in_metres(self):
+        rows = {(r["image"], r["way"]): r for r in cloud_claims.tilted_table(cloud_claims.tilted_images(5))}
+        for what in ("rope", "sheet"):
+            assert rows[what, "cloud"]["not_ok"] == 0
+            assert rows[what, "cloud"]["gap_cv_worst"] < 0.03
+            assert rows[what, "px"]["gap_cv_mean"] > 0.05
+            assert rows[what, "cloud"]["place_mean_mm"] < rows[what, "px"]["place_mean_mm"] / 2
+        assert rows["sheet", "cloud"]["place_worst_mm"] < 2.0
+
+
+class TestUnderAMask:
+    """``lift="cloud"``."""
+
+    def test_pixels_are_the_projection(self):
+        rope = tilted_rope(np.random.default_rng(3))
+        shape = (
+            ShapeDetector(Centerline(ends="tips", lift="cloud")).detect_mask(rope.mask, rope.depth, CAMERA).shapes[0]
+        )
+        assert shape.ok
+        np.testing.assert_allclose(shape.points2d[shape.valid], CAMERA.project(shape.points3d[shape.valid]), atol=0.01)
+
+    @pytest.mark.parametrize("given_arguments", [{}, {"camera": CAMERA}, {"depth": np.ones((480, 640))}])
+    def test_it_needs_depth_and_a_camera(self, given_arguments):
+        mask = tilted_rope(np.random.default_rng(3)).mask
+        with pytest.raises(ValueError, match="lift='cloud' needs depth and a camera; give both, or lift='points'"):
+            ShapeDetector(Centerline(lift="cloud")).detect_mask(mask, **given_arguments)
+
+    def test_no_depth_is_a_reason(self):
+        mask = tilted_rope(np.random.default_rng(3)).mask
+        shape = ShapeDetector(Centerline(lift="cloud")).detect_mask(mask, np.zeros((480, 640)), CAMERA).shapes[0]
+        assert (shape.ok, shape.reason) == (False, "the cloud is empty")
+        assert (
+            ShapeDetector(Centerline(lift="cloud")).detect_mask(mask * 0, np.ones((480, 640)), CAMERA).shapes[0].reason
+        )
+
+    def test_a_hole_in_the_depth_is_visible_and_not_valid(self, wave, intrinsics):
+        depth = np.full((240, 320), 0.8)
+        depth[:, 130:190] = 0
+        shape = ShapeDetector(Centerline(n=40, lift="cloud")).detect_mask(wave.mask, depth, intrinsics).shapes[0]
+        assert shape.ok, shape.reason
+        inside = (shape.points2d[:, 0] > 150) & (shape.points2d[:, 0] < 170)
+        outside = (shape.points2d[:, 0] < 125) | (shape.points2d[:, 0] > 195)
+        assert inside.any()
+        assert not shape.valid[inside].any()
+        assert shape.visible[inside].all()
+        assert shape.valid[outside].all()
+
+    def test_a_pixel_and_a_base_frame_point_are_anchors(self, wave, overhead):
+        depth = np.full((240, 320), 0.8)
+        for end in ((50.0, 140.0), (270.0, 112.0)):
+            point = tuple(float(value) for value in overhead.to_base(overhead.intrinsics.deproject(end, 0.8)))
+            for anchor in (end, point):
+                detector = ShapeDetector(Centerline(ends="tips", lift="cloud", anchor=anchor))
+                first = detector.detect_mask(wave.mask, depth, overhead).shapes[0].points2d[0]
+                np.testing.assert_allclose(first, end, atol=5)
+
+    def test_shapes_that_lift_differently_share_a_frame(self):
+        scene = tilted_sheet(np.random.default_rng(1))
+        shapes = [Surface(rows=3, cols=4, lift="cloud"), Contour(n=16), Contour(n=16, name="in space", lift="cloud")]
+        detection = ShapeDetector(shapes).detect_mask(scene.mask, scene.depth, CAMERA)
+        assert detection.ok, [shape.reason for shape in detection]
+        assert all(shape.points2d is not None for shape in detection)
+
+
+class TestCloud:
+    """The body itself: what the configurations ask it."""
+
+    @pytest.fixture
+    def bent(self) -> SheetCloud:
+        return sheet_cloud(np.random.default_rng(8), bend=2.0)
+
+    def test_a_rope_is_measured(self):
+        cloud = Cloud(straight())
+        assert cloud.width == pytest.approx(0.004 * 12**0.5, rel=0.2)
+        assert cloud.breadth(0.6) == pytest.approx(0.004 * 24**0.5, rel=0.2)
+        assert cloud.stretch == pytest.approx(0.6, rel=0.15)
+        assert len(cloud.components) == 1
+
+    def test_samples_keep_the_count_and_the_centre(self):
+        cloud = Cloud(straight())
+        samples = cloud.samples
+        assert samples.weight.sum() == cloud.amount == 3000
+        centre = np.average(samples.points, axis=0, weights=samples.weight)
+        np.testing.assert_allclose(centre, cloud.kept.mean(axis=0))
+        assert len(samples) < 800
+
+    def test_near_knows_the_rope_from_its_surroundings(self):
+        cloud = Cloud(straight())
+        places = np.array([[0, 0, 1], [0.2, 0.003, 1], [0, 0.05, 1], [0.4, 0, 1]], dtype=float)
+        np.testing.assert_array_equal(cloud.near(places), [True, True, False, False])
+
+    def test_a_sheet_is_unrolled_without_a_mirror_image(self, bent):
+        cloud = Cloud(bent.points)
+        outline, flat, outline_flat = cloud.sheet()
+        assert outline.shape[1:] == (3,)
+        assert outline_flat.shape == (len(outline), 2)
+        assert flat.shape == (len(cloud.samples), 2)
+        width, height = bent.size
+        around = np.linalg.norm(np.diff(outline_flat, axis=0, append=outline_flat[:1]), axis=1).sum()
+        assert around == pytest.approx(2 * (width + height), rel=0.05)
+        for line in (outline, outline_flat):
+            after = np.roll(line, -1, axis=0)
+            assert np.sum(line[:, 0] * after[:, 1] - line[:, 1] * after[:, 0]) > 0
+        share = np.random.default_rng(0).uniform(0.1, 0.9, (200, 2))
+        placed = cloud.chart.to_flat(
+            bent.at(share), np.argmin(_distances(bent.at(share), cloud.samples.points), axis=1)
+        )
+        true = (share - share.mean(axis=0)) * bent.size
+        u, _, v = np.linalg.svd((placed - placed.mean(axis=0)).T @ true)
+        assert np.linalg.det(u @ v) > 0
+        assert np.linalg.norm((placed - placed.mean(axis=0)) @ (u @ v) - true, axis=1).mean() < 0.008
+
+    def test_the_map_goes_back_to_the_sheet(self, bent):
+        cloud = Cloud(bent.points)
+        back = cloud.chart.to_space(cloud.sheet().flat)
+        assert np.linalg.norm(back - cloud.samples.points, axis=1).mean() < 0.003
+
+
+def _distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(points[:, None] - others[None], axis=2)
+
+
+@pytest.mark.long
+def test_the_simulated_cable_seen_as_a_cloud():
+    gym = pytest.importorskip("gymnasium")
+    pytest.importorskip("mujoco")
+    from shape_obs.wrappers import ShapeObservation
+
+    shapes = [{"kind": "centerline", "n": 20, "anchor": "gripper0", "ends": "tips", "lift": "cloud"}]
+    env = ShapeObservation(gym.make("shape_obs_envs:ShapeObs/Cable-v0", camera="d455"), shapes)
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    errors = []
+    for _ in range(12):
+        assert env.detection is not None
+        shape = env.detection.shapes[0]
+        assert shape.ok, shape.reason
+        simulator: Any = env.unwrapped
+        truth = simulator.truth(n=20, frame="camera", surface=True)
+        errors.append(np.linalg.norm(shape.points3d - truth, axis=1)[shape.valid].mean())
+        env.step(env.action_space.sample())
+    env.close()
+    assert np.mean(errors) < 0.003
