@@ -142,8 +142,8 @@ class Grid(Topology):
 
     rows: int
     cols: int
-    static: ClassVar = (0.5, 0.5, 0.5)
-    moving: ClassVar = (0.5, 0.5, 0.5)
+    static: ClassVar = (1.0,)
+    moving: ClassVar = (1.0,)
 
     @property
     def size(self) -> int:

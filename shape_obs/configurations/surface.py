@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import RegularGridInterpolator
 
 from shape_obs.body import Body
 from shape_obs.border import Border
@@ -41,16 +42,22 @@ class Surface(Configuration[Patch], kind="surface"):
         cols: How many from left to right.
         ends: ``"centers"``: the points are centres of rows x cols equal pieces, as cluster centres are; ``"tips"``:
             the outer rows and columns lie on the border. None takes the detector's.
+        epochs: Of the self-organising map, after the Coons patch. None by default: what is seen of a sheet's material
+            is its outline. Each epoch evens the areas out and takes the points nearer to cluster centres and off their
+            material (1.13, 1.27, 1.48 px over drawn sheets with 0, 1, 2), and away from whatever hides the inside.
     """
 
     rows: int = 4
     cols: int = 8
     ends: Ends | None = None
+    epochs: int = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (2 <= self.rows <= 100 and 2 <= self.cols <= 100):
             raise ValueError(f"surface: rows and cols must lie in 2...100, got {self.rows} and {self.cols}.")
+        if not 0 <= self.epochs <= 100:
+            raise ValueError(f"surface: epochs must lie in 0...100, got {self.epochs}.")
 
     @property
     def layout(self) -> Grid:
@@ -101,21 +108,23 @@ class Surface(Configuration[Patch], kind="surface"):
         return prediction.nodes if corners is None else self.nodes(_laid(rim, corners, body), prediction.topology)
 
     def fitted(self, start: Array, body: Body, topology: Topology, *, moving: bool) -> Array:
-        """The start itself: what is seen of a sheet's material is its outline.
-
-        A map that spreads nodes over equal areas moves them along the sheet, 2 px off their material where the Coons
-        patch is 0.9 px off; in a cloud it follows the noise.
-        """
+        """The map after its epochs."""
+        for _ in range(self.epochs):
+            start = super().fitted(start, body, topology, moving=moving)
         return start
 
     def finish(self, nodes: Array, body: Body) -> Patch:
-        """The Coons patch between the corners nearest to the nodes'."""
-        rim = _rim(body)
-        corners = rim.corners_near(_corners(nodes, self.topology(body)))
+        """The Coons patch between the corners nearest to the nodes', its inside moved where the map has moved them."""
+        rim, lattice = _rim(body), self.topology(body)
+        corners = rim.corners_near(_corners(nodes, lattice))
         if corners is None:
             return replace(self.parameterise(body), doubt="the outline's corners are not where the lattice's are")
         form = _laid(rim, corners, body)
-        return replace(form, bridged=~body.carries(form.points))
+        points = form.points
+        if self.epochs:
+            moved = (nodes - self.nodes(form, lattice)).reshape(lattice.rows, lattice.cols, -1)
+            points = points + _over(form, moved)
+        return replace(form, points=points, bridged=~body.carries(points))
 
     def judge(self, form: Patch, body: Body, bridged: float) -> Verdict:
         """As a sheet; over a cloud as it lies unrolled, where a bent side does not wind."""
@@ -191,6 +200,16 @@ def _spread(form: Patch, rows: int, cols: int, ends: Ends) -> tuple[Array, Array
         share = np.linspace(0, 1, count) if ends == "tips" else (np.arange(count) + 0.5) / count
         found.append(np.interp(share * gauge[-1], gauge, np.arange(len(gauge))))
     return found[0], found[1]
+
+
+def _over(form: Patch, moved: Array) -> Array:
+    """(P,D) how the points of a patch move with its nodes: (R,C,D) at the nodes, nothing at the border."""
+    places = _spread(form, moved.shape[0], moved.shape[1], "centers")
+    ends = [len(gauge) - 1 for gauge in form.gauges]
+    down, across = (np.concatenate([[0.0], at, [end]]) for at, end in zip(places, ends, strict=True))
+    motion = RegularGridInterpolator((down, across), np.pad(moved, ((1, 1), (1, 1), (0, 0))), method="linear")
+    fine = np.stack(np.meshgrid(np.arange(ends[0] + 1), np.arange(ends[1] + 1), indexing="ij"), axis=-1)
+    return motion(fine.reshape(-1, 2))
 
 
 def _corners(nodes: Array, topology: Topology) -> Array:
