@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.body import Body
+from shape_obs.clustering import som
 from shape_obs.configurations import Configuration
 from shape_obs.form import Form
 from shape_obs.gate import MAX_HIDDEN
@@ -109,7 +110,7 @@ def _settle(
     prediction: Prediction | None,
 ) -> Fit:
     """Cluster, finish, follow the past, judge."""
-    nodes = spec.fitted(start, body, topology, moving=moving)
+    nodes = som.fit(spec.samples(body), start, topology, spec.widths(moving=moving))
     form = spec.finish(nodes, body)
     if prediction is not None:
         form = spec.follow(form, prediction)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -33,15 +33,7 @@ class Neighbourhood(NamedTuple):
 
 
 class Topology(ABC):
-    """How nodes or points hang together.
-
-    Attributes:
-        static: Widths of the neighbourhood epoch by epoch, node units, where the start is good to half a node.
-        moving: The same where the start may be off by a node.
-    """
-
-    static: ClassVar[tuple[float, ...]]
-    moving: ClassVar[tuple[float, ...]]
+    """How nodes or points hang together."""
 
     @property
     @abstractmethod
@@ -74,8 +66,6 @@ class Chain(Topology):
     """An open chain of ``count`` nodes."""
 
     count: int
-    static: ClassVar = (0.8, 0.4, 0.4)
-    moving: ClassVar = (1.2, 0.6, 0.4, 0.4)
 
     @property
     def size(self) -> int:
@@ -107,8 +97,6 @@ class Ring(Topology):
 
     count: int
     # A ring starts on the outline of its own frame, moving or not: one epoch is as exact as three.
-    static: ClassVar = (0.4,)
-    moving: ClassVar = (0.4,)
 
     @property
     def size(self) -> int:
@@ -142,8 +130,6 @@ class Grid(Topology):
 
     rows: int
     cols: int
-    static: ClassVar = (1.0,)
-    moving: ClassVar = (1.0,)
 
     @property
     def size(self) -> int:

@@ -79,7 +79,7 @@ def stages(spec: Configuration, mask: np.ndarray) -> np.ndarray:
     region = find_region(rule.apply(Frame(image, None, None, None), window), window, rule.min_area, rule.min_share)
     start, topology = spec.parameterise(region), spec.topology(region)
     nodes = spec.nodes(start, topology)
-    path = [nodes, *epochs(spec.samples(region), nodes, topology)]
+    path = [nodes, *epochs(spec, region, nodes, topology)]
     found = fit(region, spec, None, None, 0.0)[0].form
     assert found is not None
     detection = ShapeDetector([spec], rule).detect(image)
@@ -88,7 +88,7 @@ def stages(spec: Configuration, mask: np.ndarray) -> np.ndarray:
         "1  image": enlarged(image),
         "2  mask, as weighted samples": samples(spec.samples(region), region),
         f"3  cold start: {COLD[spec.kind]}": with_form(pale, start),
-        f"4  self-organising map, {len(nodes)} nodes": with_nodes(pale, path, topology),
+        f"4  {MAP[spec.kind]}, {len(nodes)} nodes": with_nodes(pale, path, topology),
         "5  the form through the nodes": with_form(pale, found),
         f"6  {spec.count} ordered points, quality {detection.shapes[0].quality:.2f}": draw_detection(
             image, detection, scale=SCALE
@@ -98,13 +98,18 @@ def stages(spec: Configuration, mask: np.ndarray) -> np.ndarray:
     return np.concatenate([np.concatenate(tiles[:3], axis=1), np.concatenate(tiles[3:], axis=1)])
 
 
+MAP = {
+    "centerline": "self-organising map",
+    "contour": "self-organising map",
+    "surface": "what is remembered",
+}
 COLD = {"centerline": "the outline, folded", "contour": "the outline", "surface": "corners and a Coons patch"}
 
 
-def epochs(samples: Samples, nodes: np.ndarray, topology: Topology) -> list[np.ndarray]:
+def epochs(spec: Configuration, region: Region, nodes: np.ndarray, topology: Topology) -> list[np.ndarray]:
     """The nodes after each epoch."""
-    out = []
-    for sigma in topology.static:
+    out, samples = [], spec.samples(region)
+    for sigma in spec.widths(moving=False):
         nodes = kernels.som_epoch(samples.points, samples.weight, nodes, topology.neighbourhood(sigma))
         out.append(nodes)
     return out

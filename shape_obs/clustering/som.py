@@ -16,7 +16,7 @@ from shape_obs.topology import Topology
 
 
 def fit(
-    samples: Samples, start: npt.NDArray[np.float64], topology: Topology, *, moving: bool = False
+    samples: Samples, start: npt.NDArray[np.float64], topology: Topology, sigmas: tuple[float, ...]
 ) -> npt.NDArray[np.float64]:
     """Fit the map to the samples.
 
@@ -24,12 +24,13 @@ def fit(
         samples: M weighted points.
         start: (K,D) nodes.
         topology: How the nodes hang together.
-        moving: Whether the start may be off by a node.
+        sigmas: Width of the neighbourhood in each epoch, node units; none leaves the start as it is.
 
     Returns:
         (K,D) nodes in the order of ``start``, the pull of the averaging undone.
     """
-    sigmas = topology.moving if moving else topology.static
+    if not sigmas:
+        return start
     centre = samples.points.mean(axis=0)
     points, nodes = samples.points - centre, start - centre
     for sigma in sigmas:

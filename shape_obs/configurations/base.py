@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Generic, Literal, NamedTuple, TypeVar
+from typing import Final, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.body import Body
-from shape_obs.clustering import som
 from shape_obs.form import Form
 from shape_obs.gate import Verdict
 from shape_obs.samples import Samples
@@ -26,6 +25,9 @@ Ends = Literal["centers", "tips"]
 Anchor = str | tuple[float, float] | tuple[float, float, float] | None
 Array = npt.NDArray[np.float64]
 F = TypeVar("F", bound=Form)
+
+STATIC: Final = (0.8, 0.4, 0.4)
+MOVING: Final = (1.2, 0.6, 0.4, 0.4)
 
 
 class Points(NamedTuple):
@@ -103,9 +105,9 @@ class Configuration(Spec, Generic[F], family="configuration"):
     def nodes(self, form: F, topology: Topology) -> Array:
         """(K,D) where the map's nodes sit on a form."""
 
-    def fitted(self, start: Array, body: Body, topology: Topology, *, moving: bool) -> Array:
-        """(K,D) the map's nodes after its epochs from (K,D) a start, which may be off by a node if ``moving``."""
-        return som.fit(self.samples(body), start, topology, moving=moving)
+    def widths(self, *, moving: bool) -> tuple[float, ...]:
+        """Width of the map's neighbourhood in each epoch, node units; ``moving``: the start may be off by a node."""
+        return MOVING if moving else STATIC
 
     @abstractmethod
     def finish(self, nodes: Array, body: Body) -> F:

@@ -29,6 +29,7 @@ _FINE: Final = 25  # rows and columns of a patch: between them it is taken to be
 _NODES: Final = 8  # rows and columns that are remembered from frame to frame, whatever lattice is sampled
 _MIN_SIDE: Final = 6.0  # grains: what is narrower has no two sides to speak of
 _MAX_ASPECT: Final = 8.0  # length over width; what is longer is a ribbon, whose corners are its ends
+_WIDTH: Final = 0.5  # of the map's neighbourhood, nodes
 _MAX_CUT: Final = 0.03  # of the outline
 _MIN_PIECE: Final = 0.8  # of the body: the largest piece, since a sheet has no way to hang together over a gap
 
@@ -44,7 +45,7 @@ class Surface(Configuration[Patch], kind="surface"):
             the outer rows and columns lie on the border. None takes the detector's.
         epochs: Of the self-organising map, after the Coons patch. None by default: what is seen of a sheet's material
             is its outline. Each epoch evens the areas out and takes the points nearer to cluster centres and off their
-            material (1.13, 1.27, 1.48 px over drawn sheets with 0, 1, 2), and away from whatever hides the inside.
+            material (1.1, 1.3, 1.6 px over drawn sheets with 0, 1, 3), and away from whatever hides the inside.
     """
 
     rows: int = 4
@@ -107,11 +108,9 @@ class Surface(Configuration[Patch], kind="surface"):
         corners = rim.corners_near(_corners(prediction.nodes, prediction.topology))
         return prediction.nodes if corners is None else self.nodes(_laid(rim, corners, body), prediction.topology)
 
-    def fitted(self, start: Array, body: Body, topology: Topology, *, moving: bool) -> Array:
-        """The map after its epochs."""
-        for _ in range(self.epochs):
-            start = super().fitted(start, body, topology, moving=moving)
-        return start
+    def widths(self, *, moving: bool) -> tuple[float, ...]:
+        """As many epochs as are asked for."""
+        return self.epochs * (_WIDTH,)
 
     def finish(self, nodes: Array, body: Body) -> Patch:
         """The Coons patch between the corners nearest to the nodes', its inside moved where the map has moved them."""
