@@ -28,6 +28,7 @@ _COARSE: Final = 1 / 40  # and at most, of the extent: what is no rope is not th
 _MIN_SHARE: Final = 0.02  # of the largest piece's points; smaller pieces are specks
 # Points farther from the middle than so many times the median are no part of the object.
 _FAR: Final = 12.0
+_FEWEST: Final = 4  # samples that a sheet has
 _RING: Final = 8.0  # widths: a ring is longer
 _SOME: Final = 1000  # points that tell the middle
 # How near a point of the cloud lies if it carries a place: in widths, and in voxels where the cloud is sparse.
@@ -191,6 +192,8 @@ class Cloud:
 
     @cached_property
     def _sheet(self) -> Sheet:
+        if len(self.samples) < _FEWEST:  # a point, as far as an outline goes
+            return Sheet(self.samples.points[:1], np.zeros((len(self.samples), 2)), np.zeros((1, 2)))
         around = border(self.chart.to_flat(self.kept, self._pieces.sample))
         return Sheet(self.chart.to_space(around), self.chart.flat, around)
 

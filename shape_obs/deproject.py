@@ -66,11 +66,13 @@ class SeenCloud(Cloud):
     @cached_property
     def _sheet(self) -> Sheet:
         """The border is the mask's, which is sharper than the cloud's and knows no holes in the depth."""
+        if len(self.samples) < _NEIGHBOURS:
+            return super()._sheet
         rim = self.region.border.curve
         pixels = rim.at(np.arange(_RIM) * (rim.size / _RIM))
         samples = self.pixels(self.samples.points)
         tree: Any = KDTree(samples)
-        _, near = tree.query(pixels, k=np.arange(min(_NEIGHBOURS, len(samples))) + 1)
+        _, near = tree.query(pixels, k=np.arange(_NEIGHBOURS) + 1)
         # The inverse depth of a plane is linear in the pixel.
         away = np.concatenate([np.ones((*near.shape, 1)), samples[near] - pixels[:, None]], axis=2)
         inverse = 1 / self.samples.points[near, 2]

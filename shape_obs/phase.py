@@ -62,7 +62,7 @@ def blend(reference: Array, found: Array, share: float) -> Array:
 
 def _cross_spectrum(before: Array, after: Array) -> npt.NDArray[np.complex128]:
     """(D,D,F) spectrum of the cross-covariance over cyclic shifts; 1 is a perfect match."""
-    first, second = (np.fft.rfft(points.T)[:, 1:_HARMONICS+1] for points in (before, after))
+    first, second = (np.fft.rfft(points.T)[:, 1 : _HARMONICS + 1] for points in (before, after))
     scale = np.sqrt(np.sum(np.abs(first) ** 2) * np.sum(np.abs(second) ** 2))
     return np.conj(first)[:, None] * second[None] / max(float(scale), 1e-12)
 

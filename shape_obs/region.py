@@ -15,6 +15,7 @@ from shape_obs.roi import Window
 from shape_obs.samples import Samples, cells, mask_pixels
 
 MAX_CELL = 8
+_SPECK = 20  # pixels around a hole; shorter ones are noise
 
 
 @dataclass(frozen=True)
@@ -24,10 +25,12 @@ class Component:
     Args:
         outline: (P,2) pixels, image coordinates, closed, 8-connected, through the centres of the border pixels.
         area: Pixels.
+        holes: Length of the outlines of its holes, pixels; specks left out.
     """
 
     outline: npt.NDArray[np.float64]
     area: int
+    holes: float = 0.0
 
     @cached_property
     def perimeter(self) -> float:
@@ -38,9 +41,10 @@ class Component:
     def width(self) -> float:
         """Width of the ribbon of this area and perimeter, pixels: the root of ``w (s - w) = area``.
 
-        The outline of an L x w ribbon runs through pixel centres, so it is 2 (L - 1) + 2 (w - 1) long.
+        The outline of an L x w ribbon runs through pixel centres, so it is 2 (L - 1) + 2 (w - 1) long. A ribbon that
+        lies in a loop has a part of it around the hole.
         """
-        half = self.perimeter / 2 + 2
+        half = (self.perimeter + self.holes) / 2 + 2
         return float(max((half - np.sqrt(max(half * half - 4 * self.area, 0.0))) / 2, 1.0))
 
 
@@ -166,9 +170,15 @@ def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_
 def _component(labels: npt.NDArray[np.int32], stats: npt.NDArray[np.int32], label: int, window: Window) -> Component:
     left, top, width, height, area = (int(value) for value in stats[label])
     piece = (labels[top : top + height, left : left + width] == label).view(np.uint8)
-    contours = cv2.findContours(piece, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-    outline = max(contours, key=len).reshape(-1, 2).astype(np.float64)
-    return Component(outline + (window.left + left, window.top + top), area)
+    contours, tree = cv2.findContours(piece, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    lengths = [len(contour) if parent < 0 else 0 for contour, parent in zip(contours, tree[0, :, 3], strict=True)]
+    outline = contours[int(np.argmax(lengths))].reshape(-1, 2).astype(np.float64)
+    holes = sum(
+        cv2.arcLength(contour, closed=True)
+        for contour, parent in zip(contours, tree[0, :, 3], strict=True)
+        if parent >= 0 and len(contour) >= _SPECK
+    )
+    return Component(outline + (window.left + left, window.top + top), area, holes)
 
 
 def _clockwise(outline: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

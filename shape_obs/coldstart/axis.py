@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from shape_obs.body import Body
 from shape_obs.cloud import Cloud
-from shape_obs.coldstart.bridge import join
-from shape_obs.coldstart.fold import fold
 from shape_obs.coldstart.geodesic import geodesic_axis
+from shape_obs.coldstart.trace import trace
 from shape_obs.deproject import SeenCloud
 from shape_obs.form import Curve
 
@@ -19,5 +16,5 @@ def axis(body: Body) -> Curve:
         return body.lifted(axis(body.region))
     if isinstance(body, Cloud):
         return geodesic_axis(body)
-    curve = join([fold(component.outline, component.width) for component in body.components])
-    return Curve(curve, np.zeros(len(curve), bool))
+    curve, bridged, doubt = trace(body)
+    return Curve(curve, bridged, doubt=doubt)

@@ -26,10 +26,13 @@ _TWO: Final = 0.82
 # A waist of strands that cross at 25 degrees is two widths long, a little longer where they bend. Along a longer one
 # strands may change sides unseen.
 _LONGEST: Final = 4.0
-# Nowhere are strands that cross thinner than one strand: a neck is where two touch in a few pixels, side by side. A
-# branch this short, in widths, is a node that thinning took apart.
+# Nowhere are strands that cross thinner than one strand: a neck is where two touch in a few pixels, side by side.
 _NECK: Final = 0.42
-_SHORT: Final = 0.5
+# In widths: a branch shorter than the first is one node that thinning took apart. Up to the second the crossing is
+# steep, its thickness lies between that of one strand and two, and the bends tell more.
+_NODE: Final = 0.5
+_SHORT: Final = 1.2
+_TWO_FOR_SURE: Final = 0.92
 _TOUCH: Final = 1.3  # the longest branch, in widths, from the axis of one strand to that of another that it touches
 # The skeleton strays from the axis by a pixel, and the radius drops: within so many widths the largest counts.
 _JITTER: Final = 0.2
@@ -67,9 +70,10 @@ def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, 
         leads: How they leave.
         width: Of one strand, pixels.
     """
-    side, doubt = _sides(branch, width)
+    side, thinnest, doubt = _sides(branch, width)
     is_neck = float(branch.radius.min()) < _NECK * width
-    if is_neck or (doubt and branch.length < _SHORT * width):
+    is_steep = branch.length < _NODE * width or (branch.length < _SHORT * width and _ONE <= thinnest < _TWO_FOR_SURE)
+    if is_neck or is_steep:
         return None
     arc = arc_length(branch.points)
     near, far = np.searchsorted(arc, (min(width, arc[-1]), max(arc[-1] - width, 0.0)))
@@ -93,8 +97,11 @@ def _by_side(arms: list[Arm], leads: dict[Arm, Lead], middle: Array, ahead: Arra
     return sorted(arms, key=lambda arm: float((leads[arm].point - middle) @ (-ahead[1], ahead[0])))
 
 
-def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], str]:
-    """On which side a strand runs that begins on the right (1): (P,) 1 or -1, and why this may be wrong, or nothing."""
+def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], float, str]:
+    """On which side a strand runs that begins on the right (1): (P,) 1 or -1.
+
+    With it the smallest radius over the width, and why the sides may be wrong, or nothing.
+    """
     arc = arc_length(branch.points)
     steps = round(_JITTER * width * (len(arc) - 1) / max(float(arc[-1]), 1e-9))
     relative = maximum_filter1d(branch.radius, 2 * steps + 1) / width
@@ -109,6 +116,7 @@ def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], str]:
             if arc[i] - arc[start] > _LONGEST * width:
                 doubt = f"strands lie on each other for {arc[i] - arc[start]:.0f} px: which comes out where is a guess"
             start = None
-    if _ONE <= float(relative.min()) < _TWO:
+    thinnest = float(relative.min())
+    if _ONE <= thinnest < _TWO:
         doubt = f"strands touch for {arc[-1]:.0f} px: whether they cross cannot be told"
-    return side, doubt
+    return side, thinnest, doubt

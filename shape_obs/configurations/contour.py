@@ -22,10 +22,13 @@ from shape_obs.tracking import Prediction
 
 Array = npt.NDArray[np.float64]
 
-_NODE_SPACING: Final = 3.0  # samples a node should stand for, whatever N is: fewer follow the pixels, more cut corners
+# Samples from node to node, whatever N is: 6 px. Closer, and the nodes follow the pixels (at 4 px they jitter by a
+# sixth more); farther, and they cut corners (at 8 px garments lie 0.16 px off instead of 0.13).
+_NODE_SPACING: Final = 3.0
+_THIN: Final = 1.5  # widths from node to node at most: farther, and a node's samples are those of the other side too
 _NODES: Final = (24, 192)
-_MIN_SAMPLES: Final = 12  # less than half of the fewest nodes would leave most of them without a sample
-
+_MIN_SAMPLES: Final = 8  # a ring of 16 pixels, as few as a body may have
+_MIN_WIDTH: Final = 1.25  # in samples: of outlines of 2 px, one in three has its two sides mixed up; of 3 px, none
 # Numbered by the last frame alone, an outline of noisy pixels creeps by 6 px in 180 frames. The mean of some twenty
 # frames holds it, and is left behind by slow changes of shape alone.
 _FORGETTING: Final = 0.05
@@ -59,13 +62,18 @@ class Contour(Configuration[Curve], kind="contour"):
         return Ring(self.n)
 
     def unfit(self, body: Body) -> str:
-        """No such hole, or an outline of a few pixels."""
+        """No such hole, an outline of a few pixels, or two sides too close to be told apart."""
         found = holes(body) if self.hole is not None else 0
         if self.hole is not None and self.hole >= found:
             return f"hole {self.hole} was asked for, the {body.noun} has {found}"
-        samples = len(self.samples(body))
-        if samples < _MIN_SAMPLES:
-            return f"the outline is too small: {samples} samples, at least {_MIN_SAMPLES} are needed"
+        samples = self.samples(body)
+        if len(samples) < _MIN_SAMPLES:
+            return f"the outline is too small: {len(samples)} samples, at least {_MIN_SAMPLES} are needed"
+        thin = _MIN_WIDTH * samples.scale
+        if self.hole is None and body.width < thin:
+            return (
+                f"the {body.noun} is {body.width:.2g} {body.unit} wide: too thin for an outline (at least {thin:.2g})"
+            )
         return ""
 
     def samples(self, body: Body) -> Samples:
@@ -73,9 +81,9 @@ class Contour(Configuration[Curve], kind="contour"):
         return outline_samples(body, self.hole)
 
     def topology(self, body: Body) -> Ring:
-        """A ring with a node every six samples, 24 to 192 of them."""
-        samples = self.samples(body)
-        return Ring(int(np.clip(round(self.parameterise(body).size / (_NODE_SPACING * samples.scale)), *_NODES)))
+        """A ring with a node every three samples, 24 to 192 of them; closer on what is thin."""
+        spacing = min(_NODE_SPACING * self.samples(body).scale, _THIN * body.width)
+        return Ring(int(np.clip(round(self.parameterise(body).size / spacing), *_NODES)))
 
     def parameterise(self, body: Body) -> Curve:
         """The outline, clockwise as seen."""

@@ -53,18 +53,17 @@ def random_blob(rng: np.random.Generator, kind: Kind = "smooth", size: tuple[int
     raise RuntimeError(f"no {kind} blob found that fits {size[1]} x {size[0]} pixels.")
 
 
-def draw_blob(
-    outline: Array, hole: Array | None = None, *, size: tuple[int, int] = SIZE, kind: str = "given"
-) -> Blob:
+def draw_blob(outline: Array, hole: Array | None = None, *, size: tuple[int, int] = SIZE, kind: str = "given") -> Blob:
     """Draw what lies within a closed outline of (P,2) pixels, and not within a hole: a pixel is in if its centre is."""
     inside = _inside(outline, size)
     if hole is not None:
         inside &= ~_inside(hole, size)
-    outline, hole = (
-        line if line is None or clockwise(line) else np.roll(line[::-1], 1, axis=0) for line in (outline, hole)
-    )
-    assert outline is not None
-    return Blob(outline, np.where(inside, np.uint8(255), np.uint8(0)), kind, hole)
+    mask = np.where(inside, np.uint8(255), np.uint8(0))
+    return Blob(_clockwise(outline), mask, kind, None if hole is None else _clockwise(hole))
+
+
+def _clockwise(outline: Array) -> Array:
+    return outline if clockwise(outline) else np.roll(outline[::-1], 1, axis=0)
 
 
 def garments(path: str | Path, size: tuple[int, int] = SIZE) -> Iterator[Blob]:
@@ -123,12 +122,16 @@ def _inside(outline: Array, size: tuple[int, int]) -> npt.NDArray[np.bool_]:
 
     OpenCV's fillPoly draws the border too, which makes things 0.15 px larger even with supersampling.
     """
-    crossings = np.zeros((size[0], size[1] + 1), np.int64)
-    for (u, v), (other_u, other_v) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        rows = np.arange(np.ceil(min(v, other_v)), np.ceil(max(v, other_v))).clip(0, size[0] - 1).astype(int)
-        columns = np.ceil(u + (rows - v) / (other_v - v) * (other_u - u)) if len(rows) else rows
-        np.add.at(crossings, (rows, columns.astype(int).clip(0, size[1])), 1)
-    return np.cumsum(crossings, axis=1)[:, :-1] % 2 > 0
+    following = np.roll(outline, -1, axis=0)
+    first, last = (np.ceil(end(outline[:, 1], following[:, 1])).astype(int) for end in (np.minimum, np.maximum))
+    edge = np.repeat(np.arange(len(outline)), last - first)
+    row = np.arange(len(edge)) - np.repeat(np.cumsum(last - first) - last, last - first)
+    (u, v), (along_u, along_v) = outline[edge].T, (following - outline)[edge].T
+    column = np.ceil(u + (row - v) / along_v * along_u).astype(int).clip(0, size[1])
+    kept = (row >= 0) & (row < size[0])
+    place = row[kept] * (size[1] + 1) + column[kept]
+    crossings = np.bincount(place, minlength=size[0] * (size[1] + 1)).reshape(size[0], -1) & 1
+    return np.logical_xor.accumulate(crossings.astype(bool), axis=1)[:, :-1]
 
 
 def _waves(rng: np.random.Generator, size: float) -> Array:

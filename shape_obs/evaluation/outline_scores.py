@@ -45,7 +45,7 @@ def outline_score(points: npt.ArrayLike, outline: Array) -> OutlineScore:
     found = np.asarray(points, dtype=np.float64)
     fine = resample(np.concatenate([outline, outline[:1]]), _FINE)[:-1]
     distance, nearest = KDTree(fine).query(found)
-    place = nearest / len(fine)
+    place = np.asarray(nearest, dtype=np.float64) / len(fine)
     step = np.diff(place, append=place[:1]) % 1.0
     off = (place - np.arange(len(found)) / len(found) + 0.5) % 1.0 - 0.5
     return OutlineScore(

@@ -124,7 +124,7 @@ def _regression(row: Array, given: Array, wanted: Array, size: int) -> Array:
     g, w = given.shape[1], wanted.shape[1]
 
     def summed(values: Array) -> Array:
-        flat = values.reshape(len(values), -1)
+        flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
         return np.stack(
             [np.bincount(row, weights=column, minlength=size).astype(np.float64) for column in flat.T], axis=1
         )
