@@ -19,7 +19,7 @@ _MAX_SPREAD: Final = 0.40
 _IDEAL_SPREAD: Final = 12**-0.5
 MAX_HIDDEN: Final = 0.5  # of a tracked shape
 # Of an outline: the staircase of pixels alone lies 0.25 px (0.12 samples) off the best curve, flipped border pixels
-# twice that; from half a sample on the curve cuts through the body somewhere. A few hundred samples tell it.
+# twice that; what misses them by more follows another outline. A few hundred samples tell it.
 _IDEAL_MISS: Final = 0.15
 _MAX_MISS: Final = 0.75
 _MIN_PIECE: Final = 0.6

@@ -22,10 +22,12 @@ _TURNING: Final = 0.05
 # Within a fit, place decides only where the shape says nothing, as on a circle: a weight that shrinks as the shape's
 # own contrast grows beyond it, since what is predicted of a turning outline lags behind.
 _FLAT: Final = 3e-4
-# Half-widths of the parabolas through the peak, places: the correlation is band-limited, so it is known between places.
-_PEAKS: Final = (0.5 / 128, 0.1 / 128)
-_HARMONICS = 12
+# Waves around the outline that are compared: more cost time and change nothing, and on a noisy circle they mislead.
+_HARMONICS: Final = 12
+# Turns: the shifts at which a peak is looked for, ten to the shortest wave, and the half-widths of the parabolas through
+# it; the correlation is a sum of few waves, so it is known between the shifts too.
 _SHIFTS: Final = np.arange(128) / 128
+_PEAKS: Final = (0.5 / 128, 0.1 / 128)
 
 
 def lag(reference: Array, predicted: Array, found: Array) -> float:

@@ -15,7 +15,7 @@ from shape_obs.roi import Window
 from shape_obs.samples import Samples, cells, mask_pixels
 
 MAX_CELL = 8
-_SPECK = 20  # pixels around a hole; shorter ones are noise
+SPECK = 20  # pixels around a hole; shorter ones are noise
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def _component(labels: npt.NDArray[np.int32], stats: npt.NDArray[np.int32], labe
     holes = sum(
         cv2.arcLength(contour, closed=True)
         for contour, parent in zip(contours, tree[0, :, 3], strict=True)
-        if parent >= 0 and len(contour) >= _SPECK
+        if parent >= 0 and len(contour) >= SPECK
     )
     return Component(outline + (window.left + left, window.top + top), area, holes)
 

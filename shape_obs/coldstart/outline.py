@@ -34,6 +34,14 @@ def outline_samples(body: Body, hole: int | None = None) -> Samples:
     return _border(body, hole).samples
 
 
+def breadth(body: Body, hole: int | None = None) -> float:
+    """How far apart the sides of the outline may come, in the body's unit.
+
+    Known is the width of a region as a ribbon; a hole's, and a cloud's, which may be a ring's own axis, are not.
+    """
+    return body.width if isinstance(body, Region) and hole is None else np.inf
+
+
 def holes(body: Body) -> int:
     """How many holes the largest piece has."""
     return len(body.holes) if isinstance(body, Region) else 0

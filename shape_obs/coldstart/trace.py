@@ -14,16 +14,15 @@ from shape_obs.coldstart.crossings import Strands, untangle
 from shape_obs.coldstart.fold import fold
 from shape_obs.coldstart.skeleton import skeleton_graph
 from shape_obs.curve import arc_length, interpolate
-from shape_obs.region import Component, Region
+from shape_obs.region import SPECK, Component, Region
 
 Array = npt.NDArray[np.float64]
 
 _POINTS: Final = (96, 256)
 _SPACING: Final = 0.4  # of the points of a traced curve, in widths
-# Of a simple ribbon: holes are no larger than this share of a squared width, and no point of the outline lies farther
-# from the folded curve than this, in widths (half a width along the sides, 0.7 at square ends).
-_HOLE: Final = 0.25
-_RIBBON: Final = 1.0
+# Of a simple ribbon: how far from the folded curve its outline may lie, in widths (it is half a width along the sides,
+# 0.7 at square ends), and the share of it that may lie farther, because it is ragged.
+_RIBBON: Final = (1.0, 0.03)
 # A strand that ends on another one is left out as noise while no more of the skeleton than this is left out in all.
 _UNEXPLAINED: Final = 0.1
 # A rope that crosses itself ten times has 31 branches, and the work grows with their square.
@@ -83,26 +82,26 @@ def trace(region: Region) -> Trace:
 
 def folded(component: Component) -> Array | None:
     """The centreline of a component that is a simple ribbon: it has no hole, and all of it lies near; else None."""
-    outline = component.outline
-    following = np.roll(outline, -1, axis=0)
-    area = abs(float(np.sum(outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]))) / 2
-    # Pick's theorem: pixels in and on a polygon through pixels.
-    filled = area + len(outline) / 2 + 1
-    if filled - component.area > max(_HOLE * component.width**2, 1.0):
+    if component.holes:
         return None
+    outline = component.outline
     curve = fold(outline, component.width)
     spacing = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).max(initial=0.0))
     distance = KDTree(curve).query(outline[::2])[0]
-    return curve if float(distance.max()) <= _RIBBON * component.width + spacing / 2 else None
+    far = float(np.mean(distance > _RIBBON[0] * component.width + spacing / 2))
+    return curve if far <= _RIBBON[1] else None
 
 
 def _without(region: Region, ribbons: list[Component]) -> npt.NDArray[np.uint8]:
-    """The region's mask without some of its components, which have no holes."""
-    if not ribbons:
-        return region.mask
+    """The region's mask without some of its components, which have no holes, and without specks in the others."""
+    mask = region.mask.copy()
+    outlines, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    for outline, parent in zip(outlines, tree[0, :, 3], strict=True):
+        if parent >= 0 and len(outline) < SPECK:
+            cv2.drawContours(mask, [outline], -1, (255.0,), cv2.FILLED)
     origin = (region.window.left, region.window.top)
-    outlines = [np.rint(component.outline - origin).astype(np.int32) for component in ribbons]
-    return np.asarray(cv2.drawContours(region.mask.copy(), outlines, -1, (0.0,), cv2.FILLED), dtype=np.uint8)
+    drawn = [np.rint(component.outline - origin).astype(np.int32) for component in ribbons]
+    return np.asarray(cv2.drawContours(mask, drawn, -1, (0.0,), cv2.FILLED), dtype=np.uint8)
 
 
 def _explained(strands: Strands) -> list[int]:

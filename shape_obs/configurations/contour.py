@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from shape_obs.body import Body
 from shape_obs.border import clockwise
-from shape_obs.coldstart.outline import holes, outline, outline_samples
+from shape_obs.coldstart.outline import breadth, holes, outline, outline_samples
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.curve import catmull_rom, equidistant_around
 from shape_obs.form import Curve
@@ -70,10 +70,9 @@ class Contour(Configuration[Curve], kind="contour"):
         if len(samples) < _MIN_SAMPLES:
             return f"the outline is too small: {len(samples)} samples, at least {_MIN_SAMPLES} are needed"
         thin = _MIN_WIDTH * samples.scale
-        if self.hole is None and body.width < thin:
-            return (
-                f"the {body.noun} is {body.width:.2g} {body.unit} wide: too thin for an outline (at least {thin:.2g})"
-            )
+        width = breadth(body, self.hole)
+        if width < thin:
+            return f"the {body.noun} is {width:.2g} {body.unit} wide: too thin for an outline (at least {thin:.2g})"
         return ""
 
     def samples(self, body: Body) -> Samples:
@@ -82,7 +81,7 @@ class Contour(Configuration[Curve], kind="contour"):
 
     def topology(self, body: Body) -> Ring:
         """A ring with a node every three samples, 24 to 192 of them; closer on what is thin."""
-        spacing = min(_NODE_SPACING * self.samples(body).scale, _THIN * body.width)
+        spacing = min(_NODE_SPACING * self.samples(body).scale, _THIN * breadth(body, self.hole))
         return Ring(int(np.clip(round(self.parameterise(body).size / spacing), *_NODES)))
 
     def parameterise(self, body: Body) -> Curve:

@@ -121,7 +121,7 @@ def ropes_in_noise(per_kind: int, seed: int = 0, kinds: Sequence[Kind] = KINDS, 
     rng = np.random.default_rng(seed)
     levels: list[tuple[str, float, Callable[..., Shape]]] = [
         *(("salt and pepper", s, by_mask(lambda mask, s=s: salted(rng, mask, s))) for s in (0.01, 0.03, 0.05)),
-        *(("ragged edges, px", d, by_mask(lambda mask, d=d: ragged(rng, mask, d))) for d in (1.0, 2.0, 3.0)),
+        *(("ragged edges, px", d, by_mask(lambda mask, d=d: ragged(rng, mask, d))) for d in (1.0, 2.0)),
         *(("light, times brighter", c, by_image(c, 6.0)) for c in (2.0, 4.0, 8.0)),
     ]
     ropes = [random_rope(rng, kind) for kind in kinds for _ in range(per_kind)]
