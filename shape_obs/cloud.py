@@ -171,7 +171,7 @@ class Cloud:
 
     @property
     def outlined(self) -> float:
-        """The share of the cloud that the outline goes around: all of a ring, gaps or not, the largest piece of a sheet."""
+        """The share of the cloud that the outline goes around: all of a ring, the largest piece of a sheet."""
         return 1.0 if self._ring is not None else self.components[0].area / max(self.amount, 1)
 
     @cached_property

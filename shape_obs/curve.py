@@ -9,8 +9,10 @@ Array = npt.NDArray[np.float64]
 
 # Chords are equalised this often, and no point leaves its arc position by more than this share of a gap: where a
 # hairpin is narrower than a gap, equal chords would cost the points their places on the material.
-_EQUALISING_PASSES = 8
+_EQUALISING_PASSES = 40
 _MAX_SHIFT = 0.35
+# Around an outline with many corners, each of which shortens a chord, equal chords need more room.
+_MAX_SHIFT_AROUND = 1.5
 _EQUAL = 2e-3
 
 
@@ -63,7 +65,9 @@ def catmull_rom(nodes: Array, subdivisions: int = 4, *, closed: bool = False) ->
     return np.concatenate([pieces.swapaxes(0, 1).reshape(-1, nodes.shape[1]), nodes[-1:]])
 
 
-def equidistant_positions(curve: Array, arc: Array, count: int, *, centers: bool) -> Array:
+def equidistant_positions(
+    curve: Array, arc: Array, count: int, *, centers: bool, max_shift: float = _MAX_SHIFT
+) -> Array:
     """Arc positions of ``count`` >= 2 points with equal chords.
 
     Args:
@@ -71,13 +75,14 @@ def equidistant_positions(curve: Array, arc: Array, count: int, *, centers: bool
         arc: (P,) its arc length.
         count: How many.
         centers: Points at the middle of ``count`` equal pieces; else the first and last at the curve's ends.
+        max_shift: Gaps by which a point may leave its place by arc length.
 
     Returns:
         (count,) arc positions, increasing.
     """
     margin = arc[-1] / (2 * count) if centers else 0.0
     even = at = np.linspace(margin, arc[-1] - margin, count)
-    shift = _MAX_SHIFT * (even[1] - even[0])
+    shift = max_shift * (even[1] - even[0])
     for _ in range(_EQUALISING_PASSES):
         chord = arc_length(interpolate(curve, arc, at))
         gaps = np.diff(chord)
@@ -100,4 +105,4 @@ def equidistant_around(curve: Array, arc: Array, count: int) -> Array:
         (count,) arc positions, increasing from 0.
     """
     around = np.concatenate([curve, curve[:1]])
-    return equidistant_positions(around, arc, count + 1, centers=False)[:-1]
+    return equidistant_positions(around, arc, count + 1, centers=False, max_shift=_MAX_SHIFT_AROUND)[:-1]

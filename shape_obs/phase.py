@@ -24,7 +24,7 @@ _TURNING: Final = 0.05
 _FLAT: Final = 3e-4
 # Waves around the outline that are compared: more cost time and change nothing, and on a noisy circle they mislead.
 _HARMONICS: Final = 12
-# Turns: the shifts at which a peak is looked for, ten to the shortest wave, and the half-widths of the parabolas through
+# Turns: the shifts at which a peak is looked for, ten to the shortest wave, and half-widths of the parabolas through
 # it; the correlation is a sum of few waves, so it is known between the shifts too.
 _SHIFTS: Final = np.arange(128) / 128
 _PEAKS: Final = (0.5 / 128, 0.1 / 128)

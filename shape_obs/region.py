@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import cv2
 import numpy as np
@@ -154,7 +154,14 @@ def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_
     Returns:
         The region; without components when nothing is left.
     """
-    count, found, table, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    crop = Window(*(int(value) for value in cv2.boundingRect(mask)))
+    if crop.width == 0:
+        return Region(window, mask, ())
+    origin = (window.left + crop.left, window.top + crop.top)
+    whole = _Traced.of(mask[crop.slices])
+    if whole.pieces == 1 and (area := cv2.countNonZero(mask)) >= min_area:  # nothing to sort out, as on most frames
+        return Region(window, mask, (whole.component(area, origin),))
+    count, found, table, _ = cv2.connectedComponentsWithStats(mask[crop.slices], connectivity=8)
     labels, stats = np.asarray(found, dtype=np.int32), np.asarray(table, dtype=np.int32)
     areas = stats[1:count, cv2.CC_STAT_AREA]
     floor = max(min_area, min_share * float(areas.max(initial=0)))
@@ -163,22 +170,41 @@ def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_
     if len(kept) < count - 1:
         keep = np.zeros(count, np.uint8)
         keep[kept] = 255
-        mask = keep[labels]
-    return Region(window, mask, tuple(_component(labels, stats, int(label), window) for label in kept))
+        mask = np.zeros_like(mask)
+        mask[crop.slices] = keep[labels]
+    components = []
+    for label in kept:
+        left, top, width, height, area = (int(value) for value in stats[label])
+        piece = (labels[top : top + height, left : left + width] == label).view(np.uint8)
+        components.append(_Traced.of(piece).component(area, (origin[0] + left, origin[1] + top)))
+    return Region(window, mask, tuple(components))
 
 
-def _component(labels: npt.NDArray[np.int32], stats: npt.NDArray[np.int32], label: int, window: Window) -> Component:
-    left, top, width, height, area = (int(value) for value in stats[label])
-    piece = (labels[top : top + height, left : left + width] == label).view(np.uint8)
-    contours, tree = cv2.findContours(piece, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    lengths = [len(contour) if parent < 0 else 0 for contour, parent in zip(contours, tree[0, :, 3], strict=True)]
-    outline = contours[int(np.argmax(lengths))].reshape(-1, 2).astype(np.float64)
-    holes = sum(
-        cv2.arcLength(contour, closed=True)
-        for contour, parent in zip(contours, tree[0, :, 3], strict=True)
-        if parent >= 0 and len(contour) >= SPECK
-    )
-    return Component(outline + (window.left + left, window.top + top), area, holes)
+class _Traced(NamedTuple):
+    """The outlines in a mask, outer ones and holes."""
+
+    outer: list[npt.NDArray[np.int32]]
+    holes: list[npt.NDArray[np.int32]]
+
+    @classmethod
+    def of(cls, mask: npt.NDArray[np.uint8]) -> _Traced:
+        """Trace a mask: (h,w) uint8, 0 = background."""
+        contours, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+        traced = cls([], [])
+        for contour, parent in zip(contours, np.reshape(np.asarray(tree), (-1, 4))[:, 3], strict=True):
+            (traced.outer if parent < 0 else traced.holes).append(np.asarray(contour, dtype=np.int32))
+        return traced
+
+    @property
+    def pieces(self) -> int:
+        """How many components the mask has."""
+        return len(self.outer)
+
+    def component(self, area: int, origin: tuple[int, int]) -> Component:
+        """The mask as one component, its first pixel at ``origin`` = (u, v)."""
+        outline = max(self.outer, key=len).reshape(-1, 2).astype(np.float64)
+        holes = sum(cv2.arcLength(hole, closed=True) for hole in self.holes if len(hole) >= SPECK)
+        return Component(outline + origin, area, holes)
 
 
 def _clockwise(outline: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -144,8 +144,8 @@ class TestAnchors:
 
     @pytest.mark.parametrize("end", [-0.3, 0.3])
     def test_a_point_in_the_clouds_frame(self, end):
-        for where in ({"anchor": (end, 0, 1)}, {"anchor": "hand"}):
-            shape = one(ShapeDetector(Centerline(ends="tips", **where)), straight(), anchors={"hand": (end, 0, 1)})
+        for anchor in ((end, 0, 1), "hand"):
+            shape = one(ShapeDetector(Centerline(ends="tips", anchor=anchor)), straight(), anchors={"hand": (end, 0, 1)})
             np.testing.assert_allclose(shape.points3d[0], (end, 0, 1), atol=4e-3)
 
     @pytest.mark.parametrize("end", [-0.3, 0.3])
@@ -249,4 +249,5 @@ def test_no_cloud_crashes(points, repeats):
     detection = ShapeDetector(_SPECS).detect_cloud(np.repeat(points, repeats, axis=0))
     for shape in detection:
         assert shape.ok == (not shape.reason)
+        assert shape.points3d is not None
         assert np.isfinite(shape.points3d[shape.valid]).all()

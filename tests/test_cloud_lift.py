@@ -67,11 +67,12 @@ class TestUnderAMask:
 
     def test_pixels_are_the_projection(self):
         rope = tilted_rope(np.random.default_rng(3))
-        shape = (
-            ShapeDetector(Centerline(ends="tips", lift="cloud")).detect_mask(rope.mask, rope.depth, CAMERA).shapes[0]
-        )
+        detector = ShapeDetector(Centerline(ends="tips", lift="cloud"))
+        shape = detector.detect_mask(rope.mask, rope.depth, CAMERA).shapes[0]
         assert shape.ok
-        np.testing.assert_allclose(shape.points2d[shape.valid], CAMERA.project(shape.points3d[shape.valid]), atol=0.01)
+        assert shape.points3d is not None
+        projected = CAMERA.project(shape.points3d[shape.valid])
+        np.testing.assert_allclose(shape.pixels[shape.valid], projected, atol=0.01)
 
     @pytest.mark.parametrize("given_arguments", [{}, {"camera": CAMERA}, {"depth": np.ones((480, 640))}])
     def test_it_needs_depth_and_a_camera(self, given_arguments):
@@ -92,8 +93,8 @@ class TestUnderAMask:
         depth[:, 130:190] = 0
         shape = ShapeDetector(Centerline(n=40, lift="cloud")).detect_mask(wave.mask, depth, intrinsics).shapes[0]
         assert shape.ok, shape.reason
-        inside = (shape.points2d[:, 0] > 150) & (shape.points2d[:, 0] < 170)
-        outside = (shape.points2d[:, 0] < 125) | (shape.points2d[:, 0] > 195)
+        inside = (shape.pixels[:, 0] > 150) & (shape.pixels[:, 0] < 170)
+        outside = (shape.pixels[:, 0] < 125) | (shape.pixels[:, 0] > 195)
         assert inside.any()
         assert not shape.valid[inside].any()
         assert shape.visible[inside].all()
@@ -102,10 +103,10 @@ class TestUnderAMask:
     def test_a_pixel_and_a_base_frame_point_are_anchors(self, wave, overhead):
         depth = np.full((240, 320), 0.8)
         for end in ((50.0, 140.0), (270.0, 112.0)):
-            point = tuple(float(value) for value in overhead.to_base(overhead.intrinsics.deproject(end, 0.8)))
-            for anchor in (end, point):
+            x, y, z = (float(value) for value in overhead.to_base(overhead.intrinsics.deproject(end, 0.8)))
+            for anchor in (end, (x, y, z)):
                 detector = ShapeDetector(Centerline(ends="tips", lift="cloud", anchor=anchor))
-                first = detector.detect_mask(wave.mask, depth, overhead).shapes[0].points2d[0]
+                first = detector.detect_mask(wave.mask, depth, overhead).shapes[0].pixels[0]
                 np.testing.assert_allclose(first, end, atol=5)
 
     def test_shapes_that_lift_differently_share_a_frame(self):

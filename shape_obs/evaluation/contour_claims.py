@@ -31,9 +31,9 @@ MOTIONS: Final[dict[str, dict[str, Any]]] = {
     "deforming": {"turn": 0.03, "swell": 0.4},
     "hole": {"hole": True},
 }
-# Gaps. Equal chords may move points along the outline by 0.35 gaps (``curve.equidistant_positions``); what needs this
-# much on the true outline may need all of it on the one that was found.
-_COARSE: Final = 0.3
+# Gaps. Equal chords may move points along the outline by 1.5 gaps (``curve.equidistant_around``); what needs this much
+# on the true outline may need all of it on the one that was found.
+_COARSE: Final = 1.3
 
 
 class BlobResult(NamedTuple):
@@ -42,7 +42,7 @@ class BlobResult(NamedTuple):
     Args:
         kind: Of blob.
         n: How many points.
-        coarse: Even on the true outline, equal chords would move so few points by 0.3 gaps or more from equal arc
+        coarse: Even on the true outline, equal chords would move so few points by 1.3 gaps or more from equal arc
             length, since it bends within a gap: gaps may be unequal then, so that points stay on their material.
         ok: Found.
         score: Against the truth; the slip means nothing here.
