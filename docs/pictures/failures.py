@@ -65,7 +65,7 @@ def no_depth() -> Case:
 
 def touching() -> Case:
     """Two strands of one rope lie side by side."""
-    return cold(draw_rope(keyhole(14.0), 13.0, size=SIZE).mask)
+    return cold(draw_rope(keyhole(12.0), 13.0, size=SIZE).mask)
 
 
 def keyhole(beside: float) -> np.ndarray:
@@ -144,4 +144,3 @@ if __name__ == "__main__":
         shape = case.shape
         print(f"{name:12} ok={shape.ok!s:5} quality={shape.quality:.2f} valid={shape.valid.sum():2} {shape.reason}")
         write(f"wrong_{name}.jpg", draw_detection(case.image, case.detection, scale=2))
-        cv2.imwrite(f"/tmp/wrong_{name}.png", draw_detection(case.image, case.detection, scale=1)[..., ::-1])
