@@ -152,11 +152,18 @@ def test_demo_runs_without_gl_and_writes_its_pictures(tmp_path, capsys):
 
 
 def test_bench_claims_gives_json(capsys):
-    code, out, _ = run(capsys, "bench", "claims", "--ropes", 1, "--motions", 0, "--episodes", 0, "--json")
+    code, out, _ = run(capsys, "bench", "claims", "--only", "noise", "shapes", "--share", 0.05, "--json")
     tables = json.loads(out)
     assert code == 0
-    assert len(tables["drawn ropes, cold"]) == 7
-    assert all(row["order_wrong"] == 0 for row in tables["drawn ropes, cold"])
+    assert {row["ropes"] for row in tables["drawn ropes in noise, cold"]} == {7}
+    assert [row["number"] for row in tables["several shapes in one pass"]] == [1, 1, 2, 3, 4]
+
+
+def test_bench_claims_prints_tables(capsys):
+    code, out, _ = run(capsys, "bench", "claims", "--only", "shapes", "--share", 0.05)
+    assert code == 0
+    assert "several shapes in one pass" in out
+    assert "contour + surface" in out
 
 
 @pytest.mark.parametrize("command", [[], ["demo"], ["detect"], ["bench"], ["bench", "claims"]])

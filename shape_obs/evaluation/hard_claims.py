@@ -15,6 +15,7 @@ from shape_obs.evaluation.disturbances import photographed, ragged, salted
 from shape_obs.evaluation.hands import Where, hidden_rope
 from shape_obs.evaluation.ropes import KINDS, Kind, random_rope
 from shape_obs.evaluation.scores import score
+from shape_obs.evaluation.sheets import noisy
 from shape_obs.segmentation import HSVRange
 from shape_obs.shape import Shape
 
@@ -140,3 +141,24 @@ def ropes_in_noise(per_kind: int, seed: int = 0, kinds: Sequence[Kind] = KINDS, 
             refused=sum(not shape.ok for shape in shapes) / len(ropes),
             mean_distance=float(np.mean([judged.distance for judged in found])),
         )
+
+
+class JitterResult(NamedTuple):
+    """A rope at rest whose mask is cut anew from a noisy image in every frame; pixels rms about the mean place."""
+
+    kind: str
+    frames: int
+    jitter_px: float
+    worst_point_px: float
+
+
+def flickering_ropes(per_kind: int, seed: int = 0, frames: int = 60, n: int = 20) -> Iterator[JitterResult]:
+    """Ropes at rest in masks whose edges flicker."""
+    rng = np.random.default_rng(seed)
+    for kind in KINDS:
+        for _ in range(per_kind):
+            rope, detector = random_rope(rng, kind), ShapeDetector([Centerline(n=n)])
+            found = [detector.detect_mask(noisy(rope.mask, rng)).shapes[0].pixels for _ in range(frames)]
+            points = np.stack(found).astype(np.float64)
+            squares = np.sum((points - points.mean(axis=0)) ** 2, axis=2).mean(axis=0)
+            yield JitterResult(kind, frames, float(np.sqrt(squares.mean())), float(np.sqrt(squares.max())))

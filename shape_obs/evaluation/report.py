@@ -1,0 +1,124 @@
+"""Every measurement of the accuracy that the project claims, group by group, as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from shape_obs.evaluation import claims, cloud_claims, contour_claims, hard_claims, surface_claims
+from shape_obs.evaluation.blobs import garments
+from shape_obs.evaluation.shared_pass import shared_passes
+from shape_obs.evaluation.tangle_claims import tangled_ropes
+
+Rows = list[dict[str, Any]]
+Tables = Iterator[tuple[str, Rows]]
+
+
+class Effort(NamedTuple):
+    """How much to measure.
+
+    Args:
+        share: Of the full counts; 1 is the full run.
+        seed: Of everything drawn.
+        renderer: The simulator's camera.
+        garments: A file of annotated garment outlines; None leaves them out.
+    """
+
+    share: float
+    seed: int
+    renderer: str
+    garments: Path | None
+
+    def count(self, full: int) -> int:
+        """A share of a full count, at least one."""
+        return max(round(full * self.share), 1)
+
+    def seeds(self, full: int) -> range:
+        """As many seeds."""
+        return range(self.seed, self.seed + self.count(full))
+
+
+def _ropes(effort: Effort) -> Tables:
+    yield "drawn ropes, cold", claims.rope_table(claims.drawn_ropes(effort.count(40), effort.seed))
+    yield "moving ropes, tracked", _rows(claims.moving_ropes((10, 40), effort.seeds(6)))
+    yield "ropes at rest in masks that flicker", _rows(hard_claims.flickering_ropes(effort.count(4), effort.seed))
+
+
+def _tangles(effort: Effort) -> Tables:
+    title = "ropes that cross themselves, are cut, or touch themselves, cold"
+    yield title, _rows(tangled_ropes(effort.count(100), effort.seed))
+
+
+def _hands(effort: Effort) -> Tables:
+    yield "moving ropes under a hand", _rows(hard_claims.ropes_under_hands(effort.seeds(3)))
+    middle = hard_claims.ropes_under_hands(effort.seeds(3), places=("middle",))
+    yield "moving ropes under a hand, in the middle", _rows(middle)
+
+
+def _noise(effort: Effort) -> Tables:
+    yield "drawn ropes in noise, cold", _rows(hard_claims.ropes_in_noise(effort.count(12), effort.seed))
+
+
+def _outlines(effort: Effort) -> Tables:
+    blobs = list(contour_claims.drawn_blobs(effort.count(8), effort.seed))
+    yield "drawn outlines, cold", contour_claims.outline_table(contour_claims.outlines(blobs))
+    if effort.garments is not None:
+        drawn = garments(effort.garments)
+        yield "garments, cold", contour_claims.outline_table(contour_claims.outlines(drawn))
+    yield "turning outlines, tracked", _rows(contour_claims.turning_blobs(seeds=effort.seeds(2)))
+    yield (
+        "outlines at rest in masks that flicker",
+        _rows(contour_claims.flickering_blobs(blobs[:: len(blobs) // 4 or 1])),
+    )
+
+
+def _sheets(effort: Effort) -> Tables:
+    drawn = surface_claims.drawn_sheets(effort.count(48), effort.seed)
+    yield "drawn sheets, cold", surface_claims.sheet_table(drawn)
+    yield "sheets that turn once around, in steps of a degree", _rows(surface_claims.turning_sheets(effort.seeds(6)))
+    yield "sheets that wander, turn and bend, tracked", _rows(surface_claims.moving_sheets((12,), effort.seeds(6)))
+    yield "sheets at rest in masks that flicker", _rows(surface_claims.noisy_sheets(effort.seeds(6)))
+
+
+def _clouds(effort: Effort) -> Tables:
+    count, seed = effort.count(30), effort.seed
+    found = [*cloud_claims.rope_clouds(count, seed), *cloud_claims.ring_clouds(count, seed)]
+    found += cloud_claims.sheet_clouds(count, seed)
+    yield "clouds, cold", cloud_claims.cloud_table(found)
+    moved = cloud_claims.moving_rope_clouds((0.005, 0.015), effort.seeds(3))
+    yield "moving rope clouds, tracked", _rows(moved)
+    yield "images at a slant", cloud_claims.tilted_table(cloud_claims.tilted_images(count, seed))
+
+
+def _shapes(effort: Effort) -> Tables:
+    yield "several shapes in one pass", _rows(shared_passes(effort.count(60), effort.seed))
+
+
+def _cable(effort: Effort) -> Tables:
+    cameras = ("d455", "rl", [84, 84])
+    title = "simulated cable, random actions, visible surface"
+    yield title, _rows(claims.cable_episodes(camera, effort.renderer, effort.seeds(20)) for camera in cameras)
+
+
+GROUPS: Final[dict[str, Callable[[Effort], Tables]]] = {
+    "ropes": _ropes,
+    "tangles": _tangles,
+    "hands": _hands,
+    "noise": _noise,
+    "outlines": _outlines,
+    "sheets": _sheets,
+    "clouds": _clouds,
+    "shapes": _shapes,
+    "cable": _cable,
+}
+
+
+def _rows(results: Iterable[Any]) -> Rows:
+    return [{name: _plain(value) for name, value in result._asdict().items()} for result in results]
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
