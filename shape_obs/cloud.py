@@ -30,6 +30,7 @@ _MIN_SHARE: Final = 0.02  # of the largest piece's points; smaller pieces are sp
 _FAR: Final = 12.0
 _FEWEST: Final = 4  # samples that a sheet has
 _RING: Final = 8.0  # widths: a ring is longer
+_MAX_PIECES: Final = 16  # and falls into no more: the cost of joining them grows with the cube of their number
 _SOME: Final = 1000  # points that tell the middle
 # How near a point of the cloud lies if it carries a place: in widths, and in voxels where the cloud is sparse.
 _NEAR: Final = (0.75, 2.0)
@@ -176,7 +177,7 @@ class Cloud:
 
     @cached_property
     def _ring(self) -> Array | None:
-        if self.stretch < _RING * self.width:
+        if self.stretch < _RING * self.width or len(self.components) > _MAX_PIECES:
             return None
         around = ring(self.samples, self.links, [piece.samples for piece in self.components], self.width)
         return around if around is None or clockwise(around) else around[::-1]

@@ -145,7 +145,9 @@ class TestAnchors:
     @pytest.mark.parametrize("end", [-0.3, 0.3])
     def test_a_point_in_the_clouds_frame(self, end):
         for anchor in ((end, 0, 1), "hand"):
-            shape = one(ShapeDetector(Centerline(ends="tips", anchor=anchor)), straight(), anchors={"hand": (end, 0, 1)})
+            shape = one(
+                ShapeDetector(Centerline(ends="tips", anchor=anchor)), straight(), anchors={"hand": (end, 0, 1)}
+            )
             np.testing.assert_allclose(shape.points3d[0], (end, 0, 1), atol=4e-3)
 
     @pytest.mark.parametrize("end", [-0.3, 0.3])

@@ -105,9 +105,12 @@ def test_a_mask_that_branches_is_refused():
 
 
 def test_a_small_knob_is_left_out():
-    shape = detected(strip((100, 200), (500, 200)) | strip((300, 200), (300, 222), width=6))
-    assert shape.ok, shape.reason
-    assert np.abs(shape.pixels[:, 1] - 200).max() < 3
+    rope = strip((100, 200), (500, 200)) | strip((300, 200), (300, 222), width=6)
+    shape = detected(rope)
+    assert shape.ok
+    off = np.abs(shape.pixels[:, 1] - 200)
+    assert np.mean(off < 1) > 0.9
+    assert off.max() < 10
 
 
 def test_a_closed_ring_is_refused():

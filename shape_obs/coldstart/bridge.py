@@ -75,20 +75,6 @@ def bridge(pieces: list[Array], width: float) -> Bridged:
     return Bridged(np.concatenate(run), np.concatenate(is_gap), bends, rival / max(total, 1e-9))
 
 
-def join(pieces: list[Array]) -> Array:
-    """Join curves into one.
-
-    Args:
-        pieces: (P_i,2) curves, pixels, in no particular direction.
-
-    Returns:
-        (P,2) one curve through all of them, without points in the gaps.
-    """
-    width = float(np.linalg.norm(np.diff(pieces[0], axis=0), axis=1).mean()) * 8
-    joined = bridge(pieces, max(width, 1.0))
-    return joined.curve[~joined.bridged]
-
-
 def _cut(piece: Array, width: float, *, start: bool = True, end: bool = True) -> Array:
     """A piece without its ragged ends."""
     arc = arc_length(piece)

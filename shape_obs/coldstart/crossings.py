@@ -7,6 +7,7 @@ may close upon itself while another one passes through the same zone.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -133,7 +134,7 @@ def _smooth(branch: Branch, width: float) -> Branch:
     head = 2 * branch.points[0] - branch.points[pad:0:-1]
     tail = 2 * branch.points[-1] - branch.points[-2 : -pad - 2 : -1]
     smooth = gaussian_filter1d(np.concatenate([head, branch.points, tail]), sigma, axis=0)
-    return branch._replace(points=smooth[pad:-pad])
+    return replace(branch, points=smooth[pad:-pad])
 
 
 def _trim(branch: Branch, free_start: bool, free_end: bool, width: float) -> Array:

@@ -1,11 +1,13 @@
 """The skeleton of a mask as a graph: strands thinned to curves, and the places where they meet.
 
-Thinning after Guo and Hall ("Parallel Thinning with Two-Subiteration Algorithms", 1989), a look-up table over the
-codes of the eight neighbours.
+Thinning after Guo and Hall ("Parallel Thinning with Two-Subiteration Algorithms", 1989), eight pixels
+at a time: as bits of a byte.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, NamedTuple
 
 import cv2
@@ -30,8 +32,13 @@ _SLIT: Final = 0.3
 # More branches than this are noise all over, and pruning takes time with the square of their number.
 _MOST_PRUNED: Final = 300
 
+_ONE: Final = np.uint8(1)
+_SEVEN: Final = np.uint8(7)
+_ROWS: Final = (slice(None, -2), slice(1, -1), slice(2, None))  # above, beside, below
 
-class Branch(NamedTuple):
+
+@dataclass(frozen=True, eq=False)
+class Branch:
     """A strand between two nodes.
 
     Args:
@@ -44,7 +51,7 @@ class Branch(NamedTuple):
     radius: Array
     nodes: tuple[int, int]
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Pixels."""
         step = np.diff(self.points, axis=0)
@@ -90,17 +97,17 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
     """
     left, top, width, height = cv2.boundingRect(mask)
     grid = _framed((mask[top : top + height, left : left + width] > 0).view(np.uint8), 1)
-    radius = _radius(grid)
-    cell = int(max(2 * radius.max(initial=0.0) / _CELLS_ACROSS, 1))
+    depth = _depth(grid)
+    cell = int(max(2 * _radius(depth.max(initial=0.0)) / _CELLS_ACROSS, 1))
     if cell > 1:
         grid = _coarse(grid[1:-1, 1:-1], cell)
-        radius = _radius(grid)
-    if _fill_slits(grid, float(radius.max(initial=0.0))):
-        radius = _radius(grid)
+        depth = _depth(grid)
+    if _fill_slits(grid, float(_radius(depth.max(initial=0.0)))):
+        depth = _depth(grid)
     thin = thinned(grid)
     # The frame is a cell wide, and a cell's middle lies between pixels where their number is even.
     shift = np.array([origin[0] + left, origin[1] + top]) - cell + (cell - 1) / 2
-    found = _branches(thin, radius)
+    found = _branches(thin, depth)
     typical = float(np.median(np.concatenate([b.radius for b in found]))) if found else 0.5
     branches = _pruned(found) if len(found) <= _MOST_PRUNED else found
     placed = [Branch(b.points * cell + shift, b.radius * cell, b.nodes) for b in branches]
@@ -109,36 +116,42 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
 
 def thinned(mask: Mask) -> Mask:
     """A mask of 0 and 1 with a border of 0, thinned to curves one pixel wide: (h,w) uint8."""
-    thin, left = mask.copy(), -1
+    bits = np.packbits(mask, axis=1)
     while True:
-        for table in _TABLES:
-            code = cv2.filter2D(thin, cv2.CV_8U, _WEIGHTS, borderType=cv2.BORDER_CONSTANT)
-            thin &= np.asarray(cv2.LUT(code, table), dtype=np.uint8)
-        before, left = left, cv2.countNonZero(thin)
-        if left == before:
-            return thin
+        before = bits.copy()
+        for half in (0, 1):
+            bits[1:-1] &= ~_removable(bits, half)
+        if np.array_equal(bits, before):
+            return np.unpackbits(bits, axis=1, count=mask.shape[1])
 
 
-def _tables() -> tuple[Mask, Mask]:
-    """Which of the 256 neighbourhoods keep their centre, for either half of a pass: (256,) uint8 each.
+def _removable(bits: Mask, half: int) -> Mask:
+    """Which pixels either half of a pass takes away, but for the first and the last row: packed as ``bits`` are."""
+    flat = bits.reshape(-1)  # rows end in background, so that nothing is carried from one to the next
+    left, right = flat >> _ONE, flat << _ONE
+    left[1:] |= flat[:-1] << _SEVEN
+    right[:-1] |= flat[1:] >> _SEVEN
+    n, s = bits[:-2], bits[2:]
+    nw, w, sw = (left.reshape(bits.shape)[row] for row in _ROWS)
+    ne, e, se = (right.reshape(bits.shape)[row] for row in _ROWS)
+    one = ne | e, se | s, sw | w, nw | n
+    other = n | ne, e | se, s | sw, w | nw
+    pieces = one[0] & ~n, one[1] & ~e, one[2] & ~s, one[3] & ~w
+    side = (s | sw | ~nw) & w if half == 0 else (n | ne | ~se) & e
+    return _exactly_one(*pieces) & _two(*one) & _two(*other) & ~(_all(*one) & _all(*other)) & ~side
 
-    Bit i of a code is the neighbour i of (N, NE, E, SE, S, SW, W, NW).
-    """
-    p = (np.arange(256)[:, None] >> np.arange(8)) & 1
-    n, ne, e, se, s, sw, w, nw = (p[:, i].astype(bool) for i in range(8))
-    pieces = sum((~a & (b | c)).astype(int) for a, b, c in ((n, ne, e), (e, se, s), (s, sw, w), (w, nw, n)))
-    one = sum((a | b).astype(int) for a, b in ((nw, n), (ne, e), (se, s), (sw, w)))
-    other = sum((a | b).astype(int) for a, b in ((n, ne), (e, se), (s, sw), (w, nw)))
-    thick = np.minimum(one, other)
-    removable = (pieces == 1) & (thick >= 2) & (thick <= 3)
-    sides = ((s | sw | ~nw) & w, (n | ne | ~se) & e)
-    first, second = (np.where(removable & ~side, 0, 1).astype(np.uint8) for side in sides)
-    return first, second
+
+def _exactly_one(a: Mask, b: Mask, c: Mask, d: Mask) -> Mask:
+    return (a ^ b ^ c ^ d) & ~(a & b | c & d)
 
 
-_TABLES: Final = _tables()
-# filter2D correlates: the weight at a neighbour's place is its bit.
-_WEIGHTS: Final = np.array([[128, 1, 2], [64, 0, 4], [32, 16, 8]], np.float32)
+def _two(a: Mask, b: Mask, c: Mask, d: Mask) -> Mask:
+    """Where at least two of four are set."""
+    return a & b | c & d | (a | b) & (c | d)
+
+
+def _all(a: Mask, b: Mask, c: Mask, d: Mask) -> Mask:
+    return a & b & c & d
 
 
 def _framed(piece: Mask, edge: int, beyond: tuple[int, int] = (0, 0)) -> Mask:
@@ -148,12 +161,17 @@ def _framed(piece: Mask, edge: int, beyond: tuple[int, int] = (0, 0)) -> Mask:
     return np.asarray(framed, dtype=np.uint8)
 
 
-def _radius(piece: Mask) -> Array:
-    """Distance from each cell of a framed mask to its outline, cells.
+def _depth(piece: Mask) -> npt.NDArray[np.float32]:
+    """Distance from each cell of a framed mask to the nearest centre of a cell of the background, cells."""
+    return np.asarray(cv2.distanceTransform(piece, cv2.DIST_L2, 5), dtype=np.float32)
+
+
+def _radius(depth: npt.ArrayLike) -> Array:
+    """Distance to the outline, cells, of cells of the skeleton.
 
     The outline lies half a cell before the background's centre, and a cell of the skeleton a quarter beside the axis.
     """
-    return np.maximum(np.asarray(cv2.distanceTransform(piece, cv2.DIST_L2, 5), dtype=np.float64) - 0.25, 0.0)
+    return np.maximum(np.asarray(depth, dtype=np.float64) - 0.25, 0.0)
 
 
 def _coarse(piece: Mask, cell: int) -> Mask:
@@ -176,65 +194,75 @@ def _fill_slits(grid: Mask, thickest: float) -> bool:
     return found
 
 
-def _branches(thin: Mask, radius: Array) -> list[Branch]:
+def _branches(thin: Mask, depth: npt.NDArray[np.float32]) -> list[Branch]:
     """The curves between the pixels of a skeleton that have one neighbour, or more than two."""
-    rows, columns = np.nonzero(thin)
-    if len(rows) == 0:
+    at = np.flatnonzero(thin.view(bool))
+    if len(at) == 0:
         return []
-    first, second = _links(thin, rows, columns)
-    count = len(rows)
+    first, second = _links(thin, at)
+    count = len(at)
     degree = np.bincount(np.concatenate([first, second]), minlength=count)
     # Neighbouring pixels with three neighbours each are one node.
     at_node = (degree[first] > 2) & (degree[second] > 2)
     joints = coo_array((np.ones(at_node.sum()), (first[at_node], second[at_node])), shape=(count, count))
     node = connected_components(joints, directed=False)[1]
-    beside: list[list[int]] = [[] for _ in range(count)]
-    for i, j in zip(first[~at_node].tolist(), second[~at_node].tolist(), strict=True):
-        beside[i].append(j)
-        beside[j].append(i)
-    is_node = (degree != 2).tolist()
-    chains = _chains(beside, is_node)
-    pixels = np.stack([columns, rows], axis=1).astype(np.float64)
-    wide = radius[rows, columns]
+    links = np.stack([first[~at_node], second[~at_node]], axis=1)
+    chains = [np.array(chain) for chain in _chains(links, degree != 2)]
+    pixels = np.stack([at % thin.shape[1], at // thin.shape[1]], axis=1).astype(np.float64)
+    wide = _radius(depth.ravel()[at])
     return [Branch(pixels[chain], wide[chain], (int(node[chain[0]]), int(node[chain[-1]]))) for chain in chains]
 
 
-def _links(thin: Mask, rows: Index, columns: Index) -> tuple[Index, Index]:
-    """Pairs of neighbouring pixels; a diagonal counts only where no pixel beside it makes the same step."""
-    index = np.full(thin.shape, -1)
-    index[rows, columns] = np.arange(len(rows))
+def _links(thin: Mask, at: Index) -> tuple[Index, Index]:
+    """Pairs of neighbouring pixels; a diagonal counts only where no pixel beside it makes the same step.
+
+    Args:
+        thin: With a border of 0.
+        at: (P,) where it is set, row by row.
+    """
+    is_set, down = thin.view(bool).ravel(), thin.shape[1]
     pairs = []
-    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        there = index[rows + down, columns + right]
-        linked = there >= 0
-        if down and right:
-            linked &= (index[rows + down, columns] < 0) & (index[rows, columns + right] < 0)
-        pairs.append((np.flatnonzero(linked), there[linked]))
+    for row, right in ((0, 1), (down, 0), (down, 1), (down, -1)):
+        linked = is_set[at + row + right]
+        if row and right:
+            linked &= ~(is_set[at + row] | is_set[at + right])
+        first = np.flatnonzero(linked)
+        pairs.append((first, np.searchsorted(at, at[first] + row + right)))
     return np.concatenate([pair[0] for pair in pairs]), np.concatenate([pair[1] for pair in pairs])
 
 
-def _chains(beside: list[list[int]], is_node: list[bool]) -> list[list[int]]:
-    """Every chain of pixels from node to node once, then the rings that no node lies on, closed."""
+def _chains(links: Index, is_node: npt.NDArray[np.bool_]) -> list[list[int]]:
+    """Every chain of pixels from node to node once, then the rings that no node lies on, closed.
+
+    Args:
+        links: (L,2) neighbours; pixels that are no node have two.
+        is_node: (P,).
+    """
+    near, far = links.ravel(), links[:, ::-1].ravel()
+    # From one of a pixel's two neighbours to the other: both together, less the one.
+    both = np.bincount(near, far, minlength=len(is_node)).astype(int).tolist()
+    some = np.zeros(len(is_node), int)
+    some[near[::-1]] = far[::-1]
+    ends, done = is_node.tolist(), is_node.tolist()
+
+    def walked(start: int, here: int) -> list[int]:
+        chain, before = [start, here], start
+        while not ends[here] and here != start:
+            done[here] = True
+            before, here = here, both[here] - before
+            chain.append(here)
+        return chain
+
+    at = np.flatnonzero(is_node[near])
+    at = at[np.argsort(near[at], kind="stable")]
     chains = []
-    done = [False] * len(beside)
-    for start in (i for i, node in enumerate(is_node) if node):
-        for onward in beside[start]:
-            if done[onward] or (is_node[onward] and onward < start):
-                continue
-            chain = [start, onward]
-            while not is_node[chain[-1]]:
-                done[chain[-1]] = True
-                there = beside[chain[-1]]
-                chain.append(there[0] if there[0] != chain[-2] else there[1])
-            chains.append(chain)
-    for start in (i for i, node in enumerate(is_node) if not node):
+    for start, onward in zip(near[at].tolist(), far[at].tolist(), strict=True):
+        if onward >= start if ends[onward] else not done[onward]:
+            chains.append(walked(start, onward))
+    for start in np.flatnonzero(~is_node).tolist():
         if not done[start]:
-            chain = [start, beside[start][0]]
-            while chain[-1] != start:
-                done[chain[-1]] = True
-                there = beside[chain[-1]]
-                chain.append(there[0] if there[0] != chain[-2] else there[1])
-            chains.append(chain)
+            done[start] = True
+            chains.append(walked(start, int(some[start])))
     return chains
 
 

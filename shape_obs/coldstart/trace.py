@@ -15,6 +15,7 @@ from shape_obs.coldstart.fold import fold
 from shape_obs.coldstart.skeleton import skeleton_graph
 from shape_obs.curve import arc_length, interpolate
 from shape_obs.region import SPECK, Component, Region
+from shape_obs.roi import Window
 
 Array = npt.NDArray[np.float64]
 
@@ -62,7 +63,7 @@ def trace(region: Region) -> Trace:
     width = max((component.width for component, _ in ribbons), default=0.0)
     doubts: list[str] = []
     if len(ribbons) < len(region.components):
-        skeleton = skeleton_graph(_without(region, [c for c, _ in ribbons]), (region.window.left, region.window.top))
+        skeleton = skeleton_graph(*_without(region, [component for component, _ in ribbons]))
         if len(skeleton.branches) > _MOST_BRANCHES:
             curve = fold(region.components[0].outline, region.components[0].width)
             return _doubted(curve, f"the mask branches {len(skeleton.branches)} times: it is no rope")
@@ -88,20 +89,27 @@ def folded(component: Component) -> Array | None:
     curve = fold(outline, component.width)
     spacing = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).max(initial=0.0))
     distance = KDTree(curve).query(outline[::2])[0]
-    far = float(np.mean(distance > _RIBBON[0] * component.width + spacing / 2))
-    return curve if far <= _RIBBON[1] else None
+    near, ragged = _RIBBON
+    far = distance > near * component.width + spacing / 2
+    return curve if np.mean(far) <= ragged else None
 
 
-def _without(region: Region, ribbons: list[Component]) -> npt.NDArray[np.uint8]:
-    """The region's mask without some of its components, which have no holes, and without specks in the others."""
-    mask = region.mask.copy()
+def _without(region: Region, ribbons: list[Component]) -> tuple[npt.NDArray[np.uint8], tuple[int, int]]:
+    """The region's mask without some of its components, which have no holes, and without specks in the others.
+
+    Cropped to those others, with the image coordinates of its first pixel.
+    """
+    others = np.concatenate([c.outline for c in region.components if not any(c is ribbon for ribbon in ribbons)])
+    (left, top), (right, bottom) = others.min(axis=0).astype(int).tolist(), others.max(axis=0).astype(int).tolist()
+    crop = Window(left - region.window.left, top - region.window.top, right - left + 1, bottom - top + 1)
+    mask = region.mask[crop.slices].copy()
     outlines, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     for outline, parent in zip(outlines, tree[0, :, 3], strict=True):
         if parent >= 0 and len(outline) < SPECK:
             cv2.drawContours(mask, [outline], -1, (255.0,), cv2.FILLED)
-    origin = (region.window.left, region.window.top)
-    drawn = [np.rint(component.outline - origin).astype(np.int32) for component in ribbons]
-    return np.asarray(cv2.drawContours(mask, drawn, -1, (0.0,), cv2.FILLED), dtype=np.uint8)
+    drawn = [np.rint(component.outline - (left, top)).astype(np.int32) for component in ribbons]
+    cv2.drawContours(mask, drawn, -1, (0.0,), cv2.FILLED)
+    return mask, (left, top)
 
 
 def _explained(strands: Strands) -> list[int]:
