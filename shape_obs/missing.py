@@ -81,26 +81,25 @@ def lost_shape(
 
 
 def fill_invalid(
-    points3d: npt.NDArray[np.float32], last: npt.NDArray[np.float32] | None, policy: OnInvalid, layout: Topology
+    expected: npt.NDArray[np.float32],
+    valid: npt.NDArray[np.bool_],
+    last: npt.NDArray[np.float32] | None,
+    policy: OnInvalid,
 ) -> npt.NDArray[np.float32]:
-    """Fill points without depth; they stay ``valid=False`` whatever fills them.
+    """What stands in for points without depth; they stay ``valid=False`` whatever fills them.
 
     Args:
-        points3d: (N,3) metres, NaN where unknown.
+        expected: (N,3) metres: valid points, and where the others should be.
+        valid: (N,) bool.
         last: (N,3) of the last frame, for ``"hold"``.
-        policy: ``"interpolate"`` between neighbours (the points are equidistant), ends repeated; ``"hold"`` the last
-            frame's; ``"nan"`` leaves them.
-        layout: How the points hang together.
+        policy: ``"interpolate"`` takes what is expected (in an image, the point's own ray at the depth of its
+            neighbours; in a cloud, its place on the form); ``"hold"`` the last frame's; ``"nan"`` nothing.
 
     Returns:
-        (N,3); NaN where the policy has nothing to fill from.
+        (N,3); NaN where the policy has nothing to fill with.
     """
-    known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(points3d).all(axis=1))
-    if policy == "nan" or known.all():
-        return points3d
-    if policy == "interpolate":
-        return layout.interpolate(points3d, known) if known.any() else points3d
-    filled = points3d.copy()
-    if last is not None:
-        filled[~known] = last[~known]
-    return filled
+    if policy == "interpolate" or valid.all():
+        return expected
+    points3d = expected.copy()
+    points3d[~valid] = np.nan if policy == "nan" or last is None else last[~valid]
+    return points3d

@@ -43,20 +43,22 @@ def shape_of(
         policy: What becomes of points without depth.
     """
     if isinstance(body, Cloud):
-        points2d, points3d, visible, valid = _in_cloud(spec, form, body)
+        points2d, expected, visible, valid = _in_cloud(spec, form, body)
     else:
-        points2d, points3d, visible, valid = _in_image(spec, form, body, frame)
-    if points3d is not None:
-        points3d = fill_invalid(points3d, None if last is None else last.points3d, policy, spec.layout)
+        points2d, expected, visible, valid = _in_image(spec, form, body, frame)
+    points3d = None
+    if expected is not None:
+        points3d = fill_invalid(expected, valid, None if last is None else last.points3d, policy)
     quality = found.quality * float(valid.mean())
     return Shape(spec.name, points2d, points3d, visible, valid, spec.layout, quality=quality)
 
 
+# Pixels, points in space (those that were not seen where the form puts them), visible, valid.
 _Parts = tuple[npt.NDArray[np.float32] | None, npt.NDArray[np.float32] | None, Mask, Mask]
 
 
 def _in_image(spec: Configuration, form: Form, region: Region, frame: Frame) -> _Parts:
-    """Points in pixels with the depth under them."""
+    """Points in pixels with the depth under them; where there is none, with their neighbours'."""
     metric, camera = form, frame.camera
     if spec.spacing == "m" and frame.depth is not None and camera is not None:
         lifted = lift_form(form, frame.depth, region, region.width, camera.intrinsics)
@@ -66,9 +68,11 @@ def _in_image(spec: Configuration, form: Form, region: Region, frame: Frame) -> 
     if frame.depth is None or camera is None:
         return points.astype(np.float32), None, visible, visible.copy()
     z = local_depth(points, frame.depth, region, region.width)
-    z[~visible] = np.nan
+    valid = visible & np.isfinite(z)
+    if valid.any() and not valid.all():
+        z = spec.layout.interpolate(z[:, None], valid)[:, 0]
     points3d = lift(points, z, camera.intrinsics, spec.radius).astype(np.float32)
-    return points.astype(np.float32), points3d, visible, visible & np.isfinite(z)
+    return points.astype(np.float32), points3d, visible, valid
 
 
 def _in_cloud(spec: Configuration, form: Form, cloud: Cloud) -> _Parts:
@@ -81,9 +85,7 @@ def _in_cloud(spec: Configuration, form: Form, cloud: Cloud) -> _Parts:
     if not isinstance(cloud, SeenCloud):
         visible = valid.copy()
     points2d = cloud.pixels(points).astype(np.float32) if isinstance(cloud, SeenCloud) else None
-    points3d = points.astype(np.float32)
-    points3d[~valid] = np.nan
-    return points2d, points3d, visible, valid
+    return points2d, points.astype(np.float32), visible, valid
 
 
 def _inwards(curve: Curve) -> Array:
