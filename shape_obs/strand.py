@@ -19,6 +19,7 @@ _REACH: Final = 1.5  # widths: how far ahead
 # Widths: a strand goes on where a pixel lies beyond the first; noise alone throws points of a cloud that far, so there
 # the bulk must.
 _BEYOND: Final = (0.6, 0.8)
+_GAP: Final = (0.4, 5.0)  # in a cloud: the least gap between points that ends a strand, in widths and in usual gaps
 
 
 class Ahead(NamedTuple):
@@ -52,6 +53,12 @@ def _in_cloud(cloud: Cloud, front: Array, heading: Array, width: float) -> Ahead
     side = np.sqrt(np.maximum(np.einsum("pd,pd->p", offset, offset) - along**2, 0.0))
     strand = (along > 0) & (side <= _SIDE * width)
     offset, along = offset[strand], along[strand]
+    # Another strand that crosses ahead is no part of this one: it ends at the first gap.
+    order = np.sort(np.append(along, 0.0))
+    gap = max(_GAP[0] * width, _GAP[1] * _REACH * width / len(order))
+    broken = np.flatnonzero(np.diff(order) > gap)
+    if len(broken):
+        offset, along = offset[along <= order[broken[0]]], along[along <= order[broken[0]]]
     rest = 2 * float(along.mean()) if len(along) else 0.0
     return Ahead(offset, along, rest, rest > _BEYOND[1] * width)
 

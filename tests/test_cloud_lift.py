@@ -9,8 +9,10 @@ import pytest
 
 from shape_obs import Centerline, Contour, ShapeDetector, Surface
 from shape_obs.cloud import Cloud
+from shape_obs.curve import resample
 from shape_obs.evaluation import cloud_claims
 from shape_obs.evaluation.clouds import SheetCloud, sheet_cloud
+from shape_obs.evaluation.tangles import crossing_rope
 from shape_obs.evaluation.tilted import CAMERA, tilted_rope, tilted_sheet
 
 
@@ -73,6 +75,23 @@ class TestUnderAMask:
         assert shape.points3d is not None
         projected = CAMERA.project(shape.points3d[shape.valid])
         np.testing.assert_allclose(shape.pixels[shape.valid], projected, atol=0.01)
+
+    @pytest.mark.parametrize("seed", [2, 9, 14, 17])
+    def test_a_rope_that_crosses_itself_is_traced_in_the_image(self, seed):
+        rng = np.random.default_rng(seed)
+        tangle = crossing_rope(rng, 1 + seed % 2)
+        rays = CAMERA.rays(np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1).astype(float))
+        leaning = 0.9 / (rays @ (0.3, -0.5, 1.0))
+        depth = leaning + rng.normal(0, 0.0015, leaning.shape)
+        detector = ShapeDetector(Centerline(n=40, ends="tips", lift="cloud"))
+        shape = detector.detect_mask(tangle.mask, depth, CAMERA).shapes[0]
+        assert shape.ok, shape.reason
+        rays = CAMERA.rays(tangle.curve)
+        true = resample(rays * (0.9 / (rays @ (0.3, -0.5, 1.0)))[:, None], 40)
+        gap = np.linalg.norm(np.diff(true, axis=0), axis=1).mean()
+        assert shape.points3d is not None
+        apart = [np.linalg.norm(shape.points3d - order, axis=1)[shape.valid] for order in (true, true[::-1])]
+        assert min(distance.max() for distance in apart) < 0.5 * gap
 
     @pytest.mark.parametrize("given_arguments", [{}, {"camera": CAMERA}, {"depth": np.ones((480, 640))}])
     def test_it_needs_depth_and_a_camera(self, given_arguments):

@@ -144,21 +144,38 @@ def ropes_in_noise(per_kind: int, seed: int = 0, kinds: Sequence[Kind] = KINDS, 
 
 
 class JitterResult(NamedTuple):
-    """A rope at rest whose mask is cut anew from a noisy image in every frame; pixels rms about the mean place."""
+    """Ropes at rest whose masks are cut anew from noisy images in every frame.
+
+    Args:
+        kind: Of rope.
+        noise: Of the image, rms, as a share of the contrast between rope and table.
+        ropes: How many.
+        jitter_px: Distance of the points from their mean places, pixels rms over all ropes.
+        worst_rope_px: The same for the worst rope.
+    """
 
     kind: str
-    frames: int
+    noise: float
+    ropes: int
     jitter_px: float
-    worst_point_px: float
+    worst_rope_px: float
 
 
-def flickering_ropes(per_kind: int, seed: int = 0, frames: int = 60, n: int = 20) -> Iterator[JitterResult]:
+def flickering_ropes(
+    per_kind: int, seed: int = 0, frames: int = 60, n: int = 20, sigmas: Sequence[float] = (0.05, 0.1, 0.15)
+) -> Iterator[JitterResult]:
     """Ropes at rest in masks whose edges flicker."""
     rng = np.random.default_rng(seed)
     for kind in KINDS:
-        for _ in range(per_kind):
-            rope, detector = random_rope(rng, kind), ShapeDetector([Centerline(n=n)])
-            found = [detector.detect_mask(noisy(rope.mask, rng)).shapes[0].pixels for _ in range(frames)]
-            points = np.stack(found).astype(np.float64)
-            squares = np.sum((points - points.mean(axis=0)) ** 2, axis=2).mean(axis=0)
-            yield JitterResult(kind, frames, float(np.sqrt(squares.mean())), float(np.sqrt(squares.max())))
+        ropes = [random_rope(rng, kind) for _ in range(per_kind)]
+        for sigma in sigmas:
+            squares = [_wander(rope.mask, sigma, frames, n, rng) for rope in ropes]
+            yield JitterResult(kind, sigma, per_kind, float(np.sqrt(np.mean(squares))), float(np.sqrt(np.max(squares))))
+
+
+def _wander(mask: npt.NDArray[np.uint8], sigma: float, frames: int, n: int, rng: np.random.Generator) -> float:
+    """Mean square distance of a resting rope's points from their mean places, square pixels."""
+    detector = ShapeDetector([Centerline(n=n)])
+    found = [detector.detect_mask(noisy(mask, rng, sigma)).shapes[0].pixels for _ in range(frames)]
+    points = np.stack(found).astype(np.float64)
+    return float(np.sum((points - points.mean(axis=0)) ** 2, axis=2).mean())
