@@ -32,6 +32,9 @@ _TOLERANCE: Final = 0.004
 _RIM: Final = 300
 _NEIGHBOURS: Final = 8
 _RIDGE: Final = 1.0
+# Pixels off the mask in a line that part two strands; fewer are specks. Pixels of a line that are looked at.
+_APART: Final = 2
+_SIGHT: Final = 64
 _UNKNOWN: Final = "less than half of the curve has depth under it"
 
 
@@ -83,6 +86,16 @@ class SeenCloud(Cloud):
         depth = 1 / np.clip(solved, np.maximum(2 * low - high, low / 2), 2 * high - low)
         outline = self.intrinsics.deproject(pixels, depth)
         return Sheet(outline, self.chart.flat, self.chart.to_flat(outline, near[:, 0]))
+
+    def in_sight(self, place: Array, points: Array) -> npt.NDArray[np.bool_]:
+        """Whether the mask goes on from a place (3,) straight to (N,3) points near it: (N,) bool."""
+        ends, start = self.pixels(points), self.pixels(place)
+        if not np.isfinite(start).all():  # behind the camera
+            return np.zeros(len(points), bool)
+        steps = int(np.ceil(np.abs(ends - start).max(initial=1.0)))  # one a pixel
+        line = start + (ends - start)[:, None] * np.linspace(0, 1, min(steps, _SIGHT) + 1)[:, None]
+        off = ~self.region.contains(line.reshape(-1, 2)).reshape(line.shape[:2])
+        return off.sum(axis=1) < _APART
 
     def lifted(self, curve: Curve) -> Curve:
         """A curve over the image, in pixels, in space."""

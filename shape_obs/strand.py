@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from shape_obs.body import Body
 from shape_obs.cloud import Cloud
+from shape_obs.deproject import SeenCloud
 from shape_obs.region import Region
 
 Array = npt.NDArray[np.float64]
@@ -48,19 +49,26 @@ def _in_cloud(cloud: Cloud, front: Array, heading: Array, width: float) -> Ahead
 
     So the length is twice the mean, for points that are spread evenly.
     """
-    offset = cloud.around(front, _REACH * width) - front
+    points = cloud.around(front, _REACH * width)
+    offset = points - front
     along = offset @ heading
     side = np.sqrt(np.maximum(np.einsum("pd,pd->p", offset, offset) - along**2, 0.0))
     strand = (along > 0) & (side <= _SIDE * width)
+    # Another strand that passes ahead is no part of this one.
+    if isinstance(cloud, SeenCloud):
+        strand[strand] = cloud.in_sight(front, points[strand])
+    else:
+        strand &= along <= _first_gap(along[strand], width)
     offset, along = offset[strand], along[strand]
-    # Another strand that crosses ahead is no part of this one: it ends at the first gap.
-    order = np.sort(np.append(along, 0.0))
-    gap = max(_GAP[0] * width, _GAP[1] * _REACH * width / len(order))
-    broken = np.flatnonzero(np.diff(order) > gap)
-    if len(broken):
-        offset, along = offset[along <= order[broken[0]]], along[along <= order[broken[0]]]
     rest = 2 * float(along.mean()) if len(along) else 0.0
     return Ahead(offset, along, rest, rest > _BEYOND[1] * width)
+
+
+def _first_gap(along: Array, width: float) -> float:
+    """How far points hang together that lie (P,) ahead."""
+    order = np.sort(np.append(along, 0.0))
+    gap = max(_GAP[0] * width, _GAP[1] * _REACH * width / len(order))
+    return float(order[np.argmax(np.append(np.diff(order) > gap, True))])
 
 
 def _in_mask(region: Region, front: Array, heading: Array, width: float) -> Ahead:

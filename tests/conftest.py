@@ -11,7 +11,8 @@ from pathlib import Path
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
-sys.path.insert(0, str(Path(__file__).parent))  # for rope_env and sheet_env, which tests and the worker processes they start import
+# For rope_env and sheet_env, which tests and the worker processes that they start import.
+sys.path.insert(0, str(Path(__file__).parent))
 
 import cv2
 import numpy as np
