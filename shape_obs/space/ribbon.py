@@ -17,6 +17,7 @@ _SMALLEST: Final = 1 / 64
 _GROWTH: Final = 2**0.5
 _STEPS: Final = 13
 _ELONGATED: Final = 2.2
+_CROSSING: Final = 3.0  # of the median spread: no neighbourhood counts as more
 _FEWEST: Final = 12  # points in a neighbourhood; the shape of fewer is chance
 
 
@@ -69,6 +70,8 @@ def measure(points: Array) -> Ribbon:
             )
             if length >= _ELONGATED * breadth:
                 half = np.sqrt(max(radius**2 - breadth**2 / 6, 0.0))
-                return Ribbon(width, breadth, float(len(some) * np.mean(2 * half / count)))
+                # A rope that grows wider along its length spreads by the mean of its squares; a crossing is no width.
+                square_mean = np.minimum(values[:, 1:].sum(axis=1), _CROSSING * breadth**2 / 12).mean()
+                return Ribbon(width, float(np.sqrt(12 * square_mean)), float(len(some) * np.mean(2 * half / count)))
         radius *= _GROWTH
     return Ribbon(width, breadth, length)
