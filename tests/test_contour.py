@@ -72,7 +72,7 @@ class TestNumbering:
         mask = np.roll(np.rot90(blob.mask, quarters), (shift[1], shift[0]), axis=(0, 1)).copy()
         after = one(mask, anchor=tuple(float(x) for x in moved(anchor))).points2d
         # A quarter turn has the contour traced from another pixel, so other pixels share a sample.
-        np.testing.assert_allclose(after, moved(before), atol=1e-3 if quarters == 0 else 1.0)
+        np.testing.assert_allclose(after, moved(before), atol=1e-3 if quarters == 0 else 1.5)
 
     @settings(max_examples=25)
     @given(n=st.integers(3, 200), kind=st.sampled_from(KINDS))

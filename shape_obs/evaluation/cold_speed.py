@@ -72,7 +72,8 @@ def longest_path(skeleton: npt.NDArray[np.bool_]) -> Array:
         first.append(np.flatnonzero(there >= 0))
         second.append(there[there >= 0])
         length.append(np.full(len(second[-1]), np.hypot(down, right)))
-    pairs = (np.concatenate(first), np.concatenate(second))
+    # Older SciPy's graph functions take no other integers.
+    pairs = tuple(np.concatenate(ends).astype(np.int32) for ends in (first, second))
     graph = coo_array((np.concatenate(length), pairs), shape=(len(rows), len(rows))).tocsr()
     reached = dijkstra(graph, directed=False, indices=0)
     start = int(np.argmax(np.where(np.isfinite(reached), reached, -1)))
