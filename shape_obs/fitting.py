@@ -70,15 +70,19 @@ def fit(
             found = replace(found, reason=size_jump(prediction.size, found.form.size, body.unit))
         if found.form is None or not found.ok:
             found = _cold(body, spec, topology, prediction)
-        elif sum(found.form.hidden) > sum(prediction.hidden) + found.form.slack:
+        elif _hidden(found.form) > sum(prediction.memory.hidden) + found.form.memory.slack:
             # Something came over an end, or the chain lost its way there: a fresh start knows.
             again = _cold(body, spec, topology, prediction)
-            better = again.ok and again.form is not None and sum(again.form.hidden) < sum(found.form.hidden)
+            better = again.ok and again.form is not None and _hidden(again.form) < _hidden(found.form)
             found = again if better else found
     if found.form is None or not found.ok:
         return found, None
     present = advance(track, spec.nodes(found.form, topology), found.form, stamp, topology)
     return (_numbered(found, body, spec, target) if spec.order == "image" else found), present
+
+
+def _hidden(form: Form) -> float:
+    return sum(form.memory.hidden)
 
 
 def _too_little(body: Body) -> str:

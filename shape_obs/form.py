@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,22 @@ Mask = npt.NDArray[np.bool_]
 _SMOOTHING: Final = 9  # points of a fine curve
 
 
+class Memory(NamedTuple):
+    """What a form hands on to the next frame.
+
+    Args:
+        hidden: Arc length at the start and at the end of an open curve that is known to be there but hidden.
+        slack: Hidden ends that are shorter than this are within what can be measured.
+        size: The object's size as it is remembered, where that is not the size found; 0 where it is.
+        reference: (K,D) nodes of its past that a closed curve was numbered by; else None.
+    """
+
+    hidden: tuple[float, float] = (0.0, 0.0)
+    slack: float = 0.0
+    size: float = 0.0
+    reference: Array | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Form(ABC):
     """Ordered points of a curve or a surface.
@@ -34,19 +50,13 @@ class Form(ABC):
     Args:
         points: (P,D) pixels (D = 2) or metres (D = 3).
         bridged: (P,) bool: nothing of the body was seen there (a gap, or an end that is hidden).
-        hidden: Arc length at the start and at the end of an open curve that is known to be there but hidden.
-        reference: (K,D) nodes of its past that a closed curve was numbered by, for the next frame; else None.
-        known: The object's size as it is remembered, where that is not the size found; 0 where it is.
-        slack: Hidden ends that are shorter than this are within what can be measured.
+        memory: What the next frame is told beside the nodes.
         doubt: Of a cold start: why it may be wrong; empty when there is no doubt.
     """
 
     points: Array
     bridged: Mask
-    hidden: tuple[float, float] = field(default=(0.0, 0.0), kw_only=True)
-    reference: Array | None = field(default=None, kw_only=True)
-    known: float = field(default=0.0, kw_only=True)
-    slack: float = field(default=0.0, kw_only=True)
+    memory: Memory = field(default=Memory(), kw_only=True)
     doubt: str = field(default="", kw_only=True)
 
     @property
@@ -137,8 +147,9 @@ class Curve(Form):
     def reversed(self) -> Curve:
         """The same curve run through backwards; closed, the first point stays the first."""
         if not self.closed:
-            head, tail = self.hidden
-            return replace(self, points=self.points[::-1], bridged=self.bridged[::-1], hidden=(tail, head))
+            head, tail = self.memory.hidden
+            memory = self.memory._replace(hidden=(tail, head))
+            return replace(self, points=self.points[::-1], bridged=self.bridged[::-1], memory=memory)
         back = -np.arange(len(self.points))
         return replace(self, points=self.points[back], bridged=self.bridged[back])
 

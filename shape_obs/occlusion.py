@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.curve import arc_length, interpolate
-from shape_obs.form import Curve
+from shape_obs.form import Curve, Memory
 from shape_obs.tracking import Prediction
 
 Array = npt.NDArray[np.float64]
@@ -50,20 +50,20 @@ def follow_chain(form: Curve, prediction: Prediction) -> Curve:
     form = whole
     missing = known.size - form.size
     if missing <= 0:
-        return replace(whole, known=min(form.size, (1 + _GAINING) * prediction.size))
+        return replace(whole, memory=Memory(size=min(form.size, (1 + _GAINING) * prediction.size)))
     starts = np.linspace(0, missing, _OFFSETS)
     costs = np.array([known.disagreement(whole, start, start + form.size) for start in starts])
     if costs.min() >= known.disagreement(whole, 0.0, known.size):
         return whole
-    completed = known.completed(whole, _start(starts, costs, prediction.hidden[0], missing))
-    return replace(completed, slack=slack)
+    start = _start(starts, costs, prediction.memory.hidden[0], missing)
+    return replace(known.completed(whole, start), memory=Memory((start, missing - start), slack))
 
 
 def shown(form: Curve) -> slice:
     """The piece of a followed curve over which points are spread: all of it but for ends that are hidden by a hair."""
-    head, tail = form.hidden
-    first = np.searchsorted(form.arc, head - 1e-9) if head < form.slack else 0
-    last = np.searchsorted(form.arc, form.size - tail + 1e-9) if tail < form.slack else len(form.points)
+    (head, tail), slack = form.memory.hidden, form.memory.slack
+    first = np.searchsorted(form.arc, head - 1e-9) if head < slack else 0
+    last = np.searchsorted(form.arc, form.size - tail + 1e-9) if tail < slack else len(form.points)
     return slice(int(first), int(last))
 
 
@@ -153,7 +153,7 @@ class _Known:
         tail = self._hidden(start=end, joint=curve.points[-1])
         points = np.concatenate([head, curve.points, tail])
         seen = np.concatenate([np.ones(len(head), bool), curve.bridged, np.ones(len(tail), bool)])
-        return Curve(points, seen, hidden=(start, self.size - end))
+        return Curve(points, seen)
 
     def _hidden(self, joint: Array, start: float = 0.0, end: float | None = None) -> Array:
         """The rope from arc ``start`` to ``end`` without its joint, moved to the joint and of exactly that length."""

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.form import Form
+from shape_obs.form import Form, Memory
 from shape_obs.topology import Topology
 
 Array = npt.NDArray[np.float64]
@@ -26,8 +26,7 @@ class Track(NamedTuple):
         size: The size of the form (arc length of a curve), hidden pieces included.
         stamp: Seconds.
         topology: How the nodes hang together.
-        hidden: Arc length that is hidden at the start and at the end of a chain.
-        reference: (K,D) nodes of a ring's past, whose numbering it keeps; None elsewhere.
+        memory: What the last form handed on beside its nodes.
     """
 
     nodes: Array
@@ -36,8 +35,7 @@ class Track(NamedTuple):
     size: float
     stamp: float
     topology: Topology
-    hidden: tuple[float, float] = (0.0, 0.0)
-    reference: Array | None = None
+    memory: Memory = Memory()
 
 
 class Prediction(NamedTuple):
@@ -47,16 +45,14 @@ class Prediction(NamedTuple):
         nodes: (K,D).
         size: Of the form.
         topology: How the nodes hang together.
-        hidden: Arc length that was hidden at the start and at the end of a chain.
-        reference: Of the track.
+        memory: What the last form handed on beside its nodes.
         grain: What the body resolves: nothing smaller can be told from noise.
     """
 
     nodes: Array
     size: float
     topology: Topology
-    hidden: tuple[float, float] = (0.0, 0.0)
-    reference: Array | None = None
+    memory: Memory = Memory()
     grain: float = 0.0
 
 
@@ -67,15 +63,15 @@ def predict(track: Track, stamp: float, grain: float) -> Prediction:
     """
     ahead = min(max(stamp - track.stamp, 0.0), track.interval)
     nodes = track.nodes + _VELOCITY_SHARE * ahead * track.velocity
-    return Prediction(nodes, track.size, track.topology, track.hidden, track.reference, grain)
+    return Prediction(nodes, track.size, track.topology, track.memory, grain)
 
 
 def advance(track: Track | None, nodes: Array, form: Form, stamp: float, topology: Topology) -> Track:
     """The track after a frame in which a form was found, and its nodes."""
     interval = 0.0 if track is None else stamp - track.stamp
     velocity = np.zeros_like(nodes) if track is None or interval <= 0 else (nodes - track.nodes) / interval
-    size = form.known or form.size
-    return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hidden, form.reference)
+    size = form.memory.size or form.size
+    return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.memory)
 
 
 def size_jump(before: float, after: float, unit: str) -> str:

@@ -13,7 +13,7 @@ from shape_obs.border import clockwise
 from shape_obs.coldstart.outline import breadth, holes, outline, outline_samples
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.curve import catmull_rom, equidistant_around
-from shape_obs.form import Curve
+from shape_obs.form import Curve, Memory
 from shape_obs.gate import Verdict, judge_outline
 from shape_obs.phase import blend, lag
 from shape_obs.samples import Samples
@@ -120,10 +120,11 @@ class Contour(Configuration[Curve], kind="contour"):
 
     def follow(self, form: Curve, prediction: Prediction) -> Curve:
         """From the place where the predicted outline begins, whichever way it has turned."""
-        reference = prediction.nodes if prediction.reference is None else prediction.reference
+        reference = prediction.nodes if prediction.memory.reference is None else prediction.memory.reference
         behind = lag(reference, prediction.nodes, self.nodes(form, prediction.topology))
         turned = form.begun_at(behind * form.size / prediction.topology.size)
-        return replace(turned, reference=blend(reference, self.nodes(turned, prediction.topology), _FORGETTING))
+        blended = blend(reference, self.nodes(turned, prediction.topology), _FORGETTING)
+        return replace(turned, memory=Memory(reference=blended))
 
     def place(self, form: Curve, metric: Curve) -> Points:
         """Equal chords around, from the form's first point."""
