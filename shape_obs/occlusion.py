@@ -1,4 +1,4 @@
-"""Occlusion: which piece of a known rope a visible curve is, and where the hidden rest lies.
+"""Occlusion: which piece of a known rope a visible curve is, and which corner of a known sheet is not its own.
 
 A hand over one end shortens what is seen; it does not shorten the rope. The known length is kept, the visible piece
 is put where it agrees with the prediction, and the hidden ends are carried along.
@@ -26,6 +26,8 @@ _ONE_END: Final = 0.35
 # The weight of where the piece was in the last frame against where it now agrees best: hands move slowly.
 _INERTIA: Final = 0.05
 _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
+# Of half a diagonal. Cloths that bend and move by 30 px a frame stay below 0.025, a hand 12 px in radius makes 0.11.
+_STRAYED: Final = 0.06
 _PLACE: Final = 0.1  # the weight of where a rope is predicted against how it is bent
 # Of the length, and in grains (pixels): what is missing below this is noise or a rope seen at a steeper angle. The
 # points then run from visible tip to visible tip, and the known length gives way, slowly, or a hand that creeps in
@@ -57,6 +59,37 @@ def follow_chain(form: Curve, prediction: Prediction) -> Curve:
         return whole
     start = _start(starts, costs, prediction.memory.hidden[0], missing)
     return replace(known.completed(whole, start), memory=Memory((start, missing - start), slack))
+
+
+def strayed_corner(expected: Array, found: Array) -> str:
+    """Why one of four corners cannot be the sheet's, where the other three have moved together; empty if it can.
+
+    A hand over a corner leaves the outline with another one, some way inside. The three others are laid over where they
+    were expected by a similarity transform (S. Umeyama, "Least-Squares Estimation of Transformation Parameters Between
+    Two Point Patterns", 1991), and the fourth has to follow.
+
+    Args:
+        expected: (4,D) predicted corners.
+        found: (4,D) corners in the same order.
+    """
+    reach = float(np.linalg.norm(found - found.mean(axis=0), axis=1).max())
+    astray = [_astray(expected, found, corner) / max(reach, 1e-9) for corner in range(4)]
+    worst = int(np.argmax(astray))
+    if astray[worst] <= _STRAYED:
+        return ""
+    return f"corner {worst} strays by {astray[worst]:.0%} of half a diagonal from where the other three have moved"
+
+
+def _astray(expected: Array, found: Array, corner: int) -> float:
+    """How far a corner lies from where a similarity transform of the other three puts it."""
+    others = np.arange(4) != corner
+    before, after = expected[others].mean(axis=0), found[others].mean(axis=0)
+    source, target = expected[others] - before, found[others] - after
+    u, overlap, v = np.linalg.svd(source.T @ target)
+    sign = np.ones(len(overlap))
+    sign[-1] = np.sign(np.linalg.det(u @ v))
+    turn = (u * sign) @ v * (overlap @ sign / max(float(np.sum(source**2)), 1e-18))
+    return float(np.linalg.norm((expected[corner] - before) @ turn + after - found[corner]))
 
 
 def shown(form: Curve) -> slice:

@@ -115,6 +115,15 @@ def shirt() -> Case:
     return Case(photograph({"surface": mask}), ShapeDetector([Surface(rows=4, cols=8)]).detect_mask(mask))
 
 
+def hidden_corner() -> Case:
+    """A hand comes over one corner of a tracked cloth."""
+    cover = cv2.circle(np.zeros(SIZE, np.uint8), (268, 76), 26, 255, -1)
+    detector = ShapeDetector([Surface(rows=4, cols=8)])
+    detector.detect_mask(cloth(), stamp=0.0)
+    mask = np.where(cover > 0, 0, cloth()).astype(np.uint8)
+    return Case(over(photograph({"surface": cloth()}), cover), detector.detect_mask(mask, stamp=0.1))
+
+
 def in_pieces() -> Case:
     """Something lies across a sheet whose outline is asked for."""
     cover = np.zeros(SIZE, np.uint8)
@@ -134,7 +143,19 @@ def gone() -> Case:
 
 CASES: dict[str, Callable[[], Case]] = {
     case.__name__: case
-    for case in (hidden_end, crossed, no_depth, touching, branched, two_ropes, stout, shirt, in_pieces, gone)
+    for case in (
+        hidden_end,
+        crossed,
+        no_depth,
+        touching,
+        branched,
+        two_ropes,
+        stout,
+        shirt,
+        hidden_corner,
+        in_pieces,
+        gone,
+    )
 }
 
 

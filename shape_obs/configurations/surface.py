@@ -18,6 +18,7 @@ from shape_obs.coldstart.corners import Indices, Rim
 from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.form import Patch
 from shape_obs.gate import Verdict, judge_sheet
+from shape_obs.occlusion import strayed_corner
 from shape_obs.region import Region
 from shape_obs.samples import Samples
 from shape_obs.topology import Grid, Topology
@@ -147,10 +148,11 @@ class Surface(Configuration[Patch], kind="surface"):
         return form.turned(int(np.argmax([level, upright, -level, -upright])))
 
     def follow(self, form: Patch, prediction: Prediction) -> Patch:
-        """Turned so that its corners lie nearest to the predicted ones."""
+        """Turned so that its corners lie nearest to the predicted ones; in doubt if one of them is not the sheet's."""
         expected, corners = _corners(prediction.nodes, prediction.topology), form.corners
         away = [np.sum((np.roll(corners, -quarters, axis=0) - expected) ** 2) for quarters in range(4)]
-        return form.turned(int(np.argmin(away)))
+        turned = form.turned(int(np.argmin(away)))
+        return replace(turned, doubt=form.doubt or strayed_corner(expected, turned.corners))
 
     def place(self, form: Patch, metric: Patch) -> Points:
         """Equal gaps down and across, on the mean over the lattice."""
