@@ -49,12 +49,11 @@ def follow_chain(form: Curve, prediction: Prediction) -> Curve:
         prediction = prediction._replace(size=max((1 - _GIVING) * prediction.size, form.size))
     known = _Known(prediction)
     whole = known.filled(min((form, form.reversed()), key=known.distance))
-    form = whole
-    missing = known.size - form.size
+    missing = known.size - whole.size
     if missing <= 0:
-        return replace(whole, memory=Memory(size=min(form.size, (1 + _GAINING) * prediction.size)))
+        return replace(whole, memory=Memory(size=min(whole.size, (1 + _GAINING) * prediction.size)))
     starts = np.linspace(0, missing, _OFFSETS)
-    costs = np.array([known.disagreement(whole, start, start + form.size) for start in starts])
+    costs = np.array([known.disagreement(whole, start, start + whole.size) for start in starts])
     if costs.min() >= known.disagreement(whole, 0.0, known.size):
         return whole
     start = _start(starts, costs, prediction.memory.hidden[0], missing)
