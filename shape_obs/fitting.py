@@ -114,7 +114,8 @@ def _settle(
     prediction: Prediction | None,
 ) -> Fit:
     """Cluster, finish, follow the past, judge."""
-    nodes = som.fit(spec.samples(body), start, topology, spec.widths(moving=moving))
+    widths = spec.widths(moving=moving)
+    nodes = som.fit(spec.samples(body), start, topology, widths) if widths else start
     form = spec.finish(nodes, body)
     if prediction is not None:
         form = spec.follow(form, prediction)

@@ -62,8 +62,8 @@ class Topology(ABC):
 
 
 @dataclass(frozen=True)
-class Chain(Topology):
-    """An open chain of ``count`` nodes."""
+class _Line(Topology):
+    """``count`` nodes, one after another."""
 
     count: int
 
@@ -71,6 +71,11 @@ class Chain(Topology):
     def size(self) -> int:
         """How many nodes."""
         return self.count
+
+
+@dataclass(frozen=True)
+class Chain(_Line):
+    """An open chain of ``count`` nodes."""
 
     def offsets(self) -> Array:
         """(1,K,K)."""
@@ -92,16 +97,8 @@ class Chain(Topology):
 
 
 @dataclass(frozen=True)
-class Ring(Topology):
+class Ring(_Line):
     """A closed ring of ``count`` nodes."""
-
-    count: int
-    # A ring starts on the outline of its own frame, moving or not: one epoch is as exact as three.
-
-    @property
-    def size(self) -> int:
-        """How many nodes."""
-        return self.count
 
     def offsets(self) -> Array:
         """(1,K,K) the shorter way round."""

@@ -24,13 +24,11 @@ def fit(
         samples: M weighted points.
         start: (K,D) nodes.
         topology: How the nodes hang together.
-        sigmas: Width of the neighbourhood in each epoch, node units; none leaves the start as it is.
+        sigmas: Width of the neighbourhood in each epoch, node units; at least one.
 
     Returns:
         (K,D) nodes in the order of ``start``, the pull of the averaging undone.
     """
-    if not sigmas:
-        return start
     centre = samples.points.mean(axis=0)
     points, nodes = samples.points - centre, start - centre
     for sigma in sigmas:

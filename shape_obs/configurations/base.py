@@ -106,7 +106,11 @@ class Configuration(Spec, Generic[F], family="configuration"):
         """(K,D) where the map's nodes sit on a form."""
 
     def widths(self, *, moving: bool) -> tuple[float, ...]:
-        """Width of the map's neighbourhood in each epoch, node units; ``moving``: the start may be off by a node."""
+        """Width of the map's neighbourhood in each epoch, node units; none where the start is not to be moved.
+
+        Args:
+            moving: The start may be off by a node.
+        """
         return MOVING if moving else STATIC
 
     @abstractmethod

@@ -14,7 +14,7 @@ from shape_obs.configurations import Centerline, Ends
 from shape_obs.detector import ShapeDetector
 from shape_obs.evaluation.motion import moving_rope
 from shape_obs.evaluation.ropes import KINDS, Kind, random_rope
-from shape_obs.evaluation.scores import Score, score
+from shape_obs.evaluation.scores import Score, score, tally
 
 COUNTS: Final = (8, 20, 50, 100)
 _BOTH_ENDS: Final[tuple[Ends, ...]] = ("centers", "tips")
@@ -94,11 +94,8 @@ def moving_ropes(
                 scores.append(score(shape.pixels, rope.curve, "tips"))
             yield MotionResult(
                 speed=speed,
-                frames=len(scores),
-                flips=sum(s.flipped for s in scores),
-                slips=sum(s.slip > 0.5 for s in scores),
+                **tally(scores),
                 not_ok=not_ok,
-                worst_slip=max(s.slip for s in scores),
                 mean_distance=float(np.mean([s.distance for s in scores])),
             )
 

@@ -19,7 +19,7 @@ from shape_obs.curve import resample
 from shape_obs.detector import ShapeDetector
 from shape_obs.evaluation.clouds import Side, moving_rope_cloud, ring_cloud, rope_cloud, sheet_cloud
 from shape_obs.evaluation.ropes import KINDS
-from shape_obs.evaluation.scores import score
+from shape_obs.evaluation.scores import score, tally
 from shape_obs.evaluation.tilted import CAMERA, tilted_rope, tilted_sheet
 from shape_obs.shape import Shape
 from shape_obs.topology import Grid
@@ -167,11 +167,8 @@ def moving_rope_clouds(
                 scores.append(score(_points(detection.shapes[0]), rope.curve, "tips"))
             yield CloudMotion(
                 speed=speed,
-                frames=len(scores),
-                flips=sum(s.flipped for s in scores),
-                slips=sum(s.slip > 0.5 for s in scores),
+                **tally(scores),
                 not_ok=not_ok,
-                worst_slip=max(s.slip for s in scores),
                 mean_mm=1e3 * float(np.mean([s.distance for s in scores])),
                 warm_ms=float(np.median(times[1:])),
             )

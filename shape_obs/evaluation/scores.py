@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -70,6 +71,16 @@ def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = T
         gap_cv=float(chords.std() / chords.mean()),
         slip=float(np.abs(place - true_place).max() / gap),
     )
+
+
+def tally(scores: Sequence[Score]) -> dict[str, Any]:
+    """The frames of one track, and how many of them have their order reversed or a point half a gap off its place."""
+    return {
+        "frames": len(scores),
+        "flips": sum(s.flipped for s in scores),
+        "slips": sum(s.slip > 0.5 for s in scores),
+        "worst_slip": max(s.slip for s in scores),
+    }
 
 
 def _beyond(curve: Array) -> Array:
