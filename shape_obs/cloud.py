@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, Final, NamedTuple
 
@@ -13,6 +13,7 @@ from scipy.spatial import KDTree
 
 from shape_obs.border import clockwise
 from shape_obs.frame import FARTHEST
+from shape_obs.kernels import NUMPY, Kernels
 from shape_obs.samples import Samples
 from shape_obs.space.border import border
 from shape_obs.space.chain import ring
@@ -86,9 +87,11 @@ class Cloud:
 
     Args:
         points: (M,3) metres, plausible ones.
+        kernels: What runs the inner loops.
     """
 
     points: Array
+    kernels: Kernels = field(default=NUMPY, kw_only=True)
     unit: ClassVar[str] = "m"
     noun: ClassVar[str] = "cloud"
     grains: ClassVar[str] = "points"
@@ -237,7 +240,7 @@ class Cloud:
         return _Pieces(points, cube, samples, graph, components)
 
 
-def read_cloud(points: Any) -> Cloud:
+def read_cloud(points: Any, kernels: Kernels = NUMPY) -> Cloud:
     """The cloud of an array: (M,3), or organised as (H,W,3), floating metres.
 
     Raises:
@@ -254,7 +257,7 @@ def read_cloud(points: Any) -> Cloud:
         raise ValueError(
             f"points: expected shape (M, 3) or (H, W, 3), got {points.shape}; of (M, 4) or more give points[:, :3]."
         )
-    return Cloud(plausible(points.reshape(-1, 3)))
+    return Cloud(plausible(points.reshape(-1, 3)), kernels=kernels)
 
 
 def plausible(points: npt.NDArray[np.floating[Any]]) -> Array:

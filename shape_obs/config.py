@@ -20,6 +20,7 @@ import yaml
 
 from shape_obs.configurations import Anchor, Centerline, Configuration, Ends, Order
 from shape_obs.features import read_features
+from shape_obs.kernels import Backend
 from shape_obs.missing import OnInvalid, OnMissing
 from shape_obs.roi import ROI, Whole
 from shape_obs.segmentation import Segmentation
@@ -29,7 +30,7 @@ VERSION: Final = 1
 SECTIONS: Final = {
     "shape": ("shapes", "features", "order", "ends", "anchor"),
     "scene": ("segmentation", "roi", "workspace"),
-    "runtime": ("on_missing", "on_invalid", "max_age", "dt"),
+    "runtime": ("on_missing", "on_invalid", "max_age", "dt", "backend"),
 }
 _WRAPPER_ONLY: Final = ("features", "workspace")
 
@@ -49,6 +50,7 @@ class DetectorConfig(Spec):
         on_invalid: What a point without depth becomes: ``"nan"``, ``"interpolate"`` or ``"hold"``.
         max_age: Seconds for which a held shape counts as ok.
         dt: Seconds between frames that carry no stamp.
+        backend: What runs the inner loops: ``"numpy"``, ``"numba"``, or ``"auto"``: Numba where it is installed.
     """
 
     shapes: tuple[Configuration, ...] = field(default_factory=lambda: (Centerline(),))
@@ -61,6 +63,7 @@ class DetectorConfig(Spec):
     on_invalid: OnInvalid = "nan"
     max_age: float = 0.5
     dt: float = 1 / 30
+    backend: Backend = "auto"
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -125,7 +125,7 @@ def deproject(region: Region, depth: npt.NDArray[Any], intrinsics: Intrinsics) -
     off = np.abs(z - _median(z, cell))
     kept = off <= np.maximum(_OFF * _median(off, cell), _TOLERANCE)
     points = intrinsics.deproject(uv[kept].astype(np.float64), z[kept])
-    return SeenCloud(points, region, depth, intrinsics)
+    return SeenCloud(points, region, depth, intrinsics, kernels=region.kernels)
 
 
 def _inner(region: Region) -> npt.NDArray[np.int32]:

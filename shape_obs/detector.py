@@ -19,6 +19,7 @@ from shape_obs.deproject import SeenCloud, deproject
 from shape_obs.fitting import Fit, fit
 from shape_obs.forking import use_no_threads_in_forked_children
 from shape_obs.frame import Frame, check_mask
+from shape_obs.kernels import Kernels, choose
 from shape_obs.missing import lost_shape
 from shape_obs.points import shape_of
 from shape_obs.region import Region, find_region
@@ -71,7 +72,13 @@ class ShapeDetector:
             given["segmentation"] = segmentation
         self.config = DetectorConfig.from_dict(given)
         self.shapes = self.config.resolved()
+        choose(self.config.backend)  # what is missing is told here
         self.reset()
+
+    @property
+    def kernels(self) -> Kernels:
+        """What runs the inner loops. Modules are not pickled: the backend is known by its name."""
+        return choose(self.config.backend)
 
     def reset(self) -> None:
         """Forget the track: the next frame is a cold start."""
@@ -122,7 +129,7 @@ class ShapeDetector:
             with Timed(timings, "segmentation"):
                 mask = self.config.roi.blank(rule.apply(frame, window), window)
             with Timed(timings, "region"):
-                regions[rule] = find_region(mask, window, rule.min_area, rule.min_share)
+                regions[rule] = find_region(mask, window, rule.min_area, rule.min_share, self.kernels)
         return self._on_image(frame, regions, anchors, timings, begin)
 
     def detect_mask(
@@ -151,7 +158,7 @@ class ShapeDetector:
             floor = rule or Segmentation
             with Timed(timings, "region"):
                 cut = self.config.roi.blank(mask[window.slices], window)
-                regions[rule] = find_region(cut, window, floor.min_area, floor.min_share)
+                regions[rule] = find_region(cut, window, floor.min_area, floor.min_share, self.kernels)
         return self._on_image(frame, regions, anchors, timings, begin)
 
     def detect_cloud(
@@ -183,7 +190,7 @@ class ShapeDetector:
         frame = Frame(None, None, as_camera_model(camera), stamp)
         timings: dict[str, float] = {}
         with Timed(timings, "cloud"):
-            cloud = read_cloud(points)
+            cloud = read_cloud(points, self.kernels)
         targets = [anchor_point(spec, anchors, frame.camera) for spec in self.shapes]
         return self._shapes(frame, [cloud] * len(self.shapes), targets, timings, begin)
 

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.border import Border, clockwise
+from shape_obs.kernels import NUMPY, Kernels
 from shape_obs.roi import Window
 from shape_obs.samples import Samples, cells, mask_pixels
 
@@ -56,11 +57,13 @@ class Region:
         window: Where ``mask`` lies in the image.
         mask: (h,w) uint8, 0 = background, the plausible components alone.
         components: Largest first.
+        kernels: What runs the inner loops.
     """
 
     window: Window
     mask: npt.NDArray[np.uint8]
     components: tuple[Component, ...]
+    kernels: Kernels = NUMPY
     unit: ClassVar[str] = "px"
     noun: ClassVar[str] = "mask"
     grains: ClassVar[str] = "pixels"
@@ -142,7 +145,9 @@ class Region:
         return np.asarray(hit.any(axis=(1, 2)))
 
 
-def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_share: float) -> Region:
+def find_region(
+    mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_share: float, kernels: Kernels = NUMPY
+) -> Region:
     """Keep the plausible components of a mask.
 
     Args:
@@ -150,17 +155,18 @@ def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_
         window: Where the mask lies in the image.
         min_area: Smaller components are dropped, pixels.
         min_share: So are those smaller than this share of the largest.
+        kernels: What runs the inner loops.
 
     Returns:
         The region; without components when nothing is left.
     """
     crop = Window(*(int(value) for value in cv2.boundingRect(mask)))
     if crop.width == 0:
-        return Region(window, mask, ())
+        return Region(window, mask, (), kernels)
     origin = (window.left + crop.left, window.top + crop.top)
     whole = _Traced.of(mask[crop.slices])
     if whole.pieces == 1 and (area := cv2.countNonZero(mask)) >= min_area:  # nothing to sort out, as on most frames
-        return Region(window, mask, (whole.component(area, origin),))
+        return Region(window, mask, (whole.component(area, origin),), kernels)
     count, found, table, _ = cv2.connectedComponentsWithStats(mask[crop.slices], connectivity=8)
     labels, stats = np.asarray(found, dtype=np.int32), np.asarray(table, dtype=np.int32)
     areas = stats[1:count, cv2.CC_STAT_AREA]
@@ -177,7 +183,7 @@ def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_
         left, top, width, height, area = (int(value) for value in stats[label])
         piece = (labels[top : top + height, left : left + width] == label).view(np.uint8)
         components.append(_Traced.of(piece).component(area, (origin[0] + left, origin[1] + top)))
-    return Region(window, mask, tuple(components))
+    return Region(window, mask, tuple(components), kernels)
 
 
 class _Traced(NamedTuple):

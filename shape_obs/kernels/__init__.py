@@ -1,1 +1,10 @@
-"""The inner loops, one module a backend, same signatures."""
+"""The inner loops, twice: on NumPy, the readable reference, and on Numba, which is used where it is installed."""
+
+from typing import Final
+
+from shape_obs.kernels.choice import Backend, choose
+from shape_obs.kernels.interface import Kernels
+
+NUMPY: Final = choose("numpy")
+
+__all__ = ["NUMPY", "Backend", "Kernels", "choose"]
