@@ -97,6 +97,11 @@ class Cloud:
     grains: ClassVar[str] = "points"
     thinnest: ClassVar[float] = 3e-4
 
+    @property
+    def pieces(self) -> int:
+        """How many pieces there are, specks left out."""
+        return len(self.components)
+
     @cached_property
     def amount(self) -> int:
         """Points, specks left out."""

@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import yaml
 
+from shape_obs.clustering import Clusterer, Clustering, SelfOrganisingMap
 from shape_obs.configurations import Anchor, Centerline, Configuration, Ends, Order
 from shape_obs.features import read_features
 from shape_obs.kernels import Backend
@@ -28,7 +29,7 @@ from shape_obs.spec import Spec, SpecError, did_you_mean, plain
 
 VERSION: Final = 1
 SECTIONS: Final = {
-    "shape": ("shapes", "features", "order", "ends", "anchor"),
+    "shape": ("shapes", "features", "order", "ends", "anchor", "clustering"),
     "scene": ("segmentation", "roi", "workspace"),
     "runtime": ("on_missing", "on_invalid", "max_age", "dt", "backend"),
 }
@@ -46,6 +47,8 @@ class DetectorConfig(Spec):
         order: ``"tracked"`` keeps point 0 on its material point; ``"image"`` numbers each frame anew.
         ends: Default for shapes with ends or a border: ``"centers"`` or ``"tips"``.
         anchor: Default for shapes without one: where point 0 belongs.
+        clustering: Where the points come from: ``"som"`` spreads them evenly over the form that the map is fitted with;
+            ``"kmeans"``, ``"gmm"``, ``"fcm"`` and ``"kohonen"`` take a clusterer's centres, sorted along that form.
         on_missing: What a lost shape becomes: ``"hold"``, ``"truncate"``, ``"raise"`` or ``"nan"``.
         on_invalid: What a point without depth becomes: ``"nan"``, ``"interpolate"`` or ``"hold"``.
         max_age: Seconds for which a held shape counts as ok.
@@ -59,6 +62,7 @@ class DetectorConfig(Spec):
     order: Order = "tracked"
     ends: Ends = "centers"
     anchor: Anchor = None
+    clustering: Clustering = field(default_factory=SelfOrganisingMap)
     on_missing: OnMissing = "hold"
     on_invalid: OnInvalid = "nan"
     max_age: float = 0.5
@@ -74,6 +78,14 @@ class DetectorConfig(Spec):
             raise SpecError(f"shapes: two are named {twice[0]!r}; give each its own name=.")
         if not (0 <= self.max_age < math.inf and 0 < self.dt < math.inf):
             raise SpecError(f"expected finite max_age >= 0 and dt > 0 seconds, got {self.max_age} and {self.dt}.")
+        if isinstance(self.clustering, Clusterer):
+            for shape in self.resolved():
+                for name, wanted in (("ends", "centers"), ("spacing", "px")):
+                    if getattr(shape, name, wanted) != wanted:
+                        raise SpecError(
+                            f"shape {shape.name!r}: {name}={getattr(shape, name)!r} needs clustering='som': "
+                            f"{self.clustering.kind!r} has its own centres; give {name}={wanted!r}."
+                        )
 
     def resolved(self) -> tuple[Configuration, ...]:
         """The configurations with this detector's defaults filled in."""
@@ -154,10 +166,12 @@ def schema_hash(arguments: Mapping[str, Any]) -> str:
 
     Defaults are filled in, the detector's too, and segmentations left out: another site's colours do not change it.
     """
-    shapes = [shape.to_dict() for shape in DetectorConfig.from_dict(detector_arguments(arguments)).resolved()]
+    detector = DetectorConfig.from_dict(detector_arguments(arguments))
+    shapes = [shape.to_dict() for shape in detector.resolved()]
     content = {
         "shapes": [{name: value for name, value in shape.items() if name != "segmentation"} for shape in shapes],
         "features": _features(arguments),
+        "clustering": detector.clustering.to_dict(),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 

@@ -130,7 +130,7 @@ def deproject(region: Region, depth: npt.NDArray[Any], intrinsics: Intrinsics) -
 
 def _inner(region: Region) -> npt.NDArray[np.int32]:
     """(M,2) pixels of the mask, window coordinates, without its border where it is thick enough."""
-    if not region.components or region.width < _THICK:
+    if not region.pieces or region.width < _THICK:
         return region.pixels
     inner = cv2.erode(region.mask, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
     return np.argwhere(inner)[:, ::-1].astype(np.int32)

@@ -12,7 +12,9 @@ import numpy.typing as npt
 from shape_obs.anchors import Anchors, anchor_pixel, anchor_point
 from shape_obs.body import Body
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
+from shape_obs.centres import clustered
 from shape_obs.cloud import Cloud, read_cloud
+from shape_obs.clustering import Clusterer
 from shape_obs.config import DetectorConfig
 from shape_obs.configurations import Configuration
 from shape_obs.deproject import SeenCloud, deproject
@@ -234,6 +236,9 @@ class ShapeDetector:
                 self._kinds[spec.name] = type(body)
             with Timed(timings, "fit"):
                 found, present = fit(body, spec, self._tracks.get(spec.name), target, stamp)
+            if isinstance(self.config.clustering, Clusterer):
+                with Timed(timings, "clustering"):
+                    found = clustered(found, body, spec, self.config.clustering)
             with Timed(timings, "lift"):
                 shape = self._finish(spec, found, body, frame, stamp)
             if present is not None:

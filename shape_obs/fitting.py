@@ -29,11 +29,13 @@ class Fit:
         form: In the order of the points; None when nothing was found.
         quality: 0...1.
         reason: Why it was refused; empty if it was not.
+        centres: (N,D) the shape's points in order, where a clusterer has found them; None leaves them to the form.
     """
 
     form: Form | None
     quality: float = 0.0
     reason: str = ""
+    centres: Array | None = None
 
     @property
     def ok(self) -> bool:
@@ -56,16 +58,17 @@ def fit(
     Returns:
         The fit, and the track to remember (None when the fit was refused).
     """
-    reason = _too_little(body) or spec.unfit(body)
+    prediction = None if track is None else predict(track, stamp, body.grain)
+    known = body if prediction is None else spec.known(body, prediction)
+    reason = _too_little(body) or spec.unfit(known)
     if reason:
         return Fit(None, reason=reason), None
-    if track is None:
+    if prediction is None:
         topology = spec.topology(body)
         found = _numbered(_cold(body, spec, topology, None), body, spec, target)
     else:
-        prediction = predict(track, stamp, body.grain)
         topology = prediction.topology
-        found = _settle(spec.warm(body, prediction), body, spec, topology, True, MAX_HIDDEN, prediction)
+        found = _settle(spec.warm(known, prediction), known, spec, topology, True, MAX_HIDDEN, prediction)
         if found.form is not None and found.ok:
             found = replace(found, reason=size_jump(prediction.size, found.form.size, body.unit))
         if found.form is None or not found.ok:
@@ -77,7 +80,8 @@ def fit(
             found = again if better else found
     if found.form is None or not found.ok:
         return found, None
-    present = advance(track, spec.nodes(found.form, topology), found.form, stamp, topology)
+    nodes, width = spec.nodes(found.form, topology), spec.girth(found.form, body)
+    present = advance(track, nodes, found.form, stamp, topology, width)
     return (_numbered(found, body, spec, target) if spec.order == "image" else found), present
 
 
@@ -86,7 +90,7 @@ def _hidden(form: Form) -> float:
 
 
 def _too_little(body: Body) -> str:
-    if not body.components:
+    if not body.pieces:
         return f"the {body.noun} is empty"
     if body.amount < _MIN_SAMPLES:
         return f"the {body.noun} has {body.amount} {body.grains}, at least {_MIN_SAMPLES} are needed"
@@ -115,7 +119,7 @@ def _settle(
 ) -> Fit:
     """Cluster, finish, follow the past, judge."""
     widths = spec.widths(moving=moving)
-    nodes = som.fit(spec.samples(body), start, topology, widths) if widths else start
+    nodes = som.fit(spec.samples(body), start, topology, widths, body.kernels) if widths else start
     form = spec.finish(nodes, body)
     if prediction is not None:
         form = spec.follow(form, prediction)

@@ -16,7 +16,8 @@ import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
 from scipy.signal import savgol_filter
 
-from shape_obs.curve import arc_length, interpolate
+from shape_obs.curve import arc_length
+from shape_obs.kernels import NUMPY, Kernels
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -52,12 +53,14 @@ class Form(ABC):
         bridged: (P,) bool: nothing of the body was seen there (a gap, or an end that is hidden).
         memory: What the next frame is told beside the nodes.
         doubt: Of a cold start: why it may be wrong; empty when there is no doubt.
+        kernels: What runs the inner loops.
     """
 
     points: Array
     bridged: Mask
     memory: Memory = field(default=Memory(), kw_only=True)
     doubt: str = field(default="", kw_only=True)
+    kernels: Kernels = field(default=NUMPY, kw_only=True, repr=False)
 
     @property
     @abstractmethod
@@ -87,7 +90,7 @@ class Curve(Form):
     @cached_property
     def arc(self) -> Array:
         """(P,) arc length of the points; (P+1,) when closed, the last entry the whole."""
-        return arc_length(self._polyline(self.points))
+        return self.kernels.arc_length(self._polyline(self.points))
 
     @property
     def size(self) -> float:
@@ -97,6 +100,8 @@ class Curve(Form):
     @property
     def empty(self) -> float:
         """The share of the length that is bridged."""
+        if not self.bridged.any():
+            return 0.0
         step = np.diff(self.arc)
         flags = np.append(self.bridged, self.bridged[0]) if self.closed else self.bridged
         return float(step @ (flags[:-1] / 2 + flags[1:] / 2) / max(self.size, 1e-9))
@@ -109,10 +114,12 @@ class Curve(Form):
         """(N,D) points at (N,) arc positions; a closed curve wraps around."""
         at = np.asarray(arc, dtype=np.float64)
         at = at % self.size if self.closed else at
-        return interpolate(self._polyline(self.points), self.arc, at)
+        return self.kernels.interpolate(self._polyline(self.points), self.arc, at)
 
     def bridged_at(self, arc: npt.ArrayLike) -> Mask:
         """(N,) whether the nearer of the two neighbouring points is bridged."""
+        if not self.bridged.any():
+            return np.zeros(np.shape(arc), bool)
         at = np.asarray(arc, dtype=np.float64)
         at = at % self.size if self.closed else at
         flags = np.append(self.bridged, self.bridged[0]) if self.closed else self.bridged
@@ -122,15 +129,14 @@ class Curve(Form):
 
     def begun_at(self, arc: float) -> Curve:
         """The same closed curve with its first point at an arc position."""
-        start = arc % self.size
-        points, bridged = (
-            np.concatenate([self.at([start]), self.points]),
-            np.append(self.bridged_at([start]), self.bridged),
-        )
-        ahead = (self.arc[:-1] - start) % self.size
-        ahead[ahead < 1e-9 * self.size] = self.size  # the point that is there already
-        order = np.append(0, 1 + np.argsort(ahead)[: int(np.sum(ahead < self.size))])
-        return replace(self, points=points[order], bridged=bridged[order])
+        start, same = arc % self.size, 1e-9 * self.size
+        after = int(np.searchsorted(self.arc, start + same))
+        before = after - (start - self.arc[after - 1] <= same)  # the point that is there already
+        if after > len(self.points):
+            after, before = 1, 0
+        points = np.concatenate([self.at([start]), self.points[after:], self.points[:before]])
+        flags = np.concatenate([self.bridged_at([start]), self.bridged[after:], self.bridged[:before]])
+        return replace(self, points=points, bridged=flags)
 
     def smoothed(self, values: Array, known: Mask) -> Array:
         """(P,) values at the points, the unknown ones in a straight line between the known, smoothed over nine."""
@@ -163,9 +169,11 @@ class Patch(Form):
 
     Args:
         rows: How many rows, from the sheet's top to its bottom; the columns follow, from left to right.
+        kink: Radians by which the outline that it was laid into turns at most, either way, away from its corners.
     """
 
     rows: int
+    kink: float = 0.0
 
     @property
     def lattice(self) -> Array:
@@ -180,10 +188,7 @@ class Patch(Form):
     @cached_property
     def gauges(self) -> tuple[Array, Array]:
         """How far down each row lies (rows,), and how far right each column (cols,): mean distances added up."""
-        down, right = (np.diff(self.lattice, axis=axis) for axis in (0, 1))
-        steps = (np.sqrt(np.einsum("rcd,rcd->rc", step, step)) for step in (down, right))
-        v, u = (np.append(0.0, np.cumsum(step.mean(axis=1 - axis))) for axis, step in enumerate(steps))
-        return v, u
+        return self.kernels.gauges(self.lattice)
 
     @property
     def corners(self) -> Array:
@@ -196,56 +201,24 @@ class Patch(Form):
         lattice = self.lattice
         return lattice[0], lattice[:, -1], lattice[-1, ::-1], lattice[::-1, 0]
 
-    @property
-    def angles(self) -> Array:
-        """(4,) degrees between the sides at the corners, taken over an eighth of each side, clockwise."""
-        sides = self.sides
-        back = np.stack([side[-1 - len(side) // 8] - side[-1] for side in (sides[3], *sides[:3])])
-        ahead = np.stack([side[len(side) // 8] - side[0] for side in sides])
-        reach = np.linalg.norm(back, axis=1) * np.linalg.norm(ahead, axis=1)
-        return np.degrees(np.arccos(np.clip(np.sum(back * ahead, axis=1) / np.maximum(reach, 1e-9), -1, 1)))
-
-    @property
-    def windings(self) -> Array:
-        """(4,) by which share each side is longer than the way from corner to corner."""
-        chords = np.array([np.linalg.norm(side[-1] - side[0]) for side in self.sides])
-        return np.array([arc_length(side)[-1] for side in self.sides]) / np.maximum(chords, 1e-9) - 1
-
-    @cached_property
-    def cells(self) -> Array:
-        """(rows-1, cols-1, 3) area vectors of the cells: their areas along their normals."""
-        across, down = self.lattice[1:, 1:] - self.lattice[:-1, :-1], self.lattice[1:, :-1] - self.lattice[:-1, 1:]
-        if across.shape[2] == 2:
-            across, down = (np.pad(diagonal, ((0, 0), (0, 0), (0, 1))) for diagonal in (across, down))
-        return np.cross(across, down) / 2
-
-    @property
-    def folds(self) -> float:
-        """The share of cells that face away from a neighbour, at most over rows and over columns."""
-        pairs = ((self.cells[1:], self.cells[:-1]), (self.cells[:, 1:], self.cells[:, :-1]))
-        return max(float(np.mean(np.einsum("rcd,rcd->rc", a, b) < 0)) for a, b in pairs)
-
-    @property
-    def unevenness(self) -> float:
-        """Standard deviation over mean of the cells' areas."""
-        area = np.sqrt(np.einsum("rcd,rcd->rc", self.cells, self.cells))
-        return float(area.std() / max(float(area.mean()), 1e-18))
-
     def at(self, v: Array, u: Array) -> Array:
         """(R*C,D) points at every pair of (R,) places down and (C,) places to the right, row by row.
 
         Places are rows and columns of the lattice, fractions of them included; in between it is bilinear.
         """
-        across = _between(u, self.lattice.shape[1]) @ self.lattice
-        return np.tensordot(_between(v, self.rows), across, axes=1).reshape(len(v) * len(u), -1)
+        return self.kernels.sampled(self.lattice, v, u)
 
     def bridged_at(self, v: Array, u: Array) -> Mask:
         """(R*C,) whether most of what lies around such a place is bridged."""
-        flags = self.bridged.reshape(self.rows, -1).astype(np.float64)
-        return (_between(v, self.rows) @ flags @ _between(u, flags.shape[1]).T).ravel() > 0.5
+        if not self.bridged.any():
+            return np.zeros(len(v) * len(u), bool)
+        flags = self.bridged.reshape(self.rows, -1, 1).astype(np.float64)
+        return self.kernels.sampled(flags, v, u)[:, 0] > 0.5
 
     def turned(self, quarters: int) -> Self:
         """The same patch with its first corner ``quarters`` corners further on, clockwise."""
+        if quarters == 0:
+            return self
         lattice, bridged = np.rot90(self.lattice, quarters), np.rot90(self.bridged.reshape(self.rows, -1), quarters)
         return replace(self, points=lattice.reshape(self.points.shape), bridged=bridged.ravel(), rows=lattice.shape[0])
 
@@ -262,8 +235,3 @@ class Patch(Form):
     def measured(self, points: Array) -> Self:
         """The same patch with its points elsewhere: (P,D') for (P,D), say in metres for pixels."""
         return replace(self, points=points)
-
-
-def _between(at: Array, count: int) -> Array:
-    """(N,count) weights that interpolate ``count`` values at (N,) fractions of an index."""
-    return np.maximum(1 - np.abs(at[:, None] - np.arange(count)), 0.0)

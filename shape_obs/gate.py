@@ -86,7 +86,7 @@ def judge_outline(curve: Curve, body: Body, samples: Samples) -> Verdict:
     piece = body.outlined
     if piece < _MIN_PIECE:
         return Verdict(
-            f"the {body.noun} falls into {len(body.components)} pieces, and the largest is {piece:.0%} of it "
+            f"the {body.noun} falls into {body.pieces} pieces, and the largest is {piece:.0%} of it "
             f"(at least {_MIN_PIECE:.0%})",
             0.0,
         )
@@ -160,11 +160,4 @@ def _miss(curve: Curve, points: Array) -> float:
 def _spread(curve: Array, body: Body) -> float:
     """Root mean square distance of the body's samples from the curve, in the body's unit."""
     samples = body.samples
-    nearest = kernels.best_matching_units(samples.points, curve)
-    tangent = np.gradient(curve, axis=0)
-    reach = np.linalg.norm(tangent, axis=1)
-    tangent /= np.maximum(reach, 1e-9)[:, None]
-    offset = samples.points - curve[nearest]
-    along = np.clip(np.einsum("md,md->m", offset, tangent[nearest]), -reach[nearest], reach[nearest])
-    offset -= along[:, None] * tangent[nearest]
-    return float(np.sqrt(np.average(np.einsum("md,md->m", offset, offset), weights=samples.weight) + body.within))
+    return (body.kernels.spread(samples.points, samples.weight, curve) + body.within) ** 0.5

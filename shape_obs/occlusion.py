@@ -34,6 +34,7 @@ _PLACE: Final = 0.1  # the weight of where a rope is predicted against how it is
 # would shrink the rope.
 _SLACK: Final = (0.015, 2.5)
 _GIVING: Final = 0.003
+_CLEAR: Final = 9.0  # how much nearer, squared, ends lie to their own places than to each other's
 _GAINING: Final = 0.01  # a chain that bulges in one frame does not make the rope longer for good
 
 
@@ -47,6 +48,8 @@ def follow_chain(form: Curve, prediction: Prediction) -> Curve:
     slack = max(_SLACK[0] * prediction.size, _SLACK[1] * prediction.grain)
     if prediction.size - slack < form.size < prediction.size:
         prediction = prediction._replace(size=max((1 - _GIVING) * prediction.size, form.size))
+    if form.size >= prediction.size and not form.bridged.any() and _is_along(form, prediction.nodes):
+        return replace(form, memory=Memory(size=min(form.size, (1 + _GAINING) * prediction.size)))
     known = _Known(prediction)
     whole = known.filled(min((form, form.reversed()), key=known.distance))
     missing = known.size - whole.size
@@ -97,6 +100,17 @@ def shown(form: Curve) -> slice:
     first = np.searchsorted(form.arc, head - 1e-9) if head < slack else 0
     last = np.searchsorted(form.arc, form.size - tail + 1e-9) if tail < slack else len(form.points)
     return slice(int(first), int(last))
+
+
+def _is_along(form: Curve, nodes: Array) -> bool:
+    """Whether a curve clearly runs in the direction of (K,D) nodes: its ends tell, where they do not lie together."""
+    points = form.points
+    forward = _square(points[0] - nodes[0]) + _square(points[-1] - nodes[-1])
+    return _CLEAR * forward < _square(points[0] - nodes[-1]) + _square(points[-1] - nodes[0])
+
+
+def _square(vector: Array) -> float:
+    return float(vector @ vector)
 
 
 def _start(starts: Array, costs: Array, before: float, missing: float) -> float:
@@ -176,7 +190,8 @@ class _Known:
         points = np.concatenate([curve.points[:first], piece, curve.points[last + 1 :]])
         inside = np.ones(len(piece), bool)
         inside[[0, -1]] = False
-        return Curve(points, np.concatenate([curve.bridged[:first], inside, curve.bridged[last + 1 :]]))
+        bridged = np.concatenate([curve.bridged[:first], inside, curve.bridged[last + 1 :]])
+        return replace(curve, points=points, bridged=bridged)
 
     def completed(self, curve: Curve, start: float) -> Curve:
         """The visible piece that begins at arc ``start``, with the hidden ends before and behind it."""
@@ -185,7 +200,7 @@ class _Known:
         tail = self._hidden(start=end, joint=curve.points[-1])
         points = np.concatenate([head, curve.points, tail])
         seen = np.concatenate([np.ones(len(head), bool), curve.bridged, np.ones(len(tail), bool)])
-        return Curve(points, seen)
+        return replace(curve, points=points, bridged=seen)
 
     def _hidden(self, joint: Array, start: float = 0.0, end: float | None = None) -> Array:
         """The rope from arc ``start`` to ``end`` without its joint, moved to the joint and of exactly that length."""

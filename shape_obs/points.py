@@ -7,10 +7,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.distance import cdist
 
 from shape_obs.body import Body
 from shape_obs.cloud import Cloud
 from shape_obs.configurations import Configuration
+from shape_obs.configurations.base import Points
 from shape_obs.deproject import SeenCloud
 from shape_obs.fitting import Fit
 from shape_obs.form import Curve, Form
@@ -43,9 +45,9 @@ def shape_of(
         policy: What becomes of points without depth.
     """
     if isinstance(body, Cloud):
-        points2d, expected, visible, valid = _in_cloud(spec, form, body)
+        points2d, expected, visible, valid = _in_cloud(spec, form, body, found.centres)
     else:
-        points2d, expected, visible, valid = _in_image(spec, form, body, frame)
+        points2d, expected, visible, valid = _in_image(spec, form, body, frame, found.centres)
     points3d = None
     if expected is not None:
         points3d = fill_invalid(expected, valid, None if last is None else last.points3d, policy)
@@ -57,13 +59,13 @@ def shape_of(
 _Parts = tuple[npt.NDArray[np.float32] | None, npt.NDArray[np.float32] | None, Mask, Mask]
 
 
-def _in_image(spec: Configuration, form: Form, region: Region, frame: Frame) -> _Parts:
+def _in_image(spec: Configuration, form: Form, region: Region, frame: Frame, centres: Array | None) -> _Parts:
     """Points in pixels with the depth under them; where there is none, with their neighbours'."""
     metric, camera = form, frame.camera
     if spec.spacing == "m" and frame.depth is not None and camera is not None:
         lifted = lift_form(form, frame.depth, region, region.width, camera.intrinsics)
         metric = form if lifted is None else form.measured(lifted)
-    points, bridged = spec.place(form, metric)
+    points, bridged = spec.place(form, metric) if centres is None else _given(centres)
     visible = region.carries(points) & ~bridged
     if frame.depth is None or camera is None:
         return points.astype(np.float32), None, visible, visible.copy()
@@ -75,17 +77,25 @@ def _in_image(spec: Configuration, form: Form, region: Region, frame: Frame) -> 
     return points.astype(np.float32), points3d, visible, valid
 
 
-def _in_cloud(spec: Configuration, form: Form, cloud: Cloud) -> _Parts:
+def _in_cloud(spec: Configuration, form: Form, cloud: Cloud, centres: Array | None) -> _Parts:
     """The fitted points themselves, of a curve moved to the axis; pixels are their projection."""
     if spec.radius and isinstance(form, Curve):
-        form = form.measured(form.points + _HALF_ROUND * spec.radius * _inwards(form))
-    points, bridged = spec.place(form, form)
+        shift = _HALF_ROUND * spec.radius * _inwards(form)
+        if centres is not None:
+            centres = centres + shift[np.argmin(cdist(centres, form.points), axis=1)]
+        form = form.measured(form.points + shift)
+    points, bridged = spec.place(form, form) if centres is None else _given(centres)
     visible = cloud.carries(points) & ~bridged
     valid = visible & cloud.near(points)
     if not isinstance(cloud, SeenCloud):
         visible = valid.copy()
     points2d = cloud.pixels(points).astype(np.float32) if isinstance(cloud, SeenCloud) else None
     return points2d, points.astype(np.float32), visible, valid
+
+
+def _given(centres: Array) -> Points:
+    """A clusterer's centres: it knows of no gaps."""
+    return Points(centres, np.zeros(len(centres), bool))
 
 
 def _inwards(curve: Curve) -> Array:

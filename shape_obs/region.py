@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar, NamedTuple
 
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from shape_obs.border import Border, clockwise
 from shape_obs.kernels import NUMPY, Kernels
 from shape_obs.roi import Window
-from shape_obs.samples import Samples, cells, mask_pixels
+from shape_obs.samples import Samples, mask_pixels
 
 MAX_CELL = 8
 SPECK = 20  # pixels around a hole; shorter ones are noise
@@ -55,14 +55,16 @@ class Region:
 
     Args:
         window: Where ``mask`` lies in the image.
-        mask: (h,w) uint8, 0 = background, the plausible components alone.
-        components: Largest first.
+        mask: (h,w) uint8, C-contiguous, 0 = background, the plausible components alone.
+        runs: (R,3) row, first column, column past the last one of every row of pixels, image coordinates.
+        areas: Pixels of each component, largest first.
         kernels: What runs the inner loops.
     """
 
     window: Window
     mask: npt.NDArray[np.uint8]
-    components: tuple[Component, ...]
+    runs: npt.NDArray[np.int64]
+    areas: tuple[int, ...]
     kernels: Kernels = NUMPY
     unit: ClassVar[str] = "px"
     noun: ClassVar[str] = "mask"
@@ -73,7 +75,42 @@ class Region:
     @cached_property
     def amount(self) -> int:
         """Pixels."""
-        return sum(component.area for component in self.components)
+        return sum(self.areas)
+
+    @property
+    def pieces(self) -> int:
+        """How many components there are."""
+        return len(self.areas)
+
+    @cached_property
+    def box(self) -> Window:
+        """The upright rectangle around the mask, image coordinates."""
+        left, top = int(self.runs[:, 1].min()), int(self.runs[0, 0])
+        return Window(left, top, int(self.runs[:, 2].max()) - left, int(self.runs[-1, 0]) - top + 1)
+
+    @cached_property
+    def components(self) -> tuple[Component, ...]:
+        """The connected pieces, largest first."""
+        if not self.areas:
+            return ()
+        left, top = self.box.left - self.window.left, self.box.top - self.window.top
+        crop = self.mask[top : top + self.box.height, left : left + self.box.width]
+        if self.pieces == 1:
+            return (_Traced.of(crop).component(self.amount, (self.box.left, self.box.top)),)
+        count, found, table, _ = cv2.connectedComponentsWithStats(crop, connectivity=8)
+        labels, stats = np.asarray(found, dtype=np.int32), np.asarray(table, dtype=np.int32)
+        components = []
+        for label in 1 + np.argsort(-stats[1:count, cv2.CC_STAT_AREA], kind="stable"):
+            left, top, width, height, area = (int(value) for value in stats[label])
+            piece = (labels[top : top + height, left : left + width] == label).view(np.uint8)
+            components.append(_Traced.of(piece).component(area, (self.box.left + left, self.box.top + top)))
+        return tuple(components)
+
+    def as_wide_as(self, width: float) -> Region:
+        """The same region where its width is known, pixels: nothing has to be traced for it."""
+        other = replace(self)
+        other.__dict__["width"] = width
+        return other
 
     @cached_property
     def width(self) -> float:
@@ -88,7 +125,7 @@ class Region:
     @property
     def outlined(self) -> float:
         """The share of the mask that the outline goes around: the largest component."""
-        return self.components[0].area / max(self.amount, 1)
+        return self.areas[0] / max(self.amount, 1)
 
     @cached_property
     def holes(self) -> tuple[Border, ...]:
@@ -110,7 +147,8 @@ class Region:
     @cached_property
     def samples(self) -> Samples:
         """The pixels in cells of half the object's width: thin ropes keep their pixels, thick ones shed them."""
-        return cells(self.pixels, self.window, int(np.clip(self.width / 3, 1, MAX_CELL)))
+        size = int(min(max(self.width / 3, 1), MAX_CELL))
+        return Samples(*self.kernels.cells(self.runs, size), float(size))
 
     @property
     def within(self) -> float:
@@ -136,13 +174,7 @@ class Region:
 
     def contains(self, points: npt.NDArray[np.float64], reach: int = 0) -> npt.NDArray[np.bool_]:
         """Whether the mask carries (N,2) pixels, or any pixel at most ``reach`` away: (N,) bool."""
-        offsets = np.arange(-reach, reach + 1)
-        u = np.rint(points[:, 0]).astype(int)[:, None, None] - self.window.left + offsets[None, :, None]
-        v = np.rint(points[:, 1]).astype(int)[:, None, None] - self.window.top + offsets[None, None, :]
-        height, width = self.mask.shape
-        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-        hit = inside & (self.mask[np.where(inside, v, 0), np.where(inside, u, 0)] > 0)
-        return np.asarray(hit.any(axis=(1, 2)))
+        return self.kernels.carried(self.mask, self.window.left, self.window.top, points, reach)
 
 
 def find_region(
@@ -160,30 +192,13 @@ def find_region(
     Returns:
         The region; without components when nothing is left.
     """
-    crop = Window(*(int(value) for value in cv2.boundingRect(mask)))
-    if crop.width == 0:
-        return Region(window, mask, (), kernels)
-    origin = (window.left + crop.left, window.top + crop.top)
-    whole = _Traced.of(mask[crop.slices])
-    if whole.pieces == 1 and (area := cv2.countNonZero(mask)) >= min_area:  # nothing to sort out, as on most frames
-        return Region(window, mask, (whole.component(area, origin),), kernels)
-    count, found, table, _ = cv2.connectedComponentsWithStats(mask[crop.slices], connectivity=8)
-    labels, stats = np.asarray(found, dtype=np.int32), np.asarray(table, dtype=np.int32)
-    areas = stats[1:count, cv2.CC_STAT_AREA]
-    floor = max(min_area, min_share * float(areas.max(initial=0)))
-    kept = np.flatnonzero(areas >= floor) + 1
-    kept = kept[np.argsort(-areas[kept - 1], kind="stable")]
-    if len(kept) < count - 1:
-        keep = np.zeros(count, np.uint8)
-        keep[kept] = 255
+    mask = np.ascontiguousarray(mask)
+    runs, areas, dropped = kernels.survey(mask, window.left, window.top, min_area, min_share)
+    if dropped:
         mask = np.zeros_like(mask)
-        mask[crop.slices] = keep[labels]
-    components = []
-    for label in kept:
-        left, top, width, height, area = (int(value) for value in stats[label])
-        piece = (labels[top : top + height, left : left + width] == label).view(np.uint8)
-        components.append(_Traced.of(piece).component(area, (origin[0] + left, origin[1] + top)))
-    return Region(window, mask, tuple(components), kernels)
+        for row, start, stop in (runs - [window.top, window.left, window.left]).tolist():
+            mask[row, start:stop] = 255
+    return Region(window, mask, runs, tuple(areas.tolist()), kernels)
 
 
 class _Traced(NamedTuple):

@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.body import Body
+from shape_obs.cloud import Cloud
+from shape_obs.kernels.interface import LAST, LAST_REST, MAX_STEPS, SHORTEST, STEP_FROM, STEP_TO
 from shape_obs.strand import ahead
 
 Array = npt.NDArray[np.float64]
-
-_MAX_STEPS: Final = 24
-# In widths: the slice ahead that a step moves to the centre of.
-_STEP: Final = (0.2, 0.6)
-# In widths: the length of the last piece, and the rest below which there is none.
-_LAST: Final = (0.6, 0.5)
-# A rope thinner than the body's thinnest is looked at as if it were that wide, or the slices above would hold nothing.
-# Of that width: the shortest rest.
-_SHORTEST: Final = 1 / 12
-
 
 def extend_to_tips(nodes: Array, body: Body, width: float) -> Array:
     """Cut a chain of cluster centres where it hangs over the body, and lengthen it to the tips.
@@ -35,8 +25,8 @@ def extend_to_tips(nodes: Array, body: Body, width: float) -> Array:
     """
     width = max(width, body.thinnest)
     nodes = _without_overhang(nodes, body)
-    head = _extension(nodes[0], _heading(nodes[:3]), body, width)
-    tail = _extension(nodes[-1], _heading(nodes[:-4:-1]), body, width)
+    head = _extension(np.ascontiguousarray(nodes[:3]), body, width)
+    tail = _extension(np.ascontiguousarray(nodes[:-4:-1]), body, width)
     return np.concatenate([head[::-1], nodes, tail])
 
 
@@ -46,23 +36,23 @@ def _without_overhang(nodes: Array, body: Body) -> Array:
     return nodes[on[0] : on[-1] + 1] if len(on) and on[-1] - on[0] >= 2 else nodes
 
 
-def _heading(nodes: Array) -> Array:
-    """Direction out of the first of three nodes, their curvature continued."""
-    near, far = nodes[0] - nodes[1], nodes[1] - nodes[2]
-    near, far = near / max(np.linalg.norm(near), 1e-9), far / max(np.linalg.norm(far), 1e-9)
-    return _unit(near + (near - far) / 2, near)
+def _extension(start: Array, body: Body, width: float) -> Array:
+    """(S,D) from the end of a chain, the first of (3,D) nodes, to the tip."""
+    if isinstance(body, Cloud):
+        return _through(body, start, width)
+    return body.kernels.march(body.mask, body.window.left, body.window.top, start, width, body.thinnest)
 
 
-def _extension(node: Array, heading: Array, body: Body, width: float) -> Array:
-    """March along the strand while it goes on, then step to the middle of its last piece and measure the rest."""
-    front, rest = node, 0.0
+def _through(cloud: Cloud, start: Array, width: float) -> Array:
+    """``Kernels.march``, through a cloud."""
+    front, heading, rest = start[0], _heading(start), 0.0
     path: list[Array] = []
-    for _ in range(_MAX_STEPS):
-        offset, along, rest, goes_on = ahead(body, front, heading, width)
+    for _ in range(MAX_STEPS):
+        offset, along, rest, goes_on = ahead(cloud, front, heading, width)
         if goes_on:
-            piece = (along > _STEP[0] * width) & (along <= _STEP[1] * width)
-        elif rest > _LAST[1] * width:
-            piece = along > rest - _LAST[0] * width
+            piece = (along > STEP_FROM * width) & (along <= STEP_TO * width)
+        elif rest > LAST_REST * width:
+            piece = along > rest - LAST * width
         else:
             break
         if not piece.any():
@@ -71,7 +61,14 @@ def _extension(node: Array, heading: Array, body: Body, width: float) -> Array:
         heading = _continue(heading, step)
         front = front + step
         path.append(front)
-    return np.array([*path, front + heading * max(rest, _SHORTEST * body.thinnest)])
+    return np.array([*path, front + heading * max(rest, SHORTEST * cloud.thinnest)])
+
+
+def _heading(nodes: Array) -> Array:
+    """Direction out of the first of three nodes, their curvature continued."""
+    near, far = nodes[0] - nodes[1], nodes[1] - nodes[2]
+    near, far = near / max(np.linalg.norm(near), 1e-9), far / max(np.linalg.norm(far), 1e-9)
+    return _unit(near + (near - far) / 2, near)
 
 
 def _continue(heading: Array, step: Array) -> Array:

@@ -14,18 +14,20 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
+from shape_obs.kernels import NUMPY, Kernels
+
 Array = npt.NDArray[np.float64]
 Values = TypeVar("Values", bound=npt.NDArray[np.floating[Any]])
 
 
-class Neighbourhood(NamedTuple):
-    """Kernel moments for a local-linear update; row k weighs the bins as node k sees them.
+class Neighbourhoods(NamedTuple):
+    """Kernel moments for E local-linear updates; row k weighs the bins as node k sees them.
 
     With phi(k,j) = (1, offset of j from k in each of the P lattice directions):
 
     Args:
-        first: (P+1,K,K) h(k,j) phi_a, h = exp(-|offset|^2 / 2 sigma^2).
-        second: (P+1,P+1,K,K) h(k,j) phi_a phi_b.
+        first: (E,P+1,K,K) h(k,j) phi_a, h = exp(-|offset|^2 / 2 sigma^2).
+        second: (E,P+1,P+1,K,K) h(k,j) phi_a phi_b.
     """
 
     first: Array
@@ -49,16 +51,16 @@ class Topology(ABC):
         """(E,2) pairs of neighbours, the lower index first but where a ring closes."""
 
     @abstractmethod
-    def unshrink(self, nodes: Array, sigma: float) -> Array:
+    def unshrink(self, nodes: Array, sigma: float, kernels: Kernels = NUMPY) -> Array:
         """Undo the pull of averaging with a kernel of width ``sigma`` towards the inside of a bend: (K,D) -> (K,D)."""
 
     @abstractmethod
     def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
         """(K,D) values with the unknown ones filled from their known neighbours; at least one must be known."""
 
-    def neighbourhood(self, sigma: float) -> Neighbourhood:
-        """The kernel of width ``sigma``, in node units."""
-        return _neighbourhood(self, sigma)
+    def neighbourhoods(self, sigmas: tuple[float, ...]) -> Neighbourhoods:
+        """The kernels of E widths, in node units."""
+        return _neighbourhoods(self, sigmas)
 
 
 @dataclass(frozen=True)
@@ -87,9 +89,9 @@ class Chain(_Line):
         at = np.arange(self.count)
         return np.stack([at[:-1], at[1:]], axis=1)
 
-    def unshrink(self, nodes: Array, sigma: float) -> Array:
+    def unshrink(self, nodes: Array, sigma: float, kernels: Kernels = NUMPY) -> Array:
         """The second difference stands for the bend, at an end its neighbour's."""
-        return nodes - _shrinkage(nodes, sigma)
+        return kernels.unshrink(nodes, _shrinkage(sigma), False)
 
     def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
         """In a straight line along the index, the ends repeated."""
@@ -111,10 +113,9 @@ class Ring(_Line):
         at = np.arange(self.count)
         return np.stack([at, np.roll(at, -1)], axis=1)
 
-    def unshrink(self, nodes: Array, sigma: float) -> Array:
+    def unshrink(self, nodes: Array, sigma: float, kernels: Kernels = NUMPY) -> Array:
         """The second difference stands for the bend."""
-        around = np.concatenate([nodes[-1:], nodes, nodes[:1]])
-        return nodes - _shrinkage(around, sigma)[1:-1]
+        return kernels.unshrink(nodes, _shrinkage(sigma), True)
 
     def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
         """In a straight line along the index, across the closure too."""
@@ -150,14 +151,17 @@ class Grid(Topology):
         down = np.stack([at[:-1].ravel(), at[1:].ravel()], axis=1)
         return np.concatenate([right, down])
 
-    def unshrink(self, nodes: Array, sigma: float) -> Array:
+    def unshrink(self, nodes: Array, sigma: float, kernels: Kernels = NUMPY) -> Array:
         """As along a chain, down every column and along every row."""
         lattice = nodes.reshape(self.rows, self.cols, -1)
         out = lattice.copy()
         if self.rows > 2:
-            out -= _shrinkage(lattice, sigma)
+            down = lattice.reshape(self.rows, -1)
+            out += (kernels.unshrink(down, _shrinkage(sigma), False) - down).reshape(lattice.shape)
         if self.cols > 2:
-            out -= _shrinkage(lattice.swapaxes(0, 1), sigma).swapaxes(0, 1)
+            across = np.ascontiguousarray(lattice.swapaxes(0, 1)).reshape(self.cols, -1)
+            moved = (kernels.unshrink(across, _shrinkage(sigma), False) - across).reshape(self.cols, self.rows, -1)
+            out += moved.swapaxes(0, 1)
         return out.reshape(nodes.shape)
 
     def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
@@ -171,18 +175,15 @@ class Grid(Topology):
         return filled
 
 
-def _shrinkage(nodes: Array, sigma: float) -> Array:
-    """How far averaging has pulled the nodes of a chain (K,...) from their curve, to second order.
+@lru_cache(maxsize=64)
+def _shrinkage(sigma: float) -> float:
+    """How far averaging pulls the nodes of a line from their curve, to second order, as a share of their bend.
 
     The mean over a unit cell of a curve C is C + C''/24, and the kernel mean over both neighbours adds h/(1+2h) C''
     with h = exp(-1/2 sigma^2).
     """
-    h = np.exp(-0.5 / sigma**2)
-    bend = nodes[2:] - 2 * nodes[1:-1] + nodes[:-2]
-    out = np.zeros_like(nodes)
-    out[1:-1] = (1 / 24 + h / (1 + 2 * h)) * bend
-    out[[0, -1]] = bend[[0, -1]] / 24
-    return out
+    h = float(np.exp(-0.5 / sigma**2))
+    return 1 / 24 + h / (1 + 2 * h)
 
 
 def _along_index(values: Values, known: npt.NDArray[np.bool_], period: int | None) -> Values:
@@ -194,9 +195,10 @@ def _along_index(values: Values, known: npt.NDArray[np.bool_], period: int | Non
 
 
 @lru_cache(maxsize=64)
-def _neighbourhood(topology: Any, sigma: float) -> Neighbourhood:
+def _neighbourhoods(topology: Any, sigmas: tuple[float, ...]) -> Neighbourhoods:
     offsets: Array = topology.offsets()
-    weight = np.exp(-0.5 * np.sum((offsets / sigma) ** 2, axis=0))
-    basis = np.concatenate([np.ones((1, *weight.shape)), offsets])
-    first = weight * basis
-    return Neighbourhood(first, first[:, None] * basis[None])
+    width = np.array(sigmas)[:, None, None]
+    weight = np.exp(-0.5 * np.sum(offsets**2, axis=0) / width**2)
+    basis = np.concatenate([np.ones((1, *weight.shape[1:])), offsets])
+    first = weight[:, None] * basis
+    return Neighbourhoods(first, first[:, :, None] * basis)

@@ -14,6 +14,7 @@ Array = npt.NDArray[np.float64]
 
 _VELOCITY_SHARE: Final = 0.8
 _MAX_SIZE_CHANGE: Final = 0.06
+_MAX_WIDTH_CHANGE: Final = 0.02
 
 
 class Track(NamedTuple):
@@ -27,6 +28,7 @@ class Track(NamedTuple):
         stamp: Seconds.
         topology: How the nodes hang together.
         memory: What the last form handed on beside its nodes.
+        width: Of a ribbon, as the body shows it; 0 where that says nothing.
     """
 
     nodes: Array
@@ -36,6 +38,7 @@ class Track(NamedTuple):
     stamp: float
     topology: Topology
     memory: Memory = Memory()
+    width: float = 0.0
 
 
 class Prediction(NamedTuple):
@@ -47,6 +50,7 @@ class Prediction(NamedTuple):
         topology: How the nodes hang together.
         memory: What the last form handed on beside its nodes.
         grain: What the body resolves: nothing smaller can be told from noise.
+        width: Of a ribbon; 0 where it is not known.
     """
 
     nodes: Array
@@ -54,6 +58,7 @@ class Prediction(NamedTuple):
     topology: Topology
     memory: Memory = Memory()
     grain: float = 0.0
+    width: float = 0.0
 
 
 def predict(track: Track, stamp: float, grain: float) -> Prediction:
@@ -63,15 +68,22 @@ def predict(track: Track, stamp: float, grain: float) -> Prediction:
     """
     ahead = min(max(stamp - track.stamp, 0.0), track.interval)
     nodes = track.nodes + _VELOCITY_SHARE * ahead * track.velocity
-    return Prediction(nodes, track.size, track.topology, track.memory, grain)
+    return Prediction(nodes, track.size, track.topology, track.memory, grain, track.width)
 
 
-def advance(track: Track | None, nodes: Array, form: Form, stamp: float, topology: Topology) -> Track:
-    """The track after a frame in which a form was found, and its nodes."""
+def advance(
+    track: Track | None, nodes: Array, form: Form, stamp: float, topology: Topology, width: float
+) -> Track:
+    """The track after a frame in which a form was found, its nodes, and its width.
+
+    Widths change slowly: what hides a piece that is not known to be hidden makes the rest no thinner.
+    """
+    if track is not None and track.width and width:
+        width = min(max(width, (1 - _MAX_WIDTH_CHANGE) * track.width), (1 + _MAX_WIDTH_CHANGE) * track.width)
     interval = 0.0 if track is None else stamp - track.stamp
     velocity = np.zeros_like(nodes) if track is None or interval <= 0 else (nodes - track.nodes) / interval
     size = form.memory.size or form.size
-    return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.memory)
+    return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.memory, width)
 
 
 def size_jump(before: float, after: float, unit: str) -> str:

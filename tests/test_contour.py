@@ -14,9 +14,11 @@ from shape_obs import Contour, ShapeDetector, SpecError
 from shape_obs.border import Border, clockwise
 from shape_obs.curve import arc_length, catmull_rom, equidistant_around
 from shape_obs.evaluation.blobs import KINDS, draw_blob, random_blob
-from shape_obs.evaluation.outline_scores import gap_variation, outline_score
+from shape_obs.evaluation.outline_scores import outline_score
 from shape_obs.form import Curve
+from shape_obs.metrics import spacing_cv
 from shape_obs.phase import blend, lag
+from shape_obs.topology import Ring
 
 
 def one(mask: np.ndarray, detector: ShapeDetector | None = None, **kwargs: Any) -> Any:
@@ -89,7 +91,7 @@ class TestNumbering:
 
     def test_the_points_close(self):
         shape = one(random_blob(np.random.default_rng(0)).mask)
-        assert gap_variation(shape.points2d.astype(np.float64)) < 0.003
+        assert spacing_cv(shape.points2d, shape.layout) < 0.003
         assert shape.layout.edges()[-1].tolist() == [31, 0]
 
 
@@ -272,7 +274,7 @@ class TestClosedCurves:
         assert at[0] == 0
         assert np.all(np.diff(at) > 0)
         points = Curve(blob, np.zeros(len(blob), bool), closed=True).at(at)
-        assert gap_variation(points) < (0.003 if n > 6 else 0.2)
+        assert spacing_cv(points, Ring(n)) < (0.003 if n > 6 else 0.2)
 
     @given(begin=st.floats(-3, 3))
     def test_a_curve_begins_anywhere(self, begin):

@@ -56,7 +56,7 @@ def test_the_readme_has_the_two_commands_as_they_are_promised():
     assert "uv run pytest" in lines
 
 
-@pytest.mark.parametrize("command", ["demo", "detect", "bench claims"])
+@pytest.mark.parametrize("command", ["demo", "detect", "bench claims", "bench peers", "bench latency"])
 def test_the_page_of_the_command_line_knows_every_option(command, capsys):
     from shape_obs.cli import main
 
@@ -64,6 +64,6 @@ def test_the_page_of_the_command_line_knows_every_option(command, capsys):
         main([*command.split(), "--help"])
     known = set(re.findall(r"--[a-z][a-z-]*", capsys.readouterr().out))
     page = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
-    section = page.split(f"\n## {command.split()[0]}\n")[1].split("\n## ")[0]
+    section = page.split(f"\n## {command}\n")[1].split("\n## ")[0]
     told = set(re.findall(r"--[a-z][a-z-]*", section))
     assert {name for name in known if not name.startswith("--no-")} - {"--help"} == told

@@ -13,7 +13,7 @@ from shape_obs.spec import did_you_mean
 COMMANDS: Final = {
     "demo": "run an episode of the simulated cable and draw what is seen",
     "detect": "find the shape in image files",
-    "bench": "measure: `bench claims` checks the accuracy that the project claims",
+    "bench": "measure accuracy, time and quality",
 }
 
 

@@ -10,13 +10,17 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.kernels import numpy_ as kernels
+from shape_obs.kernels import NUMPY, Kernels
 from shape_obs.samples import Samples
 from shape_obs.topology import Topology
 
 
 def fit(
-    samples: Samples, start: npt.NDArray[np.float64], topology: Topology, sigmas: tuple[float, ...]
+    samples: Samples,
+    start: npt.NDArray[np.float64],
+    topology: Topology,
+    sigmas: tuple[float, ...],
+    kernels: Kernels = NUMPY,
 ) -> npt.NDArray[np.float64]:
     """Fit the map to the samples.
 
@@ -25,12 +29,10 @@ def fit(
         start: (K,D) nodes.
         topology: How the nodes hang together.
         sigmas: Width of the neighbourhood in each epoch, node units; at least one.
+        kernels: What runs the inner loops.
 
     Returns:
         (K,D) nodes in the order of ``start``, the pull of the averaging undone.
     """
-    centre = samples.points.mean(axis=0)
-    points, nodes = samples.points - centre, start - centre
-    for sigma in sigmas:
-        nodes = kernels.som_epoch(points, samples.weight, nodes, topology.neighbourhood(sigma))
-    return topology.unshrink(nodes, sigmas[-1]) + centre
+    nodes = kernels.settle(samples.points, samples.weight, start, *topology.neighbourhoods(sigmas))
+    return topology.unshrink(nodes, sigmas[-1], kernels)

@@ -34,6 +34,17 @@ def outline_samples(body: Body, hole: int | None = None) -> Samples:
     return _border(body, hole).samples
 
 
+def outline_points(body: Body, hole: int | None = None) -> Samples:
+    """What that outline is made of, point by point, each counting once."""
+    if isinstance(body, Cloud):
+        curve = outline(body)
+        count = len(curve.points)
+        points, step = curve.at(np.arange(count) * (curve.size / count)), curve.size / count
+    else:
+        points, step = _border(body, hole).points, 1.0
+    return Samples(points, np.ones(len(points)), step)
+
+
 def breadth(body: Body, hole: int | None = None) -> float:
     """How far apart the sides of the outline may come, in the body's unit.
 

@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.body import Body
+from shape_obs.cloud import Cloud
 from shape_obs.form import Form
 from shape_obs.gate import Verdict
-from shape_obs.samples import Samples
+from shape_obs.samples import Samples, single
 from shape_obs.segmentation import Segmentation
 from shape_obs.spec import Spec
 from shape_obs.topology import Topology
@@ -93,6 +94,12 @@ class Configuration(Spec, Generic[F], family="configuration"):
     def samples(self, body: Body) -> Samples:
         """What the map is fitted to: all of the body, or its outline."""
 
+    def all_samples(self, body: Body) -> Samples:
+        """What a clusterer is given instead: every pixel of the mask, every point of the cloud, each counting once."""
+        if isinstance(body, Cloud):
+            return Samples(body.kept, np.ones(len(body.kept)), body.grain)
+        return single(body.pixels, body.window)
+
     @abstractmethod
     def topology(self, body: Body) -> Topology:
         """The map that suits the body: how many nodes, and how they hang together."""
@@ -145,6 +152,14 @@ class Configuration(Spec, Generic[F], family="configuration"):
     def warm(self, body: Body, prediction: Prediction) -> Array:
         """(K,D) where the nodes start on a frame that has a past."""
         return self.nodes(self.follow(self.parameterise(body), prediction), prediction.topology)
+
+    def known(self, body: Body, prediction: Prediction) -> Body:
+        """The body with what the past knows about it, for a warm frame."""
+        return body
+
+    def girth(self, form: F, body: Body) -> float:
+        """The width of a ribbon, as the body shows it, for the next frame; 0 where that says nothing."""
+        return 0.0
 
     @abstractmethod
     def place(self, form: F, metric: F) -> Points:

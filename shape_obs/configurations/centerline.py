@@ -11,10 +11,11 @@ import numpy.typing as npt
 from shape_obs.body import Body
 from shape_obs.coldstart.axis import axis
 from shape_obs.configurations.base import Configuration, Ends, Points
-from shape_obs.curve import catmull_rom, equidistant_positions
+from shape_obs.curve import equidistant_positions
 from shape_obs.form import Curve
 from shape_obs.gate import Verdict, judge_ribbon
 from shape_obs.occlusion import follow_chain, shown
+from shape_obs.region import Region
 from shape_obs.samples import Samples
 from shape_obs.tips import extend_to_tips
 from shape_obs.topology import Chain, Topology
@@ -56,8 +57,8 @@ class Centerline(Configuration[Curve], kind="centerline"):
 
     def unfit(self, body: Body) -> str:
         """Too many pieces, or no rope: at least three times as long as wide."""
-        if len(body.components) > _MAX_PIECES:
-            return f"the {body.noun} falls into {len(body.components)} pieces, at most {_MAX_PIECES}"
+        if body.pieces > _MAX_PIECES:
+            return f"the {body.noun} falls into {body.pieces} pieces, at most {_MAX_PIECES}"
         if body.stretch < _MIN_ASPECT * body.width:
             return f"the {body.noun} is {body.stretch:.4g} x {body.width:.4g} {body.unit}: too stout for a rope"
         return ""
@@ -84,8 +85,16 @@ class Centerline(Configuration[Curve], kind="centerline"):
 
     def finish(self, nodes: Array, body: Body) -> Curve:
         """The curve through the nodes, lengthened to the rope's tips."""
-        points = catmull_rom(extend_to_tips(nodes, body, body.width))
-        return Curve(points, ~body.carries(points))
+        points = body.kernels.catmull_rom(extend_to_tips(nodes, body, body.width))
+        return Curve(points, ~body.carries(points), kernels=body.kernels)
+
+    def known(self, body: Body, prediction: Prediction) -> Body:
+        """A mask with the width that is known, so that its outline need not be traced."""
+        return body.as_wide_as(prediction.width) if isinstance(body, Region) and prediction.width else body
+
+    def girth(self, form: Curve, body: Body) -> float:
+        """The area of a mask over the length that is seen."""
+        return body.breadth(form.size * (1 - form.empty)) if isinstance(body, Region) else 0.0
 
     def judge(self, form: Curve, body: Body, bridged: float) -> Verdict:
         """As a ribbon."""
@@ -103,7 +112,11 @@ class Centerline(Configuration[Curve], kind="centerline"):
 
     def place(self, form: Curve, metric: Curve) -> Points:
         """Equal chords, from tip to tip or at the centres of N pieces."""
-        piece = shown(form)
-        form, metric = form.cut(piece), metric.cut(piece)
-        at = equidistant_positions(metric.points, metric.arc, self.n, centers=self.ends != "tips")
-        return Points(form.at(np.interp(at, metric.arc, form.arc)), metric.bridged_at(at))
+        if sum(form.memory.hidden):
+            piece = shown(form)
+            form, metric = form.cut(piece), metric.cut(piece)
+        at = equidistant_positions(
+            metric.points, metric.arc, self.n, centers=self.ends != "tips", kernels=form.kernels
+        )
+        along = at if metric is form else np.interp(at, metric.arc, form.arc)
+        return Points(form.at(along), metric.bridged_at(at))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from shape_obs.body import Body
 from shape_obs.border import clockwise
-from shape_obs.coldstart.outline import breadth, holes, outline, outline_samples
+from shape_obs.coldstart.outline import breadth, holes, outline, outline_points, outline_samples
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.curve import catmull_rom, equidistant_around
 from shape_obs.form import Curve, Memory
@@ -78,6 +78,10 @@ class Contour(Configuration[Curve], kind="contour"):
     def samples(self, body: Body) -> Samples:
         """The outline."""
         return outline_samples(body, self.hole)
+
+    def all_samples(self, body: Body) -> Samples:
+        """Every pixel that the outline runs through; around a cloud, points at equal distances."""
+        return outline_points(body, self.hole)
 
     def topology(self, body: Body) -> Ring:
         """A ring with a node every three samples, 24 to 192 of them; closer on what is thin."""

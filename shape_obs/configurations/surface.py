@@ -73,9 +73,9 @@ class Surface(Configuration[Patch], kind="surface"):
         if body.stretch > _MAX_ASPECT * body.width:
             return f"the {body.noun} is {body.stretch:.4g} x {body.width:.4g} {body.unit}: too slender for a sheet"
         if isinstance(body, Region):
-            piece, cut = body.components[0].area / body.amount, _cut(body)
+            piece, cut = body.outlined, _cut(body)
             if piece < _MIN_PIECE:
-                return f"the mask falls into {len(body.components)} pieces, and the largest is {piece:.0%} of it"
+                return f"the mask falls into {body.pieces} pieces, and the largest is {piece:.0%} of it"
             if cut > _MAX_CUT:
                 return f"{cut:.0%} of the outline lies on the image's edge: the sheet's corners are out of sight"
         return ""

@@ -21,8 +21,8 @@ from shape_obs.evaluation.clouds import Side, moving_rope_cloud, ring_cloud, rop
 from shape_obs.evaluation.ropes import KINDS
 from shape_obs.evaluation.scores import score, tally
 from shape_obs.evaluation.tilted import CAMERA, tilted_rope, tilted_sheet
+from shape_obs.metrics import spacing_cv
 from shape_obs.shape import Shape
-from shape_obs.topology import Grid
 
 Array = npt.NDArray[np.float64]
 
@@ -285,10 +285,5 @@ def _either_way(shape: Shape, true: Array) -> float:
 
 
 def _gap_cv(shape: Shape) -> float:
-    """Over the gaps between valid neighbours; on a lattice the larger of both directions'."""
-    points, edges = _points(shape), shape.layout.edges()
-    edges = edges[shape.valid[edges].all(axis=1)]
-    gap = np.linalg.norm(points[edges[:, 1]] - points[edges[:, 0]], axis=1)
-    across = edges[:, 1] - edges[:, 0] == 1
-    ways = (gap[across], gap[~across]) if isinstance(shape.layout, Grid) else (gap,)
-    return max((float(way.std() / way.mean()) for way in ways if len(way)), default=np.nan)
+    """Over the gaps between valid neighbours."""
+    return spacing_cv(_points(shape), shape.layout, shape.valid)

@@ -10,6 +10,8 @@ from scipy.spatial import KDTree
 
 from shape_obs.border import clockwise
 from shape_obs.evaluation.ropes import resample
+from shape_obs.metrics import in_order, spacing_cv
+from shape_obs.topology import Ring
 
 Array = npt.NDArray[np.float64]
 
@@ -46,18 +48,11 @@ def outline_score(points: npt.ArrayLike, outline: Array) -> OutlineScore:
     fine = resample(np.concatenate([outline, outline[:1]]), _FINE)[:-1]
     distance, nearest = KDTree(fine).query(found)
     place = np.asarray(nearest, dtype=np.float64) / len(fine)
-    step = np.diff(place, append=place[:1]) % 1.0
     off = (place - np.arange(len(found)) / len(found) + 0.5) % 1.0 - 0.5
     return OutlineScore(
-        ordered=bool(np.all(step > 0) and abs(step.sum() - 1) < 0.5),
+        ordered=in_order(place, period=1.0),
         clockwise=clockwise(found),
         distance=float(distance.mean()),
-        gap_cv=gap_variation(found),
+        gap_cv=spacing_cv(found, Ring(len(found))),
         slip=float(np.abs(off).max() * len(found)),
     )
-
-
-def gap_variation(points: Array) -> float:
-    """Standard deviation over mean of the distances between (N,D) neighbours, last to first too."""
-    gaps = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
-    return float(gaps.std() / gaps.mean())

@@ -11,6 +11,8 @@ from scipy.spatial import KDTree
 
 from shape_obs.configurations import Ends
 from shape_obs.curve import arc_length, interpolate, resample
+from shape_obs.metrics import in_order, spacing_cv
+from shape_obs.topology import Chain
 
 Array = npt.NDArray[np.float64]
 
@@ -62,13 +64,12 @@ def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = T
     size = len(found)
     true_place = arc[-1] * ((np.arange(size) + 0.5) / size if ends == "centers" else np.linspace(0, 1, size))
     gap = arc[-1] / (size if ends == "centers" else size - 1)
-    chords = np.linalg.norm(np.diff(found, axis=0), axis=1)
     return Score(
-        ordered=bool(np.all(np.diff(place) > 0)),
+        ordered=in_order(place),
         flipped=bool(flipped),
         distance=float(distance.mean()),
         tip=float(max(np.linalg.norm(found[0] - curve[0]), np.linalg.norm(found[-1] - curve[-1]))),
-        gap_cv=float(chords.std() / chords.mean()),
+        gap_cv=spacing_cv(found, Chain(size)),
         slip=float(np.abs(place - true_place).max() / gap),
     )
 

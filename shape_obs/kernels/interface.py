@@ -2,17 +2,220 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.kernels.interface_outline import OutlineKernels, SheetKernels
+from shape_obs.roi import Window
+
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.uint8]
+
+# An empty bin pulls its node nowhere: each node keeps a trace of weight where it stands.
+TRACE: Final = 1e-3
+# Chords are equalised this often, or until their gaps differ by no more than this share.
+EQUALISING_PASSES: Final = 40
+EQUAL: Final = 2e-3
+# Of a strand, in widths: how far to the side a pixel may lie to belong to it, and how far ahead; it goes on where a
+# pixel lies beyond the third.
+SIDE: Final = 0.75
+REACH: Final = 1.5
+BEYOND: Final = 0.6
+# The march along it: the slice ahead that a step moves to the centre of; the length of the last piece, and the rest
+# below which there is none. In widths.
+MAX_STEPS: Final = 24
+STEP_FROM: Final = 0.2
+STEP_TO: Final = 0.6
+LAST: Final = 0.6
+LAST_REST: Final = 0.5
+# A rope thinner than the body's thinnest is looked at as if it were that wide, or the slices above would hold nothing.
+# Of that width: the shortest rest.
+SHORTEST: Final = 1 / 12
 
 
-class Kernels(Protocol):
+class Found(NamedTuple):
+    """What a search by colour found in a window of (h,w) pixels.
+
+    Args:
+        mask: (h,w) uint8, 0 or 255, C-contiguous.
+        points: (M,2) centroids of the mask's pixels in squares that lie as the image does, image pixels, in no order.
+        weight: (M,) how many pixels each stands for.
+        piece: (M,) the piece that each belongs to.
+        area: (P,) pixels of each piece, the largest first.
+    """
+
+    mask: Mask
+    points: Array
+    weight: Array
+    piece: Indices
+    area: Indices
+
+
+class Kernels(OutlineKernels, SheetKernels, Protocol):
     """A module with these functions; arrays are C-contiguous float64 where nothing else is said."""
+
+    def survey(
+        self, mask: Mask, left: int, top: int, min_area: float, min_share: float
+    ) -> tuple[Indices, Indices, bool]:
+        """The plausible components of a mask, 8-connected, as rows of pixels.
+
+        Args:
+            mask: (h,w) uint8, C-contiguous, 0 = background.
+            left: Image column of its first pixel.
+            top: Image row of its first pixel.
+            min_area: Smaller components are dropped, pixels.
+            min_share: So are those smaller than this share of the largest.
+
+        Returns:
+            (R,3) row, first column, column past the last one, image coordinates, top to bottom and left to right;
+            (Q,) the components' pixels, largest first; whether any were dropped.
+        """
+        ...
+
+    def cells(self, runs: Indices, size: int) -> tuple[Array, Array]:
+        """The pixels of (R,3) runs gathered into squares of an edge: (M,2) centroids, (M,) counts.
+
+        The centroid keeps what coarse cells would lose: 8 x 8 cells cost 0.5 % of the Calinski-Harabasz score of all
+        pixels, at a fiftieth of their number.
+        """
+        ...
+
+    def carried(self, mask: Mask, left: int, top: int, points: Array, reach: int) -> npt.NDArray[np.bool_]:
+        """Whether a mask has a pixel at most ``reach`` from each of (N,2) image points: (N,)."""
+        ...
 
     def best_matching_units(self, points: Array, nodes: Array) -> npt.NDArray[np.intp]:
         """The nearest node of each point: argmax of x.c - |c|^2/2.  (M,D), (K,D) -> (M,)."""
+        ...
+
+    def settle(self, points: Array, weight: Array, nodes: Array, first: Array, second: Array) -> Array:
+        """Batch epochs of a self-organising map with a local-linear neighbourhood.
+
+        Each node moves to the intercept of a line (on a lattice, a plane) fitted to its neighbours' bins over their
+        index; a plain kernel mean would pull the ends of a chain inwards by 2 to 20 px.
+
+        Args:
+            points: (M,D).
+            weight: (M,).
+            nodes: (K,D).
+            first: (E,P+1,K,K) moments of the neighbourhood in each epoch, see ``topology.Neighbourhood``.
+            second: (E,P+1,P+1,K,K).
+
+        Returns:
+            (K,D) new nodes.
+        """
+        ...
+
+    def unshrink(self, nodes: Array, share: float, closed: bool) -> Array:
+        """Nodes (K,D) of a line, K >= 3, moved against their bend, by a share of their second difference.
+
+        The ends of an open line move by 1/24 of their neighbour's.
+        """
+        ...
+
+    def arc_length(self, curve: Array) -> Array:
+        """(P,D) -> (P,) arc length from the first point."""
+        ...
+
+    def interpolate(self, curve: Array, arc: Array, at: Array) -> Array:
+        """Points of a polyline at arc positions ``at``: (P,D), (P,), (N,) -> (N,D)."""
+        ...
+
+    def catmull_rom(self, nodes: Array, subdivisions: int = 4, closed: bool = False) -> Array:
+        """A smooth curve through nodes, for uneven gaps too.
+
+        Cubic Hermite pieces over the chord length with the three-point tangents of Catmull and Rom ("A Class of Local
+        Interpolating Splines", 1974).
+
+        Args:
+            nodes: (K,D), K >= 3, no two neighbours equal.
+            subdivisions: Pieces between two nodes.
+            closed: Whether the last node is followed by the first.
+
+        Returns:
+            ((K-1) * subdivisions + 1, D) points, the nodes among them; (K * subdivisions, D) when closed.
+        """
+        ...
+
+    def equidistant(self, curve: Array, arc: Array, count: int, margin: float, max_shift: float) -> Array:
+        """Arc positions of points with equal chords.
+
+        Args:
+            curve: (P,D).
+            arc: (P,) its arc length.
+            count: How many, at least 2.
+            margin: Arc length from the curve's ends to the first and last point.
+            max_shift: Gaps by which a point may leave its place by arc length.
+
+        Returns:
+            (count,) arc positions, increasing.
+        """
+        ...
+
+    def spread(self, points: Array, weight: Array, curve: Array) -> float:
+        """Mean square distance of (M,D) weighted points from the tangents of a curve (P,D)."""
+        ...
+
+    def march(self, mask: Mask, left: int, top: int, start: Array, width: float, thinnest: float) -> Array:
+        """The way from the end of a chain along its strand of the mask to the tip.
+
+        Steps go to the middle of a slice ahead while the strand goes on, then to the middle of its last piece, and
+        from there as far as the rest is long.
+
+        Args:
+            mask: (h,w) uint8, C-contiguous.
+            left: Image column of its first pixel.
+            top: Image row of its first pixel.
+            start: (3,2) image pixels: the chain's end and the two nodes before it.
+            width: The strand's, pixels.
+            thinnest: The least width that can be measured.
+
+        Returns:
+            (S,2) pixels, S >= 1; the last is the tip.
+        """
+        ...
+
+    reads_tables: bool
+    """Whether a table of colours is faster than the rule that it was made of."""
+
+    def table_mask(self, rgb: npt.NDArray[np.uint8], window: Window, table: npt.NDArray[np.uint64]) -> Mask:
+        """The pixels of a window whose colour is in a table: (h,w) uint8, 0 or 255.
+
+        Args:
+            rgb: (H,W,3) uint8.
+            window: Which of its pixels to read.
+            table: See ``segmentation.table.colour_table``.
+        """
+        ...
+
+    def seek(
+        self,
+        rgb: npt.NDArray[np.uint8],
+        window: Window,
+        table: npt.NDArray[np.uint64],
+        step: int,
+        edge: int,
+        min_area: int,
+        min_share: float,
+    ) -> Found:
+        """The same without reading every pixel: look at one in ``step * step``, then go on from those in the table.
+
+        What is found is complete to the pixel: the search goes on wherever pixels touch, side by side or corner to
+        corner. Not found is what slips between the pixels looked at, which lie in a lattice of the image, every other
+        row shifted by half a step: no piece that a disc of diameter 1.25 * step + 1 fits into.
+
+        Pieces are told apart unless both have pixels in one square of 8 x 8 of the image: then they count as one.
+
+        Args:
+            rgb: (H,W,3) uint8.
+            window: Which of its pixels count.
+            table: See ``segmentation.table.colour_table``.
+            step: 1, 2, 4 or 8 pixels.
+            edge: Of the squares in which pixels are gathered: 4 or 8 pixels.
+            min_area: Pieces with fewer pixels are dropped.
+            min_share: So are those smaller than this share of the largest.
+        """
         ...

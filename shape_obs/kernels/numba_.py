@@ -2,6 +2,39 @@
 
 from __future__ import annotations
 
-from shape_obs.kernels.numpy_ import best_matching_units, som_epoch
+from shape_obs.kernels.numba_curve import arc_length, catmull_rom, equidistant, interpolate, spread, unshrink
+from shape_obs.kernels.numba_map import best_matching_units, settle
+from shape_obs.kernels.numba_mask import carried, cells, survey
+from shape_obs.kernels.numpy_outline import around, blend, border, followed, lag, miss, pairs
+from shape_obs.kernels.numpy_sheet import assessed, corners_near, gauges, laid, outer_corners, rim, sampled, strayed
+from shape_obs.kernels.numba_strand import march
 
-__all__ = ["best_matching_units", "som_epoch"]
+__all__ = [
+    "arc_length",
+    "around",
+    "assessed",
+    "best_matching_units",
+    "blend",
+    "border",
+    "carried",
+    "catmull_rom",
+    "cells",
+    "corners_near",
+    "equidistant",
+    "followed",
+    "gauges",
+    "interpolate",
+    "lag",
+    "laid",
+    "march",
+    "miss",
+    "outer_corners",
+    "pairs",
+    "rim",
+    "sampled",
+    "settle",
+    "spread",
+    "strayed",
+    "survey",
+    "unshrink",
+]

@@ -8,13 +8,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.frame import Frame
-from shape_obs.roi import Window
-from shape_obs.segmentation.base import Segmentation, need
+from shape_obs.segmentation.colour import ColourRule
 
 
 @dataclass(frozen=True)
-class GrayRange(Segmentation, kind="gray"):
+class GrayRange(ColourRule, kind="gray"):
     """Pixels whose luma (ITU-R BT.601) lies in a range, bounds included.
 
     Args:
@@ -30,7 +28,7 @@ class GrayRange(Segmentation, kind="gray"):
         if not 0 <= self.low <= self.high <= 255:
             raise ValueError(f"gray: expected 0 <= low <= high <= 255, got low {self.low} and high {self.high}.")
 
-    def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
-        """(h,w) uint8 mask, 0 or 255."""
-        gray = cv2.cvtColor(need(frame.rgb, "rgb", self)[window.slices], cv2.COLOR_RGB2GRAY)
+    def matches(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """(h,w,3) uint8 -> (h,w) uint8 mask, 0 or 255."""
+        gray = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
         return np.asarray(cv2.inRange(gray, np.array([self.low]), np.array([self.high])), dtype=np.uint8)

@@ -9,15 +9,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.frame import Frame
-from shape_obs.roi import Window
-from shape_obs.segmentation.base import Segmentation, need
+from shape_obs.segmentation.colour import ColourRule
 
 HUES = 180
 
 
 @dataclass(frozen=True)
-class HSVRange(Segmentation, kind="hsv"):
+class HSVRange(ColourRule, kind="hsv"):
     """Pixels whose colour lies in a box of HSV space, bounds included.
 
     Args:
@@ -40,9 +38,9 @@ class HSVRange(Segmentation, kind="hsv"):
                     f"hsv: low {name} {self.low[i]} is above high {name} {self.high[i]}; only hue wraps around."
                 )
 
-    def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
-        """(h,w) uint8 mask, 0 or 255."""
-        hsv = cv2.cvtColor(need(frame.rgb, "rgb", self)[window.slices], cv2.COLOR_RGB2HSV)
+    def matches(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """(h,w,3) uint8 -> (h,w) uint8 mask, 0 or 255."""
+        hsv = cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV)
         if self.low[0] <= self.high[0]:
             return _in_range(hsv, self.low, self.high)
         mask = _in_range(hsv, self.low, (HUES - 1, *self.high[1:]))

@@ -1,4 +1,4 @@
-"""``shape-obs bench``: measurements. ``claims`` checks the accuracy that the project claims."""
+"""``shape-obs bench claims`` checks the accuracy that the project claims."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ from typing import Any, Literal
 import tyro
 from tqdm import tqdm
 
+from shape_obs.cli.bench.printing import table
 from shape_obs.evaluation.report import GROUPS, Effort
-from shape_obs.spec import did_you_mean
 
-MEASUREMENTS = ("claims",)
 Group = Literal["ropes", "tangles", "hands", "noise", "outlines", "sheets", "clouds", "shapes", "cable"]
 
 
@@ -39,12 +38,7 @@ class Claims:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command; returns the exit code."""
-    if not argv or argv[0] in ("-h", "--help"):
-        print("usage: shape-obs bench {" + ",".join(MEASUREMENTS) + "} [OPTIONS]")
-        return 0
-    if argv[0] not in MEASUREMENTS:
-        raise ValueError(f"unknown measurement {argv[0]!r}{did_you_mean(argv[0], MEASUREMENTS)}")
-    args = tyro.cli(Claims, args=list(argv[1:]), prog="shape-obs bench claims")
+    args = tyro.cli(Claims, args=list(argv), prog="shape-obs bench claims")
     if not 0 < args.share <= 100:
         raise ValueError(f"--share: expected a number above 0, at most 100, got {args.share}.")
     if args.garments is not None and not args.garments.is_file():
@@ -67,10 +61,3 @@ def measure(args: Claims) -> dict[str, list[dict[str, Any]]]:
             if not args.json:
                 tqdm.write(f"\n{title}\n{table(rows)}", file=sys.stdout)
     return tables
-
-
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Rows of equal keys as aligned columns."""
-    cells = [[*rows[0]], *([f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    return "\n".join("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in cells)

@@ -1,0 +1,58 @@
+"""What all clusterers share: a spec with a kind, and the centres that one finds."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.samples import Samples
+from shape_obs.spec import Spec
+from shape_obs.topology import Topology
+
+
+class Centres(NamedTuple):
+    """What a clusterer finds.
+
+    Args:
+        places: (N,D) the centres, in no particular order.
+        steps: Iterations that it took; of a mixture those of its start left out.
+        settled: It stopped because nothing moved any more, not because its iterations were used up.
+    """
+
+    places: npt.NDArray[np.float64]
+    steps: int
+    settled: bool
+
+
+@dataclass(frozen=True)
+class Clustering(Spec, family="clustering"):
+    """Where the N points of a shape come from."""
+
+
+@dataclass(frozen=True)
+class SelfOrganisingMap(Clustering, kind="som"):
+    """The map that the form is fitted with, see ``shape_obs.clustering.som``; points are spread evenly on the form."""
+
+
+@dataclass(frozen=True)
+class Clusterer(Clustering):
+    """A clusterer without an order: its centres are the points, sorted along the form."""
+
+    @abstractmethod
+    def centres(self, samples: Samples, layout: Topology, seed: int) -> Centres:
+        """Cluster the samples, from nothing but them: equal arguments give equal centres.
+
+        Args:
+            samples: M >= N points of any dimension; each counts once, whatever its weight.
+            layout: How the N points of the shape hang together; ``layout.size`` = N.
+            seed: Of whatever is drawn by lot.
+        """
+
+
+def rms_spread(points: npt.NDArray[np.float64]) -> float:
+    """Root mean square distance of (M,D) points from their mean: a length that tolerances can be told in."""
+    return max(float(np.sqrt(points.var(axis=0).sum())), 1e-300)

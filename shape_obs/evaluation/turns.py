@@ -1,0 +1,63 @@
+"""Timing in turns: every method on every frame, each frame in another order, so that none has the quieter machine."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, NamedTuple, TypeVar
+
+S = TypeVar("S")
+
+
+def _nothing() -> None:
+    """What most entrants need done before."""
+
+
+@dataclass(frozen=True)
+class Entrant(Generic[S]):
+    """One method.
+
+    Args:
+        name: As the tables call it.
+        run: What is timed, on one frame.
+        before: What it needs done before its clock starts.
+        touch: Brings what it reads into the cache, as if it had just been made: who ran before must not matter.
+        frames: In which it takes part; None is all.
+    """
+
+    name: str
+    run: Callable[[S], Any]
+    before: Callable[[], object] = _nothing
+    touch: Callable[[S], object] = lambda frame: None
+    frames: Container[int] | None = None
+
+
+class Turn(NamedTuple):
+    """One method on one frame.
+
+    Args:
+        frame: Its number.
+        name: The entrant's.
+        milliseconds: What it took.
+        result: What came out.
+    """
+
+    frame: int
+    name: str
+    milliseconds: float
+    result: Any
+
+
+def turns(frames: Iterable[S], entrants: Sequence[Entrant[S]]) -> Iterator[Turn]:
+    """Let every entrant run on every frame in which it takes part."""
+    for i, frame in enumerate(frames):
+        first = i % len(entrants)
+        for entrant in (*entrants[first:], *entrants[:first]):
+            if entrant.frames is not None and i not in entrant.frames:
+                continue
+            entrant.before()
+            entrant.touch(frame)
+            begin = time.perf_counter()
+            result = entrant.run(frame)
+            yield Turn(i, entrant.name, 1e3 * (time.perf_counter() - begin), result)

@@ -1,0 +1,76 @@
+"""Masks as rows of pixels, on NumPy: cells, look-ups."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.kernels.interface import Array, Indices, Mask
+
+
+def survey(mask: Mask, left: int, top: int, min_area: float, min_share: float) -> tuple[Indices, Indices, bool]:
+    """See ``Kernels.survey``."""
+    u, v, width, height = cv2.boundingRect(mask)
+    crop, left, top = mask[v : v + height, u : u + width], left + u, top + v
+    if width and len(cv2.findContours(crop, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]) == 1:
+        found = _runs(crop, left, top)  # nothing to sort out, as on most frames
+        area = np.sum(found[:, 2] - found[:, 1], keepdims=True)
+        if area >= min_area:
+            return found, area, False
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(crop, connectivity=8) if width else (0, crop, crop, None)
+    areas = np.asarray(stats, dtype=np.int64)[1:count, cv2.CC_STAT_AREA]
+    keep = np.append(False, areas >= max(min_area, min_share * float(areas.max(initial=0))))
+    kept = areas[keep[1:]]
+    return _runs(keep[labels], left, top), -np.sort(-kept), len(kept) < len(areas)
+
+
+def _runs(mask: npt.NDArray[Any], left: int, top: int) -> Indices:
+    """The rows of pixels of a mask."""
+    height, width = mask.shape
+    framed = np.zeros((height, width + 2), bool)  # every run has a pixel before and behind it
+    np.not_equal(mask, 0, out=framed[:, 1:-1])
+    flat = framed.ravel()
+    edges = np.flatnonzero(flat[1:] != flat[:-1])
+    row, start = np.divmod(edges[::2], width + 2)
+    return np.stack([row + top, start + left, start + (edges[1::2] - edges[::2]) + left], axis=1)
+
+
+def cells(runs: Indices, size: int) -> tuple[Array, Array]:
+    """See ``Kernels.cells``."""
+    if not len(runs):
+        return np.empty((0, 2)), np.empty(0)
+    row, start, stop = runs.T
+    first = start // size
+    pieces = (stop - 1) // size - first + 1
+    # Runs are cut where they pass from one column of cells to the next.
+    run = np.repeat(np.arange(len(runs)), pieces)
+    column = first[run] + np.arange(len(run)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    begin = np.maximum(start[run], column * size)
+    end = np.minimum(stop[run], (column + 1) * size)
+    count = end - begin
+    left, down = int(column.min()), row[run] // size
+    cell = (down - down[0]) * (int(column.max()) - left + 1) + column - left
+    number = np.bincount(cell, weights=count)
+    held = np.flatnonzero(number)
+    weight = number[held]
+    points = np.empty((len(held), 2))
+    points[:, 0] = np.bincount(cell, weights=(begin + end - 1) * count)[held] / (2 * weight)
+    points[:, 1] = np.bincount(cell, weights=row[run] * count)[held] / weight
+    return points, weight
+
+
+def carried(mask: Mask, left: int, top: int, points: Array, reach: int) -> npt.NDArray[np.bool_]:
+    """See ``Kernels.carried``."""
+    pixel = np.rint(points).astype(np.intp)
+    u, v = pixel[:, 0] - left, pixel[:, 1] - top
+    height, width = mask.shape
+    around = np.arange(-reach, reach + 1)
+    if len(u) and reach <= u.min() and u.max() < width - reach and reach <= v.min() and v.max() < height - reach:
+        nearby = (around[:, None] * width + around).ravel()
+        return mask.ravel()[(v * width + u)[:, None] + nearby].any(axis=1)
+    u, v = u[:, None, None] + around, v[:, None, None] + around[:, None]
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    return np.asarray((inside & (mask[np.where(inside, v, 0), np.where(inside, u, 0)] > 0)).any(axis=(1, 2)))
