@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -17,20 +17,24 @@ from shape_obs.cloud import Cloud, read_cloud
 from shape_obs.clustering import Clusterer
 from shape_obs.config import DetectorConfig
 from shape_obs.configurations import Configuration
-from shape_obs.deproject import SeenCloud, deproject
+from shape_obs.deproject import SeenCloud
 from shape_obs.fitting import Fit, fit
 from shape_obs.forking import use_no_threads_in_forked_children
 from shape_obs.frame import Frame, check_mask
 from shape_obs.kernels import Kernels, choose
 from shape_obs.missing import lost_shape
 from shape_obs.points import shape_of
-from shape_obs.region import Region, find_region
+from shape_obs.roi import Window
 from shape_obs.segmentation import Segmentation
 from shape_obs.shape import Detection, Shape
 from shape_obs.timing import Timed
-from shape_obs.tracking import Track
+from shape_obs.tracking import Track, outlook
+from shape_obs.view import View
 
 Array = npt.NDArray[np.float64]
+
+# Frames after which all of the image is looked at, though every shape is tracked: what was hidden may be back.
+_LOOK_AROUND: Final = 30
 
 use_no_threads_in_forked_children()
 
@@ -88,6 +92,7 @@ class ShapeDetector:
         self._kinds: dict[str, type[Body]] = {}
         self._last: dict[str, tuple[Shape, float]] = {}
         self._stamp: float | None = None
+        self._looked = 0
         self._begin = 0.0
 
     def detect(
@@ -123,16 +128,7 @@ class ShapeDetector:
                     f"shape {spec.name!r} has no segmentation: pass segmentation=HSVRange(low=..., high=...) to the "
                     "detector, or a mask of your own to detect_mask."
                 )
-        timings: dict[str, float] = {}
-        regions: dict[Segmentation | None, Region] = {}
-        window = self.config.roi.window(frame.size)
-        for rule in dict.fromkeys(spec.segmentation for spec in self.shapes):
-            assert rule is not None
-            with Timed(timings, "segmentation"):
-                mask = self.config.roi.blank(rule.apply(frame, window), window)
-            with Timed(timings, "region"):
-                regions[rule] = find_region(mask, window, rule.min_area, rule.min_share, self.kernels)
-        return self._on_image(frame, regions, anchors, timings, begin)
+        return self._on_image(frame, None, anchors, begin)
 
     def detect_mask(
         self,
@@ -153,15 +149,7 @@ class ShapeDetector:
                 raise ValueError(
                     f"the mask has {size[1]} x {size[0]} pixels, {name} {other[1]} x {other[0]}: they must be equal."
                 )
-        timings: dict[str, float] = {}
-        regions: dict[Segmentation | None, Region] = {}
-        window = self.config.roi.window(size)
-        for rule in dict.fromkeys(spec.segmentation for spec in self.shapes):
-            floor = rule or Segmentation
-            with Timed(timings, "region"):
-                cut = self.config.roi.blank(mask[window.slices], window)
-                regions[rule] = find_region(cut, window, floor.min_area, floor.min_share, self.kernels)
-        return self._on_image(frame, regions, anchors, timings, begin)
+        return self._on_image(frame, mask, anchors, begin)
 
     def detect_cloud(
         self,
@@ -194,62 +182,86 @@ class ShapeDetector:
         with Timed(timings, "cloud"):
             cloud = read_cloud(points, self.kernels)
         targets = [anchor_point(spec, anchors, frame.camera) for spec in self.shapes]
-        return self._shapes(frame, [cloud] * len(self.shapes), targets, timings, begin)
+        stamp = self._next_stamp(frame)
+        shapes = [
+            self._shape(spec, frame, cloud, *self._fit(spec, cloud, target, stamp, timings), stamp, timings)
+            for spec, target in zip(self.shapes, targets, strict=True)
+        ]
+        timings["total"] = 1e3 * (time.perf_counter() - begin)
+        return Detection(tuple(shapes), stamp, timings)
 
     def _on_image(
-        self,
-        frame: Frame,
-        regions: Mapping[Segmentation | None, Region],
-        anchors: Anchors,
-        timings: dict[str, float],
-        begin: float,
+        self, frame: Frame, mask: npt.NDArray[np.uint8] | None, anchors: Anchors, begin: float
     ) -> Detection:
-        """Give each shape its mask, or the cloud under it."""
-        clouds: dict[Segmentation | None, Cloud] = {}
-        bodies: list[Body] = []
+        """Find each shape in its mask, or in the cloud under it: where it is expected, else everywhere."""
         for spec in self.shapes:
             asked = "lift='cloud'" if spec.lift == "cloud" else "spacing='m'" if spec.spacing == "m" else ""
             if asked and (frame.depth is None or frame.camera is None):
                 instead = "lift='points'" if spec.lift == "cloud" else "spacing='px'"
                 raise ValueError(f"shape {spec.name!r}: {asked} needs depth and a camera; give both, or {instead}.")
-            rule = spec.segmentation
-            if spec.lift == "cloud" and frame.depth is not None and frame.camera is not None and rule not in clouds:
-                with Timed(timings, "cloud"):
-                    clouds[rule] = deproject(regions[rule], frame.depth, frame.camera.intrinsics)
-            bodies.append(clouds[rule] if spec.lift == "cloud" else regions[rule])
         targets = [anchor_pixel(spec, anchors, frame.camera) for spec in self.shapes]
-        return self._shapes(frame, bodies, targets, timings, begin)
-
-    def _shapes(
-        self,
-        frame: Frame,
-        bodies: Sequence[Body],
-        targets: Sequence[Array | None],
-        timings: dict[str, float],
-        begin: float,
-    ) -> Detection:
+        timings: dict[str, float] = {}
+        view = View(frame, mask, self.config.roi, self.kernels, timings)
         stamp = self._next_stamp(frame)
+        expected = self._expected(stamp)
         shapes = []
-        for spec, body, target in zip(self.shapes, bodies, targets, strict=True):
-            if self._kinds.setdefault(spec.name, type(body)) is not type(body):
-                self._forget(spec.name)  # pixels say nothing about metres
-                self._kinds[spec.name] = type(body)
-            with Timed(timings, "fit"):
-                found, present = fit(body, spec, self._tracks.get(spec.name), target, stamp)
-            if isinstance(self.config.clustering, Clusterer):
-                with Timed(timings, "clustering"):
-                    found = clustered(found, body, spec, self.config.clustering)
-            with Timed(timings, "lift"):
-                shape = self._finish(spec, found, body, frame, stamp)
-            if present is not None:
-                self._tracks[spec.name] = present
-            if not shape.reason:
-                self._last[spec.name] = (shape, stamp)
-            elif stamp - self._last.get(spec.name, (shape, stamp))[1] > self.config.max_age:
-                self._tracks.pop(spec.name, None)
-            shapes.append(shape)
+        for spec, target in zip(self.shapes, targets, strict=True):
+            body = view.body(spec, expected.get(spec.segmentation))
+            found, present = self._fit(spec, body, target, stamp, timings)
+            if not found.ok and view.look_everywhere(spec):
+                body = view.body(spec, None)
+                found, present = self._fit(spec, body, target, stamp, timings)
+            shapes.append(self._shape(spec, frame, body, found, present, stamp, timings))
         timings["total"] = 1e3 * (time.perf_counter() - begin)
         return Detection(tuple(shapes), stamp, timings)
+
+    def _expected(self, stamp: float) -> dict[Segmentation | None, Window | None]:
+        """Where the shapes of each segmentation will all be; None where one has no track, and once in a while."""
+        self._looked += 1
+        if self._looked % _LOOK_AROUND == 0:
+            return {}
+        windows: dict[Segmentation | None, Window | None] = {}
+        for spec in self.shapes:
+            track, rule = self._tracks.get(spec.name), spec.segmentation
+            window = None if track is None else outlook(track, stamp)
+            if rule in windows:
+                other = windows[rule]
+                window = None if window is None or other is None else window.united(other)
+            windows[rule] = window
+        return windows
+
+    def _fit(
+        self, spec: Configuration, body: Body, target: Array | None, stamp: float, timings: dict[str, float]
+    ) -> tuple[Fit, Track | None]:
+        if self._kinds.setdefault(spec.name, type(body)) is not type(body):
+            self._forget(spec.name)  # pixels say nothing about metres
+            self._kinds[spec.name] = type(body)
+        with Timed(timings, "fit"):
+            return fit(body, spec, self._tracks.get(spec.name), target, stamp)
+
+    def _shape(
+        self,
+        spec: Configuration,
+        frame: Frame,
+        body: Body,
+        found: Fit,
+        present: Track | None,
+        stamp: float,
+        timings: dict[str, float],
+    ) -> Shape:
+        """The shape of a fit, and what is remembered of it."""
+        if isinstance(self.config.clustering, Clusterer):
+            with Timed(timings, "clustering"):
+                found = clustered(found, body, spec, self.config.clustering)
+        with Timed(timings, "lift"):
+            shape = self._finish(spec, found, body, frame, stamp)
+        if present is not None:
+            self._tracks[spec.name] = present
+        if not shape.reason:
+            self._last[spec.name] = (shape, stamp)
+        elif stamp - self._last.get(spec.name, (shape, stamp))[1] > self.config.max_age:
+            self._tracks.pop(spec.name, None)
+        return shape
 
     def _forget(self, name: str) -> None:
         self._tracks.pop(name, None)

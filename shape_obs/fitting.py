@@ -13,6 +13,7 @@ from shape_obs.clustering import som
 from shape_obs.configurations import Configuration
 from shape_obs.form import Form
 from shape_obs.gate import MAX_HIDDEN
+from shape_obs.region import Region
 from shape_obs.topology import Topology
 from shape_obs.tracking import Prediction, Track, advance, predict, size_jump
 
@@ -70,7 +71,8 @@ def fit(
         topology = prediction.topology
         found = _settle(spec.warm(known, prediction), known, spec, topology, True, MAX_HIDDEN, prediction)
         if found.form is not None and found.ok:
-            found = replace(found, reason=size_jump(prediction.size, found.form.size, body.unit))
+            jump = size_jump(prediction.size, found.form.size, body.unit)
+            found = replace(found, reason=jump) if jump else found
         if found.form is None or not found.ok:
             found = _cold(body, spec, topology, prediction)
         elif _hidden(found.form) > sum(prediction.memory.hidden) + found.form.memory.slack:
@@ -81,7 +83,8 @@ def fit(
     if found.form is None or not found.ok:
         return found, None
     nodes, width = spec.nodes(found.form, topology), spec.girth(found.form, body)
-    present = advance(track, nodes, found.form, stamp, topology, width)
+    box = body.box if isinstance(body, Region) else None
+    present = advance(track, nodes, found.form, stamp, topology, width, box)
     return (_numbered(found, body, spec, target) if spec.order == "image" else found), present
 
 

@@ -16,7 +16,6 @@ import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
 from scipy.signal import savgol_filter
 
-from shape_obs.curve import arc_length
 from shape_obs.kernels import NUMPY, Kernels
 
 if TYPE_CHECKING:
@@ -87,6 +86,11 @@ class Curve(Form):
 
     closed: bool = False
 
+    def along(self, arc: Array) -> Self:
+        """The same curve, whose ``arc`` is known."""
+        self.__dict__["arc"] = arc
+        return self
+
     @cached_property
     def arc(self) -> Array:
         """(P,) arc length of the points; (P+1,) when closed, the last entry the whole."""
@@ -106,6 +110,11 @@ class Curve(Form):
         flags = np.append(self.bridged, self.bridged[0]) if self.closed else self.bridged
         return float(step @ (flags[:-1] / 2 + flags[1:] / 2) / max(self.size, 1e-9))
 
+    def remembering(self, memory: Memory) -> Curve:
+        """The same curve with another memory."""
+        other = Curve(self.points, self.bridged, self.closed, memory=memory, doubt=self.doubt, kernels=self.kernels)
+        return other.along(self.arc)
+
     def cut(self, piece: slice) -> Self:
         """An open curve's piece."""
         return replace(self, points=self.points[piece], bridged=self.bridged[piece])
@@ -115,6 +124,18 @@ class Curve(Form):
         at = np.asarray(arc, dtype=np.float64)
         at = at % self.size if self.closed else at
         return self.kernels.interpolate(self._polyline(self.points), self.arc, at)
+
+    def even(self, count: int) -> Array:
+        """(count,D) places of equal arc length around a closed curve, from its first point on."""
+        known = self.__dict__.get("_even")
+        if known is None or len(known) != count:
+            known = self.__dict__["_even"] = self.at(np.arange(count) * (self.size / count))
+        return known
+
+    def knowing(self, arc: Array, even: Array) -> Self:
+        """This curve, told its ``arc`` and what it is asked for by ``even(len(even))``."""
+        self.__dict__.update(arc=arc, _even=even)
+        return self
 
     def bridged_at(self, arc: npt.ArrayLike) -> Mask:
         """(N,) whether the nearer of the two neighbouring points is bridged."""
@@ -206,14 +227,25 @@ class Patch(Form):
 
         Places are rows and columns of the lattice, fractions of them included; in between it is bilinear.
         """
-        return self.kernels.sampled(self.lattice, v, u)
+        across = _between(u, self.lattice.shape[1]) @ self.lattice
+        return np.tensordot(_between(v, self.rows), across, axes=1).reshape(len(v) * len(u), -1)
+
+    def evenly(self, rows: int, cols: int, *, centers: bool) -> Array:
+        """(rows*cols,D) points with equal gaps down and across, on the mean over the patch.
+
+        Args:
+            rows: How many.
+            cols: How many.
+            centers: They are the centres of equal pieces; else the outer ones lie on the border.
+        """
+        return self.kernels.sampled(self.lattice, *self.gauges, rows, cols, centers)
 
     def bridged_at(self, v: Array, u: Array) -> Mask:
         """(R*C,) whether most of what lies around such a place is bridged."""
         if not self.bridged.any():
             return np.zeros(len(v) * len(u), bool)
-        flags = self.bridged.reshape(self.rows, -1, 1).astype(np.float64)
-        return self.kernels.sampled(flags, v, u)[:, 0] > 0.5
+        flags = self.bridged.reshape(self.rows, -1).astype(np.float64)
+        return (_between(v, self.rows) @ flags @ _between(u, flags.shape[1]).T).ravel() > 0.5
 
     def turned(self, quarters: int) -> Self:
         """The same patch with its first corner ``quarters`` corners further on, clockwise."""
@@ -235,3 +267,8 @@ class Patch(Form):
     def measured(self, points: Array) -> Self:
         """The same patch with its points elsewhere: (P,D') for (P,D), say in metres for pixels."""
         return replace(self, points=points)
+
+
+def _between(at: Array, count: int) -> Array:
+    """(N,count) weights that interpolate ``count`` values at (N,) fractions of an index."""
+    return np.maximum(1 - np.abs(at[:, None] - np.arange(count)), 0.0)

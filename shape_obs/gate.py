@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from shape_obs.body import Body
 from shape_obs.form import Curve, Patch
-from shape_obs.kernels import numpy_ as kernels
 from shape_obs.samples import Samples
 
 Array = npt.NDArray[np.float64]
@@ -90,7 +89,8 @@ def judge_outline(curve: Curve, body: Body, samples: Samples) -> Verdict:
             f"(at least {_MIN_PIECE:.0%})",
             0.0,
         )
-    miss = _miss(curve, samples.points[:: -(-len(samples) // _JUDGED)]) / samples.scale
+    judged = np.ascontiguousarray(samples.points[:: -(-len(samples) // _JUDGED)])
+    miss = body.kernels.miss(judged, curve.points, curve.size) / samples.scale
     if miss > _MAX_MISS:
         return Verdict(f"the outline misses the {body.noun}'s by {miss:.2f} samples (at most {_MAX_MISS:.2f})", 0.0)
     excess = max(miss - _IDEAL_MISS, 0.0) / (_MAX_MISS - _IDEAL_MISS)
@@ -110,54 +110,37 @@ def judge_sheet(patch: Patch, body: Body, kink: float) -> Verdict:
         body: What it was fitted to.
         kink: Degrees by which the outline turns at most, away from the corners.
     """
-    corner = float(patch.angles[np.argmax(np.abs(patch.angles - 90))])
-    winding = float(patch.windings.max())
-    refusals = (
-        (
-            patch.empty > _MAX_OFF,
-            f"{patch.empty:.0%} of the lattice lies off the {body.noun} (at most {_MAX_OFF:.0%})",
-        ),
-        (
-            abs(corner - 90) > _MAX_SKEW,
-            f"a corner of the lattice has {corner:.0f} degrees (90 and {_MAX_SKEW:.0f} more or less)",
-        ),
-        (patch.folds > _MAX_FOLDS, f"the lattice folds at {patch.folds:.0%} of its cells"),
-        (
-            kink > _MAX_KINK,
+    empty, (corner, folds, winding, uneven) = patch.empty, body.kernels.assessed(patch.lattice)
+    reason = ""
+    if empty > _MAX_OFF:
+        reason = f"{empty:.0%} of the lattice lies off the {body.noun} (at most {_MAX_OFF:.0%})"
+    elif abs(corner - 90) > _MAX_SKEW:
+        reason = f"a corner of the lattice has {corner:.0f} degrees (90 and {_MAX_SKEW:.0f} more or less)"
+    elif folds > _MAX_FOLDS:
+        reason = f"the lattice folds at {folds:.0%} of its cells"
+    elif kink > _MAX_KINK:
+        reason = (
             f"the outline turns by {kink:.0f} degrees between two corners (at most {_MAX_KINK:.0f}): the {body.noun} "
-            "is no sheet, or a part of it is hidden",
-        ),
-        (
-            winding > _MAX_WINDING,
+            "is no sheet, or a part of it is hidden"
+        )
+    elif winding > _MAX_WINDING:
+        reason = (
             f"a side is {winding:.0%} longer than the way from corner to corner (at most {_MAX_WINDING:.0%}): the "
-            f"{body.noun} is no sheet with four corners",
-        ),
-        (
-            patch.unevenness > _MAX_UNEVEN,
-            f"the areas of the lattice's cells vary by {patch.unevenness:.0%} (at most {_MAX_UNEVEN:.0%})",
-        ),
-    )
-    for refused, reason in refusals:
-        if refused:
-            return Verdict(reason, 0.0)
-    bent = max(kink - _IDEAL_KINK, 0) / (_MAX_KINK - _IDEAL_KINK)
-    shares = np.array([patch.empty / _MAX_OFF, bent, winding / _MAX_WINDING, patch.unevenness / _MAX_UNEVEN])
-    return Verdict("", float(np.prod(1 - shares)) ** 0.5)
-
-
-def _miss(curve: Curve, points: Array) -> float:
-    """Mean distance of (M,D) points from the tangents of a closed curve."""
-    nearest = kernels.best_matching_units(points, curve.points)
-    tangent = np.roll(curve.points, -1, axis=0) - np.roll(curve.points, 1, axis=0)
-    tangent /= np.maximum(np.linalg.norm(tangent, axis=1), 1e-9)[:, None]
-    offset = points - curve.points[nearest]
-    along = np.einsum("md,md->m", offset, tangent[nearest])
-    square = np.einsum("md,md->m", offset, offset)
-    beyond = np.maximum(np.abs(along) - curve.size / len(curve.points), 0)
-    return float(np.mean(np.sqrt(np.maximum(square - along**2, 0) + beyond**2)))
+            f"{body.noun} is no sheet with four corners"
+        )
+    elif uneven > _MAX_UNEVEN:
+        reason = f"the areas of the lattice's cells vary by {uneven:.0%} (at most {_MAX_UNEVEN:.0%})"
+    if reason:
+        return Verdict(reason, 0.0)
+    bent = max(kink - _IDEAL_KINK, 0.0) / (_MAX_KINK - _IDEAL_KINK)
+    shares = (1 - empty / _MAX_OFF) * (1 - bent) * (1 - winding / _MAX_WINDING) * (1 - uneven / _MAX_UNEVEN)
+    return Verdict("", shares**0.5)
 
 
 def _spread(curve: Array, body: Body) -> float:
     """Root mean square distance of the body's samples from the curve, in the body's unit."""
-    samples = body.samples
-    return (body.kernels.spread(samples.points, samples.weight, curve) + body.within) ** 0.5
+    samples, step = body.samples, -(-len(body.samples) // _JUDGED)
+    points, weight = samples.points, samples.weight
+    if step > 1:
+        points, weight = points[::step].copy(), weight[::step].copy()
+    return (body.kernels.spread(points, weight, curve) + body.within) ** 0.5

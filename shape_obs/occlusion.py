@@ -7,6 +7,7 @@ is put where it agrees with the prediction, and the hidden ends are carried alon
 from __future__ import annotations
 
 from dataclasses import replace
+from math import dist
 from typing import Final
 
 import numpy as np
@@ -34,7 +35,7 @@ _PLACE: Final = 0.1  # the weight of where a rope is predicted against how it is
 # would shrink the rope.
 _SLACK: Final = (0.015, 2.5)
 _GIVING: Final = 0.003
-_CLEAR: Final = 9.0  # how much nearer, squared, ends lie to their own places than to each other's
+_CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
 _GAINING: Final = 0.01  # a chain that bulges in one frame does not make the rope longer for good
 
 
@@ -49,7 +50,7 @@ def follow_chain(form: Curve, prediction: Prediction) -> Curve:
     if prediction.size - slack < form.size < prediction.size:
         prediction = prediction._replace(size=max((1 - _GIVING) * prediction.size, form.size))
     if form.size >= prediction.size and not form.bridged.any() and _is_along(form, prediction.nodes):
-        return replace(form, memory=Memory(size=min(form.size, (1 + _GAINING) * prediction.size)))
+        return form.remembering(Memory(size=min(form.size, (1 + _GAINING) * prediction.size)))
     known = _Known(prediction)
     whole = known.filled(min((form, form.reversed()), key=known.distance))
     missing = known.size - whole.size
@@ -77,9 +78,14 @@ def strayed_corner(expected: Array, found: Array) -> str:
     reach = float(np.linalg.norm(found - found.mean(axis=0), axis=1).max())
     astray = [_astray(expected, found, corner) / max(reach, 1e-9) for corner in range(4)]
     worst = int(np.argmax(astray))
-    if astray[worst] <= _STRAYED:
+    return strays(worst, astray[worst])
+
+
+def strays(corner: int, share: float) -> str:
+    """Why a corner cannot be the sheet's that lies a share of half a diagonal from where the other three put it."""
+    if share <= _STRAYED:
         return ""
-    return f"corner {worst} strays by {astray[worst]:.0%} of half a diagonal from where the other three have moved"
+    return f"corner {corner} strays by {share:.0%} of half a diagonal from where the other three have moved"
 
 
 def _astray(expected: Array, found: Array, corner: int) -> float:
@@ -104,13 +110,10 @@ def shown(form: Curve) -> slice:
 
 def _is_along(form: Curve, nodes: Array) -> bool:
     """Whether a curve clearly runs in the direction of (K,D) nodes: its ends tell, where they do not lie together."""
-    points = form.points
-    forward = _square(points[0] - nodes[0]) + _square(points[-1] - nodes[-1])
-    return _CLEAR * forward < _square(points[0] - nodes[-1]) + _square(points[-1] - nodes[0])
-
-
-def _square(vector: Array) -> float:
-    return float(vector @ vector)
+    first, last = form.points[0].tolist(), form.points[-1].tolist()
+    head, tail = nodes[0].tolist(), nodes[-1].tolist()
+    forwards, backwards = dist(first, head) + dist(last, tail), dist(first, tail) + dist(last, head)
+    return _CLEAR * forwards < backwards
 
 
 def _start(starts: Array, costs: Array, before: float, missing: float) -> float:

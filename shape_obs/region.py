@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, NamedTuple
 
@@ -15,7 +15,7 @@ from shape_obs.kernels import NUMPY, Kernels
 from shape_obs.roi import Window
 from shape_obs.samples import Samples, mask_pixels
 
-MAX_CELL = 8
+MAX_CELL = 24
 SPECK = 20  # pixels around a hole; shorter ones are noise
 
 
@@ -108,7 +108,7 @@ class Region:
 
     def as_wide_as(self, width: float) -> Region:
         """The same region where its width is known, pixels: nothing has to be traced for it."""
-        other = replace(self)
+        other = Region(self.window, self.mask, self.runs, self.areas, self.kernels)
         other.__dict__["width"] = width
         return other
 
@@ -120,7 +120,7 @@ class Region:
     @cached_property
     def border(self) -> Border:
         """The outer outline of the largest component."""
-        return Border(_clockwise(self.components[0].outline))
+        return Border(_clockwise(self.components[0].outline), kernels=self.kernels)
 
     @property
     def outlined(self) -> float:
@@ -137,7 +137,7 @@ class Region:
         largest = next(i for i in np.flatnonzero(parents < 0) if np.any(np.all(contours[i] == start, axis=1)))
         inner = [contours[i] for i in np.flatnonzero(parents == largest)]
         inner.sort(key=cv2.contourArea, reverse=True)
-        return tuple(Border(_clockwise(contour.astype(np.float64)), hole=True) for contour in inner)
+        return tuple(Border(_clockwise(contour.astype(np.float64)), True, self.kernels) for contour in inner)
 
     @cached_property
     def pixels(self) -> npt.NDArray[np.int32]:

@@ -26,6 +26,13 @@ class Window(NamedTuple):
         """Row and column slices."""
         return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
+    def united(self, other: Window) -> Window:
+        """The least window that holds both."""
+        left, top = min(self.left, other.left), min(self.top, other.top)
+        right = max(self.left + self.width, other.left + other.width)
+        bottom = max(self.top + self.height, other.top + other.height)
+        return Window(left, top, right - left, bottom - top)
+
 
 class ROI(Spec, family="roi"):
     """A region of interest: the window to read, and what to blank in it."""

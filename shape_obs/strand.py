@@ -1,4 +1,4 @@
-"""What lies ahead of the end of a strand in a cloud; in a mask, ``Kernels.march`` asks the same."""
+"""What lies ahead of the end of a strand in a cloud; in a mask, ``Kernels.ribbon`` asks the same."""
 
 from __future__ import annotations
 

@@ -1,50 +1,39 @@
-"""The real ends of a ribbon or a rope, past the last cluster centres."""
+"""The real ends of a rope in a cloud, past the last cluster centres; in a mask, ``Kernels.ribbon`` finds them."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.body import Body
 from shape_obs.cloud import Cloud
 from shape_obs.kernels.interface import LAST, LAST_REST, MAX_STEPS, SHORTEST, STEP_FROM, STEP_TO
 from shape_obs.strand import ahead
 
 Array = npt.NDArray[np.float64]
 
-def extend_to_tips(nodes: Array, body: Body, width: float) -> Array:
-    """Cut a chain of cluster centres where it hangs over the body, and lengthen it to the tips.
+
+def extend_to_tips(nodes: Array, cloud: Cloud, width: float) -> Array:
+    """Cut a chain of cluster centres where it hangs over the cloud, and lengthen it to the tips.
 
     Args:
-        nodes: (K,D) pixels or metres, K >= 3.
-        body: What they were fitted to.
-        width: The ribbon's width, in the same unit.
+        nodes: (K,3) metres, K >= 3.
+        cloud: What they were fitted to.
+        width: The rope's, metres.
 
     Returns:
-        (K',D); the first and last points lie on the tips.
+        (K',3); the first and last points lie on the tips.
     """
-    width = max(width, body.thinnest)
-    nodes = _without_overhang(nodes, body)
-    head = _extension(np.ascontiguousarray(nodes[:3]), body, width)
-    tail = _extension(np.ascontiguousarray(nodes[:-4:-1]), body, width)
+    width = max(width, cloud.thinnest)
+    on = np.flatnonzero(cloud.carries(nodes))  # a prediction that overshoots leaves empty nodes past the end
+    if len(on) and on[-1] - on[0] >= 2:
+        nodes = nodes[on[0] : on[-1] + 1]
+    head = _extension(nodes[:3], cloud, width)
+    tail = _extension(nodes[:-4:-1], cloud, width)
     return np.concatenate([head[::-1], nodes, tail])
 
 
-def _without_overhang(nodes: Array, body: Body) -> Array:
-    """The nodes from the first to the last on the body: a prediction that overshoots leaves empty ones past the end."""
-    on = np.flatnonzero(body.carries(nodes))
-    return nodes[on[0] : on[-1] + 1] if len(on) and on[-1] - on[0] >= 2 else nodes
-
-
-def _extension(start: Array, body: Body, width: float) -> Array:
-    """(S,D) from the end of a chain, the first of (3,D) nodes, to the tip."""
-    if isinstance(body, Cloud):
-        return _through(body, start, width)
-    return body.kernels.march(body.mask, body.window.left, body.window.top, start, width, body.thinnest)
-
-
-def _through(cloud: Cloud, start: Array, width: float) -> Array:
-    """``Kernels.march``, through a cloud."""
+def _extension(start: Array, cloud: Cloud, width: float) -> Array:
+    """(S,3) from the end of a chain, the first of (3,3) nodes, to the tip."""
     front, heading, rest = start[0], _heading(start), 0.0
     path: list[Array] = []
     for _ in range(MAX_STEPS):

@@ -134,6 +134,10 @@ class Grid(Topology):
         """How many nodes."""
         return self.rows * self.cols
 
+    def lattice(self, nodes: Array) -> Array:
+        """(K,D) nodes as (rows,cols,D)."""
+        return nodes.reshape(self.rows, self.cols, nodes.shape[1])
+
     def places(self) -> Array:
         """(K,2) row and column of each node."""
         row, column = np.divmod(np.arange(self.size), self.cols)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from math import ceil, floor
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.form import Form, Memory
+from shape_obs.roi import Window
 from shape_obs.topology import Topology
 
 Array = npt.NDArray[np.float64]
@@ -15,6 +17,7 @@ Array = npt.NDArray[np.float64]
 _VELOCITY_SHARE: Final = 0.8
 _MAX_SIZE_CHANGE: Final = 0.06
 _MAX_WIDTH_CHANGE: Final = 0.02
+_SPARE: Final = (8.0, 1.0)  # around the place where a mask is expected: pixels, and of the step that was predicted
 
 
 class Track(NamedTuple):
@@ -29,6 +32,7 @@ class Track(NamedTuple):
         topology: How the nodes hang together.
         memory: What the last form handed on beside its nodes.
         width: Of a ribbon, as the body shows it; 0 where that says nothing.
+        margins: How far the mask reaches beyond the nodes, to the left, top, right and bottom; None without a mask.
     """
 
     nodes: Array
@@ -39,6 +43,7 @@ class Track(NamedTuple):
     topology: Topology
     memory: Memory = Memory()
     width: float = 0.0
+    margins: tuple[float, float, float, float] | None = None
 
 
 class Prediction(NamedTuple):
@@ -72,9 +77,15 @@ def predict(track: Track, stamp: float, grain: float) -> Prediction:
 
 
 def advance(
-    track: Track | None, nodes: Array, form: Form, stamp: float, topology: Topology, width: float
+    track: Track | None,
+    nodes: Array,
+    form: Form,
+    stamp: float,
+    topology: Topology,
+    width: float,
+    box: Window | None,
 ) -> Track:
-    """The track after a frame in which a form was found, its nodes, and its width.
+    """The track after a frame in which a form was found, its nodes, its width, and the box around the mask.
 
     Widths change slowly: what hides a piece that is not known to be hidden makes the rest no thinner.
     """
@@ -83,7 +94,29 @@ def advance(
     interval = 0.0 if track is None else stamp - track.stamp
     velocity = np.zeros_like(nodes) if track is None or interval <= 0 else (nodes - track.nodes) / interval
     size = form.memory.size or form.size
-    return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.memory, width)
+    return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.memory, width, _margins(nodes, box))
+
+
+def outlook(track: Track, stamp: float) -> Window | None:
+    """Where the mask should be at ``stamp``, with room for what the prediction misses; None without a mask."""
+    if track.margins is None:
+        return None
+    ahead = _VELOCITY_SHARE * min(max(stamp - track.stamp, 0.0), track.interval)
+    nodes = track.nodes + ahead * track.velocity
+    spare = _SPARE[0] + _SPARE[1] * ahead * float(np.abs(track.velocity).max())
+    (left, top), (right, bottom) = nodes.min(axis=0).tolist(), nodes.max(axis=0).tolist()
+    left, top = floor(left - track.margins[0] - spare), floor(top - track.margins[1] - spare)
+    right, bottom = ceil(right + track.margins[2] + spare), ceil(bottom + track.margins[3] + spare)
+    return Window(left, top, right - left + 1, bottom - top + 1)
+
+
+def _margins(nodes: Array, box: Window | None) -> tuple[float, float, float, float] | None:
+    if box is None:
+        return None
+    (left, top), (right, bottom) = nodes.min(axis=0).tolist(), nodes.max(axis=0).tolist()
+    # Nodes may lie beyond the mask, where an end is hidden.
+    beyond = (left - box.left, top - box.top, box.left + box.width - 1 - right, box.top + box.height - 1 - bottom)
+    return max(beyond[0], 0.0), max(beyond[1], 0.0), max(beyond[2], 0.0), max(beyond[3], 0.0)
 
 
 def size_jump(before: float, after: float, unit: str) -> str:

@@ -114,6 +114,8 @@ def test_a_shape_that_is_not_there_is_told(photo, capsys):
         (["detect", "{photo}", "{photo}", *HSV], "several images are named 'rope'"),
         (["detect", "{photo}", *HSV, "--ends", "tip"], "unknown value 'tip'; did you mean 'tips'?"),
         (["demo", "--steps", "0"], "--steps: expected 1...50, got 0"),
+        (["bench", "peers", "--frames", "0"], "--frames: expected at least 1, got 0"),
+        (["bench", "peers", "--slow-frames", "-1"], "--slow-frames: expected at least 0, got -1"),
         (["bench", "claim"], "unknown measurement 'claim'; did you mean 'claims'?"),
     ],
 )
@@ -166,7 +168,10 @@ def test_bench_claims_prints_tables(capsys):
     assert "contour + surface" in out
 
 
-@pytest.mark.parametrize("command", [[], ["demo"], ["detect"], ["bench"], ["bench", "claims"]])
+@pytest.mark.parametrize(
+    "command",
+    [[], ["demo"], ["detect"], ["bench"], ["bench", "claims"], ["bench", "peers"], ["bench", "latency"]],
+)
 def test_every_command_has_help(command):
     script = Path(sys.executable).with_name("shape-obs")
     done = subprocess.run(

@@ -85,8 +85,13 @@ class Centerline(Configuration[Curve], kind="centerline"):
 
     def finish(self, nodes: Array, body: Body) -> Curve:
         """The curve through the nodes, lengthened to the rope's tips."""
-        points = body.kernels.catmull_rom(extend_to_tips(nodes, body, body.width))
-        return Curve(points, ~body.carries(points), kernels=body.kernels)
+        kernels, width = body.kernels, body.width
+        if isinstance(body, Region):
+            left, top = body.window[:2]
+            points, arc, carried = kernels.ribbon(body.mask, left, top, nodes, width, body.thinnest)
+            return Curve(points, ~carried, kernels=kernels).along(arc)
+        points = kernels.catmull_rom(extend_to_tips(nodes, body, width))
+        return Curve(points, ~body.carries(points), kernels=kernels)
 
     def known(self, body: Body, prediction: Prediction) -> Body:
         """A mask with the width that is known, so that its outline need not be traced."""

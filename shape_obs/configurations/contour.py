@@ -12,7 +12,7 @@ from shape_obs.body import Body
 from shape_obs.border import clockwise
 from shape_obs.coldstart.outline import breadth, holes, outline, outline_points, outline_samples
 from shape_obs.configurations.base import Configuration, Points
-from shape_obs.curve import catmull_rom, equidistant_around
+from shape_obs.curve import equidistant_around
 from shape_obs.form import Curve, Memory
 from shape_obs.gate import Verdict, judge_outline
 from shape_obs.phase import blend, lag
@@ -27,6 +27,7 @@ Array = npt.NDArray[np.float64]
 _NODE_SPACING: Final = 3.0
 _THIN: Final = 1.5  # widths from node to node at most: farther, and a node's samples are those of the other side too
 _NODES: Final = (24, 192)
+_PIECES: Final = 4  # of the curve between two nodes
 _MIN_SAMPLES: Final = 8  # a ring of 16 pixels, as few as a body may have
 _MIN_WIDTH: Final = 1.25  # in samples: of outlines of 2 px, one in three has its two sides mixed up; of 3 px, none
 # Numbered by the last frame alone, an outline of noisy pixels creeps by 6 px in 180 frames. The mean of some twenty
@@ -94,13 +95,11 @@ class Contour(Configuration[Curve], kind="contour"):
 
     def nodes(self, form: Curve, topology: Topology) -> Array:
         """K places of equal arc length, the first at the form's first point."""
-        return form.at(np.arange(topology.size) * (form.size / topology.size))
+        return form.even(topology.size)
 
     def warm(self, body: Body, prediction: Prediction) -> Array:
         """On this frame's own outline. They begin near where they are expected; it is the fitted form that follows."""
-        form = self.parameterise(body)
-        nearest = np.argmin(np.sum((form.points - prediction.nodes[0]) ** 2, axis=1))
-        return self.nodes(form.begun_at(float(form.arc[nearest])), prediction.topology)
+        return body.kernels.around(self.parameterise(body).points, prediction.nodes[0], prediction.topology.size)
 
     def widths(self, *, moving: bool) -> tuple[float, ...]:
         """One epoch: the start lies on the outline, and further ones change nothing."""
@@ -108,8 +107,8 @@ class Contour(Configuration[Curve], kind="contour"):
 
     def finish(self, nodes: Array, body: Body) -> Curve:
         """The closed curve through the nodes."""
-        points = catmull_rom(nodes, closed=True)
-        return Curve(points, np.zeros(len(points), bool), closed=True)
+        points = body.kernels.catmull_rom(nodes, _PIECES, True)
+        return Curve(points, np.zeros(len(points), bool), closed=True, kernels=body.kernels)
 
     def judge(self, form: Curve, body: Body, bridged: float) -> Verdict:
         """By how closely it follows the outline, and how much of the body lies within."""
@@ -125,6 +124,11 @@ class Contour(Configuration[Curve], kind="contour"):
     def follow(self, form: Curve, prediction: Prediction) -> Curve:
         """From the place where the predicted outline begins, whichever way it has turned."""
         reference = prediction.nodes if prediction.memory.reference is None else prediction.memory.reference
+        if form.points.shape[1] == 2:
+            points, arc, nodes, blended = form.kernels.followed(form.points, reference, prediction.nodes, _FORGETTING)
+            memory = Memory(reference=blended)
+            turned = Curve(points, np.zeros(len(points), bool), True, memory=memory, kernels=form.kernels)
+            return turned.knowing(arc, nodes)
         behind = lag(reference, prediction.nodes, self.nodes(form, prediction.topology))
         turned = form.begun_at(behind * form.size / prediction.topology.size)
         blended = blend(reference, self.nodes(turned, prediction.topology), _FORGETTING)
@@ -132,8 +136,8 @@ class Contour(Configuration[Curve], kind="contour"):
 
     def place(self, form: Curve, metric: Curve) -> Points:
         """Equal chords around, from the form's first point."""
-        at = equidistant_around(metric.points, metric.arc, self.n)
-        return Points(form.at(np.interp(at, metric.arc, form.arc)), metric.bridged_at(at))
+        at = equidistant_around(metric.points, metric.arc, self.n, form.kernels)
+        return Points(form.at(at if form is metric else np.interp(at, metric.arc, form.arc)), metric.bridged_at(at))
 
 
 def _least(values: Array, form: Curve) -> float:

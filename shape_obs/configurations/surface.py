@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -11,14 +11,14 @@ import numpy.typing as npt
 from scipy.interpolate import RegularGridInterpolator
 
 from shape_obs.body import Body
-from shape_obs.border import Border
 from shape_obs.cloud import Cloud
-from shape_obs.coldstart.coons import coons
 from shape_obs.coldstart.corners import Indices, Rim
 from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.form import Patch
 from shape_obs.gate import Verdict, judge_sheet
-from shape_obs.occlusion import strayed_corner
+from shape_obs.kernels import Kernels
+from shape_obs.kernels.interface_outline import FINE, RIM
+from shape_obs.occlusion import strayed_corner, strays
 from shape_obs.region import Region
 from shape_obs.samples import Samples
 from shape_obs.topology import Grid, Topology
@@ -26,7 +26,6 @@ from shape_obs.tracking import Prediction
 
 Array = npt.NDArray[np.float64]
 
-_FINE: Final = 25  # rows and columns of a patch: between them it is taken to be bilinear, 0.1 px off
 _NODES: Final = 8  # rows and columns that are remembered from frame to frame, whatever lattice is sampled
 _MIN_SIDE: Final = 6.0  # grains: what is narrower has no two sides to speak of
 _MAX_ASPECT: Final = 8.0  # length over width; what is longer is a ribbon, whose corners are its ends
@@ -94,19 +93,24 @@ class Surface(Configuration[Patch], kind="surface"):
         corners, doubt = rim.corners(), ""
         if corners is None:
             doubt = f"the outline has {len(rim.candidates)} corners, a sheet has four"
-            corners = np.arange(4) * (len(rim.points) // 4)
+            corners = np.arange(4) * (RIM // 4)
         form = replace(_laid(rim, corners, body), doubt=doubt)
         return self.numbered(form, body.seen(form.points, None), None)
 
     def nodes(self, form: Patch, topology: Topology) -> Array:
         """The centres of K equal pieces."""
         assert isinstance(topology, Grid)
-        return form.at(*_spread(form, topology.rows, topology.cols, "centers"))
+        return form.evenly(topology.rows, topology.cols, centers=True)
 
     def warm(self, body: Body, prediction: Prediction) -> Array:
-        """As on a cold start, with the corners that are nearest to the predicted ones."""
+        """On the patch between the corners nearest to the predicted ones; over a mask without a map, as predicted.
+
+        Nodes that no map moves tell ``finish`` nothing but where the corners are expected.
+        """
+        if not self.epochs and isinstance(body, Region):
+            return prediction.nodes
         rim = _rim(body)
-        corners = rim.corners_near(_corners(prediction.nodes, prediction.topology))
+        corners = rim.corners_near(_corners(prediction.nodes, prediction.topology, rim.kernels))
         return prediction.nodes if corners is None else self.nodes(_laid(rim, corners, body), prediction.topology)
 
     def widths(self, *, moving: bool) -> tuple[float, ...]:
@@ -115,26 +119,28 @@ class Surface(Configuration[Patch], kind="surface"):
 
     def finish(self, nodes: Array, body: Body) -> Patch:
         """The Coons patch between the corners nearest to the nodes', its inside moved where the map has moved them."""
-        rim, lattice = _rim(body), self.topology(body)
-        corners = rim.corners_near(_corners(nodes, lattice))
-        if corners is None:
+        lattice = self.topology(body)
+        form = _found(lattice.lattice(nodes), body)
+        if form is None:
             return replace(self.parameterise(body), doubt="the outline's corners are not where the lattice's are")
-        form = _laid(rim, corners, body)
         points = form.points
         if self.epochs:
-            moved = (nodes - self.nodes(form, lattice)).reshape(lattice.rows, lattice.cols, -1)
+            moved = lattice.lattice(nodes - self.nodes(form, lattice))
             points = points + _over(form, moved)
-        return replace(form, points=points, bridged=~body.carries(points))
+        return Patch(points, ~body.carries(points), form.rows, form.kink, kernels=form.kernels)
 
     def judge(self, form: Patch, body: Body, bridged: float) -> Verdict:
         """As a sheet; over a cloud as it lies unrolled, where a bent side does not wind."""
-        rim = _rim(body)
-        corners = rim.corners_near(form.corners)
-        if form.doubt or corners is None:
-            return Verdict(form.doubt or "the lattice's corners are not in order around the outline", 0.0)
+        if form.doubt:
+            return Verdict(form.doubt, 0.0)
         if isinstance(body, Cloud):
-            form = form.measured(_unrolled(rim, corners))
-        return judge_sheet(form, body, float(np.degrees(rim.kink(corners))))
+            rim = _rim(body)
+            corners = rim.corners_near(form.corners)
+            if corners is None:
+                return Verdict("the lattice's corners are not in order around the outline", 0.0)
+            points, kink = rim.laid(corners)
+            form = replace(form.measured(points), kink=kink)
+        return judge_sheet(form, body, math.degrees(form.kink))
 
     def numbered(self, form: Patch, seen: Array, target: Array | None) -> Patch:
         """The first corner nearest the target; else rows run to the right and columns down, as far as they can."""
@@ -149,20 +155,34 @@ class Surface(Configuration[Patch], kind="surface"):
 
     def follow(self, form: Patch, prediction: Prediction) -> Patch:
         """Turned so that its corners lie nearest to the predicted ones; in doubt if one of them is not the sheet's."""
-        expected, corners = _corners(prediction.nodes, prediction.topology), form.corners
-        away = [np.sum((np.roll(corners, -quarters, axis=0) - expected) ** 2) for quarters in range(4)]
-        turned = form.turned(int(np.argmin(away)))
-        return replace(turned, doubt=form.doubt or strayed_corner(expected, turned.corners))
+        assert isinstance(prediction.topology, Grid)
+        expected, corners = prediction.topology.lattice(prediction.nodes), form.corners
+        if corners.shape[1] == 2:
+            quarters, corner, share = form.kernels.strayed(expected, corners)
+            doubt = strays(corner, share)
+        else:
+            expected = form.kernels.outer_corners(expected)
+            away = [np.sum((np.roll(corners, -turn, axis=0) - expected) ** 2) for turn in range(4)]
+            quarters = int(np.argmin(away))
+            doubt = strayed_corner(expected, np.roll(corners, -quarters, axis=0))
+        turned = form.turned(quarters)
+        return replace(turned, doubt=form.doubt or doubt) if doubt else turned
 
     def place(self, form: Patch, metric: Patch) -> Points:
         """Equal gaps down and across, on the mean over the lattice."""
-        at = _spread(metric, self.rows, self.cols, self.ends or "centers")
+        ends = self.ends or "centers"
+        if form is metric and not form.bridged.any():
+            return Points(form.evenly(self.rows, self.cols, centers=ends == "centers"), np.zeros(self.count, bool))
+        at = _spread(metric, self.rows, self.cols, ends)
         return Points(form.at(*at), form.bridged_at(*at))
 
 
 def _cut(region: Region) -> float:
     """The share of the outline that runs along the edge of the window."""
     height, width = region.mask.shape
+    mask = region.mask
+    if not (mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any()):
+        return 0.0
     place = region.border.traced - (region.window.left, region.window.top)
     return float(np.mean(np.any((place <= 0) | (place >= (width - 1, height - 1)), axis=1)))
 
@@ -172,26 +192,27 @@ def _rim(body: Body) -> Rim:
     if isinstance(body, Cloud):
         sheet = body.sheet()
         return Rim.along(sheet.outline, sheet.outline_flat)
-    return _mask_rim(body.border)
+    return Rim.around(body.border)
 
 
-@lru_cache(maxsize=1)  # of the frame at hand: it is asked for twice
-def _mask_rim(border: Border) -> Rim:
-    return Rim.along(border.curve.points, border.curve.points)
+def _found(nodes: Array, body: Body) -> Patch | None:
+    """The Coons patch between the corners nearest to those of a lattice of nodes (R,C,D); None if out of order."""
+    if isinstance(body, Region):
+        points, kink = body.kernels.tracked(*body.border.rim, nodes)
+        return _patch(points, kink, body) if len(points) else None
+    rim = _rim(body)
+    corners = rim.corners_near(body.kernels.outer_corners(nodes))
+    return None if corners is None else _laid(rim, corners, body)
 
 
 def _laid(rim: Rim, corners: Indices, body: Body) -> Patch:
     """The Coons patch between four corners; for a cloud in its unrolled plane, then put back onto the sheet."""
-    if isinstance(body, Cloud):
-        points = body.chart.to_space(_unrolled(rim, corners))
-    else:
-        points = coons(rim.sides(corners, _FINE)).reshape(-1, 2)
-    return Patch(points, np.zeros(len(points), bool), _FINE)
+    points, kink = rim.laid(corners)
+    return _patch(body.chart.to_space(points) if isinstance(body, Cloud) else points, kink, body)
 
 
-def _unrolled(rim: Rim, corners: Indices) -> Array:
-    """(P,2) the Coons patch between four corners in the plane of the unrolled outline."""
-    return coons(replace(rim, points=rim.flat).sides(corners, _FINE)).reshape(-1, 2)
+def _patch(points: Array, kink: float, body: Body) -> Patch:
+    return Patch(points, np.zeros(len(points), bool), FINE, kink, kernels=body.kernels)
 
 
 def _spread(form: Patch, rows: int, cols: int, ends: Ends) -> tuple[Array, Array]:
@@ -213,11 +234,7 @@ def _over(form: Patch, moved: Array) -> Array:
     return motion(fine.reshape(-1, 2))
 
 
-def _corners(nodes: Array, topology: Topology) -> Array:
+def _corners(nodes: Array, topology: Topology, kernels: Kernels) -> Array:
     """(4,D) where the corners of a sheet belong whose pieces have their centres at the nodes, clockwise."""
     assert isinstance(topology, Grid)
-    lattice = nodes.reshape(topology.rows, topology.cols, -1)
-    outer = [lattice[i, j] for i, j in ((0, 0), (0, -1), (-1, -1), (-1, 0))]
-    beside = [lattice[i, j] for i, j in ((0, 1), (0, -2), (-1, -2), (-1, 1))]
-    beneath = [lattice[i, j] for i, j in ((1, 0), (1, -1), (-2, -1), (-2, 0))]
-    return 2 * np.array(outer) - (np.array(beside) + np.array(beneath)) / 2
+    return kernels.outer_corners(topology.lattice(nodes))

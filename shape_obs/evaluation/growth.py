@@ -99,7 +99,7 @@ def growths(frames: int, seed: int, tick: Callable[[], Any] = lambda: None) -> l
             tick()
 
     with one_thread():
-        for turn in turns(instants(), [_entrant(name, *case) for name, case in cases.items()]):
+        for turn in turns(instants(), [_entrant(name, *case) for name, case in cases.items()], seed):
             if turn.frame >= WARM_UP:
                 spent[turn.name].append(turn.milliseconds)
     return [

@@ -159,22 +159,24 @@ class Kernels(OutlineKernels, SheetKernels, Protocol):
         """Mean square distance of (M,D) weighted points from the tangents of a curve (P,D)."""
         ...
 
-    def march(self, mask: Mask, left: int, top: int, start: Array, width: float, thinnest: float) -> Array:
-        """The way from the end of a chain along its strand of the mask to the tip.
+    def ribbon(
+        self, mask: Mask, left: int, top: int, nodes: Array, width: float, thinnest: float
+    ) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+        """The fine axis of a ribbon in a mask through its fitted nodes, from tip to tip.
 
-        Steps go to the middle of a slice ahead while the strand goes on, then to the middle of its last piece, and
-        from there as far as the rest is long.
+        Nodes that hang over the mask's ends are left out. From there the way goes on along the strand: to the middle
+        of a slice ahead while there is more, then to the middle of the last piece, and on as far as the rest is long.
 
         Args:
             mask: (h,w) uint8, C-contiguous.
             left: Image column of its first pixel.
             top: Image row of its first pixel.
-            start: (3,2) image pixels: the chain's end and the two nodes before it.
-            width: The strand's, pixels.
+            nodes: (K,2) image pixels, K >= 3.
+            width: The ribbon's, pixels.
             thinnest: The least width that can be measured.
 
         Returns:
-            (S,2) pixels, S >= 1; the last is the tip.
+            (P,2) pixels; (P,) their arc length; (P,) whether the mask carries them, or a pixel beside them.
         """
         ...
 

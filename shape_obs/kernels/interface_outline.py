@@ -143,6 +143,12 @@ class SheetKernels(Protocol):
         """
         ...
 
+    def tracked(
+        self, rim: Array, turn: Array, candidates: Indices, step: float, grain: float, nodes: Array
+    ) -> tuple[Array, float]:
+        """``laid`` between the ``corners_near`` the ``outer_corners`` of (R,C,2) nodes; (0,2) points without them."""
+        ...
+
     def gauges(self, lattice: Array) -> tuple[Array, Array]:
         """How far down each row lies (R,), and how far right each column (C,): mean distances added up; any D."""
         ...
@@ -167,12 +173,20 @@ class SheetKernels(Protocol):
         """(4,D) where the corners of a sheet belong whose pieces have their centres at (R,C,D) nodes, clockwise."""
         ...
 
-    def strayed(self, expected: Array, found: Array) -> tuple[int, float]:
-        """Which of (4,2) corners lies farthest from where the other three put it, in half diagonals.
+    def strayed(self, nodes: Array, corners: Array) -> tuple[int, int, float]:
+        """How a sheet's corners are numbered, and which one lies farthest from where the other three put it.
 
         The three others are laid over where they were expected by a similarity transform (S. Umeyama, "Least-Squares
         Estimation of Transformation Parameters Between Two Point Patterns", 1991), and the fourth has to follow. Of
         complex numbers it is one product: the least squares of ``found = a expected + b``.
+
+        Args:
+            nodes: (R,C,2) predicted.
+            corners: (4,2) found, clockwise.
+
+        Returns:
+            By how many quarters the found corners are to be turned, so that they lie nearest to the predicted ones; then
+            which of them strays most, and by which share of half a diagonal.
         """
         ...
 

@@ -6,8 +6,8 @@ from shape_obs.kernels.numba_curve import arc_length, catmull_rom, equidistant, 
 from shape_obs.kernels.numba_map import best_matching_units, settle
 from shape_obs.kernels.numba_mask import carried, cells, survey
 from shape_obs.kernels.numpy_outline import around, blend, border, followed, lag, miss, pairs
-from shape_obs.kernels.numpy_sheet import assessed, corners_near, gauges, laid, outer_corners, rim, sampled, strayed
-from shape_obs.kernels.numba_strand import march
+from shape_obs.kernels.numpy_sheet import assessed, corners_near, gauges, laid, outer_corners, rim, sampled, strayed, tracked
+from shape_obs.kernels.numba_strand import ribbon
 
 __all__ = [
     "arc_length",
@@ -26,15 +26,16 @@ __all__ = [
     "interpolate",
     "lag",
     "laid",
-    "march",
     "miss",
     "outer_corners",
     "pairs",
+    "ribbon",
     "rim",
     "sampled",
     "settle",
     "spread",
     "strayed",
     "survey",
+    "tracked",
     "unshrink",
 ]

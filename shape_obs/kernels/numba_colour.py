@@ -53,6 +53,22 @@ def _table_mask(flat: Any, origin: int, pitch: int, width: int, height: int, tab
 
 
 @njit(inline="always")
+def _read_cell(
+    rows: Any, flat: Any, at: Any, pitch: Any, u0: Any, v0: Any, left: Any, top: Any, right: Any, bottom: Any, table: Any
+) -> None:
+    """The 8 x 8 pixels from (u0, v0) on as eight ``rows`` of bits; outside the window they are 0."""
+    if u0 >= left and v0 >= top and u0 + 8 <= right and v0 + 8 <= bottom:
+        for y in range(8):
+            rows[y] = _eight(flat, _U(at + y * pitch), table)
+        return
+    for y in range(8):
+        rows[y] = _U(0)
+        if top <= v0 + y < bottom:
+            for k in range(max(left - u0, 0), min(right - u0, 8)):
+                rows[y] |= _bit(flat, _U(at + y * pitch + 3 * k), table) << _U(k)
+
+
+@njit(inline="always")
 def _push(cell: Any, seen: Any, stack: Any, top: Any) -> Any:
     if seen[_U(cell)] == 0:
         seen[_U(cell)] = 1
@@ -84,6 +100,7 @@ def _seek(
     for row in range(1, down + 1):
         seen[row * pitch_of_cells + 1 : row * pitch_of_cells + 1 + across] = 0
     stack = np.empty(across * down, np.int64)
+    rows = np.empty(8, np.uint64)
     words = np.zeros((bottom - top, across), np.uint64)
     most = across * down * (1 if edge == 8 else 4)
     points, weight = np.empty((most, 2)), np.empty(most)
@@ -104,38 +121,29 @@ def _seek(
                 cell = stack[_U(waiting)]
                 row, column = cell // pitch_of_cells - 1, cell % pitch_of_cells - 1
                 u0, v0 = west + 8 * column, north + 8 * row
-                inside = u0 >= left and u0 + 8 <= right
+                _read_cell(rows, flat, origin + v0 * pitch + 3 * u0, pitch, u0, v0, left, top, right, bottom, table)
                 n = su = sv = 0
-                bits = highest = every = lowest = _U(0)
+                every = _U(0)
                 for half in range(0, 8, 4):
                     tally = below = _U(0)
-                    for y in range(max(v0 + half, top), min(v0 + half + 4, bottom)):
-                        at = _U(origin + y * pitch + 3 * u0)
-                        if inside:
-                            bits = _eight(flat, at, table)
-                        else:
-                            bits = _U(0)
-                            for k in range(max(left - u0, 0), min(right - u0, 8)):
-                                bits |= _bit(flat, at + _U(3 * k), table) << _U(k)
-                        words[_U(y - top), _U(column)] = _SPREAD[bits]
-                        tally += _TALLY[bits]
-                        below += (_TALLY[bits] & _U(0xFFFF)) * _U(y & 3)
+                    for y in range(4):
+                        bits = rows[half + y]
                         every |= bits
-                        if y == v0:
-                            highest = bits
-                        elif y == v0 + 7:
-                            lowest = bits
+                        tally += _TALLY[bits]
+                        below += (_TALLY[bits] & _U(0xFFFF)) * _U(y)
                     for side in range(2):
                         count = np.int64((tally >> _U(8 * side)) & _U(255))
                         columns = np.int64((tally >> _U(8 * side + 16)) & _U(255)) + 4 * side * count
-                        rows = np.int64((below >> _U(8 * side)) & _U(255)) + half * count
+                        lines = np.int64((below >> _U(8 * side)) & _U(255)) + half * count
                         if edge == 4 and count > 0:
-                            points[found, 0], points[found, 1] = u0 + columns / count, v0 + rows / count
+                            points[found, 0], points[found, 1] = u0 + columns / count, v0 + lines / count
                             weight[found], piece[found], home[found] = count, pieces, cell
                             found += 1
-                        n, su, sv = n + count, su + columns, sv + rows
+                        n, su, sv = n + count, su + columns, sv + lines
                 if n == 0:
                     continue
+                for y in range(max(v0, top), min(v0 + 8, bottom)):
+                    words[_U(y - top), _U(column)] = _SPREAD[rows[y - v0]]
                 area[pieces] += n
                 if edge == 8:
                     points[found, 0], points[found, 1] = u0 + su / n, v0 + sv / n
@@ -146,7 +154,7 @@ def _seek(
                     waiting = _push(cell - 1, seen, stack, waiting)
                 if every >> _U(7):
                     waiting = _push(cell + 1, seen, stack, waiting)
-                for bits, beside in ((highest, cell - pitch_of_cells), (lowest, cell + pitch_of_cells)):
+                for bits, beside in ((rows[0], cell - pitch_of_cells), (rows[7], cell + pitch_of_cells)):
                     if bits:
                         waiting = _push(beside, seen, stack, waiting)
                         if bits & _U(1):

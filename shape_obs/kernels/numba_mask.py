@@ -119,18 +119,21 @@ def cells(runs: Indices, size: int) -> tuple[Array, Array]:
     left, right = left // size, (right - 1) // size
     across = right - left + 1
     sums = np.zeros(((bottom - top + 1) * across, 3), np.int64)
+    share, base, below = 1 / size, -across - left, top * size  # divisions are slow
     for at in range(len(runs)):
         row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
-        base = (row // size - top) * across - left
+        while row >= below:
+            below += size
+            base += across
+        cell = base + int((start + 0.5) * share)
         while start < stop:
-            column = start // size
-            end = min((column + 1) * size, stop)
-            cell = base + column
+            end = min((cell - base + 1) * size, stop)
             count = end - start
             sums[cell, 0] += count
             sums[cell, 1] += (start + end - 1) * count  # twice the sum of the columns
             sums[cell, 2] += row * count
             start = end
+            cell += 1
     held = 0
     for cell in range(len(sums)):
         held += sums[cell, 0] > 0

@@ -27,6 +27,7 @@ from shape_obs.kernels.numpy_outline import Complex, closed_arc, lengths, plane,
 _T = np.arange(FINE) / (FINE - 1)
 _ACROSS = np.stack([1 - _T, _T])  # how much the left and the right side count at each place across
 _RIM_AT = np.arange(RIM)
+_TURNED = (np.arange(4)[:, None] + np.arange(4)) % 4
 _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
@@ -85,6 +86,14 @@ def laid(rim: Array, turn: Array, corners: Indices, step: float, grain: float) -
     return points_of(_coons(sides).ravel()), kink
 
 
+def tracked(
+    rim: Array, turn: Array, candidates: Indices, step: float, grain: float, nodes: Array
+) -> tuple[Array, float]:
+    """See ``SheetKernels.tracked``."""
+    corners = corners_near(rim, candidates, step, outer_corners(nodes))
+    return laid(rim, turn, corners, step, grain) if len(corners) else (np.zeros((0, 2)), 0.0)
+
+
 def gauges(lattice: Array) -> tuple[Array, Array]:
     """See ``SheetKernels.gauges``."""
     rows, cols = lattice.shape[:2]
@@ -103,23 +112,28 @@ def sampled(lattice: Array, down: Array, right: Array, rows: int, cols: int, cen
 
 def outer_corners(nodes: Array) -> Array:
     """See ``SheetKernels.outer_corners``."""
-    ends = nodes[[0, 0, -1, -1], [0, -1, -1, 0]]
-    beside, beneath = nodes[[0, 0, -1, -1], [1, -2, -2, 1]], nodes[[1, 1, -2, -2], [0, -1, -1, 0]]
-    return 2 * ends - (beside + beneath) / 2
+    rows, cols, dimension = nodes.shape
+    near = nodes.reshape(rows * cols, dimension)[_near_corners(rows, cols)]
+    return 2 * near[:4] - (near[4:8] + near[8:]) / 2
 
 
-def strayed(expected: Array, found: Array) -> tuple[int, float]:
+def strayed(nodes: Array, corners: Array) -> tuple[int, int, float]:
     """See ``SheetKernels.strayed``."""
-    past, here = plane(expected), plane(found)
+    past, here = plane(outer_corners(nodes)), plane(corners)
+    away = here[_TURNED] - past
+    quarters = int(np.argmin((away.real**2 + away.imag**2).sum(axis=1)))
+    here = here[_TURNED[quarters]]
     reach = max(float(np.abs(here - here.sum() / 4).max()), 1e-9)
-    source, target = past[_OTHERS], here[_OTHERS]
-    before, after = source.sum(axis=1) / 3, target.sum(axis=1) / 3
-    source, target = source - before[:, None], target - after[:, None]
+    both = np.stack([past, here])
+    # The middles of the three others, and from there the three.
+    middles = (both.sum(axis=1)[:, None] - both) / 3
+    source, target = both[:, _OTHERS] - middles[:, :, None]
     spread = np.maximum((source.real**2 + source.imag**2).sum(axis=1), 1e-18)
     motion = (source.conj() * target).sum(axis=1) / spread
-    astray = np.abs((past - before) * motion + after - here)
+    away, here = both - middles
+    astray = np.abs(away * motion - here)
     worst = int(np.argmax(astray))
-    return worst, float(astray[worst]) / reach
+    return quarters, worst, float(astray[worst]) / reach
 
 
 def assessed(lattice: Array) -> tuple[float, float, float, float]:
@@ -195,6 +209,14 @@ def _weights(gauge: Array, count: int, centers: bool) -> Array:
     """(count,C) by how much each of C rows counts in ``count`` places with equal gaps."""
     place = np.interp(_shares(count, centers) * gauge[-1], gauge, _index(len(gauge)))
     return np.maximum(1 - np.abs(place[:, None] - _index(len(gauge))), 0.0)
+
+
+@lru_cache(maxsize=16)
+def _near_corners(rows: int, cols: int) -> Indices:
+    """(12,) the corners of a lattice, their neighbours in the same row, and those in the same column."""
+    at = np.arange(rows * cols).reshape(rows, cols)
+    beside, beneath = at[[0, 0, -1, -1], [1, -2, -2, 1]], at[[1, 1, -2, -2], [0, -1, -1, 0]]
+    return np.concatenate([at[[0, 0, -1, -1], [0, -1, -1, 0]], beside, beneath])
 
 
 @lru_cache(maxsize=16)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from shape_obs.kernels.interface import (
     BEYOND,
@@ -18,10 +19,26 @@ from shape_obs.kernels.interface import (
     Array,
     Mask,
 )
+from shape_obs.kernels.numpy_curve import arc_length, catmull_rom
+from shape_obs.kernels.numpy_mask import carried
 
 
-def march(mask: Mask, left: int, top: int, start: Array, width: float, thinnest: float) -> Array:
-    """See ``Kernels.march``."""
+def ribbon(
+    mask: Mask, left: int, top: int, nodes: Array, width: float, thinnest: float
+) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """See ``Kernels.ribbon``."""
+    width = max(width, thinnest)
+    on = np.flatnonzero(carried(mask, left, top, nodes, 1))
+    if len(on) and on[-1] - on[0] >= 2:
+        nodes = nodes[on[0] : on[-1] + 1]
+    head = _march(mask, left, top, nodes[:3], width, thinnest)
+    tail = _march(mask, left, top, nodes[:-4:-1], width, thinnest)
+    points = catmull_rom(np.concatenate([head[::-1], nodes, tail]))
+    return points, arc_length(points), carried(mask, left, top, points, 1)
+
+
+def _march(mask: Mask, left: int, top: int, start: Array, width: float, thinnest: float) -> Array:
+    """The way from the end of a chain, the first of (3,2) nodes, along its strand to the tip: (S,2)."""
     (x, y), (x1, y1), (x2, y2) = start.tolist()
     near, far = _unit(x - x1, y - y1), _unit(x1 - x2, y1 - y2)
     heading = _bent(near, far)
@@ -50,14 +67,18 @@ def march(mask: Mask, left: int, top: int, start: Array, width: float, thinnest:
 
 def _strand(mask: Mask, u: float, v: float, heading: tuple[float, float], width: float) -> tuple[Array, Array, Array]:
     """The pixels ahead that hang together with (u, v): (2,P) offsets, (P,) how far ahead, (P,) how far aside."""
-    reach = REACH * width + 2
-    left, top = max(int(u - reach), 0), max(int(v - reach), 0)
-    crop = mask[top : max(int(v + reach) + 2, 0), left : max(int(u + reach) + 2, 0)]
+    reach, aside, (hx, hy) = REACH * width + 2, SIDE * width, heading
+    across, down = aside * abs(hy), aside * abs(hx)  # the box around the strip ahead, within a square about (u, v)
+    left = max(int(u + max(min(hx * 2 * reach, 0.0) - across, -reach)), 0)
+    top = max(int(v + max(min(hy * 2 * reach, 0.0) - down, -reach)), 0)
+    right = int(u + min(max(hx * 2 * reach, 0.0) + across, reach)) + 2
+    bottom = int(v + min(max(hy * 2 * reach, 0.0) + down, reach)) + 2
+    crop = mask[top : max(bottom, 0), left : max(right, 0)]
     x = np.arange(left - u, left - u + crop.shape[1] - 0.5)
     y = np.arange(top - v, top - v + crop.shape[0] - 0.5)[:, None]
-    along, side = x * heading[0] + y * heading[1], y * heading[0] - x * heading[1]
+    along, side = x * hx + y * hy, y * hx - x * hy
     strand = (crop != 0) & (along > 0)
-    strand &= np.abs(side) <= SIDE * width
+    strand &= np.abs(side) <= aside
     held = np.flatnonzero(strand)
     if not len(held):
         return np.zeros((2, 0)), np.zeros(0), np.zeros(0)

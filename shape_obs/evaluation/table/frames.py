@@ -23,7 +23,8 @@ Name = Literal["centerline", "contour", "surface"]
 CONFIGURATIONS: Final[dict[Name, Configuration[Any]]] = {
     "centerline": Centerline(n=20, ends="centers"),
     "contour": Contour(n=32),
-    "surface": Surface(rows=4, cols=8, ends="centers"),
+    # The rows run along the cloth's long side, however it lies; else the cells of some cloths would be slivers.
+    "surface": Surface(rows=4, cols=8, ends="centers", anchor="corner"),
 }
 # Drawn cloths: aspect so that the cells of 4 x 8 are about square, size for some 20,000 pixels.
 _ASPECT: Final = 2.0
@@ -48,6 +49,14 @@ class Scene(NamedTuple):
     rgb: npt.NDArray[np.uint8]
     mask: npt.NDArray[np.uint8]
     truth: Array | Sheet
+
+    @property
+    def anchors(self) -> dict[str, tuple[float, float]]:
+        """Pixels by name: of a cloth the corner at which its lattice begins."""
+        if not isinstance(self.truth, Sheet):
+            return {}
+        u, v = self.truth.points[0, 0]
+        return {"corner": (float(u), float(v))}
 
 
 def scenes(name: Name, chunk: int, count: int, seed: int, renderer: str) -> Iterator[Scene]:

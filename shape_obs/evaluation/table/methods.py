@@ -106,15 +106,15 @@ class Runner:
     def __init__(self, name: Name, method: Method) -> None:
         self._spec, self._seen = CONFIGURATIONS[name], dict[str, Any]()
         clusterer = METHODS[method]
-        options = {} if clusterer is None else {"clustering": _Watched(clusterer, self._seen)}
+        options: dict[str, Any] = {} if clusterer is None else {"clustering": _Watched(clusterer, self._seen)}
         self._detector = ShapeDetector([self._spec], **options)
 
     def points(self, scene: Scene) -> Array | None:
         """(N,2) the ordered points on a frame; None where the shape was not found."""
         return self._found(scene)[0]
 
-    def measure(self, scene: Scene, frame: int, exact: bool) -> Row:
-        """Everything about one frame.
+    def measure(self, scene: Scene, frame: int, exact: bool) -> tuple[Array | None, Row]:
+        """The points, and everything about them.
 
         Args:
             scene: The frame.
@@ -124,10 +124,10 @@ class Runner:
         pixels = clustered_pixels(self._spec, scene)
         points, ms, centres = self._found(scene)
         if points is None:
-            return Row(frame, len(pixels), False, np.nan, exact, np.nan, np.nan, np.nan, False, False, 0, False)
+            return None, Row(frame, len(pixels), False, np.nan, exact, np.nan, np.nan, np.nan, False, False, 0, False)
         labels = nearest(pixels, points)
         ordered = in_order(self._spec, points, scene)
-        return Row(
+        return points, Row(
             frame=frame,
             pixels=len(pixels),
             ok=True,
@@ -143,7 +143,7 @@ class Runner:
         )
 
     def _found(self, scene: Scene) -> tuple[Array | None, float, Centres | None]:
-        detection = self._detector.detect_mask(scene.mask)
+        detection = self._detector.detect_mask(scene.mask, anchors=scene.anchors)
         shape = detection.shapes[0]
         if shape.reason:
             return None, np.nan, None
@@ -157,7 +157,7 @@ def measured(
     """A method over the numbered frames of one chunk; the silhouette is exact on those of ``exact``."""
     runner = Runner(name, method)
     for frame, scene in chunk:
-        yield runner.measure(scene, frame, bool(np.isin(frame, exact)))
+        yield runner.measure(scene, frame, bool(np.isin(frame, exact)))[1]
 
 
 def clustered_pixels(spec: Configuration[Any], scene: Scene) -> Array:

@@ -1,0 +1,247 @@
+"""The tables and pictures of 'Speed', from what was measured:
+
+shape-obs bench peers --json > peers.json
+shape-obs bench latency --memory 100000 --json > latency.json
+uv run python docs/pictures/speed.py peers.json latency.json
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+from matplotlib.ticker import NullFormatter
+
+mpl.use("Agg")
+
+DOCS = Path(__file__).parent.parent
+PAGE, IMAGES = DOCS / "speed.md", DOCS / "images"
+OURS, THEIRS, SECOND, INK = "#2d55c8", "#c8cdd6", "#e17828", "#1e1e1e"
+STAGES = ("#2d55c8", "#7f9be8", "#e17828", "#f0b98d", "#3c9650", "#c8cdd6")
+BLOCK = r"(<!-- {name} -->\n).*?(<!-- end -->)"
+Document = dict[str, Any]
+Row = dict[str, Any]
+
+
+def main(paths: Iterable[str]) -> None:
+    """Fill the page and draw its pictures from result files of `bench peers` and `bench latency`."""
+    measured = {}
+    for path in paths:
+        document = json.loads(Path(path).read_text(encoding="utf-8"))
+        measured[document["measurement"]] = document
+    if not measured:
+        raise SystemExit("usage: speed.py peers.json latency.json")
+    page = PAGE.read_text(encoding="utf-8")
+    for name, block in blocks(measured).items():
+        page = filled(page, name, block)
+    PAGE.write_text(page, encoding="utf-8")
+    for name, picture in pictures(measured).items():
+        figure = picture()
+        figure.savefig(IMAGES / f"speed_{name}.png", dpi=100, bbox_inches="tight")
+        plt.close(figure)
+
+
+def filled(page: str, name: str, block: str) -> str:
+    """The page with what stands between the marks of a name replaced."""
+    page, times = re.subn(BLOCK.format(name=name), lambda found: f"{found[1]}\n{block}\n\n{found[2]}", page, flags=re.S)
+    if times != 1:
+        raise ValueError(f"{PAGE.name}: expected one block <!-- {name} --> ... <!-- end -->, got {times}.")
+    return page
+
+
+def blocks(measured: dict[str, Document]) -> dict[str, str]:
+    """Name of a block -> its Markdown."""
+    found: dict[str, str] = {}
+    for name, document in measured.items():
+        found[f"machine {name}"] = _machine(document)
+        found[f"asked {name}"] = _asked(document["claims"])
+    if "peers" in measured:
+        found |= {work: _peers(part) for work, part in measured["peers"]["works"].items()}
+        found["losses"] = _losses(measured["peers"])
+    if "latency" in measured:
+        latency = measured["latency"]
+        parts: dict[str, Callable[[list[Row]], str]] = {"totals": _totals, "stages": _stages, "growth": _growth}
+        found |= {name: make(latency[name]) for name, make in parts.items() if name in latency}
+    return found
+
+
+def pictures(measured: dict[str, Document]) -> dict[str, Callable[[], Any]]:
+    """Name of a picture -> what draws it."""
+    found: dict[str, Callable[[], Any]] = {}
+    if "peers" in measured:
+        found["peers"] = lambda: draw_peers(measured["peers"]["works"])
+    if "stages" in measured.get("latency", {}):
+        found["stages"] = lambda: draw_stages(measured["latency"])
+    if "growth" in measured.get("latency", {}):
+        found["growth"] = lambda: draw_growth(measured["latency"]["growth"])
+    return found
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A Markdown table."""
+    titles = list(head)
+    lines = ["| " + " | ".join(line) + " |" for line in (titles, *rows)]
+    return "\n".join([lines[0], "|" + "---|" * len(titles), *lines[1:]])
+
+
+def number(value: float | None) -> str:
+    """Three digits that count."""
+    if value is None:
+        return "–"
+    if value >= 100:
+        return f"{value:,.0f}".replace(",", " ")
+    return f"{value:.3g}"
+
+
+def _machine(document: Document) -> str:
+    machine = dict(document["machine"])
+    where = f"{machine.pop('processor')}, {machine.pop('cores')} cores, {machine.pop('system')}"
+    packages = ", ".join(f"{name} {version}" for name, version in machine.items())
+    return f"{where}; {packages}; {document['frames']} frames, seed {document['seed']}."
+
+
+def _asked(claims: list[Row]) -> str:
+    reached = {"yes": "yes", "no": "**no**", "not measured": "not measured"}
+    rows = ((row["what"], row["asked"], number(row["seen"]), reached[row["reached"]]) for row in claims)
+    return table(("What", "Asked", "Seen", "Reached"), rows)
+
+
+def _peers(part: Document) -> str:
+    head = (
+        "Method", "Frames", "Median [ms]", "Over NumPy", "Over Numba", "Silhouette", "Calinski-Harabasz", "Spacing CV"
+    )  # fmt: skip
+    rows = [
+        (
+            f"**{row['method']}**" if _is_ours(row) else row["method"],
+            str(row["frames"]),
+            number(row["median_ms"]),
+            *(f"{number(row[f'over_{backend}'])}" for backend in ("numpy", "numba")),
+            f"{row['sc']:.3f}",
+            number(row["ch"]),
+            f"{100 * row['spacing_cv']:.1f} %",
+        )
+        for row in part["rows"]
+    ]
+    refused = f" {part['refused']} detections were refused." if part["refused"] else ""
+    return f"{part['points']} points from {part['samples']} pixels (median).{refused}\n\n{table(head, rows)}"
+
+
+def _losses(document: Document) -> str:
+    """Where another method is faster, or its points stand better for the mask."""
+    lines = []
+    for work, part in document["works"].items():
+        mine = next(row for row in part["rows"] if _is_ours(row))
+        for row in part["rows"]:
+            if _is_ours(row):
+                continue
+            told = [
+                f"takes {number(row[f'over_{backend}'])} times as long as ours with {label}"
+                for backend, label in (("numpy", "NumPy"), ("numba", "Numba"))
+                if (row[f"over_{backend}"] or 1) < 1
+            ]
+            if row["ch"] > 1.0005 * mine["ch"]:
+                told.append(f"has a Calinski-Harabasz score {100 * (row['ch'] / mine['ch'] - 1):.1f} % higher")
+            if row["sc"] > mine["sc"] + 5e-4:
+                told.append(f"has a silhouette {row['sc'] - mine['sc']:.3f} higher")
+            if told:
+                lines.append(f"- {work}: {row['method']} {', '.join(told)}.")
+    return "\n".join(lines) or "Nowhere in this run."
+
+
+def _totals(rows: list[Row]) -> str:
+    head = ("Image", "Method", "Median [ms]", "95 % within [ms]", "Passes over the image", "Times faster than classic")
+    keys = ("median_ms", "p95_ms", "passes", "faster_than_classic")
+    return table(head, ((row["image"], row["method"], *(number(row[key]) for key in keys)) for row in rows))
+
+
+def _stages(rows: list[Row]) -> str:
+    names = list(rows[0])[2:]
+    head = ("Image", "Method", *(name.capitalize() for name in names))
+    return table(head, ((row["image"], row["method"], *(number(row[name]) for name in names)) for row in rows))
+
+
+def _growth(rows: list[Row]) -> str:
+    head = ("What grows", "To", "Backend", "Median [ms]", "Times the smallest")
+    return table(
+        head,
+        (
+            (row["grows"], str(row["amount"]), row["backend"], number(row["median_ms"]), number(row["times_smallest"]))
+            for row in rows
+        ),
+    )
+
+
+def draw_peers(works: dict[str, Document]) -> Any:
+    """Bars of the median times, one panel a work."""
+    figure, axes = plt.subplots(1, len(works), figsize=(4.2 * len(works), 3.8), layout="constrained", squeeze=False)
+    for axis, (work, part) in zip(axes[0], works.items(), strict=True):
+        rows = sorted(part["rows"], key=lambda row: -row["median_ms"])
+        names = [row["method"] for row in rows]
+        bars = axis.barh(
+            names, [row["median_ms"] for row in rows], color=[OURS if _is_ours(row) else THEIRS for row in rows]
+        )
+        axis.bar_label(bars, [number(row["median_ms"]) for row in rows], padding=3, fontsize=7)
+        axis.set_xscale("log")
+        axis.set_xlabel("milliseconds per frame", fontsize=8)
+        axis.set_title(f"{work}: {part['samples']} pixels to {part['points']} points", fontsize=9)
+        axis.tick_params(labelsize=7)
+        axis.margins(x=0.2)
+        axis.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def draw_stages(latency: Document) -> Any:
+    """Stacked bars of the stages of a tracked frame, and one pass over the image."""
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
+    for axis, label in zip(axes, ("NumPy", "Numba"), strict=True):
+        rows = [row for row in latency["stages"] if row["method"] == f"shape_obs, {label}, warm"]
+        names = [name for name in (list(rows[0])[2:] if rows else []) if name != "total"]
+        sizes, base = [row["image"] for row in rows], [0.0] * len(rows)
+        for name, colour in zip(names, STAGES, strict=False):
+            axis.bar(sizes, [row[name] for row in rows], bottom=base, color=colour, label=name)
+            base = [low + row[name] for low, row in zip(base, rows, strict=True)]
+        floor = [row["median_ms"] for row in latency["totals"] if row["method"].startswith("one pass")]
+        axis.plot(sizes, floor[: len(sizes)], "_", color=INK, markersize=30, label="one pass over the image")
+        axis.set_title(f"{label}, tracked", fontsize=9)
+        axis.tick_params(labelsize=7)
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.legend(fontsize=7, loc="upper left", reverse=True, markerscale=0.4)
+    axes[0].set_ylabel("milliseconds per frame", fontsize=8)
+    return figure
+
+
+def draw_growth(rows: list[Row]) -> Any:
+    """One panel for each thing that grows, both backends; dotted is proportional growth."""
+    grown = list(dict.fromkeys(row["grows"] for row in rows))
+    figure, axes = plt.subplots(1, len(grown), figsize=(2.8 * len(grown), 2.6), layout="constrained", sharey=True)
+    for axis, grows in zip(axes, grown, strict=True):
+        for label, colour in (("NumPy", OURS), ("Numba", SECOND)):
+            curve = [row for row in rows if row["grows"] == grows and row["backend"] == label]
+            if curve:
+                amounts, times = ([row[key] for row in curve] for key in ("amount", "median_ms"))
+                axis.loglog(amounts, times, "o-", color=colour, label=label, markersize=4)
+                axis.loglog(amounts, [times[0] * amount / amounts[0] for amount in amounts], ":", color=colour)
+                axis.set_xticks(amounts, [f"{amount}" for amount in amounts], fontsize=7)
+        axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter(NullFormatter())
+        axis.tick_params(labelsize=7)
+        axis.set_title(grows, fontsize=9)
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].set_ylabel("milliseconds per frame", fontsize=8)
+    axes[0].legend(fontsize=7)
+    return figure
+
+
+def _is_ours(row: Row) -> bool:
+    return row["method"].startswith("shape_obs")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

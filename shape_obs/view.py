@@ -1,0 +1,105 @@
+"""What one frame shows: the region of each pixel rule, looked for where it is expected."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.body import Body
+from shape_obs.configurations import Configuration
+from shape_obs.deproject import SeenCloud, deproject
+from shape_obs.frame import Frame
+from shape_obs.kernels import Kernels
+from shape_obs.region import Region, find_region
+from shape_obs.roi import ROI, Window
+from shape_obs.segmentation import Segmentation
+from shape_obs.timing import Timed
+
+
+class View:
+    """One frame, and what was found in it so far.
+
+    Args:
+        frame: The images.
+        mask: (H,W) uint8 where someone else has segmented; None where the rules do.
+        roi: Where to look at all.
+        kernels: What runs the inner loops.
+        timings: Milliseconds by stage, added to.
+    """
+
+    def __init__(
+        self, frame: Frame, mask: npt.NDArray[np.uint8] | None, roi: ROI, kernels: Kernels, timings: dict[str, float]
+    ) -> None:
+        self._frame, self._mask, self._roi, self._kernels, self._timings = frame, mask, roi, kernels, timings
+        size: Any = frame.size if mask is None else mask.shape
+        self.window = roi.window(size)
+        self._regions: dict[Segmentation | None, Region] = {}
+        self._clouds: dict[Segmentation | None, SeenCloud] = {}
+
+    def body(self, spec: Configuration, near: Window | None) -> Body:
+        """What a shape is fitted to.
+
+        Args:
+            spec: What is looked for.
+            near: Where all of it is expected; None looks everywhere.
+
+        Raises:
+            ValueError: It needs depth and a camera, and the frame has none.
+        """
+        rule = spec.segmentation
+        if rule not in self._regions:
+            self._look(rule, near)
+        if spec.lift != "cloud":
+            return self._regions[rule]
+        frame = self._frame
+        if rule not in self._clouds and frame.depth is not None and frame.camera is not None:
+            with Timed(self._timings, "cloud"):
+                self._clouds[rule] = deproject(self._regions[rule], frame.depth, frame.camera.intrinsics)
+        return self._clouds[rule]
+
+    def look_everywhere(self, spec: Configuration) -> bool:
+        """Look for a shape in all of the image; False if that has been done."""
+        if self._regions[spec.segmentation].window == self.window:
+            return False
+        self._clouds.pop(spec.segmentation, None)
+        self._look(spec.segmentation, None)
+        return True
+
+    def _look(self, rule: Segmentation | None, near: Window | None) -> None:
+        """Segment the window; what runs out of it is looked for everywhere."""
+        reach = 1 if rule is None else 1 + rule.open + rule.close
+        window = self.window if near is None else _within(near, reach, self.window)
+        if self._mask is None:
+            assert rule is not None
+            with Timed(self._timings, "segmentation"):
+                mask = rule.apply(self._frame, window)
+        else:
+            mask = self._mask[window.slices]
+        floor = rule or Segmentation
+        with Timed(self._timings, "region"):
+            mask = self._roi.blank(mask, window)
+            region = find_region(mask, window, floor.min_area, floor.min_share, self._kernels)
+        self._regions[rule] = region
+        if window != self.window and (not region.pieces or _is_cut(region.box, reach, window, self.window)):
+            self._look(rule, None)
+
+
+def _within(near: Window, reach: int, whole: Window) -> Window:
+    """The expected window with a margin, its columns in groups of eight, which kernels read at once."""
+    left, top = max((near.left - reach) // 8 * 8, whole.left), max(near.top - reach, whole.top)
+    right = min(-(-(near.left + near.width + reach) // 8) * 8, whole.left + whole.width)
+    bottom = min(near.top + near.height + reach, whole.top + whole.height)
+    return Window(left, top, right - left, bottom - top) if right > left and bottom > top else whole
+
+
+def _is_cut(box: Window, reach: int, window: Window, whole: Window) -> bool:
+    """Whether a box comes nearer than ``reach`` to an edge of the window beyond which there is more to see."""
+    right, bottom = window.left + window.width, window.top + window.height
+    return (
+        (box.left < window.left + reach and window.left > whole.left)
+        or (box.top < window.top + reach and window.top > whole.top)
+        or (box.left + box.width > right - reach and right < whole.left + whole.width)
+        or (box.top + box.height > bottom - reach and bottom < whole.top + whole.height)
+    )

@@ -1,0 +1,308 @@
+"""Clusterers: what each finds, its points in order along the form, and how it is configured."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from shape_obs import Centerline, Contour, ShapeDetector, SpecError, Surface, load_config, save_config, schema_hash
+from shape_obs.clustering import Clusterer, FuzzyCMeans, GaussianMixture, KMeans, Kohonen, SelfOrganisingMap
+from shape_obs.evaluation.blobs import draw_blob, moving_blob, random_blob
+from shape_obs.evaluation.clouds import ring_cloud, rope_cloud, sheet_cloud
+from shape_obs.evaluation.motion import moving_rope
+from shape_obs.evaluation.outline_scores import outline_score
+from shape_obs.evaluation.scores import score
+from shape_obs.evaluation.sheets import moving_sheet, random_sheet
+from shape_obs.evaluation.surface_claims import score_sheet
+from shape_obs.metrics import calinski_harabasz, distance, nearest, spacing_cv
+from shape_obs.samples import Samples, mask_pixels
+from shape_obs.topology import Chain, Grid
+
+NAMES = ("kmeans", "gmm", "fcm", "kohonen")
+ALL: tuple[Clusterer, ...] = (KMeans(), GaussianMixture(), FuzzyCMeans(), Kohonen())
+IDS: Any = lambda clusterer: clusterer.kind  # noqa: E731
+
+
+def counted(points: np.ndarray) -> Samples:
+    return Samples(np.asarray(points, dtype=np.float64), np.ones(len(points)), 1.0)
+
+
+@pytest.fixture(scope="module")
+def blobs() -> np.ndarray:
+    """Five round heaps of samples in a row, 200 each."""
+    rng = np.random.default_rng(0)
+    return np.concatenate([rng.normal((100.0 * k, 50), 4, (200, 2)) for k in range(5)])
+
+
+class TestCentres:
+    @pytest.mark.parametrize("clusterer", [KMeans(), GaussianMixture(), FuzzyCMeans()], ids=IDS)
+    def test_heaps_are_found(self, clusterer, blobs):
+        found = clusterer.centres(counted(blobs), Chain(5), 0)
+        expected = blobs.reshape(5, 200, 2).mean(axis=1)
+        places = found.places[np.argsort(found.places[:, 0])]
+        np.testing.assert_allclose(places, expected, atol=0.2)
+        assert found.settled
+        assert found.steps >= 1
+
+    @pytest.mark.parametrize("clusterer", ALL, ids=IDS)
+    @settings(max_examples=5)
+    @given(seed=st.integers(0, 2**31), dimension=st.integers(2, 3))
+    def test_equal_seeds_give_equal_centres_in_any_unit(self, clusterer, seed, dimension):
+        points = np.random.default_rng(seed).uniform(0, 100, (300, dimension))
+        found = clusterer.centres(counted(points), Chain(7), seed).places
+        np.testing.assert_array_equal(clusterer.centres(counted(points), Chain(7), seed).places, found)
+        metres = clusterer.centres(counted(points / 1000 + 2), Chain(7), seed).places
+        np.testing.assert_allclose((metres - 2) * 1000, found, atol=1e-3)
+        assert found.shape == (7, dimension)
+        assert found.min() >= points.min()
+        assert found.max() <= points.max()
+
+    def test_k_means_rests_on_the_means_of_its_own_pixels(self, wave):
+        pixels = mask_pixels(wave.mask)
+        places = KMeans().centres(counted(pixels), Chain(20), 0).places
+        label = nearest(pixels, places)
+        means = np.stack([pixels[label == k].mean(axis=0) for k in range(20)])
+        assert np.abs(means - places).max() < 1.5
+
+    def test_fuzzy_c_means_rests_where_bezdek_says(self, blobs):
+        places = FuzzyCMeans(tolerance=1e-6, max_iter=1000).centres(counted(blobs), Chain(5), 0).places
+        square = np.sum((blobs[:, None] - places) ** 2, axis=2)
+        share = (1 / square) / (1 / square).sum(axis=1, keepdims=True)
+        np.testing.assert_allclose((share**2).T @ blobs / (share**2).sum(axis=0)[:, None], places, atol=1e-3)
+
+    def test_a_kohonen_map_unfolds_over_a_sheet(self):
+        pixels = mask_pixels(random_sheet(np.random.default_rng(0), 2.0, 0.0, size=(160, 260)).mask)
+        kohonen, kmeans = (c.centres(counted(pixels), Grid(4, 8), 0).places for c in (Kohonen(steps=300), KMeans()))
+        rows = kohonen.reshape(4, 8, 2)
+        steps = np.linalg.norm(np.diff(rows, axis=1), axis=-1)
+        assert steps.max() < 2.5 * steps.mean(), "neighbours in the lattice are neighbours on the sheet"
+        scores = [calinski_harabasz(pixels, nearest(pixels, places)) for places in (kohonen, kmeans)]
+        assert 0.8 * scores[1] < scores[0] < 1.02 * scores[1]
+
+    @pytest.mark.parametrize("clusterer", [GaussianMixture(max_iter=1), FuzzyCMeans(max_iter=1), KMeans(max_iter=1)])
+    def test_what_has_not_settled_says_so_and_warns_nobody(self, clusterer, wave):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert not clusterer.centres(counted(mask_pixels(wave.mask)), Chain(20), 0).settled
+
+    def test_samples_in_one_place_are_no_error(self):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            for clusterer in ALL:
+                found = clusterer.centres(counted(np.tile([[3.0, 4.0], [5.0, 4.0]], (20, 1))), Chain(6), 0)
+                assert np.all(np.isfinite(found.places)), clusterer
+
+
+@pytest.mark.parametrize("clustering", NAMES)
+class TestShapes:
+    def test_a_ropes_centres_run_along_it(self, clustering, wave):
+        shape = ShapeDetector([Centerline(n=12)], clustering=clustering).detect_mask(wave.mask).shapes[0]
+        judged = score(shape.pixels, wave.curve, "centers")
+        assert shape.ok
+        assert shape.visible.all()
+        assert (judged.ordered, judged.flipped) == (True, False)
+        assert judged.distance < 2.0
+        pixels = mask_pixels(wave.mask)
+        even = ShapeDetector([Centerline(n=12)]).detect_mask(wave.mask).shapes[0].pixels
+        assert calinski_harabasz(pixels, nearest(pixels, shape.pixels)) > 0.8 * calinski_harabasz(
+            pixels, nearest(pixels, even)
+        )
+        assert spacing_cv(shape.pixels, shape.layout) > 0.01, "they are the clusterer's, not ours"
+
+    def test_an_outlines_centres_run_around_it(self, clustering):
+        blob = random_blob(np.random.default_rng(1))
+        shape = ShapeDetector([Contour(n=24)], clustering=clustering).detect_mask(blob.mask).shapes[0]
+        judged = outline_score(shape.pixels, blob.outline)
+        even = ShapeDetector([Contour(n=24)]).detect_mask(blob.mask).shapes[0].pixels
+        assert judged.ordered
+        assert judged.clockwise
+        assert judged.distance < 3
+        gap = np.linalg.norm(np.diff(even, axis=0), axis=1).mean()
+        assert np.linalg.norm(shape.pixels[0] - even[0]) < 1.2 * gap, "it begins where ours does"
+
+    def test_a_sheets_centres_keep_near_their_places(self, clustering):
+        sheet = random_sheet(np.random.default_rng(0), 2.0, 10.0, size=(160, 260))
+        shape = ShapeDetector([Surface(rows=3, cols=6)], clustering=clustering).detect_mask(sheet.mask).shapes[0]
+        assert score_sheet(shape.pixels, sheet, 3, 6, "centers", 0).slip < 1.2
+        assert shape.visible.all()
+
+    def test_indices_follow_the_track(self, clustering):
+        detector = ShapeDetector([Centerline(n=10)], clustering=clustering)
+        first = None
+        for rope in moving_rope(np.random.default_rng(4), 12, 25, length=200, width=9):
+            shape = detector.detect_mask(rope.mask).shapes[0]
+            judged = score(shape.pixels, rope.curve, "centers")
+            first = judged.flipped if first is None else first
+            assert (judged.ordered, judged.flipped) == (True, first)
+
+    def test_equal_masks_give_equal_points(self, clustering, wave):
+        one, two = (ShapeDetector([Centerline(n=8)], clustering=clustering) for _ in range(2))
+        before = one.detect_mask(wave.mask).shapes[0].pixels
+        np.testing.assert_array_equal(two.detect_mask(wave.mask).shapes[0].pixels, before)
+
+    def test_depth_lifts_the_centres(self, clustering, wave, intrinsics):
+        depth = np.full(wave.mask.shape, 0.8, np.float32)
+        depth[:, :80] = 0
+        shape = ShapeDetector([Centerline(n=12)], clustering=clustering).detect_mask(wave.mask, depth, intrinsics)[0]
+        assert not shape.valid[0]
+        assert shape.valid[3:].all()
+        assert shape.visible.all()
+        np.testing.assert_allclose(shape.points3d[shape.valid, 2], 0.8)
+        back = intrinsics.project(shape.points3d[shape.valid].astype(float))
+        np.testing.assert_allclose(back, shape.pixels[shape.valid], atol=0.01)
+
+    def test_clouds_are_clustered_point_by_point(self, clustering):
+        rng = np.random.default_rng(0)
+        rope, ring, sheet = rope_cloud(rng, count=1500), ring_cloud(rng, count=1500), sheet_cloud(rng, count=1500)
+        for cloud, spec in ((rope, Centerline(n=12)), (ring, Contour(n=16)), (sheet, Surface(rows=3, cols=4))):
+            shape = ShapeDetector([spec], clustering=clustering).detect_cloud(cloud.points).shapes[0]
+            assert shape.ok
+            assert shape.points2d is None
+            if spec.kind == "centerline":
+                assert score(shape.points3d, rope.curve, "centers", directed=False).ordered
+            if spec.kind == "contour":
+                assert distance(shape.points3d, ring.curve, closed=True).max() < 0.02
+
+    def test_fewer_pixels_than_points_are_told(self, clustering):
+        mask = np.zeros((60, 120), np.uint8)
+        mask[30:34, 10:110] = 255
+        shape = ShapeDetector([Centerline(n=500)], clustering=clustering).detect_mask(mask).shapes[0]
+        assert not shape.ok
+        assert shape.reason == "the mask has 400 pixels to cluster, 500 points need as many"
+
+
+def test_a_centre_that_passes_the_start_of_a_ring_takes_no_index_with_it():
+    detector = ShapeDetector([Contour(n=16)], clustering="kmeans")
+    before, moved = None, []
+    for blob in moving_blob(np.random.default_rng(0), turn=0.03, frames=30):
+        points = detector.detect_mask(blob.mask).shapes[0].pixels.astype(float)
+        if before is not None:
+            gap = np.linalg.norm(np.diff(points, axis=0), axis=1).mean()
+            moved.append(np.linalg.norm(points - before, axis=1).mean() / gap)
+        before = points
+    assert np.median(moved) < 0.4
+    assert np.mean(np.array(moved) > 0.9) < 0.1
+
+
+def test_an_anchored_cloth_turns_with_its_lattice():
+    detector = ShapeDetector([Surface(rows=2, cols=3, anchor="corner")], clustering="kmeans")
+    for sheet in moving_sheet(np.random.default_rng(1), 10, 12):
+        u, v = sheet.points[0, 0]
+        shape = detector.detect_mask(sheet.mask, anchors={"corner": (u, v)}).shapes[0]
+        assert score_sheet(shape.pixels, sheet, 2, 3, "centers", 0).slip < 0.8
+
+
+def test_an_object_with_a_hole_is_clustered_around_the_hole():
+    angle = np.linspace(0, 2 * np.pi, 300, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    mask = draw_blob(160 + 90 * circle, size=(320, 320)).mask
+    mask[draw_blob(160 + 50 * circle, size=(320, 320)).mask > 0] = 0
+    shape = ShapeDetector([Contour(n=12, hole=0)], clustering="kmeans").detect_mask(mask).shapes[0]
+    np.testing.assert_allclose(np.linalg.norm(shape.pixels - 160, axis=1), 50, atol=3)
+
+
+class TestConfiguration:
+    def test_names_mappings_and_specs_say_the_same(self):
+        said = ("kmeans", {"kind": "kmeans"}, KMeans())
+        assert len({ShapeDetector(clustering=clustering).config for clustering in said}) == 1
+        assert ShapeDetector().config.clustering == SelfOrganisingMap()
+        assert ShapeDetector(clustering="som").config == ShapeDetector().config
+        assert json.loads(json.dumps(ShapeDetector(clustering={"kind": "kmeans", "n_init": 3}).config.to_dict()))[
+            "clustering"
+        ] == {"kind": "kmeans", "n_init": 3, "max_iter": 300}
+
+    def test_it_belongs_to_the_schema_and_to_the_file(self, tmp_path):
+        arguments = {"shapes": [{"kind": "contour"}], "clustering": "fcm"}
+        save_config(tmp_path / "a.yaml", arguments)
+        loaded = load_config(tmp_path / "a.yaml")
+        assert loaded["clustering"]["kind"] == "fcm"
+        assert schema_hash(loaded) == schema_hash(arguments)
+        hashes = {schema_hash({**arguments, "clustering": name}) for name in ("som", *NAMES)}
+        assert len(hashes) == 5
+        assert schema_hash({"shapes": [{"kind": "contour"}]}) in hashes
+
+    def test_unknown_names_get_a_hint(self):
+        with pytest.raises(SpecError, match="unknown kind 'kmean'; did you mean 'kmeans'"):
+            ShapeDetector(clustering="kmean")
+        with pytest.raises(SpecError, match="kmeans: unknown field 'ninit'; did you mean 'n_init'"):
+            ShapeDetector(clustering={"kind": "kmeans", "ninit": 3})
+
+    @pytest.mark.parametrize(
+        ("spec", "message"),
+        [
+            (
+                {"kind": "centerline", "ends": "tips"},
+                "shape 'centerline': ends='tips' needs clustering='som': 'kmeans' has its own centres; "
+                "give ends='centers'.",
+            ),
+            (
+                {"kind": "contour", "spacing": "m"},
+                "shape 'contour': spacing='m' needs clustering='som': 'kmeans' has its own centres; give spacing='px'.",
+            ),
+        ],
+    )
+    def test_what_centres_cannot_give_is_refused(self, spec, message):
+        with pytest.raises(SpecError) as error:
+            ShapeDetector([spec], clustering="kmeans")
+        assert str(error.value) == message
+
+    @pytest.mark.parametrize(
+        "wrong", [{"kind": "kmeans", "n_init": 0}, {"kind": "fcm", "tolerance": 0}, {"kind": "gmm", "max_iter": 0},
+                  {"kind": "kohonen", "rate": 2.0}],
+    )  # fmt: skip
+    def test_settings_out_of_range_are_refused(self, wrong):
+        with pytest.raises(ValueError, match=f"{wrong['kind']}: .*{[*wrong][1]}"):
+            ShapeDetector(clustering=wrong)
+
+    def test_a_clusterer_of_ones_own_works(self, wave):
+        from dataclasses import dataclass
+
+        from shape_obs.clustering import Centres
+
+        @dataclass(frozen=True)
+        class EveryFifth(Clusterer):
+            """Samples as they come."""
+
+            def centres(self, samples, layout, seed):
+                return Centres(samples.points[:: len(samples) // layout.size][: layout.size], 1, True)
+
+        shape = ShapeDetector([Centerline(n=5)], clustering=EveryFifth()).detect_mask(wave.mask).shapes[0]
+        assert shape.ok
+        assert score(shape.pixels, wave.curve, "centers").ordered
+
+
+FORK = """
+import os, sys
+import numpy as np
+from shape_obs.clustering import GaussianMixture, KMeans
+from shape_obs.samples import Samples
+from shape_obs.topology import Chain
+
+points = np.random.default_rng(0).uniform(0, 100, (20000, 2))
+samples = Samples(points, np.ones(len(points)), 1.0)
+def run():
+    return KMeans().centres(samples, Chain(20), 0).places.sum() + GaussianMixture(3).centres(samples, Chain(5), 0).steps
+before = run()
+child = os.fork()
+if child == 0:
+    os._exit(0 if run() == before else 3)
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
+def test_a_forked_child_can_cluster_too():
+    environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run(
+        [sys.executable, "-c", FORK], timeout=60, env={**environment, "OMP_NUM_THREADS": "2"}, capture_output=True
+    )
+    assert done.returncode == 0, done.stderr.decode()

@@ -1,0 +1,93 @@
+"""`shape-obs bench latency`: stages, growth, memory. Times decide nothing."""
+
+import json
+import math
+
+import pytest
+
+from shape_obs.cli import main
+from shape_obs.evaluation.backends import backends, ours
+from shape_obs.evaluation.growth import AREAS, CLOTH, COUNTS, NUMBER, POINTS, ROPE
+from shape_obs.evaluation.latency import CLASSIC, ONE_PASS
+from shape_obs.evaluation.memory import memory_growth, resident
+
+
+def run(capsys, *arguments):
+    """(exit code, stdout, stderr) of the command."""
+    with pytest.raises(SystemExit) as stop:
+        main(["bench", "latency", *map(str, arguments)])
+    captured = capsys.readouterr()
+    return stop.value.code, captured.out, captured.err
+
+
+def test_every_stage_is_told_at_every_size(capsys):
+    code, out, _ = run(
+        capsys, "--only", "stages", "--frames", 2, "--sizes", "320x240", "640x480", "--memory", 5, "--json"
+    )
+    document = json.loads(out)
+    mine = [ours(backend, start) for start in ("warm", "cold") for backend in backends()]
+    assert code == 0
+    assert {(row["image"], row["method"]) for row in document["totals"]} == {
+        (image, method) for image in ("320 x 240", "640 x 480") for method in (ONE_PASS, CLASSIC, *mine)
+    }
+    for row in document["totals"]:
+        assert 0 < row["median_ms"] <= row["p95_ms"]
+        assert row["refused"] == 0
+    assert [row["method"] for row in document["stages"]] == mine * 2
+    for row in document["stages"]:
+        assert row["total"] > 0
+        assert row["fit"] > 0
+    asked = {row["what"]: row for row in document["claims"]}
+    passes = asked["640 x 480 image to 20 points in 3D, NumPy, warm: times one pass over the image"]
+    (seen,) = (
+        row["passes"]
+        for row in document["totals"]
+        if (row["image"], row["method"]) == ("640 x 480", ours("numpy", "warm"))
+    )
+    assert passes["seen"] == pytest.approx(seen)
+    assert passes["reached"] == ("yes" if seen <= 40 else "no")
+    assert asked["1280 x 800 against 640 x 480, NumPy, warm"]["reached"] == "not measured"
+    assert document["memory"][0]["frames"] == 5
+
+
+def test_growth_is_told_for_pixels_points_and_shapes(capsys):
+    code, out, _ = run(capsys, "--only", "growth", "--frames", 1, "--json")
+    document = json.loads(out)
+    rows = [row for row in document["growth"] if row["backend"] == "NumPy"]
+    amounts = {
+        grows: [row["amount"] for row in rows if row["grows"] == grows] for grows in (ROPE, CLOTH, POINTS, NUMBER)
+    }
+    assert code == 0
+    assert len(rows) == 2 * len(AREAS) + len(COUNTS) + 3
+    assert amounts[POINTS] == [*COUNTS]
+    assert amounts[NUMBER] == [1, 2, 3]
+    for grows in (ROPE, CLOTH):
+        assert amounts[grows][-1] == pytest.approx(10 * amounts[grows][0], rel=0.1)
+    assert all(math.isfinite(row["times_smallest"]) for row in document["growth"])
+    asked = [row for row in document["claims"] if "NumPy" in row["what"]]
+    assert [row["asked"] for row in asked] == ["<= 2x", "<= 2x", "<= 1.5x", "<= 2.5x"]
+    assert all(row["reached"] in ("yes", "no") for row in asked)
+
+
+@pytest.mark.parametrize("backend", backends())
+def test_frame_after_frame_the_process_does_not_grow(backend):
+    if resident() is None:
+        pytest.skip("the system does not tell the size of a process")
+    grown = memory_growth(2_000, 0, backend=backend, warm_up=300)
+    assert grown is not None
+    assert grown < 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--frames", 0], "--frames: expected at least 1, got 0"),
+        (["--memory", -1], "--memory: expected at least 0, got -1"),
+        (["--sizes", "640"], "--sizes: expected WIDTHxHEIGHT of at least 64 pixels each, such as 640x480, got '640'"),
+    ],
+)
+def test_bad_arguments_get_one_clear_line(capsys, arguments, message):
+    code, out, err = run(capsys, *arguments)
+    assert (code, out) == (1, "")
+    assert message in err
+    assert len(err.strip().splitlines()) == 1

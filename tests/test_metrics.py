@@ -1,0 +1,169 @@
+"""Silhouette and Calinski-Harabasz are scikit-learn's; spacing, distance, coverage and order against known truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as st_numpy
+
+from shape_obs.evaluation.blobs import random_blob
+from shape_obs.evaluation.ropes import random_rope
+from shape_obs.evaluation.sheets import random_sheet
+from shape_obs.metrics import (
+    calinski_harabasz,
+    coverage,
+    distance,
+    in_order,
+    nearest,
+    silhouette,
+    spacing_cv,
+)
+from shape_obs.samples import mask_pixels
+from shape_obs.topology import Chain, Grid, Ring
+
+sklearn_metrics = pytest.importorskip("sklearn.metrics")
+
+
+@st.composite
+def clusterings(draw):
+    """(M,D) points, many of them in one place, and (M,) labels with gaps in their numbers."""
+    dimension = draw(st.integers(1, 3))
+    count = draw(st.integers(4, 60))
+    values = st.one_of(st.integers(-3, 3).map(float), st.floats(-1e3, 1e3).map(lambda x: round(x, 3)))
+    points = draw(st_numpy.arrays(np.float64, (count, dimension), elements=values))
+    labels = draw(st_numpy.arrays(np.int64, count, elements=st.sampled_from((-1, 0, 2, 7))))
+    labels[:2] = (0, 2)
+    return points, labels
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """Pixels of a rope, an outline and a cloth, with the labels of nearest centres drawn by lot."""
+    rng = np.random.default_rng(3)
+    masks = [random_rope(rng, "s", (240, 320)).mask, random_sheet(rng, 1.5, 20.0, size=(100, 130)).mask]
+    pixels = [*(mask_pixels(mask) for mask in masks), random_blob(rng).outline]
+    return [(p, nearest(p, p[rng.choice(len(p), 20, replace=False)])) for p in pixels]
+
+
+class TestAgainstScikitLearn:
+    @given(clusterings())
+    def test_scores_are_equal_on_anything(self, clustering):
+        points, labels = clustering
+        assert silhouette(points, labels) == pytest.approx(sklearn_metrics.silhouette_score(points, labels), abs=1e-6)
+        expected = sklearn_metrics.calinski_harabasz_score(points, labels)
+        assert calinski_harabasz(points, labels) == pytest.approx(expected, rel=1e-6)
+
+    def test_scores_are_equal_on_drawn_masks(self, drawn):
+        for pixels, labels in drawn:
+            expected = sklearn_metrics.silhouette_score(pixels, labels)
+            assert silhouette(pixels, labels) == pytest.approx(expected, abs=1e-6)
+            expected = sklearn_metrics.calinski_harabasz_score(pixels, labels)
+            assert calinski_harabasz(pixels, labels) == pytest.approx(expected, rel=1e-6)
+
+    def test_sampled_pixels_have_their_exact_silhouettes(self, drawn):
+        pixels, labels = drawn[0]
+        chosen = np.random.default_rng(5).choice(len(pixels), 300, replace=False)
+        expected = sklearn_metrics.silhouette_samples(pixels, labels)[chosen].mean()
+        assert silhouette(pixels, labels, sample=300, seed=5) == pytest.approx(expected, abs=1e-6)
+        assert silhouette(pixels, labels, sample=10**6) == silhouette(pixels, labels)
+
+    @given(shift=st.floats(-1e4, 1e4), seed=st.integers(0, 100))
+    def test_labels_are_those_of_the_nearest_centre(self, shift, seed):
+        rng = np.random.default_rng(seed)
+        points, centres = rng.normal(size=(50, 2)) + shift, rng.normal(size=(7, 2)) + shift
+        away = np.linalg.norm(points[:, None] - centres, axis=2)
+        label = nearest(points, centres)
+        assert away[np.arange(50), label] == pytest.approx(away.min(axis=1), abs=1e-6)
+
+
+@pytest.mark.parametrize("score", [silhouette, calinski_harabasz])
+class TestRefusals:
+    def test_one_cluster_has_no_score(self, score):
+        with pytest.raises(
+            ValueError, match=r"expected 2 clusters or more, and fewer than points; got 1 of 5 points\."
+        ):
+            score(np.zeros((5, 2)), np.zeros(5))
+
+    def test_clusters_of_one_have_no_score(self, score):
+        with pytest.raises(ValueError, match=r"got 4 of 4 points\."):
+            score(np.eye(4), np.arange(4))
+
+    def test_shapes_must_fit(self, score):
+        with pytest.raises(ValueError, match=r"expected points \(M, D\) and labels \(M,\), got \(4, 2\) and \(3,\)\."):
+            score(np.zeros((4, 2)), np.zeros(3))
+
+
+class TestSpacing:
+    def test_equal_gaps_vary_by_nothing(self):
+        at = np.arange(5.0)
+        assert spacing_cv(np.stack([3 * at, 4 * at], axis=1), Chain(5)) == pytest.approx(0)
+        angle = 2 * np.pi * np.arange(12) / 12
+        assert spacing_cv(np.stack([np.cos(angle), np.sin(angle)], axis=1), Ring(12)) == pytest.approx(0)
+        grid = np.stack(np.meshgrid(np.arange(4.0) * 7, np.arange(3.0)), axis=-1).reshape(-1, 2)
+        assert spacing_cv(grid, Grid(3, 4)) == pytest.approx(0), "rows and columns have gaps of their own"
+
+    @given(st.lists(st.floats(0.1, 10), min_size=2, max_size=20))
+    def test_gaps_along_a_line_are_told(self, gaps):
+        points = np.stack([np.append(0, np.cumsum(gaps)), np.zeros(len(gaps) + 1)], axis=1)
+        assert spacing_cv(points, Chain(len(points))) == pytest.approx(np.std(gaps) / np.mean(gaps), abs=1e-9)
+
+    def test_only_gaps_between_valid_points_count(self):
+        points = np.array([[0.0, 0], [1, 0], [2, 0], [9, 0]])
+        assert spacing_cv(points, Chain(4), np.array([True, True, True, False])) == pytest.approx(0)
+        assert np.isnan(spacing_cv(points, Chain(4), np.zeros(4, bool)))
+
+
+class TestDistance:
+    def test_it_is_to_the_line_not_to_its_points(self):
+        corner = np.array([[0.0, 0], [10, 0], [10, 10]])
+        np.testing.assert_allclose(distance([[5, 3], [12, 5], [0, 10], [-3, -4]], corner), [3, 2, 10, 5])
+        assert distance([[0, 10]], corner, closed=True) == pytest.approx(50**0.5)
+
+    @given(seed=st.integers(0, 1000), dimension=st.integers(2, 3))
+    def test_no_place_on_the_line_is_nearer(self, seed, dimension):
+        rng = np.random.default_rng(seed)
+        line, points = rng.normal(size=(6, dimension)), rng.normal(size=(9, dimension))
+        dense = np.concatenate([np.linspace(a, b, 400) for a, b in zip(line[:-1], line[1:], strict=True)])
+        expected = np.linalg.norm(points[:, None] - dense, axis=2).min(axis=1)
+        np.testing.assert_allclose(distance(points, line), expected, atol=2e-2)
+        assert np.all(distance(points, line) <= expected + 1e-9)
+
+
+class TestCoverage:
+    def test_a_rope_is_covered_by_its_axis(self, wave):
+        pixels, reach = mask_pixels(wave.mask), wave.width / 2 + 1
+        axis = wave.curve[:: len(wave.curve) // 60]
+        assert coverage(np.concatenate([axis, wave.curve[-1:]]), Chain(len(axis) + 1), pixels, reach) == 1
+        half = wave.curve[: len(wave.curve) // 2 : 4]
+        assert coverage(half, Chain(len(half)), pixels, reach) == pytest.approx(0.5, abs=0.03)
+
+    def test_a_ring_is_closed(self):
+        square, pixels = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10]]), np.stack([np.zeros(11), np.arange(11.0)], 1)
+        assert coverage(square, Ring(4), pixels, 0.1) == 1
+        assert coverage(square, Chain(4), pixels, 0.1) == pytest.approx(2 / 11)
+
+    @pytest.mark.parametrize("height", [None, 0.0, 0.4])
+    def test_a_lattice_covers_its_cells(self, height):
+        lattice = np.stack(np.meshgrid(np.arange(5.0) * 4, np.arange(3.0) * 4), axis=-1).reshape(-1, 2)
+        pixels = np.stack(np.meshgrid(np.arange(0.5, 24), np.arange(0.5, 8)), axis=-1).reshape(-1, 2)
+        if height is not None:
+            lattice, pixels = (np.insert(xy, 2, z, axis=1) for xy, z in ((lattice, 0.0), (pixels, height)))
+        assert coverage(lattice, Grid(3, 5), pixels, 0.45) == pytest.approx(16 / 24)
+        if height:
+            assert coverage(lattice, Grid(3, 5), pixels, 0.3) == 0
+
+
+class TestOrder:
+    def test_places_must_increase(self):
+        assert in_order([0.0, 1, 5])
+        assert not in_order([0.0, 1, 1])
+        assert not in_order([2.0, 1, 0])
+
+    @settings(max_examples=50)
+    @given(st.lists(st.integers(0, 359), min_size=3, max_size=12, unique=True), st.integers(0, 11))
+    def test_around_a_ring_anywhere_may_be_the_first(self, places, begin):
+        turned = np.roll(sorted(places), begin).astype(float)
+        assert in_order(turned, period=360)
+        assert not in_order(turned[::-1], period=360)
