@@ -8,6 +8,16 @@ import numpy.typing as npt
 from shape_obs.kernels import NUMPY, Kernels
 from shape_obs.kernels.numpy_curve import arc_length, catmull_rom, interpolate
 
+__all__ = [
+    "arc_length",
+    "catmull_rom",
+    "equidistant_around",
+    "equidistant_positions",
+    "interpolate",
+    "nearest_on",
+    "resample",
+]
+
 Array = npt.NDArray[np.float64]
 
 # Where chords are equalised, no point leaves its arc position by more than this share of a gap: where a hairpin is
@@ -56,6 +66,7 @@ def equidistant_positions(
         count: How many.
         centers: Points at the middle of ``count`` equal pieces; else the first and last at the curve's ends.
         max_shift: Gaps by which a point may leave its place by arc length.
+        kernels: What runs the inner loops.
 
     Returns:
         (count,) arc positions, increasing.
@@ -70,6 +81,7 @@ def equidistant_around(curve: Array, arc: Array, count: int, kernels: Kernels = 
         curve: (P,D), the first point not repeated.
         arc: (P+1,) its arc length, the last entry the whole.
         count: How many.
+        kernels: What runs the inner loops.
 
     Returns:
         (count,) arc positions, increasing from 0.

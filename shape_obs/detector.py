@@ -203,7 +203,7 @@ class ShapeDetector:
         timings: dict[str, float] = {}
         view = View(frame, mask, self.config.roi, self.kernels, timings)
         stamp = self._next_stamp(frame)
-        expected = self._expected(stamp)
+        expected = self._expected()
         shapes = []
         for spec, target in zip(self.shapes, targets, strict=True):
             body = view.body(spec, expected.get(spec.segmentation))
@@ -215,7 +215,7 @@ class ShapeDetector:
         timings["total"] = 1e3 * (time.perf_counter() - begin)
         return Detection(tuple(shapes), stamp, timings)
 
-    def _expected(self, stamp: float) -> dict[Segmentation | None, Window | None]:
+    def _expected(self) -> dict[Segmentation | None, Window | None]:
         """Where the shapes of each segmentation will all be; None where one has no track, and once in a while."""
         self._looked += 1
         if self._looked % _LOOK_AROUND == 0:
@@ -223,7 +223,7 @@ class ShapeDetector:
         windows: dict[Segmentation | None, Window | None] = {}
         for spec in self.shapes:
             track, rule = self._tracks.get(spec.name), spec.segmentation
-            window = None if track is None else outlook(track, stamp)
+            window = None if track is None else outlook(track)
             if rule in windows:
                 other = windows[rule]
                 window = None if window is None or other is None else window.united(other)

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.body import Body
-from shape_obs.clustering import som
 from shape_obs.configurations import Configuration
 from shape_obs.form import Form
 from shape_obs.gate import MAX_HIDDEN
@@ -75,7 +74,9 @@ def fit(
             found = replace(found, reason=jump) if jump else found
         if found.form is None or not found.ok:
             found = _cold(body, spec, topology, prediction)
-        elif _hidden(found.form) > sum(prediction.memory.hidden) + found.form.memory.slack:
+        elif any(found.form.memory.hidden) and (
+            _hidden(found.form) > sum(prediction.memory.hidden) + found.form.memory.slack
+        ):
             # Something came over an end, or the chain lost its way there: a fresh start knows.
             again = _cold(body, spec, topology, prediction)
             better = again.ok and again.form is not None and _hidden(again.form) < _hidden(found.form)
@@ -121,9 +122,7 @@ def _settle(
     prediction: Prediction | None,
 ) -> Fit:
     """Cluster, finish, follow the past, judge."""
-    widths = spec.widths(moving=moving)
-    nodes = som.fit(spec.samples(body), start, topology, widths, body.kernels) if widths else start
-    form = spec.finish(nodes, body)
+    form = spec.settled(start, body, topology, moving=moving)
     if prediction is not None:
         form = spec.follow(form, prediction)
     verdict = spec.judge(form, body, bridged)

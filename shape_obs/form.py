@@ -82,9 +82,14 @@ class Form(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Curve(Form):
-    """A polyline; closed, the last point is followed by the first, which is not repeated."""
+    """A polyline; closed, the last point is followed by the first, which is not repeated.
+
+    Args:
+        spread: Mean square distance of the body's samples from it, where the fit has measured that.
+    """
 
     closed: bool = False
+    spread: float | None = None
 
     def along(self, arc: Array) -> Self:
         """The same curve, whose ``arc`` is known."""
@@ -96,7 +101,12 @@ class Curve(Form):
         """(P,) arc length of the points; (P+1,) when closed, the last entry the whole."""
         return self.kernels.arc_length(self._polyline(self.points))
 
-    @property
+    @cached_property
+    def whole(self) -> bool:
+        """Whether nothing is bridged."""
+        return not self.bridged.any()
+
+    @cached_property
     def size(self) -> float:
         """Arc length from end to end, or once around."""
         return float(self.arc[-1])
@@ -104,16 +114,18 @@ class Curve(Form):
     @property
     def empty(self) -> float:
         """The share of the length that is bridged."""
-        if not self.bridged.any():
+        if self.whole:
             return 0.0
         step = np.diff(self.arc)
         flags = np.append(self.bridged, self.bridged[0]) if self.closed else self.bridged
         return float(step @ (flags[:-1] / 2 + flags[1:] / 2) / max(self.size, 1e-9))
 
-    def remembering(self, memory: Memory) -> Curve:
+    def remembering(self, memory: Memory) -> Self:
         """The same curve with another memory."""
-        other = Curve(self.points, self.bridged, self.closed, memory=memory, doubt=self.doubt, kernels=self.kernels)
-        return other.along(self.arc)
+        same = {"memory": memory, "doubt": self.doubt, "kernels": self.kernels}
+        other = type(self)(self.points, self.bridged, self.closed, self.spread, **same)
+        other.__dict__.update(arc=self.arc, whole=self.whole)
+        return other
 
     def cut(self, piece: slice) -> Self:
         """An open curve's piece."""
@@ -139,7 +151,7 @@ class Curve(Form):
 
     def bridged_at(self, arc: npt.ArrayLike) -> Mask:
         """(N,) whether the nearer of the two neighbouring points is bridged."""
-        if not self.bridged.any():
+        if self.whole:
             return np.zeros(np.shape(arc), bool)
         at = np.asarray(arc, dtype=np.float64)
         at = at % self.size if self.closed else at

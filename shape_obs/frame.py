@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import CameraModel
+from shape_obs.kernels.interface import FARTHEST, MILLIMETRE
 
-MILLIMETRE = 1e-3
-FARTHEST = 1e6  # metres; what lies beyond is garbage, and would overflow single precision
 
 
 @dataclass(frozen=True)

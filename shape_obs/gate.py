@@ -60,7 +60,7 @@ def judge_ribbon(curve: Curve, body: Body, bridged: float) -> Verdict:
     off = curve.empty - hidden
     if off > _MAX_OFF:
         return Verdict(f"{off:.0%} of the curve lies off the {body.noun} (at most {_MAX_OFF:.0%})", 0.0)
-    spread = _spread(curve.points, body) / max(body.breadth(curve.size * (1 - hidden)), 1e-9)
+    spread = _spread(curve, body) / max(body.breadth(curve.size * (1 - hidden)), 1e-9)
     if spread > _MAX_SPREAD:
         return Verdict(
             f"the {body.noun} spreads {spread:.2f} widths about the curve (a ribbon {_IDEAL_SPREAD:.2f}, "
@@ -68,7 +68,7 @@ def judge_ribbon(curve: Curve, body: Body, bridged: float) -> Verdict:
             0.0,
         )
     excess = (spread - _IDEAL_SPREAD) / (_MAX_SPREAD - _IDEAL_SPREAD)
-    return Verdict("", float(np.clip(1 - off / _MAX_OFF, 0, 1) * np.clip(1 - excess, 0, 1)) ** 0.5)
+    return Verdict("", ((1 - max(off, 0.0) / _MAX_OFF) * min(max(1 - excess, 0.0), 1.0)) ** 0.5)
 
 
 def judge_outline(curve: Curve, body: Body, samples: Samples) -> Verdict:
@@ -137,10 +137,9 @@ def judge_sheet(patch: Patch, body: Body, kink: float) -> Verdict:
     return Verdict("", shares**0.5)
 
 
-def _spread(curve: Array, body: Body) -> float:
+def _spread(curve: Curve, body: Body) -> float:
     """Root mean square distance of the body's samples from the curve, in the body's unit."""
-    samples, step = body.samples, -(-len(body.samples) // _JUDGED)
-    points, weight = samples.points, samples.weight
-    if step > 1:
-        points, weight = points[::step].copy(), weight[::step].copy()
-    return (body.kernels.spread(points, weight, curve) + body.within) ** 0.5
+    square = curve.spread
+    if square is None:
+        square = body.kernels.spread(body.samples.points, body.samples.weight, curve.points)
+    return (square + body.within) ** 0.5

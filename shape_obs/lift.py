@@ -9,11 +9,12 @@ import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
 from shape_obs.form import Form
-from shape_obs.frame import depth_in_metres
+from shape_obs.kernels.interface import MILLIMETRE
 from shape_obs.region import Region
 
 Array = npt.NDArray[np.float64]
 
+_DTYPES: Final = (np.uint16, np.float32, np.float64)
 _MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry depth
 _MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
 
@@ -33,23 +34,11 @@ def local_depth(points: Array, depth: npt.NDArray[Any], region: Region, width: f
     Returns:
         (N,) metres; NaN where fewer than a quarter of the mask pixels carry depth: a hole stays a hole.
     """
-    reach = int(np.clip(round(width / 4), 1, _MAX_REACH))
-    offsets = np.arange(-reach, reach + 1)
-    u = np.rint(points[:, 0]).astype(int)[:, None, None] + offsets[None, None, :]
-    v = np.rint(points[:, 1]).astype(int)[:, None, None] + offsets[None, :, None]
-    u, v = (np.ascontiguousarray(a).reshape(len(points), -1) for a in np.broadcast_arrays(u, v))
-    column, row = u - region.window.left, v - region.window.top
-    height, across = region.mask.shape
-    inside = (column >= 0) & (column < across) & (row >= 0) & (row < height)
-    inside &= region.mask[np.where(inside, row, 0), np.where(inside, column, 0)] > 0
-    z = depth_in_metres(depth[np.where(inside, v, 0), np.where(inside, u, 0)])
-    z[~inside] = np.nan
-    known = np.isfinite(z).sum(axis=1)
-    enough = known >= np.maximum(_MIN_SHARE * inside.sum(axis=1), 1)
-    out = np.full(len(points), np.nan)
-    if enough.any():
-        out[enough] = np.nanmedian(z[enough], axis=1)
-    return out
+    reach = min(max(round(width / 4), 1), _MAX_REACH)
+    if depth.dtype not in _DTYPES:
+        depth = depth.astype(np.float64)  # other floats, and other orders of bytes
+    unit, (left, top) = MILLIMETRE if depth.dtype == np.uint16 else 1.0, region.window[:2]
+    return region.kernels.median_depth(depth, unit, region.mask, left, top, points, reach, _MIN_SHARE)
 
 
 def lift(points: Array, z: Array, intrinsics: Intrinsics, radius: float) -> Array:

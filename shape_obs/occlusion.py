@@ -47,10 +47,12 @@ def follow_chain(form: Curve, prediction: Prediction) -> Curve:
     follow as predicted, moved along with the visible end, and are marked as bridged.
     """
     slack = max(_SLACK[0] * prediction.size, _SLACK[1] * prediction.grain)
-    if prediction.size - slack < form.size < prediction.size:
-        prediction = prediction._replace(size=max((1 - _GIVING) * prediction.size, form.size))
-    if form.size >= prediction.size and not form.bridged.any() and _is_along(form, prediction.nodes):
-        return form.remembering(Memory(size=min(form.size, (1 + _GAINING) * prediction.size)))
+    size, found = prediction.size, form.size
+    if size - slack < found < size:
+        size = max((1 - _GIVING) * size, found)
+    if found >= size and form.whole and _is_along(form, prediction.nodes):
+        return form.remembering(Memory(size=min(found, (1 + _GAINING) * size)))
+    prediction = prediction._replace(size=size)
     known = _Known(prediction)
     whole = known.filled(min((form, form.reversed()), key=known.distance))
     missing = known.size - whole.size

@@ -51,7 +51,7 @@ def shape_of(
     points3d = None
     if expected is not None:
         points3d = fill_invalid(expected, valid, None if last is None else last.points3d, policy)
-    quality = found.quality * float(valid.mean())
+    quality = found.quality * (np.count_nonzero(valid) / len(valid))
     return Shape(spec.name, points2d, points3d, visible, valid, spec.layout, quality=quality)
 
 

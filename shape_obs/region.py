@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.border import Border, clockwise
+from shape_obs.border import Border
 from shape_obs.kernels import NUMPY, Kernels
+from shape_obs.kernels.numpy_outline import outline_in
 from shape_obs.roi import Window
 from shape_obs.samples import Samples, mask_pixels
 
 MAX_CELL = 24
-SPECK = 20  # pixels around a hole; shorter ones are noise
 
 
 @dataclass(frozen=True)
@@ -24,19 +24,16 @@ class Component:
     """One connected piece of a region.
 
     Args:
-        outline: (P,2) pixels, image coordinates, closed, 8-connected, through the centres of the border pixels.
         area: Pixels.
+        outline: (P,2) pixels, image coordinates, closed, 8-connected, through the centres of the border pixels.
+        perimeter: Length of the outline, pixels.
         holes: Length of the outlines of its holes, pixels; specks left out.
     """
 
-    outline: npt.NDArray[np.float64]
     area: int
-    holes: float = 0.0
-
-    @cached_property
-    def perimeter(self) -> float:
-        """Length of the outline, pixels."""
-        return float(np.linalg.norm(np.roll(self.outline, -1, axis=0) - self.outline, axis=1).sum())
+    outline: npt.NDArray[np.float64]
+    perimeter: float
+    holes: float
 
     @cached_property
     def width(self) -> float:
@@ -46,7 +43,7 @@ class Component:
         lies in a loop has a part of it around the hole.
         """
         half = (self.perimeter + self.holes) / 2 + 2
-        return float(max((half - np.sqrt(max(half * half - 4 * self.area, 0.0))) / 2, 1.0))
+        return max((half - max(half * half - 4 * self.area, 0.0) ** 0.5) / 2, 1.0)
 
 
 @dataclass(frozen=True)
@@ -58,6 +55,7 @@ class Region:
         mask: (h,w) uint8, C-contiguous, 0 = background, the plausible components alone.
         runs: (R,3) row, first column, column past the last one of every row of pixels, image coordinates.
         areas: Pixels of each component, largest first.
+        box: The upright rectangle around them.
         kernels: What runs the inner loops.
     """
 
@@ -65,6 +63,7 @@ class Region:
     mask: npt.NDArray[np.uint8]
     runs: npt.NDArray[np.int64]
     areas: tuple[int, ...]
+    box: Window
     kernels: Kernels = NUMPY
     unit: ClassVar[str] = "px"
     noun: ClassVar[str] = "mask"
@@ -83,32 +82,27 @@ class Region:
         return len(self.areas)
 
     @cached_property
-    def box(self) -> Window:
-        """The upright rectangle around the mask, image coordinates."""
-        left, top = int(self.runs[:, 1].min()), int(self.runs[0, 0])
-        return Window(left, top, int(self.runs[:, 2].max()) - left, int(self.runs[-1, 0]) - top + 1)
-
-    @cached_property
     def components(self) -> tuple[Component, ...]:
         """The connected pieces, largest first."""
         if not self.areas:
             return ()
+        if self.pieces == 1:
+            left, top = self.window.left, self.window.top
+            return (Component(self.amount, *self.kernels.traced(self.mask, self.runs, left, top, self.box)),)
         left, top = self.box.left - self.window.left, self.box.top - self.window.top
         crop = self.mask[top : top + self.box.height, left : left + self.box.width]
-        if self.pieces == 1:
-            return (_Traced.of(crop).component(self.amount, (self.box.left, self.box.top)),)
         count, found, table, _ = cv2.connectedComponentsWithStats(crop, connectivity=8)
         labels, stats = np.asarray(found, dtype=np.int32), np.asarray(table, dtype=np.int32)
         components = []
         for label in 1 + np.argsort(-stats[1:count, cv2.CC_STAT_AREA], kind="stable"):
             left, top, width, height, area = (int(value) for value in stats[label])
             piece = (labels[top : top + height, left : left + width] == label).view(np.uint8)
-            components.append(_Traced.of(piece).component(area, (self.box.left + left, self.box.top + top)))
+            components.append(Component(area, *outline_in(piece, self.box.left + left, self.box.top + top)))
         return tuple(components)
 
     def as_wide_as(self, width: float) -> Region:
         """The same region where its width is known, pixels: nothing has to be traced for it."""
-        other = Region(self.window, self.mask, self.runs, self.areas, self.kernels)
+        other = Region(self.window, self.mask, self.runs, self.areas, self.box, self.kernels)
         other.__dict__["width"] = width
         return other
 
@@ -120,7 +114,7 @@ class Region:
     @cached_property
     def border(self) -> Border:
         """The outer outline of the largest component."""
-        return Border(_clockwise(self.components[0].outline), kernels=self.kernels)
+        return Border(self.components[0].outline, kernels=self.kernels)
 
     @property
     def outlined(self) -> float:
@@ -137,7 +131,7 @@ class Region:
         largest = next(i for i in np.flatnonzero(parents < 0) if np.any(np.all(contours[i] == start, axis=1)))
         inner = [contours[i] for i in np.flatnonzero(parents == largest)]
         inner.sort(key=cv2.contourArea, reverse=True)
-        return tuple(Border(_clockwise(contour.astype(np.float64)), True, self.kernels) for contour in inner)
+        return tuple(Border(contour.astype(np.float64), True, self.kernels) for contour in inner)
 
     @cached_property
     def pixels(self) -> npt.NDArray[np.int32]:
@@ -193,40 +187,9 @@ def find_region(
         The region; without components when nothing is left.
     """
     mask = np.ascontiguousarray(mask)
-    runs, areas, dropped = kernels.survey(mask, window.left, window.top, min_area, min_share)
+    runs, areas, box, dropped = kernels.survey(mask, window.left, window.top, min_area, min_share)
     if dropped:
         mask = np.zeros_like(mask)
         for row, start, stop in (runs - [window.top, window.left, window.left]).tolist():
             mask[row, start:stop] = 255
-    return Region(window, mask, runs, tuple(areas.tolist()), kernels)
-
-
-class _Traced(NamedTuple):
-    """The outlines in a mask, outer ones and holes."""
-
-    outer: list[npt.NDArray[np.int32]]
-    holes: list[npt.NDArray[np.int32]]
-
-    @classmethod
-    def of(cls, mask: npt.NDArray[np.uint8]) -> _Traced:
-        """Trace a mask: (h,w) uint8, 0 = background."""
-        contours, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-        traced = cls([], [])
-        for contour, parent in zip(contours, np.reshape(np.asarray(tree), (-1, 4))[:, 3], strict=True):
-            (traced.outer if parent < 0 else traced.holes).append(np.asarray(contour, dtype=np.int32))
-        return traced
-
-    @property
-    def pieces(self) -> int:
-        """How many components the mask has."""
-        return len(self.outer)
-
-    def component(self, area: int, origin: tuple[int, int]) -> Component:
-        """The mask as one component, its first pixel at ``origin`` = (u, v)."""
-        outline = max(self.outer, key=len).reshape(-1, 2).astype(np.float64)
-        holes = sum(cv2.arcLength(hole, closed=True) for hole in self.holes if len(hole) >= SPECK)
-        return Component(outline + origin, area, holes)
-
-
-def _clockwise(outline: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    return outline if clockwise(outline) else outline[::-1]
+    return Region(window, mask, runs, tuple(areas.tolist()), Window(*box), kernels)

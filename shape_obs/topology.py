@@ -91,7 +91,7 @@ class Chain(_Line):
 
     def unshrink(self, nodes: Array, sigma: float, kernels: Kernels = NUMPY) -> Array:
         """The second difference stands for the bend, at an end its neighbour's."""
-        return kernels.unshrink(nodes, _shrinkage(sigma), False)
+        return kernels.unshrink(nodes, shrinkage(sigma), False)
 
     def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
         """In a straight line along the index, the ends repeated."""
@@ -115,7 +115,7 @@ class Ring(_Line):
 
     def unshrink(self, nodes: Array, sigma: float, kernels: Kernels = NUMPY) -> Array:
         """The second difference stands for the bend."""
-        return kernels.unshrink(nodes, _shrinkage(sigma), True)
+        return kernels.unshrink(nodes, shrinkage(sigma), True)
 
     def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
         """In a straight line along the index, across the closure too."""
@@ -161,10 +161,10 @@ class Grid(Topology):
         out = lattice.copy()
         if self.rows > 2:
             down = lattice.reshape(self.rows, -1)
-            out += (kernels.unshrink(down, _shrinkage(sigma), False) - down).reshape(lattice.shape)
+            out += (kernels.unshrink(down, shrinkage(sigma), False) - down).reshape(lattice.shape)
         if self.cols > 2:
             across = np.ascontiguousarray(lattice.swapaxes(0, 1)).reshape(self.cols, -1)
-            moved = (kernels.unshrink(across, _shrinkage(sigma), False) - across).reshape(self.cols, self.rows, -1)
+            moved = (kernels.unshrink(across, shrinkage(sigma), False) - across).reshape(self.cols, self.rows, -1)
             out += moved.swapaxes(0, 1)
         return out.reshape(nodes.shape)
 
@@ -180,7 +180,7 @@ class Grid(Topology):
 
 
 @lru_cache(maxsize=64)
-def _shrinkage(sigma: float) -> float:
+def shrinkage(sigma: float) -> float:
     """How far averaging pulls the nodes of a line from their curve, to second order, as a share of their bend.
 
     The mean over a unit cell of a curve C is C + C''/24, and the kernel mean over both neighbours adds h/(1+2h) C''

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import ceil, floor
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ Array = npt.NDArray[np.float64]
 _VELOCITY_SHARE: Final = 0.8
 _MAX_SIZE_CHANGE: Final = 0.06
 _MAX_WIDTH_CHANGE: Final = 0.02
-_SPARE: Final = (8.0, 1.0)  # around the place where a mask is expected: pixels, and of the step that was predicted
+_SPARE: Final = 8  # pixels around the place where a mask is expected
 
 
 class Track(NamedTuple):
@@ -32,7 +31,8 @@ class Track(NamedTuple):
         topology: How the nodes hang together.
         memory: What the last form handed on beside its nodes.
         width: Of a ribbon, as the body shows it; 0 where that says nothing.
-        margins: How far the mask reaches beyond the nodes, to the left, top, right and bottom; None without a mask.
+        box: The rectangle around the mask; None without a mask.
+        drift: By how much its edges have moved since the frame before, at most, pixels.
     """
 
     nodes: Array
@@ -43,7 +43,8 @@ class Track(NamedTuple):
     topology: Topology
     memory: Memory = Memory()
     width: float = 0.0
-    margins: tuple[float, float, float, float] | None = None
+    box: Window | None = None
+    drift: int = 0
 
 
 class Prediction(NamedTuple):
@@ -94,29 +95,26 @@ def advance(
     interval = 0.0 if track is None else stamp - track.stamp
     velocity = np.zeros_like(nodes) if track is None or interval <= 0 else (nodes - track.nodes) / interval
     size = form.memory.size or form.size
-    return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.memory, width, _margins(nodes, box))
+    drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
+    return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.memory, width, box, drift)
 
 
-def outlook(track: Track, stamp: float) -> Window | None:
-    """Where the mask should be at ``stamp``, with room for what the prediction misses; None without a mask."""
-    if track.margins is None:
+def outlook(track: Track) -> Window | None:
+    """Where the mask should be in the next frame, with room for what is not foreseen; None where that is not known.
+
+    What a hand hides may come back anywhere.
+    """
+    if track.box is None or any(track.memory.hidden):
         return None
-    ahead = _VELOCITY_SHARE * min(max(stamp - track.stamp, 0.0), track.interval)
-    nodes = track.nodes + ahead * track.velocity
-    spare = _SPARE[0] + _SPARE[1] * ahead * float(np.abs(track.velocity).max())
-    (left, top), (right, bottom) = nodes.min(axis=0).tolist(), nodes.max(axis=0).tolist()
-    left, top = floor(left - track.margins[0] - spare), floor(top - track.margins[1] - spare)
-    right, bottom = ceil(right + track.margins[2] + spare), ceil(bottom + track.margins[3] + spare)
-    return Window(left, top, right - left + 1, bottom - top + 1)
+    left, top, width, height = track.box
+    spare = _SPARE + track.drift
+    return Window(left - spare, top - spare, width + 2 * spare, height + 2 * spare)
 
 
-def _margins(nodes: Array, box: Window | None) -> tuple[float, float, float, float] | None:
-    if box is None:
-        return None
-    (left, top), (right, bottom) = nodes.min(axis=0).tolist(), nodes.max(axis=0).tolist()
-    # Nodes may lie beyond the mask, where an end is hidden.
-    beyond = (left - box.left, top - box.top, box.left + box.width - 1 - right, box.top + box.height - 1 - bottom)
-    return max(beyond[0], 0.0), max(beyond[1], 0.0), max(beyond[2], 0.0), max(beyond[3], 0.0)
+def _drift(before: Window, after: Window) -> int:
+    """By how much the edges of a box have moved, at most, pixels."""
+    (a, b, c, d), (e, f, g, h) = before, after
+    return max(abs(a - e), abs(b - f), abs(a + c - e - g), abs(b + d - f - h))
 
 
 def size_jump(before: float, after: float, unit: str) -> str:

@@ -14,14 +14,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shape_obs import Centerline, Contour, ShapeDetector, SpecError, Surface, load_config, save_config, schema_hash
+from shape_obs import (
+    Centerline,
+    Contour,
+    ShapeDetector,
+    ShapeObservation,
+    SpecError,
+    Surface,
+    load_config,
+    save_config,
+    schema_hash,
+)
 from shape_obs.clustering import Clusterer, FuzzyCMeans, GaussianMixture, KMeans, Kohonen, SelfOrganisingMap
 from shape_obs.evaluation.blobs import draw_blob, moving_blob, random_blob
 from shape_obs.evaluation.clouds import ring_cloud, rope_cloud, sheet_cloud
 from shape_obs.evaluation.motion import moving_rope
 from shape_obs.evaluation.outline_scores import outline_score
 from shape_obs.evaluation.scores import score
-from shape_obs.evaluation.sheets import moving_sheet, random_sheet
+from shape_obs.evaluation.sheets import Sheet, draw_sheet, moving_sheet, random_sheet
 from shape_obs.evaluation.surface_claims import score_sheet
 from shape_obs.metrics import calinski_harabasz, distance, nearest, spacing_cv
 from shape_obs.samples import Samples, mask_pixels
@@ -34,6 +44,11 @@ IDS: Any = lambda clusterer: clusterer.kind  # noqa: E731
 
 def counted(points: np.ndarray) -> Samples:
     return Samples(np.asarray(points, dtype=np.float64), np.ones(len(points)), 1.0)
+
+
+def small_sheet(degrees: float) -> Sheet:
+    """A cloth of 2 : 1 in 256 x 192 pixels."""
+    return draw_sheet(0.4 * random_sheet(np.random.default_rng(0), 2.0, degrees).points, (192, 256))
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +95,7 @@ class TestCentres:
         np.testing.assert_allclose((share**2).T @ blobs / (share**2).sum(axis=0)[:, None], places, atol=1e-3)
 
     def test_a_kohonen_map_unfolds_over_a_sheet(self):
-        pixels = mask_pixels(random_sheet(np.random.default_rng(0), 2.0, 0.0, size=(160, 260)).mask)
+        pixels = mask_pixels(small_sheet(0.0).mask)
         kohonen, kmeans = (c.centres(counted(pixels), Grid(4, 8), 0).places for c in (Kohonen(steps=300), KMeans()))
         rows = kohonen.reshape(4, 8, 2)
         steps = np.linalg.norm(np.diff(rows, axis=1), axis=-1)
@@ -130,7 +145,7 @@ class TestShapes:
         assert np.linalg.norm(shape.pixels[0] - even[0]) < 1.2 * gap, "it begins where ours does"
 
     def test_a_sheets_centres_keep_near_their_places(self, clustering):
-        sheet = random_sheet(np.random.default_rng(0), 2.0, 10.0, size=(160, 260))
+        sheet = small_sheet(10.0)
         shape = ShapeDetector([Surface(rows=3, cols=6)], clustering=clustering).detect_mask(sheet.mask).shapes[0]
         assert score_sheet(shape.pixels, sheet, 3, 6, "centers", 0).slip < 1.2
         assert shape.visible.all()
@@ -152,7 +167,8 @@ class TestShapes:
     def test_depth_lifts_the_centres(self, clustering, wave, intrinsics):
         depth = np.full(wave.mask.shape, 0.8, np.float32)
         depth[:, :80] = 0
-        shape = ShapeDetector([Centerline(n=12)], clustering=clustering).detect_mask(wave.mask, depth, intrinsics)[0]
+        detector = ShapeDetector([Centerline(n=12)], clustering=clustering)
+        shape: Any = detector.detect_mask(wave.mask, depth, intrinsics).shapes[0]
         assert not shape.valid[0]
         assert shape.valid[3:].all()
         assert shape.visible.all()
@@ -160,11 +176,19 @@ class TestShapes:
         back = intrinsics.project(shape.points3d[shape.valid].astype(float))
         np.testing.assert_allclose(back, shape.pixels[shape.valid], atol=0.01)
 
+    def test_a_radius_takes_the_centres_of_a_seen_cloud_to_the_axis(self, clustering, wave, intrinsics):
+        depth = np.full(wave.mask.shape, 0.8)
+        points = []
+        for radius in (0.0, 0.01):
+            detector = ShapeDetector([Centerline(n=8, lift="cloud", radius=radius)], clustering=clustering)
+            points.append(detector.detect_mask(wave.mask, depth, intrinsics).shapes[0].points3d)
+        np.testing.assert_allclose(np.diff(points, axis=0)[0, :, 2], 0.01 * np.pi / 4, atol=5e-4)
+
     def test_clouds_are_clustered_point_by_point(self, clustering):
         rng = np.random.default_rng(0)
         rope, ring, sheet = rope_cloud(rng, count=1500), ring_cloud(rng, count=1500), sheet_cloud(rng, count=1500)
         for cloud, spec in ((rope, Centerline(n=12)), (ring, Contour(n=16)), (sheet, Surface(rows=3, cols=4))):
-            shape = ShapeDetector([spec], clustering=clustering).detect_cloud(cloud.points).shapes[0]
+            shape: Any = ShapeDetector([spec], clustering=clustering).detect_cloud(cloud.points).shapes[0]
             assert shape.ok
             assert shape.points2d is None
             if spec.kind == "centerline":
@@ -262,6 +286,23 @@ class TestConfiguration:
     def test_settings_out_of_range_are_refused(self, wrong):
         with pytest.raises(ValueError, match=f"{wrong['kind']}: .*{[*wrong][1]}"):
             ShapeDetector(clustering=wrong)
+
+    def test_the_wrapper_takes_it_and_rebuilds_it(self):
+        import gymnasium as gym
+        from gymnasium.envs.registration import EnvSpec
+        from rope_env import BLUE
+
+        gym.register("Clustered-v0", "rope_env:RopeEnv", max_episode_steps=5)
+        try:
+            env = ShapeObservation(gym.make("Clustered-v0"), segmentation=BLUE, clustering=KMeans(n_init=2))
+            spec = env.spec
+            assert spec is not None
+            again: Any = gym.make(EnvSpec.from_json(spec.to_json()))
+            np.testing.assert_array_equal(again.reset(seed=3)[0], env.reset(seed=3)[0])
+            plain = ShapeObservation(gym.make("Clustered-v0"), segmentation=BLUE)
+            assert np.abs(plain.reset(seed=3)[0] - env.reset(seed=3)[0]).max() > 1e-4
+        finally:
+            gym.registry.pop("Clustered-v0")
 
     def test_a_clusterer_of_ones_own_works(self, wave):
         from dataclasses import dataclass

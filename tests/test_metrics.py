@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,7 @@ from hypothesis.extra import numpy as st_numpy
 
 from shape_obs.evaluation.blobs import random_blob
 from shape_obs.evaluation.ropes import random_rope
-from shape_obs.evaluation.sheets import random_sheet
+from shape_obs.evaluation.sheets import draw_sheet, random_sheet
 from shape_obs.metrics import (
     calinski_harabasz,
     coverage,
@@ -42,7 +44,10 @@ def clusterings(draw):
 def drawn():
     """Pixels of a rope, an outline and a cloth, with the labels of nearest centres drawn by lot."""
     rng = np.random.default_rng(3)
-    masks = [random_rope(rng, "s", (240, 320)).mask, random_sheet(rng, 1.5, 20.0, size=(100, 130)).mask]
+    masks = [
+        random_rope(rng, "s", (240, 320)).mask,
+        draw_sheet(0.3 * random_sheet(rng, 1.5, 20.0).points, (144, 192)).mask,
+    ]
     pixels = [*(mask_pixels(mask) for mask in masks), random_blob(rng).outline]
     return [(p, nearest(p, p[rng.choice(len(p), 20, replace=False)])) for p in pixels]
 
@@ -125,7 +130,7 @@ class TestDistance:
     def test_no_place_on_the_line_is_nearer(self, seed, dimension):
         rng = np.random.default_rng(seed)
         line, points = rng.normal(size=(6, dimension)), rng.normal(size=(9, dimension))
-        dense = np.concatenate([np.linspace(a, b, 400) for a, b in zip(line[:-1], line[1:], strict=True)])
+        dense = np.concatenate([np.linspace(a, b, 400) for a, b in pairwise(line)])
         expected = np.linalg.norm(points[:, None] - dense, axis=2).min(axis=1)
         np.testing.assert_allclose(distance(points, line), expected, atol=2e-2)
         assert np.all(distance(points, line) <= expected + 1e-9)

@@ -88,6 +88,7 @@ def test_ratios_are_over_the_frames_of_both():
 def test_all_run_on_every_frame_and_who_begins_changes():
     entrants = [Entrant(name, lambda frame, name=name: f"{name}{frame}") for name in "abc"]
     assert [turn.result for turn in turns("xy", entrants)] == ["ax", "bx", "cx", "by", "cy", "ay"]
+    assert [turn.frame for turn in turns("x", entrants, "thread")] == [0, 0, 0]
     drawn = [turn.result for turn in turns("xy", entrants, seed=1)]
     assert sorted(drawn) == ["ax", "ay", "bx", "by", "cx", "cy"]
     assert drawn == [turn.result for turn in turns("xy", entrants, seed=1)]

@@ -94,6 +94,8 @@ def number(value: float | None) -> str:
     """Three digits that count."""
     if value is None:
         return "–"
+    if 0 < value < 1e-3:
+        return "< 0.001"
     if value >= 100:
         return f"{value:,.0f}".replace(",", " ")
     return f"{value:.3g}"
@@ -103,7 +105,7 @@ def _machine(document: Document) -> str:
     machine = dict(document["machine"])
     where = f"{machine.pop('processor')}, {machine.pop('cores')} cores, {machine.pop('system')}"
     packages = ", ".join(f"{name} {version}" for name, version in machine.items())
-    return f"{where}; {packages}; {document['frames']} frames, seed {document['seed']}."
+    return f"{where}; {packages}; {document['frames']} frames, seed {document['seed']}, {document['clock']} clock."
 
 
 def _asked(claims: list[Row]) -> str:

@@ -14,7 +14,8 @@ from shape_obs.coldstart.crossings import Strands, untangle
 from shape_obs.coldstart.fold import fold
 from shape_obs.coldstart.skeleton import skeleton_graph
 from shape_obs.curve import arc_length, interpolate
-from shape_obs.region import SPECK, Component, Region
+from shape_obs.kernels.interface_outline import SPECK
+from shape_obs.region import Component, Region
 from shape_obs.roi import Window
 
 Array = npt.NDArray[np.float64]

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from shape_obs.body import Body
 from shape_obs.cloud import Cloud
+from shape_obs.clustering import som
 from shape_obs.form import Form
 from shape_obs.gate import Verdict
 from shape_obs.samples import Samples, single
@@ -28,7 +29,7 @@ Array = npt.NDArray[np.float64]
 F = TypeVar("F", bound=Form)
 
 STATIC: Final = (0.8, 0.4, 0.4)
-MOVING: Final = (1.2, 0.6, 0.4, 0.4)
+MOVING: Final = (0.8, 0.4)
 
 
 class Points(NamedTuple):
@@ -119,6 +120,12 @@ class Configuration(Spec, Generic[F], family="configuration"):
             moving: The start may be off by a node.
         """
         return MOVING if moving else STATIC
+
+    def settled(self, start: Array, body: Body, topology: Topology, *, moving: bool) -> F:
+        """The form that the map takes from a start, finished."""
+        widths = self.widths(moving=moving)
+        nodes = som.fit(self.samples(body), start, topology, widths, body.kernels) if widths else start
+        return self.finish(nodes, body)
 
     @abstractmethod
     def finish(self, nodes: Array, body: Body) -> F:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.body import Body
+from shape_obs.cloud import Cloud
 from shape_obs.coldstart.axis import axis
 from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.curve import equidistant_positions
@@ -18,7 +20,7 @@ from shape_obs.occlusion import follow_chain, shown
 from shape_obs.region import Region
 from shape_obs.samples import Samples
 from shape_obs.tips import extend_to_tips
-from shape_obs.topology import Chain, Topology
+from shape_obs.topology import Chain, Topology, shrinkage
 from shape_obs.tracking import Prediction
 
 Array = npt.NDArray[np.float64]
@@ -77,21 +79,37 @@ class Centerline(Configuration[Curve], kind="centerline"):
 
     def nodes(self, form: Curve, topology: Topology) -> Array:
         """The centres of K equal pieces."""
-        return form.at((np.arange(topology.size) + 0.5) * (form.size / topology.size))
+        return form.at(_middles(topology.size) * form.size)
 
     def warm(self, body: Body, prediction: Prediction) -> Array:
         """The prediction itself: the chain settles from there, and only a lost one pays for a cold start."""
         return prediction.nodes
 
+    def settled(self, start: Array, body: Body, topology: Topology, *, moving: bool) -> Curve:
+        """In a mask all at once."""
+        if isinstance(body, Cloud):
+            return super().settled(start, body, topology, moving=moving)
+        sigmas, samples = self.widths(moving=moving), body.samples
+        points, arc, carried, spread = body.kernels.ribbon(
+            body.mask,
+            body.window.left,
+            body.window.top,
+            samples.points,
+            samples.weight,
+            start,
+            *topology.neighbourhoods(sigmas),
+            shrinkage(sigmas[-1]),
+            body.width,
+            body.thinnest,
+        )
+        return Curve(points, ~carried, spread=spread, kernels=body.kernels).along(arc)
+
     def finish(self, nodes: Array, body: Body) -> Curve:
         """The curve through the nodes, lengthened to the rope's tips."""
-        kernels, width = body.kernels, body.width
-        if isinstance(body, Region):
-            left, top = body.window[:2]
-            points, arc, carried = kernels.ribbon(body.mask, left, top, nodes, width, body.thinnest)
-            return Curve(points, ~carried, kernels=kernels).along(arc)
-        points = kernels.catmull_rom(extend_to_tips(nodes, body, width))
-        return Curve(points, ~body.carries(points), kernels=kernels)
+        if isinstance(body, Cloud):
+            nodes = extend_to_tips(nodes, body, body.width)
+        points = body.kernels.catmull_rom(nodes)
+        return Curve(points, ~body.carries(points), kernels=body.kernels)
 
     def known(self, body: Body, prediction: Prediction) -> Body:
         """A mask with the width that is known, so that its outline need not be traced."""
@@ -117,7 +135,7 @@ class Centerline(Configuration[Curve], kind="centerline"):
 
     def place(self, form: Curve, metric: Curve) -> Points:
         """Equal chords, from tip to tip or at the centres of N pieces."""
-        if sum(form.memory.hidden):
+        if any(form.memory.hidden):
             piece = shown(form)
             form, metric = form.cut(piece), metric.cut(piece)
         at = equidistant_positions(
@@ -125,3 +143,9 @@ class Centerline(Configuration[Curve], kind="centerline"):
         )
         along = at if metric is form else np.interp(at, metric.arc, form.arc)
         return Points(form.at(along), metric.bridged_at(at))
+
+
+@lru_cache
+def _middles(count: int) -> Array:
+    """(count,) the middles of so many equal pieces of 1."""
+    return (np.arange(count) + 0.5) / count

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from shape_obs.evaluation.point_quality import Quality, point_quality
-from shape_obs.evaluation.turns import Entrant, turns
+from shape_obs.evaluation.turns import Clock, Entrant, turns
 from shape_obs.evaluation.workloads import Scene, Work
 
 WARM_UP: Final = 5  # frames that are not counted: imports, compilation, the first cold start
@@ -45,7 +45,12 @@ class Score:
 
 
 def contest(
-    work: Work, entrants: Sequence[Entrant[Scene]], slow: set[str], few: int, tick: Callable[[], Any] = lambda: None
+    work: Work,
+    entrants: Sequence[Entrant[Scene]],
+    slow: set[str],
+    few: int,
+    clock: Clock = "wall",
+    tick: Callable[[], Any] = lambda: None,
 ) -> dict[str, Score]:
     """Let every entrant run on every frame.
 
@@ -54,6 +59,7 @@ def contest(
         entrants: Who runs.
         slow: Who runs on few frames only.
         few: On how many; on these the quality of all is measured.
+        clock: What counts the time.
         tick: Called after each frame.
 
     Returns:
@@ -64,7 +70,7 @@ def contest(
     chosen = {counted[i] for i in np.linspace(0, len(counted) - 1, min(few, len(counted))).astype(int)}
     entered = [replace(each, touch=_touch, frames=chosen if each.name in slow else None) for each in entrants]
     last = 0
-    for turn in turns(work.scenes, entered):
+    for turn in turns(work.scenes, entered, clock):
         if turn.frame > last:
             tick()
         last = turn.frame

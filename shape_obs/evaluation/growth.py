@@ -18,7 +18,7 @@ from shape_obs.evaluation.one_thread import one_thread
 from shape_obs.evaluation.ropes import SIZE, draw_rope
 from shape_obs.evaluation.sheets import draw_sheet
 from shape_obs.evaluation.streams import BLUE, RGBD, photo, pinhole
-from shape_obs.evaluation.turns import Entrant, turns
+from shape_obs.evaluation.turns import Clock, Entrant, turns
 from shape_obs.evaluation.workloads import cloths, ropes
 
 Array = npt.NDArray[np.float64]
@@ -74,7 +74,7 @@ class Growth(NamedTuple):
     median: float
 
 
-def growths(frames: int, seed: int, tick: Callable[[], Any] = lambda: None) -> list[Growth]:
+def growths(frames: int, seed: int, clock: Clock = "wall", tick: Callable[[], Any] = lambda: None) -> list[Growth]:
     """Time tracked detectors on growing objects, points and shapes, 640 x 480, all in turn, on one thread.
 
     Pixels and points are timed from the mask to the points, shapes from the RGB-D image on.
@@ -82,6 +82,7 @@ def growths(frames: int, seed: int, tick: Callable[[], Any] = lambda: None) -> l
     Args:
         frames: How many are counted.
         seed: Of the motions.
+        clock: What counts the time.
         tick: Called after each frame.
     """
     cases: dict[str, tuple[_Case, Backend]] = {
@@ -99,7 +100,7 @@ def growths(frames: int, seed: int, tick: Callable[[], Any] = lambda: None) -> l
             tick()
 
     with one_thread():
-        for turn in turns(instants(), [_entrant(name, *case) for name, case in cases.items()], seed):
+        for turn in turns(instants(), [_entrant(name, *case) for name, case in cases.items()], clock, seed):
             if turn.frame >= WARM_UP:
                 spent[turn.name].append(turn.milliseconds)
     return [

@@ -16,7 +16,7 @@ from shape_obs.evaluation.asked import at_least, at_most
 from shape_obs.evaluation.backends import LABELS, Backend, backends, ours
 from shape_obs.evaluation.one_thread import one_thread
 from shape_obs.evaluation.streams import BLUE, RGBD, Size, classic, streams
-from shape_obs.evaluation.turns import Entrant, turns
+from shape_obs.evaluation.turns import Clock, Entrant, turns
 from shape_obs.shape import Detection
 
 Row = dict[str, Any]
@@ -61,7 +61,9 @@ class Latency:
 Latencies = dict[tuple[Size, str], Latency]
 
 
-def latencies(sizes: tuple[Size, ...], frames: int, seed: int, tick: Callable[[], Any] = lambda: None) -> Latencies:
+def latencies(
+    sizes: tuple[Size, ...], frames: int, seed: int, clock: Clock = "wall", tick: Callable[[], Any] = lambda: None
+) -> Latencies:
     """Time the whole pipeline beside one pass over the image and beside the classic segmentation.
 
     Every method at every size runs on every frame, in turn, on one thread.
@@ -70,6 +72,7 @@ def latencies(sizes: tuple[Size, ...], frames: int, seed: int, tick: Callable[[]
         sizes: (width, height) of the images, pixels.
         frames: How many are counted.
         seed: Of motion, light and noise.
+        clock: What counts the time; the stages are told by the detector, in time that passes.
         tick: Called after each frame.
 
     Returns:
@@ -83,7 +86,7 @@ def latencies(sizes: tuple[Size, ...], frames: int, seed: int, tick: Callable[[]
             keys[entrant.name] = size, entrant.name.split(" | ")[1]
             entrants.append(entrant)
     with one_thread():
-        for turn in turns(_ticking(streams(sizes, frames + WARM_UP, seed), tick), entrants):
+        for turn in turns(_ticking(streams(sizes, frames + WARM_UP, seed), tick), entrants, clock):
             if turn.frame < WARM_UP:
                 continue
             latency = found[keys[turn.name]]

@@ -15,7 +15,7 @@ from shape_obs.evaluation.backends import LABELS, Backend, backends, ours
 from shape_obs.evaluation.contest import WARM_UP, Score, contest
 from shape_obs.evaluation.one_thread import one_thread
 from shape_obs.evaluation.peers import PEERS
-from shape_obs.evaluation.turns import Entrant
+from shape_obs.evaluation.turns import Clock, Entrant
 from shape_obs.evaluation.workloads import Name, Scene, Work, work
 
 Row = dict[str, Any]
@@ -78,7 +78,14 @@ def missing() -> dict[str, str]:
     return away | {peer.module.partition(".")[0]: peer.package for peer in PEERS if peer.load() is None}
 
 
-def run_work(name: Name, frames: int, slow_frames: int, seed: int, tick: Callable[[], Any] = lambda: None) -> Result:
+def run_work(
+    name: Name,
+    frames: int,
+    slow_frames: int,
+    seed: int,
+    clock: Clock = "wall",
+    tick: Callable[[], Any] = lambda: None,
+) -> Result:
     """Let the detector and every installed peer run on one work.
 
     Args:
@@ -86,6 +93,7 @@ def run_work(name: Name, frames: int, slow_frames: int, seed: int, tick: Callabl
         frames: How many are counted.
         slow_frames: On how many of them slow methods run; 0 leaves these out. Quality is looked at on as many.
         seed: Of the motion, and of the methods that draw.
+        clock: What counts the time.
         tick: Called after each frame.
     """
     task = work(name, frames + WARM_UP, seed)
@@ -96,7 +104,7 @@ def run_work(name: Name, frames: int, slow_frames: int, seed: int, tick: Callabl
     entrants += [Entrant(peer.name, peer.make(task, module, seed)) for peer, module in modules if module is not None]
     slow = {peer.name for peer in entered if peer.slow}
     with one_thread():
-        scores = contest(task, entrants, slow, slow_frames or _LOOKED_AT, tick)
+        scores = contest(task, entrants, slow, slow_frames or _LOOKED_AT, clock, tick)
     return Result(task, scores, len(refused))
 
 

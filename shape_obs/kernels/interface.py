@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -14,11 +14,14 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 
+MILLIMETRE: Final = 1e-3  # metres; the unit of depth in whole numbers
+FARTHEST: Final = 1e6  # metres; what lies beyond is garbage, and would overflow single precision
 # An empty bin pulls its node nowhere: each node keeps a trace of weight where it stands.
 TRACE: Final = 1e-3
 # Chords are equalised this often, or until their gaps differ by no more than this share.
 EQUALISING_PASSES: Final = 40
 EQUAL: Final = 2e-3
+JUDGED: Final = 150  # samples tell how far a mask spreads about a curve
 # Of a strand, in widths: how far to the side a pixel may lie to belong to it, and how far ahead; it goes on where a
 # pixel lies beyond the third.
 SIDE: Final = 0.75
@@ -37,21 +40,17 @@ SHORTEST: Final = 1 / 12
 
 
 class Found(NamedTuple):
-    """What a search by colour found in a window of (h,w) pixels.
+    """What a search by colour found in a window.
 
     Args:
-        mask: (h,w) uint8, 0 or 255, C-contiguous.
-        points: (M,2) centroids of the mask's pixels in squares that lie as the image does, image pixels, in no order.
-        weight: (M,) how many pixels each stands for.
-        piece: (M,) the piece that each belongs to.
-        area: (P,) pixels of each piece, the largest first.
+        mask: (h,w) uint8, 0 or 255, C-contiguous, the plausible components alone.
+        runs: (R,3) its rows of pixels, as ``Kernels.survey`` gives them.
+        areas: (Q,) pixels of each component, largest first.
     """
 
     mask: Mask
-    points: Array
-    weight: Array
-    piece: Indices
-    area: Indices
+    runs: Indices
+    areas: Indices
 
 
 class Kernels(OutlineKernels, SheetKernels, Protocol):
@@ -59,7 +58,7 @@ class Kernels(OutlineKernels, SheetKernels, Protocol):
 
     def survey(
         self, mask: Mask, left: int, top: int, min_area: float, min_share: float
-    ) -> tuple[Indices, Indices, bool]:
+    ) -> tuple[Indices, Indices, tuple[int, int, int, int], bool]:
         """The plausible components of a mask, 8-connected, as rows of pixels.
 
         Args:
@@ -71,7 +70,8 @@ class Kernels(OutlineKernels, SheetKernels, Protocol):
 
         Returns:
             (R,3) row, first column, column past the last one, image coordinates, top to bottom and left to right;
-            (Q,) the components' pixels, largest first; whether any were dropped.
+            (Q,) the components' pixels, largest first; left, top, width and height of the box around them; whether
+            any were dropped.
         """
         ...
 
@@ -85,6 +85,34 @@ class Kernels(OutlineKernels, SheetKernels, Protocol):
 
     def carried(self, mask: Mask, left: int, top: int, points: Array, reach: int) -> npt.NDArray[np.bool_]:
         """Whether a mask has a pixel at most ``reach`` from each of (N,2) image points: (N,)."""
+        ...
+
+    def median_depth(
+        self,
+        depth: npt.NDArray[Any],
+        unit: float,
+        mask: Mask,
+        left: int,
+        top: int,
+        points: Array,
+        reach: int,
+        min_share: float,
+    ) -> Array:
+        """The median depth of the mask around each point.
+
+        Args:
+            depth: (H,W) uint16, float32 or float64; 0, negative, non-finite or absurd = invalid.
+            unit: Metres in a unit of depth.
+            mask: (h,w) uint8, C-contiguous.
+            left: Image column of its first pixel.
+            top: Image row of its first pixel.
+            points: (N,2) image pixels.
+            reach: How far around a point is looked, pixels.
+            min_share: Of the mask's pixels there, that must have a valid depth.
+
+        Returns:
+            (N,) metres, NaN where too few have.
+        """
         ...
 
     def best_matching_units(self, points: Array, nodes: Array) -> npt.NDArray[np.intp]:
@@ -156,13 +184,24 @@ class Kernels(OutlineKernels, SheetKernels, Protocol):
         ...
 
     def spread(self, points: Array, weight: Array, curve: Array) -> float:
-        """Mean square distance of (M,D) weighted points from the tangents of a curve (P,D)."""
+        """Mean square distance of (M,D) weighted points from the tangents of a curve (P,D); of 150 or so of them."""
         ...
 
     def ribbon(
-        self, mask: Mask, left: int, top: int, nodes: Array, width: float, thinnest: float
-    ) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-        """The fine axis of a ribbon in a mask through its fitted nodes, from tip to tip.
+        self,
+        mask: Mask,
+        left: int,
+        top: int,
+        points: Array,
+        weight: Array,
+        nodes: Array,
+        first: Array,
+        second: Array,
+        share: float,
+        width: float,
+        thinnest: float,
+    ) -> tuple[Array, Array, npt.NDArray[np.bool_], float]:
+        """The fine axis of a ribbon in a mask, from tip to tip, through the nodes of a chain that settles in it.
 
         Nodes that hang over the mask's ends are left out. From there the way goes on along the strand: to the middle
         of a slice ahead while there is more, then to the middle of the last piece, and on as far as the rest is long.
@@ -171,12 +210,18 @@ class Kernels(OutlineKernels, SheetKernels, Protocol):
             mask: (h,w) uint8, C-contiguous.
             left: Image column of its first pixel.
             top: Image row of its first pixel.
-            nodes: (K,2) image pixels, K >= 3.
+            points: (M,2) image pixels, the mask's samples.
+            weight: (M,).
+            nodes: (K,2) image pixels, K >= 3, from where the chain settles.
+            first: Of the chain, see ``settle``.
+            second: Of the chain.
+            share: Of the chain, see ``unshrink``.
             width: The ribbon's, pixels.
             thinnest: The least width that can be measured.
 
         Returns:
-            (P,2) pixels; (P,) their arc length; (P,) whether the mask carries them, or a pixel beside them.
+            (P,2) pixels; (P,) their arc length; (P,) whether the mask carries them, or a pixel beside them; the mean
+            square distance of the samples from their tangents, see ``spread``.
         """
         ...
 
@@ -199,25 +244,21 @@ class Kernels(OutlineKernels, SheetKernels, Protocol):
         window: Window,
         table: npt.NDArray[np.uint64],
         step: int,
-        edge: int,
         min_area: int,
         min_share: float,
     ) -> Found:
-        """The same without reading every pixel: look at one in ``step * step``, then go on from those in the table.
+        """``table_mask`` and ``survey`` in one, without reading every pixel.
 
-        What is found is complete to the pixel: the search goes on wherever pixels touch, side by side or corner to
-        corner. Not found is what slips between the pixels looked at, which lie in a lattice of the image, every other
-        row shifted by half a step: no piece that a disc of diameter 1.25 * step + 1 fits into.
-
-        Pieces are told apart unless both have pixels in one square of 8 x 8 of the image: then they count as one.
+        One pixel in ``step * step`` is looked at, in a lattice that lies fast in the image with every other row shifted
+        by half a step. Components that hold none of these are left out, so whatever a disc of diameter
+        1.25 * step + 1 fits into is found, and what is found is complete to the pixel.
 
         Args:
             rgb: (H,W,3) uint8.
             window: Which of its pixels count.
             table: See ``segmentation.table.colour_table``.
-            step: 1, 2, 4 or 8 pixels.
-            edge: Of the squares in which pixels are gathered: 4 or 8 pixels.
-            min_area: Pieces with fewer pixels are dropped.
+            step: 1 (every pixel), 4 or 8 pixels.
+            min_area: Components with fewer pixels are dropped.
             min_share: So are those smaller than this share of the largest.
         """
         ...

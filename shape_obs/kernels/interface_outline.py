@@ -9,6 +9,10 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.uint8]
+Box = tuple[int, int, int, int]
+
+SPECK: Final = 20  # pixels around a hole; shorter ones are noise
 
 # Smoothing along an outline, in its steps: enough to see a direction and a length through the staircase of pixels, at
 # 0.2 px off a bend of radius 10. What is fitted is not smoothed.
@@ -48,14 +52,30 @@ FINE: Final = 25  # rows and columns of a patch: between them it is taken to be 
 class OutlineKernels(Protocol):
     """Outlines: closed curves of (P,D) points, the first not repeated; D is 2 where nothing else is said."""
 
+    def traced(self, mask: Mask, runs: Indices, left: int, top: int, box: Box) -> tuple[Array, float, float]:
+        """The outline of a mask of one piece.
+
+        Args:
+            mask: (h,w) uint8, C-contiguous, 0 = background, 8-connected.
+            runs: (R,3) its rows of pixels.
+            left: Image column of its first pixel.
+            top: Image row of its first pixel.
+            box: Left, top, width and height of the box around the piece, image coordinates.
+
+        Returns:
+            (P,2) image pixels, closed, 8-connected, through the centres of the border pixels, in OpenCV's order; its
+            length; and the length of the outlines of its holes, pixels, specks left out.
+        """
+        ...
+
     def border(self, traced: Array, hole: bool) -> tuple[Array, Array]:
-        """Where the material ends: with the staircase of pixels, and without.
+        """Where the material ends, clockwise as seen: with the staircase of pixels, and without.
 
         Per step along its main direction, a straight border runs through pixels that lie 0 to 1 px inside the edge,
         along the other axis: half a pixel on average there, so 0.5 max(|n_u|, |n_v|) along the normal n.
 
         Args:
-            traced: (P,2) through the centres of the border pixels, clockwise as seen.
+            traced: (P,2) through the centres of the border pixels, either way round.
             hole: Whether the material lies outside.
 
         Returns:

@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 from shape_obs.kernels.numba_curve import arc_length, catmull_rom, equidistant, interpolate, spread, unshrink
+from shape_obs.kernels.numba_depth import median_depth
 from shape_obs.kernels.numba_map import best_matching_units, settle
 from shape_obs.kernels.numba_mask import carried, cells, survey
-from shape_obs.kernels.numpy_outline import around, blend, border, followed, lag, miss, pairs
-from shape_obs.kernels.numpy_sheet import assessed, corners_near, gauges, laid, outer_corners, rim, sampled, strayed, tracked
+from shape_obs.kernels.numba_outline import around, blend, border, followed, lag, miss, pairs
+from shape_obs.kernels.numba_sheet import (
+    assessed,
+    corners_near,
+    gauges,
+    laid,
+    outer_corners,
+    rim,
+    sampled,
+    strayed,
+    tracked,
+)
 from shape_obs.kernels.numba_strand import ribbon
+from shape_obs.kernels.numba_trace import traced
 
 __all__ = [
     "arc_length",
@@ -26,6 +38,7 @@ __all__ = [
     "interpolate",
     "lag",
     "laid",
+    "median_depth",
     "miss",
     "outer_corners",
     "pairs",
@@ -36,6 +49,7 @@ __all__ = [
     "spread",
     "strayed",
     "survey",
+    "traced",
     "tracked",
     "unshrink",
 ]

@@ -8,21 +8,21 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from shape_obs.kernels.interface import Found, Mask
+from shape_obs.kernels.interface import Found, Indices, Mask
+from shape_obs.kernels.numba_mask import _pieces
 from shape_obs.roi import Window
 
 reads_tables: Final = True
 
+# Eight pixels in a row are a byte, the leftmost its lowest bit; here is the byte as eight bytes of a mask.
 _BITS: Final = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1, bitorder="little")
-# Of a row of eight pixels as a byte: the row as mask bytes.
 _SPREAD: Final = np.ascontiguousarray(_BITS * np.uint8(255)).view(np.uint64).ravel()
-# And its tally, a byte each: how many pixels the near and the far half have, and the sums of their columns, 0...3.
-_HALVES: Final = _BITS.reshape(256, 2, 4).astype(np.uint64)
-_TALLY: Final = np.concatenate([_HALVES.sum(axis=2), _HALVES @ np.arange(4, dtype=np.uint64)], axis=1) @ (
-    np.array([1, 1 << 8, 1 << 16, 1 << 24], np.uint64)
-)
+# Where the one bit of a word stands, by the top six bits of the word times a de Bruijn sequence.
+_SEQUENCE: Final = np.uint64(0x03F79D71B4CB0A89)
+_PLACE: Final = np.zeros(64, np.int64)
+_PLACE[[(int(_SEQUENCE) << k & (2**64 - 1)) >> 58 for k in range(64)]] = np.arange(64)
 
-_U = np.uint64
+_U = np.uint64  # unsigned indices are not checked for being negative
 
 
 @njit(inline="always")
@@ -34,38 +34,20 @@ def _bit(flat: Any, at: Any, table: Any) -> Any:
 
 @njit(inline="always")
 def _eight(flat: Any, at: Any, table: Any) -> Any:
-    """The same of eight pixels in a row, the first in the lowest bit."""
+    """The same of eight pixels in a row."""
     bits = _bit(flat, at, table)
     for k in range(1, 8):
         bits |= _bit(flat, at + _U(3 * k), table) << _U(k)
     return bits
 
 
-@njit(cache=True, nogil=True)
-def _table_mask(flat: Any, origin: int, pitch: int, width: int, height: int, table: Any) -> Mask:
-    out = np.empty((height, width), np.uint8)
-    for row in range(height):
-        at = _U(origin + row * pitch)
-        for column in range(width):
-            out[row, column] = -np.uint8(_bit(flat, at, table))
-            at += _U(3)
-    return out
-
-
 @njit(inline="always")
-def _read_cell(
-    rows: Any, flat: Any, at: Any, pitch: Any, u0: Any, v0: Any, left: Any, top: Any, right: Any, bottom: Any, table: Any
-) -> None:
-    """The 8 x 8 pixels from (u0, v0) on as eight ``rows`` of bits; outside the window they are 0."""
-    if u0 >= left and v0 >= top and u0 + 8 <= right and v0 + 8 <= bottom:
-        for y in range(8):
-            rows[y] = _eight(flat, _U(at + y * pitch), table)
-        return
-    for y in range(8):
-        rows[y] = _U(0)
-        if top <= v0 + y < bottom:
-            for k in range(max(left - u0, 0), min(right - u0, 8)):
-                rows[y] |= _bit(flat, _U(at + y * pitch + 3 * k), table) << _U(k)
+def _few(flat: Any, at: Any, table: Any, first: Any, stop: Any) -> Any:
+    """The same of those that lie in the window."""
+    bits = _U(0)
+    for k in range(first, stop):
+        bits |= _bit(flat, _U(at + 3 * k), table) << _U(k)
+    return bits
 
 
 @njit(inline="always")
@@ -75,6 +57,151 @@ def _push(cell: Any, seen: Any, stack: Any, top: Any) -> Any:
         stack[_U(top)] = cell
         top += 1
     return top
+
+
+@njit(cache=True, nogil=True)
+def _read_all(
+    flat: Any, origin: int, pitch: int, left: int, top: int, right: int, bottom: int, table: Any, bits: Any, words: Any
+) -> None:
+    """Every pixel of the window, row by row."""
+    west, across = left & ~7, words.shape[1]
+    for v in range(top, bottom):
+        for column in range(across):
+            u = west + 8 * column
+            at = origin + v * pitch + 3 * u
+            if u >= left and u + 8 <= right:
+                row = _eight(flat, _U(at), table)
+            else:
+                row = _few(flat, at, table, max(left - u, 0), min(right - u, 8))
+            bits[v - top, column] = row
+            words[v - top, column] = _SPREAD[row]
+
+
+@njit(cache=True, nogil=True)
+def _read_near_hits(
+    flat: Any,
+    origin: int,
+    pitch: int,
+    left: int,
+    top: int,
+    right: int,
+    bottom: int,
+    table: Any,
+    step: int,
+    bits: Any,
+    words: Any,
+) -> None:
+    """Cells of 8 x 8 pixels that hold a pixel of the lattice in the table, and from there on where pixels touch."""
+    west, north, across, down = left & ~7, top & ~7, words.shape[1], (bottom - (top & ~7) + 7) >> 3
+    stride = across + 2  # cells around the window count as seen
+    seen = np.ones((down + 2) * stride, np.uint8)
+    for row in range(1, down + 1):
+        seen[row * stride + 1 : row * stride + 1 + across] = 0
+    stack, rows = np.empty(across * down, np.int64), np.empty(8, np.uint64)
+    for v in range(top + (step // 2 - top) % step, bottom, step):
+        line, start = (((v - north) >> 3) + 1) * stride + 1, origin + v * pitch
+        for u in range(left + (_shift(v, step) - left) % step, right, step):
+            cell = line + ((u - west) >> 3)
+            if seen[_U(cell)] != 0 or _bit(flat, _U(start + 3 * u), table) == 0:
+                continue
+            waiting = _push(cell, seen, stack, 0)
+            while waiting > 0:
+                waiting -= 1
+                cell = stack[_U(waiting)]
+                row, column = cell // stride - 1, cell % stride - 1
+                u0, v0 = west + 8 * column, north + 8 * row
+                at = origin + v0 * pitch + 3 * u0
+                every = _U(0)
+                if u0 >= left and v0 >= top and u0 + 8 <= right and v0 + 8 <= bottom:
+                    for y in range(8):
+                        rows[y] = _eight(flat, _U(at + y * pitch), table)
+                        every |= rows[y]
+                else:
+                    for y in range(8):
+                        inside = top <= v0 + y < bottom
+                        stop = min(right - u0, 8) if inside else 0
+                        rows[y] = _few(flat, at + y * pitch, table, max(left - u0, 0), stop)
+                        every |= rows[y]
+                if every == 0:
+                    continue
+                for y in range(max(v0, top), min(v0 + 8, bottom)):
+                    bits[_U(y - top), _U(column)] = rows[y - v0]
+                    words[_U(y - top), _U(column)] = _SPREAD[rows[y - v0]]
+                if every & _U(1):
+                    waiting = _push(cell - 1, seen, stack, waiting)
+                if every >> _U(7):
+                    waiting = _push(cell + 1, seen, stack, waiting)
+                for edge, beside in ((rows[0], cell - stride), (rows[7], cell + stride)):
+                    if edge:
+                        waiting = _push(beside, seen, stack, waiting)
+                        if edge & _U(1):
+                            waiting = _push(beside - 1, seen, stack, waiting)
+                        if edge >> _U(7):
+                            waiting = _push(beside + 1, seen, stack, waiting)
+
+
+@njit(inline="always")
+def _shift(v: Any, step: Any) -> Any:
+    """Where a row of the lattice begins: every other one half a step further."""
+    return step // 4 + (step // 2) * ((v // step) & 1)
+
+
+@njit(cache=True, nogil=True)
+def _runs_of(bits: Any, west: int, top: int) -> Indices:
+    """(R,3) the runs of rows of bits: (h,w) uint64, the leftmost pixel the lowest bit."""
+    height, width = bits.shape
+    found = np.empty((4 * height + 16, 3), np.int64)
+    count = 0
+    for row in range(height):
+        if count + 32 * width + 1 > len(found):
+            larger = np.empty((2 * len(found) + 32 * width, 3), np.int64)
+            larger[:count] = found[:count]
+            found = larger
+        before = _U(0)
+        for column in range(width):
+            word = bits[row, column]
+            edges = word ^ ((word << _U(1)) | before)  # 1 where a run begins, and behind its end
+            before = word >> _U(63)
+            while edges:
+                lowest = edges & (~edges + _U(1))
+                at = west + 64 * column + _PLACE[(lowest * _SEQUENCE) >> _U(58)]
+                if word & lowest:
+                    found[count, 0], found[count, 1] = row + top, at
+                else:
+                    found[count, 2] = at
+                    count += 1
+                edges ^= lowest
+        if before:
+            found[count, 2] = west + 64 * width
+            count += 1
+    return found[:count]
+
+
+@njit(cache=True, nogil=True)
+def _plausible(runs: Indices, step: int, min_area: int, min_share: float, left: int, top: int, mask: Mask) -> Any:
+    """The runs of plausible components that the lattice has met, and their areas; the others leave the mask."""
+    label, count = _pieces(runs)
+    areas, met = np.zeros(count, np.int64), np.zeros(count, np.bool_)
+    for at in range(len(runs)):
+        row, start, stop = runs[at]
+        areas[label[at]] += stop - start
+        met[label[at]] |= step == 1 or (
+            row % step == step // 2 and start + (_shift(row, step) - start) % step < stop
+        )
+    largest = 0
+    for piece in range(count):
+        areas[piece] *= met[piece]
+        largest = max(largest, areas[piece])
+    floor = max(float(max(min_area, 1)), min_share * largest)
+    held = 0
+    for at in range(len(runs)):
+        row, start, stop = runs[at]
+        if areas[label[at]] >= floor:
+            runs[held, 0], runs[held, 1], runs[held, 2] = row, start, stop
+            held += 1
+        else:
+            mask[row - top, start - left : stop - left] = 0
+    return runs[:held], -np.sort(-areas[areas >= floor])
 
 
 @njit(cache=True, nogil=True)
@@ -88,99 +215,33 @@ def _seek(
     bottom: int,
     table: Any,
     step: int,
-    edge: int,
     min_area: int,
     min_share: float,
 ) -> Any:
     """Columns and rows are the image's; its pixel (u, v) stands at ``origin + v * pitch + 3 * u``."""
-    west, north = left & ~7, top & ~7
-    across, down = (right - west + 7) >> 3, (bottom - north + 7) >> 3
-    pitch_of_cells = across + 2  # cells around the window count as seen
-    seen = np.ones((down + 2) * pitch_of_cells, np.uint8)
-    for row in range(1, down + 1):
-        seen[row * pitch_of_cells + 1 : row * pitch_of_cells + 1 + across] = 0
-    stack = np.empty(across * down, np.int64)
-    rows = np.empty(8, np.uint64)
-    words = np.zeros((bottom - top, across), np.uint64)
-    most = across * down * (1 if edge == 8 else 4)
-    points, weight = np.empty((most, 2)), np.empty(most)
-    piece, home = np.empty(most, np.int64), np.empty(most, np.int64)
-    area = np.zeros(across * down, np.int64)
-    found, pieces = 0, 0
-    for v in range(top + (-(top - step // 2)) % step, bottom, step):
-        # Rows of the lattice are shifted by half a step in turn.
-        first = left + ((step // 4 if (v // step) & 1 == 0 else step // 4 + step // 2) - left) % step
-        line, start = (((v - north) >> 3) + 1) * pitch_of_cells + 1, origin + v * pitch
-        for u in range(first, right, step):
-            cell = line + ((u - west) >> 3)
-            if seen[_U(cell)] != 0 or _bit(flat, _U(start + 3 * u), table) == 0:
-                continue
-            waiting = _push(cell, seen, stack, 0)
-            while waiting > 0:
-                waiting -= 1
-                cell = stack[_U(waiting)]
-                row, column = cell // pitch_of_cells - 1, cell % pitch_of_cells - 1
-                u0, v0 = west + 8 * column, north + 8 * row
-                _read_cell(rows, flat, origin + v0 * pitch + 3 * u0, pitch, u0, v0, left, top, right, bottom, table)
-                n = su = sv = 0
-                every = _U(0)
-                for half in range(0, 8, 4):
-                    tally = below = _U(0)
-                    for y in range(4):
-                        bits = rows[half + y]
-                        every |= bits
-                        tally += _TALLY[bits]
-                        below += (_TALLY[bits] & _U(0xFFFF)) * _U(y)
-                    for side in range(2):
-                        count = np.int64((tally >> _U(8 * side)) & _U(255))
-                        columns = np.int64((tally >> _U(8 * side + 16)) & _U(255)) + 4 * side * count
-                        lines = np.int64((below >> _U(8 * side)) & _U(255)) + half * count
-                        if edge == 4 and count > 0:
-                            points[found, 0], points[found, 1] = u0 + columns / count, v0 + lines / count
-                            weight[found], piece[found], home[found] = count, pieces, cell
-                            found += 1
-                        n, su, sv = n + count, su + columns, sv + lines
-                if n == 0:
-                    continue
-                for y in range(max(v0, top), min(v0 + 8, bottom)):
-                    words[_U(y - top), _U(column)] = _SPREAD[rows[y - v0]]
-                area[pieces] += n
-                if edge == 8:
-                    points[found, 0], points[found, 1] = u0 + su / n, v0 + sv / n
-                    weight[found], piece[found], home[found] = n, pieces, cell
-                    found += 1
-                # The search goes on where pixels touch the next cell, and nowhere else.
-                if every & _U(1):
-                    waiting = _push(cell - 1, seen, stack, waiting)
-                if every >> _U(7):
-                    waiting = _push(cell + 1, seen, stack, waiting)
-                for bits, beside in ((rows[0], cell - pitch_of_cells), (rows[7], cell + pitch_of_cells)):
-                    if bits:
-                        waiting = _push(beside, seen, stack, waiting)
-                        if bits & _U(1):
-                            waiting = _push(beside - 1, seen, stack, waiting)
-                        if bits >> _U(7):
-                            waiting = _push(beside + 1, seen, stack, waiting)
-            pieces += 1
-    # The plausible pieces alone, the largest first.
-    floor = max(min_area, min_share * area[:pieces].max()) if pieces else 0
-    order = np.argsort(-area[:pieces], kind="mergesort")
-    rank = np.full(pieces, -1, np.int64)
-    kept = 0
-    for at in order:
-        if area[at] >= floor:
-            rank[at] = kept
-            kept += 1
-    held = 0
-    for at in range(found):
-        if rank[piece[at]] >= 0:
-            points[held], weight[held], piece[held] = points[at], weight[at], rank[piece[at]]
-            held += 1
-        else:
-            row, column = home[at] // pitch_of_cells - 1, home[at] % pitch_of_cells - 1
-            for y in range(max(north + 8 * row, top), min(north + 8 * row + 8, bottom)):
-                words[y - top, column] = 0
-    return words, points[:held].copy(), weight[:held].copy(), piece[:held].copy(), area[order[:kept]]
+    west, height = left & ~7, bottom - top
+    across = (right - west + 7) >> 3
+    bits = np.zeros((height, (across + 7) // 8 * 8), np.uint8)
+    words = np.zeros((height, across), np.uint64)
+    if step == 1:
+        _read_all(flat, origin, pitch, left, top, right, bottom, table, bits, words)
+    else:
+        _read_near_hits(flat, origin, pitch, left, top, right, bottom, table, step, bits, words)
+    mask = words.view(np.uint8)
+    runs = _runs_of(bits.view(np.uint64), west, top)
+    runs, areas = _plausible(runs, step, min_area, min_share, west, top, mask)
+    return mask, runs, areas
+
+
+@njit(cache=True, nogil=True)
+def _table_mask(flat: Any, origin: int, pitch: int, width: int, height: int, table: Any) -> Mask:
+    out = np.empty((height, width), np.uint8)
+    for row in range(height):
+        at = _U(origin + row * pitch)
+        for column in range(width):
+            out[row, column] = -np.uint8(_bit(flat, at, table))
+            at += _U(3)
+    return out
 
 
 def table_mask(rgb: npt.NDArray[np.uint8], window: Window, table: npt.NDArray[np.uint64]) -> Mask:
@@ -195,20 +256,18 @@ def seek(
     window: Window,
     table: npt.NDArray[np.uint64],
     step: int,
-    edge: int,
     min_area: int,
     min_share: float,
 ) -> Found:
     """See ``Kernels.seek``."""
     flat, origin, pitch = _flat(rgb, window)
     left, top, width, height = window
-    words, points, weight, piece, area = _seek(
-        flat, origin, pitch, left, top, left + width, top + height, table, step, edge, min_area, min_share
+    mask, runs, areas = _seek(
+        flat, origin, pitch, left, top, left + width, top + height, table, step, min_area, min_share
     )
-    mask = words.view(np.uint8)
     if mask.shape[1] != width:
         mask = np.ascontiguousarray(mask[:, left % 8 : left % 8 + width])
-    return Found(mask, points, weight, piece, area)
+    return Found(mask, runs, areas)
 
 
 def _flat(rgb: npt.NDArray[np.uint8], window: Window) -> tuple[npt.NDArray[np.uint8], int, int]:

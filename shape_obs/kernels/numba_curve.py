@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from shape_obs.kernels.interface import EQUAL, EQUALISING_PASSES, Array
+from shape_obs.kernels.interface import EQUAL, EQUALISING_PASSES, JUDGED, Array
 from shape_obs.kernels.numba_map import best_matching_units
 
 
@@ -132,6 +132,8 @@ def equidistant(curve: Array, arc: Array, count: int, margin: float, max_shift: 
 def spread(points: Array, weight: Array, curve: Array) -> float:
     """See ``Kernels.spread``."""
     size, dimension = curve.shape
+    step = -(-len(points) // JUDGED)
+    points, weight = points[::step].copy(), weight[::step]
     nearest = best_matching_units(points, curve)
     tangent, reach = np.empty((size, dimension)), np.empty(size)
     for p in range(size):

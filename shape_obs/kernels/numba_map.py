@@ -36,9 +36,7 @@ def best_matching_units(points: Array, nodes: Array) -> Indices:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _take(
-    unit: Indices, most: Array, x: Array, y: Array, u: float, v: float, half: float, k: int
-) -> None:
+def _take(unit: Indices, most: Array, x: Array, y: Array, u: float, v: float, half: float, k: int) -> None:
     """Give points in the plane to node k where it is nearer than those before it."""
     for m in range(len(x)):
         score = x[m] * u + y[m] * v - half

@@ -88,7 +88,9 @@ def _pieces(runs: Indices) -> tuple[Indices, int]:
 
 
 @njit(cache=True, nogil=True)
-def survey(mask: Mask, left: int, top: int, min_area: float, min_share: float) -> tuple[Indices, Indices, bool]:
+def survey(
+    mask: Mask, left: int, top: int, min_area: float, min_share: float
+) -> tuple[Indices, Indices, tuple[int, int, int, int], bool]:
     """See ``Kernels.survey``."""
     runs = _runs(mask, left, top)
     label, count = _pieces(runs)
@@ -96,15 +98,21 @@ def survey(mask: Mask, left: int, top: int, min_area: float, min_share: float) -
     for at in range(len(runs)):
         areas[label[at]] += runs[at, 2] - runs[at, 1]
     if count == 0:
-        return runs, areas, False
+        return runs, areas, (left, top, 0, 0), False
     floor = max(float(min_area), min_share * areas.max())
-    held = 0
+    held, first, last = 0, runs[0, 1], 0
     for at in range(len(runs)):
         if areas[label[at]] >= floor:
-            runs[held] = runs[at]
+            for k in range(3):
+                runs[held, k] = runs[at, k]
+            first = min(first, runs[at, 1]) if held else runs[at, 1]
+            last = max(last, runs[at, 2])
             held += 1
+    box = (left, top, 0, 0)
+    if held:
+        box = (first, runs[0, 0], last - first, runs[held - 1, 0] - runs[0, 0] + 1)
     kept = -np.sort(-areas[areas >= floor])
-    return runs[:held], kept, len(kept) < count
+    return runs[:held], kept, box, len(kept) < count
 
 
 @njit(cache=True, nogil=True)

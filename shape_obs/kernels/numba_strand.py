@@ -7,9 +7,20 @@ import numpy.typing as npt
 from numba import njit
 
 from shape_obs.kernels.interface import (
-    BEYOND, LAST, LAST_REST, MAX_STEPS, REACH, SHORTEST, SIDE, STEP_FROM, STEP_TO, Array, Mask,
+    BEYOND,
+    LAST,
+    LAST_REST,
+    MAX_STEPS,
+    REACH,
+    SHORTEST,
+    SIDE,
+    STEP_FROM,
+    STEP_TO,
+    Array,
+    Mask,
 )
-from shape_obs.kernels.numba_curve import arc_length, catmull_rom
+from shape_obs.kernels.numba_curve import arc_length, catmull_rom, spread, unshrink
+from shape_obs.kernels.numba_map import settle
 from shape_obs.kernels.numba_mask import carried
 
 
@@ -22,9 +33,7 @@ def _bend(dx: float, dy: float, px: float, py: float, share: float) -> tuple[flo
 
 
 @njit(cache=True, nogil=True)
-def _connected(
-    state: Mask, row: int, column: int, left: float, top: float, hx: float, hy: float, out: Array
-) -> int:
+def _connected(state: Mask, row: int, column: int, left: float, top: float, hx: float, hy: float, out: Array) -> int:
     """The pixels of ``state`` that hang together with one of them, as rows of ``out``; their number."""
     height, width = state.shape
     stack = np.empty((state.size, 2), np.int32)
@@ -135,14 +144,25 @@ def _march(mask: Mask, left: int, top: int, start: Array, width: float, thinnest
 
 @njit(cache=True, nogil=True)
 def ribbon(
-    mask: Mask, left: int, top: int, nodes: Array, width: float, thinnest: float
-) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    mask: Mask,
+    left: int,
+    top: int,
+    points: Array,
+    weight: Array,
+    nodes: Array,
+    first: Array,
+    second: Array,
+    share: float,
+    width: float,
+    thinnest: float,
+) -> tuple[Array, Array, npt.NDArray[np.bool_], float]:
     """See ``Kernels.ribbon``."""
+    nodes = unshrink(settle(points, weight, nodes, first, second), share, False)
     width = max(width, thinnest)
     on = np.flatnonzero(carried(mask, left, top, nodes, 1))
     if len(on) > 0 and on[-1] - on[0] >= 2:
         nodes = nodes[on[0] : on[-1] + 1]
     head = _march(mask, left, top, nodes[:3].copy(), width, thinnest)
     tail = _march(mask, left, top, nodes[:-4:-1].copy(), width, thinnest)
-    points = catmull_rom(np.concatenate((head[::-1].copy(), nodes.copy(), tail)), 4, False)
-    return points, arc_length(points), carried(mask, left, top, points, 1)
+    curve = catmull_rom(np.concatenate((head[::-1].copy(), nodes.copy(), tail)), 4, False)
+    return curve, arc_length(curve), carried(mask, left, top, curve, 1), spread(points, weight, curve)

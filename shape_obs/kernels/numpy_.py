@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 from shape_obs.kernels.numpy_curve import arc_length, catmull_rom, equidistant, interpolate, spread, unshrink
+from shape_obs.kernels.numpy_depth import median_depth
 from shape_obs.kernels.numpy_map import best_matching_units, settle
 from shape_obs.kernels.numpy_mask import carried, cells, survey
-from shape_obs.kernels.numpy_outline import around, blend, border, followed, lag, miss, pairs
-from shape_obs.kernels.numpy_sheet import assessed, corners_near, gauges, laid, outer_corners, rim, sampled, strayed, tracked
+from shape_obs.kernels.numpy_outline import around, blend, border, followed, lag, miss, pairs, traced
+from shape_obs.kernels.numpy_sheet import (
+    assessed,
+    corners_near,
+    gauges,
+    laid,
+    outer_corners,
+    rim,
+    sampled,
+    strayed,
+    tracked,
+)
 from shape_obs.kernels.numpy_strand import ribbon
 
 __all__ = [
@@ -26,6 +37,7 @@ __all__ = [
     "interpolate",
     "lag",
     "laid",
+    "median_depth",
     "miss",
     "outer_corners",
     "pairs",
@@ -36,6 +48,7 @@ __all__ = [
     "spread",
     "strayed",
     "survey",
+    "traced",
     "tracked",
     "unshrink",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shape_obs.kernels.interface import EQUAL, EQUALISING_PASSES, Array
+from shape_obs.kernels.interface import EQUAL, EQUALISING_PASSES, JUDGED, Array
 from shape_obs.kernels.numpy_map import best_matching_units
 
 
@@ -73,6 +73,8 @@ def equidistant(curve: Array, arc: Array, count: int, margin: float, max_shift: 
 
 def spread(points: Array, weight: Array, curve: Array) -> float:
     """See ``Kernels.spread``."""
+    step = -(-len(points) // JUDGED)
+    points, weight = points[::step], weight[::step]
     nearest = best_matching_units(points, curve)
     tangent = np.empty_like(curve)
     tangent[1:-1] = (curve[2:] - curve[:-2]) / 2

@@ -11,20 +11,29 @@ import numpy.typing as npt
 from shape_obs.kernels.interface import Array, Indices, Mask
 
 
-def survey(mask: Mask, left: int, top: int, min_area: float, min_share: float) -> tuple[Indices, Indices, bool]:
+def survey(
+    mask: Mask, left: int, top: int, min_area: float, min_share: float
+) -> tuple[Indices, Indices, tuple[int, int, int, int], bool]:
     """See ``Kernels.survey``."""
     u, v, width, height = cv2.boundingRect(mask)
+    if not width:
+        return np.empty((0, 3), np.intp), np.empty(0, np.intp), False
     crop, left, top = mask[v : v + height, u : u + width], left + u, top + v
-    if width and len(cv2.findContours(crop, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]) == 1:
+    if len(cv2.findContours(crop, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]) == 1:
         found = _runs(crop, left, top)  # nothing to sort out, as on most frames
         area = np.sum(found[:, 2] - found[:, 1], keepdims=True)
         if area >= min_area:
-            return found, area, False
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(crop, connectivity=8) if width else (0, crop, crop, None)
+            return found, area, (left, top, width, height), False
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(crop, connectivity=8)
     areas = np.asarray(stats, dtype=np.int64)[1:count, cv2.CC_STAT_AREA]
     keep = np.append(False, areas >= max(min_area, min_share * float(areas.max(initial=0))))
     kept = areas[keep[1:]]
-    return _runs(keep[labels], left, top), -np.sort(-kept), len(kept) < len(areas)
+    found = _runs(keep[labels], left, top)
+    if not len(found):
+        return found, kept, (left, top, 0, 0), len(kept) < len(areas)
+    left, top = int(found[:, 1].min()), int(found[0, 0])
+    box = (left, top, int(found[:, 2].max()) - left, int(found[-1, 0]) - top + 1)
+    return found, -np.sort(-kept), box, len(kept) < len(areas)
 
 
 def _runs(mask: npt.NDArray[Any], left: int, top: int) -> Indices:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import correlate1d
@@ -13,10 +14,14 @@ from shape_obs.kernels.interface_outline import (
     HARMONICS,
     PEAKS,
     SHIFTS,
+    SPECK,
     STAIRCASE,
     STAIRCASE_REACH,
     TURNING,
     Array,
+    Box,
+    Indices,
+    Mask,
 )
 from shape_obs.kernels.numpy_map import best_matching_units
 
@@ -56,8 +61,32 @@ def closed_arc(closed: Array) -> Array:
     return arc
 
 
+def traced(mask: Mask, runs: Indices, left: int, top: int, box: Box) -> tuple[Array, float, float]:
+    """See ``OutlineKernels.traced``."""
+    u, v, width, height = box
+    return outline_in(mask[v - top : v - top + height, u - left : u - left + width], u, v)
+
+
+def outline_in(mask: Mask, left: int, top: int) -> tuple[Array, float, float]:
+    """See ``OutlineKernels.traced``; of a mask that may be a view, without anything around the piece."""
+    contours, table = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    parents = np.asarray(table).reshape(-1, 4)[:, 3].tolist()
+    outline = np.asarray(contours[parents.index(-1)]).reshape(-1, 2) + (float(left), float(top))
+    inner = [hole for hole, parent in zip(contours, parents, strict=True) if parent >= 0 and len(hole) >= SPECK]
+    return outline, length_around(outline), sum(cv2.arcLength(hole, closed=True) for hole in inner)
+
+
+def length_around(outline: Array) -> float:
+    """Length of a closed outline (P,2)."""
+    z = plane(outline)
+    return float(np.abs(z[1:] - z[:-1]).sum() + abs(z[0] - z[-1]))
+
+
 def border(traced: Array, hole: bool) -> tuple[Array, Array]:
     """See ``OutlineKernels.border``."""
+    z = plane(traced) - plane(traced)[0]
+    if np.vdot(z[:-1], z[1:]).imag < 0:
+        traced = traced[::-1]
     along = plane(correlate1d(traced, _ALONG, axis=0, mode="wrap"))
     along = along / np.maximum(np.abs(along), 1e-9)
     reach = np.maximum(np.abs(along.real), np.abs(along.imag))

@@ -43,7 +43,9 @@ def rim(outline: Array) -> tuple[Array, Array, Indices, float, float]:
     peaks = np.flatnonzero((turn >= highest) & (turn > LEAST_TURN))
     if len(peaks) > CANDIDATES:
         peaks = np.sort(peaks[np.argsort(-turn[peaks], kind="stable")][:CANDIDATES])
-    step = float(np.abs(around[REACH_OF_TURN : 1 - REACH_OF_TURN] - around[REACH_OF_TURN - 1 : -REACH_OF_TURN])[1:].sum())
+    step = float(
+        np.abs(around[REACH_OF_TURN : 1 - REACH_OF_TURN] - around[REACH_OF_TURN - 1 : -REACH_OF_TURN])[1:].sum()
+    )
     return points_of(z), turn, peaks, step / RIM, float(arc[-1]) / len(outline)
 
 

@@ -19,22 +19,34 @@ from shape_obs.kernels.interface import (
     Array,
     Mask,
 )
-from shape_obs.kernels.numpy_curve import arc_length, catmull_rom
+from shape_obs.kernels.numpy_curve import arc_length, catmull_rom, spread, unshrink
+from shape_obs.kernels.numpy_map import settle
 from shape_obs.kernels.numpy_mask import carried
 
 
 def ribbon(
-    mask: Mask, left: int, top: int, nodes: Array, width: float, thinnest: float
-) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    mask: Mask,
+    left: int,
+    top: int,
+    points: Array,
+    weight: Array,
+    nodes: Array,
+    first: Array,
+    second: Array,
+    share: float,
+    width: float,
+    thinnest: float,
+) -> tuple[Array, Array, npt.NDArray[np.bool_], float]:
     """See ``Kernels.ribbon``."""
+    nodes = unshrink(settle(points, weight, nodes, first, second), share, False)
     width = max(width, thinnest)
     on = np.flatnonzero(carried(mask, left, top, nodes, 1))
     if len(on) and on[-1] - on[0] >= 2:
         nodes = nodes[on[0] : on[-1] + 1]
     head = _march(mask, left, top, nodes[:3], width, thinnest)
     tail = _march(mask, left, top, nodes[:-4:-1], width, thinnest)
-    points = catmull_rom(np.concatenate([head[::-1], nodes, tail]))
-    return points, arc_length(points), carried(mask, left, top, points, 1)
+    curve = catmull_rom(np.concatenate([head[::-1], nodes, tail]))
+    return curve, arc_length(curve), carried(mask, left, top, curve, 1), spread(points, weight, curve)
 
 
 def _march(mask: Mask, left: int, top: int, start: Array, width: float, thinnest: float) -> Array:

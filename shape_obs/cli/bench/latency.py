@@ -16,6 +16,7 @@ from shape_obs.evaluation import growth, latency, memory
 from shape_obs.evaluation.backends import backends
 from shape_obs.evaluation.machine import machine
 from shape_obs.evaluation.streams import SIZES
+from shape_obs.evaluation.turns import Clock
 
 Part = Literal["stages", "growth"]
 Rows = list[dict[str, Any]]
@@ -39,6 +40,8 @@ class Latency:
     """Of the images."""
     memory: int = 0
     """Frames over which the growth of the process is measured; 0 leaves it out."""
+    clock: Clock = "wall"
+    """Counts the time that passes, or the processor time of the one thread, which a busy machine hardly changes."""
     json: bool = False
     """Print JSON instead of tables."""
 
@@ -62,7 +65,8 @@ def main(argv: Sequence[str]) -> int:
 def _measure(args: Latency, sizes: list[tuple[int, int]]) -> tuple[dict[str, Any], Rows]:
     """The parts that are asked for, printed as they come unless JSON is asked for; and what is asked of them."""
     document: dict[str, Any] = {
-        "measurement": "latency", "machine": machine(), "frames": args.frames, "seed": args.seed
+        "measurement": "latency", "machine": machine(), "frames": args.frames, "seed": args.seed,
+        "clock": args.clock,
     }  # fmt: skip
     asked: Rows = []
 
@@ -75,13 +79,13 @@ def _measure(args: Latency, sizes: list[tuple[int, int]]) -> tuple[dict[str, Any
         print("numba is not installed and left out: pip install shape-obs[fast]")
     if not args.only or "stages" in args.only:
         with _bar("stages", args.frames + latency.WARM_UP) as bar:
-            found = latency.latencies(tuple(sizes), args.frames, args.seed, bar.update)
+            found = latency.latencies(tuple(sizes), args.frames, args.seed, args.clock, bar.update)
         told("totals", "image to points in 3D", latency.total_rows(found))
         told("stages", "stages, median milliseconds", latency.stage_rows(found))
         asked += latency.latency_claims(found)
     if not args.only or "growth" in args.only:
         with _bar("growth", args.frames + growth.WARM_UP) as bar:
-            grown = growth.growths(args.frames, args.seed, bar.update)
+            grown = growth.growths(args.frames, args.seed, args.clock, bar.update)
         told("growth", "growth, tracked", growth.growth_rows(grown))
         asked += growth.growth_claims(grown)
     if args.memory:

@@ -15,6 +15,7 @@ from shape_obs.cli.bench.printing import table
 from shape_obs.evaluation.contest import WARM_UP
 from shape_obs.evaluation.machine import machine
 from shape_obs.evaluation.peer_contest import Result, claims, missing, run_work
+from shape_obs.evaluation.turns import Clock
 from shape_obs.evaluation.workloads import Name
 
 
@@ -34,6 +35,8 @@ class Peers:
     """On how many of them slow methods run (n_init 10, mixture, fuzzy); 0 leaves these out."""
     seed: int = 0
     """Of the motions, and of the methods that draw."""
+    clock: Clock = "wall"
+    """Counts the time that passes, or the processor time of the one thread, which a busy machine hardly changes."""
     json: bool = False
     """Print JSON instead of tables."""
 
@@ -53,7 +56,7 @@ def main(argv: Sequence[str]) -> int:
             print(f"{module} is not installed and left out: pip install {package}")
     for name in works:
         with tqdm(desc=name, unit="frame", total=args.frames + WARM_UP, leave=False, file=sys.stderr) as bar:
-            results[name] = run_work(name, args.frames, args.slow_frames, args.seed, bar.update)
+            results[name] = run_work(name, args.frames, args.slow_frames, args.seed, args.clock, bar.update)
         if not args.json:
             print(f"\n{_title(results[name])}\n{table(results[name].rows())}")
     asked = claims(results)
@@ -78,6 +81,7 @@ def _document(
         "machine": machine(),
         "frames": args.frames,
         "seed": args.seed,
+        "clock": args.clock,
         "missing": away,
         "works": {
             name: {

@@ -19,6 +19,7 @@ from shape_obs.evaluation.table.parts import as_csv, write_whole
 from shape_obs.evaluation.table.run import Plan, run
 from shape_obs.evaluation.table.summary import every_row, rankings, results, tracings
 from shape_obs.evaluation.table.text import as_values, markdown
+from shape_obs.evaluation.turns import Clock
 
 _LEAST: Final = 10  # frames: two chunks, or there is no interval
 Only = Literal[
@@ -48,6 +49,8 @@ class Table:
     """Processes, of one thread each. Times are comparable only while there is a core for each of them."""
     renderer: Literal["auto", "gl", "rays"] = "auto"
     """The simulator's camera."""
+    clock: Clock = "wall"
+    """Counts the time that passes, or the processor time of the one thread, which a busy machine hardly changes."""
     figures: bool = True
     """Draw the figures; they need the extra viz."""
     json: bool = False
@@ -74,7 +77,7 @@ def main(argv: Sequence[str]) -> int:
             bar.update(done - bar.n)
 
         parts = run(plan, folder, jobs=args.jobs, redo=args.redo, tick=tick)
-    whole = Plan(args.frames, args.seed, args.renderer)
+    whole = _whole(args)
     found, ranked, traces = results(parts, whole), rankings(parts, whole), tracings(parts, whole)
     page = markdown(whole, machine(), found, ranked, traces)
     values = json.dumps(as_values(whole, machine(), found, ranked, traces), indent=2)
@@ -87,9 +90,13 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
+def _whole(args: Table) -> Plan:
+    return Plan(args.frames, args.seed, args.renderer, clock=args.clock)
+
+
 def _plan(args: Table) -> Plan:
     """What --only leaves."""
-    whole, asked = Plan(args.frames, args.seed, args.renderer), set(args.only).__contains__
+    whole, asked = _whole(args), set(args.only).__contains__
     names = tuple(filter(asked, whole.names)) or whole.names
     methods, traced = tuple(filter(asked, whole.methods)), tuple(filter(asked, whole.tracings))
     if not methods and not traced:

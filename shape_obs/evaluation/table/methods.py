@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final, Literal
@@ -18,6 +17,7 @@ from shape_obs.evaluation.scores import score
 from shape_obs.evaluation.sheets import Sheet
 from shape_obs.evaluation.surface_claims import score_sheet
 from shape_obs.evaluation.table.frames import CONFIGURATIONS, Name, Scene
+from shape_obs.evaluation.turns import CLOCKS, Clock
 from shape_obs.metrics import calinski_harabasz, nearest, silhouette, spacing_cv
 from shape_obs.region import find_region
 from shape_obs.roi import Whole
@@ -81,16 +81,18 @@ class _Watched(Clusterer):
     Args:
         inner: The clusterer.
         seen: What is remembered, filled in.
+        now: Counts seconds.
     """
 
     inner: Any
     seen: Any
+    now: Any
 
     def centres(self, samples: Samples, layout: Topology, seed: int) -> Centres:
         """The inner one's."""
-        begin = time.perf_counter()
+        begin = self.now()
         found = self.inner.centres(samples, layout, seed)
-        self.seen["ms"] = 1e3 * (time.perf_counter() - begin)
+        self.seen["ms"] = 1e3 * (self.now() - begin)
         self.seen["centres"] = found
         return found
 
@@ -101,12 +103,15 @@ class Runner:
     Args:
         name: The configuration's.
         method: The method's.
+        clock: What counts the time.
     """
 
-    def __init__(self, name: Name, method: Method) -> None:
-        self._spec, self._seen = CONFIGURATIONS[name], dict[str, Any]()
+    def __init__(self, name: Name, method: Method, clock: Clock = "wall") -> None:
+        self._spec, self._seen, self._now = CONFIGURATIONS[name], dict[str, Any](), CLOCKS[clock]
         clusterer = METHODS[method]
-        options: dict[str, Any] = {} if clusterer is None else {"clustering": _Watched(clusterer, self._seen)}
+        options: dict[str, Any] = (
+            {} if clusterer is None else {"clustering": _Watched(clusterer, self._seen, self._now)}
+        )
         self._detector = ShapeDetector([self._spec], **options)
 
     def points(self, scene: Scene) -> Array | None:
@@ -121,10 +126,10 @@ class Runner:
             frame: Its number.
             exact: Whether the silhouette is taken of all pixels.
         """
-        pixels = clustered_pixels(self._spec, scene)
         points, ms, centres = self._found(scene)
         if points is None:
-            return None, Row(frame, len(pixels), False, np.nan, exact, np.nan, np.nan, np.nan, False, False, 0, False)
+            return None, Row(frame, 0, False, np.nan, exact, np.nan, np.nan, np.nan, False, False, 0, False)
+        pixels = clustered_pixels(self._spec, scene)
         labels = nearest(pixels, points)
         ordered = in_order(self._spec, points, scene)
         return points, Row(
@@ -143,19 +148,19 @@ class Runner:
         )
 
     def _found(self, scene: Scene) -> tuple[Array | None, float, Centres | None]:
-        detection = self._detector.detect_mask(scene.mask, anchors=scene.anchors)
-        shape = detection.shapes[0]
+        begin = self._now()
+        shape = self._detector.detect_mask(scene.mask, anchors=scene.anchors).shapes[0]
+        ms = 1e3 * (self._now() - begin)
         if shape.reason:
             return None, np.nan, None
-        ms = self._seen.get("ms", detection.timings["total"])
-        return shape.pixels.astype(np.float64), ms, self._seen.get("centres")
+        return shape.pixels.astype(np.float64), self._seen.get("ms", ms), self._seen.get("centres")
 
 
 def measured(
-    name: Name, method: Method, chunk: Iterable[tuple[int, Scene]], exact: npt.NDArray[np.int_]
+    name: Name, method: Method, chunk: Iterable[tuple[int, Scene]], exact: npt.NDArray[np.int_], clock: Clock = "wall"
 ) -> Iterator[Row]:
     """A method over the numbered frames of one chunk; the silhouette is exact on those of ``exact``."""
-    runner = Runner(name, method)
+    runner = Runner(name, method, clock)
     for frame, scene in chunk:
         yield runner.measure(scene, frame, bool(np.isin(frame, exact)))[1]
 

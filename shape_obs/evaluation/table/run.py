@@ -17,11 +17,12 @@ from shape_obs.evaluation.table.frames import CONFIGURATIONS, Name, Scene, scene
 from shape_obs.evaluation.table.methods import METHODS, Method, Row, measured
 from shape_obs.evaluation.table.parts import Parts
 from shape_obs.evaluation.table.tracings import OF, Trace, Tracing, missing, traced
+from shape_obs.evaluation.turns import Clock
 
 EXACT: Final = 50  # frames of each configuration whose silhouette is taken of all pixels
 _CHUNKS: Final = 20  # for each configuration, of 5 to 50 frames
 _FORMAT: Final = 1  # of the files; another one cannot be gone on with
-_PACKAGES: Final = ("numpy", "scipy", "scikit-learn", "opencv-python-headless", "mujoco")
+_PACKAGES: Final = ("numpy", "scipy", "scikit-learn", "opencv-python-headless", "numba", "mujoco")
 _WARM: Final[set[tuple[str, str]]] = set()  # what has run once in this process: imports and caches are behind it
 
 
@@ -36,6 +37,7 @@ class Plan:
         names: Configurations.
         methods: Clusterers.
         tracings: Thinning and contour tracing.
+        clock: What counts the time.
     """
 
     frames: int
@@ -44,6 +46,7 @@ class Plan:
     names: tuple[Name, ...] = tuple(CONFIGURATIONS)
     methods: tuple[Method, ...] = tuple(METHODS)
     tracings: tuple[Tracing, ...] = tuple(OF)
+    clock: Clock = "wall"
 
     @property
     def chunks(self) -> list[range]:
@@ -60,7 +63,14 @@ class Plan:
         """What decides the figures, and may not change while a run goes on."""
         packages = {name: _version(name) for name in _PACKAGES}
         own = {"format": _FORMAT, "shape_obs": __version__}
-        return {**own, "frames": self.frames, "seed": self.seed, "renderer": self.renderer, **packages}
+        return {
+            **own,
+            "frames": self.frames,
+            "seed": self.seed,
+            "renderer": self.renderer,
+            "clock": self.clock,
+            **packages,
+        }
 
     def of(self, name: Name) -> list[Method | Tracing]:
         """Everything that is measured on a configuration."""
@@ -122,21 +132,21 @@ def _work(plan: Plan, folder: Path, name: Name, chunk: int, left: list[Method | 
     with one_thread():
         made = list(zip(numbers, scenes(name, chunk, len(numbers), plan.seed, plan.renderer), strict=True))
         for what in left:
-            _warm_up(name, what, made[0])
-            parts.write(name, what, chunk, _rows(name, what, made, plan.exact))
+            _warm_up(name, what, made[0], plan)
+            parts.write(name, what, chunk, _rows(name, what, made, plan))
 
 
-def _rows(
-    name: Name, what: Any, chunk: list[tuple[int, Scene]], exact: npt.NDArray[np.int_]
-) -> Iterator[Row] | Iterator[Trace]:
-    return measured(name, what, chunk, exact) if what in METHODS else traced(what, chunk)
+def _rows(name: Name, what: Any, chunk: list[tuple[int, Scene]], plan: Plan) -> Iterator[Row] | Iterator[Trace]:
+    if what in METHODS:
+        return measured(name, what, chunk, plan.exact, plan.clock)
+    return traced(what, chunk, plan.clock)
 
 
-def _warm_up(name: Name, what: Method | Tracing, first: tuple[int, Scene]) -> None:
+def _warm_up(name: Name, what: Method | Tracing, first: tuple[int, Scene], plan: Plan) -> None:
     """Run once without being timed, the first time that a process does."""
     if (name, what) not in _WARM:
         _WARM.add((name, what))
-        list(_rows(name, what, [first], np.zeros(0, int)))
+        list(_rows(name, what, [first], plan))
 
 
 def _version(package: str) -> str:

@@ -25,9 +25,7 @@ def markdown(
     plan: Plan, machine: Mapping[str, str], found: Sequence[Result], ranked: Sequence[Ranking], traces: Sequence[Traced]
 ) -> str:
     """All of it, as one page."""
-    ran = ", ".join(f"{name} {what}" for name, what in machine.items())
-    blocks = [_preface(plan, found), f"Machine: {ran}.", _overall(found)]
-    blocks += [line for ranking in ranked for line in _verdict(ranking)]
+    blocks = [_preface(plan, found), _ran_on(machine), _overall(found), *map(_verdict, ranked), _beaten(found)]
     blocks += [_configuration(name, found) for name in CONFIGURATIONS]
     blocks.append(_tracings(traces))
     return "\n\n".join(block for block in blocks if block) + "\n"
@@ -64,9 +62,9 @@ def _preface(plan: Plan, found: Sequence[Result]) -> str:
         f"evenly spaced frames of each configuration, on the others of {SAMPLED} pixels drawn by lot, each against all "
         "pixels. CH, the Calinski-Harabasz score: always of all pixels. A pixel belongs to the nearest point. After ±: "
         "half the 95 % interval of the mean, an episode of frames counting as one.",
-        "Time: of a clusterer from the pixels to its centres, cold in every frame; of ours from the mask to the "
-        "ordered points, tracked, as it is used. The clusterers' centres were sorted along our form, which is not "
-        "timed.",
+        f"Time, by the {plan.clock} clock: of a clusterer from the pixels to its centres, cold in every frame; of ours "
+        "from the mask to the ordered points, tracked, as it is used. The clusterers' centres were sorted along our "
+        "form, which is not timed.",
     ]
     refused = {result.configuration: result.refused for result in found if result.refused}
     if refused:
@@ -100,14 +98,40 @@ def _configuration(name: str, found: Sequence[Result]) -> str:
     return f"## {_HEADS[name]}, M = {of[0].pixels:.0f}\n\n" + _table(heads, rows) if rows else ""
 
 
-def _verdict(ranking: Ranking) -> list[str]:
+def _ran_on(machine: Mapping[str, str]) -> str:
+    rest = dict(machine)
+    hardware = f"{rest.pop('processor', 'unknown')}, {rest.pop('cores', '?')} cores, {rest.pop('system', '?')}"
+    return f"Machine: {hardware}; {', '.join(f'{name} {what}' for name, what in rest.items())}."
+
+
+def _beaten(found: Sequence[Result]) -> str:
+    """Where another method has the better mean than ours."""
+    told = []
+    for name in CONFIGURATIONS:
+        of = {result.method: result for result in found if result.configuration == name}
+        ours = of.pop("som", None)
+        if ours is None or not of:
+            continue
+        for measure in MEASURES:
+            sign = -1 if measure == "ms" else 1
+            best = max(of.values(), key=lambda result, m=measure, s=sign: s * getattr(result, m).value)
+            theirs, own = getattr(best, measure), getattr(ours, measure)
+            if sign * (theirs.value - own.value) > 0:
+                told.append(
+                    f"- {name}, {MEASURES[measure]}: {LABELS[best.method]} {_shown(theirs, measure)}, ours "
+                    f"{_shown(own, measure)}"
+                )
+    return "Ours does not have the best mean in:\n\n" + "\n".join(told) if told else ""
+
+
+def _verdict(ranking: Ranking) -> str:
     paper, here = (" > ".join(LABELS[method] for method in order) for order in (ranking.paper, ranking.here))
     word = "holds" if ranking.holds else "does not hold"
     open_ones = 6 - ranking.pairs - ranking.against
-    return [
+    return (
         f"By {MEASURES[ranking.measure]} the paper's ranking {word}: {paper} there, {here} here. Of the six pairs "
         f"{ranking.pairs} come out as in the paper, {ranking.against} the other way round, {open_ones} are undecided."
-    ]
+    )
 
 
 def _tracings(traces: Sequence[Traced]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -15,6 +14,7 @@ import numpy.typing as npt
 from shape_obs.curve import nearest_on
 from shape_obs.evaluation.sheets import Sheet
 from shape_obs.evaluation.table.frames import Name, Scene
+from shape_obs.evaluation.turns import CLOCKS, Clock
 from shape_obs.metrics import in_order
 
 Array = npt.NDArray[np.float64]
@@ -74,14 +74,14 @@ def missing(tracing: Tracing) -> str:
     return ""
 
 
-def traced(tracing: Tracing, chunk: Iterable[tuple[int, Scene]]) -> Iterator[Trace]:
+def traced(tracing: Tracing, chunk: Iterable[tuple[int, Scene]], clock: Clock = "wall") -> Iterator[Trace]:
     """A tracing over the numbered frames of one chunk."""
-    run = _RUN[tracing]
+    run, now = _RUN[tracing], CLOCKS[clock]
     for frame, scene in chunk:
         assert not isinstance(scene.truth, Sheet)
-        begin = time.perf_counter()
+        begin = now()
         points = run(scene.mask)
-        ms = 1e3 * (time.perf_counter() - begin)
+        ms = 1e3 * (now() - begin)
         closed = OF[tracing] == "contour"
         curve = np.concatenate([scene.truth, scene.truth[:1]]) if closed else scene.truth
         length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
