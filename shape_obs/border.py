@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.form import Curve
 from shape_obs.kernels import NUMPY, Kernels
+from shape_obs.kernels.interface_outline import CELL
 from shape_obs.samples import Samples
 
 Array = npt.NDArray[np.float64]
-
-_CELL: Final = 2  # steps of the contour in one sample: half the work, and no bend is lost
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +21,7 @@ class Border:
     """Where a piece of a mask ends: its outer outline, or a hole's.
 
     Args:
-        traced: (P,2) pixels, image coordinates, closed, clockwise as seen, through the centres of the border pixels.
+        traced: (P,2) pixels, image coordinates, closed, either way round, through the centres of the border pixels.
         hole: Whether the material lies outside.
         kernels: What runs the inner loops.
     """
@@ -34,7 +32,7 @@ class Border:
 
     @property
     def points(self) -> Array:
-        """(P,2) where the material ends, still with the staircase."""
+        """(P,2) where the material ends, clockwise as seen, still with the staircase."""
         return self._drawn[0]
 
     @property
@@ -51,10 +49,10 @@ class Border:
     def samples(self) -> Samples:
         """``points``, two by two."""
         points = self.kernels.pairs(self.points)
-        weight = np.full(len(points), float(_CELL))
-        if len(self.points) % _CELL:
+        weight = np.full(len(points), float(CELL))
+        if len(self.points) % CELL:
             weight[-1] = 1.0
-        return Samples(points, weight, float(_CELL))
+        return Samples(points, weight, float(CELL))
 
     @cached_property
     def rim(self) -> tuple[Array, Array, npt.NDArray[np.int64], float, float]:

@@ -69,7 +69,7 @@ class Form(ABC):
     @property
     def empty(self) -> float:
         """The share of the form that is bridged."""
-        return float(self.bridged.mean())
+        return np.count_nonzero(self.bridged) / len(self.bridged)
 
     @abstractmethod
     def smoothed(self, values: Array, known: Mask) -> Array:
@@ -86,10 +86,12 @@ class Curve(Form):
 
     Args:
         spread: Mean square distance of the body's samples from it, where the fit has measured that.
+        miss: Mean distance of an outline's samples from it, where the fit has measured that.
     """
 
     closed: bool = False
     spread: float | None = None
+    miss: float | None = None
 
     def along(self, arc: Array) -> Self:
         """The same curve, whose ``arc`` is known."""

@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from shape_obs.body import Body
 from shape_obs.form import Curve, Patch
-from shape_obs.samples import Samples
 
 Array = npt.NDArray[np.float64]
 
@@ -22,7 +21,6 @@ MAX_HIDDEN: Final = 0.5  # of a tracked shape
 _IDEAL_MISS: Final = 0.15
 _MAX_MISS: Final = 0.75
 _MIN_PIECE: Final = 0.6
-_JUDGED: Final = 256
 # Of a sheet: degrees by which a corner may miss a right angle; the share of its cells beside one that lies upside down
 # (a single one may, where a real corner is round); the excess length of a side; the variation of its cells' areas.
 _MAX_SKEW: Final = 55.0
@@ -71,16 +69,15 @@ def judge_ribbon(curve: Curve, body: Body, bridged: float) -> Verdict:
     return Verdict("", ((1 - max(off, 0.0) / _MAX_OFF) * min(max(1 - excess, 0.0), 1.0)) ** 0.5)
 
 
-def judge_outline(curve: Curve, body: Body, samples: Samples) -> Verdict:
+def judge_outline(body: Body, miss: float) -> Verdict:
     """Judge the outline of a body's largest piece.
 
     Refused are a piece that is less than 60 % of the body, and a curve that the outline's samples miss by 0.75 of
     their distance on average.
 
     Args:
-        curve: Closed.
         body: What it was fitted to.
-        samples: The outline's, in their order around.
+        miss: Mean distance of the outline's samples from the curve, in units of their distance.
     """
     piece = body.outlined
     if piece < _MIN_PIECE:
@@ -89,12 +86,10 @@ def judge_outline(curve: Curve, body: Body, samples: Samples) -> Verdict:
             f"(at least {_MIN_PIECE:.0%})",
             0.0,
         )
-    judged = np.ascontiguousarray(samples.points[:: -(-len(samples) // _JUDGED)])
-    miss = body.kernels.miss(judged, curve.points, curve.size) / samples.scale
     if miss > _MAX_MISS:
         return Verdict(f"the outline misses the {body.noun}'s by {miss:.2f} samples (at most {_MAX_MISS:.2f})", 0.0)
     excess = max(miss - _IDEAL_MISS, 0.0) / (_MAX_MISS - _IDEAL_MISS)
-    return Verdict("", float((1 - excess) * piece) ** 0.5)
+    return Verdict("", ((1 - excess) * piece) ** 0.5)
 
 
 def judge_sheet(patch: Patch, body: Body, kink: float) -> Verdict:

@@ -186,8 +186,8 @@ class TestCommand:
 
     def test_the_page_says_what_was_done(self, outlines):
         _, printed = outlines
-        assert "10 frames of each configuration, seed 0. SC, the silhouette: of all pixels on 10 " in printed
-        assert "of 2000 pixels drawn by lot" in printed
+        assert "10 frames of each configuration, seed 0. SC, the silhouette: of all pixels. CH" in printed
+        assert "of 2000 pixels drawn by lot" in markdown(Plan(60), {}, [], [], [])
         assert "findContours, every pixel" in printed
         assert "| ours | 0." in printed
         assert "ranking" not in printed, "there is none without all configurations"
@@ -207,6 +207,22 @@ class TestCommand:
         assert ours["ms_half_interval"] > 0
         assert {trace["tracing"] for trace in values["tracings"]} == {"contours", "corners"}
         assert values["tracings"][0]["points"][0] < values["tracings"][0]["points"][2], "no fixed number"
+
+    def test_the_page_of_the_docs_is_filled(self, outlines, tmp_path):
+        import runpy
+
+        docs = Path(__file__).parent.parent / "docs"
+        script = runpy.run_path(str(docs / "pictures" / "table.py"))
+        page = tmp_path / "page.md"
+        page.write_text((docs / "paper-table.md").read_text(encoding="utf-8"), encoding="utf-8")
+        script["main"].__globals__.update(PAGE=page, IMAGES=tmp_path)
+        for _ in range(2):
+            script["main"](outlines[0])
+        text = page.read_text(encoding="utf-8")
+        assert text.count("10 frames of each configuration, seed 0.") == 1
+        assert "\n### Contour, N = 32" in text
+        assert text.endswith((docs / "paper-table.md").read_text(encoding="utf-8").split("<!-- end -->")[1])
+        assert (tmp_path / "table_bars.png").stat().st_size == (outlines[0] / "bars.png").stat().st_size
 
     @pytest.mark.parametrize(
         ("arguments", "message"),

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from shape_obs.coldstart.bridge import bridge
-from shape_obs.coldstart.fold import fold
+from shape_obs.kernels.numpy_fold import fold
 from shape_obs.coldstart.skeleton import skeleton_graph
 from shape_obs.coldstart.trace import Trace, trace
 from shape_obs.evaluation.ropes import draw_rope, random_rope, resample

@@ -8,6 +8,7 @@ from shape_obs.body import Body
 from shape_obs.border import Border
 from shape_obs.cloud import Cloud
 from shape_obs.form import Curve
+from shape_obs.kernels.interface_outline import CELL
 from shape_obs.region import Region
 from shape_obs.samples import Samples
 
@@ -22,7 +23,7 @@ def outline(body: Body, hole: int | None = None) -> Curve:
     if isinstance(body, Cloud):
         points = body.outline()
         return Curve(points, np.zeros(len(points), bool), closed=True)
-    return _border(body, hole).curve
+    return border(body, hole).curve
 
 
 def outline_samples(body: Body, hole: int | None = None) -> Samples:
@@ -31,7 +32,15 @@ def outline_samples(body: Body, hole: int | None = None) -> Samples:
         curve = outline(body)
         step = np.diff(curve.arc)
         return Samples(curve.points, (step + np.roll(step, 1)) / 2, curve.size / len(curve.points))
-    return _border(body, hole).samples
+    return border(body, hole).samples
+
+
+def sampling(body: Body, hole: int | None = None) -> tuple[int, float]:
+    """How many ``outline_samples`` there are, and how far apart they lie."""
+    if isinstance(body, Cloud):
+        samples = outline_samples(body)
+        return len(samples), samples.scale
+    return -(-len(border(body, hole).traced) // CELL), float(CELL)
 
 
 def outline_points(body: Body, hole: int | None = None) -> Samples:
@@ -41,7 +50,7 @@ def outline_points(body: Body, hole: int | None = None) -> Samples:
         count = len(curve.points)
         points, step = curve.at(np.arange(count) * (curve.size / count)), curve.size / count
     else:
-        points, step = _border(body, hole).points, 1.0
+        points, step = border(body, hole).points, 1.0
     return Samples(points, np.ones(len(points)), step)
 
 
@@ -58,5 +67,6 @@ def holes(body: Body) -> int:
     return len(body.holes) if isinstance(body, Region) else 0
 
 
-def _border(region: Region, hole: int | None) -> Border:
+def border(region: Region, hole: int | None) -> Border:
+    """The border of a region's largest piece, or of one of its holes."""
     return region.border if hole is None else region.holes[hole]

@@ -7,13 +7,12 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import KDTree
 
 from shape_obs.coldstart.bridge import Bridged, bridge
 from shape_obs.coldstart.crossings import Strands, untangle
-from shape_obs.coldstart.fold import fold
 from shape_obs.coldstart.skeleton import skeleton_graph
 from shape_obs.curve import arc_length, interpolate
+from shape_obs.kernels import NUMPY, Kernels
 from shape_obs.kernels.interface_outline import SPECK
 from shape_obs.region import Component, Region
 from shape_obs.roi import Window
@@ -56,7 +55,7 @@ def trace(region: Region) -> Trace:
     Args:
         region: With one component or more.
     """
-    ribbons = [(component, curve) for component in region.components if (curve := folded(component)) is not None]
+    ribbons = [(component, curve) for component in region.components if (curve := folded(component, region.kernels)) is not None]
     if len(ribbons) == len(region.components) == 1:
         curve = ribbons[0][1]
         return _doubted(curve, "")
@@ -66,7 +65,7 @@ def trace(region: Region) -> Trace:
     if len(ribbons) < len(region.components):
         skeleton = skeleton_graph(*_without(region, [component for component, _ in ribbons]))
         if len(skeleton.branches) > _MOST_BRANCHES:
-            curve = fold(region.components[0].outline, region.components[0].width)
+            curve = region.kernels.fold(region.components[0].outline, region.components[0].width)
             return _doubted(curve, f"the mask branches {len(skeleton.branches)} times: it is no rope")
         strands = untangle(skeleton)
         width = skeleton.width
@@ -74,7 +73,7 @@ def trace(region: Region) -> Trace:
         pieces += [strands.curves[i] for i in kept]
         doubts += _doubts(strands, kept, alone=len(region.components) == 1)
     if not pieces:
-        curve = fold(region.components[0].outline, region.components[0].width)
+        curve = region.kernels.fold(region.components[0].outline, region.components[0].width)
         return _doubted(curve, "the mask has no axis")
     joined = bridge(pieces, width)
     doubts += _doubts_of_gaps(joined)
@@ -82,17 +81,18 @@ def trace(region: Region) -> Trace:
     return Trace(curve, bridged & ~region.contains(curve), "; ".join(dict.fromkeys(doubts)))
 
 
-def folded(component: Component) -> Array | None:
+def folded(component: Component, kernels: Kernels = NUMPY) -> Array | None:
     """The centreline of a component that is a simple ribbon: it has no hole, and all of it lies near; else None."""
     if component.holes:
         return None
     outline = component.outline
-    curve = fold(outline, component.width)
-    spacing = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).max(initial=0.0))
-    distance = KDTree(curve).query(outline[::2])[0]
+    curve = kernels.fold(outline, component.width)
+    step, some = curve[1:] - curve[:-1], outline[::2].copy()
+    spacing = float(np.einsum("pd,pd->p", step, step).max(initial=0.0)) ** 0.5
+    away = some - curve[kernels.best_matching_units(some, curve)]
     near, ragged = _RIBBON
-    far = distance > near * component.width + spacing / 2
-    return curve if np.mean(far) <= ragged else None
+    far = np.einsum("pd,pd->p", away, away) > (near * component.width + spacing / 2) ** 2
+    return curve if np.count_nonzero(far) <= ragged * len(far) else None
 
 
 def _without(region: Region, ribbons: list[Component]) -> tuple[npt.NDArray[np.uint8], tuple[int, int]]:

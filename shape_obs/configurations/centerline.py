@@ -138,9 +138,7 @@ class Centerline(Configuration[Curve], kind="centerline"):
         if any(form.memory.hidden):
             piece = shown(form)
             form, metric = form.cut(piece), metric.cut(piece)
-        at = equidistant_positions(
-            metric.points, metric.arc, self.n, centers=self.ends != "tips", kernels=form.kernels
-        )
+        at = equidistant_positions(metric.points, metric.arc, self.n, centers=self.ends != "tips", kernels=form.kernels)
         along = at if metric is form else np.interp(at, metric.arc, form.arc)
         return Points(form.at(along), metric.bridged_at(at))
 

@@ -10,12 +10,13 @@ import numpy.typing as npt
 
 from shape_obs.body import Body
 from shape_obs.border import clockwise
-from shape_obs.coldstart.outline import breadth, holes, outline, outline_points, outline_samples
+from shape_obs.coldstart.outline import border, breadth, holes, outline, outline_points, outline_samples, sampling
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.curve import equidistant_around
 from shape_obs.form import Curve, Memory
 from shape_obs.gate import Verdict, judge_outline
 from shape_obs.phase import blend, lag
+from shape_obs.region import Region
 from shape_obs.samples import Samples
 from shape_obs.topology import Ring, Topology
 from shape_obs.tracking import Prediction
@@ -27,6 +28,7 @@ Array = npt.NDArray[np.float64]
 _NODE_SPACING: Final = 3.0
 _THIN: Final = 1.5  # widths from node to node at most: farther, and a node's samples are those of the other side too
 _NODES: Final = (24, 192)
+_WIDTH: Final = 0.4  # of the map's neighbourhood, nodes
 _PIECES: Final = 4  # of the curve between two nodes
 _MIN_SAMPLES: Final = 8  # a ring of 16 pixels, as few as a body may have
 _MIN_WIDTH: Final = 1.25  # in samples: of outlines of 2 px, one in three has its two sides mixed up; of 3 px, none
@@ -67,10 +69,10 @@ class Contour(Configuration[Curve], kind="contour"):
         found = holes(body) if self.hole is not None else 0
         if self.hole is not None and self.hole >= found:
             return f"hole {self.hole} was asked for, the {body.noun} has {found}"
-        samples = self.samples(body)
-        if len(samples) < _MIN_SAMPLES:
-            return f"the outline is too small: {len(samples)} samples, at least {_MIN_SAMPLES} are needed"
-        thin = _MIN_WIDTH * samples.scale
+        count, scale = sampling(body, self.hole)
+        if count < _MIN_SAMPLES:
+            return f"the outline is too small: {count} samples, at least {_MIN_SAMPLES} are needed"
+        thin = _MIN_WIDTH * scale
         width = breadth(body, self.hole)
         if width < thin:
             return f"the {body.noun} is {width:.2g} {body.unit} wide: too thin for an outline (at least {thin:.2g})"
@@ -99,11 +101,23 @@ class Contour(Configuration[Curve], kind="contour"):
 
     def warm(self, body: Body, prediction: Prediction) -> Array:
         """On this frame's own outline. They begin near where they are expected; it is the fitted form that follows."""
-        return body.kernels.around(self.parameterise(body).points, prediction.nodes[0], prediction.topology.size)
+        if isinstance(body, Region):
+            return prediction.nodes  # they tell ``settled`` where to begin
+        form = self.parameterise(body)
+        nearest = np.argmin(np.sum((form.points - prediction.nodes[0]) ** 2, axis=1))
+        return self.nodes(form.begun_at(float(form.arc[nearest])), prediction.topology)
 
     def widths(self, *, moving: bool) -> tuple[float, ...]:
         """One epoch: the start lies on the outline, and further ones change nothing."""
-        return (0.4,)
+        return (_WIDTH,)
+
+    def settled(self, start: Array, body: Body, topology: Topology, *, moving: bool) -> Curve:
+        """On a border all at once."""
+        if not isinstance(body, Region):
+            return super().settled(start, body, topology, moving=moving)
+        edge = border(body, self.hole)
+        points, miss = body.kernels.ring(edge.points, edge.smooth, start[0], topology.size, _WIDTH, _PIECES)
+        return Curve(points, np.zeros(len(points), bool), True, miss=miss, kernels=body.kernels)
 
     def finish(self, nodes: Array, body: Body) -> Curve:
         """The closed curve through the nodes."""
@@ -112,7 +126,10 @@ class Contour(Configuration[Curve], kind="contour"):
 
     def judge(self, form: Curve, body: Body, bridged: float) -> Verdict:
         """By how closely it follows the outline, and how much of the body lies within."""
-        return judge_outline(form, body, self.samples(body))
+        scale, miss = sampling(body, self.hole)[1], form.miss
+        if miss is None:
+            miss = body.kernels.miss(self.samples(body).points, form.points, form.size)
+        return judge_outline(body, miss / scale)
 
     def numbered(self, form: Curve, seen: Array, target: Array | None) -> Curve:
         """Clockwise as seen, from the place nearest the target, else from the least u + v."""
@@ -127,7 +144,9 @@ class Contour(Configuration[Curve], kind="contour"):
         if form.points.shape[1] == 2:
             points, arc, nodes, blended = form.kernels.followed(form.points, reference, prediction.nodes, _FORGETTING)
             memory = Memory(reference=blended)
-            turned = Curve(points, np.zeros(len(points), bool), True, memory=memory, kernels=form.kernels)
+            turned = Curve(
+                points, np.zeros(len(points), bool), True, miss=form.miss, memory=memory, kernels=form.kernels
+            )
             return turned.knowing(arc, nodes)
         behind = lag(reference, prediction.nodes, self.nodes(form, prediction.topology))
         turned = form.begun_at(behind * form.size / prediction.topology.size)

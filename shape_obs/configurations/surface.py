@@ -156,12 +156,12 @@ class Surface(Configuration[Patch], kind="surface"):
     def follow(self, form: Patch, prediction: Prediction) -> Patch:
         """Turned so that its corners lie nearest to the predicted ones; in doubt if one of them is not the sheet's."""
         assert isinstance(prediction.topology, Grid)
-        expected, corners = prediction.topology.lattice(prediction.nodes), form.corners
-        if corners.shape[1] == 2:
-            quarters, corner, share = form.kernels.strayed(expected, corners)
+        expected = prediction.topology.lattice(prediction.nodes)
+        if expected.shape[2] == 2:
+            quarters, corner, share = form.kernels.strayed(expected, form.lattice)
             doubt = strays(corner, share)
         else:
-            expected = form.kernels.outer_corners(expected)
+            expected, corners = form.kernels.outer_corners(expected), form.corners
             away = [np.sum((np.roll(corners, -turn, axis=0) - expected) ** 2) for turn in range(4)]
             quarters = int(np.argmin(away))
             doubt = strayed_corner(expected, np.roll(corners, -quarters, axis=0))
@@ -171,7 +171,7 @@ class Surface(Configuration[Patch], kind="surface"):
     def place(self, form: Patch, metric: Patch) -> Points:
         """Equal gaps down and across, on the mean over the lattice."""
         ends = self.ends or "centers"
-        if form is metric and not form.bridged.any():
+        if form is metric and not np.count_nonzero(form.bridged):
             return Points(form.evenly(self.rows, self.cols, centers=ends == "centers"), np.zeros(self.count, bool))
         at = _spread(metric, self.rows, self.cols, ends)
         return Points(form.at(*at), form.bridged_at(*at))
@@ -179,9 +179,13 @@ class Surface(Configuration[Patch], kind="surface"):
 
 def _cut(region: Region) -> float:
     """The share of the outline that runs along the edge of the window."""
-    height, width = region.mask.shape
-    mask = region.mask
-    if not (mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any()):
+    (left, top, width, height), box = region.window, region.box
+    if (
+        left < box.left
+        and top < box.top
+        and box.left + box.width < left + width
+        and box.top + box.height < top + height
+    ):
         return 0.0
     place = region.border.traced - (region.window.left, region.window.top)
     return float(np.mean(np.any((place <= 0) | (place >= (width - 1, height - 1)), axis=1)))

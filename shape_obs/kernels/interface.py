@@ -21,6 +21,12 @@ TRACE: Final = 1e-3
 # Chords are equalised this often, or until their gaps differ by no more than this share.
 EQUALISING_PASSES: Final = 40
 EQUAL: Final = 2e-3
+# A folded outline: places around it, along its sides, and of those the ones by which tips are chosen; bends that are
+# tried as tips.
+OUTLINE_POINTS: Final = 256
+SIDE_POINTS: Final = 96
+SIDE_PROBES: Final = 32
+SHARP_BENDS: Final = 8
 JUDGED: Final = 150  # samples tell how far a mask spreads about a curve
 # Of a strand, in widths: how far to the side a pixel may lie to belong to it, and how far ahead; it goes on where a
 # pixel lies beyond the third.
@@ -141,6 +147,18 @@ class Kernels(OutlineKernels, SheetKernels, Protocol):
         """Nodes (K,D) of a line, K >= 3, moved against their bend, by a share of their second difference.
 
         The ends of an open line move by 1/24 of their neighbour's.
+        """
+        ...
+
+    def fold(self, outline: Array, width: float) -> Array:
+        """The centreline of a ribbon, by folding its outline about its tips.
+
+        Args:
+            outline: (P,2) closed outline, pixels.
+            width: The ribbon's width, pixels.
+
+        Returns:
+            (96,2) centreline from tip to tip, equidistant along the outline, in no particular direction.
         """
         ...
 

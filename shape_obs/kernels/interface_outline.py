@@ -32,6 +32,9 @@ HARMONICS: Final = 12
 SHIFTS: Final = 128
 PEAKS: Final = (0.5 / 128, 0.1 / 128)
 
+CELL: Final = 2  # points of a border in one sample: half the work, and no bend is lost
+JUDGED_AROUND: Final = 256  # samples of an outline tell how far it is missed
+
 RIM: Final = 400  # points of a sheet's rim
 REACH_OF_TURN: Final = 16  # points on either side: the scale at which a turn is a corner, 4 % of the perimeter
 CANDIDATES: Final = 10
@@ -87,8 +90,26 @@ class OutlineKernels(Protocol):
         """The mean of each two points, the last alone where they are odd: (P,D) -> (ceil(P/2),D); any D."""
         ...
 
-    def around(self, curve: Array, place: Array, count: int) -> Array:
-        """Places of equal arc length around a curve, from its point nearest a place (D,) on: (count,D); any D."""
+    def ring(
+        self, points: Array, smooth: Array, place: Array, count: int, sigma: float, pieces: int
+    ) -> tuple[Array, float]:
+        """The smooth closed curve through the nodes of a ring that settles on a border, in one epoch.
+
+        Nodes start at equal distances around the smoothed border, and what they settle on are its points, two by two.
+        Both have their order, so a sample looks for its node where it lies along the border, and never takes one of
+        the other side of what is thin.
+
+        Args:
+            points: (P,2) the border.
+            smooth: (P,2) the same smoothed.
+            place: (2,) the first node starts at the border's point nearest to it.
+            count: How many nodes.
+            sigma: Width of the map's neighbourhood, nodes.
+            pieces: Of the curve between two nodes.
+
+        Returns:
+            (count*pieces,2) the curve; the mean distance of its samples from its tangents.
+        """
         ...
 
     def followed(
@@ -193,7 +214,7 @@ class SheetKernels(Protocol):
         """(4,D) where the corners of a sheet belong whose pieces have their centres at (R,C,D) nodes, clockwise."""
         ...
 
-    def strayed(self, nodes: Array, corners: Array) -> tuple[int, int, float]:
+    def strayed(self, nodes: Array, lattice: Array) -> tuple[int, int, float]:
         """How a sheet's corners are numbered, and which one lies farthest from where the other three put it.
 
         The three others are laid over where they were expected by a similarity transform (S. Umeyama, "Least-Squares
@@ -202,11 +223,11 @@ class SheetKernels(Protocol):
 
         Args:
             nodes: (R,C,2) predicted.
-            corners: (4,2) found, clockwise.
+            lattice: (R',C',2) found.
 
         Returns:
-            By how many quarters the found corners are to be turned, so that they lie nearest to the predicted ones; then
-            which of them strays most, and by which share of half a diagonal.
+            By how many quarters the found lattice is to be turned, so that its corners lie nearest to the predicted ones;
+            then which of them strays most, and by which share of half a diagonal.
         """
         ...
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from shape_obs.kernels.numba_curve import arc_length, catmull_rom, equidistant, interpolate, spread, unshrink
 from shape_obs.kernels.numba_depth import median_depth
+from shape_obs.kernels.numba_fold import fold
 from shape_obs.kernels.numba_map import best_matching_units, settle
 from shape_obs.kernels.numba_mask import carried, cells, survey
-from shape_obs.kernels.numba_outline import around, blend, border, followed, lag, miss, pairs
+from shape_obs.kernels.numba_outline import blend, border, followed, lag, miss, pairs
+from shape_obs.kernels.numba_ring import ring
 from shape_obs.kernels.numba_sheet import (
     assessed,
     corners_near,
@@ -23,7 +25,6 @@ from shape_obs.kernels.numba_trace import traced
 
 __all__ = [
     "arc_length",
-    "around",
     "assessed",
     "best_matching_units",
     "blend",
@@ -35,6 +36,7 @@ __all__ = [
     "equidistant",
     "followed",
     "gauges",
+    "fold",
     "interpolate",
     "lag",
     "laid",
@@ -44,6 +46,7 @@ __all__ = [
     "pairs",
     "ribbon",
     "rim",
+    "ring",
     "sampled",
     "settle",
     "spread",

@@ -185,9 +185,7 @@ def _plausible(runs: Indices, step: int, min_area: int, min_share: float, left: 
     for at in range(len(runs)):
         row, start, stop = runs[at]
         areas[label[at]] += stop - start
-        met[label[at]] |= step == 1 or (
-            row % step == step // 2 and start + (_shift(row, step) - start) % step < stop
-        )
+        met[label[at]] |= step == 1 or (row % step == step // 2 and start + (_shift(row, step) - start) % step < stop)
     largest = 0
     for piece in range(count):
         areas[piece] *= met[piece]

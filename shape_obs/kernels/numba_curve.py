@@ -103,7 +103,9 @@ def catmull_rom(nodes: Array, subdivisions: int = 4, closed: bool = False) -> Ar
 @njit(cache=True, nogil=True)
 def equidistant(curve: Array, arc: Array, count: int, margin: float, max_shift: float) -> Array:
     """See ``Kernels.equidistant``."""
-    even = np.linspace(margin, arc[-1] - margin, count)
+    even = np.empty(count)
+    for n in range(count):
+        even[n] = margin + (arc[-1] - 2 * margin) * (n / (count - 1))
     at = even.copy()
     shift = max_shift * (even[1] - even[0])
     share = np.empty(count)

@@ -10,6 +10,7 @@ from numba import njit
 from shape_obs.kernels.interface_outline import (
     FLAT,
     HARMONICS,
+    JUDGED_AROUND,
     PEAKS,
     SHIFTS,
     STAIRCASE,
@@ -139,20 +140,6 @@ def even(curve: Array, arc: Array, begin: float, count: int) -> Array:
         for d in range(dimension):
             out[k, d] = curve[before, d] + share * (curve[after, d] - curve[before, d])
     return out
-
-
-@njit(cache=True, nogil=True)
-def around(curve: Array, place: Array, count: int) -> Array:
-    """See ``OutlineKernels.around``."""
-    nearest, least = 0, np.inf
-    for p in range(len(curve)):
-        square = 0.0
-        for d in range(curve.shape[1]):
-            square += (curve[p, d] - place[d]) ** 2
-        if square < least:
-            nearest, least = p, square
-    arc = closed_arc(curve)
-    return even(curve, arc, arc[nearest], count)
 
 
 @njit(cache=True, nogil=True)
@@ -301,6 +288,7 @@ def blend(reference: Array, found: Array, share: float) -> Array:
 @njit(cache=True, nogil=True)
 def miss(points: Array, curve: Array, size: float) -> float:
     """See ``OutlineKernels.miss``."""
+    points = points[:: (len(points) + JUDGED_AROUND - 1) // JUDGED_AROUND]
     count, dimension = curve.shape
     groups = (count + _GROUP - 1) // _GROUP
     middle, radius = np.zeros((groups, dimension)), np.zeros(groups)

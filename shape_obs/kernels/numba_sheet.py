@@ -273,9 +273,10 @@ def outer_corners(nodes: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def strayed(nodes: Array, corners: Array) -> tuple[int, int, float]:
+def strayed(nodes: Array, lattice: Array) -> tuple[int, int, float]:
     """See ``SheetKernels.strayed``."""
-    expected = outer_corners(nodes)
+    expected, corners = outer_corners(nodes), np.empty((4, 2))
+    corners[0], corners[1], corners[2], corners[3] = lattice[0, 0], lattice[0, -1], lattice[-1, -1], lattice[-1, 0]
     quarters, least = 0, np.inf
     for turn in range(4):
         square = 0.0

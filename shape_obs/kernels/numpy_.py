@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from shape_obs.kernels.numpy_curve import arc_length, catmull_rom, equidistant, interpolate, spread, unshrink
 from shape_obs.kernels.numpy_depth import median_depth
+from shape_obs.kernels.numpy_fold import fold
 from shape_obs.kernels.numpy_map import best_matching_units, settle
 from shape_obs.kernels.numpy_mask import carried, cells, survey
-from shape_obs.kernels.numpy_outline import around, blend, border, followed, lag, miss, pairs, traced
+from shape_obs.kernels.numpy_outline import blend, border, followed, lag, miss, pairs, traced
+from shape_obs.kernels.numpy_ring import ring
 from shape_obs.kernels.numpy_sheet import (
     assessed,
     corners_near,
@@ -22,7 +24,6 @@ from shape_obs.kernels.numpy_strand import ribbon
 
 __all__ = [
     "arc_length",
-    "around",
     "assessed",
     "best_matching_units",
     "blend",
@@ -34,6 +35,7 @@ __all__ = [
     "equidistant",
     "followed",
     "gauges",
+    "fold",
     "interpolate",
     "lag",
     "laid",
@@ -43,6 +45,7 @@ __all__ = [
     "pairs",
     "ribbon",
     "rim",
+    "ring",
     "sampled",
     "settle",
     "spread",

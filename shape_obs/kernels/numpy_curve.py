@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from shape_obs.kernels.interface import EQUAL, EQUALISING_PASSES, JUDGED, Array
@@ -12,7 +14,7 @@ def arc_length(curve: Array) -> Array:
     """See ``Kernels.arc_length``."""
     step = curve[1:] - curve[:-1]
     arc = np.zeros(len(curve))
-    np.cumsum(np.sqrt(np.einsum("pd,pd->p", step, step)), out=arc[1:])
+    np.sqrt(np.einsum("pd,pd->p", step, step)).cumsum(out=arc[1:])
     return arc
 
 
@@ -48,27 +50,43 @@ def catmull_rom(nodes: Array, subdivisions: int = 4, closed: bool = False) -> Ar
     tangent = np.empty_like(nodes)
     tangent[1:-1] = (slope[:-1] * gap[1:] + slope[1:] * gap[:-1]) / (gap[:-1] + gap[1:])
     tangent[0], tangent[-1] = 2 * slope[0] - tangent[1], 2 * slope[-1] - tangent[-2]
-    t = np.arange(subdivisions) / subdivisions
-    basis = np.stack([(1 + 2 * t) * (1 - t) ** 2, t**2 * (3 - 2 * t), t * (1 - t) ** 2, -(t**2) * (1 - t)], axis=1)
-    ends = np.stack([nodes[:-1], nodes[1:], gap * tangent[:-1], gap * tangent[1:]], axis=1)
+    ends = np.empty((4, *step.shape))
+    ends[0], ends[1] = nodes[:-1], nodes[1:]
+    np.multiply(gap, tangent[:-1], out=ends[2])
+    np.multiply(gap, tangent[1:], out=ends[3])
     out = np.empty((len(step) * subdivisions + 1, nodes.shape[1]))
-    np.matmul(basis, ends, out=out[:-1].reshape(len(step), subdivisions, -1))
+    pieces = (_hermite(subdivisions) @ ends.reshape(4, -1)).reshape(subdivisions, *step.shape)
+    out[:-1].reshape(len(step), subdivisions, -1)[:] = pieces.swapaxes(0, 1)
     out[-1] = nodes[-1]
     return out
 
 
+@lru_cache
+def _hermite(subdivisions: int) -> Array:
+    """(S,4) weights of the first and last place, and of the first and last tangent, along a cubic piece."""
+    t = np.arange(subdivisions) / subdivisions
+    return np.stack([(1 + 2 * t) * (1 - t) ** 2, t**2 * (3 - 2 * t), t * (1 - t) ** 2, -(t**2) * (1 - t)], axis=1)
+
+
 def equidistant(curve: Array, arc: Array, count: int, margin: float, max_shift: float) -> Array:
     """See ``Kernels.equidistant``."""
-    even = at = np.linspace(margin, arc[-1] - margin, count)
+    share, last = _shares(count), float(arc[-1])
+    even = at = margin + (last - 2 * margin) * share
     shift = max_shift * (even[1] - even[0])
     for _ in range(EQUALISING_PASSES):
         chord = arc_length(interpolate(curve, arc, at))
         gaps = chord[1:] - chord[:-1]
         if gaps.max() - gaps.min() < EQUAL * chord[-1] / count:
             break
-        at = np.interp(np.linspace(0.0, chord[-1], count), chord, at)
+        at = np.interp(chord[-1] * share, chord, at)
         at = np.minimum(np.maximum(at, even - shift), even + shift)
     return at
+
+
+@lru_cache
+def _shares(count: int) -> Array:
+    """(count,) from 0 to 1."""
+    return np.linspace(0.0, 1.0, count)
 
 
 def spread(points: Array, weight: Array, curve: Array) -> float:

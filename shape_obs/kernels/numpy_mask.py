@@ -17,7 +17,7 @@ def survey(
     """See ``Kernels.survey``."""
     u, v, width, height = cv2.boundingRect(mask)
     if not width:
-        return np.empty((0, 3), np.intp), np.empty(0, np.intp), False
+        return np.empty((0, 3), np.intp), np.empty(0, np.intp), (left, top, 0, 0), False
     crop, left, top = mask[v : v + height, u : u + width], left + u, top + v
     if len(cv2.findContours(crop, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]) == 1:
         found = _runs(crop, left, top)  # nothing to sort out, as on most frames
@@ -43,8 +43,11 @@ def _runs(mask: npt.NDArray[Any], left: int, top: int) -> Indices:
     np.not_equal(mask, 0, out=framed[:, 1:-1])
     flat = framed.ravel()
     edges = np.flatnonzero(flat[1:] != flat[:-1])
+    found = np.empty((len(edges) // 2, 3), np.int64)
     row, start = np.divmod(edges[::2], width + 2)
-    return np.stack([row + top, start + left, start + (edges[1::2] - edges[::2]) + left], axis=1)
+    found[:, 0], found[:, 1] = row + top, start + left
+    found[:, 2] = found[:, 1] + edges[1::2] - edges[::2]
+    return found
 
 
 def cells(runs: Indices, size: int) -> tuple[Array, Array]:
@@ -79,7 +82,7 @@ def carried(mask: Mask, left: int, top: int, points: Array, reach: int) -> npt.N
     around = np.arange(-reach, reach + 1)
     if len(u) and reach <= u.min() and u.max() < width - reach and reach <= v.min() and v.max() < height - reach:
         nearby = (around[:, None] * width + around).ravel()
-        return mask.ravel()[(v * width + u)[:, None] + nearby].any(axis=1)
+        return np.bitwise_or.reduce(mask.ravel()[v * width + u + nearby[:, None]], axis=0) != 0
     u, v = u[:, None, None] + around, v[:, None, None] + around[:, None]
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     return np.asarray((inside & (mask[np.where(inside, v, 0), np.where(inside, u, 0)] > 0)).any(axis=(1, 2)))

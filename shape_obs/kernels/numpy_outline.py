@@ -12,6 +12,7 @@ from scipy.ndimage import correlate1d
 from shape_obs.kernels.interface_outline import (
     FLAT,
     HARMONICS,
+    JUDGED_AROUND,
     PEAKS,
     SHIFTS,
     SPECK,
@@ -86,11 +87,10 @@ def border(traced: Array, hole: bool) -> tuple[Array, Array]:
     """See ``OutlineKernels.border``."""
     z = plane(traced) - plane(traced)[0]
     if np.vdot(z[:-1], z[1:]).imag < 0:
-        traced = traced[::-1]
+        traced = traced[::-1].copy()
     along = plane(correlate1d(traced, _ALONG, axis=0, mode="wrap"))
-    along = along / np.maximum(np.abs(along), 1e-9)
-    reach = np.maximum(np.abs(along.real), np.abs(along.imag))
-    points = points_of(plane(traced) + (0.5j if hole else -0.5j) * reach * along)
+    reach, size = np.maximum(np.abs(along.real), np.abs(along.imag)), np.abs(along)
+    points = points_of(plane(traced) + (0.5j if hole else -0.5j) * along * (reach / np.maximum(size * size, 1e-18)))
     return points, correlate1d(points, _SMOOTH, axis=0, mode="wrap")
 
 
@@ -99,13 +99,6 @@ def pairs(points: Array) -> Array:
     half = len(points) // 2
     means = (points[: 2 * half : 2] + points[1::2]) / 2
     return means if len(points) == 2 * half else np.concatenate([means, points[-1:]])
-
-
-def around(curve: Array, place: Array, count: int) -> Array:
-    """See ``OutlineKernels.around``."""
-    nearest = int(np.argmin(lengths(curve - place)))
-    turned = np.concatenate([curve[nearest:], curve[: nearest + 1]])
-    return _even(turned, closed_arc(turned), count)
 
 
 def followed(points: Array, reference: Array, predicted: Array, share: float) -> tuple[Array, Array, Array, Array]:
@@ -142,10 +135,9 @@ def lag(reference: Array, predicted: Array, found: Array) -> float:
     For every cyclic shift, what the best rotation of one outline onto the other is worth is the absolute value of
     their correlation, and what they are worth as they lie is its real part.
     """
-    waves = _waves(len(found))
-    seen = plane(found) @ waves
-    shape, place = (_spectrum(plane(past) @ waves, seen) for past in (reference, predicted))
-    spectra = np.stack([shape, place])
+    shape, place, seen = plane(np.stack([reference, predicted, found])) @ _waves(len(found))
+    power = np.abs(np.array([np.vdot(waves, waves) for waves in (shape, place, seen)]))
+    spectra = np.stack([shape, place]).conj() * seen / np.maximum(np.sqrt(power[:2] * power[2]), 1e-12)[:, None]
     turned, still = spectra @ _ROUND
     turned, still = np.abs(turned), still.real
     contrast = float(turned.max() - turned.min())
@@ -170,6 +162,7 @@ def blend(reference: Array, found: Array, share: float) -> Array:
 
 def miss(points: Array, curve: Array, size: float) -> float:
     """See ``OutlineKernels.miss``."""
+    points = points[:: -(-len(points) // JUDGED_AROUND)]
     nearest = best_matching_units(points, curve)
     closed = np.concatenate([curve[-1:], curve, curve[:1]])
     tangent = closed[2:] - closed[:-2]
@@ -193,12 +186,6 @@ def _even(closed: Array, arc: Array, count: int) -> Array:
 def _waves(count: int) -> Complex:
     """(count,2H) what takes ``count`` places around an outline to its waves: a few columns of a Fourier transform."""
     return np.exp(-2j * np.pi / count * np.outer(np.arange(count), _WAVES))
-
-
-def _spectrum(before: Complex, after: Complex) -> Complex:
-    """(2H,) spectrum of the correlation over cyclic shifts; 1 is a perfect match."""
-    scale = np.sqrt(np.vdot(before, before).real * np.vdot(after, after).real)
-    return np.conj(before) * after / max(float(scale), 1e-12)
 
 
 def _climb(score: Array, at: int) -> int:

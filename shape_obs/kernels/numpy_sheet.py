@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import cmath
+import math
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
 from shape_obs.kernels.interface_outline import (
@@ -24,11 +25,11 @@ from shape_obs.kernels.interface_outline import (
 )
 from shape_obs.kernels.numpy_outline import Complex, closed_arc, lengths, plane, points_of
 
-_T = np.arange(FINE) / (FINE - 1)
-_ACROSS = np.stack([1 - _T, _T])  # how much the left and the right side count at each place across
+# How much the left and the right side count at each place across, and where the sides begin and end among the corners:
+# the top and the bottom from the left, the left and the right from the top.
+_ACROSS = np.stack([np.linspace(1, 0, FINE), np.linspace(0, 1, FINE)]).astype(np.complex128)
+_BEGINS, _ENDS = np.array([[0], [3], [4], [1]]), np.array([[1], [2], [3], [2]])
 _RIM_AT = np.arange(RIM)
-_TURNED = (np.arange(4)[:, None] + np.arange(4)) % 4
-_OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 def rim(outline: Array) -> tuple[Array, Array, Indices, float, float]:
@@ -38,7 +39,8 @@ def rim(outline: Array) -> tuple[Array, Array, Indices, float, float]:
     z = np.interp(_RIM_AT * (arc[-1] / RIM), arc, plane(closed))
     around = np.concatenate([z[-REACH_OF_TURN:], z, z[:REACH_OF_TURN]])
     chord = around[REACH_OF_TURN:] - around[:-REACH_OF_TURN]  # from each point to the one that many further on
-    turn = np.angle(chord[REACH_OF_TURN:] * chord[:-REACH_OF_TURN].conj())
+    turn = chord[REACH_OF_TURN:] * chord[:-REACH_OF_TURN].conj()
+    turn = np.arctan2(turn.imag, turn.real)
     highest = maximum_filter1d(turn, 2 * REACH_OF_TURN + 1, mode="wrap")
     peaks = np.flatnonzero((turn >= highest) & (turn > LEAST_TURN))
     if len(peaks) > CANDIDATES:
@@ -66,26 +68,25 @@ def corners_near(rim: Array, candidates: Indices, step: float, expected: Array) 
 
 def laid(rim: Array, turn: Array, corners: Indices, step: float, grain: float) -> tuple[Array, float]:
     """See ``SheetKernels.laid``."""
-    z = plane(rim)
-    begin = int(corners[0])
-    at = [*((corners - begin) % RIM).tolist(), RIM]
-    around = np.concatenate([z[begin:], z[:begin]])
-    places = _places(around, at[:4], step, grain)
+    z, at = plane(rim), corners.tolist()
+    begin = at[0]
+    around, turned = np.concatenate([z[begin:], z[:begin]]), np.concatenate([turn[begin:], turn[:begin]])
+    at = [(corner - begin) % RIM for corner in at]
+    places = _places(around, at, step, grain)
+    at.append(RIM)
     skip = max(round(ROUNDED / 2 * grain / step), 1)
-    pieces, first = [], [0]
+    pieces, straight, first = [], [], [0]
     for k in range(4):
         inner = around[at[k] + skip : max(at[k + 1] - skip + 1, at[k] + skip)]
         pieces += [places[k : k + 1], inner]
         first.append(first[-1] + 1 + len(inner))
+        straight.append(turned[at[k] + REACH_OF_TURN + 1 : at[k + 1] - REACH_OF_TURN])
     border = np.concatenate([*pieces, places[:1]])
     arc = np.zeros(len(border))
     np.cumsum(np.abs(border[1:] - border[:-1]), out=arc[1:])
-    ends = arc[first]
-    sides = np.interp(ends[:4, None] + (ends[1:] - ends[:4])[:, None] * _T, arc, border)
-    turned = np.concatenate([turn[begin:], turn[:begin]])
-    straight = [turned[at[k] + REACH_OF_TURN + 1 : at[k + 1] - REACH_OF_TURN] for k in range(4)]
-    kink = float(np.abs(np.concatenate(straight)).max(initial=0.0))
-    return points_of(_coons(sides).ravel()), kink
+    begins, ends = arc[np.array(first)[_BEGINS]], arc[np.array(first)[_ENDS]]
+    sides = np.interp(begins + (ends - begins) * _ACROSS[1].real, arc, border)
+    return points_of(_coons(sides).ravel()), float(np.abs(np.concatenate(straight)).max(initial=0.0))
 
 
 def tracked(
@@ -119,37 +120,46 @@ def outer_corners(nodes: Array) -> Array:
     return 2 * near[:4] - (near[4:8] + near[8:]) / 2
 
 
-def strayed(nodes: Array, corners: Array) -> tuple[int, int, float]:
+def strayed(nodes: Array, lattice: Array) -> tuple[int, int, float]:
     """See ``SheetKernels.strayed``."""
-    past, here = plane(outer_corners(nodes)), plane(corners)
-    away = here[_TURNED] - past
-    quarters = int(np.argmin((away.real**2 + away.imag**2).sum(axis=1)))
-    here = here[_TURNED[quarters]]
-    reach = max(float(np.abs(here - here.sum() / 4).max()), 1e-9)
-    both = np.stack([past, here])
-    # The middles of the three others, and from there the three.
-    middles = (both.sum(axis=1)[:, None] - both) / 3
-    source, target = both[:, _OTHERS] - middles[:, :, None]
-    spread = np.maximum((source.real**2 + source.imag**2).sum(axis=1), 1e-18)
-    motion = (source.conj() * target).sum(axis=1) / spread
-    away, here = both - middles
-    astray = np.abs(away * motion - here)
-    worst = int(np.argmax(astray))
-    return quarters, worst, float(astray[worst]) / reach
+    past: list[complex] = plane(outer_corners(nodes)).tolist()
+    z = plane(lattice)
+    found = [complex(z[0, 0]), complex(z[0, -1]), complex(z[-1, -1]), complex(z[-1, 0])]
+    apart = [sum(abs(found[(k + turn) % 4] - past[k]) ** 2 for k in range(4)) for turn in range(4)]
+    quarters = apart.index(min(apart))
+    here = found[quarters:] + found[:quarters]
+    middle = sum(here) / 4
+    reach = max(*(abs(corner - middle) for corner in here), 1e-9)
+    astray = []
+    for k in range(4):
+        before, after = (sum(past) - past[k]) / 3, (sum(here) - here[k]) / 3
+        product, spread = 0j, 1e-18
+        for j in range(4):
+            if j != k:
+                source = past[j] - before
+                product += source.conjugate() * (here[j] - after)
+                spread += abs(source) ** 2
+        astray.append(abs((past[k] - before) * product / spread + after - here[k]))
+    worst = astray.index(max(astray))
+    return quarters, worst, astray[worst] / reach
 
 
 def assessed(lattice: Array) -> tuple[float, float, float, float]:
     """See ``SheetKernels.assessed``."""
     z = plane(lattice)
-    sides = (z[0], z[:, -1], z[-1, ::-1], z[::-1, 0])
-    angle, winding = 90.0, 0.0
-    for before, side in zip((sides[3], *sides[:3]), sides, strict=True):
-        back, ahead = before[-1 - len(before) // 8] - side[0], side[len(side) // 8] - side[0]
-        here = abs(float(np.degrees(np.angle(ahead * back.conjugate()))))
+    level, upright = z[[0, -1]], z[:, [0, -1]]
+    lengths = [*np.abs(level[:, 1:] - level[:, :-1]).sum(axis=1), *np.abs(upright[1:] - upright[:-1]).sum(axis=0)]
+    (a, b), (d, c) = level[:, [0, -1]].tolist()
+    chords = [abs(b - a), abs(c - d), abs(d - a), abs(c - b)]
+    winding = max(length / max(chord, 1e-9) - 1 for length, chord in zip(lengths, chords, strict=True))
+    right, below = z.shape[1] // 8, z.shape[0] // 8
+    beside, beneath = level[:, [right, -1 - right]].tolist(), upright[[below, -1 - below]].tolist()
+    angle = 90.0
+    for row, column, corner in ((0, 0, a), (0, 1, b), (1, 1, c), (1, 0, d)):
+        between = (beside[row][column] - corner) * (beneath[row][column] - corner).conjugate()
+        here = abs(math.degrees(cmath.phase(between)))
         if abs(here - 90) > abs(angle - 90):
             angle = here
-        along = float(np.abs(side[1:] - side[:-1]).sum())
-        winding = max(winding, along / max(float(abs(side[-1] - side[0])), 1e-9) - 1)
     across, down = z[1:, 1:] - z[:-1, :-1], z[1:, :-1] - z[:-1, 1:]
     area = (across.conj() * down).imag.ravel() / 2
     folds = 0.0
@@ -171,40 +181,40 @@ def _places(around: Complex, corners: list[int], step: float, grain: float) -> C
         step: Distance between two points.
         grain: What the outline was smoothed over.
     """
-    first = max(int(np.ceil(ROUNDED * grain / step)), 1)
-    away = first + np.arange(max(LINE, first))
-    here = np.array(corners)
-    lines = around[(here + np.stack([-away, away])[:, :, None]) % RIM]  # (2,L,4)
-    middles = lines.sum(axis=1) / len(away)
-    slopes = np.tensordot(np.arange(len(away)) - (len(away) - 1) / 2, lines, axes=(0, 1))
-    slopes = slopes / np.maximum(np.abs(slopes), 1e-9)
-    (before, after), (back, ahead) = middles, slopes
-    apart = after - before
-    both = back.conj() * ahead
-    cosine = both.real
-    sine = 1 - cosine**2
-    over = np.maximum(sine, PARALLEL)
-    along_back, along_ahead = (apart * back.conj()).real, (apart * ahead.conj()).real
-    s, t = (along_back - cosine * along_ahead) / over, (cosine * along_back - along_ahead) / over
-    shift = (before + s * back + after + t * ahead) / 2 - around[here]
-    shift[sine < PARALLEL] = 0
-    return around[here] + shift / np.maximum(np.abs(shift) / (OUTSIDE * grain), 1)
+    first = max(math.ceil(ROUNDED * grain / step), 1)
+    count = max(LINE, first)
+    away = first + _index(count).astype(np.intp)
+    lines = around[(np.array(corners)[:, None, None] + np.stack([-away, away])) % RIM]  # (4,2,L)
+    middles = (lines.sum(axis=2) / count).tolist()
+    slopes = (lines @ (_index(count) - (count - 1) / 2)).tolist()
+    places = []
+    for corner, (before, after), (back, ahead) in zip(around[corners].tolist(), middles, slopes, strict=True):
+        back, ahead = back / max(abs(back), 1e-9), ahead / max(abs(ahead), 1e-9)
+        cosine = (back.conjugate() * ahead).real
+        sine = 1 - cosine**2
+        shift = 0j
+        if sine >= PARALLEL:
+            apart = after - before
+            along_back, along_ahead = (apart * back.conjugate()).real, (apart * ahead.conjugate()).real
+            s, t = (along_back - cosine * along_ahead) / sine, (cosine * along_back - along_ahead) / sine
+            shift = (before + s * back + after + t * ahead) / 2 - corner
+        places.append(corner + shift / max(abs(shift) / (OUTSIDE * grain), 1))
+    return np.array(places)
 
 
 def _coons(sides: Complex) -> Complex:
     """The bilinearly blended patch of four sides (S. A. Coons, "Surfaces for Computer-Aided Design of Space Forms").
 
     Args:
-        sides: (4,S) clockwise: the top side from left to right, the right one downwards, the bottom one from right to
-            left, the left one upwards; each ends where the next begins.
+        sides: (4,S) the top and the bottom side from left to right, the left and the right one from top to bottom.
 
     Returns:
         (S,S) rows from top to bottom, the sides among them.
     """
-    top, right, bottom, left = sides[0], sides[1], sides[2, ::-1], sides[3, ::-1]
-    # What top and bottom do not already bring to the left and to the right.
-    rest = np.stack([left - top[0] - _T * (bottom[0] - top[0]), right - top[-1] - _T * (bottom[-1] - top[-1])], axis=1)
-    return np.stack([*rest.T, *_ACROSS]).T @ np.stack([*_ACROSS, top, bottom])
+    level, upright = sides[:2], sides[2:]
+    # Top and bottom, without what left and right bring to their ends already.
+    rest = level - level[:, [0, -1]] @ _ACROSS
+    return upright.T @ _ACROSS + _ACROSS.T @ rest
 
 
 def _weights(gauge: Array, count: int, centers: bool) -> Array:

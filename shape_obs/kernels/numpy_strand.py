@@ -97,7 +97,10 @@ def _strand(mask: Mask, u: float, v: float, heading: tuple[float, float], width:
     offset = np.empty((2, len(held)))
     rows, columns = np.divmod(held, crop.shape[1])
     offset[0], offset[1] = x[columns], y[rows, 0]
-    label = cv2.connectedComponents(strand.view(np.uint8), connectivity=8)[1].ravel()[held]
+    count, labels = cv2.connectedComponents(strand.view(np.uint8), connectivity=8)
+    if count == 2:
+        return offset, along.ravel()[held], side.ravel()[held]
+    label = labels.ravel()[held]
     same = label == label[np.argmin(np.einsum("dp,dp->p", offset, offset))]
     return offset[:, same], along.ravel()[held[same]], side.ravel()[held[same]]
 

@@ -56,12 +56,15 @@ def as_values(
 
 
 def _preface(plan: Plan, found: Sequence[Result]) -> str:
-    exact = min(EXACT, plan.frames)
+    exact = (
+        f" on {EXACT} evenly spaced frames of each configuration, on the others of {SAMPLED} pixels drawn by lot, each "
+        "against all pixels"
+    )
     lines = [
-        f"{plan.frames} frames of each configuration, seed {plan.seed}. SC, the silhouette: of all pixels on {exact} "
-        f"evenly spaced frames of each configuration, on the others of {SAMPLED} pixels drawn by lot, each against all "
-        "pixels. CH, the Calinski-Harabasz score: always of all pixels. A pixel belongs to the nearest point. After ±: "
-        "half the 95 % interval of the mean, an episode of frames counting as one.",
+        f"{plan.frames} frames of each configuration, seed {plan.seed}. SC, the silhouette: of all pixels"
+        f"{exact if plan.frames > EXACT else ''}. CH, the Calinski-Harabasz score: always of all pixels. A pixel "
+        "belongs to the nearest point. After ±: half the 95 % interval of the mean, an episode of frames counting as "
+        "one.",
         f"Time, by the {plan.clock} clock: of a clusterer from the pixels to its centres, cold in every frame; of ours "
         "from the mask to the ordered points, tracked, as it is used. The clusterers' centres were sorted along our "
         "form, which is not timed.",
@@ -129,8 +132,8 @@ def _verdict(ranking: Ranking) -> str:
     word = "holds" if ranking.holds else "does not hold"
     open_ones = 6 - ranking.pairs - ranking.against
     return (
-        f"By {MEASURES[ranking.measure]} the paper's ranking {word}: {paper} there, {here} here. Of the six pairs "
-        f"{ranking.pairs} come out as in the paper, {ranking.against} the other way round, {open_ones} are undecided."
+        f"By {MEASURES[ranking.measure]} the paper's ranking {word}, best first: {paper} there, {here} here. Of the "
+        f"six pairs {ranking.pairs} come out as in the paper, {ranking.against} the other way round, {open_ones} are undecided."
     )
 
 
