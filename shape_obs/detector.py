@@ -281,7 +281,7 @@ class ShapeDetector:
         last, seen = self._last.get(spec.name, (None, self._begin))
         reason = found.reason
         if found.form is not None and found.ok:
-            shape = shape_of(spec, found, found.form, body, frame, last, self.config.on_invalid)
+            shape = shape_of(spec, found, found.form, found.body or body, frame, last, self.config.on_invalid)
             if not in_3d or shape.valid.any():
                 return shape
             reason = "no point has depth under it"

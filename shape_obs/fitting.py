@@ -30,12 +30,14 @@ class Fit:
         quality: 0...1.
         reason: Why it was refused; empty if it was not.
         centres: (N,D) the shape's points in order, where a clusterer has found them; None leaves them to the form.
+        body: What it was fitted to, with what the past knows about it.
     """
 
     form: Form | None
     quality: float = 0.0
     reason: str = ""
     centres: Array | None = None
+    body: Body | None = None
 
     @property
     def ok(self) -> bool:
@@ -126,7 +128,7 @@ def _settle(
     if prediction is not None:
         form = spec.follow(form, prediction)
     verdict = spec.judge(form, body, bridged)
-    return Fit(form, verdict.quality, verdict.reason)
+    return Fit(form, verdict.quality, verdict.reason, body=body)
 
 
 def _numbered(found: Fit, body: Body, spec: Configuration, target: Array | None) -> Fit:

@@ -54,8 +54,9 @@ def lift(points: Array, z: Array, intrinsics: Intrinsics, radius: float) -> Arra
         (N,3) metres, camera frame; NaN where unknown.
     """
     rays = intrinsics.rays(points)
-    along = z + radius / np.linalg.norm(rays, axis=1)
-    return rays * along[:, None]
+    if radius:
+        z = z + radius / np.linalg.norm(rays, axis=1)
+    return rays * z[:, None]
 
 
 def lift_form(

@@ -1,11 +1,7 @@
-"""Clusterers: what each finds, its points in order along the form, and how it is configured."""
+"""Clusterers: what each finds, its points in order along the form."""
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 import warnings
 from typing import Any
 
@@ -14,18 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shape_obs import (
-    Centerline,
-    Contour,
-    ShapeDetector,
-    ShapeObservation,
-    SpecError,
-    Surface,
-    load_config,
-    save_config,
-    schema_hash,
-)
-from shape_obs.clustering import Clusterer, FuzzyCMeans, GaussianMixture, KMeans, Kohonen, SelfOrganisingMap
+from shape_obs import Centerline, Contour, ShapeDetector, Surface
+from shape_obs.clustering import Clusterer, FuzzyCMeans, GaussianMixture, KMeans, Kohonen
 from shape_obs.evaluation.blobs import draw_blob, moving_blob, random_blob
 from shape_obs.evaluation.clouds import ring_cloud, rope_cloud, sheet_cloud
 from shape_obs.evaluation.motion import moving_rope
@@ -232,118 +218,3 @@ def test_an_object_with_a_hole_is_clustered_around_the_hole():
     mask[draw_blob(160 + 50 * circle, size=(320, 320)).mask > 0] = 0
     shape = ShapeDetector([Contour(n=12, hole=0)], clustering="kmeans").detect_mask(mask).shapes[0]
     np.testing.assert_allclose(np.linalg.norm(shape.pixels - 160, axis=1), 50, atol=3)
-
-
-class TestConfiguration:
-    def test_names_mappings_and_specs_say_the_same(self):
-        said = ("kmeans", {"kind": "kmeans"}, KMeans())
-        assert len({ShapeDetector(clustering=clustering).config for clustering in said}) == 1
-        assert ShapeDetector().config.clustering == SelfOrganisingMap()
-        assert ShapeDetector(clustering="som").config == ShapeDetector().config
-        assert json.loads(json.dumps(ShapeDetector(clustering={"kind": "kmeans", "n_init": 3}).config.to_dict()))[
-            "clustering"
-        ] == {"kind": "kmeans", "n_init": 3, "max_iter": 300}
-
-    def test_it_belongs_to_the_schema_and_to_the_file(self, tmp_path):
-        arguments = {"shapes": [{"kind": "contour"}], "clustering": "fcm"}
-        save_config(tmp_path / "a.yaml", arguments)
-        loaded = load_config(tmp_path / "a.yaml")
-        assert loaded["clustering"]["kind"] == "fcm"
-        assert schema_hash(loaded) == schema_hash(arguments)
-        hashes = {schema_hash({**arguments, "clustering": name}) for name in ("som", *NAMES)}
-        assert len(hashes) == 5
-        assert schema_hash({"shapes": [{"kind": "contour"}]}) in hashes
-
-    def test_unknown_names_get_a_hint(self):
-        with pytest.raises(SpecError, match="unknown kind 'kmean'; did you mean 'kmeans'"):
-            ShapeDetector(clustering="kmean")
-        with pytest.raises(SpecError, match="kmeans: unknown field 'ninit'; did you mean 'n_init'"):
-            ShapeDetector(clustering={"kind": "kmeans", "ninit": 3})
-
-    @pytest.mark.parametrize(
-        ("spec", "message"),
-        [
-            (
-                {"kind": "centerline", "ends": "tips"},
-                "shape 'centerline': ends='tips' needs clustering='som': 'kmeans' has its own centres; "
-                "give ends='centers'.",
-            ),
-            (
-                {"kind": "contour", "spacing": "m"},
-                "shape 'contour': spacing='m' needs clustering='som': 'kmeans' has its own centres; give spacing='px'.",
-            ),
-        ],
-    )
-    def test_what_centres_cannot_give_is_refused(self, spec, message):
-        with pytest.raises(SpecError) as error:
-            ShapeDetector([spec], clustering="kmeans")
-        assert str(error.value) == message
-
-    @pytest.mark.parametrize(
-        "wrong", [{"kind": "kmeans", "n_init": 0}, {"kind": "fcm", "tolerance": 0}, {"kind": "gmm", "max_iter": 0},
-                  {"kind": "kohonen", "rate": 2.0}],
-    )  # fmt: skip
-    def test_settings_out_of_range_are_refused(self, wrong):
-        with pytest.raises(ValueError, match=f"{wrong['kind']}: .*{[*wrong][1]}"):
-            ShapeDetector(clustering=wrong)
-
-    def test_the_wrapper_takes_it_and_rebuilds_it(self):
-        import gymnasium as gym
-        from gymnasium.envs.registration import EnvSpec
-        from rope_env import BLUE
-
-        gym.register("Clustered-v0", "rope_env:RopeEnv", max_episode_steps=5)
-        try:
-            env = ShapeObservation(gym.make("Clustered-v0"), segmentation=BLUE, clustering=KMeans(n_init=2))
-            spec = env.spec
-            assert spec is not None
-            again: Any = gym.make(EnvSpec.from_json(spec.to_json()))
-            np.testing.assert_array_equal(again.reset(seed=3)[0], env.reset(seed=3)[0])
-            plain = ShapeObservation(gym.make("Clustered-v0"), segmentation=BLUE)
-            assert np.abs(plain.reset(seed=3)[0] - env.reset(seed=3)[0]).max() > 1e-4
-        finally:
-            gym.registry.pop("Clustered-v0")
-
-    def test_a_clusterer_of_ones_own_works(self, wave):
-        from dataclasses import dataclass
-
-        from shape_obs.clustering import Centres
-
-        @dataclass(frozen=True)
-        class EveryFifth(Clusterer):
-            """Samples as they come."""
-
-            def centres(self, samples, layout, seed):
-                return Centres(samples.points[:: len(samples) // layout.size][: layout.size], 1, True)
-
-        shape = ShapeDetector([Centerline(n=5)], clustering=EveryFifth()).detect_mask(wave.mask).shapes[0]
-        assert shape.ok
-        assert score(shape.pixels, wave.curve, "centers").ordered
-
-
-FORK = """
-import os, sys
-import numpy as np
-from shape_obs.clustering import GaussianMixture, KMeans
-from shape_obs.samples import Samples
-from shape_obs.topology import Chain
-
-points = np.random.default_rng(0).uniform(0, 100, (20000, 2))
-samples = Samples(points, np.ones(len(points)), 1.0)
-def run():
-    return KMeans().centres(samples, Chain(20), 0).places.sum() + GaussianMixture(3).centres(samples, Chain(5), 0).steps
-before = run()
-child = os.fork()
-if child == 0:
-    os._exit(0 if run() == before else 3)
-sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-"""
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
-def test_a_forked_child_can_cluster_too():
-    environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
-    done = subprocess.run(
-        [sys.executable, "-c", FORK], timeout=60, env={**environment, "OMP_NUM_THREADS": "2"}, capture_output=True
-    )
-    assert done.returncode == 0, done.stderr.decode()

@@ -133,7 +133,8 @@ def _verdict(ranking: Ranking) -> str:
     open_ones = 6 - ranking.pairs - ranking.against
     return (
         f"By {MEASURES[ranking.measure]} the paper's ranking {word}, best first: {paper} there, {here} here. Of the "
-        f"six pairs {ranking.pairs} come out as in the paper, {ranking.against} the other way round, {open_ones} are undecided."
+        f"six pairs {ranking.pairs} come out as in the paper, {ranking.against} the other way round, {open_ones} are "
+        "undecided."
     )
 
 
