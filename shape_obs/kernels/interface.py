@@ -52,11 +52,13 @@ class Found(NamedTuple):
         mask: (h,w) uint8, 0 or 255, C-contiguous, the plausible components alone.
         runs: (R,3) its rows of pixels, as ``Kernels.survey`` gives them.
         areas: (Q,) pixels of each component, largest first.
+        box: Left, top, width and height of the rectangle around them, image pixels.
     """
 
     mask: Mask
     runs: Indices
     areas: Indices
+    box: tuple[int, int, int, int]
 
 
 class Kernels(OutlineKernels, SheetKernels, Protocol):
@@ -275,7 +277,7 @@ class Kernels(OutlineKernels, SheetKernels, Protocol):
             rgb: (H,W,3) uint8.
             window: Which of its pixels count.
             table: See ``segmentation.table.colour_table``.
-            step: 1 (every pixel), 4 or 8 pixels.
+            step: 4 or 8 pixels.
             min_area: Components with fewer pixels are dropped.
             min_share: So are those smaller than this share of the largest.
         """

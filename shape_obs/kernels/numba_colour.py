@@ -60,24 +60,6 @@ def _push(cell: Any, seen: Any, stack: Any, top: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def _read_all(
-    flat: Any, origin: int, pitch: int, left: int, top: int, right: int, bottom: int, table: Any, bits: Any, words: Any
-) -> None:
-    """Every pixel of the window, row by row."""
-    west, across = left & ~7, words.shape[1]
-    for v in range(top, bottom):
-        for column in range(across):
-            u = west + 8 * column
-            at = origin + v * pitch + 3 * u
-            if u >= left and u + 8 <= right:
-                row = _eight(flat, _U(at), table)
-            else:
-                row = _few(flat, at, table, max(left - u, 0), min(right - u, 8))
-            bits[v - top, column] = row
-            words[v - top, column] = _SPREAD[row]
-
-
-@njit(cache=True, nogil=True)
 def _read_near_hits(
     flat: Any,
     origin: int,
@@ -127,10 +109,6 @@ def _read_near_hits(
                 for y in range(max(v0, top), min(v0 + 8, bottom)):
                     bits[_U(y - top), _U(column)] = rows[y - v0]
                     words[_U(y - top), _U(column)] = _SPREAD[rows[y - v0]]
-                if every & _U(1):
-                    waiting = _push(cell - 1, seen, stack, waiting)
-                if every >> _U(7):
-                    waiting = _push(cell + 1, seen, stack, waiting)
                 for edge, beside in ((rows[0], cell - stride), (rows[7], cell + stride)):
                     if edge:
                         waiting = _push(beside, seen, stack, waiting)
@@ -138,6 +116,11 @@ def _read_near_hits(
                             waiting = _push(beside - 1, seen, stack, waiting)
                         if edge >> _U(7):
                             waiting = _push(beside + 1, seen, stack, waiting)
+                # Beside before below: what lies in one row of memory is read together.
+                if every & _U(1):
+                    waiting = _push(cell - 1, seen, stack, waiting)
+                if every >> _U(7):
+                    waiting = _push(cell + 1, seen, stack, waiting)
 
 
 @njit(inline="always")
@@ -179,27 +162,32 @@ def _runs_of(bits: Any, west: int, top: int) -> Indices:
 
 @njit(cache=True, nogil=True)
 def _plausible(runs: Indices, step: int, min_area: int, min_share: float, left: int, top: int, mask: Mask) -> Any:
-    """The runs of plausible components that the lattice has met, and their areas; the others leave the mask."""
+    """The runs of plausible components that the lattice has met, their areas and box; the others leave the mask."""
     label, count = _pieces(runs)
-    areas, met = np.zeros(count, np.int64), np.zeros(count, np.bool_)
+    areas, met = np.zeros(count, np.int64), np.zeros(count, np.int64)
     for at in range(len(runs)):
-        row, start, stop = runs[at]
+        row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
         areas[label[at]] += stop - start
-        met[label[at]] |= step == 1 or (row % step == step // 2 and start + (_shift(row, step) - start) % step < stop)
+        if row % step == step // 2 and start + (_shift(row, step) - start) % step < stop:
+            met[label[at]] = 1
+    areas *= met
     largest = 0
     for piece in range(count):
-        areas[piece] *= met[piece]
         largest = max(largest, areas[piece])
     floor = max(float(max(min_area, 1)), min_share * largest)
-    held = 0
+    held, first, last = 0, 0, 0
     for at in range(len(runs)):
-        row, start, stop = runs[at]
+        row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
         if areas[label[at]] >= floor:
             runs[held, 0], runs[held, 1], runs[held, 2] = row, start, stop
+            first, last = min(first, start) if held else start, max(last, stop)
             held += 1
         else:
             mask[row - top, start - left : stop - left] = 0
-    return runs[:held], -np.sort(-areas[areas >= floor])
+    box = (left, top, 0, 0)
+    if held:
+        box = (first, runs[0, 0], last - first, runs[held - 1, 0] - runs[0, 0] + 1)
+    return runs[:held], -np.sort(-areas[areas >= floor]), box
 
 
 @njit(cache=True, nogil=True)
@@ -221,14 +209,11 @@ def _seek(
     across = (right - west + 7) >> 3
     bits = np.zeros((height, (across + 7) // 8 * 8), np.uint8)
     words = np.zeros((height, across), np.uint64)
-    if step == 1:
-        _read_all(flat, origin, pitch, left, top, right, bottom, table, bits, words)
-    else:
-        _read_near_hits(flat, origin, pitch, left, top, right, bottom, table, step, bits, words)
+    _read_near_hits(flat, origin, pitch, left, top, right, bottom, table, step, bits, words)
     mask = words.view(np.uint8)
     runs = _runs_of(bits.view(np.uint64), west, top)
-    runs, areas = _plausible(runs, step, min_area, min_share, west, top, mask)
-    return mask, runs, areas
+    runs, areas, box = _plausible(runs, step, min_area, min_share, west, top, mask)
+    return mask, runs, areas, box
 
 
 @njit(cache=True, nogil=True)
@@ -260,12 +245,12 @@ def seek(
     """See ``Kernels.seek``."""
     flat, origin, pitch = _flat(rgb, window)
     left, top, width, height = window
-    mask, runs, areas = _seek(
+    mask, runs, areas, box = _seek(
         flat, origin, pitch, left, top, left + width, top + height, table, step, min_area, min_share
     )
     if mask.shape[1] != width:
         mask = np.ascontiguousarray(mask[:, left % 8 : left % 8 + width])
-    return Found(mask, runs, areas)
+    return Found(mask, runs, areas, box)
 
 
 def _flat(rgb: npt.NDArray[np.uint8], window: Window) -> tuple[npt.NDArray[np.uint8], int, int]:

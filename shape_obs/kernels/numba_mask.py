@@ -8,6 +8,10 @@ from numba import njit
 
 from shape_obs.kernels.interface import Array, Indices, Mask
 
+# (w - ones) & ~w & tops is not 0 where one of the bytes of a word w is 0.
+_ONES = np.uint64(0x0101010101010101)
+_TOPS = np.uint64(0x8080808080808080)
+
 
 @njit(cache=True, nogil=True)
 def _runs(mask: Mask, left: int, top: int) -> Indices:
@@ -28,10 +32,14 @@ def _runs(mask: Mask, left: int, top: int) -> Indices:
             found = larger
         column, inside = 0, False
         while column < width:
-            if across and not inside and column % 8 == 0:
+            if across and column % 8 == 0:  # eight pixels at once, where none or all of them are on
                 at, last = row * across + column // 8, (row + 1) * across
-                while at < last and words[at] == 0:
-                    at += 1
+                if inside:
+                    while at < last and (words[at] - _ONES) & ~words[at] & _TOPS == 0:
+                        at += 1
+                else:
+                    while at < last and words[at] == 0:
+                        at += 1
                 column = (at - row * across) * 8
                 if at == last:
                     break
@@ -163,6 +171,9 @@ def carried(mask: Mask, left: int, top: int, points: Array, reach: int) -> npt.N
     out = np.zeros(len(points), np.bool_)
     for at in range(len(points)):
         column, row = int(np.rint(points[at, 0])) - left, int(np.rint(points[at, 1])) - top
+        if 0 <= row < height and 0 <= column < width and mask[row, column] != 0:
+            out[at] = True
+            continue
         for v in range(max(row - reach, 0), min(row + reach + 1, height)):
             for u in range(max(column - reach, 0), min(column + reach + 1, width)):
                 if mask[v, u] != 0:

@@ -23,8 +23,8 @@ from shape_obs.kernels.interface_outline import (
 REORDERED = {"reassoc", "contract", "nsz"}
 
 _PAD = STAIRCASE_REACH
-_WEIGHT = np.exp(-0.5 * (np.arange(-_PAD, _PAD + 1) / STAIRCASE) ** 2)
-_WEIGHT /= _WEIGHT.sum()
+_GAUSSIAN = np.exp(-0.5 * (np.arange(_PAD + 1) / STAIRCASE) ** 2)
+_WEIGHTS = tuple((_GAUSSIAN / (2 * _GAUSSIAN.sum() - 1)).tolist())
 _ROUND = 2 * np.pi / SHIFTS * np.outer(np.arange(1, HARMONICS + 1), np.arange(SHIFTS))
 _COS, _SIN = np.cos(_ROUND), np.sin(_ROUND)
 _GROUP = 16  # points of a curve that are ruled out together when the nearest is looked for
@@ -40,49 +40,51 @@ def _wrap(padded: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _smoothed(padded: Array) -> Array:
-    """A ring of numbers under a Gaussian: (P+2R,) with what lies before and behind -> (P,)."""
-    size = len(padded) - 2 * _PAD
-    out = np.empty(size)
-    for p in range(size):
-        out[p] = _WEIGHT[_PAD] * padded[p + _PAD]
-    for i in range(_PAD):
-        far = 2 * _PAD - i
-        for p in range(size):
-            out[p] += _WEIGHT[i] * (padded[p + i] + padded[p + far])
-    return out
+def _smoothed(padded: Array, out: Array) -> None:
+    """Fill a ring of numbers, with what lies before and behind it, with another one under a Gaussian: (P+2R,) both."""
+    for p in range(len(padded) - 2 * _PAD):
+        out[p + 4] = (
+            _WEIGHTS[0] * padded[p + 4]
+            + _WEIGHTS[1] * (padded[p + 3] + padded[p + 5])
+            + _WEIGHTS[2] * (padded[p + 2] + padded[p + 6])
+            + _WEIGHTS[3] * (padded[p + 1] + padded[p + 7])
+            + _WEIGHTS[4] * (padded[p] + padded[p + 8])
+        )
+    _wrap(out)
 
 
 @njit(cache=True, nogil=True)
 def border(traced: Array, hole: bool) -> tuple[Array, Array]:
     """See ``OutlineKernels.border``."""
     size = len(traced)
+    u, v = np.empty(size + 2 * _PAD), np.empty(size + 2 * _PAD)
+    smooth_u, smooth_v = np.empty_like(u), np.empty_like(v)
     area = 0.0
     for p in range(size - 1):
         area += (traced[p, 0] - traced[0, 0]) * (traced[p + 1, 1] - traced[0, 1])
         area -= (traced[p, 1] - traced[0, 1]) * (traced[p + 1, 0] - traced[0, 0])
-    if area < 0:
-        traced = traced[::-1].copy()
-    u, v = np.empty(size + 2 * _PAD), np.empty(size + 2 * _PAD)
+    first, step = (size - 1, -1) if area < 0 else (0, 1)
     for p in range(size):
-        u[p + _PAD], v[p + _PAD] = traced[p, 0], traced[p, 1]
+        u[p + _PAD], v[p + _PAD] = traced[first + step * p, 0], traced[first + step * p, 1]
     _wrap(u)
     _wrap(v)
-    smooth_u, smooth_v = _smoothed(u), _smoothed(v)
+    _smoothed(u, smooth_u)
+    _smoothed(v, smooth_v)
     points, side = np.empty((size, 2)), -1.0 if hole else 1.0
     for p in range(size):
-        before, after = p - 1 if p else size - 1, p + 1 if p < size - 1 else 0
-        along_u, along_v = smooth_u[after] - smooth_u[before], smooth_v[after] - smooth_v[before]
+        along_u = smooth_u[p + _PAD + 1] - smooth_u[p + _PAD - 1]
+        along_v = smooth_v[p + _PAD + 1] - smooth_v[p + _PAD - 1]
         shift = 0.5 * side * max(abs(along_u), abs(along_v)) / max(along_u * along_u + along_v * along_v, 1e-18)
-        points[p, 0] = traced[p, 0] + shift * along_v
-        points[p, 1] = traced[p, 1] - shift * along_u
-        u[p + _PAD], v[p + _PAD] = points[p, 0], points[p, 1]
+        u[p + _PAD] += shift * along_v
+        v[p + _PAD] -= shift * along_u
+        points[p, 0], points[p, 1] = u[p + _PAD], v[p + _PAD]
     _wrap(u)
     _wrap(v)
-    smooth_u, smooth_v = _smoothed(u), _smoothed(v)
+    _smoothed(u, smooth_u)
+    _smoothed(v, smooth_v)
     curve = np.empty((size, 2))
     for p in range(size):
-        curve[p, 0], curve[p, 1] = smooth_u[p], smooth_v[p]
+        curve[p, 0], curve[p, 1] = smooth_u[p + _PAD], smooth_v[p + _PAD]
     return points, curve
 
 
@@ -167,13 +169,10 @@ def followed(points: Array, reference: Array, predicted: Array, share: float) ->
 
 
 @njit(cache=True, nogil=True, fastmath=REORDERED)
-def _waves(points: Array) -> Array:
-    """(K,2) equidistant around an outline -> (4,H) of each wave: u cos, u sin, v cos, v sin, summed."""
+def _waves(points: Array, base_cos: Array, base_sin: Array) -> Array:
+    """(K,2) equidistant around an outline, (K,) of its first wave -> (4,H): u cos, u sin, v cos, v sin, summed."""
     count = len(points)
     u, v = points[:, 0].copy(), points[:, 1].copy()
-    base_cos, base_sin = np.empty(count), np.empty(count)
-    for k in range(count):
-        base_cos[k], base_sin[k] = math.cos(2 * math.pi * k / count), math.sin(2 * math.pi * k / count)
     cos, sin = base_cos.copy(), base_sin.copy()
     out = np.empty((4, HARMONICS))
     for h in range(HARMONICS):
@@ -229,8 +228,12 @@ def _score(shape: Array, place: Array, flat: float, turns: float) -> float:
 @njit(cache=True, nogil=True)
 def lag(reference: Array, predicted: Array, found: Array) -> float:
     """See ``OutlineKernels.lag``."""
-    seen = _waves(found)
-    shape, place = _spectrum(_waves(reference), seen), _spectrum(_waves(predicted), seen)
+    count = len(found)
+    cos, sin = np.empty(count), np.empty(count)
+    for k in range(count):
+        cos[k], sin[k] = math.cos(2 * math.pi * k / count), math.sin(2 * math.pi * k / count)
+    seen = _waves(found, cos, sin)
+    shape, place = _spectrum(_waves(reference, cos, sin), seen), _spectrum(_waves(predicted, cos, sin), seen)
     real, imaginary, still = np.zeros(SHIFTS), np.zeros(SHIFTS), np.zeros(SHIFTS)
     for h in range(HARMONICS):
         for s in range(SHIFTS):

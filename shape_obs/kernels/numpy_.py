@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from shape_obs.kernels.numpy_colour import reads_tables, seek, table_mask
 from shape_obs.kernels.numpy_curve import arc_length, catmull_rom, equidistant, interpolate, spread, unshrink
 from shape_obs.kernels.numpy_depth import median_depth
 from shape_obs.kernels.numpy_fold import fold
@@ -33,9 +34,9 @@ __all__ = [
     "cells",
     "corners_near",
     "equidistant",
+    "fold",
     "followed",
     "gauges",
-    "fold",
     "interpolate",
     "lag",
     "laid",
@@ -43,14 +44,17 @@ __all__ = [
     "miss",
     "outer_corners",
     "pairs",
+    "reads_tables",
     "ribbon",
     "rim",
     "ring",
     "sampled",
+    "seek",
     "settle",
     "spread",
     "strayed",
     "survey",
+    "table_mask",
     "traced",
     "tracked",
     "unshrink",

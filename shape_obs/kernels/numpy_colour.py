@@ -32,15 +32,14 @@ def seek(
 ) -> Found:
     """See ``Kernels.seek``."""
     mask = table_mask(rgb, window, table)
-    if step > 1:
-        v, u = np.ogrid[: window.height, : window.width] + np.array([window.top, window.left])[:, None, None]
-        shift = step // 4 + (step // 2) * ((v // step) & 1)
-        looked_at = (v % step == step // 2) & ((u - shift) % step == 0)
-        labels = np.asarray(cv2.connectedComponents(mask, connectivity=8)[1])
-        mask[~np.isin(labels, labels[looked_at & (mask > 0)])] = 0
-    runs, areas, dropped = survey(mask, window.left, window.top, min_area, min_share)
+    v, u = np.ogrid[window.top : window.top + window.height, window.left : window.left + window.width]
+    shift = step // 4 + (step // 2) * ((v // step) & 1)
+    looked_at = (v % step == step // 2) & ((u - shift) % step == 0)
+    labels = np.asarray(cv2.connectedComponents(mask, connectivity=8)[1])
+    mask[~np.isin(labels, labels[looked_at & (mask > 0)])] = 0
+    runs, areas, box, dropped = survey(mask, window.left, window.top, min_area, min_share)
     if dropped:
         mask = np.zeros_like(mask)
         for row, start, stop in (runs - [window.top, window.left, window.left]).tolist():
             mask[row, start:stop] = 255
-    return Found(mask, runs, areas)
+    return Found(mask, runs, areas, box)

@@ -81,8 +81,12 @@ def carried(mask: Mask, left: int, top: int, points: Array, reach: int) -> npt.N
     height, width = mask.shape
     around = np.arange(-reach, reach + 1)
     if len(u) and reach <= u.min() and u.max() < width - reach and reach <= v.min() and v.max() < height - reach:
-        nearby = (around[:, None] * width + around).ravel()
-        return np.bitwise_or.reduce(mask.ravel()[v * width + u + nearby[:, None]], axis=0) != 0
+        flat, place = mask.ravel(), v * width + u
+        on = flat[place] != 0
+        if not on.all():  # few are off, and only those have to look around
+            off, nearby = np.flatnonzero(~on), (around[:, None] * width + around).ravel()
+            on[off] = np.bitwise_or.reduce(flat[place[off] + nearby[:, None]], axis=0) != 0
+        return on
     u, v = u[:, None, None] + around, v[:, None, None] + around[:, None]
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     return np.asarray((inside & (mask[np.where(inside, v, 0), np.where(inside, u, 0)] > 0)).any(axis=(1, 2)))

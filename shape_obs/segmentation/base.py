@@ -45,7 +45,10 @@ class Segmentation(Spec, family="segmentation"):
 
     def apply(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
         """The mask of ``window``: (h,w) uint8, 0 or 255, after opening and closing."""
-        mask = self.threshold(frame, window)
+        return self.clean(self.threshold(frame, window))
+
+    def clean(self, mask: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """A mask after opening and closing; it is overwritten."""
         for size, operation in ((self.open, cv2.MORPH_OPEN), (self.close, cv2.MORPH_CLOSE)):
             if size > 1:
                 square = cv2.getStructuringElement(cv2.MORPH_RECT, (size, size))
