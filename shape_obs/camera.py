@@ -98,6 +98,11 @@ class Intrinsics(Spec):
         rays = self.rays(pixels)
         return rays * np.asarray(depth, dtype=np.float64)[..., None]
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W) of the image, pixels."""
+        return self.height, self.width
+
     def rays(self, pixels: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Viewing rays through pixels, scaled to z = 1: (..., 2) pixels -> (..., 3)."""
         uv = _as_points(pixels, 2, "pixels")

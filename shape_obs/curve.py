@@ -55,9 +55,7 @@ def resample(curve: Array, count: int) -> Array:
     return interpolate(curve, arc, np.linspace(0.0, arc[-1], count))
 
 
-def equidistant_positions(
-    curve: Array, arc: Array, count: int, *, centers: bool, max_shift: float = _MAX_SHIFT, kernels: Kernels = NUMPY
-) -> Array:
+def equidistant_positions(curve: Array, arc: Array, count: int, *, centers: bool, kernels: Kernels = NUMPY) -> Array:
     """Arc positions of ``count`` >= 2 points with equal chords.
 
     Args:
@@ -65,13 +63,12 @@ def equidistant_positions(
         arc: (P,) its arc length.
         count: How many.
         centers: Points at the middle of ``count`` equal pieces; else the first and last at the curve's ends.
-        max_shift: Gaps by which a point may leave its place by arc length.
         kernels: What runs the inner loops.
 
     Returns:
         (count,) arc positions, increasing.
     """
-    return kernels.equidistant(curve, arc, count, arc[-1] / (2 * count) if centers else 0.0, max_shift)
+    return kernels.equidistant(curve, arc, count, arc[-1] / (2 * count) if centers else 0.0, _MAX_SHIFT)
 
 
 def equidistant_around(curve: Array, arc: Array, count: int, kernels: Kernels = NUMPY) -> Array:
@@ -87,4 +84,4 @@ def equidistant_around(curve: Array, arc: Array, count: int, kernels: Kernels = 
         (count,) arc positions, increasing from 0.
     """
     around = np.concatenate([curve, curve[:1]])
-    return equidistant_positions(around, arc, count + 1, centers=False, max_shift=_MAX_SHIFT_AROUND, kernels=kernels)[:-1]
+    return kernels.equidistant(around, arc, count + 1, 0.0, _MAX_SHIFT_AROUND)[:-1]

@@ -24,11 +24,11 @@ from shape_obs.frame import Frame, check_mask
 from shape_obs.kernels import Kernels, choose
 from shape_obs.missing import lost_shape
 from shape_obs.points import shape_of
-from shape_obs.roi import Window
+from shape_obs.segment import prepare
 from shape_obs.segmentation import Segmentation
 from shape_obs.shape import Detection, Shape
 from shape_obs.timing import Timed
-from shape_obs.tracking import Track, outlook
+from shape_obs.tracking import Expected, Track, outlook
 from shape_obs.view import View
 
 Array = npt.NDArray[np.float64]
@@ -78,7 +78,8 @@ class ShapeDetector:
             given["segmentation"] = segmentation
         self.config = DetectorConfig.from_dict(given)
         self.shapes = self.config.resolved()
-        choose(self.config.backend)  # what is missing is told here
+        for rule in {spec.segmentation for spec in self.shapes}:
+            prepare(rule, self.kernels)
         self.reset()
 
     @property
@@ -144,7 +145,10 @@ class ShapeDetector:
         frame = Frame(None, depth, as_camera_model(camera), stamp)
         mask = check_mask(mask)
         size = (mask.shape[0], mask.shape[1])
-        for name, other in (("depth", frame.size), ("the camera's intrinsics", _size(frame.camera))):
+        for name, other in (
+            ("depth", frame.size),
+            ("the camera's intrinsics", frame.camera and frame.camera.intrinsics.size),
+        ):
             if other is not None and other != size:
                 raise ValueError(
                     f"the mask has {size[1]} x {size[0]} pixels, {name} {other[1]} x {other[0]}: they must be equal."
@@ -190,9 +194,7 @@ class ShapeDetector:
         timings["total"] = 1e3 * (time.perf_counter() - begin)
         return Detection(tuple(shapes), stamp, timings)
 
-    def _on_image(
-        self, frame: Frame, mask: npt.NDArray[np.uint8] | None, anchors: Anchors, begin: float
-    ) -> Detection:
+    def _on_image(self, frame: Frame, mask: npt.NDArray[np.uint8] | None, anchors: Anchors, begin: float) -> Detection:
         """Find each shape in its mask, or in the cloud under it: where it is expected, else everywhere."""
         for spec in self.shapes:
             asked = "lift='cloud'" if spec.lift == "cloud" else "spacing='m'" if spec.spacing == "m" else ""
@@ -215,20 +217,20 @@ class ShapeDetector:
         timings["total"] = 1e3 * (time.perf_counter() - begin)
         return Detection(tuple(shapes), stamp, timings)
 
-    def _expected(self) -> dict[Segmentation | None, Window | None]:
+    def _expected(self) -> dict[Segmentation | None, Expected | None]:
         """Where the shapes of each segmentation will all be; None where one has no track, and once in a while."""
         self._looked += 1
         if self._looked % _LOOK_AROUND == 0:
             return {}
-        windows: dict[Segmentation | None, Window | None] = {}
+        expected: dict[Segmentation | None, Expected | None] = {}
         for spec in self.shapes:
             track, rule = self._tracks.get(spec.name), spec.segmentation
-            window = None if track is None else outlook(track)
-            if rule in windows:
-                other = windows[rule]
-                window = None if window is None or other is None else window.united(other)
-            windows[rule] = window
-        return windows
+            here = None if track is None else outlook(track)
+            if rule in expected:
+                other = expected[rule]
+                here = None if here is None or other is None else here.united(other)
+            expected[rule] = here
+        return expected
 
     def _fit(
         self, spec: Configuration, body: Body, target: Array | None, stamp: float, timings: dict[str, float]
@@ -296,7 +298,3 @@ class ShapeDetector:
             max_age=self.config.max_age,
             policy=self.config.on_missing,
         )
-
-
-def _size(camera: CameraModel | None) -> tuple[int, int] | None:
-    return None if camera is None else (camera.intrinsics.height, camera.intrinsics.width)

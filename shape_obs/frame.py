@@ -14,7 +14,6 @@ from shape_obs.camera import CameraModel
 from shape_obs.kernels.interface import FARTHEST, MILLIMETRE
 
 
-
 @dataclass(frozen=True)
 class Frame:
     """What a camera saw at one instant.
@@ -49,7 +48,7 @@ class Frame:
                 )
         if self.camera is not None and self.size is not None:
             intrinsics = self.camera.intrinsics
-            if (intrinsics.height, intrinsics.width) != self.size:
+            if intrinsics.size != self.size:
                 raise ValueError(
                     f"the camera's intrinsics are for {intrinsics.width} x {intrinsics.height} pixels, "
                     f"the image has {self.size[1]} x {self.size[0]}: give the intrinsics of this stream."

@@ -99,8 +99,24 @@ def advance(
     return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.memory, width, box, drift)
 
 
-def outlook(track: Track) -> Window | None:
-    """Where the mask should be in the next frame, with room for what is not foreseen; None where that is not known.
+class Expected(NamedTuple):
+    """Where a mask should be in the next frame.
+
+    Args:
+        window: Holds all of it, with room for what is not foreseen.
+        width: Of the object where it is thinnest, pixels; 0 where that is not known.
+    """
+
+    window: Window
+    width: float
+
+    def united(self, other: Expected) -> Expected:
+        """What holds both."""
+        return Expected(self.window.united(other.window), min(self.width, other.width))
+
+
+def outlook(track: Track) -> Expected | None:
+    """Where the mask should be in the next frame; None where that is not known.
 
     What a hand hides may come back anywhere.
     """
@@ -108,7 +124,7 @@ def outlook(track: Track) -> Window | None:
         return None
     left, top, width, height = track.box
     spare = _SPARE + track.drift
-    return Window(left - spare, top - spare, width + 2 * spare, height + 2 * spare)
+    return Expected(Window(left - spare, top - spare, width + 2 * spare, height + 2 * spare), track.width)
 
 
 def _drift(before: Window, after: Window) -> int:

@@ -14,8 +14,10 @@ from shape_obs.frame import Frame
 from shape_obs.kernels import Kernels
 from shape_obs.region import Region, find_region
 from shape_obs.roi import ROI, Window
+from shape_obs.segment import segment
 from shape_obs.segmentation import Segmentation
 from shape_obs.timing import Timed
+from shape_obs.tracking import Expected
 
 
 class View:
@@ -36,21 +38,21 @@ class View:
         size: Any = frame.size if mask is None else mask.shape
         self.window = roi.window(size)
         self._regions: dict[Segmentation | None, Region] = {}
+        self._narrow: set[Segmentation | None] = (
+            set()
+        )  # of these only a part of the image was looked at, or of its pixels
         self._clouds: dict[Segmentation | None, SeenCloud] = {}
 
-    def body(self, spec: Configuration, near: Window | None) -> Body:
+    def body(self, spec: Configuration, expected: Expected | None) -> Body:
         """What a shape is fitted to.
 
         Args:
-            spec: What is looked for.
-            near: Where all of it is expected; None looks everywhere.
-
-        Raises:
-            ValueError: It needs depth and a camera, and the frame has none.
+            spec: What is looked for; with depth and a camera in the frame where it asks for a cloud.
+            expected: Where all of it should be; None looks everywhere.
         """
         rule = spec.segmentation
         if rule not in self._regions:
-            self._look(rule, near)
+            self._look(rule, expected)
         if spec.lift != "cloud":
             return self._regions[rule]
         frame = self._frame
@@ -61,28 +63,29 @@ class View:
 
     def look_everywhere(self, spec: Configuration) -> bool:
         """Look for a shape in all of the image; False if that has been done."""
-        if self._regions[spec.segmentation].window == self.window:
+        if spec.segmentation not in self._narrow:
             return False
         self._clouds.pop(spec.segmentation, None)
         self._look(spec.segmentation, None)
         return True
 
-    def _look(self, rule: Segmentation | None, near: Window | None) -> None:
-        """Segment the window; what runs out of it is looked for everywhere."""
+    def _look(self, rule: Segmentation | None, expected: Expected | None) -> None:
+        """Find the region in the window; what runs out of it is looked for everywhere."""
+        self._narrow.discard(rule)
         reach = 1 if rule is None else 1 + rule.open + rule.close
-        window = self.window if near is None else _within(near, reach, self.window)
-        if self._mask is None:
-            assert rule is not None
-            with Timed(self._timings, "segmentation"):
-                mask = rule.apply(self._frame, window)
-        else:
-            mask = self._mask[window.slices]
-        floor = rule or Segmentation
-        with Timed(self._timings, "region"):
-            mask = self._roi.blank(mask, window)
-            region = find_region(mask, window, floor.min_area, floor.min_share, self._kernels)
+        window, width = self.window, 0.0
+        if expected is not None:
+            window, width = _within(expected.window, reach, self.window), expected.width
+            self._narrow.add(rule)
+        with Timed(self._timings, "segmentation" if self._mask is None else "region"):
+            if self._mask is None:
+                assert rule is not None
+                region = segment(self._frame, window, rule, self._roi, self._kernels, width)
+            else:
+                floor, mask = rule or Segmentation, self._roi.blank(self._mask[window.slices], window)
+                region = find_region(mask, window, floor.min_area, floor.min_share, self._kernels)
         self._regions[rule] = region
-        if window != self.window and (not region.pieces or _is_cut(region.box, reach, window, self.window)):
+        if expected is not None and (not region.pieces or _is_cut(region.box, reach, window, self.window)):
             self._look(rule, None)
 
 

@@ -236,7 +236,7 @@ def test_a_detection_is_read_by_name_and_place(wave):
 
 def test_timings_tell_each_stage_in_milliseconds(blue, intrinsics):
     timings = ShapeDetector(segmentation=BLUE).detect(blue, np.full((240, 320), 800, np.uint16), intrinsics).timings
-    assert {"segmentation", "region", "fit", "lift", "total"} <= set(timings)
+    assert {"segmentation", "fit", "lift", "total"} <= set(timings)
     assert 0 < sum(v for stage, v in timings.items() if stage != "total") <= timings["total"]
 
 

@@ -60,9 +60,7 @@ class Rim:
         even, turn, candidates, step, grain = NUMPY.rim(flat)
         arc = arc_length(np.concatenate([flat, flat[:1]]))
         at = np.arange(RIM) * (arc[-1] / RIM)
-        return cls(
-            interpolate(np.concatenate([outline, outline[:1]]), arc, at), even, turn, candidates, step, grain
-        )
+        return cls(interpolate(np.concatenate([outline, outline[:1]]), arc, at), even, turn, candidates, step, grain)
 
     def corners(self) -> Indices | None:
         """(4,) the points that are most like the corners of a sheet, clockwise; None where there are not four."""

@@ -55,7 +55,8 @@ def trace(region: Region) -> Trace:
     Args:
         region: With one component or more.
     """
-    ribbons = [(component, curve) for component in region.components if (curve := folded(component, region.kernels)) is not None]
+    folds = [(component, folded(component, region.kernels)) for component in region.components]
+    ribbons = [(component, curve) for component, curve in folds if curve is not None]
     if len(ribbons) == len(region.components) == 1:
         curve = ribbons[0][1]
         return _doubted(curve, "")

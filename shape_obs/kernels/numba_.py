@@ -6,21 +6,13 @@ from shape_obs.kernels.numba_colour import reads_tables, seek, table_mask
 from shape_obs.kernels.numba_curve import arc_length, catmull_rom, equidistant, interpolate, spread, unshrink
 from shape_obs.kernels.numba_depth import median_depth
 from shape_obs.kernels.numba_fold import fold
+from shape_obs.kernels.numba_lattice import assessed, gauges, sampled, strayed
 from shape_obs.kernels.numba_map import best_matching_units, settle
 from shape_obs.kernels.numba_mask import carried, cells, survey
-from shape_obs.kernels.numba_outline import blend, border, followed, lag, miss, pairs
+from shape_obs.kernels.numba_outline import border, miss, pairs
+from shape_obs.kernels.numba_phase import blend, followed, lag
 from shape_obs.kernels.numba_ring import ring
-from shape_obs.kernels.numba_sheet import (
-    assessed,
-    corners_near,
-    gauges,
-    laid,
-    outer_corners,
-    rim,
-    sampled,
-    strayed,
-    tracked,
-)
+from shape_obs.kernels.numba_sheet import corners_near, laid, outer_corners, rim, tracked
 from shape_obs.kernels.numba_strand import ribbon
 from shape_obs.kernels.numba_trace import traced
 

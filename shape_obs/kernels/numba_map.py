@@ -9,7 +9,6 @@ from numba import njit
 
 from shape_obs.kernels.interface import TRACE, Array, Indices
 
-
 # Sums may be taken in any order, so that they run four abreast: the last digits of 16 differ.
 _SUMS: Final = {"reassoc", "contract", "nsz"}
 

@@ -35,7 +35,7 @@ def _nearest(u: float, v: float, places: Array, about: int, reach: int) -> int:
 def _settled(nodes: Array, held: Array, total: Array, sigma: float) -> Array:
     """One local-linear update of a ring from the weight (K,) and the sums (K,2) of its bins, the pull undone."""
     count = len(nodes)
-    reach = min(int(math.ceil(_FAR * sigma)), (count - 1) // 2)
+    reach = min(math.ceil(_FAR * sigma), (count - 1) // 2)
     near = np.empty(reach + 1)
     for o in range(reach + 1):
         near[o] = math.exp(-0.5 * (o / sigma) ** 2)

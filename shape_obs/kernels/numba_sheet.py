@@ -21,35 +21,36 @@ from shape_obs.kernels.interface_outline import (
     Array,
     Indices,
 )
-from shape_obs.kernels.numba_outline import REORDERED, closed_arc, even
+from shape_obs.kernels.numba_outline import closed_arc, even
 
-_STEEP = 0.3  # tangents below it are those of a few terms of a series, to 1e-9
-
-
-@njit(cache=True, nogil=True)
-def _angle(sine: float, cosine: float) -> float:
-    """``atan2``, which is slow, without it where the angle is small, as along most of an outline."""
-    if abs(sine) > _STEEP * cosine:
-        return math.atan2(sine, cosine)
-    x = sine / cosine if cosine > 0 else 0.0
-    y = x * x
-    tail = 1 / 9 - y * (1 / 11 - y * (1 / 13 - y * (1 / 15 - y / 17)))
-    return x * (1 - y * (1 / 3 - y * (1 / 5 - y * (1 / 7 - y * tail))))
+_STEEP = 0.3  # the angle of a smaller tangent is a series of a few terms, to 1e-9
 
 
 @njit(cache=True, nogil=True)
-def rim(outline: Array) -> tuple[Array, Array, Indices, float, float]:
-    """See ``SheetKernels.rim``."""
-    arc = closed_arc(outline)
-    points = even(outline, arc, 0.0, RIM)
-    turn, step = np.empty(RIM), 0.0
+def _turns(points: Array) -> Array:
+    """(400,) radians by which a rim turns about each of its points."""
+    u, v = np.empty(RIM + 2 * REACH_OF_TURN), np.empty(RIM + 2 * REACH_OF_TURN)
+    for p in range(len(u)):
+        at = (p - REACH_OF_TURN) % RIM
+        u[p], v[p] = points[at, 0], points[at, 1]
+    sine, cosine, turn = np.empty(RIM), np.empty(RIM), np.empty(RIM)
     for p in range(RIM):
-        ahead, behind = (p + REACH_OF_TURN) % RIM, (p - REACH_OF_TURN) % RIM
-        x, y = points[ahead, 0] - points[p, 0], points[ahead, 1] - points[p, 1]
-        u, v = points[p, 0] - points[behind, 0], points[p, 1] - points[behind, 1]
-        turn[p] = _angle(u * y - v * x, u * x + v * y)
-        after = p + 1 if p < RIM - 1 else 0
-        step += math.sqrt((points[after, 0] - points[p, 0]) ** 2 + (points[after, 1] - points[p, 1]) ** 2)
+        x, y = u[p + 2 * REACH_OF_TURN] - u[p + REACH_OF_TURN], v[p + 2 * REACH_OF_TURN] - v[p + REACH_OF_TURN]
+        back_x, back_y = u[p + REACH_OF_TURN] - u[p], v[p + REACH_OF_TURN] - v[p]
+        sine[p], cosine[p] = back_x * y - back_y * x, back_x * x + back_y * y
+        tangent = sine[p] / cosine[p] if cosine[p] > 0 else 0.0
+        square = tangent * tangent
+        tail = 1 / 9 - square * (1 / 11 - square * (1 / 13 - square * (1 / 15 - square / 17)))
+        turn[p] = tangent * (1 - square * (1 / 3 - square * (1 / 5 - square * (1 / 7 - square * tail))))
+    for p in range(RIM):
+        if abs(sine[p]) > _STEEP * cosine[p]:
+            turn[p] = math.atan2(sine[p], cosine[p])  # which is slow
+    return turn
+
+
+@njit(cache=True, nogil=True)
+def _candidates(turn: Array) -> Indices:
+    """(Q,) the points where a rim turns most, in order."""
     peaks, count = np.empty(RIM, np.int64), 0
     for p in range(RIM):
         if turn[p] > LEAST_TURN:
@@ -68,7 +69,17 @@ def rim(outline: Array) -> tuple[Array, Array, Indices, float, float]:
                 least = q
         peaks[least : count - 1] = peaks[least + 1 : count].copy()
         count -= 1
-    return points, turn, peaks[:count].copy(), step / RIM, arc[-1] / len(outline)
+    return peaks[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def rim(outline: Array) -> tuple[Array, Array, Indices, float, float]:
+    """See ``SheetKernels.rim``."""
+    arc = closed_arc(outline)
+    points = even(outline, arc, 0.0, RIM)
+    turn = _turns(points)
+    step = closed_arc(points)[RIM] / RIM
+    return points, turn, _candidates(turn), step, arc[-1] / len(outline)
 
 
 @njit(cache=True, nogil=True)
@@ -121,7 +132,7 @@ def _line(rim: Array, corner: int, first: int, count: int, way: int) -> tuple[fl
 @njit(cache=True, nogil=True)
 def _places(rim: Array, corners: Indices, step: float, grain: float) -> Array:
     """(4,2) where the lines through both sides meet, as near as the corners of the smoothed outline allow."""
-    first = max(int(math.ceil(ROUNDED * grain / step)), 1)
+    first = max(math.ceil(ROUNDED * grain / step), 1)
     count = max(LINE, first)
     out = np.empty((4, 2))
     for k in range(4):
@@ -171,7 +182,7 @@ def _side(rim: Array, begin: int, end: int, skip: int, places: Array, k: int, ou
 def laid(rim: Array, turn: Array, corners: Indices, step: float, grain: float) -> tuple[Array, float]:
     """See ``SheetKernels.laid``."""
     places = _places(rim, corners, step, grain)
-    skip = max(int(round(ROUNDED / 2 * grain / step)), 1)
+    skip = max(round(ROUNDED / 2 * grain / step), 1)
     sides, kink = np.empty((4, FINE, 2)), 0.0
     for k in range(4):
         begin, end = corners[k], corners[(k + 1) % 4]
@@ -195,71 +206,6 @@ def laid(rim: Array, turn: Array, corners: Indices, step: float, grain: float) -
 
 
 @njit(cache=True, nogil=True)
-def tracked(
-    rim: Array, turn: Array, candidates: Indices, step: float, grain: float, nodes: Array
-) -> tuple[Array, float]:
-    """See ``SheetKernels.tracked``."""
-    corners = corners_near(rim, candidates, step, outer_corners(nodes))
-    if len(corners):
-        return laid(rim, turn, corners, step, grain)
-    return np.empty((0, 2)), 0.0
-
-
-@njit(cache=True, nogil=True, fastmath=REORDERED)
-def gauges(lattice: Array) -> tuple[Array, Array]:
-    """See ``SheetKernels.gauges``."""
-    rows, cols, dimension = lattice.shape
-    down, right = np.zeros(rows), np.zeros(cols)
-    for r in range(rows):
-        for c in range(cols):
-            below = beside = 0.0
-            for d in range(dimension):
-                if r < rows - 1:
-                    below += (lattice[r + 1, c, d] - lattice[r, c, d]) ** 2
-                if c < cols - 1:
-                    beside += (lattice[r, c + 1, d] - lattice[r, c, d]) ** 2
-            if r < rows - 1:
-                down[r + 1] += math.sqrt(below) / cols
-            if c < cols - 1:
-                right[c + 1] += math.sqrt(beside) / rows
-    for r in range(1, rows):
-        down[r] += down[r - 1]
-    for c in range(1, cols):
-        right[c] += right[c - 1]
-    return down, right
-
-
-@njit(cache=True, nogil=True)
-def _spread(gauge: Array, count: int, centers: bool) -> tuple[Indices, Array]:
-    """Which rows come before ``count`` places with equal gaps, and by how much the next one counts."""
-    before, share = np.empty(count, np.int64), np.empty(count)
-    row, last = 0, len(gauge) - 1
-    for i in range(count):
-        at = gauge[last] * ((i + 0.5) / count if centers else i / (count - 1))
-        while row < last - 1 and gauge[row + 1] <= at:
-            row += 1
-        gap = gauge[row + 1] - gauge[row]
-        before[i], share[i] = row, min((at - gauge[row]) / gap, 1.0) if gap > 0 else 0.0
-    return before, share
-
-
-@njit(cache=True, nogil=True)
-def sampled(lattice: Array, down: Array, right: Array, rows: int, cols: int, centers: bool) -> Array:
-    """See ``SheetKernels.sampled``."""
-    row, below = _spread(down, rows, centers)
-    col, beside = _spread(right, cols, centers)
-    out = np.empty((rows * cols, lattice.shape[2]))
-    for r in range(rows):
-        for c in range(cols):
-            i, j, v, u = row[r], col[c], below[r], beside[c]
-            for d in range(lattice.shape[2]):
-                upper = (1 - u) * lattice[i, j, d] + u * lattice[i, j + 1, d]
-                lower = (1 - u) * lattice[i + 1, j, d] + u * lattice[i + 1, j + 1, d]
-                out[r * cols + c, d] = (1 - v) * upper + v * lower
-    return out
-
-
-@njit(cache=True, nogil=True)
 def outer_corners(nodes: Array) -> Array:
     """See ``SheetKernels.outer_corners``."""
     rows, cols, dimension = nodes.shape
@@ -273,94 +219,11 @@ def outer_corners(nodes: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def strayed(nodes: Array, lattice: Array) -> tuple[int, int, float]:
-    """See ``SheetKernels.strayed``."""
-    expected, corners = outer_corners(nodes), np.empty((4, 2))
-    corners[0], corners[1], corners[2], corners[3] = lattice[0, 0], lattice[0, -1], lattice[-1, -1], lattice[-1, 0]
-    quarters, least = 0, np.inf
-    for turn in range(4):
-        square = 0.0
-        for k in range(4):
-            for d in range(2):
-                square += (corners[(k + turn) % 4, d] - expected[k, d]) ** 2
-        if square < least:
-            quarters, least = turn, square
-    past, here = np.empty(4, np.complex128), np.empty(4, np.complex128)
-    for k in range(4):
-        past[k] = complex(expected[k, 0], expected[k, 1])
-        here[k] = complex(corners[(k + quarters) % 4, 0], corners[(k + quarters) % 4, 1])
-    middle, reach = here.sum() / 4, 1e-9
-    for k in range(4):
-        reach = max(reach, abs(here[k] - middle))
-    worst, most = 0, -1.0
-    for k in range(4):
-        before, after = (past.sum() - past[k]) / 3, (here.sum() - here[k]) / 3
-        product, spread = 0j, 0.0
-        for j in range(4):
-            if j != k:
-                source = past[j] - before
-                product += source.conjugate() * (here[j] - after)
-                spread += source.real**2 + source.imag**2
-        astray = abs((past[k] - before) * (product / max(spread, 1e-18)) + after - here[k])
-        if astray > most:
-            worst, most = k, astray
-    return quarters, worst, most / reach
-
-
-@njit(cache=True, nogil=True)
-def _at(lattice: Array, k: int, i: int) -> complex:
-    """The point ``i`` steps from corner ``k`` on along the border, clockwise."""
-    rows, cols = lattice.shape[0], lattice.shape[1]
-    if k == 0:
-        row, col = 0, i
-    elif k == 1:
-        row, col = i, cols - 1
-    elif k == 2:
-        row, col = rows - 1, cols - 1 - i
-    else:
-        row, col = rows - 1 - i, 0
-    return complex(lattice[row, col, 0], lattice[row, col, 1])
-
-
-@njit(cache=True, nogil=True)
-def assessed(lattice: Array) -> tuple[float, float, float, float]:
-    """See ``SheetKernels.assessed``."""
-    rows, cols = lattice.shape[0], lattice.shape[1]
-    angle, winding = 90.0, 0.0
-    for k in range(4):
-        count, other = (rows, cols) if k % 2 else (cols, rows)
-        corner, length = _at(lattice, k, 0), 0.0
-        ahead, back = _at(lattice, k, count // 8) - corner, _at(lattice, (k + 3) % 4, other - 1 - other // 8) - corner
-        between = ahead * back.conjugate()
-        here = math.degrees(abs(math.atan2(between.imag, between.real)))
-        if abs(here - 90) > abs(angle - 90):
-            angle = here
-        last = corner
-        for i in range(1, count):
-            place = _at(lattice, k, i)
-            length += abs(place - last)
-            last = place
-        winding = max(winding, length / max(abs(last - corner), 1e-9) - 1)
-    area = np.empty((rows - 1, cols - 1))
-    whole = square = 0.0
-    below = above = False
-    for r in range(rows - 1):
-        for c in range(cols - 1):
-            x, y = lattice[r + 1, c + 1, 0] - lattice[r, c, 0], lattice[r + 1, c + 1, 1] - lattice[r, c, 1]
-            u, v = lattice[r + 1, c, 0] - lattice[r, c + 1, 0], lattice[r + 1, c, 1] - lattice[r, c + 1, 1]
-            area[r, c] = (x * v - y * u) / 2
-            below, above = below or area[r, c] < 0, above or area[r, c] > 0
-            whole += abs(area[r, c])
-    folds = 0.0
-    if below and above:
-        apart_down = apart_right = 0
-        for r in range(rows - 1):
-            for c in range(cols - 1):
-                apart_down += r > 0 and area[r, c] * area[r - 1, c] < 0
-                apart_right += c > 0 and area[r, c] * area[r, c - 1] < 0
-        folds = max(apart_down / max((rows - 2) * (cols - 1), 1), apart_right / max((rows - 1) * (cols - 2), 1))
-    mean = whole / area.size
-    for r in range(rows - 1):
-        for c in range(cols - 1):
-            square += (abs(area[r, c]) - mean) ** 2
-    return angle, folds, winding, math.sqrt(square / area.size) / max(mean, 1e-18)
+def tracked(
+    rim: Array, turn: Array, candidates: Indices, step: float, grain: float, nodes: Array
+) -> tuple[Array, float]:
+    """See ``SheetKernels.tracked``."""
+    corners = corners_near(rim, candidates, step, outer_corners(nodes))
+    if len(corners):
+        return laid(rim, turn, corners, step, grain)
+    return np.empty((0, 2)), 0.0

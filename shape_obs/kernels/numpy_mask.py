@@ -21,10 +21,11 @@ def survey(
     crop, left, top = mask[v : v + height, u : u + width], left + u, top + v
     if len(cv2.findContours(crop, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]) == 1:
         found = _runs(crop, left, top)  # nothing to sort out, as on most frames
-        area = np.sum(found[:, 2] - found[:, 1], keepdims=True)
+        area = int((found[:, 2] - found[:, 1]).sum())
         if area >= min_area:
-            return found, area, (left, top, width, height), False
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(crop, connectivity=8)
+            return found, np.array([area]), (left, top, width, height), False
+    count, labelled, stats, _ = cv2.connectedComponentsWithStats(crop, connectivity=8)
+    labels: npt.NDArray[np.int32] = np.asarray(labelled, dtype=np.int32)
     areas = np.asarray(stats, dtype=np.int64)[1:count, cv2.CC_STAT_AREA]
     keep = np.append(False, areas >= max(min_area, min_share * float(areas.max(initial=0))))
     kept = areas[keep[1:]]
@@ -67,7 +68,7 @@ def cells(runs: Indices, size: int) -> tuple[Array, Array]:
     cell = (down - down[0]) * (int(column.max()) - left + 1) + column - left
     number = np.bincount(cell, weights=count)
     held = np.flatnonzero(number)
-    weight = number[held]
+    weight = number[held].astype(np.float64)
     points = np.empty((len(held), 2))
     points[:, 0] = np.bincount(cell, weights=(begin + end - 1) * count)[held] / (2 * weight)
     points[:, 1] = np.bincount(cell, weights=row[run] * count)[held] / weight
