@@ -22,10 +22,13 @@ if TYPE_CHECKING:
     from shape_obs.features import Feature as Feature
     from shape_obs.frame import Frame as Frame
     from shape_obs.missing import ShapeLostError as ShapeLostError
+    from shape_obs.pool import DetectorPool as DetectorPool
+    from shape_obs.pool import DetectorPoolError as DetectorPoolError
     from shape_obs.roi import ROI as ROI
     from shape_obs.roi import Polygon as Polygon
     from shape_obs.roi import Rectangle as Rectangle
     from shape_obs.roi import Whole as Whole
+    from shape_obs.segmentation import ColourRule as ColourRule
     from shape_obs.segmentation import DepthRange as DepthRange
     from shape_obs.segmentation import GrayRange as GrayRange
     from shape_obs.segmentation import HSVRange as HSVRange
@@ -46,8 +49,9 @@ _HOME = {
     "shape_obs.features": ("Feature",),
     "shape_obs.frame": ("Frame",),
     "shape_obs.missing": ("ShapeLostError",),
+    "shape_obs.pool": ("DetectorPool", "DetectorPoolError"),
     "shape_obs.roi": ("ROI", "Polygon", "Rectangle", "Whole"),
-    "shape_obs.segmentation": ("DepthRange", "GrayRange", "HSVRange", "Segmentation"),
+    "shape_obs.segmentation": ("ColourRule", "DepthRange", "GrayRange", "HSVRange", "Segmentation"),
     "shape_obs.shape": ("Detection", "Shape"),
     "shape_obs.spec": ("Spec", "SpecError"),
     "shape_obs.wrappers": ("ShapeObservation",),

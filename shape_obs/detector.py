@@ -30,6 +30,7 @@ from shape_obs.shape import Detection, Shape
 from shape_obs.timing import Timed
 from shape_obs.tracking import Expected, Track, outlook
 from shape_obs.view import View
+from shape_obs.warmup import warm_up
 
 Array = npt.NDArray[np.float64]
 
@@ -80,6 +81,8 @@ class ShapeDetector:
         self.shapes = self.config.resolved()
         for rule in {spec.segmentation for spec in self.shapes}:
             prepare(rule, self.kernels)
+        if self.kernels.compiled:
+            warm_up(ShapeDetector, self.shapes, self.config.backend)
         self.reset()
 
     @property

@@ -95,7 +95,7 @@ class Curve(Form):
 
     def along(self, arc: Array) -> Self:
         """The same curve, whose ``arc`` is known."""
-        self.__dict__["arc"] = arc
+        vars(self)["arc"] = arc
         return self
 
     @cached_property
@@ -126,7 +126,7 @@ class Curve(Form):
         """The same curve with another memory."""
         same = {"memory": memory, "doubt": self.doubt, "kernels": self.kernels}
         other = type(self)(self.points, self.bridged, self.closed, self.spread, **same)
-        other.__dict__.update(arc=self.arc, whole=self.whole)
+        vars(other).update(arc=self.arc, whole=self.whole)
         return other
 
     def cut(self, piece: slice) -> Self:
@@ -141,14 +141,14 @@ class Curve(Form):
 
     def even(self, count: int) -> Array:
         """(count,D) places of equal arc length around a closed curve, from its first point on."""
-        known = self.__dict__.get("_even")
+        known = vars(self).get("_even")
         if known is None or len(known) != count:
-            known = self.__dict__["_even"] = self.at(np.arange(count) * (self.size / count))
+            known = vars(self)["_even"] = self.at(np.arange(count) * (self.size / count))
         return known
 
     def knowing(self, arc: Array, even: Array) -> Self:
         """This curve, told its ``arc`` and what it is asked for by ``even(len(even))``."""
-        self.__dict__.update(arc=arc, _even=even)
+        vars(self).update(arc=arc, _even=even)
         return self
 
     def bridged_at(self, arc: npt.ArrayLike) -> Mask:

@@ -37,6 +37,8 @@ def local_depth(points: Array, depth: npt.NDArray[Any], region: Region, width: f
     reach = min(max(round(width / 4), 1), _MAX_REACH)
     if depth.dtype not in _DTYPES:
         depth = depth.astype(np.float64)  # other floats, and other orders of bytes
+    depth = depth.view()
+    depth.flags.writeable = False  # one type for all, or arrays that are read-only would be compiled for anew
     unit, (left, top) = MILLIMETRE if depth.dtype == np.uint16 else 1.0, region.window[:2]
     return region.kernels.median_depth(depth, unit, region.mask, left, top, points, reach, _MIN_SHARE)
 

@@ -16,7 +16,7 @@ from shape_obs.kernels.numpy_outline import outline_in
 from shape_obs.roi import Window
 from shape_obs.samples import Samples, mask_pixels
 
-MAX_CELL = 24
+_MAX_CELL = 24
 
 
 @dataclass(frozen=True)
@@ -140,9 +140,12 @@ class Region:
 
     @cached_property
     def samples(self) -> Samples:
-        """The pixels in cells of half the object's width: thin ropes keep their pixels, thick ones shed them."""
-        size = int(min(max(self.width / 3, 1), MAX_CELL))
-        return Samples(*self.kernels.cells(self.runs, size), float(size))
+        """The pixels in cells of a third of the object's width: thin ropes keep their pixels, thick ones shed them."""
+        return self.gathered(min(max(self.width / 3, 1), _MAX_CELL))
+
+    def gathered(self, edge: float) -> Samples:
+        """The pixels in cells of an edge, whole pixels."""
+        return Samples(*self.kernels.cells(self.runs, int(edge)), float(int(edge)))
 
     @property
     def within(self) -> float:
@@ -186,7 +189,7 @@ def find_region(
     Returns:
         The region; without components when nothing is left.
     """
-    mask = np.ascontiguousarray(mask)
+    mask = np.require(mask, requirements=["C", "W"])  # one type for the kernels
     runs, areas, box, dropped = kernels.survey(mask, window.left, window.top, min_area, min_share)
     if dropped:
         mask = np.zeros_like(mask)

@@ -13,6 +13,7 @@ EXPECTED = {
     "detect_photo.py": "ok: True",
     "three_shapes.py": "cloth: Grid(rows=4, cols=8), ok: True",
     "point_cloud.py": "20 ordered points, gaps",
+    "two_cameras.py": "camera 1: ok: True",
 }
 
 

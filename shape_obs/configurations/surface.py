@@ -29,6 +29,7 @@ Array = npt.NDArray[np.float64]
 _NODES: Final = 8  # rows and columns that are remembered from frame to frame, whatever lattice is sampled
 _MIN_SIDE: Final = 6.0  # grains: what is narrower has no two sides to speak of
 _MAX_ASPECT: Final = 8.0  # length over width; what is longer is a ribbon, whose corners are its ends
+_CELL: Final = 8  # pixels
 _WIDTH: Final = 0.5  # of the map's neighbourhood, nodes
 _MAX_CUT: Final = 0.03  # of the outline
 _MIN_PIECE: Final = 0.8  # of the body: the largest piece, since a sheet has no way to hang together over a gap
@@ -80,8 +81,8 @@ class Surface(Configuration[Patch], kind="surface"):
         return ""
 
     def samples(self, body: Body) -> Samples:
-        """All of the body."""
-        return body.samples
+        """All of the body, fine enough for the nodes."""
+        return body.gathered(_CELL) if isinstance(body, Region) else body.samples
 
     def topology(self, body: Body) -> Grid:
         """A lattice of 8 x 8 nodes, to be remembered."""

@@ -245,6 +245,8 @@ class Kernels(OutlineKernels, SheetKernels, Protocol):
         """
         ...
 
+    compiled: bool
+    """Whether the first call of a function takes longer than the others."""
     reads_tables: bool
     """Whether a table of colours is faster than the rule that it was made of."""
 

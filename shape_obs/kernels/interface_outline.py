@@ -226,8 +226,8 @@ class SheetKernels(Protocol):
             lattice: (R',C',2) found.
 
         Returns:
-            By how many quarters the found lattice is to be turned, so that its corners lie nearest to the predicted ones;
-            then which of them strays most, and by which share of half a diagonal.
+            By how many quarters the found lattice is to be turned, so that its corners lie nearest to the predicted
+            ones; then which of them strays most, and by which share of half a diagonal.
         """
         ...
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from shape_obs.kernels.numba_colour import reads_tables, seek, table_mask
 from shape_obs.kernels.numba_curve import arc_length, catmull_rom, equidistant, interpolate, spread, unshrink
 from shape_obs.kernels.numba_depth import median_depth
@@ -16,6 +18,8 @@ from shape_obs.kernels.numba_sheet import corners_near, laid, outer_corners, rim
 from shape_obs.kernels.numba_strand import ribbon
 from shape_obs.kernels.numba_trace import traced
 
+compiled: Final = True
+
 __all__ = [
     "arc_length",
     "assessed",
@@ -25,6 +29,7 @@ __all__ = [
     "carried",
     "catmull_rom",
     "cells",
+    "compiled",
     "corners_near",
     "equidistant",
     "fold",

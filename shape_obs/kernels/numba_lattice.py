@@ -126,7 +126,10 @@ def assessed(lattice: Array) -> tuple[float, float, float, float]:
     for k in range(4):
         count, other = (rows, cols) if k % 2 else (cols, rows)
         corner, length = _at(lattice, k, 0), 0.0
-        ahead, back = _at(lattice, k, count // 8) - corner, _at(lattice, (k + 3) % 4, other - 1 - other // 8) - corner
+        ahead, back = (
+            _at(lattice, k, max(count // 8, 1)) - corner,
+            _at(lattice, (k + 3) % 4, other - 1 - max(other // 8, 1)) - corner,
+        )
         between = ahead * back.conjugate()
         here = math.degrees(abs(math.atan2(between.imag, between.real)))
         if abs(here - 90) > abs(angle - 90):

@@ -202,7 +202,7 @@ def laid(rim: Array, turn: Array, corners: Indices, step: float, grain: float) -
                 out[row * FINE + col, d] = (
                     (1 - u) * left + u * right + (1 - v) * sides[0, col, d] + v * sides[2, last - col, d]
                 )
-    return out, kink
+    return out, float(kink)
 
 
 @njit(cache=True, nogil=True)

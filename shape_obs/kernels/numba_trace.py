@@ -64,6 +64,7 @@ def followed_border(mask: Mask, column: int, row: int, left: int, top: int) -> t
             found = larger
         found[count, 0], found[count, 1] = u + left, v + top
         count += 1
+        next_u, next_v = u, v
         for _ in range(8):
             way = (way + 1) % 8
             next_u, next_v = u + _RIGHT[way], v + _DOWN[way]

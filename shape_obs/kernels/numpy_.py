@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from shape_obs.kernels.numpy_colour import reads_tables, seek, table_mask
 from shape_obs.kernels.numpy_curve import arc_length, catmull_rom, equidistant, interpolate, spread, unshrink
 from shape_obs.kernels.numpy_depth import median_depth
@@ -23,6 +25,8 @@ from shape_obs.kernels.numpy_sheet import (
 )
 from shape_obs.kernels.numpy_strand import ribbon
 
+compiled: Final = False
+
 __all__ = [
     "arc_length",
     "assessed",
@@ -32,6 +36,7 @@ __all__ = [
     "carried",
     "catmull_rom",
     "cells",
+    "compiled",
     "corners_near",
     "equidistant",
     "fold",

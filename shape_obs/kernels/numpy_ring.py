@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -48,7 +49,7 @@ def ring(points: Array, smooth: Array, place: Array, count: int, sigma: float, p
     return points_of(curve + middle), _missed(samples[::skip], curve, unit[::skip] * pieces)
 
 
-def _paired(values: Complex | Array) -> Complex | Array:
+def _paired(values: Any) -> Any:
     """The mean of each two values, the last alone where they are odd."""
     half = len(values) // CELL
     means = (values[: CELL * half : CELL] + values[1::CELL]) / CELL

@@ -25,9 +25,7 @@ from shape_obs.kernels.interface_outline import (
 )
 from shape_obs.kernels.numpy_outline import Complex, closed_arc, lengths, plane, points_of
 
-# How much the left and the right side count at each place across, and where the sides begin and end among the corners:
-# the top and the bottom from the left, the left and the right from the top.
-_ACROSS = np.stack([np.linspace(1, 0, FINE), np.linspace(0, 1, FINE)]).astype(np.complex128)
+# Where the sides begin and end among the corners: the top and the bottom from the left, the others from the top.
 _BEGINS, _ENDS = np.array([[0], [3], [4], [1]]), np.array([[1], [2], [3], [2]])
 _RIM_AT = np.arange(RIM)
 
@@ -85,8 +83,8 @@ def laid(rim: Array, turn: Array, corners: Indices, step: float, grain: float) -
     arc = np.zeros(len(border))
     np.cumsum(np.abs(border[1:] - border[:-1]), out=arc[1:])
     begins, ends = arc[np.array(first)[_BEGINS]], arc[np.array(first)[_ENDS]]
-    sides = np.interp(begins + (ends - begins) * _ACROSS[1].real, arc, border)
-    return points_of(_coons(sides).ravel()), float(np.abs(np.concatenate(straight)).max(initial=0.0))
+    sides = np.interp(begins + (ends - begins) * _across(FINE)[1].real, arc, border)
+    return points_of(coons(sides, FINE).ravel()), float(np.abs(np.concatenate(straight)).max(initial=0.0))
 
 
 def tracked(
@@ -152,7 +150,7 @@ def assessed(lattice: Array) -> tuple[float, float, float, float]:
     (a, b), (d, c) = level[:, [0, -1]].tolist()
     chords = [abs(b - a), abs(c - d), abs(d - a), abs(c - b)]
     winding = max(length / max(chord, 1e-9) - 1 for length, chord in zip(lengths, chords, strict=True))
-    right, below = z.shape[1] // 8, z.shape[0] // 8
+    right, below = max(z.shape[1] // 8, 1), max(z.shape[0] // 8, 1)
     beside, beneath = level[:, [right, -1 - right]].tolist(), upright[[below, -1 - below]].tolist()
     angle = 90.0
     for row, column, corner in ((0, 0, a), (0, 1, b), (1, 1, c), (1, 0, d)):
@@ -202,25 +200,32 @@ def _places(around: Complex, corners: list[int], step: float, grain: float) -> C
     return np.array(places)
 
 
-def _coons(sides: Complex) -> Complex:
+def coons(sides: Complex, count: int) -> Complex:
     """The bilinearly blended patch of four sides (S. A. Coons, "Surfaces for Computer-Aided Design of Space Forms").
 
     Args:
         sides: (4,S) the top and the bottom side from left to right, the left and the right one from top to bottom.
+        count: S.
 
     Returns:
         (S,S) rows from top to bottom, the sides among them.
     """
-    level, upright = sides[:2], sides[2:]
+    across, level, upright = _across(count), sides[:2], sides[2:]
     # Top and bottom, without what left and right bring to their ends already.
-    rest = level - level[:, [0, -1]] @ _ACROSS
-    return upright.T @ _ACROSS + _ACROSS.T @ rest
+    rest = level - level[:, [0, -1]] @ across
+    return upright.T @ across + across.T @ rest
 
 
 def _weights(gauge: Array, count: int, centers: bool) -> Array:
     """(count,C) by how much each of C rows counts in ``count`` places with equal gaps."""
     place = np.interp(_shares(count, centers) * gauge[-1], gauge, _index(len(gauge)))
     return np.maximum(1 - np.abs(place[:, None] - _index(len(gauge))), 0.0)
+
+
+@lru_cache(maxsize=16)
+def _across(count: int) -> Complex:
+    """(2,count) how much the left and the right side count at each place across; of a type for complex products."""
+    return np.stack([np.linspace(1, 0, count), np.linspace(0, 1, count)]).astype(np.complex128)
 
 
 @lru_cache(maxsize=16)

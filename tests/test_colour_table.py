@@ -1,0 +1,281 @@
+"""Colour rules as tables, and the search that reads few pixels: the same pixels as the rule itself gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from shape_obs import ColourRule, DepthRange, Frame, GrayRange, HSVRange, Polygon, ShapeDetector, Whole
+from shape_obs.evaluation.ropes import KINDS, random_rope
+from shape_obs.kernels import choose
+from shape_obs.region import find_region
+from shape_obs.roi import Window
+from shape_obs.segment import prepare, segment
+from shape_obs.segmentation.table import colour_table
+
+BLUE = HSVRange((100, 120, 60), (125, 255, 255))
+
+
+@pytest.fixture(
+    params=["numpy", pytest.param("numba", marks=pytest.mark.skipif(not find_spec("numba"), reason="no Numba"))]
+)
+def kernels(request):
+    return choose(request.param)
+
+
+@dataclass(frozen=True)
+class MostlyRed(ColourRule, kind="test_mostly_red"):
+    lead: int = 40
+
+    def matches(self, rgb):
+        red, green, blue = np.moveaxis(rgb.astype(int), -1, 0)
+        return red - np.maximum(green, blue) >= self.lead
+
+
+@dataclass(frozen=True)
+class OneColour(ColourRule, kind="test_one_colour"):
+    colour: tuple[int, int, int] = (30, 60, 200)
+
+    def matches(self, rgb):
+        return (rgb == np.array(self.colour, np.uint8)).all(axis=2)
+
+
+@dataclass(frozen=True)
+class BlueAndNear(HSVRange, kind="test_blue_and_near"):
+    """A colour rule that looks at more than the colour."""
+
+    def threshold(self, frame, window):
+        return super().threshold(frame, window) & DepthRange(0.1, 0.5).threshold(frame, window)
+
+
+def photograph(mask, rng, noise=5.0, colour=(30, 60, 200)):
+    """A blue object over a grayish uneven background, blurred as lenses do, with sensor noise: (H,W,3) uint8."""
+    size = (mask.shape[1], mask.shape[0])
+    table = cv2.resize(rng.uniform(100, 190, (6, 8, 3)).astype(np.float32), size, interpolation=cv2.INTER_CUBIC)
+    image = np.where(mask[..., None] > 0, np.array(colour, np.float32), 0.3 * table + 100)
+    return np.clip(cv2.GaussianBlur(image, (0, 0), 0.8) + rng.normal(0, noise, image.shape), 0, 255).astype(np.uint8)
+
+
+def assert_same_region(found, expected):
+    np.testing.assert_array_equal(found.mask > 0, expected.mask > 0)
+    np.testing.assert_array_equal(found.runs, expected.runs)
+    assert (found.areas, found.window) == (expected.areas, expected.window)
+    assert found.box == expected.box
+
+
+class TestTable:
+    HUES = st.tuples(*[st.integers(0, 179)] * 2)  # one pair in two wraps around
+    RANGES = st.builds(
+        lambda hues, s, v: HSVRange((hues[0], min(s), min(v)), (hues[1], max(s), max(v))),
+        HUES,
+        *[st.tuples(*[st.integers(0, 255)] * 2)] * 2,
+    ) | st.builds(lambda a, b: GrayRange(min(a, b), max(a, b)), *[st.integers(0, 255)] * 2)
+
+    @settings(max_examples=25)
+    @given(RANGES, st.integers(0, 2**32 - 1), st.tuples(st.integers(1, 40), st.integers(1, 70)))
+    def test_a_table_is_the_rule(self, rule, seed, size):
+        """On colours of every kind, and of the kind that the rule is about."""
+        rng = np.random.default_rng(seed)
+        image = rng.integers(0, 256, (*size, 3), np.uint8)
+        if isinstance(rule, HSVRange):
+            near = np.array(rule.low) + rng.integers(-3, 4, (*size, 3))
+            near = np.clip(near, 0, (179, 255, 255)).astype(np.uint8)
+            image[::2] = cv2.cvtColor(near, cv2.COLOR_HSV2RGB)[::2]
+        left, top = int(rng.integers(size[1])), int(rng.integers(size[0]))
+        window = Window(left, top, int(rng.integers(size[1] - left)) + 1, int(rng.integers(size[0] - top)) + 1)
+        expected = rule.threshold(Frame(image), window)
+        for backend in ("numpy", "auto"):
+            np.testing.assert_array_equal(choose(backend).table_mask(image, window, colour_table(rule)), expected)
+
+    def test_every_colour_of_a_wrapping_rule(self, kernels):
+        rule = HSVRange((170, 90, 90), (10, 255, 255))
+        levels = np.arange(256, dtype=np.uint8)
+        for red in (0, 90, 91, 128, 200, 255):
+            image = np.stack(np.broadcast_arrays(np.uint8(red), levels[:, None], levels), axis=-1)
+            window = Whole().window((256, 256))
+            np.testing.assert_array_equal(
+                kernels.table_mask(image, window, colour_table(rule)), rule.threshold(Frame(image), window)
+            )
+
+    def test_a_rule_of_ones_own_gets_a_table(self, kernels, wave):
+        rng = np.random.default_rng(0)
+        image = photograph(wave.mask, rng, noise=25, colour=(190, 60, 40))
+        window, rule = Whole().window((240, 320)), MostlyRed()
+        expected = rule.apply(Frame(image), window)
+        assert set(np.unique(expected)) == {0, 255}
+        np.testing.assert_array_equal(kernels.table_mask(image, window, colour_table(rule)), expected)
+        shape = ShapeDetector(segmentation=rule).detect(image).shapes[0]
+        assert shape.ok, shape.reason
+
+    def test_a_rule_as_fine_as_one_colour_is_kept(self, kernels):
+        """Bins of eight values a channel would turn a whole drawn object over."""
+        image = np.zeros((9, 9, 3), np.uint8) + np.array([30, 60, 200], np.uint8)
+        image[4, 4] = (31, 60, 200)
+        mask = kernels.table_mask(image, Whole().window((9, 9)), colour_table(OneColour()))
+        assert mask[4, 4] == 0
+        assert (mask > 0).sum() == 80
+
+    def test_equal_rules_share_a_table_that_nobody_can_write(self):
+        table = colour_table(HSVRange((1, 2, 3), (4, 5, 6)))
+        assert table is colour_table(HSVRange([1, 2, 3], [4, 5, 6]))  # pyright: ignore[reportArgumentType]
+        assert (table.shape, table.dtype) == ((2**18,), np.uint64)
+        with pytest.raises(ValueError, match="read-only"):
+            table[0] = 1
+
+    def test_a_rule_that_gives_no_mask_is_told(self):
+        @dataclass(frozen=True)
+        class Flat(ColourRule, kind="test_flat"):
+            def matches(self, rgb):
+                return rgb.sum(axis=(1, 2)) > 0
+
+        with pytest.raises(
+            ValueError, match=r"segmentation 'test_flat': matches\(\) must give one value a pixel: expec"
+        ):
+            colour_table(Flat())
+
+
+class TestSeek:
+    @settings(max_examples=60)
+    @given(st.integers(0, 2**32 - 1), st.sampled_from([4, 8]), st.floats(0.05, 0.6), st.integers(1, 9))
+    def test_both_backends_find_the_same(self, seed, step, share, grain):
+        """Blobs of every grain in windows of every place: complete components, those alone that the lattice meets."""
+        if not find_spec("numba"):
+            pytest.skip("no Numba")
+        rng = np.random.default_rng(seed)
+        size = rng.integers(1, 90, 2)
+        coarse = rng.uniform(size=-(-size // grain)) < share
+        blobs = np.kron(coarse, np.ones((grain, grain), bool))[: size[0], : size[1]]
+        image = np.where(blobs[..., None], np.uint8(255), np.uint8(0)).repeat(3, axis=2)
+        left, top = int(rng.integers(size[1])), int(rng.integers(size[0]))
+        window = Window(left, top, int(rng.integers(size[1] - left)) + 1, int(rng.integers(size[0] - top)) + 1)
+        given_all = (
+            image,
+            window,
+            colour_table(GrayRange(low=128)),
+            step,
+            int(rng.integers(1, 30)),
+            float(rng.uniform()),
+        )
+        numpy, numba = (choose(backend).seek(*given_all) for backend in ("numpy", "numba"))
+        for a, b in zip(numpy[:3], numba[:3], strict=True):
+            np.testing.assert_array_equal(a, b)
+        if len(numpy.runs):
+            assert numpy.box == numba.box
+        assert numba.mask.flags.c_contiguous
+
+    @pytest.mark.parametrize("step", [4, 8])
+    def test_a_disc_of_the_promised_size_is_found_wherever_it_lies(self, step, kernels):
+        v, u = np.mgrid[:40, :40]
+        rng, radius = np.random.default_rng(step), (1.25 * step + 1) / 2
+        for _ in range(300):
+            centre = rng.uniform(12, 28, 2)
+            disc = (u - centre[0]) ** 2 + (v - centre[1]) ** 2 <= radius**2
+            image = np.where(disc[..., None], np.uint8(255), np.uint8(0)).repeat(3, axis=2)
+            found = kernels.seek(image, Window(0, 0, 40, 40), colour_table(GrayRange(low=128)), step, 1, 0.0)
+            np.testing.assert_array_equal(found.mask > 0, disc)
+
+    @pytest.mark.parametrize("layout", ["read-only", "reversed", "fortran", "strided", "crop"])
+    def test_the_memory_layout_does_not_matter_and_nothing_is_written(self, layout, kernels, wave):
+        image = photograph(wave.mask, np.random.default_rng(1))
+        window, table = Window(43, 71, 231, 140), colour_table(BLUE)
+        expected, mask = kernels.seek(image, window, table, 4, 20, 0.05), kernels.table_mask(image, window, table)
+        other = {
+            "read-only": lambda: image.copy(),
+            "reversed": lambda: np.ascontiguousarray(image[..., ::-1])[..., ::-1],
+            "fortran": lambda: np.asfortranarray(image),
+            "strided": lambda: np.repeat(image, 2, axis=1)[:, ::2],
+            "crop": lambda: np.pad(image, ((3, 2), (5, 7), (0, 0)))[3:-2, 5:-7],
+        }[layout]()
+        other.setflags(write=layout != "read-only")
+        before = other.copy()
+        found = kernels.seek(other, window, table, 4, 20, 0.05)
+        np.testing.assert_array_equal(found.mask, expected.mask)
+        np.testing.assert_array_equal(kernels.table_mask(other, window, table), mask)
+        np.testing.assert_array_equal(other, before)
+        assert other.flags.writeable is (layout != "read-only")
+
+
+class TestSegment:
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_ropes_give_the_plain_path_s_region_to_the_pixel(self, kind, kernels):
+        for seed in range(3):
+            rng = np.random.default_rng(seed)
+            rope = random_rope(rng, kind)
+            frame, whole = Frame(photograph(rope.mask, rng)), Whole().window(rope.mask.shape)
+            mask = BLUE.apply(frame, whole)
+            expected = find_region(mask, whole, BLUE.min_area, BLUE.min_share, kernels)
+            for width in (0.0, 8.0, 12.0):
+                if width <= rope.width:
+                    assert_same_region(segment(frame, whole, BLUE, Whole(), kernels, width), expected)
+
+    def test_what_is_in_the_way_of_a_search_is_heeded(self, kernels, wave):
+        """Opening, closing and a polygon change the mask after the colours; the table still serves."""
+        rng = np.random.default_rng(5)
+        frame, window = Frame(photograph(wave.mask, rng, noise=30)), Window(41, 50, 239, 170)
+        polygon = Polygon(((0, 0), (319, 0), (0, 239)))
+        for rule in (BLUE, replace(BLUE, open=3), replace(BLUE, close=3), replace(BLUE, open=2, close=5)):
+            for roi in (Whole(), polygon):
+                mask = roi.blank(rule.apply(frame, window), window)
+                expected = find_region(mask, window, rule.min_area, rule.min_share, kernels)
+                assert_same_region(segment(frame, window, rule, roi, kernels, 10.0), expected)
+
+    def test_thin_objects_are_read_pixel_by_pixel(self, kernels):
+        image = np.zeros((60, 90, 3), np.uint8)
+        image[30, 5:85] = 255  # between the rows that are looked at
+        rule, whole = GrayRange(low=128), Whole().window((60, 90))
+        region = segment(Frame(image), whole, rule, Whole(), kernels, 1.0)
+        assert region.areas == (80,)
+        image[29] = image[30]  # and its neighbour, where the lattice lies
+        image[30] = 0
+        assert segment(Frame(image), whole, rule, Whole(), kernels, 0.0).areas == (80,)
+
+    def test_a_rule_that_reads_more_than_the_colour_is_asked_itself(self, kernels, wave):
+        image = photograph(wave.mask, np.random.default_rng(2))
+        depth = np.full(wave.mask.shape, 0.3, np.float32)
+        depth[:, 160:] = 0.9
+        rule, whole = BlueAndNear(BLUE.low, BLUE.high), Whole().window(wave.mask.shape)
+        for width in (0.0, 10.0):
+            region = segment(Frame(image, depth), whole, rule, Whole(), kernels, width)
+            assert region.amount
+            assert region.box.left + region.box.width <= 160
+
+    def test_depth_has_no_table(self, kernels, wave):
+        depth = np.where(wave.mask > 0, np.float32(0.3), np.float32(0.9))
+        rule, whole = DepthRange(0.1, 0.5), Whole().window(wave.mask.shape)
+        prepare(rule, kernels)
+        region = segment(Frame(None, depth), whole, rule, Whole(), kernels, 10.0)
+        np.testing.assert_array_equal(region.mask > 0, wave.mask > 0)
+
+    def test_an_image_that_is_missing_is_told(self, kernels):
+        with pytest.raises(ValueError, match=r"segmentation 'hsv' needs rgb, but the frame has none."):
+            segment(Frame(None, np.zeros((9, 9), np.uint16)), Window(0, 0, 9, 9), BLUE, Whole(), kernels)
+
+    def test_the_table_is_made_ahead_where_it_is_used(self, kernels):
+        before = colour_table.cache_info().misses
+        rule = HSVRange((3, 2, 1), (77, 250, 251))
+        prepare(rule, kernels)
+        prepare(None, kernels)
+        assert colour_table.cache_info().misses - before == int(kernels.reads_tables)
+
+    def test_points_from_the_search_are_those_of_the_rule(self, kernels):
+        """Through the detector, warm, over a moving rope: to 0.3 px on every point, and in fact to the last digit."""
+        from shape_obs.evaluation.motion import moving_rope
+
+        rng = np.random.default_rng(9)
+        backend = "numba" if kernels.reads_tables else "numpy"
+        by_colour, by_mask = (
+            ShapeDetector(segmentation=BLUE, backend=backend),
+            ShapeDetector(segmentation=BLUE, backend=backend),
+        )
+        for rope in moving_rope(np.random.default_rng(4), 6.0, 12, length=420.0, width=9.0):
+            image = photograph(rope.mask, rng)
+            found = by_colour.detect(image).shapes[0]
+            given_mask = by_mask.detect_mask(BLUE.apply(Frame(image), Whole().window(rope.mask.shape))).shapes[0]
+            assert found.ok, found.reason
+            np.testing.assert_allclose(found.points2d, given_mask.points2d, atol=0.3)
