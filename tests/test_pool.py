@@ -73,7 +73,7 @@ def test_stamps_and_anchors_come_one_for_all_or_one_each(videos):
         assert [detection.stamp for detection in found] == [1.0, 2.0, 0.0]
         for detection, anchors in zip(found, ends, strict=True):
             assert np.linalg.norm(detection.shapes[0].pixels[0] - anchors["hand"]) < 3
-        assert [d.stamp for d in pool.detect(images, stamps=np.float32(3), anchors=ends[0])] == [3.0] * 3
+        assert [d.stamp for d in pool.detect(images, stamps=3, anchors=ends[0])] == [3.0] * 3
 
 
 def test_a_camera_that_fails_is_named_and_the_others_are_kept(videos):

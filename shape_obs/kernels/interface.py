@@ -30,6 +30,9 @@ SHARP_BENDS: Final = 8
 JUDGED: Final = 150  # samples tell how far a mask spreads about a curve
 # Of a strand, in widths: how far to the side a pixel may lie to belong to it, and how far ahead; it goes on where a
 # pixel lies beyond the third.
+AHEAD: Final = (
+    1e-6  # pixels: what lies farther is ahead; the pixel on which one stands is not, however sums are rounded
+)
 SIDE: Final = 0.75
 REACH: Final = 1.5
 BEYOND: Final = 0.6

@@ -7,6 +7,7 @@ import numpy.typing as npt
 from numba import njit
 
 from shape_obs.kernels.interface import (
+    AHEAD,
     BEYOND,
     LAST,
     LAST_REST,
@@ -78,7 +79,7 @@ def _strand(mask: Mask, u: float, v: float, hx: float, hy: float, width: float, 
                 continue
             x = column + (left - u)
             along, side = x * hx + y * hy, y * hx - x * hy
-            if along <= 0 or abs(side) > aside:
+            if along <= AHEAD or abs(side) > aside:
                 continue
             state[row, column] = 1
             out[count, 0], out[count, 1], out[count, 2], out[count, 3] = x, y, along, side

@@ -19,11 +19,10 @@ def survey(
     if not width:
         return np.empty((0, 3), np.intp), np.empty(0, np.intp), (left, top, 0, 0), False
     crop, left, top = mask[v : v + height, u : u + width], left + u, top + v
-    if len(cv2.findContours(crop, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]) == 1:
-        found = _runs(crop, left, top)  # nothing to sort out, as on most frames
-        area = int((found[:, 2] - found[:, 1]).sum())
-        if area >= min_area:
-            return found, np.array([area]), (left, top, width, height), False
+    found = _runs(crop, left, top)
+    area = int((found[:, 2] - found[:, 1]).sum())
+    if area >= min_area and _is_one_piece(found, crop):  # nothing to sort out, as on most frames
+        return found, np.array([area]), (left, top, width, height), False
     count, labelled, stats, _ = cv2.connectedComponentsWithStats(crop, connectivity=8)
     labels: npt.NDArray[np.int32] = np.asarray(labelled, dtype=np.int32)
     areas = np.asarray(stats, dtype=np.int64)[1:count, cv2.CC_STAT_AREA]
@@ -31,10 +30,21 @@ def survey(
     kept = areas[keep[1:]]
     found = _runs(keep[labels], left, top)
     if not len(found):
-        return found, kept, (left, top, 0, 0), len(kept) < len(areas)
+        return found, kept, (left - u, top - v, 0, 0), len(kept) < len(areas)
     left, top = int(found[:, 1].min()), int(found[0, 0])
     box = (left, top, int(found[:, 2].max()) - left, int(found[-1, 0]) - top + 1)
     return found, -np.sort(-kept), box, len(kept) < len(areas)
+
+
+def _is_one_piece(runs: Indices, crop: Mask) -> bool:
+    """Whether the pixels of a mask hang together; seen at once where there is one run in each row."""
+    if len(runs) == len(crop):
+        _, start, stop = runs.T
+        if bool(((start[1:] <= stop[:-1]) & (start[:-1] <= stop[1:])).all()):
+            return True
+    # Of what lies in a hole, the contour is an outer one too.
+    table = cv2.findContours(crop, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)[1]
+    return np.count_nonzero(np.asarray(table).reshape(-1, 4)[:, 3] < 0) == 1
 
 
 def _runs(mask: npt.NDArray[Any], left: int, top: int) -> Indices:

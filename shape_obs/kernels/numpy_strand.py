@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.kernels.interface import (
+    AHEAD,
     BEYOND,
     LAST,
     LAST_REST,
@@ -89,7 +90,7 @@ def _strand(mask: Mask, u: float, v: float, heading: tuple[float, float], width:
     x = np.arange(left - u, left - u + crop.shape[1] - 0.5)
     y = np.arange(top - v, top - v + crop.shape[0] - 0.5)[:, None]
     along, side = x * hx + y * hy, y * hx - x * hy
-    strand = (crop != 0) & (along > 0)
+    strand = (crop != 0) & (along > AHEAD)
     strand &= np.abs(side) <= aside
     held = np.flatnonzero(strand)
     if not len(held):
