@@ -39,7 +39,7 @@ class DetectorPool:
     """Runs one detector a camera, side by side in threads.
 
     OpenCV, NumPy's long loops and the Numba kernels let other threads run meanwhile; the Python between them does not.
-    Give the detectors ``backend="numba"``: with it two cameras on two cores gain most.
+    So a pool gains on large images and slow rules, and costs a little where a frame takes less than a millisecond.
 
     Args:
         detectors: One a camera, in the order of the frames. A detector keeps the track of what its camera sees, so no

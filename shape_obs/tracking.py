@@ -30,7 +30,7 @@ class Track(NamedTuple):
         stamp: Seconds.
         topology: How the nodes hang together.
         memory: What the last form handed on beside its nodes.
-        width: Of a ribbon, as the body shows it; 0 where that says nothing.
+        width: Of the body as a ribbon; 0 where that is not known.
         box: The rectangle around the mask; None without a mask.
         drift: By how much its edges have moved since the frame before, at most, pixels.
     """
@@ -56,7 +56,7 @@ class Prediction(NamedTuple):
         topology: How the nodes hang together.
         memory: What the last form handed on beside its nodes.
         grain: What the body resolves: nothing smaller can be told from noise.
-        width: Of a ribbon; 0 where it is not known.
+        width: Of the body as a ribbon; 0 where that is not known.
     """
 
     nodes: Array

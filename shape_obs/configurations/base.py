@@ -14,6 +14,7 @@ from shape_obs.cloud import Cloud
 from shape_obs.clustering import som
 from shape_obs.form import Form
 from shape_obs.gate import Verdict
+from shape_obs.region import Region
 from shape_obs.samples import Samples, single
 from shape_obs.segmentation import Segmentation
 from shape_obs.spec import Spec
@@ -165,8 +166,8 @@ class Configuration(Spec, Generic[F], family="configuration"):
         return body
 
     def girth(self, form: F, body: Body) -> float:
-        """The width of a ribbon, as the body shows it, for the next frame; 0 where that says nothing."""
-        return 0.0
+        """How wide the body is, for the next frame; 0 where that is not known beforehand."""
+        return body.width if isinstance(body, Region) else 0.0
 
     @abstractmethod
     def place(self, form: F, metric: F) -> Points:

@@ -72,7 +72,9 @@ def sampled(lattice: Array, down: Array, right: Array, rows: int, cols: int, cen
 def strayed(nodes: Array, lattice: Array) -> tuple[int, int, float]:
     """See ``SheetKernels.strayed``."""
     expected, corners = outer_corners(nodes), np.empty((4, 2))
-    corners[0], corners[1], corners[2], corners[3] = lattice[0, 0], lattice[0, -1], lattice[-1, -1], lattice[-1, 0]
+    for d in range(2):
+        corners[0, d], corners[1, d] = lattice[0, 0, d], lattice[0, -1, d]
+        corners[2, d], corners[3, d] = lattice[-1, -1, d], lattice[-1, 0, d]
     quarters, least = 0, np.inf
     for turn in range(4):
         square = 0.0

@@ -85,7 +85,8 @@ def pairs(points: Array) -> Array:
         for d in range(dimension):
             out[p, d] = (points[2 * p, d] + points[2 * p + 1, d]) / 2
     if size % 2:
-        out[-1] = points[-1]
+        for d in range(dimension):
+            out[size // 2, d] = points[size - 1, d]
     return out
 
 

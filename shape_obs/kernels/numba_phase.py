@@ -152,7 +152,8 @@ def followed(points: Array, reference: Array, predicted: Array, share: float) ->
         there = points[after % size, d]
         turned[0, d] = points[after - 1, d] + (start - arc[after - 1]) / gap * (there - points[after - 1, d])
     for p in range(1, len(turned)):
-        turned[p] = points[(after + p - 1) % size]
+        at = (after + p - 1) % size
+        turned[p, 0], turned[p, 1] = points[at, 0], points[at, 1]
     arc = closed_arc(turned)
     nodes = even(turned, arc, 0.0, count)
     return turned, arc, nodes, blend(reference, nodes, share)

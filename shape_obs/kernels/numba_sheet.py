@@ -67,7 +67,8 @@ def _candidates(turn: Array) -> Indices:
         for q in range(1, count):
             if turn[peaks[q]] <= turn[peaks[least]]:
                 least = q
-        peaks[least : count - 1] = peaks[least + 1 : count].copy()
+        for q in range(least, count - 1):
+            peaks[q] = peaks[q + 1]
         count -= 1
     return peaks[:count].copy()
 
@@ -160,7 +161,8 @@ def _side(rim: Array, begin: int, end: int, skip: int, places: Array, k: int, ou
     """Fill in (S,2) places evenly spaced along the side from a corner to the next, the corners' own among them."""
     inner = max((end - begin) % RIM - 2 * skip + 1, 0)
     line, arc = np.empty((inner + 2, 2)), np.zeros(inner + 2)
-    line[0], line[inner + 1] = places[k], places[(k + 1) % 4]
+    for d in range(2):
+        line[0, d], line[inner + 1, d] = places[k, d], places[(k + 1) % 4, d]
     for i in range(inner):
         p = (begin + skip + i) % RIM
         line[i + 1, 0], line[i + 1, 1] = rim[p, 0], rim[p, 1]

@@ -60,7 +60,8 @@ def followed_border(mask: Mask, column: int, row: int, left: int, top: int) -> t
     while True:
         if count == len(found):
             larger = np.empty((2 * count, 2))
-            larger[:count] = found
+            for at in range(count):
+                larger[at, 0], larger[at, 1] = found[at, 0], found[at, 1]
             found = larger
         found[count, 0], found[count, 1] = u + left, v + top
         count += 1
