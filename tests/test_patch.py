@@ -11,7 +11,7 @@ from shape_obs.coldstart.corners import Rim
 from shape_obs.evaluation.sheets import rotation
 from shape_obs.form import Patch
 from shape_obs.kernels import NUMPY
-from shape_obs.kernels.numpy_outline import plane, points_of
+from shape_obs.kernels.numpy_plane import plane, points_of
 from shape_obs.kernels.numpy_sheet import coons
 
 

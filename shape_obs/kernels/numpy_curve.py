@@ -8,18 +8,20 @@ import numpy as np
 
 from shape_obs.kernels.interface import EQUAL, EQUALISING_PASSES, JUDGED, Array
 from shape_obs.kernels.numpy_map import best_matching_units
+from shape_obs.kernels.numpy_plane import lengths, plane, points_of
 
 
 def arc_length(curve: Array) -> Array:
     """See ``Kernels.arc_length``."""
-    step = curve[1:] - curve[:-1]
     arc = np.zeros(len(curve))
-    np.sqrt(np.einsum("pd,pd->p", step, step)).cumsum(out=arc[1:])
+    lengths(curve[1:] - curve[:-1]).cumsum(out=arc[1:])
     return arc
 
 
 def interpolate(curve: Array, arc: Array, at: Array) -> Array:
     """See ``Kernels.interpolate``."""
+    if curve.shape[1] == 2:
+        return points_of(np.interp(at, arc, plane(curve)))
     out = np.empty((len(at), curve.shape[1]))
     for d in range(curve.shape[1]):
         out[:, d] = np.interp(at, arc, curve[:, d])

@@ -6,7 +6,6 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import correlate1d
 
 from shape_obs.kernels.interface_outline import (
@@ -24,9 +23,9 @@ from shape_obs.kernels.interface_outline import (
     Indices,
     Mask,
 )
+from shape_obs.kernels.numpy_curve import arc_length, interpolate
 from shape_obs.kernels.numpy_map import best_matching_units
-
-Complex = npt.NDArray[np.complex128]
+from shape_obs.kernels.numpy_plane import Complex, lengths, plane, points_of
 
 _AT = np.arange(-STAIRCASE_REACH, STAIRCASE_REACH + 1)
 _SMOOTH = np.exp(-0.5 * (_AT / STAIRCASE) ** 2)
@@ -36,30 +35,6 @@ _ALONG = np.convolve(_SMOOTH, [-1.0, 0.0, 1.0][::-1])[::-1]
 _WAVES = np.concatenate([np.arange(1, HARMONICS + 1), np.arange(-HARMONICS, 0)])
 _ROUND = np.exp(2j * np.pi / SHIFTS * np.outer(_WAVES, np.arange(SHIFTS)))
 _BESIDE = tuple(np.exp(2j * np.pi * width * np.outer(_WAVES, (-1, 0, 1))) for width in PEAKS)
-
-
-def plane(points: Array) -> Complex:
-    """(P,2) points as (P,) complex numbers u + iv, without a copy where they are contiguous."""
-    return np.ascontiguousarray(points).view(np.complex128)[..., 0]
-
-
-def points_of(places: Complex) -> Array:
-    """And back: (P,) -> (P,2)."""
-    return places.view(np.float64).reshape(*places.shape, 2)
-
-
-def lengths(steps: Array) -> Array:
-    """(...,D) fresh differences -> (...) their lengths."""
-    if steps.shape[-1] == 2:
-        return np.abs(steps.view(np.complex128)[..., 0])
-    return np.sqrt(np.einsum("...d,...d->...", steps, steps))
-
-
-def closed_arc(closed: Array) -> Array:
-    """(P+1,D) a closed curve, its first point repeated -> (P+1,) arc length."""
-    arc = np.zeros(len(closed))
-    np.cumsum(lengths(closed[1:] - closed[:-1]), out=arc[1:])
-    return arc
 
 
 def traced(mask: Mask, runs: Indices, left: int, top: int, box: Box) -> tuple[Array, float, float]:
@@ -104,11 +79,11 @@ def pairs(points: Array) -> Array:
 def followed(points: Array, reference: Array, predicted: Array, share: float) -> tuple[Array, Array, Array, Array]:
     """See ``OutlineKernels.followed``."""
     closed = np.concatenate([points, points[:1]])
-    arc = closed_arc(closed)
+    arc = arc_length(closed)
     count = len(predicted)
     start = lag(reference, predicted, _even(closed, arc, count)) * (arc[-1] / count)
     turned = begun_at(closed, arc, start)
-    arc = closed_arc(turned)
+    arc = arc_length(turned)
     nodes = _even(turned, arc, count)
     return turned[:-1], arc, nodes, blend(reference, nodes, share)
 
@@ -176,10 +151,7 @@ def miss(points: Array, curve: Array, size: float) -> float:
 
 def _even(closed: Array, arc: Array, count: int) -> Array:
     """(count,D) places of equal arc length around a closed curve (P+1,D), from its first point on."""
-    at = np.arange(count) * (arc[-1] / count)
-    if closed.shape[1] == 2:
-        return points_of(np.interp(at, arc, plane(closed)))
-    return np.stack([np.interp(at, arc, column) for column in closed.T], axis=1)
+    return interpolate(closed, arc, np.arange(count) * (arc[-1] / count))
 
 
 @lru_cache(maxsize=16)

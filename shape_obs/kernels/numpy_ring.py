@@ -9,7 +9,7 @@ import numpy as np
 
 from shape_obs.kernels.interface import TRACE
 from shape_obs.kernels.interface_outline import CELL, JUDGED_AROUND, Array, Indices
-from shape_obs.kernels.numpy_outline import Complex, plane, points_of
+from shape_obs.kernels.numpy_plane import Complex, plane, points_of
 
 _BESIDE = 2  # nodes, and by
 _NEAR = 6  # points of the curve, how far off the nearest can be from where a sample lies along

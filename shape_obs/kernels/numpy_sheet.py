@@ -23,7 +23,8 @@ from shape_obs.kernels.interface_outline import (
     Array,
     Indices,
 )
-from shape_obs.kernels.numpy_outline import Complex, closed_arc, lengths, plane, points_of
+from shape_obs.kernels.numpy_curve import arc_length
+from shape_obs.kernels.numpy_plane import Complex, lengths, plane, points_of
 
 # Where the sides begin and end among the corners: the top and the bottom from the left, the others from the top.
 _BEGINS, _ENDS = np.array([[0], [3], [4], [1]]), np.array([[1], [2], [3], [2]])
@@ -33,7 +34,7 @@ _RIM_AT = np.arange(RIM)
 def rim(outline: Array) -> tuple[Array, Array, Indices, float, float]:
     """See ``SheetKernels.rim``."""
     closed = np.concatenate([outline, outline[:1]])
-    arc = closed_arc(closed)
+    arc = arc_length(closed)
     z = np.interp(_RIM_AT * (arc[-1] / RIM), arc, plane(closed))
     around = np.concatenate([z[-REACH_OF_TURN:], z, z[:REACH_OF_TURN]])
     chord = around[REACH_OF_TURN:] - around[:-REACH_OF_TURN]  # from each point to the one that many further on
