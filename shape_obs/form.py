@@ -108,7 +108,7 @@ class Curve(Form):
         """Whether nothing is bridged."""
         return not self.bridged.any()
 
-    @cached_property
+    @property
     def size(self) -> float:
         """Arc length from end to end, or once around."""
         return float(self.arc[-1])

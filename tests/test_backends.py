@@ -51,9 +51,9 @@ def test_backends_have_the_same_functions():
 @pytest.mark.parametrize("kind", ["smooth", "u", "s", "hairpin", "loop", "spiral", "fat"])
 def test_a_cold_rope(kind):
     rng = np.random.default_rng(3)
-    for n, ends in ((8, "tips"), (20, "centers")):
+    for spec in (Centerline(n=8, ends="tips"), Centerline(n=20, ends="centers")):
         mask = random_rope(rng, kind).mask
-        numpy, numba = both(Centerline(n=n, ends=ends))
+        numpy, numba = both(spec)
         agree(numpy.detect_mask(mask), numba.detect_mask(mask))
 
 
@@ -122,7 +122,7 @@ def test_curves_are_drawn_alike(seed, closed, dimension):
     at = np.random.default_rng(seed).uniform(-1, arc[-1] + 1, 20)
     np.testing.assert_allclose(NUMPY.interpolate(one, arc, at), NUMBA.interpolate(one, arc, at), atol=1e-9)
     even = [kernels.equidistant(one, arc, 8, 0.0, 0.35) for kernels in (NUMPY, NUMBA)]
-    np.testing.assert_allclose(*even, atol=1e-6)
+    np.testing.assert_allclose(even[0], even[1], atol=1e-6)
 
 
 @settings(max_examples=15)
@@ -134,7 +134,7 @@ def test_depth_is_read_alike(seed, kind):
     points = rng.uniform(-3, 45, (12, 2))
     for reach in (1, 4):
         found = [kernels.median_depth(depth, 1e-3, mask, 4, 6, points, reach, 0.25) for kernels in (NUMPY, NUMBA)]
-        np.testing.assert_allclose(*found, rtol=1e-6)
+        np.testing.assert_allclose(found[0], found[1], rtol=1e-6)
 
 
 def test_numba_that_is_missing_is_told(monkeypatch):

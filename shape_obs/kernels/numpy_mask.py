@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.kernels.interface import Array, Indices, Mask
+from shape_obs.kernels.numpy_pieces import pieces
 
 
 def survey(
@@ -20,20 +21,20 @@ def survey(
         return np.empty((0, 3), np.intp), np.empty(0, np.intp), (left, top, 0, 0), False
     crop, left, top = mask[v : v + height, u : u + width], left + u, top + v
     found = _runs(crop, left, top)
-    area = int((found[:, 2] - found[:, 1]).sum())
-    if area >= min_area and _is_one_piece(found, crop):  # nothing to sort out, as on most frames
-        return found, np.array([area]), (left, top, width, height), False
-    count, labelled, stats, _ = cv2.connectedComponentsWithStats(crop, connectivity=8)
-    labels: npt.NDArray[np.int32] = np.asarray(labelled, dtype=np.int32)
-    areas = np.asarray(stats, dtype=np.int64)[1:count, cv2.CC_STAT_AREA]
-    keep = np.append(False, areas >= max(min_area, min_share * float(areas.max(initial=0))))
-    kept = areas[keep[1:]]
-    found = _runs(keep[labels], left, top)
+    if _is_one_piece(found, crop):  # nothing to sort out, as on most frames
+        label, count = np.zeros(len(found), np.int64), 1
+    else:
+        label, count = pieces(found)
+    areas = np.bincount(label, found[:, 2] - found[:, 1], count).astype(np.int64)
+    keep = areas >= max(min_area, min_share * int(areas.max()))
+    kept = -np.sort(-areas[keep])
+    if len(kept) == count:
+        return found, kept, (left, top, width, height), False
+    found = found[keep[label]]
     if not len(found):
-        return found, kept, (left - u, top - v, 0, 0), len(kept) < len(areas)
+        return found, kept, (left - u, top - v, 0, 0), True
     left, top = int(found[:, 1].min()), int(found[0, 0])
-    box = (left, top, int(found[:, 2].max()) - left, int(found[-1, 0]) - top + 1)
-    return found, -np.sort(-kept), box, len(kept) < len(areas)
+    return found, kept, (left, top, int(found[:, 2].max()) - left, int(found[-1, 0]) - top + 1), True
 
 
 def _is_one_piece(runs: Indices, crop: Mask) -> bool:
