@@ -151,6 +151,27 @@ def test_numba_that_is_missing_is_told(monkeypatch):
         choice.choose.cache_clear()
 
 
+def test_numba_that_does_not_work_is_told(monkeypatch):
+    from shape_obs.kernels import choice
+
+    load = choice._load
+
+    def broken(backend):
+        if backend == "numba":
+            raise RuntimeError("cannot cache function 'f': no locator available for file 'f.py'")
+        return load(backend)
+
+    choice.choose.cache_clear()
+    monkeypatch.setattr(choice, "_load", broken)
+    try:
+        with pytest.raises(ImportError, match="NUMBA_CACHE_DIR"):
+            ShapeDetector(backend="numba")
+        with pytest.warns(RuntimeWarning, match="run on NumPy"):
+            assert ShapeDetector(backend="auto").kernels is NUMPY
+    finally:
+        choice.choose.cache_clear()
+
+
 def test_an_unknown_backend_is_told():
     with pytest.raises(ValueError, match="did you mean 'numba'"):
         ShapeDetector(backend="nubma")
