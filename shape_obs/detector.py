@@ -287,7 +287,7 @@ class ShapeDetector:
         reason = found.reason
         if found.form is not None and found.ok:
             shape = shape_of(spec, found, found.form, found.body or body, frame, last, self.config.on_invalid)
-            if not in_3d or shape.valid.any():
+            if not in_3d or np.count_nonzero(shape.valid):
                 return shape
             reason = "no point has depth under it"
         return lost_shape(

@@ -14,7 +14,7 @@ from shape_obs.region import Region
 
 Array = npt.NDArray[np.float64]
 
-_DTYPES: Final = (np.uint16, np.float32, np.float64)
+_UNITS: Final = {"H": MILLIMETRE, "f": 1.0, "d": 1.0}  # metres, of uint16, float32 and float64
 _MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry depth
 _MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
 
@@ -35,11 +35,12 @@ def local_depth(points: Array, depth: npt.NDArray[Any], region: Region, width: f
         (N,) metres; NaN where fewer than a quarter of the mask pixels carry depth: a hole stays a hole.
     """
     reach = min(max(round(width / 4), 1), _MAX_REACH)
-    if depth.dtype not in _DTYPES:
-        depth = depth.astype(np.float64)  # other floats, and other orders of bytes
+    if depth.dtype.char not in _UNITS or not depth.dtype.isnative:
+        depth = depth.astype(np.float64)
+    unit = _UNITS[depth.dtype.char]
     depth = depth.view()
     depth.flags.writeable = False  # one type for all, or arrays that are read-only would be compiled for anew
-    unit, (left, top) = MILLIMETRE if depth.dtype == np.uint16 else 1.0, region.window[:2]
+    left, top = region.window[:2]
     return region.kernels.median_depth(depth, unit, region.mask, left, top, points, reach, _MIN_SHARE)
 
 

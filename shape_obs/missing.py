@@ -98,7 +98,7 @@ def fill_invalid(
     Returns:
         (N,3); NaN where the policy has nothing to fill with.
     """
-    if policy == "interpolate" or valid.all():
+    if policy == "interpolate" or np.count_nonzero(valid) == len(valid):
         return expected
     points3d = expected.copy()
     points3d[~valid] = np.nan if policy == "nan" or last is None else last[~valid]

@@ -71,7 +71,7 @@ def _in_image(spec: Configuration, form: Form, region: Region, frame: Frame, cen
         return points.astype(np.float32), None, visible, visible.copy()
     z = local_depth(points, frame.depth, region, region.width)
     valid = visible & np.isfinite(z)
-    if valid.any() and not valid.all():
+    if 0 < np.count_nonzero(valid) < len(valid):
         z = spec.layout.interpolate(z[:, None], valid)[:, 0]
     points3d = lift(points, z, camera.intrinsics, spec.radius).astype(np.float32)
     return points.astype(np.float32), points3d, visible, valid
