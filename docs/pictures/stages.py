@@ -13,7 +13,7 @@ from shape_obs.evaluation.ropes import draw_rope
 from shape_obs.fitting import fit
 from shape_obs.form import Curve, Form, Patch
 from shape_obs.frame import Frame
-from shape_obs.kernels import numpy_ as kernels
+from shape_obs.kernels import NUMPY
 from shape_obs.region import Region, find_region
 from shape_obs.roi import Whole
 from shape_obs.samples import Samples
@@ -110,7 +110,7 @@ def epochs(spec: Configuration, region: Region, nodes: np.ndarray, topology: Top
     """The nodes after each epoch."""
     out, samples = [], spec.samples(region)
     for sigma in spec.widths(moving=False):
-        nodes = kernels.som_epoch(samples.points, samples.weight, nodes, topology.neighbourhood(sigma))
+        nodes = NUMPY.settle(samples.points, samples.weight, nodes, *topology.neighbourhoods((sigma,)))
         out.append(nodes)
     return out
 
