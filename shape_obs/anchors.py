@@ -22,6 +22,8 @@ def anchor_pixel(spec: Configuration, anchors: Anchors, camera: CameraModel | No
     Raises:
         ValueError: An unknown name, no finite place, or one in the base frame that the camera cannot be asked for.
     """
+    if spec.anchor is None:
+        return None
     point = _given(spec, anchors)
     if point is None or len(point) == 2:
         return point

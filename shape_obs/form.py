@@ -136,8 +136,9 @@ class Curve(Form):
     def at(self, arc: npt.ArrayLike) -> Array:
         """(N,D) points at (N,) arc positions; a closed curve wraps around."""
         at = np.asarray(arc, dtype=np.float64)
-        at = at % self.size if self.closed else at
-        return self.kernels.interpolate(self._polyline(self.points), self.arc, at)
+        if not self.closed:
+            return self.kernels.interpolate(self.points, self.arc, at)
+        return self.kernels.interpolate(self._polyline(self.points), self.arc, at % self.size)
 
     def even(self, count: int) -> Array:
         """(count,D) places of equal arc length around a closed curve, from its first point on."""

@@ -54,8 +54,9 @@ def judge_ribbon(curve: Curve, body: Body, bridged: float) -> Verdict:
         body: What it was fitted to.
         bridged: The share of the curve that is known to be bridged or hidden.
     """
-    hidden = min(curve.empty, bridged)
-    off = curve.empty - hidden
+    empty = curve.empty
+    hidden = min(empty, bridged)
+    off = empty - hidden
     if off > _MAX_OFF:
         return Verdict(f"{off:.0%} of the curve lies off the {body.noun} (at most {_MAX_OFF:.0%})", 0.0)
     spread = _spread(curve, body) / max(body.breadth(curve.size * (1 - hidden)), 1e-9)

@@ -189,7 +189,8 @@ def find_region(
     Returns:
         The region; without components when nothing is left.
     """
-    mask = np.require(mask, requirements=["C", "W"])  # one type for the kernels
+    if not (mask.flags.c_contiguous and mask.flags.writeable):
+        mask = mask.copy()  # one type for the kernels
     runs, areas, box, dropped = kernels.survey(mask, window.left, window.top, min_area, min_share)
     if dropped:
         mask = np.zeros_like(mask)

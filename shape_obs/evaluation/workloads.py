@@ -26,7 +26,8 @@ Drawn = tuple[Mask, Array | None]
 
 SPEED: Final = 10.0  # pixels by which the fastest point moves from one frame to the next
 ROPE_AREA: Final = (7_000, 9_000)
-_ENLARGED: Final = 1.11  # brings a cloth of `moving_sheet` to 40,000 pixels
+_ASPECT: Final = 2.0  # of the cloth: the cells of a 4 x 8 lattice are about square
+_ENLARGED: Final = 1.17  # brings such a cloth of `moving_sheet` to 40,000 pixels
 _INWARDS: Final = 0.7  # of its way about the middle of the image, so that it stays inside
 
 
@@ -115,8 +116,8 @@ def _blobs(frames: int, seed: int) -> Iterator[Drawn]:
 
 
 def cloths(frames: int, seed: int) -> Iterator[Sheet]:
-    """A moving cloth of about 40,000 pixels within 640 x 480."""
-    for sheet in moving_sheet(np.random.default_rng(seed), SPEED, frames):
+    """A moving cloth of about 40,000 pixels within 640 x 480, twice as long as wide."""
+    for sheet in moving_sheet(np.random.default_rng(seed), SPEED, frames, aspect=_ASPECT):
         height, width = sheet.mask.shape
         middle, image = sheet.points.mean(axis=(0, 1)), np.array([width, height]) / 2
         yield draw_sheet((sheet.points - middle) * _ENLARGED + image + (middle - image) * _INWARDS)
