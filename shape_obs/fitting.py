@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from shape_obs.body import Body
 from shape_obs.configurations import Configuration
+from shape_obs.configurations.base import Origin
 from shape_obs.form import Form
 from shape_obs.gate import MAX_HIDDEN
 from shape_obs.region import Region
@@ -19,6 +20,7 @@ from shape_obs.tracking import Prediction, Track, advance, predict, size_jump
 Array = npt.NDArray[np.float64]
 
 _MIN_SAMPLES: Final = 16
+_STEADY: Final = 0.003  # of its area, by which a body that is seen as a whole changes from frame to frame
 
 
 @dataclass(frozen=True)
@@ -69,8 +71,8 @@ def fit(
         topology = spec.topology(body)
         found = _numbered(_cold(body, spec, topology, None), body, spec, target)
     else:
-        topology = prediction.topology
-        found = _settle(spec.warm(known, prediction), known, spec, topology, True, MAX_HIDDEN, prediction)
+        topology, origin = prediction.topology, _origin(body, prediction)
+        found = _settle(spec.warm(known, prediction), known, spec, topology, origin, MAX_HIDDEN, prediction)
         if found.form is not None and found.ok:
             jump = size_jump(prediction.size, found.form.size, body.unit)
             found = replace(found, reason=jump) if jump else found
@@ -87,8 +89,13 @@ def fit(
         return found, None
     nodes, width = spec.nodes(found.form, topology), spec.girth(found.form, body)
     box = body.box if isinstance(body, Region) else None
-    present = advance(track, nodes, found.form, stamp, topology, width, box)
+    present = advance(track, nodes, found.form, stamp, topology, width, box, body.amount)
     return (_numbered(found, body, spec, target) if spec.order == "image" else found), present
+
+
+def _origin(body: Body, prediction: Prediction) -> Origin:
+    """Whether all of the body was seen and is; what comes to light, or under a hand, changes its area first."""
+    return "tracked" if abs(body.amount - prediction.amount) <= _STEADY * prediction.amount else "gap"
 
 
 def _hidden(form: Form) -> float:
@@ -111,7 +118,7 @@ def _cold(body: Body, spec: Configuration, topology: Topology, prediction: Predi
     if prediction is not None:
         form = spec.follow(form, prediction)
     start = spec.nodes(form, topology)
-    return _settle(start, body, spec, topology, False, form.empty, prediction)
+    return _settle(start, body, spec, topology, "cold", form.empty, prediction)
 
 
 def _settle(
@@ -119,12 +126,12 @@ def _settle(
     body: Body,
     spec: Configuration,
     topology: Topology,
-    moving: bool,
+    origin: Origin,
     bridged: float,
     prediction: Prediction | None,
 ) -> Fit:
     """Cluster, finish, follow the past, judge."""
-    form = spec.settled(start, body, topology, moving=moving)
+    form = spec.settled(start, body, topology, origin)
     if prediction is not None:
         form = spec.follow(form, prediction)
     verdict = spec.judge(form, body, bridged)

@@ -66,6 +66,11 @@ class Form(ABC):
     def size(self) -> float:
         """What the object's own size is judged by from frame to frame, in the unit of ``points``."""
 
+    @cached_property
+    def whole(self) -> bool:
+        """Whether nothing is bridged."""
+        return not self.bridged.any()
+
     @property
     def empty(self) -> float:
         """The share of the form that is bridged."""
@@ -102,11 +107,6 @@ class Curve(Form):
     def arc(self) -> Array:
         """(P,) arc length of the points; (P+1,) when closed, the last entry the whole."""
         return self.kernels.arc_length(self._polyline(self.points))
-
-    @cached_property
-    def whole(self) -> bool:
-        """Whether nothing is bridged."""
-        return not self.bridged.any()
 
     @property
     def size(self) -> float:

@@ -33,6 +33,7 @@ class Track(NamedTuple):
         width: Of the body as a ribbon; 0 where that is not known.
         box: The rectangle around the mask; None without a mask.
         drift: By how much its edges have moved since the frame before, at most, pixels.
+        amount: Pixels or points of the body; 0 where a part of it was hidden.
     """
 
     nodes: Array
@@ -45,6 +46,7 @@ class Track(NamedTuple):
     width: float = 0.0
     box: Window | None = None
     drift: int = 0
+    amount: int = 0
 
 
 class Prediction(NamedTuple):
@@ -57,6 +59,7 @@ class Prediction(NamedTuple):
         memory: What the last form handed on beside its nodes.
         grain: What the body resolves: nothing smaller can be told from noise.
         width: Of the body as a ribbon; 0 where that is not known.
+        amount: Pixels or points of the body in the last frame; 0 where a part of it was hidden.
     """
 
     nodes: Array
@@ -65,6 +68,7 @@ class Prediction(NamedTuple):
     memory: Memory = Memory()
     grain: float = 0.0
     width: float = 0.0
+    amount: int = 0
 
 
 def predict(track: Track, stamp: float, grain: float) -> Prediction:
@@ -74,7 +78,7 @@ def predict(track: Track, stamp: float, grain: float) -> Prediction:
     """
     ahead = min(max(stamp - track.stamp, 0.0), track.interval)
     nodes = track.nodes + _VELOCITY_SHARE * ahead * track.velocity
-    return Prediction(nodes, track.size, track.topology, track.memory, grain, track.width)
+    return Prediction(nodes, track.size, track.topology, track.memory, grain, track.width, track.amount)
 
 
 def advance(
@@ -85,18 +89,20 @@ def advance(
     topology: Topology,
     width: float,
     box: Window | None,
+    amount: int,
 ) -> Track:
-    """The track after a frame in which a form was found, its nodes, its width, and the box around the mask.
+    """The track after a frame in which a form was found, its nodes, and of the body its width, its box and its pixels.
 
     Widths change slowly: what hides a piece that is not known to be hidden makes the rest no thinner.
     """
     if track is not None and track.width and width:
         width = min(max(width, (1 - _MAX_WIDTH_CHANGE) * track.width), (1 + _MAX_WIDTH_CHANGE) * track.width)
+    amount = amount if form.whole else 0
     interval = 0.0 if track is None else stamp - track.stamp
     velocity = np.zeros_like(nodes) if track is None or interval <= 0 else (nodes - track.nodes) / interval
     size = form.memory.size or form.size
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
-    return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.memory, width, box, drift)
+    return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.memory, width, box, drift, amount)
 
 
 class Expected(NamedTuple):

@@ -29,11 +29,13 @@ WORK = {
 }  # fmt: skip
 RESULTS = {
     "peers": {
-        "measurement": "peers", "machine": MACHINE, "frames": 3, "seed": 0, "clock": "wall", "claims": CLAIMS,
+        "measurement": "peers", "machine": MACHINE, "frames": 3, "seed": 0, "clock": "wall", "burst": 10,
+        "claims": CLAIMS,
         "works": {"rope": WORK, "contour": WORK, "cloth": WORK},
     },
     "latency": {
-        "measurement": "latency", "machine": MACHINE, "frames": 3, "seed": 0, "clock": "wall", "claims": CLAIMS,
+        "measurement": "latency", "machine": MACHINE, "frames": 3, "seed": 0, "clock": "wall", "burst": 10,
+        "claims": CLAIMS,
         "totals": [
             {"image": "640 x 480", "method": name, "median_ms": 1.0, "p95_ms": 2.0, "passes": 40.0,
              "faster_than_classic": 4.0, "refused": 0}

@@ -105,7 +105,8 @@ def _machine(document: Document) -> str:
     machine = dict(document["machine"])
     where = f"{machine.pop('processor')}, {machine.pop('cores')} cores, {machine.pop('system')}"
     packages = ", ".join(f"{name} {version}" for name, version in machine.items())
-    return f"{where}; {packages}; {document['frames']} frames, seed {document['seed']}, {document['clock']} clock."
+    run = f"{document['frames']} frames in turns of {document['burst']}, seed {document['seed']}"
+    return f"{where}; {packages}; {run}, {document['clock']} clock."
 
 
 def _asked(claims: list[Row]) -> str:

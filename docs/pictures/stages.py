@@ -109,7 +109,7 @@ COLD = {"centerline": "the outline, folded", "contour": "the outline", "surface"
 def epochs(spec: Configuration, region: Region, nodes: np.ndarray, topology: Topology) -> list[np.ndarray]:
     """The nodes after each epoch."""
     out, samples = [], spec.samples(region)
-    for sigma in spec.widths(moving=False):
+    for sigma in spec.widths("cold"):
         nodes = NUMPY.settle(samples.points, samples.weight, nodes, *topology.neighbourhoods((sigma,)))
         out.append(nodes)
     return out

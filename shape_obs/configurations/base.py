@@ -25,12 +25,14 @@ Order = Literal["tracked", "image"]
 Spacing = Literal["px", "m"]
 Lift = Literal["points", "cloud"]
 Ends = Literal["centers", "tips"]
+Origin = Literal["cold", "tracked", "gap"]
 Anchor = str | tuple[float, float] | tuple[float, float, float] | None
 Array = npt.NDArray[np.float64]
 F = TypeVar("F", bound=Form)
 
-STATIC: Final = (0.8, 0.4, 0.4)
-MOVING: Final = (0.8, 0.4)
+# Width of the map's neighbourhood in each epoch, node units. Where a part of the object was hidden in the last frame,
+# what comes back has no node near it.
+WIDTHS: Final = {"cold": (0.8, 0.4, 0.4), "tracked": (0.8, 0.4), "gap": (1.2, 0.6, 0.4, 0.4)}
 
 
 class Points(NamedTuple):
@@ -114,17 +116,17 @@ class Configuration(Spec, Generic[F], family="configuration"):
     def nodes(self, form: F, topology: Topology) -> Array:
         """(K,D) where the map's nodes sit on a form."""
 
-    def widths(self, *, moving: bool) -> tuple[float, ...]:
+    def widths(self, origin: Origin) -> tuple[float, ...]:
         """Width of the map's neighbourhood in each epoch, node units; none where the start is not to be moved.
 
         Args:
-            moving: The start may be off by a node.
+            origin: Where the start comes from: a cold one, a track, or a track of which a part was hidden.
         """
-        return MOVING if moving else STATIC
+        return WIDTHS[origin]
 
-    def settled(self, start: Array, body: Body, topology: Topology, *, moving: bool) -> F:
+    def settled(self, start: Array, body: Body, topology: Topology, origin: Origin) -> F:
         """The form that the map takes from a start, finished."""
-        widths = self.widths(moving=moving)
+        widths = self.widths(origin)
         nodes = som.fit(self.samples(body), start, topology, widths, body.kernels) if widths else start
         return self.finish(nodes, body)
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from shape_obs.body import Body
 from shape_obs.cloud import Cloud
 from shape_obs.coldstart.axis import axis
-from shape_obs.configurations.base import Configuration, Ends, Points
+from shape_obs.configurations.base import Configuration, Ends, Origin, Points
 from shape_obs.curve import equidistant_positions
 from shape_obs.form import Curve
 from shape_obs.gate import Verdict, judge_ribbon
@@ -85,11 +85,11 @@ class Centerline(Configuration[Curve], kind="centerline"):
         """The prediction itself: the chain settles from there, and only a lost one pays for a cold start."""
         return prediction.nodes
 
-    def settled(self, start: Array, body: Body, topology: Topology, *, moving: bool) -> Curve:
+    def settled(self, start: Array, body: Body, topology: Topology, origin: Origin) -> Curve:
         """In a mask all at once."""
         if isinstance(body, Cloud):
-            return super().settled(start, body, topology, moving=moving)
-        sigmas, samples = self.widths(moving=moving), body.samples
+            return super().settled(start, body, topology, origin)
+        sigmas, samples = self.widths(origin), body.samples
         points, arc, carried, spread = body.kernels.ribbon(
             body.mask,
             body.window.left,

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from shape_obs.body import Body
 from shape_obs.border import clockwise
 from shape_obs.coldstart.outline import border, breadth, holes, outline, outline_points, outline_samples, sampling
-from shape_obs.configurations.base import Configuration, Points
+from shape_obs.configurations.base import Configuration, Origin, Points
 from shape_obs.curve import equidistant_around
 from shape_obs.form import Curve, Memory
 from shape_obs.gate import Verdict, judge_outline
@@ -107,14 +107,14 @@ class Contour(Configuration[Curve], kind="contour"):
         nearest = np.argmin(np.sum((form.points - prediction.nodes[0]) ** 2, axis=1))
         return self.nodes(form.begun_at(float(form.arc[nearest])), prediction.topology)
 
-    def widths(self, *, moving: bool) -> tuple[float, ...]:
+    def widths(self, origin: Origin) -> tuple[float, ...]:
         """One epoch: the start lies on the outline, and further ones change nothing."""
         return (_WIDTH,)
 
-    def settled(self, start: Array, body: Body, topology: Topology, *, moving: bool) -> Curve:
+    def settled(self, start: Array, body: Body, topology: Topology, origin: Origin) -> Curve:
         """On a border all at once."""
         if not isinstance(body, Region):
-            return super().settled(start, body, topology, moving=moving)
+            return super().settled(start, body, topology, origin)
         edge = border(body, self.hole)
         points, miss = body.kernels.ring(edge.points, edge.smooth, start[0], topology.size, _WIDTH, _PIECES)
         return Curve(points, np.zeros(len(points), bool), True, miss=miss, kernels=body.kernels)

@@ -13,7 +13,7 @@ from scipy.interpolate import RegularGridInterpolator
 from shape_obs.body import Body
 from shape_obs.cloud import Cloud
 from shape_obs.coldstart.corners import Indices, Rim
-from shape_obs.configurations.base import Configuration, Ends, Points
+from shape_obs.configurations.base import Configuration, Ends, Origin, Points
 from shape_obs.form import Patch
 from shape_obs.gate import Verdict, judge_sheet
 from shape_obs.kernels import Kernels
@@ -114,7 +114,7 @@ class Surface(Configuration[Patch], kind="surface"):
         corners = rim.corners_near(_corners(prediction.nodes, prediction.topology, rim.kernels))
         return prediction.nodes if corners is None else self.nodes(_laid(rim, corners, body), prediction.topology)
 
-    def widths(self, *, moving: bool) -> tuple[float, ...]:
+    def widths(self, origin: Origin) -> tuple[float, ...]:
         """As many epochs as are asked for."""
         return self.epochs * (_WIDTH,)
 

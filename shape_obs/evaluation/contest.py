@@ -50,6 +50,7 @@ def contest(
     slow: set[str],
     few: int,
     clock: Clock = "wall",
+    burst: int = 1,
     tick: Callable[[], Any] = lambda: None,
 ) -> dict[str, Score]:
     """Let every entrant run on every frame.
@@ -60,6 +61,7 @@ def contest(
         slow: Who runs on few frames only.
         few: On how many; on these the quality of all is measured.
         clock: What counts the time.
+        burst: Frames in a turn.
         tick: Called after each frame.
 
     Returns:
@@ -70,10 +72,10 @@ def contest(
     chosen = {counted[i] for i in np.linspace(0, len(counted) - 1, min(few, len(counted))).astype(int)}
     entered = [replace(each, touch=_touch, frames=chosen if each.name in slow else None) for each in entrants]
     last = 0
-    for turn in turns(work.scenes, entered, clock):
+    for turn in turns(work.scenes, entered, clock, burst=burst):
         if turn.frame > last:
             tick()
-        last = turn.frame
+        last = max(last, turn.frame)
         if turn.frame < WARM_UP:
             continue
         scores[turn.name].milliseconds[turn.frame] = turn.milliseconds

@@ -62,7 +62,12 @@ Latencies = dict[tuple[Size, str], Latency]
 
 
 def latencies(
-    sizes: tuple[Size, ...], frames: int, seed: int, clock: Clock = "wall", tick: Callable[[], Any] = lambda: None
+    sizes: tuple[Size, ...],
+    frames: int,
+    seed: int,
+    clock: Clock = "wall",
+    burst: int = 1,
+    tick: Callable[[], Any] = lambda: None,
 ) -> Latencies:
     """Time the whole pipeline beside one pass over the image and beside the classic segmentation.
 
@@ -73,6 +78,7 @@ def latencies(
         frames: How many are counted.
         seed: Of motion, light and noise.
         clock: What counts the time; the stages are told by the detector, in time that passes.
+        burst: Frames in a turn.
         tick: Called after each frame.
 
     Returns:
@@ -86,7 +92,7 @@ def latencies(
             keys[entrant.name] = size, entrant.name.split(" | ")[1]
             entrants.append(entrant)
     with one_thread():
-        for turn in turns(_ticking(streams(sizes, frames + WARM_UP, seed), tick), entrants, clock):
+        for turn in turns(_ticking(streams(sizes, frames + WARM_UP, seed), tick), entrants, clock, burst=burst):
             if turn.frame < WARM_UP:
                 continue
             latency = found[keys[turn.name]]

@@ -84,6 +84,7 @@ def run_work(
     slow_frames: int,
     seed: int,
     clock: Clock = "wall",
+    burst: int = 1,
     tick: Callable[[], Any] = lambda: None,
 ) -> Result:
     """Let the detector and every installed peer run on one work.
@@ -94,6 +95,7 @@ def run_work(
         slow_frames: On how many of them slow methods run; 0 leaves these out. Quality is looked at on as many.
         seed: Of the motion, and of the methods that draw.
         clock: What counts the time.
+        burst: Frames in a turn.
         tick: Called after each frame.
     """
     task = work(name, frames + WARM_UP, seed)
@@ -104,7 +106,7 @@ def run_work(
     entrants += [Entrant(peer.name, peer.make(task, module, seed)) for peer, module in modules if module is not None]
     slow = {peer.name for peer in entered if peer.slow}
     with one_thread():
-        scores = contest(task, entrants, slow, slow_frames or _LOOKED_AT, clock, tick)
+        scores = contest(task, entrants, slow, slow_frames or _LOOKED_AT, clock, burst, tick)
     return Result(task, scores, len(refused))
 
 

@@ -33,12 +33,17 @@ def unshrink(nodes: Array, share: float, closed: bool) -> Array:
     if closed:
         around = np.concatenate([nodes[-1:], nodes, nodes[:1]])
         return nodes - share * (around[2:] - 2 * nodes + around[:-2])
-    bend = nodes[2:] - 2 * nodes[1:-1] + nodes[:-2]
-    out = nodes.copy()
-    out[1:-1] -= share * bend
-    out[0] -= bend[0] / 24
-    out[-1] -= bend[-1] / 24
-    return out
+    return _unshrinking(len(nodes), share) @ nodes
+
+
+@lru_cache
+def _unshrinking(size: int, share: float) -> Array:
+    """(K,K) what ``unshrink`` does to the nodes of an open line."""
+    table = np.eye(size)
+    for k in range(size):
+        at, by = (k, share) if 0 < k < size - 1 else (min(max(k, 1), size - 2), 1 / 24)
+        table[k, at - 1 : at + 2] -= by * np.array([1.0, -2.0, 1.0])
+    return table
 
 
 def catmull_rom(nodes: Array, subdivisions: int = 4, closed: bool = False) -> Array:
@@ -46,20 +51,23 @@ def catmull_rom(nodes: Array, subdivisions: int = 4, closed: bool = False) -> Ar
     if closed:
         around = catmull_rom(np.concatenate([nodes[-1:], nodes, nodes[:2]]), subdivisions, False)
         return around[subdivisions : -subdivisions - 1]
-    step = nodes[1:] - nodes[:-1]
-    gap = np.maximum(np.sqrt(np.einsum("kd,kd->k", step, step)), 1e-9)[:, None]
-    slope = step / gap
-    tangent = np.empty_like(nodes)
-    tangent[1:-1] = (slope[:-1] * gap[1:] + slope[1:] * gap[:-1]) / (gap[:-1] + gap[1:])
+    flat = nodes.shape[1] == 2
+    places = plane(nodes) if flat else nodes
+    step = places[1:] - places[:-1]
+    gap = np.maximum(np.abs(step) if flat else lengths(step)[:, None], 1e-9)
+    slope, before, after = step / gap, gap[:-1], gap[1:]
+    tangent = np.empty_like(places)
+    tangent[1:-1] = (slope[:-1] * after + slope[1:] * before) / (before + after)
     tangent[0], tangent[-1] = 2 * slope[0] - tangent[1], 2 * slope[-1] - tangent[-2]
-    ends = np.empty((4, *step.shape))
-    ends[0], ends[1] = nodes[:-1], nodes[1:]
+    ends = np.empty((4, *step.shape), step.dtype)
+    ends[0], ends[1] = places[:-1], places[1:]
     np.multiply(gap, tangent[:-1], out=ends[2])
     np.multiply(gap, tangent[1:], out=ends[3])
     out = np.empty((len(step) * subdivisions + 1, nodes.shape[1]))
-    pieces = (_hermite(subdivisions) @ ends.reshape(4, -1)).reshape(subdivisions, *step.shape)
-    out[:-1].reshape(len(step), subdivisions, -1)[:] = pieces.swapaxes(0, 1)
-    out[-1] = nodes[-1]
+    pieces = (_hermite(subdivisions) @ ends.view(np.float64).reshape(4, -1)).view(step.dtype)
+    drawn = plane(out) if flat else out
+    drawn[:-1].reshape(len(step), subdivisions, *step.shape[1:])[:] = pieces.reshape(-1, *step.shape).swapaxes(0, 1)
+    drawn[-1] = places[-1]
     return out
 
 
@@ -97,13 +105,19 @@ def spread(points: Array, weight: Array, curve: Array) -> float:
     points, weight = points[::step], weight[::step]
     nearest = best_matching_units(points, curve)
     tangent = np.empty_like(curve)
-    tangent[1:-1] = (curve[2:] - curve[:-2]) / 2
+    tangent[1:-1] = (curve[2:] - curve[:-2]) * 0.5
     tangent[0], tangent[-1] = curve[1] - curve[0], curve[-1] - curve[-2]
-    reach = np.sqrt(np.einsum("pd,pd->p", tangent, tangent))
-    tangent /= np.maximum(reach, 1e-9)[:, None]
-    offset = points - curve[nearest]
-    along = np.einsum("md,md->m", offset, tangent[nearest])
-    reach = reach[nearest]
-    beyond = np.minimum(np.maximum(along, -reach), reach)
-    square = np.maximum(np.einsum("md,md->m", offset, offset) - 2 * along * beyond + beyond * beyond, 0.0)
-    return float(weight @ square / weight.sum())
+    if curve.shape[1] == 2:
+        forward = plane(tangent)
+        reach = np.abs(forward)
+        turn = forward.conj() / np.maximum(reach, 1e-9)
+        offset = (plane(points) - plane(curve)[nearest]) * turn[nearest]
+        along, square = np.abs(offset.real), offset.imag**2
+    else:
+        reach = lengths(tangent)
+        tangent /= np.maximum(reach, 1e-9)[:, None]
+        offset = points - curve[nearest]
+        along = np.abs(np.einsum("md,md->m", offset, tangent[nearest]))
+        square = np.maximum(np.einsum("md,md->m", offset, offset) - along * along, 0.0)
+    beyond = np.maximum(along - reach[nearest], 0.0)
+    return float(weight @ (square + beyond * beyond) / weight.sum())

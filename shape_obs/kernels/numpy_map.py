@@ -10,41 +10,45 @@ from shape_obs.kernels.interface import TRACE, Array
 
 def best_matching_units(points: Array, nodes: Array) -> npt.NDArray[np.intp]:
     """See ``Kernels.best_matching_units``."""
-    return _nearest(_raised(points), nodes)
+    dual = np.empty((nodes.shape[1] + 1, len(nodes)))
+    dual[:-1] = nodes.T
+    return _nearest(_raised(points.T), dual)
 
 
-def _raised(points: Array) -> Array:
-    """(M,D+1) the points with a coordinate of 1, so that |c|^2 is a product like the others."""
-    raised = np.ones((len(points), points.shape[1] + 1))
-    raised[:, :-1] = points
+def _raised(rows: Array) -> Array:
+    """(D+1,M) rows of coordinates with one of 1s, so that |c|^2 is a product like the others."""
+    raised = np.ones((len(rows) + 1, rows.shape[1]))
+    raised[:-1] = rows
     return raised
 
 
-def _nearest(raised: Array, nodes: Array) -> npt.NDArray[np.intp]:
-    dual = _raised(nodes)
-    dual[:, -1] = -0.5 * np.einsum("kd,kd->k", nodes, nodes)
-    return np.argmax(raised @ dual.T, axis=1)
+def _nearest(raised: Array, dual: Array) -> npt.NDArray[np.intp]:
+    """(M,) the nearest node; its row in ``dual`` that belongs to the 1s is written here."""
+    (dual[:-1] * dual[:-1]).sum(axis=0, out=dual[-1])
+    dual[-1] *= -0.5
+    return (raised.T @ dual).argmax(axis=1)
 
 
 def settle(points: Array, weight: Array, nodes: Array, first: Array, second: Array) -> Array:
-    """See ``Kernels.settle``."""
-    middle = points.sum(axis=0) / max(len(points), 1)
-    points, nodes = points - middle, nodes - middle
-    raised, weighted = _raised(points), (weight[:, None] * points).T.copy()
+    """See ``Kernels.settle``.
+
+    Nodes and bins are rows of coordinates, the last one of 1s and of weights. As phi_0 = 1, ``first`` is a part of
+    ``second``, and one product gives the moments of all rows.
+    """
     size, planes = len(nodes), first.shape[1]
+    origin = nodes[size // 2][:, None]  # sums lose nothing near 0
+    raised, rows = _raised(points.T - origin), _raised(nodes.T - origin)
+    weighted, lines = (raised * weight).ravel(), np.arange(0, rows.size, size)[:, None]
     trace = TRACE * float(weight.sum()) / size
-    for h1, h2 in zip(first, second, strict=True):
-        unit = _nearest(raised, nodes)
-        count = np.bincount(unit, weights=weight, minlength=size) + trace
-        total = trace * nodes
-        for d, values in enumerate(weighted):
-            total[:, d] += np.bincount(unit, weights=values, minlength=size)
-        moments = (h2.reshape(-1, size) @ count).reshape(planes, planes, size)
-        sums = (h1.reshape(-1, size) @ total).reshape(planes, size, -1)
+    for h in second.reshape(len(second), -1, size):
+        unit = _nearest(raised, rows.copy())
+        bins = trace * rows
+        bins += np.bincount((unit + lines).ravel(), weighted, bins.size).reshape(bins.shape)
+        moments = (bins @ h.T).reshape(-1, planes, planes, size)
         if planes == 2:
-            s0, s1, s2 = moments[0, 0], moments[0, 1], moments[1, 1]
-            whole = s0 * s2 - s1 * s1
-            nodes = (s2 / whole)[:, None] * sums[0] - (s1 / whole)[:, None] * sums[1]
+            s0, s1, s2 = moments[-1, 0, 0], moments[-1, 0, 1], moments[-1, 1, 1]
+            t0, t1 = moments[:-1, 0, 0], moments[:-1, 0, 1]
+            np.divide(s2 * t0 - s1 * t1, s0 * s2 - s1 * s1, out=rows[:-1])
         else:
-            nodes = np.linalg.solve(np.moveaxis(moments, -1, 0), np.moveaxis(sums, 1, 0))[:, 0]
-    return nodes + middle
+            rows[:-1] = np.linalg.solve(moments[-1].transpose(2, 0, 1), moments[:-1, 0].transpose(2, 1, 0))[:, 0].T
+    return (rows[:-1] + origin).T.copy()

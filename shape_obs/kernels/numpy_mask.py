@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -91,14 +92,21 @@ def carried(mask: Mask, left: int, top: int, points: Array, reach: int) -> npt.N
     pixel = np.rint(points).astype(np.intp)
     u, v = pixel[:, 0] - left, pixel[:, 1] - top
     height, width = mask.shape
-    around = np.arange(-reach, reach + 1)
-    if len(u) and reach <= u.min() and u.max() < width - reach and reach <= v.min() and v.max() < height - reach:
+    if len(u) and reach <= min(u.min(), v.min()) and u.max() < width - reach and v.max() < height - reach:
         flat, place = mask.ravel(), v * width + u
         on = flat[place] != 0
-        if not on.all():  # few are off, and only those have to look around
-            off, nearby = np.flatnonzero(~on), (around[:, None] * width + around).ravel()
-            on[off] = np.bitwise_or.reduce(flat[place[off] + nearby[:, None]], axis=0) != 0
+        off = (~on).nonzero()[0]
+        if len(off):  # few are off, and only those have to look around
+            on[off] = flat[place[off, None] + _around(width, reach)].any(axis=1)
         return on
+    around = np.arange(-reach, reach + 1)
     u, v = u[:, None, None] + around, v[:, None, None] + around[:, None]
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     return np.asarray((inside & (mask[np.where(inside, v, 0), np.where(inside, u, 0)] > 0)).any(axis=(1, 2)))
+
+
+@lru_cache
+def _around(width: int, reach: int) -> Indices:
+    """How far the pixels around one lie from it in an image of this width."""
+    at = np.arange(-reach, reach + 1)
+    return (at[:, None] * width + at).ravel()

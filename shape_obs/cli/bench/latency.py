@@ -42,6 +42,8 @@ class Latency:
     """Frames over which the growth of the process is measured; 0 leaves it out."""
     clock: Clock = "wall"
     """Counts the time that passes, or the processor time of the one thread, which a busy machine hardly changes."""
+    burst: int = 10
+    """Frames in a turn. With 1 every method finds the processor's caches full of another's work."""
     json: bool = False
     """Print JSON instead of tables."""
 
@@ -49,7 +51,7 @@ class Latency:
 def main(argv: Sequence[str]) -> int:
     """Run the command; returns the exit code."""
     args = tyro.cli(Latency, args=list(argv), prog="shape-obs bench latency")
-    for name, value, least in (("frames", args.frames, 1), ("memory", args.memory, 0)):
+    for name, value, least in (("frames", args.frames, 1), ("memory", args.memory, 0), ("burst", args.burst, 1)):
         if value < least:
             raise ValueError(f"--{name}: expected at least {least}, got {value}.")
     document, asked = _measure(args, [_size(text) for text in args.sizes])
@@ -66,7 +68,7 @@ def _measure(args: Latency, sizes: list[tuple[int, int]]) -> tuple[dict[str, Any
     """The parts that are asked for, printed as they come unless JSON is asked for; and what is asked of them."""
     document: dict[str, Any] = {
         "measurement": "latency", "machine": machine(), "frames": args.frames, "seed": args.seed,
-        "clock": args.clock,
+        "clock": args.clock, "burst": args.burst,
     }  # fmt: skip
     asked: Rows = []
 
@@ -79,7 +81,7 @@ def _measure(args: Latency, sizes: list[tuple[int, int]]) -> tuple[dict[str, Any
         print("numba is not installed and left out: pip install shape-obs[fast]")
     if not args.only or "stages" in args.only:
         with _bar("stages", args.frames + latency.WARM_UP) as bar:
-            found = latency.latencies(tuple(sizes), args.frames, args.seed, args.clock, bar.update)
+            found = latency.latencies(tuple(sizes), args.frames, args.seed, args.clock, args.burst, bar.update)
         told("totals", "image to points in 3D", latency.total_rows(found))
         told("stages", "stages, median milliseconds", latency.stage_rows(found))
         asked += latency.latency_claims(found)
