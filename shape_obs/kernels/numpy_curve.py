@@ -54,7 +54,7 @@ def catmull_rom(nodes: Array, subdivisions: int = 4, closed: bool = False) -> Ar
     flat = nodes.shape[1] == 2
     places = plane(nodes) if flat else nodes
     step = places[1:] - places[:-1]
-    gap = np.maximum(np.abs(step) if flat else lengths(step)[:, None], 1e-9)
+    gap = np.maximum(np.abs(step) if flat else lengths(nodes[1:] - nodes[:-1])[:, None], 1e-9)
     slope, before, after = step / gap, gap[:-1], gap[1:]
     tangent = np.empty_like(places)
     tangent[1:-1] = (slope[:-1] * after + slope[1:] * before) / (before + after)
@@ -83,13 +83,14 @@ def equidistant(curve: Array, arc: Array, count: int, margin: float, max_shift: 
     share, last = _shares(count), float(arc[-1])
     even = at = margin + (last - 2 * margin) * share
     shift = max_shift * (even[1] - even[0])
+    low, high = even - shift, even + shift
     for _ in range(EQUALISING_PASSES):
         chord = arc_length(interpolate(curve, arc, at))
         gaps = chord[1:] - chord[:-1]
         if gaps.max() - gaps.min() < EQUAL * chord[-1] / count:
             break
         at = np.interp(chord[-1] * share, chord, at)
-        at = np.minimum(np.maximum(at, even - shift), even + shift)
+        np.minimum(np.maximum(at, low, out=at), high, out=at)
     return at
 
 

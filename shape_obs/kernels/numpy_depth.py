@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.kernels.interface import FARTHEST, Array, Mask
+from shape_obs.kernels.interface import FARTHEST, Array, Indices, Mask
+from shape_obs.kernels.numpy_mask import around
 
 
 def median_depth(
@@ -21,23 +22,38 @@ def median_depth(
     min_share: float,
 ) -> Array:
     """See ``Kernels.median_depth``."""
-    offsets = np.arange(-reach, reach + 1)
-    pixel = np.rint(points).astype(np.intp)
-    u, v = pixel[:, :1] + np.tile(offsets, len(offsets)), pixel[:, 1:] + np.repeat(offsets, len(offsets))
+    inside, z = _gathered(depth, mask, left, top, np.rint(points).astype(np.intp), reach)
+    z = z * unit
+    valid = z > 0
+    valid &= z < FARTHEST
+    valid &= inside
+    known = valid.sum(axis=1)
+    enough = known >= np.maximum(min_share * inside.sum(axis=1), 1)
+    np.copyto(z, np.inf, where=~valid)
+    z.sort(axis=1)  # what is not known comes last
+    start, values = np.arange(0, z.size, z.shape[1]), z.ravel()
+    median = (values[start + (known - 1) // 2] + values[start + known // 2]) / 2
+    return np.where(enough, median, np.nan).astype(np.float64)
+
+
+def _gathered(
+    depth: npt.NDArray[Any], mask: Mask, left: int, top: int, pixel: Indices, reach: int
+) -> tuple[npt.NDArray[np.bool_], npt.NDArray[Any]]:
+    """Around each of (N,2) pixels: (N,S) whether the mask has a pixel there, (N,S) its depth."""
+    (height, width), (u, v) = mask.shape, pixel.T
     column, row = u - left, v - top
-    inside = (column >= 0) & (column < mask.shape[1]) & (row >= 0) & (row < mask.shape[0])
-    if inside.all():
-        inside = mask[row, column] != 0
-    else:
-        inside &= mask[np.where(inside, row, 0), np.where(inside, column, 0)] != 0
-        u, v = np.where(inside, u, 0), np.where(inside, v, 0)
-    z = depth[v, u] * unit
-    z[~(inside & (z > 0) & (z < FARTHEST))] = np.nan
-    known = len(offsets) ** 2 - np.count_nonzero(np.isnan(z), axis=1)
-    enough = known >= np.maximum(min_share * np.count_nonzero(inside, axis=1), 1)
-    out = np.full(len(points), np.nan)
-    if enough.any():
-        z = np.sort(z[enough], axis=1)  # what is not known comes last
-        rows, known = np.arange(len(z)), known[enough]
-        out[enough] = (z[rows, (known - 1) // 2] + z[rows, known // 2]) / 2
-    return out
+    if (
+        len(u)
+        and reach <= min(column.min(), row.min())
+        and column.max() < width - reach
+        and row.max() < height - reach
+        and depth.flags.c_contiguous
+    ):
+        inside = mask.ravel()[(row * width + column)[:, None] + around(width, reach)] != 0
+        return inside, depth.ravel()[(v * depth.shape[1] + u)[:, None] + around(depth.shape[1], reach)]
+    across, down = np.divmod(np.arange((2 * reach + 1) ** 2), 2 * reach + 1)[::-1]
+    column, row = column[:, None] + (across - reach), row[:, None] + (down - reach)
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    column, row = np.where(inside, column, 0), np.where(inside, row, 0)
+    inside &= mask[row, column] != 0
+    return inside, depth[np.where(inside, row + top, 0), np.where(inside, column + left, 0)]

@@ -46,9 +46,8 @@ def settle(points: Array, weight: Array, nodes: Array, first: Array, second: Arr
         bins += np.bincount((unit + lines).ravel(), weighted, bins.size).reshape(bins.shape)
         moments = (bins @ h.T).reshape(-1, planes, planes, size)
         if planes == 2:
-            s0, s1, s2 = moments[-1, 0, 0], moments[-1, 0, 1], moments[-1, 1, 1]
-            t0, t1 = moments[:-1, 0, 0], moments[:-1, 0, 1]
-            np.divide(s2 * t0 - s1 * t1, s0 * s2 - s1 * s1, out=rows[:-1])
+            solved = moments[-1, 1, 1] * moments[:, 0, 0] - moments[-1, 0, 1] * moments[:, 0, 1]
+            rows = solved / solved[-1]  # Cramer's rule; its last row is the determinant
         else:
             rows[:-1] = np.linalg.solve(moments[-1].transpose(2, 0, 1), moments[:-1, 0].transpose(2, 1, 0))[:, 0].T
     return (rows[:-1] + origin).T.copy()

@@ -22,16 +22,17 @@ def survey(
         return np.empty((0, 3), np.intp), np.empty(0, np.intp), (left, top, 0, 0), False
     crop, left, top = mask[v : v + height, u : u + width], left + u, top + v
     found = _runs(crop, left, top)
+    lengths = found[:, 2] - found[:, 1]
     if _is_one_piece(found, crop):  # nothing to sort out, as on most frames
-        label, count = np.zeros(len(found), np.int64), 1
+        label, count, areas = None, 1, lengths.sum(keepdims=True)
     else:
         label, count = pieces(found)
-    areas = np.bincount(label, found[:, 2] - found[:, 1], count).astype(np.int64)
+        areas = np.bincount(label, lengths, count).astype(np.int64)
     keep = areas >= max(min_area, min_share * int(areas.max()))
     kept = -np.sort(-areas[keep])
     if len(kept) == count:
         return found, kept, (left, top, width, height), False
-    found = found[keep[label]]
+    found = found[:0] if label is None else found[keep[label]]
     if not len(found):
         return found, kept, (left - u, top - v, 0, 0), True
     left, top = int(found[:, 1].min()), int(found[0, 0])
@@ -55,11 +56,12 @@ def _runs(mask: npt.NDArray[Any], left: int, top: int) -> Indices:
     framed = np.zeros((height, width + 2), bool)  # every run has a pixel before and behind it
     np.not_equal(mask, 0, out=framed[:, 1:-1])
     flat = framed.ravel()
-    edges = np.flatnonzero(flat[1:] != flat[:-1])
+    edges = (flat[1:] != flat[:-1]).nonzero()[0]
     found = np.empty((len(edges) // 2, 3), np.int64)
-    row, start = np.divmod(edges[::2], width + 2)
-    found[:, 0], found[:, 1] = row + top, start + left
-    found[:, 2] = found[:, 1] + edges[1::2] - edges[::2]
+    begin = edges[::2]
+    np.divmod(begin, width + 2, out=(found[:, 0], found[:, 1]))
+    np.add(found[:, 1], edges[1::2] - begin, out=found[:, 2])
+    found += (top, left, left)
     return found
 
 
@@ -67,23 +69,24 @@ def cells(runs: Indices, size: int) -> tuple[Array, Array]:
     """See ``Kernels.cells``."""
     if not len(runs):
         return np.empty((0, 2)), np.empty(0)
-    row, start, stop = runs.T
-    first = start // size
-    pieces = (stop - 1) // size - first + 1
+    row, start, stop = runs.T.copy()
+    first, last, down = start // size, (stop - 1) // size, row // size
+    pieces = last - first + 1
+    past = pieces.cumsum()
     # Runs are cut where they pass from one column of cells to the next.
-    run = np.repeat(np.arange(len(runs)), pieces)
-    column = first[run] + np.arange(len(run)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    begin = np.maximum(start[run], column * size)
-    end = np.minimum(stop[run], (column + 1) * size)
-    count = end - begin
-    left, down = int(column.min()), row[run] // size
-    cell = (down - down[0]) * (int(column.max()) - left + 1) + column - left
-    number = np.bincount(cell, weights=count)
-    held = np.flatnonzero(number)
-    weight = number[held].astype(np.float64)
-    points = np.empty((len(held), 2))
-    points[:, 0] = np.bincount(cell, weights=(begin + end - 1) * count)[held] / (2 * weight)
-    points[:, 1] = np.bincount(cell, weights=row[run] * count)[held] / weight
+    run = np.arange(len(row)).repeat(pieces)
+    column = np.arange(len(run)) + (first - past + pieces)[run]
+    begin = column * size
+    end = begin + size
+    begin[past - pieces], end[past - 1] = start, stop
+    count = (end - begin).astype(np.float64)
+    left = int(first.min())
+    cell = column + ((down - down[0]) * (int(last.max()) - left + 1) - left)[run]
+    number = np.bincount(cell, count)
+    held = number.nonzero()[0]
+    weight, points = number[held].astype(np.float64), np.empty((len(held), 2))
+    np.divide(np.bincount(cell, (begin + end - 1) * count)[held], 2 * weight, out=points[:, 0])
+    np.divide(np.bincount(cell, row[run] * count)[held], weight, out=points[:, 1])
     return points, weight
 
 
@@ -97,16 +100,16 @@ def carried(mask: Mask, left: int, top: int, points: Array, reach: int) -> npt.N
         on = flat[place] != 0
         off = (~on).nonzero()[0]
         if len(off):  # few are off, and only those have to look around
-            on[off] = flat[place[off, None] + _around(width, reach)].any(axis=1)
+            on[off] = flat[place[off, None] + around(width, reach)].any(axis=1)
         return on
-    around = np.arange(-reach, reach + 1)
-    u, v = u[:, None, None] + around, v[:, None, None] + around[:, None]
+    beside = np.arange(-reach, reach + 1)
+    u, v = u[:, None, None] + beside, v[:, None, None] + beside[:, None]
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     return np.asarray((inside & (mask[np.where(inside, v, 0), np.where(inside, u, 0)] > 0)).any(axis=(1, 2)))
 
 
 @lru_cache
-def _around(width: int, reach: int) -> Indices:
+def around(width: int, reach: int) -> Indices:
     """How far the pixels around one lie from it in an image of this width."""
     at = np.arange(-reach, reach + 1)
     return (at[:, None] * width + at).ravel()
