@@ -16,6 +16,7 @@ Array = npt.NDArray[np.float64]
 _VELOCITY_SHARE: Final = 0.8
 _MAX_SIZE_CHANGE: Final = 0.06
 _MAX_WIDTH_CHANGE: Final = 0.02
+_WIDTH_NOISE: Final = 0.03
 _SPARE: Final = 8  # pixels around the place where a mask is expected
 
 
@@ -93,10 +94,11 @@ def advance(
 ) -> Track:
     """The track after a frame in which a form was found, its nodes, and of the body its width, its box and its pixels.
 
-    Widths change slowly: what hides a piece that is not known to be hidden makes the rest no thinner.
+    Widths change slowly: what hides a piece that is not known to be hidden makes the rest no thinner. And they do not
+    follow noise, or cells of another edge would gather the pixels from one frame to the next.
     """
     if track is not None and track.width and width:
-        width = min(max(width, (1 - _MAX_WIDTH_CHANGE) * track.width), (1 + _MAX_WIDTH_CHANGE) * track.width)
+        width = track.width * (1 + _follow(width / track.width - 1))
     amount = amount if form.whole else 0
     interval = 0.0 if track is None else stamp - track.stamp
     velocity = np.zeros_like(nodes) if track is None or interval <= 0 else (nodes - track.nodes) / interval
@@ -131,6 +133,13 @@ def outlook(track: Track) -> Expected | None:
     left, top, width, height = track.box
     spare = _SPARE + track.drift
     return Expected(Window(left - spare, top - spare, width + 2 * spare, height + 2 * spare), track.width)
+
+
+def _follow(change: float) -> float:
+    """The change of a width that is believed, as a share."""
+    if abs(change) <= _WIDTH_NOISE:
+        return 0.0
+    return max(-_MAX_WIDTH_CHANGE, min(change, _MAX_WIDTH_CHANGE))
 
 
 def _drift(before: Window, after: Window) -> int:
