@@ -106,8 +106,12 @@ class Intrinsics(Spec):
     def rays(self, pixels: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Viewing rays through pixels, scaled to z = 1: (..., 2) pixels -> (..., 3)."""
         uv = _as_points(pixels, 2, "pixels")
-        xy = self._undistort((uv - (self.cx, self.cy)) / (self.fx, self.fy))
-        return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+        rays = np.ones((*uv.shape[:-1], 3))
+        rays[..., 0] = (uv[..., 0] - self.cx) / self.fx
+        rays[..., 1] = (uv[..., 1] - self.cy) / self.fy
+        if self.distorted:
+            rays[..., :2] = self._undistort(rays[..., :2].copy())
+        return rays
 
     def _distort(self, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         if not self.distorted:
