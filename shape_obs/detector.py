@@ -239,7 +239,8 @@ class ShapeDetector:
         self, spec: Configuration, body: Body, target: Array | None, stamp: float, timings: dict[str, float]
     ) -> tuple[Fit, Track | None]:
         if self._kinds.setdefault(spec.name, type(body)) is not type(body):
-            self._forget(spec.name)  # pixels say nothing about metres
+            for memory in (self._tracks, self._last):  # pixels say nothing about metres
+                memory.pop(spec.name, None)
             self._kinds[spec.name] = type(body)
         with Timed(timings, "fit"):
             return fit(body, spec, self._tracks.get(spec.name), target, stamp)
@@ -267,10 +268,6 @@ class ShapeDetector:
         elif stamp - self._last.get(spec.name, (shape, stamp))[1] > self.config.max_age:
             self._tracks.pop(spec.name, None)
         return shape
-
-    def _forget(self, name: str) -> None:
-        self._tracks.pop(name, None)
-        self._last.pop(name, None)
 
     def _next_stamp(self, frame: Frame) -> float:
         following = 0.0 if self._stamp is None else self._stamp + self.config.dt
