@@ -86,14 +86,9 @@ def folded(component: Component, kernels: Kernels = NUMPY) -> Array | None:
     """The centreline of a component that is a simple ribbon: it has no hole, and all of it lies near; else None."""
     if component.holes:
         return None
-    outline = component.outline
+    outline, (near, ragged) = component.outline, _RIBBON
     curve = kernels.fold(outline, component.width)
-    step, some = curve[1:] - curve[:-1], outline[::2].copy()
-    spacing = float(np.einsum("pd,pd->p", step, step).max(initial=0.0)) ** 0.5
-    away = some - curve[kernels.best_matching_units(some, curve)]
-    near, ragged = _RIBBON
-    far = np.einsum("pd,pd->p", away, away) > (near * component.width + spacing / 2) ** 2
-    return curve if np.count_nonzero(far) <= ragged * len(far) else None
+    return curve if kernels.unexplained(outline, curve, near * component.width) <= ragged else None
 
 
 def _without(region: Region, ribbons: list[Component]) -> tuple[npt.NDArray[np.uint8], tuple[int, int]]:

@@ -167,6 +167,13 @@ class Kernels(OutlineKernels, SheetKernels, Protocol):
         """
         ...
 
+    def unexplained(self, outline: Array, curve: Array, reach: float) -> float:
+        """The share of a ribbon's outline (P,2), every other point of it, that lies far from a curve (S,2).
+
+        Far is more than ``reach`` and half the curve's widest step from all of its points.
+        """
+        ...
+
     def arc_length(self, curve: Array) -> Array:
         """(P,D) -> (P,) arc length from the first point."""
         ...

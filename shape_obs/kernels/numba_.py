@@ -7,7 +7,7 @@ from typing import Final
 from shape_obs.kernels.numba_colour import reads_tables, seek, table_mask
 from shape_obs.kernels.numba_curve import arc_length, catmull_rom, equidistant, interpolate, spread, unshrink
 from shape_obs.kernels.numba_depth import median_depth
-from shape_obs.kernels.numba_fold import fold
+from shape_obs.kernels.numba_fold import fold, unexplained
 from shape_obs.kernels.numba_lattice import assessed, gauges, sampled, strayed
 from shape_obs.kernels.numba_map import best_matching_units, settle
 from shape_obs.kernels.numba_mask import carried, cells, survey
@@ -55,5 +55,6 @@ __all__ = [
     "table_mask",
     "traced",
     "tracked",
+    "unexplained",
     "unshrink",
 ]

@@ -9,23 +9,57 @@ from shape_obs.kernels.interface import OUTLINE_POINTS, SHARP_BENDS, SIDE_POINTS
 from shape_obs.kernels.numba_curve import arc_length, interpolate
 
 _N = OUTLINE_POINTS
+_NEAR = 3  # places
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def _overlap(x: Array, y: Array, back_x: Array, back_y: Array, k: int) -> float:
+    """How much an outline of N places overlaps itself, folded i -> k - i; ``back`` is it twice around, backwards."""
+    count, overlap = len(x), 0.0
+    for i in range(count):
+        overlap += x[i] * back_x[count - k + i] + y[i] * back_y[count - k + i]
+    return overlap
+
+
+@njit(cache=True, nogil=True)
 def _half_fold(even: Array) -> float:
-    """Half of the best k of the fold i -> k - i: one of its fixed points."""
+    """Half of the best k of the fold i -> k - i: one of its fixed points. Every other place tells about where it is."""
     x, y = even[:, 0] - even[:, 0].mean(), even[:, 1] - even[:, 1].mean()
-    back_x, back_y = np.empty(2 * _N), np.empty(2 * _N)  # twice around, backwards
+    back_x, back_y = np.empty(2 * _N), np.empty(2 * _N)
     for i in range(2 * _N):
         back_x[i], back_y[i] = x[-i % _N], y[-i % _N]
-    best, most = 0, -np.inf
-    for k in range(_N):
-        overlap = 0.0
-        for i in range(_N):
-            overlap += x[i] * back_x[_N - k + i] + y[i] * back_y[_N - k + i]
+    half_x, half_y, half_back_x, half_back_y = x[::2].copy(), y[::2].copy(), back_x[::2].copy(), back_y[::2].copy()
+    near, most = 0, -np.inf
+    for k in range(_N // 2):
+        overlap = _overlap(half_x, half_y, half_back_x, half_back_y, k)
         if overlap > most:
-            best, most = k, overlap
+            near, most = 2 * k, overlap
+    best, most = 0, -np.inf
+    for k in range(near - _NEAR, near + _NEAR + 1):
+        overlap = _overlap(x, y, back_x, back_y, k % _N)
+        if overlap > most:
+            best, most = k % _N, overlap
     return best / 2
+
+
+@njit(cache=True, nogil=True)
+def unexplained(outline: Array, curve: Array, reach: float) -> float:
+    """See ``Kernels.unexplained``."""
+    widest = 0.0
+    for p in range(1, len(curve)):
+        widest = max(widest, (curve[p, 0] - curve[p - 1, 0]) ** 2 + (curve[p, 1] - curve[p - 1, 1]) ** 2)
+    square = (reach + np.sqrt(widest) / 2) ** 2
+    far, near = 0, 0  # the next place on an outline is near what the last one was near to
+    for m in range(0, len(outline), 2):
+        x, y = outline[m, 0], outline[m, 1]
+        if (curve[near, 0] - x) ** 2 + (curve[near, 1] - y) ** 2 <= square:
+            continue
+        far += 1
+        for p in range(len(curve)):
+            if (curve[p, 0] - x) ** 2 + (curve[p, 1] - y) ** 2 <= square:
+                near, far = p, far - 1
+                break
+    return far / ((len(outline) + 1) // 2)
 
 
 @njit(cache=True, nogil=True)

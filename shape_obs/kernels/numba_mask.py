@@ -38,6 +38,8 @@ def _runs(mask: Mask, left: int, top: int) -> Indices:
                     while at < last and (words[at] - _ONES) & ~words[at] & _TOPS == 0:
                         at += 1
                 else:
+                    while at + 4 <= last and words[at] | words[at + 1] | words[at + 2] | words[at + 3] == 0:
+                        at += 4
                     while at < last and words[at] == 0:
                         at += 1
                 column = (at - row * across) * 8

@@ -7,7 +7,7 @@ from typing import Final
 from shape_obs.kernels.numpy_colour import reads_tables, seek, table_mask
 from shape_obs.kernels.numpy_curve import arc_length, catmull_rom, equidistant, interpolate, spread, unshrink
 from shape_obs.kernels.numpy_depth import median_depth
-from shape_obs.kernels.numpy_fold import fold
+from shape_obs.kernels.numpy_fold import fold, unexplained
 from shape_obs.kernels.numpy_map import best_matching_units, settle
 from shape_obs.kernels.numpy_mask import carried, cells, survey
 from shape_obs.kernels.numpy_outline import blend, border, followed, lag, miss, pairs, traced
@@ -62,5 +62,6 @@ __all__ = [
     "table_mask",
     "traced",
     "tracked",
+    "unexplained",
     "unshrink",
 ]

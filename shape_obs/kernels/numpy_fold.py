@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from shape_obs.kernels.interface import OUTLINE_POINTS, SHARP_BENDS, SIDE_POINTS, SIDE_PROBES, Array
 from shape_obs.kernels.numpy_curve import arc_length, interpolate
+from shape_obs.kernels.numpy_map import best_matching_units
 
 Complex = npt.NDArray[np.complex128]
 
@@ -37,6 +38,14 @@ def fold(outline: Array, width: float) -> Array:
     step = perimeter / OUTLINE_POINTS
     left, right = _sides(first[best], second[best], SIDE_POINTS)
     return (interpolate(closed, arc, left * step) + interpolate(closed, arc, right * step)) / 2
+
+
+def unexplained(outline: Array, curve: Array, reach: float) -> float:
+    """See ``Kernels.unexplained``."""
+    step, some = curve[1:] - curve[:-1], outline[::2]
+    reach += float(np.einsum("pd,pd->p", step, step).max()) ** 0.5 / 2
+    away = some - curve[best_matching_units(some, curve)]
+    return np.count_nonzero(np.einsum("pd,pd->p", away, away) > reach**2) / len(some)
 
 
 def _half_fold(z: Complex) -> float:
