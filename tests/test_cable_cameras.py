@@ -18,7 +18,7 @@ pytest.importorskip("mujoco")
 import shape_obs_envs  # noqa: F401
 from shape_obs_envs.mujoco import cameras
 from shape_obs_envs.mujoco.cable import CableEnv
-from shape_obs_envs.mujoco.gl_context import GLUnavailableError
+from shape_obs_envs.mujoco.cameras.gl_context import GLUnavailableError
 
 SIZES = {"square": [84, 84], "rl": "rl", "d455": "d455"}
 NO_GL = """

@@ -11,7 +11,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from shape_obs_envs.arguments import one_of
-from shape_obs_envs.mujoco.chain import GRIPPERS, Chain, ChainSpec, chain_bodies, chain_equality
+from shape_obs_envs.mujoco.bodies.chain import GRIPPERS, Chain, ChainSpec, chain_bodies, chain_equality
 from shape_obs_envs.mujoco.goal_env import POINTS, POINTS_HIGH, POINTS_LOW, SUBSTEPS, ShapeGoalEnv
 from shape_obs_envs.mujoco.scene import compile_scene
 from shape_obs_envs.mujoco.workspace import TwoGripperWorkspace

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from shape_obs.camera import CameraModel
 from shape_obs_envs.arguments import one_of
 from shape_obs_envs.mujoco.cameras import RENDERERS, Camera, open_camera
-from shape_obs_envs.mujoco.gl_context import GLUnavailableError
+from shape_obs_envs.mujoco.cameras.gl_context import GLUnavailableError
 from shape_obs_envs.mujoco.scene import TIMESTEP, camera_model, camera_spec
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shape_obs_envs.mujoco.engine import mujoco
-from shape_obs_envs.mujoco.rays import cast_rays
+from shape_obs_envs.mujoco.cameras.rays import cast_rays
 
 Array = NDArray[np.float64]
 

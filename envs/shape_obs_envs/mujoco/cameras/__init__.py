@@ -8,9 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.gl_camera import GLCamera
-from shape_obs_envs.mujoco.gl_context import GLUnavailableError
-from shape_obs_envs.mujoco.ray_camera import RayCamera
+from shape_obs_envs.mujoco.cameras.gl_camera import GLCamera
+from shape_obs_envs.mujoco.cameras.gl_context import GLUnavailableError
+from shape_obs_envs.mujoco.cameras.ray_camera import RayCamera
 from shape_obs_envs.mujoco.scene import CameraSpec
 
 RENDERERS = ("auto", "gl", "rays")

@@ -1,0 +1,1 @@
+"""The deformable objects: their MJCF, their state and their true shape."""
