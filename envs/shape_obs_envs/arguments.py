@@ -6,6 +6,8 @@ import difflib
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+
 
 def one_of(name: str, value: Any, options: Iterable[Any], also: str = "") -> Any:
     """Return `value` if it is one of `options`; `also` words what else the argument takes.
@@ -14,10 +16,35 @@ def one_of(name: str, value: Any, options: Iterable[Any], also: str = "") -> Any
         ValueError: It is not; names the options and, for a misspelt string, the likely one.
     """
     options = list(options)
-    if isinstance(value, (str, type(None))) and value in options:
+    if isinstance(value, (str, bool, type(None))) and value in options:
         return value
     words = [option for option in options if isinstance(option, str)]
     close = difflib.get_close_matches(value.lower(), words, 1) if isinstance(value, str) else []
     hint = f" Did you mean {close[0]!r}?" if close else ""
     expected = ", ".join(map(repr, options)) + (f" or {also}" if also else "")
     raise ValueError(f"{name}: expected one of {expected}, got {value!r}.{hint}")
+
+
+def positive(name: str, value: Any, default: str) -> float:
+    """Return `value` if it is a length in metres above 0; `default` words what is usual.
+
+    Raises:
+        ValueError: It is not.
+    """
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not (number and 0 < value < float("inf")):
+        raise ValueError(f"{name}: expected a distance in metres above 0, got {value!r}. The default is {default}.")
+    return float(value)
+
+
+def count(name: str, value: Any, least: int, most: int | None = None) -> int:
+    """Return `value` if it is a whole number within its limits.
+
+    Raises:
+        ValueError: It is not.
+    """
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not (whole and least <= value and (most is None or value <= most)):
+        limits = f"{least} or more" if most is None else f"from {least} to {most}"
+        raise ValueError(f"{name}: expected a whole number, {limits}, got {value!r}")
+    return int(value)

@@ -1,9 +1,9 @@
-"""What the goal-conditioned shape environments share: spaces, reward, camera and its published facts."""
+"""What the goal-conditioned shape environments share: spaces, reset, step and reward."""
 
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -11,105 +11,120 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shape_obs.camera import CameraModel
-from shape_obs_envs.arguments import one_of
-from shape_obs_envs.mujoco.cameras import RENDERERS, Camera, open_camera
-from shape_obs_envs.mujoco.cameras.gl_context import GLUnavailableError
+from shape_obs_envs.arguments import one_of, positive
+from shape_obs_envs.mujoco.bodies.base import Body
+from shape_obs_envs.mujoco.goals import (
+    DIFFICULTIES,
+    SETTLING,
+    Actions,
+    actions_towards,
+    draw_goal,
+    mean_point_distance,
+    smooth_actions,
+)
 from shape_obs_envs.mujoco.scene import TIMESTEP, camera_model, camera_spec
+from shape_obs_envs.mujoco.studio import RENDER_MODES, RENDERERS, Studio
+from shape_obs_envs.mujoco.viewer import has_display
+from shape_obs_envs.mujoco.workspace import Workspace
 
 Array = NDArray[np.float64]
+Observation = dict[str, NDArray[Any]]
 REWARDS = ("dense", "sparse")
 SUBSTEPS = 5
-#: Points of a goal.
-POINTS = 20
 #: Every point of the object stays within these, base frame [m].
 POINTS_LOW, POINTS_HIGH = (-0.4, -0.4, 0.0), (0.4, 0.4, 0.1)
-
-
-def mean_point_distance(achieved: Any, desired: Any) -> Array:
-    """Mean distance [m] of corresponding points of two flat point lists (..., 3 n); shape (...,)."""
-    achieved, desired = np.asarray(achieved, np.float64), np.asarray(desired, np.float64)
-    if achieved.shape != desired.shape or achieved.ndim == 0 or achieved.shape[-1] == 0 or achieved.shape[-1] % 3:
-        raise ValueError(
-            "expected two goals of equal shape (..., 3 n), x y z of each point in a row, "
-            f"got {achieved.shape} and {desired.shape}"
-        )
-    apart = (achieved - desired).reshape(*achieved.shape[:-1], -1, 3)
-    return np.sqrt((apart**2).sum(axis=-1)).mean(axis=-1)
 
 
 class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
     """Base of the simulated environments: bring a deformable object into a goal shape under one RGB-D camera.
 
-    A subclass builds `self._model` and `self._data`, sets `action_space`, calls `_define_observation`, and fills in
-    the abstract methods.
+    A subclass builds a model and its `Body`, calls `_install`, and fills in the abstract methods.
 
     Args:
         camera: "rl" (160 x 120), "d455" (640 x 480) or [width, height] in pixels.
         renderer: "gl", "rays", or "auto" for OpenGL where there is one.
         reward_type: "dense" or "sparse".
-        render_mode: None or "rgb_array".
+        render_mode: None, "rgb_array", "rgbd_tuple" or "human".
         success_threshold: Mean point distance [m] under which the goal counts as reached.
+        difficulty: "near", "middle" or "far": how far goals are from the start.
+        render_observation: False leaves the images out of the observation and draws nothing.
+        render_size: Size of what `render` returns, like `camera`; None for the observation's.
 
     Raises:
         ValueError: An argument is out of its range; the message says what it takes.
+
+    Attributes:
+        goal_actions: (T, A) the actions that lead from the last start state to its goal, where the object comes to
+            rest within a second: a demonstration. Empty where the goal was given.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 20}  # type: ignore[misc]
-    _model: Any
-    _data: Any
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
+    #: Largest motion of a gripper in one step.
+    STEP: ClassVar[Array]
+
+    _body: Body
+    _workspace: Workspace
 
     def __init__(
         self,
+        *,
         camera: str | Sequence[int] = "rl",
         renderer: str = "auto",
         reward_type: str = "dense",
         render_mode: str | None = None,
         success_threshold: float = 0.01,
+        difficulty: str = "middle",
+        render_observation: bool = True,
+        render_size: str | Sequence[int] | None = None,
     ) -> None:
         self._camera_spec = camera_spec(camera)
-        self._renderer = one_of("renderer", renderer, RENDERERS)
+        display = self._camera_spec if render_size is None else camera_spec(render_size, "render_size")
         self.reward_type = one_of("reward_type", reward_type, REWARDS)
-        self.render_mode = one_of("render_mode", render_mode, (None, "rgb_array"))
-        number = isinstance(success_threshold, (int, float)) and not isinstance(success_threshold, bool)
-        if not (number and 0 < success_threshold < float("inf")):
-            raise ValueError(
-                f"success_threshold: expected a distance in metres above 0, got {success_threshold!r}. "
-                "The default is 0.01, one centimetre."
-            )
-        self.success_threshold = float(success_threshold)
-        self._camera: Camera | None = None
-        self._rgb: NDArray[np.uint8] | None = None
-        self._goal = np.zeros(3 * POINTS, np.float32)
+        self.render_mode = one_of("render_mode", render_mode, (None, *RENDER_MODES))
+        self.success_threshold = positive("success_threshold", success_threshold, "0.01, one centimetre")
+        self.difficulty = difficulty
+        self.render_observation = one_of("render_observation", render_observation, (True, False))
+        # What works here: checkers try every mode, and a window needs a display.
+        modes = [mode for mode in RENDER_MODES if mode != "human" or has_display()]
+        self.metadata = {**type(self).metadata, "render_modes": modes}
+        self._studio = Studio(one_of("renderer", renderer, RENDERERS), self._camera_spec, display, self.dt)
 
     # ---- for the subclass
 
     @abc.abstractmethod
-    def _start(self) -> None:
-        """Draw a start state from `np_random` and put the physics there."""
+    def _draw_start(self) -> Array:
+        """Draw a start state from `np_random`, put the physics there, and return the grippers' poses (G, D)."""
 
     @abc.abstractmethod
-    def _draw_goal(self) -> Array:
-        """Draw a reachable goal shape (POINTS, 3) [m] from `np_random`; leaves the physics where they are."""
+    def _draw_bend(self) -> Array:
+        """Draw poses (G, D) in the workspace that lead to an S bend or a fold."""
 
     @abc.abstractmethod
-    def _move(self, action: Array) -> None:
-        """Advance the physics by one step of `dt` under `action`, which is in its space."""
+    def _goal_points(self) -> Array:
+        """The points (n, 3) [m] by which a shape is compared with the goal."""
 
     @abc.abstractmethod
     def _gripper(self) -> NDArray[np.float32]:
         """The measured gripper poses, flat."""
 
-    @abc.abstractmethod
-    def truth(self, n: int = POINTS, frame: str = "world", ends: str = "tips", surface: bool = False) -> Array:
-        """True points of the object."""
-
-    def _define_observation(self, gripper: gym.spaces.Box) -> None:
+    def _install(self, body: Body, workspace: Workspace, gripper: gym.spaces.Box) -> None:
+        """Take the object, where its grippers may go, and the space of the observation's `gripper`."""
+        self._body, self._workspace = body, workspace
+        body.refresh()
+        self._target = body.gripper_poses()
+        self._goal = self._goal_points().astype(np.float32).ravel()
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (self._target.size,), np.float32)
+        self.goal_actions: Actions = np.zeros((0, self._target.size), np.float32)
+        count = len(self._goal) // 3
+        low, high = (np.tile(np.asarray(corner, np.float32), count) for corner in (POINTS_LOW, POINTS_HIGH))
         height, width = self._camera_spec.height, self._camera_spec.width
-        low, high = (np.tile(np.asarray(corner, np.float32), POINTS) for corner in (POINTS_LOW, POINTS_HIGH))
+        images = {
+            "rgb": gym.spaces.Box(0, 255, (height, width, 3), np.uint8),
+            "depth": gym.spaces.Box(0, 65535, (height, width), np.uint16),
+        }
         self.observation_space = gym.spaces.Dict(
             {
-                "rgb": gym.spaces.Box(0, 255, (height, width, 3), np.uint8),
-                "depth": gym.spaces.Box(0, 65535, (height, width), np.uint16),
+                **(images if self.render_observation else {}),
                 "gripper": gripper,
                 "achieved_goal": gym.spaces.Box(low, high, dtype=np.float32),
                 "desired_goal": gym.spaces.Box(low, high, dtype=np.float32),
@@ -120,33 +135,43 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Draw a start state and a goal that can be reached from it.
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Draw a start state and a goal that can be reached from it, or take those given.
+
+        Args:
+            seed: Of what is drawn.
+            options: "start": what `get_state` returned; "goal": the flat points of a goal [m], or (n, 3).
 
         Raises:
-            ValueError: `options` has a key: there are none yet.
+            ValueError: Another option, or a start or goal that is none.
         """
         super().reset(seed=seed)
-        if options:
-            keys = ", ".join(map(repr, options))
-            raise ValueError(f"options: expected none, got {keys}. Start and goal are drawn from the seed: pass seed=.")
-        self._start()
-        self._goal = self._draw_goal().astype(np.float32).ravel()
+        given = self._checked(options or {})
+        if given["start"] is None:
+            self._target = self._draw_start()
+        else:
+            self._body.set_state(given["start"])
+            self._target = self._body.gripper_targets()
+        if given["goal"] is None:
+            goal = draw_goal(DIFFICULTIES[self.difficulty], self._goal_points(), self._draw_motion, self._rehearse)
+            self._goal, self.goal_actions = goal.points.astype(np.float32).ravel(), goal.actions
+        else:
+            self._goal, self.goal_actions = given["goal"], self.goal_actions[:0]
+        self._studio.show(self._body, self.render_mode)
         observation = self._observe()
         return observation, self._info(observation)
 
-    def step(self, action: NDArray[np.float32]) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Move the grippers by `action`, clipped to its space, for `dt` seconds.
 
         Raises:
             ValueError: `action` has another shape than the action space, or is not finite.
         """
-        space = self.action_space
-        assert isinstance(space, gym.spaces.Box)
         move = np.asarray(action, np.float64)
-        if move.shape != space.shape or not np.isfinite(move).all():
-            raise ValueError(f"action: expected {space.shape} finite numbers in [-1, 1], got {action!r}")
-        self._move(np.clip(move, space.low, space.high))
+        if move.shape != self.action_space.shape or not np.isfinite(move).all():
+            raise ValueError(f"action: expected {self.action_space.shape} finite numbers in [-1, 1], got {action!r}")
+        self._move(np.clip(move, -1.0, 1.0))
+        self._studio.show(self._body, self.render_mode)
         observation = self._observe()
         info = self._info(observation)
         reward = self.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
@@ -162,20 +187,30 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         reward = -distance if self.reward_type == "dense" else np.where(distance < self.success_threshold, 0.0, -1.0)
         return float(reward) if reward.ndim == 0 else reward
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """The camera's picture, (H, W, 3) uint8 RGB, with `render_mode="rgb_array"`; else None and a warning."""
+    def render(self) -> Any:
+        """What the camera sees: (H, W, 3) uint8 RGB with "rgb_array", also depth (H, W) [m] with "rgbd_tuple".
+
+        With "human" MuJoCo's viewer shows the scene by itself, and None is returned.
+        """
         if self.render_mode is None:
             gym.logger.warn('render() without a render mode: make the environment with render_mode="rgb_array".')
             return None
-        return None if self._rgb is None else self._rgb.copy()
+        return self._studio.render(self._body, self.render_mode)
 
     def close(self) -> None:
         """Free the camera; a later `reset` opens it again."""
-        if self._camera is not None:
-            self._camera.close()
-            self._camera = None
+        self._studio.close()
 
     # ---- published
+
+    @property
+    def difficulty(self) -> str:
+        """How far goals are from the start; may be set between episodes."""
+        return self._difficulty
+
+    @difficulty.setter
+    def difficulty(self, value: str) -> None:
+        self._difficulty: str = one_of("difficulty", value, DIFFICULTIES)
 
     @property
     def dt(self) -> float:
@@ -185,36 +220,66 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
     @property
     def camera_model(self) -> CameraModel:
         """Intrinsics and pose of the camera; p_base = T p_camera."""
-        return camera_model(self._camera_spec, self._model, self._data)
+        return camera_model(self._camera_spec, self._body.model, self._body.data)
+
+    def get_state(self) -> Array:
+        """The whole physics state, for `reset(options={"start": ...})` of an environment made alike."""
+        return self._body.get_state()
 
     # ---- inside
 
-    def _observe(self) -> dict[str, NDArray[Any]]:
-        rgb, depth = self._capture()
-        self._rgb = rgb
-        # millimetres as a depth camera gives them; beyond its range is invalid
-        millimetres = np.rint(depth * 1000)
+    def _checked(self, options: Mapping[str, Any]) -> dict[str, Array | None]:
+        """Start and goal as float arrays, None where not given."""
+        for key in options:
+            one_of("options", key, ("start", "goal"))
+        out: dict[str, Any] = {"start": None, "goal": None}
+        if options.get("start") is not None:
+            out["start"] = np.asarray(options["start"], np.float64)
+        if options.get("goal") is not None:
+            goal = np.asarray(options["goal"], np.float32)
+            space = self.observation_space["desired_goal"]  # type: ignore[index]
+            if goal.size != self._goal.size or not space.contains(goal.ravel()):
+                raise ValueError(
+                    f"options['goal']: expected {self._goal.size // 3} points (x, y, z) [m] in the base frame within "
+                    f"{POINTS_LOW} ... {POINTS_HIGH}, got an array of shape {goal.shape}: {goal.ravel()[:6]} ..."
+                )
+            out["goal"] = goal.ravel().copy()
+        return out
+
+    def _move(self, action: Array) -> None:
+        target = self._workspace.clip(self._target + action.reshape(self._target.shape) * self.STEP, self._target)
+        self._body.step_to(self._target, target, SUBSTEPS)
+        self._target = target
+
+    def _draw_motion(self, vigour: float, bent: bool) -> Actions:
+        if bent:
+            return actions_towards(self.np_random, self._target, self._draw_bend(), self.STEP)
+        return smooth_actions(self.np_random, self._target.size, vigour)
+
+    def _rehearse(self, actions: Actions) -> tuple[Array, Array]:
+        """The shape that `actions` lead to from here, nearly and wholly at rest; the physics are put back."""
+        start, target = self._body.get_state(), self._target
+        last = SETTLING // 4
+        for action in [*actions.astype(np.float64), *np.zeros((SETTLING - last, self._target.size))]:
+            self._move(action)
+        nearly = self._goal_points()
+        for _ in range(last):
+            self._move(np.zeros(self._target.size))
+        goal = self._goal_points()
+        self._body.set_state(start)
+        self._target = target
+        return nearly, goal
+
+    def _observe(self) -> Observation:
+        images = self._studio.observe(self._body) if self.render_observation else {}
         return {
-            "rgb": rgb.copy(),
-            "depth": np.where(millimetres <= 65535, millimetres, 0).astype(np.uint16),
+            **images,
             "gripper": self._gripper(),
-            "achieved_goal": self.truth().astype(np.float32).ravel(),
+            "achieved_goal": self._goal_points().astype(np.float32).ravel(),
             "desired_goal": self._goal.copy(),
         }
 
-    def _capture(self) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        # Opened here and not in __init__: vector environments build one in the parent process only to read spaces.
-        if self._camera is None:
-            self._camera = open_camera(self._renderer, self._camera_spec, self._model)
-        try:
-            return self._camera.render(self._data)
-        except GLUnavailableError:  # in a forked worker; rays work there
-            if self._renderer != "auto":
-                raise
-            self._camera = open_camera(self._renderer, self._camera_spec, self._model)
-            return self._camera.render(self._data)
-
-    def _info(self, observation: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    def _info(self, observation: Observation) -> dict[str, Any]:
         distance = float(mean_point_distance(observation["achieved_goal"], observation["desired_goal"]))
         return {
             "is_success": distance < self.success_threshold,

@@ -49,26 +49,26 @@ class CameraSpec:
         return math.degrees(2 * math.atan(480 / 2 / _FOCAL_480))
 
 
-def camera_spec(camera: str | Sequence[int]) -> CameraSpec:
-    """The camera that an environment's argument `camera` asks for.
+def camera_spec(camera: str | Sequence[int], name: str = "camera") -> CameraSpec:
+    """The camera that an environment's argument `name` asks for.
 
     Raises:
         ValueError: Neither a known name nor a size in pixels.
     """
     if isinstance(camera, str):
-        return CameraSpec(*_SIZES[one_of("camera", camera, _SIZES, "[width, height]")])
+        return CameraSpec(*_SIZES[one_of(name, camera, _SIZES, "[width, height]")])
     size = list(camera) if isinstance(camera, (list, tuple)) else []
     whole = [isinstance(side, (int, np.integer)) and not isinstance(side, bool) for side in size]
     if len(size) != 2 or not all(whole) or not all(_SMALLEST <= side <= _LARGEST for side in size):
         names = ", ".join(map(repr, _SIZES))
         raise ValueError(
-            f"camera: expected {names} or [width, height] with two whole numbers from {_SMALLEST} to {_LARGEST}, "
-            f"got {camera!r}. For square training frames write camera=[84, 84]."
+            f"{name}: expected {names} or [width, height] with two whole numbers from {_SMALLEST} to {_LARGEST}, "
+            f"got {camera!r}. For square training frames write {name}=[84, 84]."
         )
     if size[0] < size[1]:
         raise ValueError(
-            f"camera: expected a width of at least the height, to keep the whole workspace in view, got {camera!r}. "
-            f"Write camera=[{size[1]}, {size[1]}] or camera=[{size[1]}, {size[0]}]."
+            f"{name}: expected a width of at least the height, to keep the whole workspace in view, got {camera!r}. "
+            f"Write {name}=[{size[1]}, {size[1]}] or {name}=[{size[1]}, {size[0]}]."
         )
     return CameraSpec(int(size[0]), int(size[1]))
 

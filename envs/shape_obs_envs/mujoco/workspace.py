@@ -1,8 +1,9 @@
-"""Where two grippers that hold the ends of one rope may go."""
+"""Where grippers may go."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +11,53 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+class Workspace(Protocol):
+    """Where G grippers may go, in poses (G, 3)."""
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest poses, (G, 3) each."""
+        ...
+
+    def allows(self, poses: Array) -> bool:
+        """Whether `poses` keep all limits, to within a micrometre."""
+        ...
+
+    def clip(self, poses: Array, previous: Array) -> Array:
+        """The allowed poses near `poses`; `previous`, which must be allowed, where there are none close by."""
+        ...
+
+
+@dataclass(frozen=True)
+class BoxWorkspace:
+    """A box of poses for each gripper and nothing else.
+
+    Attributes:
+        low: Lowest pose of each gripper.
+        high: Highest pose of each gripper.
+    """
+
+    low: tuple[tuple[float, float, float], ...]
+    high: tuple[tuple[float, float, float], ...]
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest poses, (G, 3) each."""
+        return np.array(self.low), np.array(self.high)
+
+    def allows(self, poses: Array) -> bool:
+        """Whether `poses` keep all limits, to within a micrometre."""
+        low, high = self.bounds
+        return bool(np.all(poses >= low - 1e-6) and np.all(poses <= high + 1e-6))
+
+    def clip(self, poses: Array, previous: Array) -> Array:
+        """The nearest allowed poses."""
+        return np.clip(poses, *self.bounds)
+
+
 @dataclass(frozen=True)
 class TwoGripperWorkspace:
-    """A box for each gripper, limits of yaw, and limits of their distance: neither stretched nor folded over.
+    """Of the two ends of a rope: boxes, limits of yaw, and of their distance, neither stretched nor folded over.
 
     Poses are (2, 3): a row of x, y [m] and yaw [rad] for each gripper, in the base frame. Yaw is the heading of the
     rope from end 0 to end 1, so that a straight rope along x has yaw 0 at both ends.

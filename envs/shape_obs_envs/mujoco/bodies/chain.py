@@ -1,8 +1,8 @@
-"""A planar chain of capsules: the physics of a rope that lies on a table and is held at both ends.
+"""A planar chain of capsules: the physics of a rope that lies on a table and is held at one end or both.
 
 The chain is inextensible (rigid links), bends at hinges with a little stiffness and damping, and is dragged by a
 viscous medium that stands in for the friction of the table. Gravity and contacts are off: nothing falls, nothing
-collides. Each end link is welded to a mocap body, its gripper.
+collides. An end link that is held is welded to a mocap body, its gripper.
 """
 
 from __future__ import annotations
@@ -13,25 +13,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from shape_obs_envs.mujoco.bodies.base import GRIPPERS, OBJECT_GROUP, PlanarBody
 from shape_obs_envs.mujoco.engine import mujoco
-from shape_obs_envs.mujoco.cameras.rays import cast_rays
 
 Array = NDArray[np.float64]
-
-#: Geom group of the object, so that rays can be cast at it alone. Table and grippers are in group 0.
-OBJECT_GROUP = 1
-GRIPPERS = ("gripper0", "gripper1")
 
 
 @dataclass(frozen=True)
 class ChainSpec:
-    """Size and material of the chain. Lengths in metres, from real tip to real tip (caps included)."""
+    """Size and material of the chain. Lengths in metres, from real tip to real tip (caps included).
+
+    Attributes:
+        stiffness: Of a bend [N m / rad].
+        damping: Of a bend [N m s / rad]. Without stiffness it makes a rope that keeps the bends it was given.
+        grippers: 2 hold both ends, 1 holds end 0 alone.
+    """
 
     length: float = 0.5
     radius: float = 0.008
     links: int = 32
     stiffness: float = 0.05
     damping: float = 6e-4
+    grippers: int = 2
     rgba: tuple[float, float, float, float] = (0.05, 0.25, 0.95, 1.0)
 
     @property
@@ -60,11 +63,12 @@ def chain_bodies(spec: ChainSpec) -> str:
         )
         if i == 0:
             parts.append(_jaws(spec, -spec.radius, -1))
-    parts.append(_jaws(spec, link + spec.radius, 1))
+    if spec.grippers == 2:
+        parts.append(_jaws(spec, link + spec.radius, 1))
     parts.append("</body>" * spec.links)
     parts += [
         f'<body name="{name}" mocap="true" pos="{sign * spec.length / 2} 0 {spec.radius}"/>'
-        for name, sign in zip(GRIPPERS, (-1, 1), strict=True)
+        for name, sign in zip(GRIPPERS[: spec.grippers], (-1, 1), strict=False)
     ]
     return "\n".join(parts)
 
@@ -74,7 +78,7 @@ def chain_equality(spec: ChainSpec) -> str:
     ends = ("link0", f"link{spec.links - 1}")
     return "\n".join(
         f'<weld body1="{gripper}" body2="{link}" solref=".02 1" solimp=".95 .99 .001"/>'
-        for gripper, link in zip(GRIPPERS, ends, strict=True)
+        for gripper, link in zip(GRIPPERS[: spec.grippers], ends, strict=False)
     )
 
 
@@ -99,7 +103,7 @@ def _jaws(spec: ChainSpec, tip: float, sign: int) -> str:
     )
 
 
-class Chain:
+class Chain(PlanarBody):
     """The chain inside a compiled model: poses, shape, state and stepping.
 
     Args:
@@ -108,28 +112,12 @@ class Chain:
     """
 
     def __init__(self, spec: ChainSpec, model: Any) -> None:
+        super().__init__(model, GRIPPERS[: spec.grippers])
         self.spec = spec
-        self.model = model
-        self.data = mujoco.MjData(model)
         self._bodies = np.array([model.body(f"link{i}").id for i in range(spec.links)])
-        self._grippers = np.array([int(model.body(name).mocapid[0]) for name in GRIPPERS])
-        self._state_size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
         cuts = np.full(spec.links, spec.link_length)
         cuts[[0, -1]] += spec.radius
         self._arc = np.concatenate([[0.0], np.cumsum(cuts)])
-
-    # ---- state
-
-    def get_state(self) -> Array:
-        """The whole physics state (positions, velocities, mocap poses, warm start, time)."""
-        state = np.empty(self._state_size)
-        mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
-        return state
-
-    def set_state(self, state: Array) -> None:
-        """Restore what `get_state` returned."""
-        mujoco.mj_setState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
-        self.refresh()
 
     def place(self, tip: Array, headings: Array) -> None:
         """Put the chain at rest with its first tip at `tip` (x, y) [m] and its links at `headings` (links,) [rad]."""
@@ -140,39 +128,20 @@ class Chain:
         self.data.qpos[2] = headings[0]
         self.data.qpos[3:] = np.diff(headings)
         self.refresh()
-        self.set_grippers(self.tip_poses())
-
-    def refresh(self) -> None:
-        """Bring the poses of bodies and geoms up to date: `mj_step` leaves them one substep behind."""
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_camlight(self.model, self.data)
+        self.set_grippers(self.gripper_poses())
 
     def span(self, headings: Array) -> Array:
         """Vector (2,) [m] from the first to the second tip of a chain with links at `headings` (links,) [rad]."""
         return np.diff(self._arc) @ np.column_stack([np.cos(headings), np.sin(headings)])
-
-    # ---- grippers
 
     def tip_poses(self) -> Array:
         """Where the tips are: (2, 3) rows of x, y [m] and heading [rad] in the world frame."""
         heading = np.array([self.data.qpos[2], self.data.qpos[2:].sum()])
         return np.column_stack([self.vertices()[[0, -1], :2], heading])
 
-    def set_grippers(self, poses: Array) -> None:
-        """Move both mocap bodies to `poses`, (2, 3) rows of x, y [m] and yaw [rad] in the world frame."""
-        self.data.mocap_pos[self._grippers, :2] = poses[:, :2]
-        self.data.mocap_quat[self._grippers, 0] = np.cos(poses[:, 2] / 2)
-        self.data.mocap_quat[self._grippers, 3] = np.sin(poses[:, 2] / 2)
-
-    def step_to(self, start: Array, target: Array, substeps: int) -> None:
-        """Move the grippers from pose `start` to pose `target` in equal parts, one for each substep."""
-        for i in range(1, substeps + 1):
-            # A ramp: a jump of the target would pull at the welds with the whole step's length at once.
-            self.set_grippers(start + (target - start) * (i / substeps))
-            mujoco.mj_step(self.model, self.data)
-        self.refresh()
-
-    # ---- shape
+    def gripper_poses(self) -> Array:
+        """Where the held tips are: (G, 3) rows of x, y [m] and heading [rad] in the world frame."""
+        return self.tip_poses()[: self.spec.grippers]
 
     def vertices(self) -> Array:
         """The axis as a polyline from tip to tip: (links + 1, 3) [m] in the world frame."""
@@ -191,16 +160,3 @@ class Chain:
         t = ((arc - self._arc[i]) / (self._arc[i + 1] - self._arc[i]))[:, None]
         vertices = self.vertices()
         return vertices[i] * (1 - t) + vertices[i + 1] * t
-
-    def surface_points(self, points: Array, eye: Array) -> Array:
-        """What a camera at `eye` (3,) sees of the object in the direction of `points` (n, 3); world frame, metres.
-
-        Where the line of sight only grazes the object (at its very tips) the point itself is returned.
-        """
-        rays = points - eye
-        distance = np.linalg.norm(rays, axis=1)
-        rays /= distance[:, None]
-        hit, _ = cast_rays(self.model, self.data, eye, rays, groups=(OBJECT_GROUP,))
-        # A hit far before the point is another part of the object.
-        near = (hit >= 0) & (distance - hit < 3 * self.spec.radius)
-        return np.where(near[:, None], eye + rays * hit[:, None], points)

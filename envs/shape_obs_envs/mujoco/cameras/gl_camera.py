@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.engine import mujoco
 from shape_obs_envs.mujoco.cameras.gl_context import GLUnavailableError, fork_safe, open_context
+from shape_obs_envs.mujoco.engine import mujoco
 from shape_obs_envs.mujoco.scene import CAMERA, CameraSpec
 
 # What costs time and brings nothing to a matt scene under one lamp.

@@ -58,6 +58,7 @@ def open_context(model: Any, width: int, height: int) -> tuple[Any, Any]:
                 gl = make_context(backend, width, height)
                 try:
                     gl.make_current()
+                    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
                     context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
                 except (RuntimeError, mujoco.FatalError, *_gl_errors()) as error:
                     gl.free()

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.engine import mujoco
 from shape_obs_envs.mujoco.cameras.rays import cast_rays
+from shape_obs_envs.mujoco.engine import mujoco
 from shape_obs_envs.mujoco.scene import CAMERA, CameraSpec
 
 Array = NDArray[np.float64]
