@@ -12,18 +12,21 @@ from gymnasium.envs.registration import WrapperSpec
 
 __all__: list[str] = []
 
-gym.register(
-    id="ShapeObs/Cable-v0",
-    # A string: MuJoCo is imported by the first environment that is made.
-    entry_point="shape_obs_envs.mujoco.cable:CableEnv",
-    max_episode_steps=50,
-)
+# What ShapeObservation.wrapper_spec() returns, without importing the wrapper; it takes `shape_obs_defaults` from the
+# environment.
+_SHAPE = WrapperSpec("ShapeObservation", "shape_obs.wrappers.shape_observation:ShapeObservation", {})
+# Strings: MuJoCo is imported by the first environment that is made.
+_ENTRY_POINTS = {
+    "Cable": "shape_obs_envs.mujoco.cable:CableEnv",
+    "Ring": "shape_obs_envs.mujoco.ring:RingEnv",
+    "Cloth": "shape_obs_envs.mujoco.cloth:ClothEnv",
+}
 
-gym.register(
-    id="ShapeObs/CableShape-v0",
-    entry_point="shape_obs_envs.mujoco.cable:CableEnv",
-    max_episode_steps=50,
-    # What ShapeObservation.wrapper_spec() returns, without importing the wrapper; it takes `shape_obs_defaults` from
-    # the environment.
-    additional_wrappers=(WrapperSpec("ShapeObservation", "shape_obs.wrappers.shape_observation:ShapeObservation", {}),),
-)
+for _name, _entry_point in _ENTRY_POINTS.items():
+    gym.register(id=f"ShapeObs/{_name}-v0", entry_point=_entry_point, max_episode_steps=50)
+    gym.register(
+        id=f"ShapeObs/{_name}Shape-v0",
+        entry_point=_entry_point,
+        max_episode_steps=50,
+        additional_wrappers=(_SHAPE,),
+    )
