@@ -13,8 +13,6 @@ Actions = NDArray[np.float32]
 
 #: Steps at rest before a goal is recorded: a goal that is still relaxing could be reached but not kept.
 SETTLING = 20
-#: A goal is kept when the object moves less than this [m] in the last steps of the rest, a quarter of it.
-_RESTLESS = 0.0005
 _LONGEST = 32
 _DRAWS = 30
 
@@ -27,18 +25,20 @@ class Difficulty(NamedTuple):
         most: Mean distance [m] that is never exceeded.
         vigour: How strongly the grippers are moved at first, 0 ... 1.
         bent: Whether the motion leads to an S bend or a fold.
+        restless: How far [m] the object may still move in the last quarter of the rest; else it is drawn again.
     """
 
     least: float
     most: float
     vigour: float
     bent: bool
+    restless: float
 
 
 DIFFICULTIES: Final = {
-    "near": Difficulty(0.015, 0.05, 0.5, False),
-    "middle": Difficulty(0.03, 0.1, 1.0, False),
-    "far": Difficulty(0.06, float("inf"), 1.0, True),
+    "near": Difficulty(0.015, 0.05, 0.5, False, 0.0005),
+    "middle": Difficulty(0.03, 0.1, 1.0, False, 0.0005),
+    "far": Difficulty(0.06, float("inf"), 1.0, True, 0.001),
 }
 
 
@@ -85,7 +85,7 @@ def draw_goal(
         away = mean_distance(points, start)
         if reached < away <= difficulty.most:
             best, reached = Goal(points, actions), away
-        if difficulty.least < away <= difficulty.most and mean_distance(nearly, points) < _RESTLESS:
+        if difficulty.least < away <= difficulty.most and mean_distance(nearly, points) < difficulty.restless:
             return Goal(points, actions)
         if away > difficulty.most:
             vigour *= max(0.9 * difficulty.most / away, 0.3)

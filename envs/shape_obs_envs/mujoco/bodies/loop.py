@@ -63,7 +63,7 @@ def loop_bodies(spec: LoopSpec) -> str:
     looks = f'group="{OBJECT_GROUP}" rgba="{" ".join(map(str, spec.rgba))}"'
     parts = [f'<body name="link0" pos="0 0 {half}">']
     parts.append('<joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>')
-    parts.append('<joint name="heading" type="hinge" axis="0 0 1"/><site name="first"/>')
+    parts.append('<joint name="heading" type="hinge" axis="0 0 1"/><site name="first" group="4"/>')
     for i in range(spec.links + 1):
         if i:
             parts.append(f'<body name="link{i}" pos="{link} 0 0">')
@@ -72,17 +72,17 @@ def loop_bodies(spec: LoopSpec) -> str:
                 f'springref="{spec.turn}" damping="{spec.damping}" armature="1e-6"/>'
             )
         if i == spec.links:  # the first link once more, unseen: welded to it, it closes the band
-            parts.append(f'<geom type="sphere" size="{half}" rgba="0 0 0 0"/><site name="last"/>')
+            parts.append(f'<geom type="sphere" size="{half}" rgba="0 0 0 0"/><site name="last" group="4"/>')
             break
         parts.append(
             f'<geom name="link{i}" type="box" size="{link / 2} {spec.width / 2} {half}" pos="{link / 2} 0 0" {looks}/>'
             f'<geom name="knuckle{i}" type="cylinder" mass="0" size="{spec.width / 2} {half}" {looks}/>'
         )
         if i in spec.held:
-            parts.append(f'<site name="held{i}" pos="{link / 2} 0 0"/>')
+            parts.append(f'<site name="held{i}" group="4" pos="{link / 2} 0 0"/>')
             parts.append(_jaw(spec))
     parts.append("</body>" * (spec.links + 1))
-    parts += [f'<body name="{n}" mocap="true" pos="0 0 {half}"><site name="{n}"/></body>' for n in GRIPPERS]
+    parts += [f'<body name="{n}" mocap="true" pos="0 0 {half}"><site name="{n}" group="4"/></body>' for n in GRIPPERS]
     return "\n".join(parts)
 
 
@@ -169,7 +169,7 @@ class Loop(PlanarBody):
         between = before + normals
         between /= np.linalg.norm(between, axis=1, keepdims=True)
         # Round where the knuckle stands out, a corner where the links overlap.
-        convex = np.cross(before, normals)[:, None] < 0
+        convex = (before[:, 0] * normals[:, 1] - before[:, 1] * normals[:, 0])[:, None] < 0
         rounded = between * (spec.width / 2)
         corner = between * ((spec.width / 2) ** 2 / (between * normals).sum(axis=1, keepdims=True))
         places = [np.where(convex, offset, corner) for offset in (before, rounded, normals)]
