@@ -1,0 +1,37 @@
+"""Gymnasium's renderer in processes of their own: it takes its OpenGL from MUJOCO_GL, which tests leave as it is."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from functools import cache
+from importlib.util import find_spec
+
+_PROBE = """
+import mujoco
+from gymnasium.envs.mujoco.mujoco_rendering import OffScreenViewer
+
+model = mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size=".1"/></worldbody></mujoco>')
+OffScreenViewer(model, mujoco.MjData(model), 16, 16).render("rgbd_tuple")
+"""
+
+
+def environment() -> dict[str, str]:
+    """This process's, where Linux gets EGL, which needs no display, unless MUJOCO_GL says otherwise."""
+    default = {"MUJOCO_GL": "egl"} if sys.platform.startswith("linux") else {}
+    return {**default, **os.environ}
+
+
+@cache
+def missing() -> str:
+    """Why Gymnasium cannot draw a MuJoCo env here; empty if it can."""
+    for name in ("mujoco", "imageio", "packaging"):
+        if find_spec(name) is None:
+            return f"Gymnasium's MuJoCo envs need {name}: pip install 'gymnasium[mujoco]'"
+    done = subprocess.run(
+        [sys.executable, "-c", _PROBE], env=environment(), capture_output=True, text=True, timeout=100, check=False
+    )
+    told = done.stderr.partition("Exception ignored")[0].strip()  # what comes after are complaints of destructors
+    reason = told.splitlines()[-1] if told else f"exit code {done.returncode}"
+    return "" if done.returncode == 0 else f"no OpenGL for Gymnasium's renderer: {reason}"
