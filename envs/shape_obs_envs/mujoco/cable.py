@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 from shape_obs_envs.arguments import count, one_of
 from shape_obs_envs.mujoco.bodies.base import GRIPPERS
-from shape_obs_envs.mujoco.bodies.chain import Chain, ChainSpec, chain_bodies, chain_equality
+from shape_obs_envs.mujoco.bodies.chain import Chain, ChainSpec, chain_bodies, chain_equality, chain_skin
 from shape_obs_envs.mujoco.goal_env import POINTS_HIGH, POINTS_LOW, SUBSTEPS, ShapeGoalEnv
-from shape_obs_envs.mujoco.scene import compile_scene
 from shape_obs_envs.mujoco.workspace import BoxWorkspace, TwoGripperWorkspace
 
 Array = NDArray[np.float64]
 
 #: Points of a goal.
 POINTS = 20
+_BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
 _TWO = ChainSpec(), TwoGripperWorkspace()
 # Shorter, so that the free end stays in view wherever the rope points; and it keeps the bends that it is given.
 _ONE = (
@@ -41,12 +41,13 @@ class CableEnv(ShapeGoalEnv, EzPickle):
     """
 
     STEP: ClassVar[Array] = np.array([0.015, 0.015, 0.12])  # x, y [m] and yaw [rad]
+    REACH = ((-0.28, -0.25, 0.0), (0.28, 0.31, 0.02))
 
     def __init__(self, grippers: int = 2, **options: Any) -> None:
         EzPickle.__init__(self, grippers, **options)
         ShapeGoalEnv.__init__(self, **options)
         spec, workspace = {1: _ONE, 2: _TWO}[count("grippers", grippers, 1, 2)]
-        model = compile_scene(self._camera_spec, chain_bodies(spec), chain_equality(spec))
+        model = self._compile(chain_bodies(spec), chain_equality(spec), chain_skin(spec))
         self._chain = Chain(spec, model)
         low, high = workspace.bounds
         low, high = low - 0.05, high + 0.05  # the welds give a little
@@ -84,10 +85,10 @@ class CableEnv(ShapeGoalEnv, EzPickle):
                     "anchor": "gripper0",
                     "ends": "tips",
                     "spacing": "m",
-                    "radius": self._chain.spec.radius,
+                    "radius": self._chain.nominal.radius,
                 }
             ],
-            "segmentation": {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]},
+            "segmentation": self._randomizer.segmentation(_BLUE),
             "features": [{"kind": "points3d", "frame": "base"}],
             # Below the table too: measured points scatter, and clipping them would bias their mean.
             "workspace": [[*POINTS_LOW[:2], -0.1], [*POINTS_HIGH[:2], 0.2]],

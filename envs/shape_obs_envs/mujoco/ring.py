@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 from shape_obs_envs.arguments import count, one_of
 from shape_obs_envs.mujoco.bodies.base import GRIPPERS
-from shape_obs_envs.mujoco.bodies.loop import Loop, LoopSpec, loop_bodies, loop_equality
+from shape_obs_envs.mujoco.bodies.loop import Loop, LoopSpec, loop_bodies, loop_equality, loop_skin
 from shape_obs_envs.mujoco.goal_env import POINTS_HIGH, POINTS_LOW, SUBSTEPS, ShapeGoalEnv
-from shape_obs_envs.mujoco.scene import compile_scene
 from shape_obs_envs.mujoco.workspace import TwoGripperWorkspace
 
 Array = NDArray[np.float64]
 
 #: Points of a goal.
 POINTS = 32
+_BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
 _WORKSPACE = TwoGripperWorkspace(low=(-0.22, -0.08), high=(-0.06, 0.1), yaw=0.6, closest=0.18, reach=0.33, lever=0.0)
 
 
@@ -35,6 +35,7 @@ class RingEnv(ShapeGoalEnv, EzPickle):
     """
 
     STEP: ClassVar[Array] = np.array([0.012, 0.012, 0.1])  # x, y [m] and turn [rad]
+    REACH = ((-0.25, -0.25, 0.0), (0.25, 0.27, 0.01))
 
     def __init__(self, **options: Any) -> None:
         EzPickle.__init__(self, **options)
@@ -42,7 +43,7 @@ class RingEnv(ShapeGoalEnv, EzPickle):
         spec = LoopSpec()
         # Less drag than the rope has: it would pull the band open where it is closed.
         medium = '<option viscosity="0.5"/>'
-        model = compile_scene(self._camera_spec, loop_bodies(spec), loop_equality(spec), medium)
+        model = self._compile(loop_bodies(spec), loop_equality(spec), loop_skin(spec) + medium)
         self._loop = Loop(spec, model)
         self._loop.place(np.zeros(2), 0.0)
         low, high = _WORKSPACE.bounds
@@ -75,7 +76,7 @@ class RingEnv(ShapeGoalEnv, EzPickle):
         """Arguments of `shape_obs.ShapeObservation` that suit this environment."""
         return {
             "shapes": [{"kind": "contour", "n": POINTS, "anchor": "gripper0", "order": "image", "spacing": "m"}],
-            "segmentation": {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]},
+            "segmentation": self._randomizer.segmentation(_BLUE),
             "features": [{"kind": "points3d", "frame": "base"}],
             # Below the table too: measured points scatter, and clipping them would bias their mean.
             "workspace": [[*POINTS_LOW[:2], -0.1], [*POINTS_HIGH[:2], 0.2]],

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.cameras.rays import cast_rays
 from shape_obs_envs.mujoco.engine import mujoco
+from shape_obs_envs.mujoco.rays import cast_rays
 
 Array = NDArray[np.float64]
 
@@ -18,6 +19,23 @@ Array = NDArray[np.float64]
 OBJECT_GROUP = 1
 GRIPPERS = ("gripper0", "gripper1")
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+
+@dataclass(frozen=True)
+class MaterialFactors:
+    """An object's material, as factors of what its model was written with.
+
+    Attributes:
+        thickness: Of its thickness; its length stays.
+        stiffness: Of the stiffness of a bend.
+        damping: Of the damping of a bend.
+        friction: Of what the table does to it.
+    """
+
+    thickness: float = 1.0
+    stiffness: float = 1.0
+    damping: float = 1.0
+    friction: float = 1.0
 
 
 class Body(abc.ABC):
@@ -32,6 +50,7 @@ class Body(abc.ABC):
         self.model = model
         self.data = mujoco.MjData(model)
         self._grippers = np.array([int(model.body(name).mocapid[0]) for name in grippers])
+        self._held_by = np.array([model.body(name).id for name in grippers])
         self._state_size = mujoco.mj_stateSize(model, _STATE)
 
     @abc.abstractmethod
@@ -45,6 +64,29 @@ class Body(abc.ABC):
     @abc.abstractmethod
     def gripper_targets(self) -> Array:
         """Where the mocap bodies are: (G, 3), what `set_grippers` was last given."""
+
+    @property
+    @abc.abstractmethod
+    def colour(self) -> tuple[float, float, float]:
+        """Red, green and blue, 0 ... 1, that its model was written with."""
+
+    @property
+    @abc.abstractmethod
+    def tone_shape(self) -> tuple[int, int]:
+        """How many tones `paint` takes."""
+
+    @property
+    @abc.abstractmethod
+    def underlay(self) -> float:
+        """Height [m] of what may lie under it on the table without hiding any of it; 0 for nothing."""
+
+    @abc.abstractmethod
+    def paint(self, rgb: Sequence[float], tones: NDArray[Any]) -> None:
+        """Colour it `rgb`, 0 ... 1, brighter or darker by factors `tones` (tone_shape) from place to place."""
+
+    @abc.abstractmethod
+    def set_material(self, factors: MaterialFactors) -> None:
+        """Make it of another material; it is to be placed anew after that."""
 
     def step_to(self, start: Array, target: Array, substeps: int) -> None:
         """Move the grippers from poses `start` to poses `target` in equal parts, one for each substep."""
@@ -100,6 +142,11 @@ class Body(abc.ABC):
 
 class PlanarBody(Body):
     """An object on the table, whose grippers move by x, y [m] and yaw [rad]."""
+
+    def set_state(self, state: Array) -> None:
+        """Restore what `get_state` returned; the grippers are at the height of the present thickness."""
+        super().set_state(state)
+        self.data.mocap_pos[self._grippers, 2] = self.model.body_pos[self._held_by, 2]
 
     def set_grippers(self, poses: Array) -> None:
         """Move the mocap bodies to `poses` (G, 3): x, y [m] and yaw [rad] in the world frame."""

@@ -7,16 +7,20 @@ collides. An end link that is held is welded to a mocap body, its gripper.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.bodies.base import GRIPPERS, OBJECT_GROUP, PlanarBody
+from shape_obs_envs.mujoco.bodies.base import GRIPPERS, OBJECT_GROUP, MaterialFactors, PlanarBody
+from shape_obs_envs.mujoco.bodies.tube import Station, rounded_ends, tube_skin
 from shape_obs_envs.mujoco.engine import mujoco
 
 Array = NDArray[np.float64]
+
+_SIDES = 20  # of the tube that is drawn
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,18 @@ def chain_bodies(spec: ChainSpec) -> str:
     return "\n".join(parts)
 
 
+def chain_skin(spec: ChainSpec) -> str:
+    """MJCF of what OpenGL draws instead of the capsules."""
+    link, links = spec.link_length, spec.links
+    start, end = rounded_ends(link * links, spec.radius, links - 1)
+    middle = [Station(link * i, 1.0, (i - 1, i)) for i in range(1, links)]
+    angle = np.linspace(0, 2 * np.pi, _SIDES, endpoint=False)
+    # As wide as it is told to be, seen from above: the profile has a corner on each side.
+    profile = spec.radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    stations = [*start, Station(0.0, 1.0, (0,)), *middle, Station(link * links, 1.0, (links - 1,)), *end]
+    return tube_skin(stations, profile, spec.radius, link, np.array([-link * links / 2, 0.0]), spec.rgba)
+
+
 def chain_equality(spec: ChainSpec) -> str:
     """MJCF of the welds of the end links to their grippers."""
     ends = ("link0", f"link{spec.links - 1}")
@@ -89,18 +105,22 @@ def _jaws(spec: ChainSpec, tip: float, sign: int) -> str:
     Nothing reaches above the rope's axis, and 0.35 r is left free around the rope: so no line of sight within 42
     degrees of the vertical that meets the rope is cut by the gripper.
     """
-    r = spec.radius
+    shades = (".24", ".24", ".18")
+    return "".join(
+        f'<geom type="box" mass="0" rgba="{shade} {shade} {shade} 1" size="{" ".join(map(str, size))}" '
+        f'pos="{" ".join(map(str, place))}"/>'
+        for shade, (size, place) in zip(shades, _jaw_boxes(spec.radius, tip, sign), strict=True)
+    )
+
+
+def _jaw_boxes(r: float, tip: float, sign: int) -> Iterator[tuple[Sequence[float], Sequence[float]]]:
+    """Half sizes and places (3,) [m] of the two fingers and the palm at a rope of radius `r`."""
     gap, thick, ahead, palm = 1.35 * r, 0.006, 0.018, 0.02
     behind = 0.35 * r + palm
-    fingers = "".join(
-        f'<geom type="box" mass="0" rgba=".24 .24 .24 1" size="{(ahead + behind) / 2} {thick / 2} {r / 2}" '
-        f'pos="{tip + sign * (behind - ahead) / 2} {side * (gap + thick / 2)} {-r / 2}"/>'
-        for side in (-1, 1)
-    )
-    return (
-        f'{fingers}<geom type="box" mass="0" rgba=".18 .18 .18 1" size="{palm / 2} {gap} {r / 2}" '
-        f'pos="{tip + sign * (behind - palm / 2)} 0 {-r / 2}"/>'
-    )
+    for side in (-1, 1):
+        place = tip + sign * (behind - ahead) / 2, side * (gap + thick / 2), -r / 2
+        yield ((ahead + behind) / 2, thick / 2, r / 2), place
+    yield (palm / 2, gap, r / 2), (tip + sign * (behind - palm / 2), 0, -r / 2)
 
 
 class Chain(PlanarBody):
@@ -109,15 +129,61 @@ class Chain(PlanarBody):
     Args:
         spec: What the model was written from.
         model: The compiled model.
+
+    Attributes:
+        nominal: What the model was written from.
+        spec: The same with the present radius.
     """
 
     def __init__(self, spec: ChainSpec, model: Any) -> None:
         super().__init__(model, GRIPPERS[: spec.grippers])
-        self.spec = spec
+        self.nominal = self.spec = spec
         self._bodies = np.array([model.body(f"link{i}").id for i in range(spec.links)])
-        cuts = np.full(spec.links, spec.link_length)
-        cuts[[0, -1]] += spec.radius
-        self._arc = np.concatenate([[0.0], np.cumsum(cuts)])
+        self._geoms = np.array([model.geom(f"link{i}").id for i in range(spec.links)])
+        self._viscosity = float(model.opt.viscosity)
+        self._arc = _arc_lengths(spec)
+
+    @property
+    def colour(self) -> tuple[float, float, float]:
+        """Red, green and blue, 0 ... 1, that its model was written with."""
+        return self.nominal.rgba[:3]
+
+    @property
+    def tone_shape(self) -> tuple[int, int]:
+        """A tone for each link."""
+        return self.spec.links, 1
+
+    @property
+    def underlay(self) -> float:
+        """Less than half of what is under the axis, where a rope that is seen from above is widest."""
+        return 0.4 * self.spec.radius
+
+    def paint(self, rgb: Sequence[float], tones: NDArray[Any]) -> None:
+        """Colour it `rgb`, 0 ... 1, with a factor in `tones` (links, 1) for each link."""
+        self.model.geom_rgba[self._geoms, :3] = np.clip(tones * rgb, 0, 1)
+
+    def set_material(self, factors: MaterialFactors) -> None:
+        """Make it of another material; it is to be placed anew after that. Its mass stays, and with it its inertia."""
+        model, nominal = self.model, self.nominal
+        self.spec = spec = replace(nominal, radius=nominal.radius * factors.thickness)
+        self._arc = _arc_lengths(spec)
+        radius, link = spec.radius, spec.link_length
+        # the length from tip to tip stays, so the links are as much shorter as the caps are longer
+        model.body_pos[self._bodies, 0] = [-link * spec.links / 2, *(spec.links - 1) * [link]]
+        model.body_pos[self._bodies[0], 2] = model.body_pos[self._held_by, 2] = radius
+        model.geom_size[self._geoms, :2] = radius, link / 2
+        model.geom_pos[self._geoms, 0] = model.body_ipos[self._bodies, 0] = link / 2
+        ends = [(0, -radius, -1), (-1, link + radius, 1)][: spec.grippers]
+        for weld, (end, tip, sign) in enumerate(ends):
+            model.eq_data[weld, 3] = -tip  # where the link is, seen from the gripper
+            for i, (size, place) in enumerate(_jaw_boxes(radius, tip, sign)):
+                jaw = self._geoms[end] + 1 + i
+                model.geom_size[jaw], model.geom_pos[jaw] = size, place
+                model.geom_rbound[jaw] = np.linalg.norm(size)
+        bends = slice(3, 2 + spec.links)
+        model.jnt_stiffness[bends] = nominal.stiffness * factors.stiffness
+        model.dof_damping[bends] = nominal.damping * factors.damping
+        model.opt.viscosity = self._viscosity * factors.friction
 
     def place(self, tip: Array, headings: Array) -> None:
         """Put the chain at rest with its first tip at `tip` (x, y) [m] and its links at `headings` (links,) [rad]."""
@@ -160,3 +226,10 @@ class Chain(PlanarBody):
         t = ((arc - self._arc[i]) / (self._arc[i + 1] - self._arc[i]))[:, None]
         vertices = self.vertices()
         return vertices[i] * (1 - t) + vertices[i + 1] * t
+
+
+def _arc_lengths(spec: ChainSpec) -> Array:
+    """(links + 1,) lengths from the first tip to each vertex of `Chain.vertices` [m]."""
+    cuts = np.full(spec.links, spec.link_length)
+    cuts[[0, -1]] += spec.radius
+    return np.concatenate([[0.0], np.cumsum(cuts)])

@@ -7,16 +7,20 @@ a camera sees is an edge whose height is known.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.bodies.base import GRIPPERS, OBJECT_GROUP, PlanarBody
+from shape_obs_envs.mujoco.bodies.base import GRIPPERS, OBJECT_GROUP, MaterialFactors, PlanarBody
+from shape_obs_envs.mujoco.bodies.tube import Station, tube_skin
 from shape_obs_envs.mujoco.engine import mujoco
 
 Array = NDArray[np.float64]
+
+_HAIR = 2e-5  # [m]
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,15 @@ def loop_bodies(spec: LoopSpec) -> str:
     return "\n".join(parts)
 
 
+def loop_skin(spec: LoopSpec) -> str:
+    """MJCF of what OpenGL draws instead of boxes and cylinders; it begins and ends in the middle of the first link."""
+    link, half = spec.link_length, (spec.width / 2, spec.thickness / 2)
+    joints = [Station(link * i, 1.0, (i - 1, i)) for i in range(1, spec.links + 1)]
+    stations = [Station(link / 2, 1.0, (0,)), *joints, Station(link * (spec.links + 0.5), 1.0, (spec.links,))]
+    corners = np.array([[1, -1], [1, 1], [1, 1], [-1, 1], [-1, 1], [-1, -1], [-1, -1], [1, -1]]) * half
+    return tube_skin(stations, corners, spec.thickness / 2, link, np.zeros(2), spec.rgba)
+
+
 def loop_equality(spec: LoopSpec) -> str:
     """MJCF of what closes the band and welds it to its grippers.
 
@@ -99,11 +112,15 @@ def loop_equality(spec: LoopSpec) -> str:
 
 def _jaw(spec: LoopSpec) -> str:
     """The gripper's looks: a jaw beside the outer edge, lower than the band, so that it never hides the edge."""
+    size, place = (" ".join(map(str, part)) for part in _jaw_box(spec))
+    return f'<geom type="box" mass="0" rgba=".2 .2 .2 1" size="{size}" pos="{place}"/>'
+
+
+def _jaw_box(spec: LoopSpec) -> tuple[Sequence[float], Sequence[float]]:
+    """Half size and place (3,) [m] of a jaw on its link."""
     depth, gap, half = 0.02, 0.002, 0.4 * spec.thickness
-    return (
-        f'<geom type="box" mass="0" rgba=".2 .2 .2 1" size="0.012 {depth / 2} {half}" '
-        f'pos="{spec.link_length / 2} {spec.width / 2 + gap + depth / 2} {half - spec.thickness / 2}"/>'
-    )
+    place = spec.link_length / 2, spec.width / 2 + gap + depth / 2, half - spec.thickness / 2
+    return (0.012, depth / 2, half), place
 
 
 class Loop(PlanarBody):
@@ -115,14 +132,63 @@ class Loop(PlanarBody):
     Args:
         spec: What the model was written from.
         model: The compiled model.
+
+    Attributes:
+        nominal: What the model was written from.
+        spec: The same with the present width and thickness.
     """
 
     def __init__(self, spec: LoopSpec, model: Any) -> None:
         super().__init__(model, GRIPPERS)
-        self.spec = spec
+        self.nominal = self.spec = spec
         self._bodies = np.array([model.body(f"link{i}").id for i in range(spec.links)])
+        self._pieces = np.array([model.geom(f"link{i}").id for i in range(spec.links)])
+        self._knuckles = np.array([model.geom(f"knuckle{i}").id for i in range(spec.links)])
+        self._viscosity = float(model.opt.viscosity)
         # From the circle's headings at the held links to turns.
         self._rest = np.pi / 2 + spec.turn * np.array(spec.held)
+
+    @property
+    def colour(self) -> tuple[float, float, float]:
+        """Red, green and blue, 0 ... 1, that its model was written with."""
+        return self.nominal.rgba[:3]
+
+    @property
+    def tone_shape(self) -> tuple[int, int]:
+        """A tone for each link."""
+        return self.spec.links, 1
+
+    @property
+    def underlay(self) -> float:
+        """A quarter of its thickness."""
+        return 0.25 * self.spec.thickness
+
+    def paint(self, rgb: Sequence[float], tones: NDArray[Any]) -> None:
+        """Colour it `rgb`, 0 ... 1, with a factor in `tones` (links, 1) for each link."""
+        colours = np.clip(tones * rgb, 0, 1)
+        self.model.geom_rgba[self._pieces, :3] = colours
+        self.model.geom_rgba[self._knuckles, :3] = (colours + np.roll(colours, 1, axis=0)) / 2
+        # Which of two tones at one height is seen would be left to chance: the knuckles lie a hair lower.
+        self.model.geom_size[self._knuckles, 1] = self.spec.thickness / 2 - _HAIR
+
+    def set_material(self, factors: MaterialFactors) -> None:
+        """Make it of another material; it is to be placed anew after that. Its mass stays, and with it its inertia."""
+        model, nominal = self.model, self.nominal
+        width, thickness = nominal.width * factors.thickness, nominal.thickness * factors.thickness
+        self.spec = spec = replace(nominal, width=width, thickness=thickness)
+        model.geom_size[self._pieces, 1:] = width / 2, thickness / 2
+        model.geom_size[self._knuckles, :2] = width / 2, thickness / 2
+        both = np.concatenate([self._pieces, self._knuckles])
+        model.geom_rbound[both] = np.linalg.norm([spec.link_length / 2, width / 2, thickness / 2])
+        model.body_pos[self._bodies[0], 2] = model.body_pos[self._held_by, 2] = thickness / 2
+        for link in spec.held:
+            jaw = self._knuckles[link] + 1
+            model.geom_size[jaw], model.geom_pos[jaw] = _jaw_box(spec)
+            model.geom_rbound[jaw] = np.linalg.norm(model.geom_size[jaw])
+        bends = slice(3, 3 + spec.links)
+        model.jnt_stiffness[bends] = nominal.stiffness * factors.stiffness
+        model.dof_damping[bends] = nominal.damping * factors.damping
+        model.opt.viscosity = self._viscosity * factors.friction
 
     def place(self, middle: Array, turn: float) -> None:
         """Put the band at rest as a circle about `middle` (x, y) [m], turned by `turn` [rad]."""
