@@ -37,7 +37,10 @@ if TYPE_CHECKING:
     from shape_obs.shape import Shape as Shape
     from shape_obs.spec import Spec as Spec
     from shape_obs.spec import SpecError as SpecError
+    from shape_obs.wrappers import ShapeGoal as ShapeGoal
     from shape_obs.wrappers import ShapeObservation as ShapeObservation
+    from shape_obs.wrappers import Target as Target
+    from shape_obs.wrappers import record_goal as record_goal
 
 __version__ = "0.1.0"
 
@@ -54,7 +57,7 @@ _HOME = {
     "shape_obs.segmentation": ("ColourRule", "DepthRange", "GrayRange", "HSVRange", "Segmentation"),
     "shape_obs.shape": ("Detection", "Shape"),
     "shape_obs.spec": ("Spec", "SpecError"),
-    "shape_obs.wrappers": ("ShapeObservation",),
+    "shape_obs.wrappers": ("ShapeGoal", "ShapeObservation", "Target", "record_goal"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 

@@ -19,7 +19,7 @@ from gymnasium.utils.env_checker import check_env
 pytest.importorskip("mujoco")
 
 import shape_obs_envs  # noqa: F401
-from shape_obs import ShapeObservation
+from shape_obs import ShapeGoal, ShapeObservation
 from shape_obs.features import Points3D
 
 ACTIONS = np.random.default_rng(5).uniform(-1, 1, (6, 6)).astype(np.float32)
@@ -174,6 +174,33 @@ def test_gymnasiums_and_sb3s_checkers_are_content(keep):
         check_env(ShapeObservation(bare(), keep=keep), skip_render_check=True)
         checker = pytest.importorskip("stable_baselines3.common.env_checker")
         checker.check_env(ShapeObservation(bare(), keep=keep), warn=True)
+
+
+def test_both_are_content_with_goals_in_features_too():
+    features = [{"kind": "points3d", "frame": "base"}, "points2d", "ok"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*is different from the unwrapped version")
+        env = ShapeGoal(ShapeObservation(bare(), features=features), features=["points2d"], threshold=2.0)
+        check_env(env, skip_render_check=True)
+        checker = pytest.importorskip("stable_baselines3.common.env_checker")
+        checker.check_env(ShapeGoal(ShapeObservation(bare())), warn=True)
+
+
+def test_goals_in_features_are_those_of_the_observation():
+    env, own = ShapeObservation(bare()), ShapeGoal(ShapeObservation(bare()))
+    for a, b in zip(walk(env, 2), walk(own, 2), strict=True):
+        for key in ("observation", "achieved_goal", "desired_goal"):
+            np.testing.assert_array_equal(a[0][key], b[0][key])
+        assert b[4]["truth/is_success"] == a[4]["is_success"]
+        assert a[1] == pytest.approx(b[1])
+
+
+def test_a_rope_is_no_goal_for_an_outline():
+    with pytest.raises(
+        ValueError, match=r"laid out as a 'centerline': the first of shapes must be a 'centerline', got"
+    ):
+        ShapeObservation(bare(), shapes=["contour"])
 
 
 def test_the_registered_wrapper_is_the_wrappers_own_spec():

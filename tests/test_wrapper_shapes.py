@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
-from rope_env import RopeEnv
 from sheet_env import SheetEnv
 
 from shape_obs import ShapeObservation
@@ -79,15 +78,3 @@ def test_arguments_survive_json():
     second, _ = again.reset(seed=7)
     np.testing.assert_array_equal(first, second)
     del gym.registry["TestSheet-v0"]
-
-
-def test_goals_are_curves_and_other_shapes_say_so():
-    class Goals(RopeEnv):
-        def __init__(self) -> None:
-            super().__init__()
-            goal = gym.spaces.Box(-1.0, 1.0, (60,), np.float32)
-            images: Any = self.observation_space
-            self.observation_space = gym.spaces.Dict({**images, "achieved_goal": goal, "desired_goal": goal})
-
-    with pytest.raises(ValueError, match=r"first of shapes must be a 'centerline', got 'contour'"):
-        ShapeObservation(Goals(), ["contour"], RED)

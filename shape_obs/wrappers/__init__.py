@@ -1,5 +1,7 @@
 """Gymnasium wrappers."""
 
+from shape_obs.wrappers.shape_goal import ShapeGoal, record_goal
 from shape_obs.wrappers.shape_observation import ShapeObservation
+from shape_obs.wrappers.target import Target
 
-__all__ = ["ShapeObservation"]
+__all__ = ["ShapeGoal", "ShapeObservation", "Target", "record_goal"]

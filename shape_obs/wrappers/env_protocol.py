@@ -2,6 +2,8 @@
 
 ``camera_model``: a ``CameraModel`` (or bare ``Intrinsics``); read again at each reset, since poses may be randomised.
 ``anchors``: a mapping of names to base-frame points (x, y, z) or pixels (u, v); read at each frame.
+``goal_layout``: how the points of a goal hang together, ``{"kind": "centerline"}``, ``{"kind": "contour"}`` or
+``{"kind": "surface", "rows": 5, "cols": 7}``; without it, like the first shape's.
 ``shape_obs_defaults``: a mapping of wrapper arguments, used where the user gives none.
 ``dt``: seconds per step, for frames without ``info["stamp"]``; else ``1 / metadata["render_fps"]``.
 """
@@ -10,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import gymnasium as gym
 import numpy as np
@@ -22,11 +24,21 @@ from shape_obs.configurations import Configuration
 from shape_obs.spec import did_you_mean
 
 GOALS = ("achieved_goal", "desired_goal")
+_NOWHERE: Final = object()
 
 
 def published(env: gym.Env[Any, Any], name: str, default: Any = None) -> Any:
-    """An attribute of the env or of one of its wrappers."""
-    return env.get_wrapper_attr(name) if env.has_wrapper_attr(name) else default
+    """An attribute of the env or of the outermost of its wrappers that has it.
+
+    As ``get_wrapper_attr`` after ``has_wrapper_attr``, but asked for once: a property may have much to compute.
+    """
+    while True:
+        value = getattr(env, name, _NOWHERE)
+        if value is not _NOWHERE:
+            return value
+        if not isinstance(env, gym.Wrapper):
+            return default
+        env = env.env
 
 
 def camera_model(env: gym.Env[Any, Any]) -> CameraModel | None:
@@ -37,6 +49,22 @@ def camera_model(env: gym.Env[Any, Any]) -> CameraModel | None:
 def anchors(env: gym.Env[Any, Any]) -> Mapping[str, Sequence[float]]:
     """The env's anchors as they are now."""
     return published(env, "anchors", {})
+
+
+def defaults(env: gym.Env[Any, Any]) -> dict[str, Any]:
+    """Arguments of the wrapper that suit the env."""
+    first = next(iter(anchors(env)), None)
+    return {"dt": seconds_per_step(env), "anchor": first, **published(env, "shape_obs_defaults", {})}
+
+
+def goal_layout(env: gym.Env[Any, Any]) -> Mapping[str, Any]:
+    """How the env's goals are laid out; empty where it does not say."""
+    return published(env, "goal_layout", {})
+
+
+def has_goals(space: spaces.Space[Any]) -> bool:
+    """Whether an observation space is that of a goal-conditioned env."""
+    return isinstance(space, spaces.Dict) and all(key in space.spaces for key in GOALS)
 
 
 def base_point(shape: Configuration, named: Mapping[str, Sequence[float]]) -> tuple[float, float, float] | None:

@@ -4,18 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from shape_obs.features import FeatureVector
 from shape_obs.shape import Detection
 from shape_obs.spec import did_you_mean
 from shape_obs.wrappers.env_protocol import GOALS
 
 Vector = npt.NDArray[np.float32]
+
+
+class Bounded(Protocol):
+    """What has lowest and highest values, (D,) each: a ``FeatureVector``, a ``GoalVector``, a ``Box``."""
+
+    @property
+    def low(self) -> npt.NDArray[Any]:
+        """Lowest values."""
+        ...
+
+    @property
+    def high(self) -> npt.NDArray[Any]:
+        """Highest values."""
+        ...
 
 
 class Layout:
@@ -25,8 +38,8 @@ class Layout:
         source: The env's observation space.
         keep: Keys of it to pass on. In a goal-conditioned env kept vectors join ``observation``, since nothing but
             the camera's view of the goal may reach a policy there.
-        vector: The features.
-        goal: The feature of the goals, where the env has them.
+        vector: Bounds of the features.
+        goal: Bounds of the goals, where there are any.
 
     Attributes:
         space: The wrapped observation space.
@@ -35,13 +48,11 @@ class Layout:
         ValueError: A key that cannot be kept.
     """
 
-    def __init__(
-        self, source: spaces.Space[Any], keep: Sequence[str], vector: FeatureVector, goal: FeatureVector | None
-    ) -> None:
+    def __init__(self, source: spaces.Space[Any], keep: Sequence[str], vector: Bounded, goal: Bounded | None) -> None:
         kept = _kept_spaces(source, keep, privileged=GOALS if goal is not None else ())
         self._joined = [key for key, space in kept.items() if goal is not None and _is_vector(space)]
         self._apart = [key for key in kept if key not in self._joined]
-        low, high = [vector.low], [vector.high]
+        low, high = [np.asarray(vector.low, np.float32)], [np.asarray(vector.high, np.float32)]
         for key in self._joined:
             low.append(np.asarray(kept[key].low, dtype=np.float32))
             high.append(np.asarray(kept[key].high, dtype=np.float32))
@@ -75,7 +86,7 @@ def scalars(detection: Detection) -> dict[str, Any]:
     }
     for shape in detection:
         out[f"shape/{shape.name}/ok"] = bool(shape.ok)
-        out[f"shape/{shape.name}/valid_fraction"] = float(shape.valid.mean())
+        out[f"shape/{shape.name}/valid_fraction"] = int(np.count_nonzero(shape.valid)) / len(shape)
         out[f"shape/{shape.name}/quality"] = float(shape.quality)
     return out
 

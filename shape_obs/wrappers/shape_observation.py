@@ -12,9 +12,10 @@ from gymnasium.utils import RecordConstructorArgs
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import Feature, FeatureVector, View, read_features
-from shape_obs.shape import Detection
-from shape_obs.wrappers.env_protocol import Images, anchors, base_point, camera_model, published, seconds_per_step
-from shape_obs.wrappers.goals import goal_vector, target_shape
+from shape_obs.shape import Detection, Shape
+from shape_obs.wrappers import env_protocol
+from shape_obs.wrappers.env_protocol import Images
+from shape_obs.wrappers.goals import EnvGoal
 from shape_obs.wrappers.layout import Layout, scalars
 from shape_obs.wrappers.recording import OWN, check_names, plain, read_camera
 
@@ -48,6 +49,9 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
     Attributes:
         detector: The ``ShapeDetector``; its state is the wrapper's.
         detection: What it found in the last observation; None before the first.
+        features: Of each shape, in the order of the vector.
+        views: Camera and anchor of each shape in the last observation.
+        target: The goal of a goal-conditioned env in the last observation, as a shape; else None.
 
     Example:
         >>> env = ShapeObservation(gym.make("shape_obs_envs:ShapeObs/Cable-v0"))  # doctest: +SKIP
@@ -74,8 +78,7 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         RecordConstructorArgs.__init__(self, **given)
         gym.ObservationWrapper.__init__(self, env)
 
-        chosen = {"on_invalid": "interpolate", "dt": seconds_per_step(env), "anchor": next(iter(anchors(env)), None)}
-        chosen |= {**published(env, "shape_obs_defaults", {}), **given}
+        chosen = {"on_invalid": "interpolate", **env_protocol.defaults(env), **given}
         check_names(chosen)
         for policy in ("on_missing", "on_invalid"):
             if chosen.get(policy) == "nan":
@@ -86,24 +89,27 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         self.detector = ShapeDetector(**chosen)
         self._images = Images.find(env.observation_space, own["rgb_key"], own["depth_key"])
         self._given_camera = read_camera(own["camera"])
-        self._camera = self._given_camera or camera_model(env)
+        camera = self._given_camera or env_protocol.camera_model(env)
         height, width = self._images.size
-        self._view = View(width, height, self._camera, own["workspace"], self.detector.config.max_age)
-        in_3d = self._images.depth_key is not None and self._camera is not None
-        parsed = read_features(own["features"] or ("points3d" if in_3d else "points2d_normalized"))
-        if self._images.depth_key is None and any(feature.needs_depth for feature in parsed):
+        self._view = view = View(width, height, camera, own["workspace"], self.detector.config.max_age)
+        in_3d = self._images.depth_key is not None and camera is not None
+        self.features = tuple(read_features(own["features"] or ("points3d" if in_3d else "points2d_normalized")))
+        if self._images.depth_key is None and any(feature.needs_depth for feature in self.features):
             raise ValueError("features need depth, but the observation has no 'depth'; pass depth_key=.")
-        self._vector = FeatureVector(parsed, self.detector.shapes, self._view)
-        self._goal = goal_vector(env.observation_space, parsed, self.detector.shapes, self._view)
-        self._layout = Layout(env.observation_space, own["keep"] or (), self._vector, self._goal)
+        space, shapes = env.observation_space, self.detector.shapes
+        self._vector = FeatureVector(self.features, shapes, view)
+        self._goal = EnvGoal.find(space, self.features, shapes, view, env_protocol.goal_layout(env))
+        self._layout = Layout(space, own["keep"] or (), self._vector, self._goal and self._goal.vector)
         self.observation_space = self._layout.space
         self.detection: Detection | None = None
+        self.views = len(shapes) * [view]
+        self.target: Shape | None = None
         self._time = 0.0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the env and forget the track."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._camera = self._given_camera or camera_model(self.env)
+        self._view = replace(self._view, camera=self._given_camera or env_protocol.camera_model(self.env))
         self.detector.reset()
         self._time = 0.0
         return self._observe(observation, info), info
@@ -129,15 +135,15 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
 
     def _observe(self, observation: Any, info: dict[str, Any]) -> Any:
         rgb, depth = self._images.read(observation)
-        named = anchors(self.env)
+        named, camera = env_protocol.anchors(self.env), self._view.camera
         stamp = info.get("stamp", self._time)
-        detection = self.detector.detect(rgb, depth, self._camera, stamp=stamp, anchors=named)
-        self.detection = detection
+        self.detection = detection = self.detector.detect(rgb, depth, camera, stamp=stamp, anchors=named)
         info.update(scalars(detection))
-        views = [replace(self._view, camera=self._camera, anchor=base_point(s, named)) for s in self.detector.shapes]
-        values = self._vector.compute(detection.shapes, views)
-        if self._goal is None or self._camera is None:
+        points = [env_protocol.base_point(spec, named) for spec in self.detector.shapes]
+        self.views = [replace(self._view, anchor=point) for point in points]
+        values = self._vector.compute(detection.shapes, self.views)
+        if self._goal is None or camera is None:
             return self._layout.compose(values, observation)
-        target = target_shape(observation["desired_goal"], self.detector.shapes[0], self._camera)
-        goals = [self._goal.compute([shape], views[:1]) for shape in (detection.shapes[0], target)]
+        self.target = self._goal.target(observation["desired_goal"], camera)
+        goals = self._goal.achieved(values), self._goal.vector.desired(self.target, self.views[0])
         return self._layout.compose(values, observation, goals)

@@ -1,0 +1,234 @@
+"""Goals of strips, outlines and sheets: point i of the goal is point i of what the camera sees of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from goal_envs import COUNTS, INTRINSICS, LAYOUTS, RED, FlatGoalEnv
+
+from shape_obs import ShapeObservation
+from shape_obs.wrappers import goals
+
+SHAPES: dict[str, dict[str, Any]] = {
+    "centerline": {"kind": "centerline", "n": 12, "ends": "tips"},
+    "contour": {"kind": "contour", "n": 24},
+    "surface": {"kind": "surface", "rows": 4, "cols": 6, "ends": "tips"},
+}
+BASE = {"kind": "points3d", "frame": "base"}
+GOALS = ("achieved_goal", "desired_goal")
+ON = np.ones(1, np.float32)
+
+
+def observing(kind: str, inner: FlatGoalEnv | None = None, **shape: Any) -> ShapeObservation:
+    return ShapeObservation(inner or FlatGoalEnv(kind), [{**SHAPES[kind], **shape}], RED, [BASE], backend="numpy")
+
+
+def points(goal: Any) -> np.ndarray:
+    return np.asarray(goal, float).reshape(-1, 3)
+
+
+def apart(env: ShapeObservation, observation: Any) -> np.ndarray:
+    """(N,) pixels between the achieved and the desired points."""
+    inner: Any = env.unwrapped
+    seen, wanted = (inner.camera_model.project_from_base(points(observation[key])) for key in GOALS)
+    return np.linalg.norm(seen - wanted, axis=1)
+
+
+def arrive(env: ShapeObservation, seed: int, steps: int = 20) -> Any:
+    observation, info = env.reset(seed=seed)
+    for _ in range(steps):
+        observation, _, _, _, info = env.step(ON * 10 / steps)
+    assert info["shape/ok"]
+    return observation
+
+
+@pytest.mark.parametrize(
+    ("kind", "env", "shape", "most"),
+    [
+        ("centerline", {}, {}, 1.0),
+        ("centerline", {"tilt": 0, "spin": 2.5}, {"spacing": "m"}, 1.0),
+        ("centerline", {}, {"ends": "centers", "lift": "cloud"}, 1.5),
+        ("contour", {"spin": 2.5}, {"order": "image"}, 1.0),
+        ("contour", {"spin": 1.5, "lobes": 0.0}, {"order": "image"}, 1.0),
+        ("contour", {"tilt": 0, "spin": -2.5}, {}, 1.5),
+        ("contour", {}, {"lift": "cloud"}, 1.5),
+        ("contour", {"turned_over": True}, {"order": "image", "spacing": "m"}, 1.5),
+        ("surface", {"spin": 2.5}, {}, 1.0),
+        ("surface", {"spin": -2.5}, {"spacing": "m", "ends": "centers"}, 1.0),
+        ("surface", {}, {"lift": "cloud", "order": "image"}, 1.5),
+        ("surface", {"turned_over": True}, {}, 1.5),
+        ("surface", {"published": False}, {"rows": 5, "cols": 7}, 1.5),
+    ],
+)
+def test_what_is_there_is_what_was_wanted_index_for_index(kind, env, shape, most):
+    for seed in range(2):
+        wrapped = observing(kind, FlatGoalEnv(kind, **env), **shape)
+        observation = arrive(wrapped, seed)
+        off = apart(wrapped, observation)
+        assert off.mean() < 0.6 * most
+        assert off.max() < most
+        assert wrapped.observation_space.contains(observation)
+        nearest = np.argmin(
+            np.linalg.norm(points(observation["achieved_goal"])[:, None] - points(observation["desired_goal"]), axis=2),
+            axis=1,
+        )
+        np.testing.assert_array_equal(nearest, np.arange(len(nearest)))
+
+
+def test_in_metres_too_where_depth_is_that_of_the_point():
+    for kind in SHAPES:
+        observation = arrive(observing(kind, order="image", lift="cloud"), 1)
+        error = np.linalg.norm(points(observation["achieved_goal"]) - points(observation["desired_goal"]), axis=1)
+        assert error.mean() < 0.003  # less than a pixel, which is 4 mm there
+
+
+@pytest.mark.parametrize("ends", ["tips", "centers"])
+def test_the_desired_lattice_lies_on_the_material(ends):
+    """Placed from 5 x 7 points, a 4 x 6 lattice is where the sheet itself has such a lattice."""
+    inner = FlatGoalEnv("surface")
+    observation, _ = observing("surface", inner, ends=ends, spacing="m").reset(seed=2)
+    down, across = (np.linspace(0, 1, n) if ends == "tips" else (np.arange(n) + 0.5) / n for n in (4, 6))
+    t, s = np.meshgrid(down, across, indexing="ij")
+    np.testing.assert_allclose(
+        points(observation["desired_goal"]), inner.material(inner.goal, s, t).reshape(-1, 3), atol=0.002
+    )
+
+
+def test_the_desired_outline_lies_on_the_material_from_the_gripper_on():
+    inner = FlatGoalEnv("contour")
+    observation, _ = observing("contour", inner, spacing="m").reset(seed=2)
+    desired = points(observation["desired_goal"])
+    true = inner.material(inner.goal, np.linspace(0, 1, 4001))
+    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(true, axis=0), axis=1))])
+    at = [int(np.argmin(np.linalg.norm(true[:-1] - point, axis=1))) for point in desired]
+    assert np.linalg.norm(true[at] - desired, axis=1).max() < 0.001
+    assert at[0] in (0, 3999)
+    np.testing.assert_allclose(along[at[1:]] / along[-1], np.arange(1, 24) / 24, atol=0.01)
+    gap = np.linalg.norm(np.roll(desired, -1, axis=0) - desired, axis=1)
+    assert gap.std() / gap.mean() < 0.01
+
+
+def test_equal_gaps_in_the_image_are_asked_of_a_goal_outline_too():
+    inner = FlatGoalEnv("contour", tilt=40)
+    observation, _ = observing("contour", inner).reset(seed=1)
+    pixels = inner.camera_model.project_from_base(points(observation["desired_goal"]))
+    gap = np.linalg.norm(np.roll(pixels, -1, axis=0) - pixels, axis=1)
+    assert gap.std() / gap.mean() < 0.01
+
+
+class TestTheTargetIsComputedOnce:
+    @pytest.fixture
+    def counted(self, monkeypatch) -> list[int]:
+        calls, placed = [], goals.placed
+        monkeypatch.setattr(goals, "placed", lambda *args: calls.append(1) or placed(*args))
+        return calls
+
+    def test_while_nothing_changes(self, counted):
+        env = observing("contour")
+        first, _ = env.reset(seed=0)
+        target = env.target
+        for _ in range(5):
+            observation, *_ = env.step(ON)
+            np.testing.assert_array_equal(observation["desired_goal"], first["desired_goal"])
+        assert len(counted) == 1
+        assert env.target is target
+
+    def test_again_when_the_env_changes_its_goal(self, counted):
+        inner = FlatGoalEnv("surface")
+        env = observing("surface", inner)
+        before, _ = env.reset(seed=0)
+        inner.goal = inner.goal + np.array([0.02, 0, 0, 0, 0])
+        after, *_ = env.step(0 * ON)
+        np.testing.assert_allclose(
+            points(after["desired_goal"]) - points(before["desired_goal"]), [[0.02, 0, 0]] * 24, atol=1e-3
+        )
+        assert len(counted) == 2
+
+    def test_again_when_the_camera_has_moved(self, counted):
+        inner = FlatGoalEnv("centerline", tilt=0)
+        env = ShapeObservation(inner, [SHAPES["centerline"]], RED, ["points3d"])
+        before, _ = env.reset(seed=0)
+        pose = inner.camera_model.transform_camera_to_base
+        assert pose is not None
+        lifted = pose + np.array([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0.05], [0, 0, 0, 0]])
+        inner.camera_model = type(inner.camera_model)(INTRINSICS, lifted)
+        after, _ = env.reset(seed=0)
+        np.testing.assert_allclose(
+            points(after["desired_goal"])[:, 2] - points(before["desired_goal"])[:, 2], 0.05, atol=1e-6
+        )
+        assert len(counted) == 2
+
+    def test_and_moves_with_the_anchor_where_it_is_seen_from_there(self):
+        env = ShapeObservation(
+            FlatGoalEnv("contour"), [SHAPES["contour"]], RED, [BASE, {"kind": "points3d", "frame": "anchor"}]
+        )
+        first, _ = env.reset(seed=4)
+        assert env.target is not None
+        relative = ShapeObservation(
+            FlatGoalEnv("contour"), [SHAPES["contour"]], RED, [{"kind": "points3d", "frame": "anchor"}]
+        )
+        observation, _ = relative.reset(seed=4)
+        for _ in range(3):
+            inner: Any = relative.unwrapped
+            np.testing.assert_allclose(
+                points(observation["desired_goal"]) + inner.anchors["gripper0"],
+                points(first["desired_goal"]),
+                atol=1e-6,
+            )
+            observation, *_ = relative.step(ON)
+
+    def test_what_is_returned_is_the_callers_own(self):
+        env = observing("surface")
+        first, _ = env.reset(seed=0)
+        before = first["desired_goal"].copy()
+        first["desired_goal"][:] = 0
+        first["achieved_goal"][:] = 0
+        second, *_ = env.step(0 * ON)
+        np.testing.assert_array_equal(second["desired_goal"], before)
+
+
+@pytest.mark.parametrize(
+    ("kind", "shape", "message"),
+    [
+        (
+            "contour",
+            {"kind": "centerline"},
+            r"goals that are laid out as a 'contour': the first of shapes must be a 'contour', got 'centerline'",
+        ),
+        ("surface", {"kind": "contour"}, r"the first of shapes must be a 'surface', got 'contour'"),
+    ],
+)
+def test_goals_of_another_kind_are_refused(kind, shape, message):
+    with pytest.raises(ValueError, match=message):
+        ShapeObservation(FlatGoalEnv(kind), [shape], RED)
+
+
+def test_a_layout_that_does_not_fit_is_refused():
+    def layout(kind: str, **entries: Any) -> gym.Env[Any, Any]:
+        inner = FlatGoalEnv(kind)
+        inner.goal_layout = {**LAYOUTS[kind], **entries}
+        return inner
+
+    with pytest.raises(ValueError, match=r"expected 5 x 6 points, at least 2 x 2, got 35 points; say how they are"):
+        ShapeObservation(layout("surface", cols=6), [SHAPES["surface"]], RED)
+    with pytest.raises(ValueError, match=r"expected 4 x 6 points, at least 2 x 2, got 35 points"):
+        ShapeObservation(FlatGoalEnv("surface", published=False), [SHAPES["surface"]], RED)
+    with pytest.raises(ValueError, match=r"goal_layout of a 'surface': unknown entry 'columns'; did you mean 'cols'"):
+        ShapeObservation(layout("surface", columns=6), [SHAPES["surface"]], RED)
+    with pytest.raises(ValueError, match=r"goal_layout of a 'contour': unknown entry 'rows'"):
+        ShapeObservation(layout("contour", rows=6), [SHAPES["contour"]], RED)
+
+
+def test_goals_that_are_no_points_are_refused():
+    inner = FlatGoalEnv("contour")
+    env = observing("contour", inner)
+    env.reset(seed=0)
+    inner.goal = np.full(5, np.nan)
+    with pytest.raises(ValueError, match=rf"desired_goal: expected {COUNTS['contour']} finite points"):
+        env.step(ON)
+    inner.goal = np.array([0, -3.0, 0, 0, 1])  # behind the camera, which looks away from there
+    with pytest.raises(ValueError, match=r"the goal must lie in front of the camera, got \[.*\] metres"):
+        env.step(ON)

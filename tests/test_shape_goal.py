@@ -1,0 +1,229 @@
+"""ShapeGoal: goals in features, over goal-conditioned envs and any others."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from goal_envs import BASE, ON, RED, SHAPES, FlatGoalEnv, observing, target_of
+
+from shape_obs import ShapeGoal, ShapeObservation, record_goal
+from shape_obs.features import Points3D
+
+GOALS = ("achieved_goal", "desired_goal")
+
+
+def mean_distance(achieved: Any, desired: Any, d: int = 3) -> Any:
+    apart = (np.asarray(achieved, float) - desired).reshape(*np.shape(achieved)[:-1], -1, d)
+    return np.linalg.norm(apart, axis=-1).mean(axis=-1)
+
+
+@pytest.mark.parametrize("goals", [True, False])
+@pytest.mark.parametrize("kind", SHAPES)
+def test_a_goal_is_approached_and_reached(kind, goals):
+    source = observing(kind, goals=goals)
+    layout = {"kind": kind, "rows": 5, "cols": 7} if kind == "surface" else {"kind": kind}
+    goal = None if goals else {"points": target_of(source), "layout": layout}
+    env = ShapeGoal(source, goal, threshold=0.004)
+    assert env.unit == "m"
+    observation, info = env.reset(seed=0)
+    distances, reached = [info["goal/distance"]], [info["is_success"]]
+    for _ in range(10):
+        assert env.observation_space.contains(observation)
+        observation, reward, terminated, truncated, info = env.step(ON)
+        assert reward == -info["goal/distance"] == -float(mean_distance(*(observation[k] for k in GOALS)))
+        assert not terminated
+        assert not truncated
+        distances.append(info["goal/distance"])
+        reached.append(info["is_success"])
+    assert np.all(np.diff(distances) < 0.001)
+    assert distances[-1] < 0.1 * distances[0]
+    assert (reached[0], reached[-1]) == (False, True)
+
+
+def test_both_goals_are_the_observations_own_features():
+    env = ShapeGoal(observing(features=["ok", "points2d", BASE, "valid"]), threshold=0.05)
+    start, _ = observing().reset(seed=0)
+    observation, info = env.reset(seed=0, options={"goal": start.reshape(-1, 3)})
+    assert env.unit == "of the range"
+    assert observation["observation"].shape == (1 + 48 + 72 + 24,)
+    np.testing.assert_array_equal(observation["achieved_goal"], observation["observation"][1:121])
+    assert env.observation_space["desired_goal"].shape == (120,)  # type: ignore[index]
+    assert info["goal/distance"] < 0.005  # given as points, an outline is placed anew
+    np.testing.assert_allclose(observation["desired_goal"], observation["achieved_goal"], atol=0.5)
+
+
+@pytest.mark.parametrize(
+    ("features", "size", "unit"),
+    [
+        (["points3d"], 72, "m"),
+        ("points3d", 72, "m"),
+        (["points2d"], 48, "px"),
+        (["points2d_normalized"], 48, "of half the image"),
+        ([BASE, Points3D(frame="camera")], 144, "m"),
+        (["points2d", "points3d"], 120, "of the range"),
+    ],
+)
+def test_goals_may_be_in_some_features_or_in_others(features, size, unit):
+    env = ShapeGoal(observing(goals=True, features=[BASE, "ok"]), features=features, threshold=0.1)
+    observation, _ = env.reset(seed=0)
+    assert observation["observation"].shape == (73,)
+    assert observation["achieved_goal"].shape == observation["desired_goal"].shape == (size,)
+    assert env.unit == unit
+    if features == ["points3d"]:  # that of the observation, in its frame
+        np.testing.assert_array_equal(observation["achieved_goal"], observation["observation"][:72])
+
+
+class TestReward:
+    def test_distances_are_as_documented(self):
+        for features, d in (("points3d", 3), ("points2d", 2)):
+            env = ShapeGoal(observing(goals=True), features=[features], threshold=0.5)
+            size = 24 * d
+            a, b = np.random.default_rng(0).uniform(-1, 1, (2, 4, 5, size))
+            np.testing.assert_allclose(env.compute_reward(a, b, None), -mean_distance(a, b, d))
+            np.testing.assert_allclose(env.compute_reward(a[0, 0], b[0, 0], {}), -mean_distance(a[0, 0], b[0, 0], d))
+            assert isinstance(env.compute_reward(a[0, 0], b[0, 0], {}), float)
+        env = ShapeGoal(observing(goals=True), features=["points2d", "points3d"], threshold=0.5)
+        space: Any = env.observation_space["achieved_goal"]  # type: ignore[index]
+        a, b = np.random.default_rng(0).uniform(-1, 1, (2, 7, 120))
+        by_hand = np.sqrt(np.mean(((a - b) / (space.high - space.low.astype(float))) ** 2, axis=1))
+        np.testing.assert_allclose(env.compute_reward(a, b, [{}] * 7), -by_hand)
+
+    def test_sparse_is_zero_below_the_threshold_and_else_minus_one(self):
+        env = ShapeGoal(observing(goals=True), reward_type="sparse")
+        assert env.threshold == 0.01
+        a = np.zeros((2, 72), np.float32)
+        a[1] = 0.02
+        np.testing.assert_array_equal(env.compute_reward(a, np.zeros_like(a), None), [0, -1])
+        env.reset(seed=0)
+        assert env.step(ON)[1] == -1.0
+
+    def test_it_takes_no_goals_of_another_size(self):
+        env = ShapeGoal(observing(goals=True))
+        with pytest.raises(ValueError, match=r"two goals of equal shape \(..., 72\), got \(3, 60\) and \(3, 60\)"):
+            env.compute_reward(np.zeros((3, 60)), np.zeros((3, 60)), None)
+        with pytest.raises(ValueError, match=r"got \(72,\) and \(1, 72\)"):
+            env.compute_reward(np.zeros(72), np.zeros((1, 72)), None)
+
+    def test_the_envs_own_reward_and_success_stay_apart(self):
+        env = ShapeGoal(observing(goals=True), threshold=1e-6)
+        _, info = env.reset(seed=0)
+        assert (info["is_success"], info["truth/is_success"]) == (False, False)
+        for way in range(1, 11):
+            _, reward, _, _, info = env.step(ON)
+            assert info["truth/reward"] == pytest.approx(way / 10)
+            assert reward == -info["goal/distance"]
+        assert (info["is_success"], info["truth/is_success"]) == (False, True)
+        plain = ShapeGoal(observing(), target_of(observing()))
+        _, info = plain.reset(seed=0)
+        assert "truth/is_success" not in info
+        assert plain.step(ON)[4]["truth/reward"] == pytest.approx(0.1)
+
+    def test_a_lost_shape_is_no_success(self):
+        class Gone(FlatGoalEnv):
+            def _observe(self) -> dict[str, np.ndarray]:
+                seen = super()._observe()
+                if self.way > 0.15:
+                    seen["rgb"][:] = 150
+                return seen
+
+        inner, options = Gone("contour", tilt=0, goals=False), {"max_age": 0.15, "backend": "numpy"}
+        source = ShapeObservation(inner, [SHAPES["contour"]], RED, [BASE], **options)
+        source.reset(seed=0)
+        source.step(ON)
+        env = ShapeGoal(source, record_goal(source))
+        env.reset(seed=0)
+        infos = [env.step(ON)[4] for _ in range(4)]
+        assert [info["goal/distance"] < 0.01 for info in infos] == 4 * [True]
+        assert [info["is_success"] for info in infos] == [True, True, False, False]
+
+    def test_hindsight_replay_relabels_with_it(self):
+        replay = pytest.importorskip("stable_baselines3.her.her_replay_buffer")
+        dummy = pytest.importorskip("stable_baselines3.common.vec_env").DummyVecEnv
+        limited = gym.wrappers.TimeLimit(ShapeGoal(observing(goals=True)), 5)
+        env = dummy([lambda: limited])
+        memory = replay.HerReplayBuffer(100, env.observation_space, env.action_space, env, n_sampled_goal=4)
+        observation = env.reset()
+        for _ in range(15):
+            action = np.array([ON])
+            following, reward, done, infos = env.step(action)
+            last = infos[0].get("terminal_observation", {})
+            memory.add(observation, {**following, **{k: v[None] for k, v in last.items()}}, action, reward, done, infos)
+            observation = following
+        batch = memory.sample(64)
+        next_ones = batch.next_observations["achieved_goal"].numpy()
+        expected = -mean_distance(next_ones, batch.observations["desired_goal"].numpy())
+        np.testing.assert_allclose(batch.rewards.numpy()[:, 0], expected, atol=1e-6)
+
+
+class TestGoals:
+    def test_one_for_an_episode_and_other_options_go_on(self):
+        source = observing()
+        first, other = target_of(source, 1), target_of(source, 2)
+        env = ShapeGoal(source, first)
+        usual = env.reset(seed=0)[0]["desired_goal"]
+        given = env.reset(seed=0, options={"goal": np.array(other)})[0]["desired_goal"]
+        assert np.abs(given - usual).max() > 0.01
+        np.testing.assert_array_equal(env.reset(seed=0)[0]["desired_goal"], usual)
+        with pytest.raises(ValueError, match=r"no options, got {'start': 1}"):
+            env.reset(options={"goal": other, "start": 1})
+        options = {"goal": other}
+        env.reset(options=options)
+        assert list(options) == ["goal"]
+
+    def test_what_is_seen_becomes_a_goal(self):
+        source = observing("surface")
+        source.reset(seed=3)
+        for _ in range(6):
+            source.step(ON)
+        env = ShapeGoal(source, record_goal(source).to_dict(), threshold=0.003)
+        _, info = env.reset(seed=3)
+        assert not info["is_success"]
+        for _ in range(5):
+            env.step(ON)
+        observation, _, _, _, info = env.step(ON)
+        assert info["is_success"]
+        again = env.record_goal()
+        np.testing.assert_allclose(again.points, observation["achieved_goal"].reshape(-1, 3), atol=1e-6)
+
+    def test_the_envs_own_is_the_one_of_each_episode(self):
+        env, source = ShapeGoal(observing(goals=True)), observing(goals=True)
+        for seed in range(3):
+            observation, _ = env.reset(seed=seed)
+            expected, _ = source.reset(seed=seed)
+            for key in GOALS:
+                np.testing.assert_array_equal(observation[key], expected[key])
+        assert env.target is env.env.target  # type: ignore[attr-defined]
+
+    def test_one_of_ones_own_goes_before_the_envs(self):
+        env = ShapeGoal(observing(goals=True), target_of(observing(), 5))
+        observation, info = env.reset(seed=0)
+        own, _ = ShapeGoal(observing(goals=True)).reset(seed=0)
+        assert np.abs(observation["desired_goal"] - own["desired_goal"]).max() > 0.01
+        assert "truth/is_success" in info
+
+    def test_it_may_be_that_of_another_shape(self):
+        inner = FlatGoalEnv("surface", tilt=0, goals=True)
+        shapes = [SHAPES["surface"], {**SHAPES["contour"], "name": "outline"}]
+        source = ShapeObservation(inner, shapes, RED, [BASE], backend="numpy")
+        source.reset(seed=0)
+        env = ShapeGoal(source, record_goal(source, "outline"), shape="outline")
+        observation, info = env.reset(seed=0)
+        assert observation["observation"].shape == (144,)
+        assert info["goal/distance"] < 1e-5
+        with pytest.raises(
+            ValueError, match=r"the env's goals are those of shape 'surface': pass a goal= for shape 'out"
+        ):
+            ShapeGoal(source, shape="outline")
+        with pytest.raises(ValueError, match=r"no shape named 'outlin'; did you mean 'outline'\?"):
+            ShapeGoal(source, shape="outlin")
+
+    def test_there_must_be_one(self):
+        env = ShapeGoal(observing())
+        with pytest.raises(
+            ValueError,
+            match=r"no goal, and the env has none of its own. Pass goal=Target\(points\) to the wrapper or opt",
+        ):
+            env.reset(seed=0)

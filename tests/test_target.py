@@ -1,0 +1,225 @@
+"""Target: goals as plain records, from points, from mappings and from what is seen."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import yaml
+from goal_envs import LAYOUTS, RED, FlatGoalEnv
+
+from shape_obs import Centerline, ShapeGoal, ShapeObservation, SpecError, Surface, Target, record_goal
+from shape_obs.features import View
+
+LINE = np.array([[-0.1, 0.0, 0.0], [0.0, 0.02, 0.0], [0.05, 0.03, 0.0], [0.1, 0.03, 0.0]])
+KINDS: list[dict[str, Any]] = [
+    {"kind": "centerline", "n": 12},
+    {"kind": "contour", "n": 24},
+    {"kind": "surface", "rows": 4, "cols": 6},
+]
+
+
+def observing(shape: dict[str, Any], features: Any = ("points3d",), **options: Any) -> ShapeObservation:
+    inner = FlatGoalEnv(shape["kind"], goals=False)
+    return ShapeObservation(inner, [shape], RED, features, **{"backend": "numpy", **options})
+
+
+def view_of(env: ShapeObservation) -> View:
+    return env.views[0]
+
+
+@pytest.mark.parametrize("shape", KINDS, ids=lambda shape: shape["kind"])
+@pytest.mark.parametrize("frame", ["base", "camera", "pixels"])
+def test_a_recorded_shape_is_itself_again_index_for_index(shape, frame):
+    env = observing(shape)
+    env.reset(seed=1)
+    target = record_goal(env, frame=frame)
+    assert env.detection is not None
+    seen, again = env.detection.shapes[0], target.shape_for(env.detector.shapes[0], view_of(env))
+    np.testing.assert_allclose(again.pixels, seen.pixels, atol=2e-3)
+    if frame == "pixels":
+        assert again.points3d is None
+        assert target.size == (160, 120)
+    else:
+        np.testing.assert_allclose(again.points3d, seen.points3d, atol=2e-6)  # type: ignore[arg-type]
+    assert again.layout == seen.layout
+    assert again.valid.all()
+
+
+def test_it_travels_as_json_and_yaml():
+    env = observing(KINDS[2])
+    env.reset(seed=1)
+    target = record_goal(env)
+    assert (target.frame, target.layout) == ("base", {"kind": "surface", "rows": 4, "cols": 6})
+    assert Target.from_dict(json.loads(json.dumps(target.to_dict()))) == target
+    assert Target.from_dict(yaml.safe_load(yaml.safe_dump(target.to_dict()))) == target
+    assert Target.read(target.to_dict()) == target
+    assert Target.read(target) is target
+
+
+def test_bare_points_are_metres_in_the_base_frame_placed_anew():
+    target = Target.read(LINE)
+    assert target == Target.read(LINE.ravel()) == Target.read(LINE.tolist()) == Target(LINE.tolist())  # type: ignore[arg-type]
+    env = observing(KINDS[0])
+    spec = Centerline(n=9, ends="tips", spacing="m")
+    shape = target.shape_for(spec, view_of(env))
+    camera = FlatGoalEnv().camera_model
+    points = camera.to_base(np.asarray(shape.points3d, float))
+    np.testing.assert_allclose(points[[0, -1]], LINE[[0, -1]], atol=1e-6)
+    gap = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    assert gap.std() / gap.mean() < 0.01
+    np.testing.assert_allclose(shape.pixels, camera.intrinsics.project(np.asarray(shape.points3d)), atol=1e-4)
+
+
+def test_frames_say_the_same():
+    env = observing(KINDS[0])
+    camera, spec = FlatGoalEnv().camera_model, Centerline(n=9)
+    there = [
+        Target.read(points).shape_for(spec, view_of(env)).pixels
+        for points in (
+            {"points": LINE},
+            {"points": camera.from_base(LINE), "frame": "camera"},
+            {"points": camera.project_from_base(LINE), "frame": "pixels"},
+        )
+    ]
+    np.testing.assert_allclose(there[1], there[0], atol=1e-4)
+    np.testing.assert_allclose(there[2], there[0], atol=0.3)  # a smooth curve through pixels is another one
+
+
+def test_a_lattice_may_have_other_rows_and_columns():
+    inner = FlatGoalEnv("surface")
+    inner.reset(seed=0)
+    target = Target(inner.points(inner.end).tolist(), layout=LAYOUTS["surface"])
+    spec = Surface(rows=3, cols=3, ends="tips", spacing="m")
+    shape = target.shape_for(spec, view_of(observing(KINDS[2])))
+    corners = inner.camera_model.to_base(np.asarray(shape.points3d, float))[[0, 2, 6, 8]]
+    np.testing.assert_allclose(corners, inner.material(inner.end, [0, 1, 0, 1], [0, 0, 1, 1]), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("goal", "message"),
+    [
+        ([], r"points \(K,3\) or flat, metres in the base frame, got an array of shape \(0,\)"),
+        ([[1.0, 2.0]], r"got an array of shape \(1, 2\); for another frame give Target\(points, frame='camera'\)"),
+        ([1.0, 2.0, 3.0, 4.0], r"got an array of shape \(4,\)"),
+        ([[0.0, 0.0, np.nan]], r"expected 3 finite numbers a point in frame 'base', point 0 is \(0.0, 0.0, nan\)"),
+        ({"points": []}, "goal: expected points, got none"),
+        ({"points": LINE, "frame": "pixels"}, r"expected 2 finite numbers a point in frame 'pixels', point 0 is"),
+        ({"points": LINE, "frame": "world"}, r"Target.frame: unknown value 'world'"),
+        ({"points": LINE, "fram": "base"}, r"Target: unknown field 'fram'; did you mean 'frame'\?"),
+        ({"frame": "base"}, r"Target: missing points"),
+    ],
+)
+def test_what_is_no_goal_is_refused(goal, message):
+    with pytest.raises((ValueError, SpecError), match=message):
+        Target.read(goal)
+
+
+def test_a_goal_that_does_not_fit_is_refused():
+    env = observing(KINDS[0])
+    view, spec = view_of(env), env.detector.shapes[0]
+    cases: list[tuple[Any, Any, str]] = [
+        ({"points": LINE, "layout": {"kind": "contour"}}, view, r"laid out as a 'contour' is no goal for shape 'cent"),
+        ({"points": LINE[:2]}, view, r"goal of a 'centerline': expected at least 3 points, got 2"),
+        ({"points": LINE - [0, 0, 9], "frame": "camera"}, view, r"in front of the camera, got \[-0.1, 0.0, -9.0\]"),
+        ({"points": LINE}, View(160, 120), r"frame 'base' needs a camera: let the env publish it, or pass camera="),
+        (
+            {"points": 9 * LINE[:, :2], "frame": "pixels", "size": [640, 480]},
+            view,
+            r"image of 640 x 480, this one has 1",
+        ),
+    ]
+    for goal, seen, message in cases:
+        with pytest.raises(ValueError, match=message):
+            Target.read(goal).shape_for(spec, seen)
+    assert view.camera is not None
+    nowhere = View(160, 120, type(view.camera)(view.camera.intrinsics))
+    with pytest.raises(
+        ValueError, match=r"'base' needs the camera's place there: give camera=CameraModel\(intrinsics, t"
+    ):
+        Target.read(LINE).shape_for(spec, nowhere)
+    with pytest.raises(ValueError, match=r"equal gaps in metres: give its goal in metres too, not in pixels"):
+        Target.read({"points": 99 * LINE[:, :2], "frame": "pixels"}).shape_for(Centerline(spacing="m"), view)
+
+
+def test_a_record_of_another_configuration_is_refused():
+    env = observing(KINDS[0])
+    env.reset(seed=0)
+    target = record_goal(env)
+    other = observing({"kind": "centerline", "n": 15}, ends="tips")
+    with pytest.raises(
+        ValueError,
+        match=r"recorded with {'n': 12, 'ends': 'centers'}, shape 'centerline' has {'n': 15, 'ends': 'tips'}: its po",
+    ):
+        target.shape_for(other.detector.shapes[0], view_of(env))
+    named = observing({"kind": "centerline", "n": 12, "name": "rope", "order": "image"})
+    target.shape_for(named.detector.shapes[0], view_of(env))
+
+
+class Hidden(FlatGoalEnv):
+    """Nothing to be seen, or no depth on the right."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__("contour", goals=False)
+        self.what = what
+
+    def _observe(self) -> dict[str, np.ndarray]:
+        seen = super()._observe()
+        if self.what == "thing":
+            seen["rgb"][:] = 150
+        else:
+            seen["depth"][:, 80:] = 0
+        return seen
+
+
+def test_only_what_was_seen_is_recorded():
+    def look(what: str) -> ShapeObservation:
+        env = ShapeObservation(Hidden(what), ["contour"], RED, backend="numpy")
+        env.reset(seed=0)
+        return env
+
+    with pytest.raises(ValueError, match="nothing has been seen yet; call reset first"):
+        record_goal(observing(KINDS[0]))
+    with pytest.raises(ValueError, match="shape 'contour' was not found, so it is no goal: the mask is empty"):
+        record_goal(look("thing"))
+    half = look("depth")
+    with pytest.raises(
+        ValueError, match=r"shape 'contour': \d+ of 32 points were hidden or had no depth.*unmeasured=T"
+    ):
+        record_goal(half)
+    assert len(record_goal(half, unmeasured=True).points) == 32
+    with pytest.raises(ValueError, match=r"no shape named 'contuor'; did you mean 'contour'\?"):
+        record_goal(half, "contuor")
+    with pytest.raises(ValueError, match="expected an env with a ShapeObservation inside"):
+        record_goal(FlatGoalEnv())
+
+
+class RgbOnly(gym.ObservationWrapper[Any, Any, Any]):
+    """Colour alone, and nothing published."""
+
+    camera_model, anchors = None, {}
+
+    def __init__(self) -> None:
+        super().__init__(FlatGoalEnv("contour", goals=False))
+        self.observation_space = self.env.observation_space["rgb"]  # type: ignore[index]
+
+    def observation(self, observation: Any) -> Any:
+        return observation["rgb"]
+
+
+def test_without_depth_it_is_recorded_in_pixels():
+    plain = ShapeObservation(RgbOnly(), [KINDS[1]], RED, backend="numpy")
+    plain.reset(seed=0)
+    target = record_goal(plain)
+    assert (target.frame, target.size, len(target.points[0])) == ("pixels", (160, 120), 2)
+    with pytest.raises(ValueError, match="was found without depth: its frame is 'pixels', not 'base'"):
+        record_goal(plain, frame="base")
+    env = ShapeGoal(plain, target, threshold=0.02)
+    observation, info = env.reset(seed=0)
+    assert info["is_success"]
+    assert observation["desired_goal"].shape == (48,)
+    _, _, _, _, info = env.step(np.ones(1, np.float32))
+    assert info["goal/distance"] > 0.01
