@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
-from scipy.signal import savgol_filter
 
 from shape_obs.kernels import NUMPY, Kernels
+from shape_obs.smoothing import straightened
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -180,7 +180,7 @@ class Curve(Form):
         filled = np.interp(at, at[known], values[known], period=count if self.closed else None)
         if count <= _SMOOTHING:
             return filled
-        return np.asarray(savgol_filter(filled, _SMOOTHING, 1, mode="wrap" if self.closed else "interp"))
+        return straightened(filled, _SMOOTHING, self.closed)
 
     def measured(self, points: Array) -> Self:
         """The same curve with its points elsewhere: (P,D') for (P,D), say in metres for pixels."""
@@ -272,12 +272,11 @@ class Patch(Form):
     def smoothed(self, values: Array, known: Mask) -> Array:
         """(P,) values at the points, the unknown ones as the nearest known, smoothed over 3 x 3 by local planes."""
         lattice = values.reshape(self.rows, -1)
-        missing = ~known.reshape(lattice.shape)
-        nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
-        filled = lattice[tuple(np.asarray(nearest))]
-        for axis in (0, 1):
-            filled = savgol_filter(filled, 3, 1, axis=axis, mode="interp")
-        return np.asarray(filled).ravel()
+        if not known.all():
+            missing = ~known.reshape(lattice.shape)
+            nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
+            lattice = lattice[tuple(np.asarray(nearest))]
+        return straightened(straightened(lattice, 3).T, 3).T.ravel()
 
     def measured(self, points: Array) -> Self:
         """The same patch with its points elsewhere: (P,D') for (P,D), say in metres for pixels."""

@@ -48,10 +48,11 @@ def follow_chain(form: Curve, prediction: Prediction) -> Curve:
     """
     slack = max(_SLACK[0] * prediction.size, _SLACK[1] * prediction.grain)
     size, found = prediction.size, form.size
-    if size - slack < found < size:
+    close = size - slack < found
+    if close and found < size:
         size = max((1 - _GIVING) * size, found)
-    if found >= size and form.whole and _is_along(form, prediction.nodes):
-        return form.remembering(Memory(size=min(found, (1 + _GAINING) * size)))
+    if close and form.whole and _is_along(form, prediction.nodes):
+        return form.remembering(Memory(size=min(max(found, size), (1 + _GAINING) * size)))
     prediction = prediction._replace(size=size)
     known = _Known(prediction)
     whole = known.filled(min((form, form.reversed()), key=known.distance))

@@ -177,9 +177,18 @@ class TestVector:
         half = shape([[1, 2], [np.nan, 4]], [[0, 0, 1], [np.nan] * 3])
         np.testing.assert_allclose(vector.compute([half], [view])[:4], [1, 2, 159.5, 4])
 
-    def test_what_is_out_of_bounds_is_clipped(self, view):
-        values = self.vector(view, "points2d").compute([shape([[-9, 500], [1e9, -np.inf]])], [view])
-        np.testing.assert_array_equal(values, [-0.5, 239.5, 319.5, 119.5])
+    def test_what_is_out_of_bounds_is_clipped_and_told_once(self, view):
+        vector = self.vector(view, "points2d")
+        with pytest.warns(UserWarning, match=r"3 of 4 values lie outside of their bounds .* give workspace=") as told:
+            for _ in range(2):
+                values = vector.compute([shape([[-9, 500], [1e9, -np.inf]])], [view])
+                np.testing.assert_array_equal(values, [-0.5, 239.5, 319.5, 119.5])
+        assert len(told) == 1
+
+    @pytest.mark.filterwarnings("error::UserWarning")
+    def test_a_little_noise_is_clipped_without_a_word(self, view):
+        values = self.vector(view, "points2d").compute([shape([[-3, 0], [10, 242]])], [view])
+        np.testing.assert_array_equal(values, [-0.5, 0, 10, 239.5])
 
     @given(hnp.arrays(np.float32, (4, 2)), hnp.arrays(np.float32, (4, 3)), st.booleans(), st.floats(0, 1e9))
     def test_no_shape_leaves_the_bounds(self, overhead, points2d, points3d, ok, age):

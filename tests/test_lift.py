@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import savgol_filter
 
 from shape_obs import CameraModel, Centerline, Intrinsics, ShapeDetector
 from shape_obs.evaluation.ropes import Rope, draw_rope
+from shape_obs.smoothing import straightened
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 
@@ -203,3 +205,11 @@ def test_without_a_camera_there_are_no_points_in_space(wave):
     shape = ShapeDetector().detect_mask(wave.mask, np.full(wave.mask.shape, 0.8)).shapes[0]
     assert shape.ok
     assert shape.points3d is None
+
+
+@pytest.mark.parametrize("closed", [False, True])
+@pytest.mark.parametrize(("count", "window"), [(9, 9), (40, 9), (5, 3), (3, 3)])
+def test_lines_through_neighbours_are_those_of_savgol(closed, count, window):
+    values = np.random.default_rng(0).normal(size=(count, 2)).cumsum(axis=0)
+    expected = savgol_filter(values, window, 1, axis=0, mode="wrap" if closed else "interp")
+    np.testing.assert_allclose(straightened(values, window, closed), expected, atol=1e-12)

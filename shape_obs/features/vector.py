@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -32,15 +33,29 @@ class FeatureVector:
         self.high = np.concatenate([high for _, high in bounds]).astype(np.float32)
         if not np.all(self.low < self.high) or not np.all(np.isfinite([self.low, self.high])):
             raise ValueError(f"features: bounds must be finite and low < high, got {self.low} and {self.high}.")
+        self._centre = self.low + (self.high - self.low) / 2
+        # Noise may leave the bounds; an object that does not fit into them is a mistake.
+        self._told_from, self._told = 0.02 * (self.high - self.low), False
 
     def compute(self, shapes: Sequence[Shape], views: Sequence[View]) -> npt.NDArray[np.float32]:
-        """(D,) float32: unknown values sit at the centre of their bounds, the others are clipped to them."""
-        values = np.concatenate(
-            [
-                feature.compute(shape, view)
-                for shape, view in zip(shapes, views, strict=True)
-                for feature in self.features
-            ]
-        ).astype(np.float32)
-        centre = self.low + (self.high - self.low) / 2
-        return np.clip(np.where(np.isfinite(values), values, centre), self.low, self.high)
+        """(D,) float32: unknown values sit at the centre of their bounds, the others are clipped to them.
+
+        Warns once when values lie far outside of their bounds.
+        """
+        computed = [
+            feature.compute(shape, view) for shape, view in zip(shapes, views, strict=True) for feature in self.features
+        ]
+        values = np.concatenate(computed).astype(np.float32)
+        known = np.isfinite(values)
+        if not known.all():
+            values = np.where(known, values, self._centre)
+        clipped = np.minimum(np.maximum(values, self.low), self.high)
+        if not self._told and np.any(np.abs(clipped - values) > self._told_from):
+            self._told = True
+            warnings.warn(
+                f"features: {np.count_nonzero(clipped != values)} of {len(values)} values lie outside of their bounds "
+                "and are clipped to them. For points in metres give workspace=, or max_depth= of the feature, as large "
+                "as the scene is. This is said once.",
+                stacklevel=2,
+            )
+        return clipped
