@@ -33,8 +33,7 @@ def straightened(values: Array, window: int, closed: bool = False) -> Array:
     if closed:
         return middle
     first = _ends(window)
-    head = np.tensordot(first, values[:window], 1)
-    tail = np.tensordot(first[::-1, ::-1], values[-window:], 1)
+    head, tail = first @ values[:window], first[::-1, ::-1] @ values[-window:]
     return np.concatenate([head, middle, tail])
 
 
