@@ -56,7 +56,9 @@ def test_the_readme_has_the_two_commands_as_they_are_promised():
     assert "uv run pytest" in lines
 
 
-@pytest.mark.parametrize("command", ["demo", "detect", "bench claims", "bench table", "bench peers", "bench latency"])
+@pytest.mark.parametrize(
+    "command", ["demo", "detect", "bench claims", "bench table", "bench peers", "bench latency", "bench envs"]
+)
 def test_the_page_of_the_command_line_knows_every_option(command, capsys):
     from shape_obs.cli import main
 

@@ -11,15 +11,19 @@ from typing import Final
 _PACKAGES: Final = ("numpy", "scipy", "opencv-python-headless", "opencv-python", "scikit-learn", "numba")
 
 
-def machine() -> dict[str, str]:
-    """What of hardware and software decides the speed: name -> what it is."""
+def machine(*more: str) -> dict[str, str]:
+    """What of hardware and software decides the speed: name -> what it is.
+
+    Args:
+        more: Packages that have a say, beside those that always have.
+    """
     found = {
         "processor": _processor(),
         "cores": str(os.cpu_count()),
         "system": f"{platform.system()} {platform.machine()}",
     }
     found["python"] = platform.python_version()
-    return found | {package: number for package in _PACKAGES if (number := _version(package))}
+    return found | {package: number for package in (*_PACKAGES, *more) if (number := _version(package))}
 
 
 def _version(package: str) -> str:

@@ -8,8 +8,17 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from shape_obs.evaluation import claims, cloud_claims, contour_claims, hard_claims, surface_claims
+from shape_obs.evaluation import (
+    claims,
+    cloud_claims,
+    contour_claims,
+    env_claims,
+    env_goals,
+    hard_claims,
+    surface_claims,
+)
 from shape_obs.evaluation.blobs import garments
+from shape_obs.evaluation.env_runner import ENVS, Env
 from shape_obs.evaluation.shared_pass import shared_passes
 from shape_obs.evaluation.tangle_claims import tangled_ropes
 
@@ -25,12 +34,16 @@ class Effort(NamedTuple):
         seed: Of everything drawn.
         renderer: The simulator's camera.
         garments: A file of annotated garment outlines; None leaves them out.
+        jobs: Processes for what takes long.
+        told: Called with how far a long group is.
     """
 
     share: float
     seed: int
     renderer: str
     garments: Path | None
+    jobs: int = 1
+    told: Callable[[str], object] = lambda text: None
 
     def count(self, full: int) -> int:
         """A share of a full count, at least one."""
@@ -103,6 +116,39 @@ def _cable(effort: Effort) -> Tables:
     yield title, _rows(claims.cable_episodes(camera, effort.renderer, effort.seeds(20)) for camera in cameras)
 
 
+def _envs(effort: Effort) -> Tables:
+    """Simulated environments: points, physics, goals."""
+    every, seeds = env_claims.settings(effort.renderer), effort.seeds(150)
+    ticks = _counted("episode", len(every) * len(seeds), effort.told)
+    found = env_claims.all_episodes(every, seeds, effort.jobs, tick=ticks)
+    rows = [env_claims.claim_row(setting, some) for setting, some in found.items()]
+    yield "simulated environments, random actions, points against truth", rows
+    of: dict[Env, list[env_claims.Episode]] = {
+        env: [each for setting, some in found.items() if setting.env == env for each in some] for env in ENVS
+    }
+    physics = [env_claims.physics_row(env, some) for env, some in of.items()]
+    yield "simulated environments, physics over these episodes", physics
+    drawn: list[tuple[Env, str]] = [(env, how) for env in ENVS for how in env_goals.DIFFICULTIES]
+    seeds = effort.seeds(50)
+    ticks = _counted("goal", len(drawn) * len(seeds), effort.told)
+    goals = [env_goals.goals(env, difficulty, seeds, ticks) for env, difficulty in drawn]
+    yield "simulated environments, goals, and where their own actions lead", _rows(goals)
+    asked = env_claims.asked_rows(rows, physics) + env_goals.asked_rows(goals)
+    yield "simulated environments, asked and seen", asked
+
+
+def _counted(what: str, total: int, told: Callable[[str], object]) -> Callable[[int], None]:
+    """What is to be called with how many more are done."""
+    done = 0
+
+    def tick(more: int) -> None:
+        nonlocal done
+        done += more
+        told(f"{what} {done} of {total}")
+
+    return tick
+
+
 GROUPS: Final[dict[str, Callable[[Effort], Tables]]] = {
     "ropes": _ropes,
     "tangles": _tangles,
@@ -113,6 +159,7 @@ GROUPS: Final[dict[str, Callable[[Effort], Tables]]] = {
     "clouds": _clouds,
     "shapes": _shapes,
     "cable": _cable,
+    "envs": _envs,
 }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import copy
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -17,12 +18,16 @@ from shape_obs_envs.mujoco.goals import (
     DIFFICULTIES,
     SETTLING,
     Actions,
+    Difficulty,
     actions_towards,
     draw_goal,
     mean_point_distance,
     smooth_actions,
 )
-from shape_obs_envs.mujoco.scene import TIMESTEP, camera_model, camera_spec
+from shape_obs_envs.mujoco.options import POINTS_HIGH, POINTS_LOW, read_options
+from shape_obs_envs.mujoco.randomization import Randomizer
+from shape_obs_envs.mujoco.randomization.factor import Scene
+from shape_obs_envs.mujoco.scene import TIMESTEP, camera_model, camera_spec, compile_scene
 from shape_obs_envs.mujoco.studio import RENDER_MODES, RENDERERS, Studio
 from shape_obs_envs.mujoco.viewer import has_display
 from shape_obs_envs.mujoco.workspace import Workspace
@@ -31,8 +36,6 @@ Array = NDArray[np.float64]
 Observation = dict[str, NDArray[Any]]
 REWARDS = ("dense", "sparse")
 SUBSTEPS = 5
-#: Every point of the object stays within these, base frame [m].
-POINTS_LOW, POINTS_HIGH = (-0.4, -0.4, 0.0), (0.4, 0.4, 0.1)
 
 
 class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
@@ -49,6 +52,8 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         difficulty: "near", "middle" or "far": how far goals are from the start.
         render_observation: False leaves the images out of the observation and draws nothing.
         render_size: Size of what `render` returns, like `camera`; None for the observation's.
+        randomize: True draws light, looks, camera, material, distractors and a hand anew at each reset; a mapping says
+            which of them and how strongly. See docs/domain-randomization.md.
 
     Raises:
         ValueError: An argument is out of its range; the message says what it takes.
@@ -61,6 +66,10 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
     #: Largest motion of a gripper in one step.
     STEP: ClassVar[Array]
+    #: Two corners [m] of a box that the object stays in, base frame.
+    REACH: ClassVar[tuple[tuple[float, float, float], tuple[float, float, float]]]
+    #: How far goals are from the start, for each `difficulty`.
+    GOALS: ClassVar[Mapping[str, Difficulty]] = DIFFICULTIES
 
     _body: Body
     _workspace: Workspace
@@ -76,6 +85,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         difficulty: str = "middle",
         render_observation: bool = True,
         render_size: str | Sequence[int] | None = None,
+        randomize: bool | Mapping[str, Any] = False,
     ) -> None:
         self._camera_spec = camera_spec(camera)
         display = self._camera_spec if render_size is None else camera_spec(render_size, "render_size")
@@ -84,6 +94,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         self.success_threshold = positive("success_threshold", success_threshold, "0.01, one centimetre")
         self.difficulty = difficulty
         self.render_observation = one_of("render_observation", render_observation, (True, False))
+        self._randomizer = Randomizer(randomize)
         # What works here: checkers try every mode, and a window needs a display.
         modes = [mode for mode in RENDER_MODES if mode != "human" or has_display()]
         self.metadata = {**type(self).metadata, "render_modes": modes}
@@ -107,9 +118,15 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
     def _gripper(self) -> NDArray[np.float32]:
         """The measured gripper poses, flat."""
 
+    def _compile(self, bodies: str, equality: str = "", sections: str = "") -> Any:
+        """Compile the scene of MJCF parts, with what the randomisation adds."""
+        extra = self._randomizer
+        return compile_scene(self._camera_spec, bodies + extra.bodies(), equality, sections + extra.sections())
+
     def _install(self, body: Body, workspace: Workspace, gripper: gym.spaces.Box) -> None:
         """Take the object, where its grippers may go, and the space of the observation's `gripper`."""
         self._body, self._workspace = body, workspace
+        self._randomizer.bind(Scene(body, self._camera_spec, self.REACH, self._goal_points))
         body.refresh()
         self._target = body.gripper_poses()
         self._goal = self._goal_points().astype(np.float32).ravel()
@@ -146,17 +163,20 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
             ValueError: Another option, or a start or goal that is none.
         """
         super().reset(seed=seed)
-        given = self._checked(options or {})
+        given = read_options(options or {}, self.observation_space["desired_goal"])  # type: ignore[index]
+        self._randomizer.make(self.np_random)
         if given["start"] is None:
             self._target = self._draw_start()
         else:
             self._body.set_state(given["start"])
             self._target = self._body.gripper_targets()
         if given["goal"] is None:
-            goal = draw_goal(DIFFICULTIES[self.difficulty], self._goal_points(), self._draw_motion, self._rehearse)
+            goal = draw_goal(self.GOALS[self.difficulty], self._goal_points(), self._draw_motion, self._rehearse)
             self._goal, self.goal_actions = goal.points.astype(np.float32).ravel(), goal.actions
         else:
             self._goal, self.goal_actions = given["goal"], self.goal_actions[:0]
+        if self._randomizer.dress():
+            self._studio.refresh()
         self._studio.show(self._body, self.render_mode)
         observation = self._observe()
         return observation, self._info(observation)
@@ -171,6 +191,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         if move.shape != self.action_space.shape or not np.isfinite(move).all():
             raise ValueError(f"action: expected {self.action_space.shape} finite numbers in [-1, 1], got {action!r}")
         self._move(np.clip(move, -1.0, 1.0))
+        self._randomizer.advance()
         self._studio.show(self._body, self.render_mode)
         observation = self._observe()
         info = self._info(observation)
@@ -222,29 +243,16 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         """Intrinsics and pose of the camera; p_base = T p_camera."""
         return camera_model(self._camera_spec, self._body.model, self._body.data)
 
+    @property
+    def randomization(self) -> dict[str, Any]:
+        """What was drawn at the last reset, factor by factor: a copy, of plain values; empty without `randomize`."""
+        return copy.deepcopy(self._randomizer.drawn)
+
     def get_state(self) -> Array:
         """The whole physics state, for `reset(options={"start": ...})` of an environment made alike."""
         return self._body.get_state()
 
     # ---- inside
-
-    def _checked(self, options: Mapping[str, Any]) -> dict[str, Array | None]:
-        """Start and goal as float arrays, None where not given."""
-        for key in options:
-            one_of("options", key, ("start", "goal"))
-        out: dict[str, Any] = {"start": None, "goal": None}
-        if options.get("start") is not None:
-            out["start"] = np.asarray(options["start"], np.float64)
-        if options.get("goal") is not None:
-            goal = np.asarray(options["goal"], np.float32)
-            space = self.observation_space["desired_goal"]  # type: ignore[index]
-            if goal.size != self._goal.size or not space.contains(goal.ravel()):
-                raise ValueError(
-                    f"options['goal']: expected {self._goal.size // 3} points (x, y, z) [m] in the base frame within "
-                    f"{POINTS_LOW} ... {POINTS_HIGH}, got an array of shape {goal.shape}: {goal.ravel()[:6]} ..."
-                )
-            out["goal"] = goal.ravel().copy()
-        return out
 
     def _move(self, action: Array) -> None:
         target = self._workspace.clip(self._target + action.reshape(self._target.shape) * self.STEP, self._target)

@@ -73,8 +73,8 @@ def camera_spec(camera: str | Sequence[int], name: str = "camera") -> CameraSpec
     return CameraSpec(int(size[0]), int(size[1]))
 
 
-def compile_scene(camera: CameraSpec, bodies: str, equality: str = "") -> Any:
-    """Compile a scene: `bodies` and `equality` are MJCF of what lies on the table.
+def compile_scene(camera: CameraSpec, bodies: str, equality: str = "", sections: str = "") -> Any:
+    """Compile a scene: `bodies` and `equality` are MJCF of what lies on the table, `sections` of whole sections.
 
     The world frame is the robot's base frame: origin on the table under the camera's aim, z up, x to the image's right.
 
@@ -105,6 +105,7 @@ def compile_scene(camera: CameraSpec, bodies: str, equality: str = "") -> Any:
     {bodies}
   </worldbody>
   <equality>{equality}</equality>
+  {sections}
 </mujoco>""")
     if hasattr(model, "light_type"):
         model.light_type[:] = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL

@@ -61,8 +61,10 @@ class Studio:
         """The images of an observation: `rgb` uint8 and `depth` uint16 [mm], 0 where it is invalid."""
         self._last = rgb, depth = self.capture(body)
         # Millimetres as a depth camera gives them; beyond its range is invalid.
-        millimetres = np.rint(depth * 1000)
-        return {"rgb": rgb.copy(), "depth": np.where(millimetres <= 65535, millimetres, 0).astype(np.uint16)}
+        millimetres = depth * 1000
+        np.rint(millimetres, out=millimetres)
+        millimetres[millimetres > 65535] = 0
+        return {"rgb": rgb.copy(), "depth": millimetres.astype(np.uint16)}
 
     def render(self, body: Body, mode: str) -> Any:
         """What a render mode returns."""
@@ -78,6 +80,13 @@ class Studio:
         if mode == "human":
             self._viewer = self._viewer or Viewer(body.model, body.data, self._dt)
             self._viewer.sync()
+
+    def refresh(self) -> None:
+        """Take over textures and lights of the model that have changed."""
+        for camera in self._cameras.values():
+            camera.refresh()
+        if self._viewer is not None:
+            self._viewer.refresh()
 
     def close(self) -> None:
         """Free the cameras and the viewer; they are opened again when they are used again."""

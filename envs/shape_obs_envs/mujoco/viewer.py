@@ -39,6 +39,7 @@ class Viewer:
                 'render_mode="rgb_array" with gymnasium.wrappers.RecordVideo.'
             )
         self._window = viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
+        self._textures = int(model.ntex)
         self._dt, self._due = dt, time.monotonic()
 
     def sync(self) -> None:
@@ -48,6 +49,12 @@ class Viewer:
         self._window.sync()
         time.sleep(max(0.0, self._due - time.monotonic()))
         self._due = time.monotonic() + self._dt
+
+    def refresh(self) -> None:
+        """Take over textures of the model that have changed."""
+        if self._window.is_running():
+            for texture in range(self._textures):
+                self._window.update_texture(texture)
 
     def close(self) -> None:
         """Close the window; may be called twice."""

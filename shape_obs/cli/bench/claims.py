@@ -15,7 +15,7 @@ from tqdm import tqdm
 from shape_obs.cli.bench.printing import table
 from shape_obs.evaluation.report import GROUPS, Effort
 
-Group = Literal["ropes", "tangles", "hands", "noise", "outlines", "sheets", "clouds", "shapes", "cable"]
+Group = Literal["ropes", "tangles", "hands", "noise", "outlines", "sheets", "clouds", "shapes", "cable", "envs"]
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,8 @@ class Claims:
     """Of everything drawn."""
     renderer: Literal["auto", "gl", "rays"] = "auto"
     """The simulator's camera."""
+    jobs: int = 1
+    """Processes that share the episodes of the group envs."""
     garments: Path | None = None
     """A JSON file of annotated garment outlines, to be measured with the drawn ones."""
     json: bool = False
@@ -41,6 +43,8 @@ def main(argv: Sequence[str]) -> int:
     args = tyro.cli(Claims, args=list(argv), prog="shape-obs bench claims")
     if not 0 < args.share <= 100:
         raise ValueError(f"--share: expected a number above 0, at most 100, got {args.share}.")
+    if args.jobs < 1:
+        raise ValueError(f"--jobs: expected at least 1, got {args.jobs}.")
     if args.garments is not None and not args.garments.is_file():
         raise FileNotFoundError(f"{args.garments}: no such file")
     tables = measure(args)
@@ -52,8 +56,8 @@ def main(argv: Sequence[str]) -> int:
 def measure(args: Claims) -> dict[str, list[dict[str, Any]]]:
     """The measurements that are asked for, printed as they come unless JSON is asked for."""
     tables: dict[str, list[dict[str, Any]]] = {}
-    effort = Effort(args.share, args.seed, args.renderer, args.garments)
     groups = tqdm(args.only or GROUPS, desc="claims", leave=False, file=sys.stderr)
+    effort = Effort(args.share, args.seed, args.renderer, args.garments, args.jobs, groups.set_postfix_str)
     for group in groups:
         groups.set_postfix_str(group)
         for title, rows in GROUPS[group](effort):

@@ -81,6 +81,10 @@ class Body(abc.ABC):
         """Height [m] of what may lie under it on the table without hiding any of it; 0 for nothing."""
 
     @abc.abstractmethod
+    def landmarks(self) -> Array:
+        """Points (n, 3) [m] by which its form is known: where they are all seen, no part of it looks like the whole."""
+
+    @abc.abstractmethod
     def paint(self, rgb: Sequence[float], tones: NDArray[Any]) -> None:
         """Colour it `rgb`, 0 ... 1, brighter or darker by factors `tones` (tone_shape) from place to place."""
 

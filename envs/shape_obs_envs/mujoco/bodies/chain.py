@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shape_obs_envs.mujoco.bodies.base import GRIPPERS, OBJECT_GROUP, MaterialFactors, PlanarBody
-from shape_obs_envs.mujoco.bodies.tube import Station, rounded_ends, tube_skin
+from shape_obs_envs.mujoco.bodies.tube import Station, Tube, print_tube, reshape_tube, rounded_ends, tube_skin
 from shape_obs_envs.mujoco.engine import mujoco
 
 Array = NDArray[np.float64]
@@ -79,6 +79,10 @@ def chain_bodies(spec: ChainSpec) -> str:
 
 def chain_skin(spec: ChainSpec) -> str:
     """MJCF of what OpenGL draws instead of the capsules."""
+    return tube_skin(_tube(spec), spec.links, spec.rgba)
+
+
+def _tube(spec: ChainSpec) -> Tube:
     link, links = spec.link_length, spec.links
     start, end = rounded_ends(link * links, spec.radius, links - 1)
     middle = [Station(link * i, 1.0, (i - 1, i)) for i in range(1, links)]
@@ -86,7 +90,7 @@ def chain_skin(spec: ChainSpec) -> str:
     # As wide as it is told to be, seen from above: the profile has a corner on each side.
     profile = spec.radius * np.column_stack([np.cos(angle), np.sin(angle)])
     stations = [*start, Station(0.0, 1.0, (0,)), *middle, Station(link * links, 1.0, (links - 1,)), *end]
-    return tube_skin(stations, profile, spec.radius, link, np.array([-link * links / 2, 0.0]), spec.rgba)
+    return Tube(stations, profile, spec.radius, link, np.array([-link * links / 2, 0.0]))
 
 
 def chain_equality(spec: ChainSpec) -> str:
@@ -158,9 +162,14 @@ class Chain(PlanarBody):
         """Less than half of what is under the axis, where a rope that is seen from above is widest."""
         return 0.4 * self.spec.radius
 
+    def landmarks(self) -> Array:
+        """Both ends: (20, 3) [m], the first and the last tenth of the axis; world frame."""
+        return self.points(np.concatenate([np.linspace(0.0, 0.1, 10), np.linspace(0.9, 1.0, 10)]))
+
     def paint(self, rgb: Sequence[float], tones: NDArray[Any]) -> None:
         """Colour it `rgb`, 0 ... 1, with a factor in `tones` (links, 1) for each link."""
-        self.model.geom_rgba[self._geoms, :3] = np.clip(tones * rgb, 0, 1)
+        self.model.geom_rgba[self._geoms, :3] = tones * rgb
+        print_tube(self.model, rgb, tones[:, 0])
 
     def set_material(self, factors: MaterialFactors) -> None:
         """Make it of another material; it is to be placed anew after that. Its mass stays, and with it its inertia."""
@@ -180,6 +189,7 @@ class Chain(PlanarBody):
                 jaw = self._geoms[end] + 1 + i
                 model.geom_size[jaw], model.geom_pos[jaw] = size, place
                 model.geom_rbound[jaw] = np.linalg.norm(size)
+        reshape_tube(model, _tube(spec))
         bends = slice(3, 2 + spec.links)
         model.jnt_stiffness[bends] = nominal.stiffness * factors.stiffness
         model.dof_damping[bends] = nominal.damping * factors.damping

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shape_obs_envs.mujoco.bodies.base import GRIPPERS, OBJECT_GROUP, MaterialFactors, PlanarBody
-from shape_obs_envs.mujoco.bodies.tube import Station, tube_skin
+from shape_obs_envs.mujoco.bodies.tube import Station, Tube, print_tube, reshape_tube, tube_skin
 from shape_obs_envs.mujoco.engine import mujoco
 
 Array = NDArray[np.float64]
@@ -92,11 +92,15 @@ def loop_bodies(spec: LoopSpec) -> str:
 
 def loop_skin(spec: LoopSpec) -> str:
     """MJCF of what OpenGL draws instead of boxes and cylinders; it begins and ends in the middle of the first link."""
+    return tube_skin(_tube(spec), spec.links, spec.rgba)
+
+
+def _tube(spec: LoopSpec) -> Tube:
     link, half = spec.link_length, (spec.width / 2, spec.thickness / 2)
     joints = [Station(link * i, 1.0, (i - 1, i)) for i in range(1, spec.links + 1)]
     stations = [Station(link / 2, 1.0, (0,)), *joints, Station(link * (spec.links + 0.5), 1.0, (spec.links,))]
     corners = np.array([[1, -1], [1, 1], [1, 1], [-1, 1], [-1, 1], [-1, -1], [-1, -1], [1, -1]]) * half
-    return tube_skin(stations, corners, spec.thickness / 2, link, np.zeros(2), spec.rgba)
+    return Tube(stations, corners, spec.thickness / 2, link, np.zeros(2))
 
 
 def loop_equality(spec: LoopSpec) -> str:
@@ -163,13 +167,25 @@ class Loop(PlanarBody):
         """A quarter of its thickness."""
         return 0.25 * self.spec.thickness
 
+    def landmarks(self) -> Array:
+        """Points (4 links, 3) [m] on the band's top, a third of its width from the outer edge: it is seen to be closed.
+
+        What is within has to be wide enough for a small picture.
+        """
+        joints, spec = self.axis(), self.spec
+        along = np.roll(joints, -1, axis=0) - joints
+        outward = np.column_stack([-along[:, 1], along[:, 0], np.zeros(len(along))]) / spec.link_length
+        points = [joints + part * along + spec.width / 6 * outward for part in (0.0, 0.25, 0.5, 0.75)]
+        return np.concatenate(points) + (0, 0, spec.thickness / 2)
+
     def paint(self, rgb: Sequence[float], tones: NDArray[Any]) -> None:
         """Colour it `rgb`, 0 ... 1, with a factor in `tones` (links, 1) for each link."""
-        colours = np.clip(tones * rgb, 0, 1)
+        colours = tones * rgb
         self.model.geom_rgba[self._pieces, :3] = colours
         self.model.geom_rgba[self._knuckles, :3] = (colours + np.roll(colours, 1, axis=0)) / 2
         # Which of two tones at one height is seen would be left to chance: the knuckles lie a hair lower.
         self.model.geom_size[self._knuckles, 1] = self.spec.thickness / 2 - _HAIR
+        print_tube(self.model, rgb, tones[:, 0])
 
     def set_material(self, factors: MaterialFactors) -> None:
         """Make it of another material; it is to be placed anew after that. Its mass stays, and with it its inertia."""
@@ -178,13 +194,14 @@ class Loop(PlanarBody):
         self.spec = spec = replace(nominal, width=width, thickness=thickness)
         model.geom_size[self._pieces, 1:] = width / 2, thickness / 2
         model.geom_size[self._knuckles, :2] = width / 2, thickness / 2
-        both = np.concatenate([self._pieces, self._knuckles])
-        model.geom_rbound[both] = np.linalg.norm([spec.link_length / 2, width / 2, thickness / 2])
+        model.geom_rbound[self._pieces] = np.linalg.norm([spec.link_length / 2, width / 2, thickness / 2])
+        model.geom_rbound[self._knuckles] = np.hypot(width / 2, thickness / 2)
         model.body_pos[self._bodies[0], 2] = model.body_pos[self._held_by, 2] = thickness / 2
         for link in spec.held:
             jaw = self._knuckles[link] + 1
             model.geom_size[jaw], model.geom_pos[jaw] = _jaw_box(spec)
             model.geom_rbound[jaw] = np.linalg.norm(model.geom_size[jaw])
+        reshape_tube(model, _tube(spec))
         bends = slice(3, 3 + spec.links)
         model.jnt_stiffness[bends] = nominal.stiffness * factors.stiffness
         model.dof_damping[bends] = nominal.damping * factors.damping

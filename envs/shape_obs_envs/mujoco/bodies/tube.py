@@ -6,15 +6,16 @@ The links' own geoms stay what rays meet and what the physics weigh; where there
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: Name of the skin.
+#: Name of the skin, of its texture and of its material.
 TUBE = "tube"
+_TEXELS = 512  # along it
 
 
 class Station(NamedTuple):
@@ -39,10 +40,8 @@ def rounded_ends(length: float, radius: float, last: int) -> tuple[list[Station]
     return start, end
 
 
-def tube_skin(
-    stations: Sequence[Station], profile: Array, height: float, link: float, origin: Array, rgba: Sequence[float]
-) -> str:
-    """MJCF of a skin over bodies named "link0", "link1", ...
+class Tube(NamedTuple):
+    """The tube while its links lie straight along x.
 
     Args:
         stations: From end to end.
@@ -51,31 +50,89 @@ def tube_skin(
         height: Of the axis above the table [m].
         link: Length of a link [m].
         origin: (2,) x, y [m] of the first link's start in the model's first configuration.
+    """
+
+    stations: Sequence[Station]
+    profile: Array
+    height: float
+    link: float
+    origin: Array
+
+    @property
+    def vertices(self) -> Array:
+        """(S, K, 3) [m], station by station."""
+        height = self.height
+        rings = np.array([[(s.x, s.scale * y, s.scale * z + height) for y, z in self.profile] for s in self.stations])
+        rings[..., :2] += self.origin
+        return rings
+
+    @property
+    def carriers(self) -> list[int]:
+        """The links that carry it, in order."""
+        return sorted({index for station in self.stations for index in station.links})
+
+    @property
+    def hinges(self) -> Array:
+        """(carriers, 3) [m] where each of them starts."""
+        starts = self.origin[0] + np.array(self.carriers) * self.link
+        return np.column_stack([starts, np.full(len(starts), self.origin[1]), np.full(len(starts), self.height)])
+
+
+def tube_skin(tube: Tube, links: int, rgba: Sequence[float]) -> str:
+    """MJCF of a skin over bodies named "link0", "link1", ...
+
+    Args:
+        tube: Its form.
+        links: How many links there are; a print is laid along them once.
         rgba: Colour.
     """
-    k = len(profile)
-    rings = np.array([[(s.x, s.scale * y, s.scale * z + height) for y, z in profile] for s in stations])
-    rings[..., :2] += origin
+    k, stations, rings = len(tube.profile), tube.stations, tube.vertices
     ring, corner = np.meshgrid(np.arange(len(stations) - 1), np.arange(k), indexing="ij")
     a, b = ring * k + corner, ring * k + (corner + 1) % k
     faces = np.concatenate([np.stack([a, b, b + k], axis=-1), np.stack([a, b + k, a + k], axis=-1)]).reshape(-1, 3)
     corners = rings.reshape(-1, 3)[faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     faces = faces[area > 1e-12]
+    along = np.array([s.x for s in stations]) / (links * tube.link)
+    places = np.stack([np.repeat(along, k), np.full(len(stations) * k, 0.5)], axis=1)
     bones = []
-    for index in sorted({index for station in stations for index in station.links}):
+    for index, hinge in zip(tube.carriers, tube.hinges, strict=True):
         carried = [(i, 1 / len(s.links)) for i, s in enumerate(stations) if index in s.links]
         ids = np.concatenate([np.arange(i * k, (i + 1) * k) for i, _ in carried])
         weights = np.repeat([weight for _, weight in carried], k)
-        place = _numbers([origin[0] + index * link, origin[1], height])
         bones.append(
-            f'<bone body="link{index}" bindpos="{place}" bindquat="1 0 0 0" vertid="{_numbers(ids)}" '
+            f'<bone body="link{index}" bindpos="{_numbers(hinge)}" bindquat="1 0 0 0" vertid="{_numbers(ids)}" '
             f'vertweight="{_numbers(weights)}"/>'
         )
     return (
+        f'<asset><texture name="{TUBE}" type="2d" builtin="flat" rgb1="1 1 1" width="{_TEXELS}" height="1"/>'
+        f'<material name="{TUBE}" texture="{TUBE}" specular="0" shininess="0"/></asset>'
         f'<deformable><skin name="{TUBE}" rgba="{_numbers(rgba)}" vertex="{_numbers(rings.ravel())}" '
-        f'face="{_numbers(faces.ravel())}">{"".join(bones)}</skin></deformable>'
+        f'texcoord="{_numbers(places.ravel())}" face="{_numbers(faces.ravel())}">{"".join(bones)}</skin></deformable>'
     )
+
+
+def reshape_tube(model: Any, tube: Tube) -> None:
+    """Give the skin of a compiled model the form of another tube over the same links."""
+    skin = model.skin(TUBE)
+    start = int(model.skin_vertadr[skin.id])
+    model.skin_vert[start : start + int(model.skin_vertnum[skin.id])] = tube.vertices.reshape(-1, 3)
+    start = int(model.skin_boneadr[skin.id])
+    model.skin_bonebindpos[start : start + int(model.skin_bonenum[skin.id])] = tube.hinges
+
+
+def print_tube(model: Any, rgb: Sequence[float], tones: NDArray[Any]) -> None:
+    """Colour the skin of a compiled model.
+
+    Args:
+        model: The model.
+        rgb: Colour, 0 ... 1.
+        tones: (links,) factors of it, 0 ... 1, for each link.
+    """
+    link = (np.arange(_TEXELS) + 0.5) * len(tones) / _TEXELS
+    start, skin = int(model.texture(TUBE).adr[0]), model.skin(TUBE).id
+    model.tex_data[start : start + 3 * _TEXELS] = np.repeat(np.rint(255 * tones[link.astype(int)]), 3)
+    model.skin_rgba[skin, :3], model.skin_matid[skin] = rgb, model.material(TUBE).id
 
 
 def _numbers(values: Sequence[float] | NDArray[np.generic]) -> str:

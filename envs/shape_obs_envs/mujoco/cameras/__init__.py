@@ -28,6 +28,10 @@ class Camera(Protocol):
         """RGB (H, W, 3) and depth (H, W) [m] along the optical axis; new arrays at each call."""
         ...
 
+    def refresh(self) -> None:
+        """Take over textures and lights of the model that have changed; all else is looked at for each picture."""
+        ...
+
     def close(self) -> None:
         """Free what the camera holds; may be called twice."""
         ...

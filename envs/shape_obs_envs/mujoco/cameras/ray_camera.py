@@ -8,17 +8,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.cameras.rays import cast_rays
+from shape_obs_envs.mujoco.cameras.shading import shade, to_bytes
+from shape_obs_envs.mujoco.cameras.sheet_view import SheetView
+from shape_obs_envs.mujoco.cameras.surfaces import normals
+from shape_obs_envs.mujoco.cameras.texture import Texture
 from shape_obs_envs.mujoco.engine import mujoco
+from shape_obs_envs.mujoco.rays import cast_rays
 from shape_obs_envs.mujoco.scene import CAMERA, CameraSpec
 
 Array = NDArray[np.float64]
-_CAPSULE, _BOX = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_BOX)
+_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _SHIFT = 4  # OpenCV draws with 1/16 pixel
 
 
 class RayCamera:
-    """Casts a ray for each pixel that a geom may cover, and shades it as OpenGL would: ambient plus Lambert.
+    """Casts a ray for each pixel that a geom may cover, draws a sheet by its triangles, and shades as OpenGL would.
 
     Args:
         spec: The camera's size and intrinsics.
@@ -33,11 +37,9 @@ class RayCamera:
         self._k = spec.intrinsics
         self._camera = model.camera(CAMERA).id
         self._table = model.geom("table").id
-        self._geoms = np.flatnonzero(np.arange(model.ngeom) != self._table)
-        self._capsules = self._geoms[model.geom_type[self._geoms] == _CAPSULE]
-        self._others = self._geoms[model.geom_type[self._geoms] != _CAPSULE]
         u, v = np.meshgrid(np.arange(spec.width), np.arange(spec.height))
         self._rays = np.stack([(u - self._k.cx) / self._k.fx, (v - self._k.cy) / self._k.fy, np.ones(u.shape)], axis=-1)
+        self._sheet = SheetView.of(model)
         self._pose = np.zeros(0)
         self._background: tuple[NDArray[np.uint8], NDArray[np.float32]] | None = None
 
@@ -56,8 +58,16 @@ class RayCamera:
         rows, columns, geom, distance = rows[hit], columns[hit], geom[hit], distance[hit]
         depth[rows, columns] = distance / scale[hit]
         points = eye + directions[hit] * distance[:, None]
-        rgb[rows, columns] = self._shade(data, geom, self._normals(data, points, geom, eye))
+        rgb[rows, columns] = self._shade(data, geom, normals(self._model, data, geom, points))
+        if self._sheet is not None:
+            self._sheet.paint(data, lambda points: self._project(points, rotation, eye), rgb, depth)
         return rgb, depth
+
+    def refresh(self) -> None:
+        """Draw the bare table anew, and the sheet with its present print."""
+        self._background = None
+        if self._sheet is not None:
+            self._sheet.refresh()
 
     def close(self) -> None:
         """Nothing to free."""
@@ -69,16 +79,31 @@ class RayCamera:
             down = self._rays @ rotation[2]
             with np.errstate(divide="ignore"):
                 depth = np.where(down < 0, -eye[2] / down, 0.0).astype(np.float32)
-            colour = self._shade(data, np.array([self._table]), np.array([[0.0, 0.0, 1.0]]))[0]
-            rgb = np.where((depth > 0)[..., None], colour, 0).astype(np.uint8)
+            colour = shade(self._model, data, self._model.geom_rgba[self._table], np.array([[0.0, 0.0, 1.0]]))[0]
+            printed = self._print(rotation, eye, depth)
+            rgb = np.where((depth > 0)[..., None], to_bytes(colour * printed), 0).astype(np.uint8)
             self._pose, self._background = pose, (rgb, depth)
         return self._background
+
+    def _print(self, rotation: Array, eye: Array, depth: NDArray[np.float32]) -> NDArray[Any]:
+        """What the table's texture (H, W, 3), 0 ... 1, makes of its colour; 1 where it has none."""
+        material = int(self._model.geom_matid[self._table])
+        texture = Texture.of(self._model, material)
+        if texture is None:
+            return np.ones(3)
+        repeats = self._model.mat_texrepeat[material]  # of a half, to a metre
+        places = ((self._rays * depth[..., None]) @ rotation.T + eye)[..., :2] * (0.5, -0.5) * repeats - 0.5
+        steps = [np.linalg.norm(np.gradient(places, axis=axis) * texture.shape[::-1], axis=-1) for axis in (0, 1)]
+        return texture.sample(places, np.maximum(*steps))
 
     def _region(self, data: Any, rotation: Array, eye: Array) -> NDArray[np.uint8]:
         """Mask (H, W) of the pixels that any geom but the table may cover, with a pixel to spare."""
         mask = np.zeros(self._shape, np.uint8)
         model = self._model
-        ids = self._capsules
+        seen = np.flatnonzero(model.geom_rgba[:, 3] > 0)
+        seen = seen[seen != self._table]
+        round_ = model.geom_type[seen] == _CAPSULE
+        ids = seen[round_]
         axis = data.geom_xmat[ids].reshape(-1, 3, 3)[:, :, 2] * model.geom_size[ids, 1, None]
         ends = np.stack([data.geom_xpos[ids] - axis, data.geom_xpos[ids] + axis], axis=1)
         pixels, z = self._project(ends.reshape(-1, 3), rotation, eye)
@@ -87,7 +112,7 @@ class RayCamera:
         reach = self._k.fx * model.geom_size[ids, 0] / z.reshape(-1, 2).min(axis=1) * self._slant(pixels)
         for (a, b), width in zip(_fixed(pixels).tolist(), np.ceil(2 * reach + 3).astype(int).tolist(), strict=True):
             cv2.line(mask, a, b, 1, width, cv2.LINE_8, _SHIFT)
-        ids = self._others
+        ids = seen[~round_]
         pixels, z = self._project(data.geom_xpos[ids], rotation, eye)
         reach = self._k.fx * model.geom_rbound[ids] / (z - model.geom_rbound[ids]) * self._slant(pixels[:, None]) + 2
         for centre, radius in zip(_fixed(pixels).tolist(), (reach * 2**_SHIFT).astype(int).tolist(), strict=True):
@@ -105,28 +130,9 @@ class RayCamera:
         tangent = (pixels - (self._k.cx, self._k.cy)) / (self._k.fx, self._k.fy)
         return np.sqrt(1 + (tangent**2).sum(axis=-1)).max(axis=1)
 
-    def _normals(self, data: Any, points: Array, geom: NDArray[np.int32], eye: Array) -> Array:
-        """Outward unit normals (M, 3), world frame, of capsules and boxes; anything else faces the eye."""
-        rotation = data.geom_xmat[geom].reshape(-1, 3, 3)
-        local = np.einsum("mji,mj->mi", rotation, points - data.geom_xpos[geom])
-        size, kind = self._model.geom_size[geom], self._model.geom_type[geom]
-        normals = np.einsum("mji,mj->mi", rotation, eye - points)
-        capsule = kind == _CAPSULE
-        half = size[capsule, 1]
-        normals[capsule] = local[capsule]
-        normals[capsule, 2] -= np.clip(local[capsule, 2], -half, half)
-        box = np.flatnonzero(kind == _BOX)
-        face = np.argmax(np.abs(local[box]) / size[box], axis=1)
-        normals[box] = 0
-        normals[box, face] = np.sign(local[box, face])
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        return np.einsum("mij,mj->mi", rotation, normals)
-
-    def _shade(self, data: Any, geom: NDArray[Any], normals: Array) -> NDArray[np.uint8]:
-        """Colours (M, 3) of surfaces with `normals` (M, 3)."""
-        facing = np.maximum(-normals @ data.light_xdir.T, 0)
-        light = self._model.light_ambient.sum(axis=0) + facing @ self._model.light_diffuse
-        return np.rint(np.clip(self._model.geom_rgba[geom, :3] * light, 0, 1) * 255).astype(np.uint8)
+    def _shade(self, data: Any, geom: NDArray[Any], facing: Array) -> NDArray[np.uint8]:
+        """Colours (M, 3) of surfaces with unit normals `facing` (M, 3)."""
+        return to_bytes(shade(self._model, data, self._model.geom_rgba[geom], facing))
 
 
 def _fixed(pixels: Array) -> NDArray[np.int32]:

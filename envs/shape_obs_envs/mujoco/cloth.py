@@ -1,0 +1,183 @@
+"""The cloth environment: a sheet on a table, held at two corners, to be brought into a goal shape."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import EzPickle
+from numpy.typing import NDArray
+
+from shape_obs_envs.arguments import count, one_of
+from shape_obs_envs.mujoco.bodies.base import GRIPPERS
+from shape_obs_envs.mujoco.bodies.sheet import Sheet
+from shape_obs_envs.mujoco.bodies.sheet_model import SheetSpec, sheet_bodies, sheet_sections
+from shape_obs_envs.mujoco.goal_env import POINTS_HIGH, POINTS_LOW, SUBSTEPS, ShapeGoalEnv
+from shape_obs_envs.mujoco.goals import DIFFICULTIES, Actions, Difficulty, smooth_actions
+from shape_obs_envs.mujoco.sheet_workspace import HeldEdgeWorkspace
+
+Array = NDArray[np.float64]
+
+#: Points of a goal, from the held edge down and from gripper 0's side across.
+ROWS, COLS = 4, 8
+_BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
+# The height [m] that a corner needs for each metre that its side, and the held edge, are slack; and the most it needs.
+_PER_SIDE, _PER_EDGE, _MOST = 0.3, 0.1, 0.025
+
+
+class ClothEnv(ShapeGoalEnv, EzPickle):
+    """Bring a sheet into a goal shape with two grippers at its corners; see docs/envs/cloth.md.
+
+    Args:
+        **options: Those of `ShapeGoalEnv`.
+
+    Raises:
+        ValueError: An argument is out of its range; the message says what it takes.
+    """
+
+    STEP: ClassVar[Array] = np.array([0.006, 0.006, 0.006])  # x, y, z [m]
+    REACH = ((-0.27, -0.27, 0.0), (0.27, 0.2, 0.1))
+    # A fold moves only a part of the sheet.
+    GOALS: ClassVar[Mapping[str, Difficulty]] = {**DIFFICULTIES, "far": DIFFICULTIES["far"]._replace(least=0.04)}
+
+    def __init__(self, **options: Any) -> None:
+        EzPickle.__init__(self, **options)
+        ShapeGoalEnv.__init__(self, **options)
+        spec = SheetSpec()
+        self._sheet = Sheet(spec, self._compile(sheet_bodies(spec), sections=sheet_sections(spec)))
+        workspace = HeldEdgeWorkspace(self._floor)
+        low, high = (np.asarray(corner, np.float32).ravel() for corner in workspace.bounds)
+        self._install(self._sheet, workspace, gym.spaces.Box(low - 0.005, high + 0.005, dtype=np.float32))
+
+    # ---- published
+
+    @property
+    def anchors(self) -> Mapping[str, tuple[float, float, float]]:
+        """The held corners: name -> (x, y, z) [m] in the base frame; gripper0 holds the one of row 0 and column 0."""
+        held = self._sheet.points(np.zeros(1), np.array([0.0, 1.0]))[0].tolist()
+        return {name: (x, y, z) for name, (x, y, z) in zip(GRIPPERS, held, strict=True)}
+
+    @property
+    def goal_layout(self) -> dict[str, Any]:
+        """How the points of a goal are laid out: row by row from the held edge."""
+        return {"kind": "surface", "rows": ROWS, "cols": COLS}
+
+    @property
+    def shape_obs_defaults(self) -> dict[str, Any]:
+        """Arguments of `shape_obs.ShapeObservation` that suit this environment."""
+        return {
+            "shapes": [
+                {
+                    "kind": "surface",
+                    "rows": ROWS,
+                    "cols": COLS,
+                    "anchor": "gripper0",
+                    "ends": "tips",
+                    "spacing": "m",
+                }
+            ],
+            "segmentation": self._randomizer.segmentation(_BLUE),
+            "features": [{"kind": "points3d", "frame": "base"}],
+            # A lost track is given up after a step: the gripper numbers the corners of a fresh one.
+            "max_age": 0.05,
+            # Below the table too: measured points scatter, and clipping them would bias their mean.
+            "workspace": [[*POINTS_LOW[:2], -0.1], [*POINTS_HIGH[:2], 0.2]],
+        }
+
+    @property
+    def unfolded(self) -> bool:
+        """Whether the camera sees all of the sheet from above, each place of it once and none at a grazing angle.
+
+        All triangles of the surface face the camera, by at least 20 degrees from edge on, and the outline does not
+        cross itself in the image, so that no line of sight meets the sheet twice. Grippers do not count.
+        """
+        return self._sheet.mesh.is_open(self._sheet.vertices(), self.camera_model)
+
+    def truth(
+        self, rows: int = ROWS, cols: int = COLS, frame: str = "world", ends: str = "tips", surface: bool = False
+    ) -> Array:
+        """True points of the sheet, equidistant over its material, row by row from the held edge; needs no rendering.
+
+        The first is the corner that gripper 0 holds, which is at the image's top left; columns run to gripper 1's side.
+
+        Args:
+            rows: How many rows, at least 2.
+            cols: How many columns, at least 2.
+            frame: "world" (= base frame, metres), "camera" (optical frame, metres) or "pixels" (u right, v down).
+            ends: "tips": the outer rows and columns lie on the border. "centers": in the middle of rows x cols equal
+                pieces.
+            surface: Changes nothing: the points lie on the surface that is drawn. Where the sheet is folded they are
+                not all seen.
+
+        Returns:
+            (rows * cols, 3) points, or (rows * cols, 2) pixels.
+
+        Raises:
+            ValueError: An argument is out of its range.
+        """
+        one_of("frame", frame, ("world", "camera", "pixels"))
+        one_of("ends", ends, ("tips", "centers"))
+        sizes = count("rows", rows, 2), count("cols", cols, 2)
+        places = (np.linspace(0, 1, n) if ends == "tips" else (np.arange(n) + 0.5) / n for n in sizes)
+        points = self._sheet.points(*places).reshape(-1, 3)
+        if frame == "world":
+            return points
+        camera = self.camera_model
+        return camera.from_base(points) if frame == "camera" else camera.project_from_base(points)
+
+    # ---- ShapeGoalEnv
+
+    def _goal_points(self) -> Array:
+        return self.truth()
+
+    def _gripper(self) -> NDArray[np.float32]:
+        return self._sheet.gripper_poses().astype(np.float32).ravel()
+
+    def _floor(self) -> Array:
+        """(2,) heights [m] that keep the layers of the sheet apart, which nothing else does.
+
+        A corner that comes nearer to the end of its side folds it over, and two that come nearer to each other fold
+        the held edge: the sheet then needs room for its bend.
+        """
+        edge = max(HeldEdgeWorkspace.reach - float(np.linalg.norm(self._target[1] - self._target[0])), 0.0)
+        return HeldEdgeWorkspace.low[2] + np.minimum(_PER_SIDE * self._sheet.slack() + _PER_EDGE * edge, _MOST)
+
+    def _draw_start(self) -> Array:
+        """Flat on the table, then lifted by the held edge, its corners brought a little closer."""
+        low, high = self._workspace.bounds
+        rng = self.np_random
+        self._sheet.lay(np.array([rng.uniform(-0.03, 0.03), rng.uniform(0.05, 0.11)]), rng.uniform(-0.15, 0.15))
+        laid = self._sheet.gripper_targets().copy()
+        closer = laid.mean(axis=0) + (laid - laid.mean(axis=0)) * rng.uniform(0.88, 0.96)
+        closer[:, 2] = rng.uniform(low[0, 2] + 0.01, low[0, 2] + 0.03, 2)
+        poses = self._workspace.clip(closer, closer)
+        steps = 8
+        for i in range(steps):
+            self._sheet.step_to(laid + (poses - laid) * i / steps, laid + (poses - laid) * (i + 1) / steps, SUBSTEPS)
+        self._sheet.step_to(poses, poses, 10 * SUBSTEPS)
+        return poses
+
+    def _draw_motion(self, vigour: float, bent: bool) -> Actions:
+        if bent:
+            return super()._draw_motion(vigour, bent)
+        # Mostly together: what each does for itself is soon stopped by the length of the edge between them. And twice
+        # as much of it: steps are small here.
+        parts = 2 * smooth_actions(self.np_random, 9, vigour)
+        return np.clip(np.tile(parts[:, :3], 2) + 0.5 * parts[:, 3:], -1, 1)
+
+    def _draw_bend(self) -> Array:
+        """The held edge carried over the rest of the sheet, or its corners brought close together."""
+        rng = self.np_random
+        poses = self._target.copy()
+        aside = -1.0 if poses[:, 0].mean() > rng.uniform(-0.03, 0.03) else 1.0  # where there is room
+        if rng.random() < 0.6:
+            poses += (aside * rng.uniform(0.02, 0.08), -rng.uniform(0.13, 0.17), 0.0)
+            poses += rng.uniform(-0.01, 0.01, (2, 3))
+            poses[:, 2] = rng.uniform(0.04, 0.06)
+        else:
+            half = rng.uniform(0.095, 0.11) * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+            poses = poses.mean(axis=0) + half + (aside * rng.uniform(0.08, 0.12), rng.uniform(-0.06, 0.06), 0.0)
+            poses[:, 2] = rng.uniform(0.03, 0.08, 2)
+        return self._workspace.clip(poses, self._target)
