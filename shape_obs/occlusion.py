@@ -28,7 +28,7 @@ _ONE_END: Final = 0.35
 _INERTIA: Final = 0.05
 _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
 # Of half a diagonal. Cloths that bend and move by 30 px a frame stay below 0.025, a hand 12 px in radius makes 0.11.
-_STRAYED: Final = 0.06
+STRAYED: Final = 0.06
 _PLACE: Final = 0.1  # the weight of where a rope is predicted against how it is bent
 # Of the length, and in grains (pixels): what is missing below this is noise or a rope seen at a steeper angle. The
 # points then run from visible tip to visible tip, and the known length gives way, slowly, or a hand that creeps in
@@ -67,7 +67,7 @@ def follow_chain(form: Curve, prediction: Prediction) -> Curve:
     return replace(known.completed(whole, start), memory=Memory((start, missing - start), slack))
 
 
-def strayed_corner(expected: Array, found: Array) -> str:
+def strayed_corner(expected: Array, found: Array, freedom: float = STRAYED) -> str:
     """Why one of four corners cannot be the sheet's, where the other three have moved together; empty if it can.
 
     A hand over a corner leaves the outline with another one, some way inside. The three others are laid over where they
@@ -77,16 +77,23 @@ def strayed_corner(expected: Array, found: Array) -> str:
     Args:
         expected: (4,D) predicted corners.
         found: (4,D) corners in the same order.
+        freedom: As of ``strays``.
     """
     reach = float(np.linalg.norm(found - found.mean(axis=0), axis=1).max())
     astray = [_astray(expected, found, corner) / max(reach, 1e-9) for corner in range(4)]
     worst = int(np.argmax(astray))
-    return strays(worst, astray[worst])
+    return strays(worst, astray[worst], freedom)
 
 
-def strays(corner: int, share: float) -> str:
-    """Why a corner cannot be the sheet's that lies a share of half a diagonal from where the other three put it."""
-    if share <= _STRAYED:
+def strays(corner: int, share: float, freedom: float = STRAYED) -> str:
+    """Why a corner cannot be the sheet's that lies a share of half a diagonal from where the other three put it.
+
+    Args:
+        corner: 0 ... 3.
+        share: Of half a diagonal.
+        freedom: The share that it may move on its own.
+    """
+    if share <= freedom:
         return ""
     return f"corner {corner} strays by {share:.0%} of half a diagonal from where the other three have moved"
 

@@ -134,6 +134,12 @@ class Region:
         return tuple(Border(contour.astype(np.float64), True, self.kernels) for contour in inner)
 
     @cached_property
+    def hollow(self) -> float:
+        """The share of what the largest component's outline encloses that is not the component's."""
+        enclosed = cv2.contourArea(self.border.traced.astype(np.float32)) + len(self.border.traced) / 2
+        return 1 - float(np.max(self.areas)) / max(enclosed, 1.0)
+
+    @cached_property
     def pixels(self) -> npt.NDArray[np.int32]:
         """(M,2) pixels, window coordinates."""
         return mask_pixels(self.mask)

@@ -42,5 +42,6 @@ def test_three_corners_that_move_together_tell_the_fourth():
     assert strayed_corner(corners, moved) == ""
     moved[2] += (-20, -12)
     assert strayed_corner(corners, moved).startswith("corner 2 strays by ")
+    assert strayed_corner(corners, moved, freedom=0.3) == ""
     space = np.concatenate([corners, np.full((4, 1), 5.0)], axis=1)
     assert strayed_corner(space, space[:, [2, 0, 1]]) == ""

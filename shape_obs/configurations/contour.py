@@ -30,6 +30,7 @@ _THIN: Final = 1.5  # widths from node to node at most: farther, and a node's sa
 _NODES: Final = (24, 192)
 _WIDTH: Final = 0.4  # of the map's neighbourhood, nodes
 _PIECES: Final = 4  # of the curve between two nodes
+_HOLLOW: Final = 0.05  # of what the outline encloses; drawn shapes without a hole have at most 0.01
 _MIN_SAMPLES: Final = 8  # a ring of 16 pixels, as few as a body may have
 _MIN_WIDTH: Final = 1.25  # in samples: of outlines of 2 px, one in three has its two sides mixed up; of 3 px, none
 # Numbered by the last frame alone, an outline of noisy pixels creeps by 6 px in 180 frames. The mean of some twenty
@@ -47,10 +48,13 @@ class Contour(Configuration[Curve], kind="contour"):
     Args:
         n: How many points.
         hole: None for the outer outline; 0 for the outline of the largest hole, 1 for the next.
+        ring: The object is a closed band. In images an outline that encloses no hole is then refused: something lies
+            over the band, and what is seen is the outline of a part of it, inside and outside in one.
     """
 
     n: int = 32
     hole: int | None = None
+    ring: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -69,6 +73,8 @@ class Contour(Configuration[Curve], kind="contour"):
         found = holes(body) if self.hole is not None else 0
         if self.hole is not None and self.hole >= found:
             return f"hole {self.hole} was asked for, the {body.noun} has {found}"
+        if self.ring and isinstance(body, Region) and body.hollow < _HOLLOW:
+            return f"the {body.noun} encloses no hole: something lies over the ring, or it is open"
         count, scale = sampling(body, self.hole)
         if count < _MIN_SAMPLES:
             return f"the outline is too small: {count} samples, at least {_MIN_SAMPLES} are needed"

@@ -18,7 +18,7 @@ from shape_obs.form import Patch
 from shape_obs.gate import Verdict, judge_sheet
 from shape_obs.kernels import Kernels
 from shape_obs.kernels.interface_outline import FINE, RIM
-from shape_obs.occlusion import strayed_corner, strays
+from shape_obs.occlusion import STRAYED, strayed_corner, strays
 from shape_obs.region import Region
 from shape_obs.samples import Samples
 from shape_obs.topology import Grid, Topology
@@ -47,12 +47,16 @@ class Surface(Configuration[Patch], kind="surface"):
         epochs: Of the self-organising map, after the Coons patch. None by default: what is seen of a sheet's material
             is its outline. Each epoch evens the areas out and takes the points nearer to cluster centres and off their
             material (1.1, 1.3, 1.6 px over drawn sheets with 0, 1, 3), and away from whatever hides the inside.
+        freedom: How far a corner may move from one frame to the next that the three others do not, as a share of half
+            a diagonal. Beyond it something lies over that corner, and the shape is refused. Where grippers move
+            single corners give more.
     """
 
     rows: int = 4
     cols: int = 8
     ends: Ends | None = None
     epochs: int = 0
+    freedom: float = STRAYED
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -60,6 +64,8 @@ class Surface(Configuration[Patch], kind="surface"):
             raise ValueError(f"surface: rows and cols must lie in 2...100, got {self.rows} and {self.cols}.")
         if not 0 <= self.epochs <= 100:
             raise ValueError(f"surface: epochs must lie in 0...100, got {self.epochs}.")
+        if not 0 < self.freedom <= 1:
+            raise ValueError(f"surface: freedom must lie above 0, up to 1, got {self.freedom}.")
 
     @property
     def layout(self) -> Grid:
@@ -160,12 +166,12 @@ class Surface(Configuration[Patch], kind="surface"):
         expected = prediction.topology.lattice(prediction.nodes)
         if expected.shape[2] == 2:
             quarters, corner, share = form.kernels.strayed(expected, form.lattice)
-            doubt = strays(corner, share)
+            doubt = strays(corner, share, self.freedom)
         else:
             expected, corners = form.kernels.outer_corners(expected), form.corners
             away = [np.sum((np.roll(corners, -turn, axis=0) - expected) ** 2) for turn in range(4)]
             quarters = int(np.argmin(away))
-            doubt = strayed_corner(expected, np.roll(corners, -quarters, axis=0))
+            doubt = strayed_corner(expected, np.roll(corners, -quarters, axis=0), self.freedom)
         turned = form.turned(quarters)
         return replace(turned, doubt=form.doubt or doubt) if doubt else turned
 

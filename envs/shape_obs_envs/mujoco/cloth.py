@@ -76,6 +76,7 @@ class ClothEnv(ShapeGoalEnv, EzPickle):
                     "anchor": "gripper0",
                     "ends": "tips",
                     "spacing": "m",
+                    "freedom": 0.2,  # each gripper moves its corner by itself, and lifts it
                 }
             ],
             "segmentation": self._randomizer.segmentation(_BLUE),
@@ -151,7 +152,7 @@ class ClothEnv(ShapeGoalEnv, EzPickle):
         self._sheet.lay(np.array([rng.uniform(-0.03, 0.03), rng.uniform(0.05, 0.11)]), rng.uniform(-0.15, 0.15))
         laid = self._sheet.gripper_targets().copy()
         closer = laid.mean(axis=0) + (laid - laid.mean(axis=0)) * rng.uniform(0.88, 0.96)
-        closer[:, 2] = rng.uniform(low[0, 2] + 0.01, low[0, 2] + 0.03, 2)
+        closer[:, 2] = rng.uniform(low[0, 2] + 0.005, low[0, 2] + 0.02, 2)
         poses = self._workspace.clip(closer, closer)
         steps = 8
         for i in range(steps):

@@ -75,7 +75,7 @@ class RingEnv(ShapeGoalEnv, EzPickle):
     def shape_obs_defaults(self) -> dict[str, Any]:
         """Arguments of `shape_obs.ShapeObservation` that suit this environment."""
         return {
-            "shapes": [{"kind": "contour", "n": POINTS, "anchor": "gripper0", "order": "image", "spacing": "m"}],
+            "shapes": [{"kind": "contour", "n": POINTS, "anchor": "gripper0", "order": "image", "spacing": "m", "ring": True}],
             "segmentation": self._randomizer.segmentation(_BLUE),
             "features": [{"kind": "points3d", "frame": "base"}],
             # Below the table too: measured points scatter, and clipping them would bias their mean.
