@@ -212,10 +212,10 @@ class ShapeDetector:
         shapes = []
         for spec, target in zip(self.shapes, targets, strict=True):
             body = view.body(spec, expected.get(spec.segmentation))
-            found, present = self._fit(spec, body, target, stamp, timings)
+            found, present = self._fit(spec, body, target, stamp, timings, frame.depth)
             if not found.ok and view.look_everywhere(spec):
                 body = view.body(spec, None)
-                found, present = self._fit(spec, body, target, stamp, timings)
+                found, present = self._fit(spec, body, target, stamp, timings, frame.depth)
             shapes.append(self._shape(spec, frame, body, found, present, stamp, timings))
         timings["total"] = 1e3 * (time.perf_counter() - begin)
         return Detection(tuple(shapes), stamp, timings)
@@ -236,14 +236,14 @@ class ShapeDetector:
         return expected
 
     def _fit(
-        self, spec: Configuration, body: Body, target: Array | None, stamp: float, timings: dict[str, float]
+        self, spec: Configuration, body: Body, target: Array | None, stamp: float, timings: Any, depth: Any = None
     ) -> tuple[Fit, Track | None]:
         if self._kinds.setdefault(spec.name, type(body)) is not type(body):
             for memory in (self._tracks, self._last):  # pixels say nothing about metres
                 memory.pop(spec.name, None)
             self._kinds[spec.name] = type(body)
         with Timed(timings, "fit"):
-            return fit(body, spec, self._tracks.get(spec.name), target, stamp)
+            return fit(body, spec, self._tracks.get(spec.name), target, stamp, depth)
 
     def _shape(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,8 @@ import numpy.typing as npt
 from shape_obs.body import Body
 from shape_obs.configurations import Configuration
 from shape_obs.configurations.base import Origin
-from shape_obs.form import Form
+from shape_obs.covered import revealed
+from shape_obs.form import Curve, Form
 from shape_obs.gate import MAX_HIDDEN
 from shape_obs.region import Region
 from shape_obs.topology import Topology
@@ -48,7 +49,12 @@ class Fit:
 
 
 def fit(
-    body: Body, spec: Configuration, track: Track | None, target: Array | None, stamp: float
+    body: Body,
+    spec: Configuration,
+    track: Track | None,
+    target: Array | None,
+    stamp: float,
+    depth: npt.NDArray[Any] | None = None,
 ) -> tuple[Fit, Track | None]:
     """Find one shape: from the prediction while there is a track, else (or when that fails) from a cold start.
 
@@ -58,6 +64,7 @@ def fit(
         track: The past; None at the start. It orients a cold start too.
         target: Where point 0 belongs, as ``body.seen`` sees it; None for the top left.
         stamp: Seconds.
+        depth: (H,W) the frame's depth, where there is one.
 
     Returns:
         The fit, and the track to remember (None when the fit was refused).
@@ -87,9 +94,13 @@ def fit(
             found = again if better else found
     if found.form is None or not found.ok:
         return found, None
-    nodes, width = spec.nodes(found.form, topology), spec.girth(found.form, body)
+    form = found.form
+    if depth is not None and isinstance(form, Curve) and isinstance(body, Region) and _hidden(form) > form.memory.slack:
+        form = revealed(form, depth)
+        found = replace(found, form=form)
+    nodes, width = spec.nodes(form, topology), spec.girth(form, body)
     box = body.box if isinstance(body, Region) else None
-    present = advance(track, nodes, found.form, stamp, topology, width, box, body.amount)
+    present = advance(track, nodes, form, stamp, topology, width, box, body.amount)
     return (_numbered(found, body, spec, target) if spec.order == "image" else found), present
 
 

@@ -1,0 +1,62 @@
+"""Hidden ends: with depth the detector sees whether anything lies over them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from shape_obs import Centerline, Intrinsics, ShapeDetector
+from shape_obs.evaluation.ropes import draw_rope
+
+CAMERA = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
+TABLE, ROPE, HAND = 0.6, 0.585, 0.5
+
+
+def rope(length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mask, depth and curve of a wavy rope that begins at u = 40."""
+    u = np.linspace(40, 40 + length, 400)
+    drawn = draw_rope(np.stack([u, 120 + 25 * np.sin((u - 40) / 40)], axis=1), 10.0, size=(240, 320))
+    return drawn.mask, np.where(drawn.mask > 0, ROPE, TABLE), drawn.curve
+
+
+def seen(covered: bool, with_depth: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Visibility and pixels after the rope's last fifth has vanished, under a hand or without one."""
+    detector = ShapeDetector([Centerline(n=20, ends="tips", anchor=(40.0, 120.0))])
+    mask, depth, _ = rope(220)
+    for _ in range(5):
+        detector.detect_mask(mask, depth if with_depth else None, CAMERA)
+    if covered:
+        mask, depth = mask.copy(), depth.copy()
+        mask[:, 220:], depth[:, 220:] = 0, HAND
+    else:
+        mask, depth, _ = rope(180)
+    for _ in range(2):
+        detector.detect_mask(mask, depth if with_depth else None, CAMERA)
+    shape = detector.detect_mask(mask, depth if with_depth else None, CAMERA).shapes[0]
+    assert shape.ok
+    return shape.visible, shape.pixels
+
+
+@pytest.mark.parametrize("with_depth", [False, True])
+def test_an_end_under_a_hand_is_hidden(with_depth):
+    visible, pixels = seen(True, with_depth)
+    assert 2 <= (~visible).sum() <= 6
+    assert pixels[-1, 0] > 245
+
+
+def test_an_end_that_is_gone_from_the_table_is_not_hidden():
+    visible, pixels = seen(False, True)
+    assert visible.all()
+    assert pixels[-1, 0] == pytest.approx(220, abs=2)
+    without, _ = seen(False, False)  # in pixels alone there is no telling
+    assert not without.all()
+
+
+def test_what_has_no_depth_may_hide_an_end():
+    detector = ShapeDetector([Centerline(n=20, ends="tips", anchor=(40.0, 120.0))])
+    mask, depth, _ = rope(220)
+    for _ in range(5):
+        detector.detect_mask(mask, depth, CAMERA)
+    mask, depth = mask.copy(), depth.copy()
+    mask[:, 220:], depth[:, 220:] = 0, 0.0
+    assert not detector.detect_mask(mask, depth, CAMERA).shapes[0].visible[-2:].any()
