@@ -35,7 +35,7 @@ class RingEnv(ShapeGoalEnv, EzPickle):
     """
 
     STEP: ClassVar[Array] = np.array([0.012, 0.012, 0.1])  # x, y [m] and turn [rad]
-    REACH = ((-0.25, -0.25, 0.0), (0.25, 0.27, 0.01))
+    REACH = ((-0.26, -0.26, 0.0), (0.26, 0.28, 0.01))
 
     def __init__(self, **options: Any) -> None:
         EzPickle.__init__(self, **options)
@@ -75,7 +75,9 @@ class RingEnv(ShapeGoalEnv, EzPickle):
     def shape_obs_defaults(self) -> dict[str, Any]:
         """Arguments of `shape_obs.ShapeObservation` that suit this environment."""
         return {
-            "shapes": [{"kind": "contour", "n": POINTS, "anchor": "gripper0", "order": "image", "spacing": "m", "ring": True}],
+            "shapes": [
+                {"kind": "contour", "n": POINTS, "anchor": "gripper0", "order": "image", "spacing": "m", "ring": True}
+            ],
             "segmentation": self._randomizer.segmentation(_BLUE),
             "features": [{"kind": "points3d", "frame": "base"}],
             # Below the table too: measured points scatter, and clipping them would bias their mean.
