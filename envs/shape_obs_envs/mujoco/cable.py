@@ -41,7 +41,7 @@ class CableEnv(ShapeGoalEnv, EzPickle):
     """
 
     STEP: ClassVar[Array] = np.array([0.015, 0.015, 0.12])  # x, y [m] and yaw [rad]
-    REACH = ((-0.28, -0.25, 0.0), (0.28, 0.31, 0.02))
+    REACH = ((-0.285, -0.27, 0.0), (0.285, 0.32, 0.02))
 
     def __init__(self, grippers: int = 2, **options: Any) -> None:
         EzPickle.__init__(self, grippers, **options)

@@ -13,7 +13,7 @@ from shape_obs.camera import CameraModel
 
 Array = NDArray[np.float64]
 
-# Cosine of the angle between a triangle's normal and the line of sight: at 70 degrees a pixel's width is three of height.
+# Cosine of the angle between normal and line of sight: at 70 degrees a pixel sees a place three times as long as wide.
 _LEAST_FACING = 0.35
 #: Name of the sheet's skin, and of the numbers that describe its grid.
 SKIN = "sheet"
@@ -69,10 +69,10 @@ class SheetGrid:
         """Weights of the masses in the fine grid's rows (fine rows, rows) and columns (fine cols, cols)."""
         return _catmull_rom(self.rows, self.subdivision), _catmull_rom(self.cols, self.subdivision)
 
-    def weights(self, degree: int) -> Array:
-        """(fine rows, fine cols, rows, cols) weights of the masses in each fine vertex; degree 1 is bilinear."""
-        down, across = self.smooth if degree == 3 else (_hats(n, self.subdivision) for n in (self.rows, self.cols))
-        return np.einsum("ai,bj->abij", down, across)
+    @cached_property
+    def straight(self) -> Array:
+        """(fine rows, fine cols, rows, cols) weights of the up to four masses around each fine vertex."""
+        return np.einsum("ai,bj->abij", *(_hats(n, self.subdivision) for n in (self.rows, self.cols)))
 
 
 class SheetMesh:
@@ -128,7 +128,9 @@ class SheetMesh:
         a, b, c = (flat[corner] for corner in self.grid.faces.T)
         normals, sight = cross(b - a, c - a), transform[:3, 3] - a
         facing = np.einsum("ij,ij->i", normals, sight)
-        steepest = _LEAST_FACING * np.sqrt(np.einsum("ij,ij->i", normals, normals) * np.einsum("ij,ij->i", sight, sight))
+        steepest = _LEAST_FACING * np.sqrt(
+            np.einsum("ij,ij->i", normals, normals) * np.einsum("ij,ij->i", sight, sight)
+        )
         return bool(np.all(facing > steepest)) and not _crosses(camera.project_from_base(flat[self.grid.outline]))
 
     def points(self, vertices: Array, down: Array, across: Array) -> Array:
@@ -196,7 +198,9 @@ def _catmull_rom(count: int, subdivision: int) -> Array:
     """(fine, count) weights of a Catmull-Rom curve through `count` points, which runs out straight at its ends."""
     fine = (count - 1) * subdivision + 1
     cell, t = _cells(np.linspace(0, 1, fine), count)
-    basis = 0.5 * np.stack([-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, t**3 - t**2], axis=1)
+    basis = 0.5 * np.stack(
+        [-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, t**3 - t**2], axis=1
+    )
     padded = np.zeros((fine, count + 2))
     for k in range(4):
         padded[np.arange(fine), cell + k] += basis[:, k]

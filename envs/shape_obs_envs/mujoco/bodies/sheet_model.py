@@ -9,15 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from shape_obs_envs.mujoco.bodies.base import GRIPPERS
 from shape_obs_envs.mujoco.bodies.sheet_mesh import SKIN, SheetGrid
 
-# Of a limit: stiffness [1/s2] and damping [1/s]. With a timestep h the damping is 1/h and the stiffness 1/2h2, twice
-# that of the stiffest time constant that MuJoCo takes: the whole sheet pulls at its two corners.
-_SOLIMP = ".95 .99 .001"
 #: Texels of the texture, down and across.
 PRINT = 64, 128
 _HIDDEN = 4  # a group that is not drawn
@@ -75,24 +73,23 @@ class SheetSpec:
 
 def sheet_bodies(spec: SheetSpec) -> str:
     """MJCF of the masses, flat about the world's origin, held edge at +y, and of the two grippers."""
-    x, y = np.linspace(-0.5, 0.5, spec.cols) * spec.width, np.linspace(0.5, -0.5, spec.rows) * spec.depth
-    stiffness, damping = 0.5 / spec.timestep**2, 1 / spec.timestep
-    table = f'range="0 1" limited="true" solreflimit="-{stiffness} -{damping}" solimplimit="{_SOLIMP}"'
+    rest = _rest(spec)
+    table = f'range="0 1" {_limit(spec)}'
     parts = []
     # Column by column: the solver's matrices are banded by the number of masses in one.
     for j in range(spec.cols):
         for i in range(spec.rows):
             held = i == 0 and j in (0, spec.cols - 1)
             parts.append(
-                f'<body name="{_mass(i, j)}" pos="{x[j]} {y[i]} {spec.lift}" gravcomp="{int(held)}">'
+                f'<body name="{_mass(i, j)}" pos="{_numbers(rest[i * spec.cols + j])}" gravcomp="{int(held)}">'
                 f'<inertial pos="0 0 0" mass="{_HEAVY if held else spec.mass}" diaginertia="1e-7 1e-7 1e-7"/>'
                 f'<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>'
                 f'<joint type="slide" axis="0 0 1" damping="{spec.drag}" {"" if held else table}/>'
                 f'<site name="{_mass(i, j)}" group="{_HIDDEN}"/></body>'
             )
     parts += [
-        f'<body name="{name}" mocap="true" pos="{at} {spec.depth / 2} {spec.lift}">{_jaw()}</body>'
-        for name, at in zip(GRIPPERS, (x[0], x[-1]), strict=True)
+        f'<body name="{name}" mocap="true" pos="{_numbers(at)}">{_jaw()}</body>'
+        for name, at in zip(GRIPPERS, rest[[0, spec.cols - 1]], strict=True)
     ]
     return "\n".join(parts)
 
@@ -116,6 +113,12 @@ def bending_tendons(spec: SheetSpec) -> int:
     return spec.rows * (spec.cols - 2) + (spec.rows - 2) * spec.cols
 
 
+def _limit(spec: SheetSpec) -> str:
+    """Attributes of a limit, twice as stiff as MuJoCo's stiffest time constant: all of it pulls at two corners."""
+    stiffness, damping = 0.5 / spec.timestep**2, 1 / spec.timestep
+    return f'limited="true" solreflimit="-{stiffness} -{damping}" solimplimit=".95 .99 .001"'
+
+
 def _mass(row: int, col: int) -> str:
     return f"mass{row}_{col}"
 
@@ -132,8 +135,6 @@ def _jaw() -> str:
 
 def _tendons(spec: SheetSpec) -> Iterator[str]:
     across, down = spec.width / (spec.cols - 1), spec.depth / (spec.rows - 1)
-    stiffness, damping = 0.5 / spec.timestep**2, 1 / spec.timestep
-    limit = f'limited="true" solreflimit="-{stiffness} -{damping}" solimplimit="{_SOLIMP}"'
     # way (rows, cols), stiffness, whether it may not stretch
     kinds = [
         ((0, 1), spec.stretch, True),
@@ -145,7 +146,7 @@ def _tendons(spec: SheetSpec) -> Iterator[str]:
     ]
     for (rows, cols), spring, taut in kinds:
         length = math.hypot(rows * down, cols * across)
-        range_ = f'{limit} range="0 {length}"' if taut else ""
+        range_ = f'range="0 {length}" {_limit(spec)}' if taut else ""
         for i in range(spec.rows - rows):
             for j in range(max(0, -cols), spec.cols - max(0, cols)):
                 yield (
@@ -162,8 +163,8 @@ def _skin(spec: SheetSpec) -> str:
     texture covers it once, white as long as nothing is printed on it.
     """
     grid = spec.grid
-    weights = grid.weights(1)
-    vertices = weights.reshape(-1, grid.rows * grid.cols) @ _rest(spec)
+    weights, rest = grid.straight, _rest(spec)
+    vertices = weights.reshape(-1, grid.rows * grid.cols) @ rest
     bones = []
     for j in range(spec.cols):
         for i in range(spec.rows):
@@ -171,7 +172,7 @@ def _skin(spec: SheetSpec) -> str:
             touched = np.flatnonzero(weight > 1e-9)
             ids = _numbers([*touched, *(touched + len(vertices))])
             bones.append(
-                f'<bone body="{_mass(i, j)}" bindpos="{_numbers(_rest(spec)[i * spec.cols + j])}" bindquat="1 0 0 0" '
+                f'<bone body="{_mass(i, j)}" bindpos="{_numbers(rest[i * spec.cols + j])}" bindquat="1 0 0 0" '
                 f'vertid="{ids}" vertweight="{_numbers(np.tile(weight[touched], 2))}"/>'
             )
     faces = np.concatenate([grid.faces, grid.faces[:, ::-1] + len(vertices)])
@@ -189,5 +190,5 @@ def _rest(spec: SheetSpec) -> np.ndarray:
     return np.stack([*np.meshgrid(x, y), np.full((spec.rows, spec.cols), spec.lift)], axis=-1).reshape(-1, 3)
 
 
-def _numbers(values: Iterable[float]) -> str:
+def _numbers(values: Iterable[Any]) -> str:
     return " ".join(map(str, values))

@@ -18,6 +18,8 @@ from shape_obs_envs.mujoco.scene import CAMERA, CameraSpec
 
 Array = NDArray[np.float64]
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+_NEAR = 0.05  # [m]
+_SKIP = 8  # pixels
 _SHIFT = 4  # OpenCV draws with 1/16 pixel
 
 
@@ -91,10 +93,13 @@ class RayCamera:
         texture = Texture.of(self._model, material)
         if texture is None:
             return np.ones(3)
-        repeats = self._model.mat_texrepeat[material]  # of a half, to a metre
-        places = ((self._rays * depth[..., None]) @ rotation.T + eye)[..., :2] * (0.5, -0.5) * repeats - 0.5
-        steps = [np.linalg.norm(np.gradient(places, axis=axis) * texture.shape[::-1], axis=-1) for axis in (0, 1)]
-        return texture.sample(places, np.maximum(*steps))
+        to_texture = (0.5, -0.5) * self._model.mat_texrepeat[material]  # it repeats once in two metres over that
+        places = ((self._rays * depth[..., None]) @ (rotation[:2].T * to_texture) + eye[:2] * to_texture) - 0.5
+        # How far it is from pixel to pixel changes little: a look at a few of them does.
+        few = places[::_SKIP, ::_SKIP] * texture.shape[::-1] / _SKIP
+        steps = [np.linalg.norm(np.gradient(few, axis=axis), axis=-1) for axis in (0, 1)]
+        fineness = cv2.resize(np.maximum(*steps).astype(np.float32), self._shape[::-1])
+        return texture.sample(places, fineness)
 
     def _region(self, data: Any, rotation: Array, eye: Array) -> NDArray[np.uint8]:
         """Mask (H, W) of the pixels that any geom but the table may cover, with a pixel to spare."""
@@ -107,6 +112,8 @@ class RayCamera:
         axis = data.geom_xmat[ids].reshape(-1, 3, 3)[:, :, 2] * model.geom_size[ids, 1, None]
         ends = np.stack([data.geom_xpos[ids] - axis, data.geom_xpos[ids] + axis], axis=1)
         pixels, z = self._project(ends.reshape(-1, 3), rotation, eye)
+        if len(z) and z.min() < _NEAR:  # beside the camera or behind it: such an end has no place in the image
+            return np.ones(self._shape, np.uint8)
         pixels = pixels.reshape(-1, 2, 2)
         # seen obliquely, a ball's outline is an ellipse longer than its width by the ray's slant
         reach = self._k.fx * model.geom_size[ids, 0] / z.reshape(-1, 2).min(axis=1) * self._slant(pixels)

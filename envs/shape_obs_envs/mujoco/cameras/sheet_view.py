@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -52,20 +53,24 @@ class SheetView:
         scene.skinnormal[start:stop] = np.concatenate([normals, -normals])
 
     def paint(
-        self, data: Any, local: Any, rgb: NDArray[np.uint8], depth: NDArray[np.float32]
+        self,
+        data: Any,
+        project: Callable[[Array], tuple[Array, Array]],
+        rgb: NDArray[np.uint8],
+        depth: NDArray[np.float32],
     ) -> None:
         """Draw the surface into a picture (H, W, 3) with depths (H, W) [m] where it is nearer.
 
         Args:
             data: The state to draw.
-            local: Projects world points (N, 3) to pixels (N, 2) and depths (N,).
+            project: Takes world points (N, 3) to pixels (N, 2) and depths (N,) [m].
             rgb: Changed in place.
             depth: Changed in place; 0 is nothing.
         """
         vertices = self._mesh.vertices(data)
         normals = self._mesh.normals(vertices).reshape(-1, 3)
         faces = self._mesh.grid.faces
-        places, away = local(vertices.reshape(-1, 3))
+        places, away = project(vertices.reshape(-1, 3))
         drawn = draw_triangles(places, away, faces, depth.shape)
         behind = depth.reshape(-1)[drawn.pixels]
         front = (drawn.depth < behind) | (behind == 0)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+_ROW = 1024
 
 
 class Texture:
@@ -19,10 +19,11 @@ class Texture:
     """
 
     def __init__(self, picture: NDArray[np.uint8]) -> None:
-        self._sizes = [picture]
-        while min(self._sizes[-1].shape[:2]) > 1:
+        self._sizes: list[NDArray[Any]] = [picture]
+        while max(self._sizes[-1].shape[:2]) > 1:
             last = self._sizes[-1]
-            self._sizes.append(cv2.resize(last, (last.shape[1] // 2, last.shape[0] // 2), interpolation=cv2.INTER_AREA))
+            width, height = (max(side // 2, 1) for side in last.shape[1::-1])
+            self._sizes.append(cv2.resize(last, (width, height), interpolation=cv2.INTER_AREA))
 
     @classmethod
     def of(cls, model: Any, material: int) -> Texture | None:
@@ -45,7 +46,7 @@ class Texture:
         """Height and width in texels."""
         return self._sizes[0].shape[0], self._sizes[0].shape[1]
 
-    def sample(self, places: NDArray[Any], fineness: NDArray[Any] | float) -> NDArray[np.float32]:
+    def sample(self, places: NDArray[Any], fineness: NDArray[Any] | float) -> NDArray[Any]:
         """Colours of places.
 
         Args:
@@ -53,28 +54,19 @@ class Texture:
             fineness: (...) how many texels there are to a pixel.
 
         Returns:
-            (..., 3) colours, 0 ... 1.
+            (..., 3) float32 colours, 0 ... 1.
         """
-        level = np.clip(np.log2(np.maximum(fineness, 1e-6)), 0, len(self._sizes) - 1)
-        flat = np.asarray(places, np.float32).reshape(-1, 2)
-        level = np.broadcast_to(level, np.shape(places)[:-1]).reshape(-1)
-        lower = np.floor(level).astype(int)
-        out = np.empty((len(flat), 3), np.float32)
-        for i in np.unique(lower):
-            here = lower == i
-            more = (level[here] - i).astype(np.float32)[:, None]
-            fine = self._linear(i, flat[here])
-            out[here] = fine if not more.any() else (1 - more) * fine + more * self._linear(i + 1, flat[here])
-        return out.reshape(*np.shape(places)[:-1], 3) / np.float32(255)
-
-    def _linear(self, size: int, places: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(P, 3) colours 0 ... 255 from one size of the picture."""
-        picture = self._sizes[min(size, len(self._sizes) - 1)]
-        height, width = picture.shape[:2]
-        at = places * (width, height) - 0.5
-        left, top = np.floor(at).astype(int).T
-        (right, down), picture = (at - np.floor(at)).astype(np.float32).T[..., None], picture.astype(np.float32)
-        rows, columns = (top % height, (top + 1) % height), (left % width, (left + 1) % width)
-        upper = (1 - right) * picture[rows[0], columns[0]] + right * picture[rows[0], columns[1]]
-        lower = (1 - right) * picture[rows[1], columns[0]] + right * picture[rows[1], columns[1]]
-        return (1 - down) * upper + down * lower
+        # OpenCV draws pictures, and no side of one may be longer than 32766: the places are laid out in rows
+        count = int(np.prod(np.shape(places)[:-1]))
+        padded = np.zeros((-(-count // _ROW) * _ROW, 2), np.float32)
+        padded[:count] = np.reshape(places, (-1, 2))
+        level = np.zeros(len(padded), np.float32)
+        level[:count] = np.broadcast_to(np.log2(np.maximum(fineness, 1e-6)), np.shape(places)[:-1]).ravel()
+        at, level = padded.reshape(-1, _ROW, 2), np.clip(level, 0, len(self._sizes) - 1).reshape(-1, _ROW, 1)
+        out = np.zeros((*at.shape[:2], 3), np.float32)
+        for i in range(int(level.min()), int(np.ceil(level.max())) + 1):
+            picture = self._sizes[i]
+            texels = at * np.array(picture.shape[1::-1], np.float32) - np.float32(0.5)
+            seen = cv2.remap(picture, texels, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)  # type: ignore[call-overload]
+            out += np.maximum(1 - np.abs(level - i), 0) * seen
+        return (out / np.float32(255)).reshape(-1, 3)[:count].reshape(*np.shape(places)[:-1], 3)

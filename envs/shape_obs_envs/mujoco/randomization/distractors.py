@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shape_obs_envs.mujoco.randomization.colours import draw_other
-from shape_obs_envs.mujoco.randomization.factor import Factor, Scene
+from shape_obs_envs.mujoco.randomization.factor import Factor, Scene, choose
 from shape_obs_envs.mujoco.randomization.props import colour, hide, prop, shape
 from shape_obs_envs.mujoco.scene import camera_model
 
 Array = NDArray[np.float64]
 _NAME: Final = "distractor"
+_KINDS: Final = ("box", "cylinder", "sphere", "capsule", "stick")
 _TRIES: Final = 40
 _GAP: Final = 0.015  # between a flat thing and the object [m]
 _LYING: Final = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)  # an upright cylinder laid along x
@@ -25,7 +26,7 @@ class Distractors(Factor):
     """What lies about. It has no hue of the object's family, and nothing touches it: contacts are off.
 
     Tall things stand where the object never comes, so that they never hide it. Flat ones, lower than the object's
-    edge, may lie where it comes later; under a cloth there is nothing.
+    edge, may lie where it comes later.
 
     Attributes:
         most: Largest number of things; from none to so many are drawn.
@@ -43,7 +44,7 @@ class Distractors(Factor):
         super().__post_init__()
         self._check(most=(0, 12), flat=(0, 1), height=(0.005, 0.1))
         if not 0.005 <= self.size[0] <= self.size[1] <= 0.1:
-            raise ValueError(f"distractors.size: expected two sizes [m], 0.005 <= least <= most <= 0.1, got {self.size}.")
+            raise ValueError(f"distractors.size: expected two sizes within 0.005 ... 0.1 m, got {self.size}.")
 
     def bodies(self) -> str:
         """MJCF of as many things as there can be, unseen."""
@@ -77,7 +78,7 @@ class Distractors(Factor):
 
     def _form(self, rng: np.random.Generator, height: float, low: bool) -> tuple[str, list[float], Any, float]:
         """Kind, size [m], quaternion and height of the middle [m] of a thing that is no higher than `height` [m]."""
-        kind = str(rng.choice(["box", "cylinder"] if low else ["box", "cylinder", "sphere", "capsule", "stick"]))
+        kind = choose(rng, _KINDS[:2] if low else _KINDS)
         long, wide = rng.uniform(*self.size), rng.uniform(*self.size)
         up = height / 2 if low else rng.uniform(0.3, 1.0) * height / 2
         upright = (1.0, 0.0, 0.0, 0.0)
@@ -116,5 +117,7 @@ def _find_place(rng: np.random.Generator, scene: Scene, around: float, taken: li
 
 
 def _spacing(points: Array) -> float:
-    """Largest distance of neighbouring points (n, 2) [m]."""
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).max())
+    """How far points (n, 2) are from their nearest neighbours at most [m]."""
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    np.fill_diagonal(apart, np.inf)
+    return float(apart.min(axis=1).max())

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from shape_obs_envs.mujoco.randomization.colours import Colour
 from shape_obs_envs.mujoco.scene import CameraSpec
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 #: A corner of a box (x, y, z) [m], base frame.
 Corner = tuple[float, float, float]
 
@@ -33,6 +34,11 @@ class Factor(Spec):
             if not least <= value <= most:
                 where = f"{type(self).__name__.lower()}.{name}"
                 raise ValueError(f"{where}: expected a number from {least:g} to {most:g}, got {value!r}.")
+
+
+def choose(rng: np.random.Generator, options: Sequence[T]) -> T:
+    """One of `options`, each as likely as the others."""
+    return options[int(rng.integers(len(options)))]
 
 
 @dataclass(frozen=True)

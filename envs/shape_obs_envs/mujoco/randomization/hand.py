@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from shape_obs_envs.mujoco.engine import mujoco
 from shape_obs_envs.mujoco.randomization.colours import FAMILY, GREY, Colour, hue_distance
+from shape_obs_envs.mujoco.randomization.factor import choose
 from shape_obs_envs.mujoco.randomization.props import prop, shape
 
 Array = NDArray[np.float64]
@@ -39,7 +40,7 @@ def hand_body() -> str:
 def draw_colours(rng: np.random.Generator, hue: float) -> tuple[Any, Any]:
     """Colours (3,) of hand and sleeve, neither of the family of `hue`."""
     looks = [look for look in _LOOKS if look.saturation <= GREY or hue_distance(look.hue, hue) >= FAMILY]
-    skin = looks[int(rng.integers(len(looks)))]
+    skin = choose(rng, looks)
     skin = skin._replace(value=float(np.clip(skin.value * rng.uniform(0.85, 1.1), 0.1, 1.0)))
     sleeve = Colour((hue + rng.uniform(FAMILY, 180 - FAMILY)) % 180, rng.uniform(0.0, 0.7), rng.uniform(0.15, 0.9))
     return skin.rgb, (sleeve.rgb if rng.random() < 0.5 else skin.rgb)
@@ -52,9 +53,10 @@ def form_hand(rng: np.random.Generator, model: Any) -> float:
         How far below the hand's plane its lowest point is [m].
     """
     first, scale = int(model.body(HAND).geomadr[0]), rng.uniform(0.85, 1.1)
-    side = rng.choice([-1.0, 1.0])
-    shape(model, first + _PALM, "ellipsoid", scale * np.array([0.052, 0.043, 0.016]), scale * np.array([-0.11, 0, 0]))
-    _capsule(model, first + _FOREARM, scale * np.array([-0.16, 0, 0]), np.array([-0.9, 0, 0.1]), 0.032 * scale)
+    side = choose(rng, (-1.0, 1.0))
+    palm = [0.052 * scale, 0.043 * scale, 0.016 * scale]
+    shape(model, first + _PALM, "ellipsoid", palm, pos=(-0.11 * scale, 0.0, 0.0))
+    _capsule(model, first + _FOREARM, scale * np.array([-0.16, 0, 0]), np.array([-0.8, 0, 0.05]), 0.032 * scale)
     spread, bend = rng.uniform(0.3, 1.6), rng.uniform(0.05, 0.7) + rng.uniform(0, 0.5, 5)
     lowest = 0.016 * scale
     for i, (root, length, heading) in enumerate(zip(_ROOTS, _LENGTHS, _SPREAD, strict=True)):

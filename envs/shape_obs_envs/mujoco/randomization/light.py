@@ -22,7 +22,7 @@ class Light(Factor):
     """
 
     tilt: float = 0.7
-    level: float = 0.35
+    level: float = 0.3
     ambient: float = 0.2
     cast: float = 0.08
 

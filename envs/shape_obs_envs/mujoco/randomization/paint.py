@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from shape_obs_envs.mujoco.randomization.colours import HUES, Colour
-from shape_obs_envs.mujoco.randomization.factor import Factor, Scene
+from shape_obs_envs.mujoco.randomization.factor import Factor, Scene, choose
 from shape_obs_envs.mujoco.randomization.patterns import draw_pattern
 
 _KINDS = ("plain", "noise", "stripes", "speckle")
@@ -43,7 +43,7 @@ class Paint(Factor):
             known.saturation * float(less[0]),
             known.value * float(less[1]),
         )
-        kind, shape = str(rng.choice(_KINDS)), scene.body.tone_shape
+        kind, shape = choose(rng, _KINDS), scene.body.tone_shape
         pattern = draw_pattern(rng, kind, shape, rng.uniform(0.04, 0.15) * max(shape))
         scene.body.paint(colour.rgb, 1 - self.tone * rng.random() * pattern)
         return {"colour": list(colour.rgb), "pattern": kind}

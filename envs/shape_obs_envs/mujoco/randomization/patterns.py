@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Field = NDArray[np.float32]
+Field = NDArray[Any]  # float32
 Shape = tuple[int, int]
 Rng = np.random.Generator
 
@@ -26,14 +26,14 @@ def draw_pattern(rng: Rng, kind: str, shape: Shape, cell: float) -> Field:
     Returns:
         (H, W) float32, 0 ... 1.
     """
-    return np.clip(PATTERNS[kind](rng, shape, max(cell, 1.0)), 0, 1).astype(np.float32)
+    return np.clip(PATTERNS[kind](rng, shape, max(cell, 1.0)), np.float32(0), np.float32(1))
 
 
 def smooth_noise(rng: Rng, shape: Shape, cell: float) -> Field:
     """Smooth noise (H, W), 0 ... 1, whose hills are about `cell` texels apart."""
     coarse = [max(2, round(side / cell) + 1) for side in shape]
     grid = rng.random(coarse, np.float32)
-    return np.clip(cv2.resize(grid, shape[::-1], interpolation=cv2.INTER_CUBIC), 0, 1)
+    return np.clip(cv2.resize(grid, shape[::-1], interpolation=cv2.INTER_CUBIC), 0, 1)  # a cubic overshoots
 
 
 def _plain(rng: Rng, shape: Shape, cell: float) -> Field:
@@ -41,36 +41,41 @@ def _plain(rng: Rng, shape: Shape, cell: float) -> Field:
 
 
 def _noise(rng: Rng, shape: Shape, cell: float) -> Field:
-    return (4 * smooth_noise(rng, shape, 2 * cell) + 2 * smooth_noise(rng, shape, cell)
-            + smooth_noise(rng, shape, cell / 2)) / 7  # fmt: skip
+    octaves = [smooth_noise(rng, shape, size * cell) for size in (2.0, 1.0, 0.5)]
+    return (4 * octaves[0] + 2 * octaves[1] + octaves[2]) / 7
 
 
 def _checker(rng: Rng, shape: Shape, cell: float) -> Field:
     along, across = _turned(rng, shape, cell)
-    return ((np.floor(along) + np.floor(across)) % 2).astype(np.float32)
+    return _part(np.float32(0.5) * (np.floor(along) + np.floor(across))) * np.float32(2)
 
 
 def _stripes(rng: Rng, shape: Shape, cell: float) -> Field:
-    along, _ = _turned(rng, shape, cell)
-    return (along % 2 < rng.uniform(0.4, 1.6)).astype(np.float32)
+    along, _ = _turned(rng, shape, 2 * cell)
+    return (_part(along) < rng.uniform(0.2, 0.8)).astype(np.float32)
 
 
 def _tiles(rng: Rng, shape: Shape, cell: float) -> Field:
     along, across = _turned(rng, shape, 2 * cell)
-    return (np.minimum(along % 1, across % 1) < 0.08).astype(np.float32)
+    return (np.minimum(_part(along), _part(across)) < np.float32(0.08)).astype(np.float32)
 
 
 def _wood(rng: Rng, shape: Shape, cell: float) -> Field:
     """Rings of a tree, cut along its trunk: stripes that noise has drawn out and bent."""
     along, across = _turned(rng, shape, cell)
-    bend = 4 * smooth_noise(rng, shape, 12 * cell)
+    bend = np.float32(4) * smooth_noise(rng, shape, 12 * cell)
     grain = smooth_noise(rng, shape, max(1.0, cell / 8))
-    rings = 0.5 + 0.5 * np.sin(2 * np.pi * (0.7 * across + 0.03 * along + bend))
-    return (0.8 * rings + 0.2 * grain).astype(np.float32)
+    rings = np.sin(np.float32(2 * np.pi) * (np.float32(0.7) * across + np.float32(0.03) * along + bend))
+    return np.float32(0.4) + np.float32(0.4) * rings + np.float32(0.2) * grain
 
 
 def _speckle(rng: Rng, shape: Shape, cell: float) -> Field:
     return np.clip(8 * (smooth_noise(rng, shape, cell / 2) - 0.7), 0, 1)
+
+
+def _part(values: Field) -> Field:
+    """What is behind the point."""
+    return values - np.floor(values)
 
 
 def _turned(rng: Rng, shape: Shape, cell: float) -> tuple[Field, Field]:

@@ -14,7 +14,7 @@ from shape_obs_envs.mujoco.scene import CAMERA
 
 Array = NDArray[np.float64]
 #: What the camera may come back by at most, in parts of its distance, to see the whole workspace.
-_FARTHEST: Final = 1.25
+_FARTHEST: Final = 1.4
 _RIM: Final = 0.01  # of the image's half, that the workspace keeps from its edge
 
 
@@ -31,10 +31,10 @@ class Pose(Factor):
     """
 
     distance: float = 0.08
-    tilt: float = 0.1
-    turn: float = 0.12
+    tilt: float = 0.12
+    turn: float = 0.2
     roll: float = 0.05
-    aim: float = 0.015
+    aim: float = 0.025
 
     def __post_init__(self) -> None:
         super().__post_init__()

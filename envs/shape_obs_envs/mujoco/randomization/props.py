@@ -22,7 +22,7 @@ _KINDS: Final[dict[str, Any]] = {
 def prop(name: str, geoms: int, group: int = 0) -> str:
     """MJCF of a body `name` with unseen geoms `name0`, `name1`, ... that `shape` gives their form."""
     unseen = "".join(
-        f'<geom name="{name}{i}" type="sphere" size="0.01" mass="0" group="{group}" rgba="0 0 0 0"/>'
+        f'<geom name="{name}{i}" type="sphere" size="0.01" mass="0.001" group="{group}" rgba="0 0 0 0"/>'
         for i in range(geoms)
     )
     return f'<body name="{name}" mocap="true">{unseen}</body>'
@@ -31,13 +31,8 @@ def prop(name: str, geoms: int, group: int = 0) -> str:
 def shape(model: Any, geom: int, kind: str, size: Sequence[float], pos: Any = (0, 0, 0), quat: Any = (1, 0, 0, 0)):
     """Give a prop's geom its form, its size [m] as MJCF has it, and its pose in its body."""
     number, bound = _KINDS[kind]
-    full = [*size, *(3 - len(size)) * [0.0]]
-    # what the compiler leaves in the sizes that a kind does not use is what OpenGL scales by
-    if kind == "sphere":
-        full = 3 * [size[0]]
-    elif kind in ("capsule", "cylinder"):
-        full = [size[0], size[1], 0.0]
-    model.geom_type[geom], model.geom_size[geom], model.geom_rbound[geom] = int(number), full, bound(full)
+    model.geom_type[geom], model.geom_rbound[geom] = int(number), bound(size)
+    model.geom_size[geom] = [*size, *(3 - len(size)) * [0.0]]
     model.geom_pos[geom], model.geom_quat[geom] = pos, quat
     # the compiler's shortcut: where a geom's frame was its body's, its own pose is not looked at
     model.geom_sameframe[geom] = 0

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shape_obs_envs.mujoco.randomization.colours import Colour, draw_other
-from shape_obs_envs.mujoco.randomization.factor import Factor, Scene
+from shape_obs_envs.mujoco.randomization.factor import Factor, Scene, choose
 from shape_obs_envs.mujoco.randomization.patterns import PATTERNS, draw_pattern, smooth_noise
 
 _NAME: Final = "table"
@@ -38,7 +38,7 @@ class Table(Factor):
         super().__post_init__()
         self._check(textured=(0, 1), contrast=(0, 1), shade=(0, 0.9))
         if not 0.004 <= self.cell[0] <= self.cell[1] <= 0.4:
-            raise ValueError(f"table.cell: expected two sizes [m], 0.004 <= least <= most <= 0.4, got {self.cell}.")
+            raise ValueError(f"table.cell: expected two sizes within 0.004 ... 0.4 m, got {self.cell}.")
 
     def sections(self) -> str:
         """MJCF of the table's material; its size is that of a patch about the origin, repeated."""
@@ -50,9 +50,8 @@ class Table(Factor):
 
     def apply(self, rng: np.random.Generator, scene: Scene) -> dict[str, Any]:
         """Draw a table and lay it under the object."""
-        first = draw_other(rng, scene.hue, darkest=0.2)
-        kinds = [kind for kind in PATTERNS if kind != "plain"]
-        kind = str(rng.choice(kinds)) if rng.random() < self.textured else "plain"
+        first = draw_other(rng, scene.hue, darkest=0.25)
+        kind = choose(rng, [*PATTERNS][1:]) if rng.random() < self.textured else "plain"
         cell = float(np.exp(rng.uniform(*np.log(self.cell))))
         second = _companion(rng, first, self.contrast).away_from(scene.hue)
         pattern = draw_pattern(rng, kind, (_SIDE, _SIDE), cell * _SIDE / _SPAN)
@@ -70,9 +69,7 @@ def _companion(rng: np.random.Generator, colour: Colour, contrast: float) -> Col
     """A second colour of nearly the same hue: what lies between two hues on a blurred edge may be a third one's."""
     darker, paler = contrast * rng.uniform(-1, 1), rng.uniform(0.5, 1.2)
     value = colour.value + darker if 0.1 < colour.value + darker < 1 else colour.value - darker
-    return Colour(
-        colour.hue + rng.uniform(-8, 8), min(colour.saturation * paler, 0.9), float(np.clip(value, 0.1, 1.0))
-    )
+    return Colour(colour.hue + rng.uniform(-8, 8), min(colour.saturation * paler, 0.9), float(np.clip(value, 0.1, 1.0)))
 
 
 def _print(pattern: NDArray[Any], shade: NDArray[Any], first: Colour, second: Colour) -> NDArray[np.uint8]:
@@ -80,4 +77,5 @@ def _print(pattern: NDArray[Any], shade: NDArray[Any], first: Colour, second: Co
     mix = np.linspace(0, 1, 256)[:, None]
     palette = np.rint(255 * ((1 - mix) * np.array(first.rgb) + mix * np.array(second.rgb))).astype(np.uint8)
     colours = cv2.LUT(cv2.merge(3 * [np.rint(255 * pattern).astype(np.uint8)]), palette[None])
-    return cv2.multiply(colours, cv2.merge(3 * [np.rint(255 * shade).astype(np.uint8)]), scale=1 / 255)
+    light = cv2.merge(3 * [np.rint(255 * shade).astype(np.uint8)])
+    return np.asarray(cv2.multiply(colours, light, scale=1 / 255), np.uint8)

@@ -22,7 +22,7 @@ _SLEEVE: Final = 1  # which of its geoms has the sleeve's colour
 
 @dataclass(frozen=True)
 class Hand(Factor):
-    """How a hand comes into view. It touches nothing; it goes after a point of the object, and is skin- or glove-coloured.
+    """How a hand comes into view, in the colour of skin or of a glove. It goes after a point of the object.
 
     Attributes:
         probability: That it comes in an episode.
@@ -49,8 +49,7 @@ class Hand(Factor):
         for name, least, most in (("stay", 0, 10_000), ("speed", 0.005, 0.3), ("height", 0.01, 0.15)):
             low, high = getattr(self, name)
             if not least <= low <= high <= most:
-                raise ValueError(f"hand.{name}: expected two numbers, {least} <= least <= most <= {most}, "
-                                 f"got {(low, high)}.")  # fmt: skip
+                raise ValueError(f"hand.{name}: expected two numbers within {least} ... {most}, got {(low, high)}.")
 
     def bodies(self) -> str:
         """MJCF of the hand, unseen."""
@@ -123,13 +122,12 @@ class Visit:
         points = self._scene.points()
         aim = points[round(self._aim * (len(points) - 1)), :2]
         if self._goal is None:
-            self._goal = aim.copy()
             colour(self._scene.model, geoms, self._colours[0])
             colour(self._scene.model, geoms[_SLEEVE], self._colours[1])
-        self._goal += 0.3 * (aim - self._goal)
+        self._goal = aim.copy() if self._goal is None else self._goal + 0.3 * (aim - self._goal)
         back = self._distance()
         self._put(back)
-        while back < _FAR and self._too_much(points):
+        while back < 2 * _FAR and self._too_much(points):
             back += _BACK
             self._put(back)
 
