@@ -279,7 +279,7 @@ def test_bad_calls(env):
         env.reset(options={"start": [1.0]})
     with pytest.raises(ValueError, match=r"frame: expected one of .* Did you mean 'pixels'"):
         env.truth(frame="pixel")
-    with pytest.raises(ValueError, match=r"n: expected a whole number of points"):
+    with pytest.raises(ValueError, match=r"n: expected a whole number, 2 or more, got 1"):
         env.truth(1)
 
 
