@@ -15,10 +15,11 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from simulator_gl import RENDERERS, needs_gl
+
 import shape_obs_envs  # noqa: F401
 from shape_obs_envs.mujoco import cameras
 from shape_obs_envs.mujoco.cable import CableEnv
-from shape_obs_envs.mujoco.cameras.gl_context import GLUnavailableError
 
 SIZES = {"square": [84, 84], "rl": "rl", "d455": "d455"}
 NO_GL = """
@@ -36,21 +37,6 @@ ctypes.CDLL = Hidden
 
 def make(**kwargs: Any) -> CableEnv:
     return cast(CableEnv, gym.make("ShapeObs/Cable-v0", **{"camera": [84, 84], **kwargs}).unwrapped)
-
-
-def has_gl():
-    env = make(renderer="gl")
-    try:
-        env.reset(seed=0)
-    except GLUnavailableError:
-        return False
-    finally:
-        env.close()
-    return True
-
-
-needs_gl = pytest.mark.skipif(not has_gl(), reason="there is no OpenGL here")
-RENDERERS = ["rays", pytest.param("gl", marks=needs_gl)]
 
 
 def views(env, seeds=3):

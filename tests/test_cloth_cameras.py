@@ -12,8 +12,9 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from simulator_gl import RENDERERS, needs_gl
+
 import shape_obs_envs  # noqa: F401
-from shape_obs_envs.mujoco.cameras.gl_context import GLUnavailableError
 from shape_obs_envs.mujoco.cameras.raster import draw_triangles
 from shape_obs_envs.mujoco.cloth import ClothEnv
 
@@ -30,21 +31,6 @@ SHAPES: dict[str, list[Move]] = {
 
 def make(**options: Any) -> ClothEnv:
     return cast(ClothEnv, gym.make("ShapeObs/Cloth-v0", **{"camera": [84, 84], **options}).unwrapped)
-
-
-def has_gl() -> bool:
-    env = make(renderer="gl")
-    try:
-        env.reset(seed=0)
-    except GLUnavailableError:
-        return False
-    finally:
-        env.close()
-    return True
-
-
-needs_gl = pytest.mark.skipif(not has_gl(), reason="there is no OpenGL here")
-RENDERERS = ["rays", pytest.param("gl", marks=needs_gl)]
 
 
 def views(env: ClothEnv) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:

@@ -11,28 +11,14 @@ import pytest
 pytest.importorskip("mujoco")
 
 from randomized import ENVS, make, play  # pyright: ignore[reportMissingImports]
+from simulator_gl import needs_gl
 
-from shape_obs_envs.mujoco.cameras.gl_context import GLUnavailableError
 from shape_obs_envs.mujoco.cameras.surfaces import normals
 from shape_obs_envs.mujoco.cameras.texture import Texture
 from shape_obs_envs.mujoco.engine import mujoco
 from shape_obs_envs.mujoco.rays import cast_rays
 
 OFTEN = {"hand": {"probability": 1.0, "latest": 0, "speed": [0.2, 0.2]}, "distractors": {"most": 8}}
-
-
-def has_gl() -> bool:
-    env = make("Cable", False, renderer="gl")
-    try:
-        env.reset(seed=0)
-    except GLUnavailableError:
-        return False
-    finally:
-        env.close()
-    return True
-
-
-needs_gl = pytest.mark.skipif(not has_gl(), reason="there is no OpenGL here")
 
 
 def near_an_edge(*pictures: np.ndarray, least: int = 25) -> np.ndarray:
