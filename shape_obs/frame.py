@@ -24,6 +24,8 @@ class Frame:
             (1000 km) = invalid.
         camera: The camera model; needed for 3D and for anchors in the base frame.
         stamp: Seconds; None when the source has no clock.
+        received: When it reached this machine: ``time.monotonic()``, seconds; None where nobody noted it.
+        number: The source's own count of its frames; gaps tell what was missed. None where it does not count.
 
     Raises:
         TypeError: A wrong array type or dtype.
@@ -34,6 +36,8 @@ class Frame:
     depth: npt.NDArray[Any] | None = None
     camera: CameraModel | None = None
     stamp: float | None = None
+    received: float | None = None
+    number: int | None = None
 
     def __post_init__(self) -> None:
         if self.rgb is not None:

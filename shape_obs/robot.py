@@ -1,0 +1,160 @@
+"""Robot: what moves the object, and what its actions mean."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.spec import Spec, SpecError
+
+Array = npt.NDArray[np.float64]
+Mode = Literal["displacement", "velocity", "position"]
+ActionFrame = Literal["base", "gripper", "joint"]
+UNITS: Final = ("m", "rad", "1")
+
+
+class RobotError(OSError):
+    """A robot does not do what it was told; the message says what it was, and what to try."""
+
+
+@dataclass(frozen=True)
+class ActionSpec(Spec):
+    """What a robot's action means: A coordinates, in physical units.
+
+    A policy or controller acts in -1 ... 1 for each coordinate; ``scale`` says how much 1 is.
+
+    Args:
+        names: Of the coordinates, such as ``("gripper0/x", "gripper0/y", "gripper0/yaw")``.
+        units: Of each coordinate: ``"m"``, ``"rad"`` or ``"1"`` (a share, as of a gripper's opening).
+        scale: What 1 means, in these units; per step for displacements, per second for velocities.
+        low: The least that a coordinate of the state may become: the workspace, in these units.
+        high: The most.
+        mode: ``"displacement"`` is added to the state, ``"velocity"`` too, by the second, ``"position"`` replaces it.
+        frame: What the coordinates are told in: the robot's ``"base"``, its ``"gripper"``, or its ``"joint"`` angles.
+
+    Raises:
+        SpecError: Lengths that differ, or numbers that are none.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    scale: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    mode: Mode = "displacement"
+    frame: ActionFrame = "base"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("units", "scale", "low", "high"):
+            if len(getattr(self, name)) != len(self.names):
+                raise SpecError(
+                    f"ActionSpec.{name}: expected {len(self.names)} values, one for each of the coordinates "
+                    f"{list(self.names)}, got {len(getattr(self, name))}."
+                )
+        if not self.names or len(set(self.names)) != len(self.names):
+            raise SpecError(f"ActionSpec.names: expected different names of the coordinates, got {list(self.names)}.")
+        wrong = [unit for unit in self.units if unit not in UNITS]
+        if wrong:
+            raise SpecError(f"ActionSpec.units: expected {', '.join(map(repr, UNITS))}, got {wrong[0]!r}.")
+        if not all(0 < scale < np.inf for scale in self.scale):
+            raise SpecError(f"ActionSpec.scale: expected positive numbers, got {list(self.scale)}.")
+        if not all(-np.inf < low < high < np.inf for low, high in zip(self.low, self.high, strict=True)):
+            raise SpecError(
+                f"ActionSpec: expected finite low < high, got low {list(self.low)} and high {list(self.high)}."
+            )
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def physical(self, action: npt.ArrayLike) -> Array:
+        """An action of -1 ... 1 in physical units: (A,) -> (A,)."""
+        return np.asarray(action, np.float64) * self.scale
+
+    def following(self, state: npt.ArrayLike, motion: npt.ArrayLike, dt: float) -> Array:
+        """The state (A,) that ``motion`` (A,), in physical units, leads to from ``state`` within ``dt`` seconds."""
+        state, motion = np.asarray(state, np.float64), np.asarray(motion, np.float64)
+        return motion if self.mode == "position" else state + motion * (dt if self.mode == "velocity" else 1.0)
+
+    def leading(self, state: npt.ArrayLike, target: npt.ArrayLike, dt: float) -> Array:
+        """The motion (A,), in physical units, that leads from ``state`` (A,) to ``target`` (A,) in ``dt`` seconds."""
+        state, target = np.asarray(state, np.float64), np.asarray(target, np.float64)
+        return target if self.mode == "position" else (target - state) / (dt if self.mode == "velocity" else 1.0)
+
+    def check_same(self, other: ActionSpec, who: str) -> None:
+        """Refuse actions that mean something else.
+
+        Args:
+            other: What ``who`` acts in.
+            who: The policy's or controller's name, for the message.
+
+        Raises:
+            ValueError: Names, units, scale, mode or frame differ; the message says which. Workspaces may differ.
+        """
+        wanted, given = self.to_dict(), other.to_dict()
+        different = [key for key in ("names", "units", "scale", "mode", "frame") if wanted[key] != given[key]]
+        if different:
+            told = "; ".join(f"{key}: {given[key]} against {wanted[key]}" for key in different)
+            raise ValueError(f"{who} acts in other coordinates than the robot ({told}): convert its actions.")
+
+
+@runtime_checkable
+class Robot(Protocol):
+    """What moves the object. Coordinates of states and actions are those of ``action_spec``, in physical units.
+
+    May also have ``anchors``, a mapping of names to base-frame points (x, y, z) where it holds the object now, and
+    ``name`` for logs.
+    """
+
+    @property
+    def action_spec(self) -> ActionSpec:
+        """What actions mean."""
+        ...
+
+    def reset(self) -> None:
+        """Connect where that has not happened, and go to the start of an episode; returns when it is there.
+
+        Raises:
+            RobotError: It cannot.
+        """
+        ...
+
+    def send(self, action: Array) -> None:
+        """Begin a motion; returns at once. The next one replaces it.
+
+        Args:
+            action: (A,) in physical units; within the workspace, which whoever sends it has seen to.
+
+        Raises:
+            RobotError: It cannot.
+        """
+        ...
+
+    def state(self) -> Array:
+        """Where it has been told to go: (A,), with ``action_spec``'s names and units."""
+        ...
+
+    def stop(self) -> None:
+        """Stand still, now. May be called at any time, from any thread, and more than once."""
+        ...
+
+    def park(self) -> None:
+        """Go to a pose where it may be left alone, and disconnect; returns when it is there."""
+        ...
+
+
+Anchors = Mapping[str, Sequence[float]]
+
+
+def robot_anchors(robot: Any) -> Anchors:
+    """Where the robot holds the object: name -> (x, y, z) metres, base frame; empty for a robot that does not say."""
+    return getattr(robot, "anchors", {})
+
+
+def robot_name(robot: Any) -> str:
+    """What to call the robot in logs."""
+    return str(getattr(robot, "name", type(robot).__name__))
