@@ -115,11 +115,19 @@ class Robot(Protocol):
         """What actions mean."""
         ...
 
-    def reset(self) -> None:
-        """Connect where that has not happened, and go to the start of an episode; returns when it is there.
+    def connect(self) -> None:
+        """Open the connection, without any motion; nothing happens when it is open already.
 
         Raises:
             RobotError: It cannot.
+        """
+        ...
+
+    def reset(self) -> None:
+        """Go to the start of an episode; returns when it is there.
+
+        Raises:
+            RobotError: It cannot, or it is not connected.
         """
         ...
 
@@ -143,7 +151,15 @@ class Robot(Protocol):
         ...
 
     def park(self) -> None:
-        """Go to a pose where it may be left alone, and disconnect; returns when it is there."""
+        """Go to a pose where it may be left alone; returns when it is there.
+
+        Raises:
+            RobotError: It cannot.
+        """
+        ...
+
+    def disconnect(self) -> None:
+        """Close the connection, without any motion; nothing happens when it is closed already."""
         ...
 
 

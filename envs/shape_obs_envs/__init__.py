@@ -30,3 +30,6 @@ for _name, _entry_point in _ENTRY_POINTS.items():
         max_episode_steps=50,
         additional_wrappers=(_SHAPE,),
     )
+
+# A real camera gives no two equal images.
+gym.register(id="ShapeObs/D455-v0", entry_point="shape_obs_envs.cell:D455Env", nondeterministic=True)

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+import yaml
 
 from shape_obs.camera import CameraModel
+from shape_obs.config import VERSION
 from shape_obs.configurations import Configuration
 from shape_obs.features import View
+from shape_obs.files import write_whole
 from shape_obs.shape import Shape
-from shape_obs.spec import Spec
+from shape_obs.spec import Spec, SpecError
 from shape_obs.topology import Grid
 from shape_obs.wrappers.placing import goal_topology, placed, shape_at
 
@@ -126,6 +131,35 @@ class Target(Spec):
         lattice = {"rows": grid.rows, "cols": grid.cols} if isinstance(grid, Grid) else {}
         known = {name: value for name, value in spec.to_dict().items() if name not in _FREE}
         return cls(rounded.tolist(), frame, {"kind": spec.kind, **lattice}, known, size)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Target:
+        """Read a file that ``save`` wrote.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            SpecError: It is no YAML, of another version, or holds no goal.
+        """
+        try:
+            data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        except FileNotFoundError as error:
+            raise FileNotFoundError(f"{path}: no such goal file") from error
+        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            raise SpecError(f"{path}: not a YAML file: {' '.join(str(error).split())}") from error
+        if not isinstance(data, Mapping) or data.get("version") != VERSION or "goal" not in data:
+            raise SpecError(
+                f"{path}: expected 'version: {VERSION}' and 'goal', as `shape-obs goal -o` writes them, got "
+                f"{sorted(map(str, data)) if isinstance(data, Mapping) else type(data).__name__}."
+            )
+        try:
+            return cls.from_dict(data["goal"])
+        except ValueError as error:
+            raise SpecError(f"{path}: {error}") from error
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a YAML file, whole or not at all."""
+        text = yaml.safe_dump({"version": VERSION, "goal": self.to_dict()}, sort_keys=False)
+        write_whole(Path(path), lambda beside: beside.write_text(text, encoding="utf-8"))
 
     def shape_for(self, spec: Configuration, view: View) -> Shape:
         """The target as the shape that the detector would report of it.

@@ -1,0 +1,249 @@
+"""The real cell as an environment: an RGB-D source looks, a robot moves, steps come at a fixed rate."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.camera import CameraModel
+from shape_obs.frame import Frame
+from shape_obs.guard import Box, Guard, Guarded
+from shape_obs.loading import make_named
+from shape_obs.rate import Rate
+from shape_obs.robot import Anchors, Robot, RobotError, robot_anchors
+from shape_obs.source import NotConnected, RGBDSource, SourceError
+from shape_obs_envs.arguments import count, one_of, positive
+from shape_obs_envs.cell.eye import Eye, open_eye
+
+Observation = dict[str, npt.NDArray[Any]]
+#: Of the workspace: coordinates may be so far outside, where a robot was led by hand.
+_MARGIN: Final = 0.25
+
+
+class D455Env(gym.Env[Any, Any]):
+    """A depth camera and a robot, as an environment with images.
+
+    `reset` connects, sends the robot to its start and waits for a frame. `step` sends the action, waits for its
+    deadline and takes the newest frame that arrived after the action was sent: an observation never shows an older one.
+    Rewards are 0; `ShapeGoal` gives them.
+
+    Where the camera fails, the episode ends with `truncated`, `info["camera_error"]` says why, the images are black,
+    the robot has been stopped, and the next `reset` connects anew. `info["robot_error"]` tells the same of the robot.
+
+    Observation: `rgb` (H, W, 3) uint8, pinhole; `depth` (H, W) uint16 [mm], aligned, 0 where unknown; with a robot
+    also `robot` (A,) float32, where it has been told to be, in its `action_spec`'s units. Action: (A,) in -1 ... 1,
+    scaled and limited by a `Guard`; None stands still. Without a robot there is one action, to look.
+
+    `info`: `stamp` [s, the camera's clock], `frame` (its number), `lag` (how much later it came than the quickest
+    frames do [s]), `overrun` (the deadline had passed), and what the guard did: `guard/clipped`, `guard/capped`,
+    `guard/boxed`.
+
+    Args:
+        source: A source, or a word that `shape_obs_envs.sources.open_source` takes: "d455", "d455:SERIAL", FILE.db3,
+            FILE.bag, a folder, an environment's id; "robot" for the camera that the robot brings itself.
+        robot: A robot, or "module:Class"; None only looks.
+        robot_arguments: Keyword arguments of that class.
+        rate: Steps per second [Hz].
+        size: [width, height] of the images [px].
+        extrinsics: File that says where the camera stands in the base frame; see `shape-obs calibrate base`.
+        timeout: How long to wait for a frame before the camera counts as failed [s].
+        max_step: (A,) how far a coordinate may move in a step, in the robot's units; default one action of 1.
+        workspace: [low, high], each (A,): a smaller box than the robot's own.
+        render_mode: None or "rgb_array", the last image.
+
+    Raises:
+        ValueError: An argument is out of its range, or the source cannot be opened as it is asked for.
+        ImportError: The robot's module cannot be imported, or the extra `realsense` is missing.
+
+    Attributes:
+        robot: The robot, or None.
+        source: The source.
+        frame: The frame of the last observation; None before the first, and where the camera failed.
+        guarded: What the guard made of the last action; None where there was none.
+        sent_at: `time.monotonic()` after the last action was sent [s].
+        seen_at: `time.monotonic()` when the last frame was at hand [s].
+        slack: How long the last step waited for its deadline [s]; negative by how much it was late.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 30}  # noqa: RUF012
+
+    def __init__(
+        self,
+        source: RGBDSource | str = "d455",
+        robot: Robot | str | None = None,
+        *,
+        robot_arguments: Mapping[str, Any] | None = None,
+        rate: float = 30.0,
+        size: Sequence[int] = (640, 480),
+        extrinsics: str | None = None,
+        timeout: float = 1.0,
+        max_step: Sequence[float] | None = None,
+        workspace: Box | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        self.render_mode = one_of("render_mode", render_mode, (None, "rgb_array"))
+        self.rate = Rate(rate)
+        self.metadata = {**type(self).metadata, "render_fps": rate}
+        width, height = (count("size", side, 16, 4096) for side in size)
+        self.robot: Robot | None = make_named(robot, "robot", robot_arguments) if isinstance(robot, str) else robot
+        self.source = open_eye(source, self.robot, (width, height), extrinsics)
+        self._eye = Eye(self.source, (width, height), positive("timeout", timeout, "1.0"))
+        observed: dict[str, gym.spaces.Space[Any]] = {
+            "rgb": gym.spaces.Box(0, 255, (height, width, 3), np.uint8),
+            "depth": gym.spaces.Box(0, 65535, (height, width), np.uint16),
+        }
+        self.action_space = gym.spaces.Discrete(1)
+        self.guard: Guard | None = None
+        self._reach: gym.spaces.Box | None = None
+        if self.robot is not None:
+            spec = self.robot.action_spec
+            self.guard = Guard(spec, max_step, workspace, self.rate.dt)
+            margin = _MARGIN * (np.asarray(spec.high) - spec.low)
+            low, high = np.asarray(spec.low) - margin, np.asarray(spec.high) + margin
+            self._reach = gym.spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+            observed["robot"] = self._reach
+            self.action_space = gym.spaces.Box(-1.0, 1.0, (len(spec),), np.float32)
+        self.observation_space = gym.spaces.Dict(observed)
+        self.sent_at = self.seen_at = time.monotonic()
+        self.slack = 0.0
+        self.guarded: Guarded | None = None
+        self.frame: Frame | None = None
+        self._clock = (0.0, time.monotonic())  # the newest frame's stamp, and when it was taken
+
+    # ---- gymnasium
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Connect where needed, send the robot to its start, and wait for a frame.
+
+        Raises:
+            SourceError: The camera cannot be had; the subclass and the message say why.
+            RobotError: The robot cannot do it.
+            ValueError: The source gives other images than the env was made for.
+        """
+        super().reset(seed=seed)
+        self.guarded = None
+        try:
+            if self.robot is not None:
+                self.robot.connect()
+                self.robot.reset()
+            self._eye.connect()
+            self.frame = self._eye.frame_after(time.monotonic())
+            self.seen_at = time.monotonic()
+        except (SourceError, RobotError, ValueError):
+            self._abandon()
+            raise
+        self.rate.start()
+        return self._observe(), self._info(overrun=False)
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Send the action, wait for the deadline, and look; None stands still.
+
+        Raises:
+            ValueError: A wrong shape, or numbers that are not finite. The robot has been stopped.
+            NotConnected: Before the first reset, or after an episode that ended with an error.
+        """
+        errors: dict[str, str] = {}
+        try:
+            self._send(action)
+            self.sent_at = time.monotonic()
+            self.slack = self.rate.wait()
+            self.frame = self._eye.frame_after(self.sent_at)
+            self.seen_at = time.monotonic()
+        except NotConnected:
+            raise
+        except SourceError as error:
+            errors["camera_error"] = str(error)
+        except RobotError as error:
+            errors["robot_error"] = str(error)
+        except ValueError:
+            self._abandon()
+            raise
+        if errors:
+            self.frame = None
+            self._abandon()
+        info = self._info(overrun=self.slack < 0)
+        return self._observe(), 0.0, False, bool(errors), {**info, **errors}
+
+    def render(self) -> Any:
+        """The last image, (H, W, 3) uint8 RGB, with "rgb_array"; None before the first."""
+        return None if self.frame is None or self.frame.rgb is None else self.frame.rgb.copy()
+
+    def close(self) -> None:
+        """Stop the robot and disconnect; nothing moves. A later `reset` connects again."""
+        self._abandon()
+        if self.robot is not None:
+            self.robot.disconnect()
+
+    # ---- published
+
+    @property
+    def dt(self) -> float:
+        """Duration of a step [s]."""
+        return self.rate.dt
+
+    @property
+    def camera_model(self) -> CameraModel:
+        """Intrinsics and, where extrinsics are known, pose; a D455's nominal intrinsics before the first reset."""
+        return self._eye.camera
+
+    @property
+    def anchors(self) -> Anchors:
+        """Where the robot holds the object: name -> (x, y, z) [m], base frame."""
+        return {} if self.robot is None else robot_anchors(self.robot)
+
+    @property
+    def shape_obs_defaults(self) -> Mapping[str, Any]:
+        """Arguments of `ShapeObservation` that suit what the robot holds, where it knows them."""
+        return getattr(self.robot, "shape_obs_defaults", {})
+
+    # ---- inside
+
+    def _send(self, action: Any) -> None:
+        self.guarded = None
+        if self.robot is None or self.guard is None:
+            return
+        if action is None:
+            self.robot.stop()
+            return
+        self.guarded = self.guard.motion(action, self.robot.state())
+        self.robot.send(self.guarded.motion)
+
+    def _observe(self) -> Observation:
+        images = self._eye.images(self.frame)
+        if self.robot is not None and self._reach is not None:
+            told = np.asarray(self.robot.state(), np.float32)
+            images["robot"] = np.clip(told, self._reach.low, self._reach.high)
+        return images
+
+    def _info(self, *, overrun: bool) -> dict[str, Any]:
+        now, frame = time.monotonic(), self.frame
+        stamp, taken = self._clock
+        if frame is None or frame.stamp is None:
+            stamp += now - taken
+        else:
+            stamp = frame.stamp
+        self._clock = stamp, now
+        info: dict[str, Any] = {"stamp": stamp, "overrun": overrun}
+        if frame is not None:
+            info["lag"] = self._eye.lag(frame)
+        if frame is not None and frame.number is not None:
+            info["frame"] = frame.number
+        if self.guarded is not None:
+            _, clipped, capped, boxed = self.guarded
+            info |= {"guard/clipped": clipped, "guard/capped": capped, "guard/boxed": boxed}
+        return info
+
+    def _abandon(self) -> None:
+        """Stand still and let go of the camera, so that the next reset begins anew."""
+        try:
+            if self.robot is not None:
+                self.robot.stop()
+        finally:
+            self.source.disconnect()

@@ -1,0 +1,86 @@
+"""What commands before a camera and a robot have in common: their options, and the environment made of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from shape_obs.cli.source import open_named, read_settings
+from shape_obs.config import load_config
+from shape_obs.loading import make_named
+
+
+@dataclass(frozen=True)
+class CellArguments:
+    """Options that name a camera, a robot and what to look for."""
+
+    source: str = "d455"
+    """Where images come from: d455, d455:SERIAL, FILE.db3, FILE.bag, a recorded folder, the id of an environment, or
+    'robot' for the camera that the robot brings itself."""
+    robot: str | None = None
+    """The robot, as module:Class."""
+    set: tuple[str, ...] = ()
+    """KEY=VALUE: further arguments of the source, such as exposure=100."""
+    robot_set: tuple[str, ...] = ()
+    """KEY=VALUE: arguments of the robot's class, such as address=10.0.0.2."""
+    config: Path | None = None
+    """A YAML config file, as `shape-obs detect --pick` writes one; default what suits the robot, where it says."""
+    extrinsics: Path | None = None
+    """Where the camera stands in the base frame, as `shape-obs calibrate base` writes it."""
+    size: tuple[int, int] = (640, 480)
+    """Width and height of the images in pixels."""
+    rate: float = 30.0
+    """Steps per second."""
+    timeout: float = 1.0
+    """Seconds without a frame after which the camera counts as failed."""
+
+
+def make_robot(args: CellArguments) -> Any:
+    """The robot that is asked for, not yet connected.
+
+    Raises:
+        ValueError: None is, or it cannot be made.
+        ImportError: Its module cannot be imported.
+    """
+    if args.robot is None:
+        raise ValueError("--robot module:Class is needed; shape_obs_envs.robots:NullRobot moves nothing.")
+    return make_named(args.robot, "--robot", read_settings(args.robot_set, "--robot-set"))
+
+
+def make_cell(args: CellArguments, robot: Any, **options: Any) -> Any:
+    """The environment ``ShapeObs/D455-v0`` in a ``ShapeObservation``.
+
+    Args:
+        args: What the user asked for.
+        robot: The robot, or None.
+        options: Further arguments of the environment.
+
+    Raises:
+        ValueError: There is no config and the robot knows none.
+    """
+    import gymnasium as gym
+
+    from shape_obs.wrappers import ShapeObservation
+
+    if args.config is None and not getattr(robot, "shape_obs_defaults", None):
+        raise ValueError(
+            "--config FILE is needed: it says what the object looks like. `shape-obs detect IMAGE --pick u,v` writes "
+            "one."
+        )
+    config = {} if args.config is None else load_config(args.config)
+    width, height = args.size
+    source: Any = args.source
+    if source != "robot":
+        source = open_named(source, args.extrinsics, args.set, width=width, height=height)
+    env = gym.make(
+        "shape_obs_envs:ShapeObs/D455-v0",
+        source=source,
+        robot=robot,
+        rate=args.rate,
+        size=list(args.size),
+        timeout=args.timeout,
+        disable_env_checker=True,
+        **options,
+    )
+    return ShapeObservation(env, **config)

@@ -1,0 +1,24 @@
+"""The loop that runs a controller on a robot, and what keeps it safe."""
+
+from __future__ import annotations
+
+from shape_obs.deploy.controller import Controller, Script, Still, Sway
+from shape_obs.deploy.dry import DryRobot
+from shape_obs.deploy.gate import Gate, Limits
+from shape_obs.deploy.log import RunLog
+from shape_obs.deploy.loop import Moment, deploy
+from shape_obs.deploy.report import Report
+
+__all__ = [
+    "Controller",
+    "DryRobot",
+    "Gate",
+    "Limits",
+    "Moment",
+    "Report",
+    "RunLog",
+    "Script",
+    "Still",
+    "Sway",
+    "deploy",
+]

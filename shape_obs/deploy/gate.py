@@ -1,0 +1,106 @@
+"""Gate: whether what was seen is good enough to act on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+from shape_obs.spec import Spec, SpecError
+
+Move = Literal["act", "hold", "stop"]
+
+
+@dataclass(frozen=True)
+class Limits(Spec):
+    """When to act, to hold and to stop.
+
+    A shape that was not found in the present frame is never acted on, though an observation may still hold an older
+    one. While it is lost, or late, the robot stands still; when that has lasted for ``hold`` seconds, the run ends.
+
+    Args:
+        hold: Seconds that a lost or late shape is waited for.
+        min_valid: Share of a shape's points that must be measured, 0 to 1.
+        max_lag: Seconds by which a frame may arrive later than the quickest ones do; later ones are not acted on.
+        watchdog: Seconds after which the robot is stopped from outside when the loop does not come round.
+
+    Raises:
+        SpecError: A value out of its range.
+    """
+
+    hold: float = 0.5
+    min_valid: float = 0.5
+    max_lag: float = 0.1
+    watchdog: float = 2.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("hold", "max_lag"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise SpecError(f"Limits.{name}: expected seconds, 0 or more, got {getattr(self, name)!r}.")
+        if not 0 <= self.min_valid <= 1:
+            raise SpecError(f"Limits.min_valid: expected a share from 0 to 1, got {self.min_valid!r}.")
+        if not 0 < self.watchdog < math.inf:
+            raise SpecError(f"Limits.watchdog: expected seconds above 0, got {self.watchdog!r}.")
+
+
+class Judgement(NamedTuple):
+    """What to do now, and why when it is not to act.
+
+    Attributes:
+        move: What to do.
+        cause: ``"shape lost"``, ``"points missing"`` or ``"frame late"``; empty when there is none.
+        reason: The same with its numbers.
+    """
+
+    move: Move
+    cause: str = ""
+    reason: str = ""
+
+
+class Gate:
+    """Decides frame by frame.
+
+    Args:
+        limits: What is allowed.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._since: float | None = None
+
+    def judge(self, info: Mapping[str, Any], now: float) -> Judgement:
+        """Look at what is known of the last observation.
+
+        Args:
+            info: Of the environment: ``shape/ok``, ``shape/age``, ``shape/<name>/valid_fraction``, ``lag``.
+            now: ``time.monotonic()``.
+        """
+        cause, reason = self._fault(info)
+        if not cause:
+            self._since = None
+            return Judgement("act")
+        if self._since is None:
+            self._since = now
+        waited = now - self._since
+        if waited > self._limits.hold:
+            return Judgement("stop", cause, f"{reason}, for {waited:.2f} s")
+        return Judgement("hold", cause, reason)
+
+    def _fault(self, info: Mapping[str, Any]) -> tuple[str, str]:
+        limits = self._limits
+        age = info.get("shape/age", math.nan)
+        if not info.get("shape/ok", False) or age > 0:
+            return "shape lost", f"no shape in the present frame (the last is {age:.2f} s old)"
+        shares = [value for name, value in info.items() if name.endswith("/valid_fraction")]
+        if shares and min(shares) < limits.min_valid:
+            few = f"only {min(shares):.0%} of the points were measured (at least {limits.min_valid:.0%} wanted)"
+            return "points missing", few
+        lag = info.get("lag", 0.0)
+        if lag > limits.max_lag:
+            return (
+                "frame late",
+                f"the frame came {1e3 * lag:.0f} ms late (at most {1e3 * limits.max_lag:.0f} ms wanted)",
+            )
+        return "", ""

@@ -1,0 +1,47 @@
+"""Rate: a fixed rate with absolute deadlines, which do not drift with what each step takes."""
+
+from __future__ import annotations
+
+import time
+
+
+class Rate:
+    """Deadlines ``start + k * dt``.
+
+    A deadline that has passed before it was waited for is an overrun. Slots that were missed altogether are skipped:
+    a late loop does not hurry to catch up.
+
+    Args:
+        hertz: Deadlines a second.
+
+    Attributes:
+        dt: Seconds between deadlines.
+        overruns: How many deadlines had passed.
+        steps: How many were waited for.
+    """
+
+    def __init__(self, hertz: float) -> None:
+        if not 0 < hertz <= 1000:
+            raise ValueError(f"rate: expected hertz above 0, at most 1000, got {hertz!r}.")
+        self.dt = 1.0 / hertz
+        self.start()
+
+    def start(self) -> None:
+        """Begin now: the first deadline is ``dt`` from here."""
+        self.overruns = self.steps = 0
+        self.deadline = time.monotonic() + self.dt
+
+    def wait(self) -> float:
+        """Sleep until the deadline.
+
+        Returns:
+            Seconds that were slept; negative, by how much it was late, when the deadline had passed.
+        """
+        self.steps += 1
+        left = self.deadline - time.monotonic()
+        if left > 0:
+            time.sleep(left)
+        else:
+            self.overruns += 1
+        self.deadline += self.dt * (1 + int(max(0.0, -left) / self.dt))
+        return left
