@@ -30,7 +30,7 @@ class RopeSource(Source):
     Attributes:
         gone: Nothing comes, and nothing can be opened.
         dark: Images are black.
-        delay: Seconds by which frames arrive late.
+        delay: Seconds by which frames are older when they arrive.
     """
 
     kind, name, live, has_depth = "drawn", "drawn rope", True, True
@@ -84,8 +84,8 @@ class RopeSource(Source):
 
     def _draw(self) -> Frame:
         assert self._begin is not None
-        stamp = 1000.0 + self._last * self._period
-        received = self._begin + self._last * self._period + self.delay
+        stamp = 1000.0 + self._last * self._period - self.delay
+        received = self._begin + self._last * self._period
         rgb = np.full((HEIGHT, WIDTH, 3), 0 if self.dark else 200, np.uint8)
         depth = np.full((HEIGHT, WIDTH), 700, np.uint16)
         if not self.dark:

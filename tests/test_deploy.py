@@ -109,16 +109,29 @@ def test_it_goes_on_when_the_shape_comes_back_in_time():
     assert shown.count("hold") == report.held
 
 
-def test_late_frames_are_not_acted_on():
+def test_images_that_come_late_are_not_acted_on():
     env, _, source = cell()
 
     def late():
         source.delay = 0.3
         return np.zeros(2)
 
-    report = deploy(env, Always({3: late}), Limits(hold=0.1, max_lag=0.05), steps=100)
+    report = deploy(env, Always({3: late}), Limits(hold=0.1, max_age=0.1), steps=100)
     assert report.failed
-    assert "late" in report.ended
+    assert "ms old" in report.ended
+    assert report.acted == 4
+
+
+def test_an_action_that_took_too_long_is_not_sent():
+    env, robot, _ = cell()
+
+    def ponder():
+        time.sleep(0.15)
+        return np.array([1.0, 0.0])
+
+    report = deploy(env, Always({2: ponder}), Limits(max_age=0.1), steps=6)
+    assert (report.acted, report.reasons) == (5, {"image old": 1})
+    assert robot.calls.count("send") == 5
 
 
 def test_a_camera_that_fails_ends_the_run_and_stops_the_robot():
@@ -176,8 +189,9 @@ def test_the_watchdog_stops_the_robot_while_the_controller_hangs():
         seen.append(robot.calls.count("stop"))
         return np.zeros(2)
 
-    report = deploy(env, Always({2: hang}), Limits(watchdog=0.2), steps=100)
+    report = deploy(env, Always({2: hang}), Limits(watchdog=0.2, max_age=9), steps=100)
     assert seen == [1]
+    assert robot.calls.count("send") == 2  # what the controller said in the end was not sent
     assert report.failed
     assert "watchdog" in report.ended
 

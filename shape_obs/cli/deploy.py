@@ -42,11 +42,11 @@ class Arguments(CellArguments):
     dry_run: bool = False
     """Do everything but move: the robot is asked where it is and never sent anything."""
     hold: float = 0.5
-    """Seconds that a lost or late shape is waited for, without moving, before the run ends."""
+    """Seconds that a lost or old shape is waited for, without moving, before the run ends."""
     min_valid: float = 0.5
     """Share of the points that must be measured."""
-    max_lag: float = 0.1
-    """Seconds that a frame may come late and still be acted on."""
+    max_age: float = 0.2
+    """Seconds that an image may be old when it is acted on."""
     watchdog: float = 2.0
     """Seconds after which the robot is stopped when the loop hangs."""
     max_step: tuple[float, ...] | None = None
@@ -72,7 +72,7 @@ def main(argv: Sequence[str]) -> int:
     from shape_obs.wrappers import ShapeGoal, Target
 
     goal = None if args.goal is None else Target.load(args.goal)
-    limits = Limits(args.hold, args.min_valid, args.max_lag, args.watchdog)
+    limits = Limits(args.hold, args.min_valid, args.max_age, args.watchdog)
     controller = make_named(args.controller, "--controller", read_settings(args.controller_set, "--controller-set"))
     robot = make_robot(args)
     if args.dry_run:

@@ -20,9 +20,10 @@ class Limits(Spec):
     one. While it is lost, or late, the robot stands still; when that has lasted for ``hold`` seconds, the run ends.
 
     Args:
-        hold: Seconds that a lost or late shape is waited for.
+        hold: Seconds that a lost or old shape is waited for.
         min_valid: Share of a shape's points that must be measured, 0 to 1.
-        max_lag: Seconds by which a frame may arrive later than the quickest ones do; later ones are not acted on.
+        max_age: Seconds that an image may be old when it is acted on: since it arrived, and by how much later than the
+            quickest images it arrived.
         watchdog: Seconds after which the robot is stopped from outside when the loop does not come round.
 
     Raises:
@@ -31,12 +32,12 @@ class Limits(Spec):
 
     hold: float = 0.5
     min_valid: float = 0.5
-    max_lag: float = 0.1
+    max_age: float = 0.2
     watchdog: float = 2.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("hold", "max_lag"):
+        for name in ("hold", "max_age"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise SpecError(f"Limits.{name}: expected seconds, 0 or more, got {getattr(self, name)!r}.")
         if not 0 <= self.min_valid <= 1:
@@ -50,7 +51,7 @@ class Judgement(NamedTuple):
 
     Attributes:
         move: What to do.
-        cause: ``"shape lost"``, ``"points missing"`` or ``"frame late"``; empty when there is none.
+        cause: ``"shape lost"``, ``"points missing"`` or ``"image old"``; empty when there is none.
         reason: The same with its numbers.
     """
 
@@ -74,10 +75,11 @@ class Gate:
         """Look at what is known of the last observation.
 
         Args:
-            info: Of the environment: ``shape/ok``, ``shape/age``, ``shape/<name>/valid_fraction``, ``lag``.
+            info: Of the environment: ``shape/ok``, ``shape/age``, ``shape/<name>/valid_fraction``, ``received``,
+                ``lag``.
             now: ``time.monotonic()``.
         """
-        cause, reason = self._fault(info)
+        cause, reason = self._fault(info, now)
         if not cause:
             self._since = None
             return Judgement("act")
@@ -88,7 +90,7 @@ class Gate:
             return Judgement("stop", cause, f"{reason}, for {waited:.2f} s")
         return Judgement("hold", cause, reason)
 
-    def _fault(self, info: Mapping[str, Any]) -> tuple[str, str]:
+    def _fault(self, info: Mapping[str, Any], now: float) -> tuple[str, str]:
         limits = self._limits
         age = info.get("shape/age", math.nan)
         if not info.get("shape/ok", False) or age > 0:
@@ -97,10 +99,7 @@ class Gate:
         if shares and min(shares) < limits.min_valid:
             few = f"only {min(shares):.0%} of the points were measured (at least {limits.min_valid:.0%} wanted)"
             return "points missing", few
-        lag = info.get("lag", 0.0)
-        if lag > limits.max_lag:
-            return (
-                "frame late",
-                f"the frame came {1e3 * lag:.0f} ms late (at most {1e3 * limits.max_lag:.0f} ms wanted)",
-            )
+        age = info.get("lag", 0.0) + now - info.get("received", now)
+        if age > limits.max_age:
+            return "image old", f"the image was {1e3 * age:.0f} ms old (at most {1e3 * limits.max_age:.0f} ms wanted)"
         return "", ""

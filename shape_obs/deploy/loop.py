@@ -117,7 +117,7 @@ class _Run:
                 if judgement.move == "stop":
                     ended, failed = judgement.reason, True
                     break
-                observation, info, terminated, truncated = self._step(step, observation, info, judgement)
+                observation, info, terminated, truncated = self._step(step, observation, info, judgement, watchdog)
                 step += 1
                 reached = reached + 1 if info.get("is_success") else 0
                 errors = [info[name] for name in ("camera_error", "robot_error") if name in info]
@@ -141,7 +141,7 @@ class _Run:
         )
 
     def _step(
-        self, step: int, observation: Any, info: dict[str, Any], judgement: Judgement
+        self, step: int, observation: Any, info: dict[str, Any], judgement: Judgement, watchdog: Watchdog
     ) -> tuple[Any, dict[str, Any], bool, bool]:
         """Act or hold, and look again."""
         cell, tally = self._cell, self._tally
@@ -151,10 +151,14 @@ class _Run:
         action = None
         if judgement.move == "act":
             action = checked_action(self._controller.act(observation), self._spec, self._controller)
+            # The controller took its time, and the image grew older.
+            judgement = self._gate.judge(info, time.monotonic())
+        if judgement.move == "act" and not watchdog.bitten:
             tally.acted += 1
         else:
+            action = None
             tally.held += 1
-            tally.reasons[judgement.cause] += 1
+            tally.reasons[judgement.cause or "watchdog"] += 1
         acted = time.monotonic()
         following, _, terminated, truncated, next_info = self._env.step(action)
         times = {

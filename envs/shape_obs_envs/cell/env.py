@@ -39,9 +39,9 @@ class D455Env(gym.Env[Any, Any]):
     also `robot` (A,) float32, where it has been told to be, in its `action_spec`'s units. Action: (A,) in -1 ... 1,
     scaled and limited by a `Guard`; None stands still. Without a robot there is one action, to look.
 
-    `info`: `stamp` [s, the camera's clock], `frame` (its number), `lag` (how much later it came than the quickest
-    frames do [s]), `overrun` (the deadline had passed), and what the guard did: `guard/clipped`, `guard/capped`,
-    `guard/boxed`.
+    `info`: `stamp` [s, the camera's clock], `frame` (its number), `received` [s, `time.monotonic`], `lag` (how much
+    later it came than the quickest frames do [s]), `overrun` (the deadline had passed), and what the guard did:
+    `guard/clipped`, `guard/capped`, `guard/boxed`.
 
     Args:
         source: A source, or a word that `shape_obs_envs.sources.open_source` takes: "d455", "d455:SERIAL", FILE.db3,
@@ -232,7 +232,7 @@ class D455Env(gym.Env[Any, Any]):
         self._clock = stamp, now
         info: dict[str, Any] = {"stamp": stamp, "overrun": overrun}
         if frame is not None:
-            info["lag"] = self._eye.lag(frame)
+            info |= {"lag": self._eye.lag(frame), "received": now if frame.received is None else frame.received}
         if frame is not None and frame.number is not None:
             info["frame"] = frame.number
         if self.guarded is not None:
