@@ -19,12 +19,17 @@ if TYPE_CHECKING:
     from shape_obs.configurations import Contour as Contour
     from shape_obs.configurations import Surface as Surface
     from shape_obs.detector import ShapeDetector as ShapeDetector
+    from shape_obs.extrinsics import Extrinsics as Extrinsics
     from shape_obs.features import Feature as Feature
     from shape_obs.frame import Frame as Frame
+    from shape_obs.markers import MarkerLayout as MarkerLayout
+    from shape_obs.markers import TopView as TopView
+    from shape_obs.markers import find_markers as find_markers
     from shape_obs.missing import ShapeLostError as ShapeLostError
     from shape_obs.pool import DetectorPool as DetectorPool
     from shape_obs.pool import DetectorPoolError as DetectorPoolError
     from shape_obs.roi import ROI as ROI
+    from shape_obs.roi import Markers as Markers
     from shape_obs.roi import Polygon as Polygon
     from shape_obs.roi import Rectangle as Rectangle
     from shape_obs.roi import Whole as Whole
@@ -49,11 +54,13 @@ _HOME = {
     "shape_obs.config": ("load_config", "save_config", "schema_hash"),
     "shape_obs.configurations": ("Centerline", "Configuration", "Contour", "Surface"),
     "shape_obs.detector": ("ShapeDetector",),
+    "shape_obs.extrinsics": ("Extrinsics",),
     "shape_obs.features": ("Feature",),
     "shape_obs.frame": ("Frame",),
+    "shape_obs.markers": ("MarkerLayout", "TopView", "find_markers"),
     "shape_obs.missing": ("ShapeLostError",),
     "shape_obs.pool": ("DetectorPool", "DetectorPoolError"),
-    "shape_obs.roi": ("ROI", "Polygon", "Rectangle", "Whole"),
+    "shape_obs.roi": ("ROI", "Markers", "Polygon", "Rectangle", "Whole"),
     "shape_obs.segmentation": ("ColourRule", "DepthRange", "GrayRange", "HSVRange", "Segmentation"),
     "shape_obs.shape": ("Detection", "Shape"),
     "shape_obs.spec": ("Spec", "SpecError"),

@@ -143,17 +143,18 @@ def save_config(path: str | os.PathLike[str], arguments: Mapping[str, Any]) -> N
         path: Where to.
         arguments: Arguments of ``ShapeDetector`` or ``ShapeObservation``, as specs or plain values.
     """
-    filled = _filled(arguments)
-    data = {"version": VERSION} | {
-        section: {name: filled[name] for name in names if name in filled} for section, names in SECTIONS.items()
-    }
     target = Path(path)
     beside = target.with_name(f".{target.name}.{os.getpid()}")
     try:
-        beside.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+        beside.write_text(dump_config(arguments), encoding="utf-8")
         beside.replace(target)
     finally:
         beside.unlink(missing_ok=True)
+
+
+def dump_config(arguments: Mapping[str, Any]) -> str:
+    """What ``save_config`` writes: YAML of three sections, defaults filled in."""
+    return yaml.safe_dump(_sections(arguments), sort_keys=False)
 
 
 def detector_arguments(arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -173,6 +174,22 @@ def schema_hash(arguments: Mapping[str, Any]) -> str:
         "features": _features(arguments),
         "clustering": detector.clustering.to_dict(),
     }
+    return _sha256(content)
+
+
+def config_hash(arguments: Mapping[str, Any]) -> str:
+    """SHA-256 of all three sections, defaults filled in: equal hashes mean that a detector is told the same."""
+    return _sha256(_sections(arguments))
+
+
+def _sections(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    filled = _filled(arguments)
+    return {"version": VERSION} | {
+        section: {name: filled[name] for name in names if name in filled} for section, names in SECTIONS.items()
+    }
+
+
+def _sha256(content: Any) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 

@@ -20,6 +20,7 @@ Array = npt.NDArray[np.float64]
 _NEARBY: Final = 0.2  # of the length next to a hidden end, whose depth it is compared with
 _CLEARANCE: Final = 0.005  # metres: what is nearer than the rope by this much lies over it
 _COVERED: Final = 0.3  # of a hidden end: below that share nothing hides it; what has no depth may
+_HIDDEN: Final = 0.5  # of a hidden end: from that share on something hides it
 
 
 def revealed(curve: Curve, depth: npt.NDArray[Any]) -> Curve:
@@ -29,26 +30,47 @@ def revealed(curve: Curve, depth: npt.NDArray[Any]) -> Curve:
         curve: (P,2) pixels, with hidden ends in its memory.
         depth: (H,W) the frame's depth.
     """
-    (head, tail), size, arc = curve.memory.hidden, curve.size, curve.arc
-    inside = (arc >= head - 1e-9) & (arc <= size - tail + 1e-9)
-    metres = _under(curve.points, depth)
-    keep = [True, True]
-    for end, (hidden, away) in enumerate(((head, arc), (tail, size - arc))):
-        if hidden <= curve.memory.slack:
-            continue
-        over = metres[away < hidden - 1e-9]
-        beside = metres[inside & (away < hidden + _NEARBY * size)]
-        if not len(over) or not np.isfinite(beside).any():
-            continue
-        nearest = np.nanmedian(beside) - _CLEARANCE
-        keep[end] = bool(np.mean(np.isnan(over) | (over < nearest)) >= _COVERED)
+    (head, tail), arc = curve.memory.hidden, curve.arc
+    keep = [over is None or np.mean(over | np.isnan(metres)) >= _COVERED for metres, over in _ends(curve, depth)]
     if all(keep):
         return curve
+    inside = _inside(curve)
     first = 0 if keep[0] else int(np.argmax(inside))
     last = len(arc) if keep[1] else len(arc) - int(np.argmax(inside[::-1]))
     hidden = (head if keep[0] else 0.0, tail if keep[1] else 0.0)
     memory = curve.memory._replace(hidden=hidden, size=0.0)
     return replace(curve.cut(slice(first, last)), memory=memory)
+
+
+def is_hidden(curve: Curve, depth: npt.NDArray[Any]) -> bool:
+    """Whether something is seen to lie over most of a curve's hidden end.
+
+    Args:
+        curve: (P,2) pixels, with hidden ends in its memory.
+        depth: (H,W) the frame's depth.
+    """
+    return any(over is not None and np.mean(over) >= _HIDDEN for _, over in _ends(curve, depth))
+
+
+def _ends(curve: Curve, depth: npt.NDArray[Any]) -> list[tuple[Array, npt.NDArray[np.bool_] | None]]:
+    """For head and tail the metres under what is hidden of it, and whether that lies over the rope.
+
+    None where nothing is hidden there, or the visible rope beside it has no depth to compare with.
+    """
+    (head, tail), size, arc = curve.memory.hidden, curve.size, curve.arc
+    metres, inside, ends = _under(curve.points, depth), _inside(curve), []
+    for hidden, away in ((head, arc), (tail, size - arc)):
+        under = metres[away < hidden - 1e-9]
+        beside = metres[inside & (away < hidden + _NEARBY * size)]
+        told = hidden > curve.memory.slack and len(under) > 0 and bool(np.isfinite(beside).any())
+        ends.append((under, under < np.nanmedian(beside) - _CLEARANCE if told else None))
+    return ends
+
+
+def _inside(curve: Curve) -> npt.NDArray[np.bool_]:
+    """(P,) between the hidden ends."""
+    (head, tail), arc = curve.memory.hidden, curve.arc
+    return (arc >= head - 1e-9) & (arc <= curve.size - tail + 1e-9)
 
 
 def _under(points: Array, depth: npt.NDArray[Any]) -> Array:

@@ -28,8 +28,8 @@ from shape_obs.segment import prepare
 from shape_obs.segmentation import Segmentation
 from shape_obs.shape import Detection, Shape
 from shape_obs.timing import Timed
-from shape_obs.tracking import Expected, Track, outlook
-from shape_obs.view import View
+from shape_obs.tracking import Expected, Track
+from shape_obs.view import View, outlooks, placed
 from shape_obs.warmup import warm_up
 
 Array = npt.NDArray[np.float64]
@@ -96,6 +96,7 @@ class ShapeDetector:
         self._kinds: dict[str, type[Body]] = {}
         self._last: dict[str, tuple[Shape, float]] = {}
         self._stamp: float | None = None
+        self._place: Any = None  # what a region of interest that moves remembers
         self._looked = 0
         self._begin = 0.0
 
@@ -206,11 +207,15 @@ class ShapeDetector:
                 raise ValueError(f"shape {spec.name!r}: {asked} needs depth and a camera; give both, or {instead}.")
         targets = [anchor_pixel(spec, anchors, frame.camera) for spec in self.shapes]
         timings: dict[str, float] = {}
-        view = View(frame, mask, self.config.roi, self.kernels, timings)
+        region, self._place, reason = placed(self.config.roi, frame, self._place, timings)
+        view = None if region is None else View(frame, mask, region, self.kernels, timings)
         stamp = self._next_stamp(frame)
         expected = self._expected()
         shapes = []
         for spec, target in zip(self.shapes, targets, strict=True):
+            if view is None:
+                shapes.append(self._shape(spec, frame, None, Fit(None, reason=reason), None, stamp, timings))
+                continue
             body = view.body(spec, expected.get(spec.segmentation))
             found, present = self._fit(spec, body, target, stamp, timings, frame.depth)
             if not found.ok and view.look_everywhere(spec):
@@ -221,19 +226,9 @@ class ShapeDetector:
         return Detection(tuple(shapes), stamp, timings)
 
     def _expected(self) -> dict[Segmentation | None, Expected | None]:
-        """Where the shapes of each segmentation will all be; None where one has no track, and once in a while."""
+        """Where the shapes of each segmentation will all be; once in a while nothing is expected anywhere."""
         self._looked += 1
-        if self._looked % _LOOK_AROUND == 0:
-            return {}
-        expected: dict[Segmentation | None, Expected | None] = {}
-        for spec in self.shapes:
-            track, rule = self._tracks.get(spec.name), spec.segmentation
-            here = None if track is None else outlook(track)
-            if rule in expected:
-                other = expected[rule]
-                here = None if here is None or other is None else here.united(other)
-            expected[rule] = here
-        return expected
+        return {} if self._looked % _LOOK_AROUND == 0 else outlooks(self.shapes, self._tracks)
 
     def _fit(
         self, spec: Configuration, body: Body, target: Array | None, stamp: float, timings: Any, depth: Any = None
@@ -249,14 +244,14 @@ class ShapeDetector:
         self,
         spec: Configuration,
         frame: Frame,
-        body: Body,
+        body: Body | None,
         found: Fit,
         present: Track | None,
         stamp: float,
         timings: dict[str, float],
     ) -> Shape:
         """The shape of a fit, and what is remembered of it."""
-        if isinstance(self.config.clustering, Clusterer):
+        if body is not None and isinstance(self.config.clustering, Clusterer):
             with Timed(timings, "clustering"):
                 found = clustered(found, body, spec, self.config.clustering)
         with Timed(timings, "lift"):
@@ -277,12 +272,12 @@ class ShapeDetector:
         self._stamp = stamp
         return stamp
 
-    def _finish(self, spec: Configuration, found: Fit, body: Body, frame: Frame, stamp: float) -> Shape:
+    def _finish(self, spec: Configuration, found: Fit, body: Body | None, frame: Frame, stamp: float) -> Shape:
         """From a form to ordered points, in space where there is depth; or what stands in for them."""
         in_3d = isinstance(body, Cloud) or (frame.depth is not None and frame.camera is not None)
         last, seen = self._last.get(spec.name, (None, self._begin))
         reason = found.reason
-        if found.form is not None and found.ok:
+        if body is not None and found.form is not None and found.ok:
             shape = shape_of(spec, found, found.form, found.body or body, frame, last, self.config.on_invalid)
             if not in_3d or np.count_nonzero(shape.valid):
                 return shape

@@ -11,8 +11,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.frame import MILLIMETRE
-
 
 def read_image(path: Path) -> npt.NDArray[np.uint8]:
     """An image file as (H,W,3) uint8 RGB.
@@ -43,7 +41,7 @@ def read_depth(path: Path) -> npt.NDArray[Any]:
     if depth.ndim != 2 or not (depth.dtype == np.uint16 or np.issubdtype(depth.dtype, np.floating)):
         raise ValueError(
             f"{path}: expected depth of shape (H, W) as uint16 millimetres or float metres, "
-            f"got shape {depth.shape} of {depth.dtype}; one unit is {MILLIMETRE} m."
+            f"got shape {depth.shape} of {depth.dtype}."
         )
     return depth
 

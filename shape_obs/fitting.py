@@ -70,6 +70,8 @@ def fit(
         The fit, and the track to remember (None when the fit was refused).
     """
     prediction = None if track is None else predict(track, stamp, body.grain)
+    if prediction is not None and isinstance(body, Region):
+        prediction = prediction._replace(depth=depth)
     known = body if prediction is None else spec.known(body, prediction)
     reason = _too_little(body) or spec.unfit(known)
     if reason:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -61,6 +61,8 @@ class Prediction(NamedTuple):
         grain: What the body resolves: nothing smaller can be told from noise.
         width: Of the body as a ribbon; 0 where that is not known.
         amount: Pixels or points of the body in the last frame; 0 where a part of it was hidden.
+        depth: (H,W) of the frame in which it is looked for, where there is one and the nodes are pixels: what lies
+            over a place hides it.
     """
 
     nodes: Array
@@ -70,6 +72,7 @@ class Prediction(NamedTuple):
     grain: float = 0.0
     width: float = 0.0
     amount: int = 0
+    depth: npt.NDArray[Any] | None = None
 
 
 def predict(track: Track, stamp: float, grain: float) -> Prediction:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,11 @@ from shape_obs.deproject import SeenCloud, deproject
 from shape_obs.frame import Frame
 from shape_obs.kernels import Kernels
 from shape_obs.region import Region, find_region
-from shape_obs.roi import ROI, Window
+from shape_obs.roi import ROI, Place, Window
 from shape_obs.segment import segment
 from shape_obs.segmentation import Segmentation
 from shape_obs.timing import Timed
-from shape_obs.tracking import Expected
+from shape_obs.tracking import Expected, Track, outlook
 
 
 class View:
@@ -87,6 +88,29 @@ class View:
         self._regions[rule] = region
         if expected is not None and (not region.pieces or _is_cut(region.box, reach, window, self.window)):
             self._look(rule, None)
+
+
+def placed(roi: ROI, frame: Frame, memory: Any, timings: dict[str, float]) -> Place:
+    """Where a region of interest is in a frame. One that stands still takes no time."""
+    if type(roi).place is ROI.place:
+        return Place(roi)
+    with Timed(timings, "roi"):
+        return roi.place(frame.rgb, memory)
+
+
+def outlooks(
+    shapes: Iterable[Configuration], tracks: Mapping[str, Track]
+) -> dict[Segmentation | None, Expected | None]:
+    """Where the shapes of each segmentation will all be; None where one has no track."""
+    expected: dict[Segmentation | None, Expected | None] = {}
+    for spec in shapes:
+        track, rule = tracks.get(spec.name), spec.segmentation
+        here = None if track is None else outlook(track)
+        if rule in expected:
+            other = expected[rule]
+            here = None if here is None or other is None else here.united(other)
+        expected[rule] = here
+    return expected
 
 
 def _within(near: Window, reach: int, whole: Window) -> Window:

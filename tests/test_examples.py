@@ -16,6 +16,7 @@ EXPECTED = {
     "point_cloud.py": "20 ordered points, gaps",
     "two_cameras.py": "camera 1: ok: True",
     "shape_goal.py": "end: is_success: True, the simulator says True",
+    "markers.py": "frame 19: ok: True, markers (0, 1, 2, 3), 1.",
     "foreign_env.py": "ok: True",
     "foreign_env_depth.py": "13 points in metres, ok: True",
 }

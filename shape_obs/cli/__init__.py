@@ -13,6 +13,12 @@ from shape_obs.spec import did_you_mean
 COMMANDS: Final = {
     "demo": "run an episode of the simulated cable and draw what is seen",
     "detect": "find the shape in image files",
+    "record": "record what a camera, a file or an environment shows",
+    "replay": "find the shape in every frame of a recording, and export it",
+    "goal": "record the shape that is seen now as a goal",
+    "deploy": "run a controller on a robot, from the camera alone",
+    "markers": "draw markers or a calibration board to print",
+    "calibrate": "measure a camera's projection, and its place in the robot's base frame",
     "bench": "measure accuracy, time and quality",
 }
 

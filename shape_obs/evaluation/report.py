@@ -15,6 +15,7 @@ from shape_obs.evaluation import (
     env_claims,
     env_goals,
     hard_claims,
+    marker_claims,
     surface_claims,
 )
 from shape_obs.evaluation.blobs import garments
@@ -110,6 +111,16 @@ def _shapes(effort: Effort) -> Tables:
     yield "several shapes in one pass", _rows(shared_passes(effort.count(60), effort.seed))
 
 
+def _markers(effort: Effort) -> Tables:
+    top = marker_claims.tops(effort.count(40), effort.seed)
+    yield "tables seen from above, by four markers", _rows([top])
+    placed = [marker_claims.touched(effort.count(20), effort.seed, depth) for depth in (True, False)]
+    yield "cameras placed by touching markers, 0.5 mm of noise along each axis", _rows(placed)
+    cameras = marker_claims.fitted(effort.count(10), effort.seed)
+    yield "cameras calibrated with a board", _rows([cameras])
+    yield "markers and calibration, asked and seen", marker_claims.marker_rows(top, placed[0], cameras)
+
+
 def _cable(effort: Effort) -> Tables:
     cameras = ("d455", "rl", [84, 84])
     title = "simulated cable, random actions, visible surface"
@@ -158,6 +169,7 @@ GROUPS: Final[dict[str, Callable[[Effort], Tables]]] = {
     "sheets": _sheets,
     "clouds": _clouds,
     "shapes": _shapes,
+    "markers": _markers,
     "cable": _cable,
     "envs": _envs,
 }

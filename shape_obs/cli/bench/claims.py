@@ -15,7 +15,9 @@ from tqdm import tqdm
 from shape_obs.cli.bench.printing import table
 from shape_obs.evaluation.report import GROUPS, Effort
 
-Group = Literal["ropes", "tangles", "hands", "noise", "outlines", "sheets", "clouds", "shapes", "cable", "envs"]
+Group = Literal[
+    "ropes", "tangles", "hands", "noise", "outlines", "sheets", "clouds", "shapes", "markers", "cable", "envs"
+]
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,27 @@
+"""Robots: one that does nothing, and one that is simulated in real time, before a software camera.
+
+Names are loaded on first use: MuJoCo is imported only by those who simulate.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from shape_obs_envs.robots.null import NullRobot as NullRobot
+    from shape_obs_envs.robots.simulated import SimulatedRobot as SimulatedRobot
+
+_HOME = {"NullRobot": "null", "SimulatedRobot": "simulated"}
+
+__all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has: {', '.join(__all__)}.")
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

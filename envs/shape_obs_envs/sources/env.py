@@ -1,0 +1,154 @@
+"""EnvSource: any Gymnasium environment that shows images."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium as gym
+import numpy as np
+
+from shape_obs.camera import CameraModel
+from shape_obs.extrinsics import Extrinsics
+from shape_obs.frame import Frame
+from shape_obs.source import SourceError
+from shape_obs.wrappers import env_protocol
+from shape_obs.wrappers.env_protocol import Images
+from shape_obs_envs.sources.sequence import SequenceSource
+from shape_obs_envs.sources.stillness import no_motion
+
+Actions = Literal["zero", "random"] | Callable[[Any], Any]
+
+
+class EnvSource(SequenceSource):
+    """Frames of an environment: the first shows it after its reset, each further one takes a step.
+
+    After the last frame of an episode the next one shows the next episode's start. Stamps are ``info["stamp"]`` where
+    the environment tells it, else sums of its ``dt``, which go on over resets; the camera is its ``camera_model``.
+
+    Args:
+        env: An id, such as ``"shape_obs_envs:ShapeObs/Cable-v0"``, made by ``connect`` and closed by ``disconnect``; or
+            an environment, which stays yours.
+        extrinsics: See ``Source``; it wins over what the environment says.
+        actions: ``"zero"`` for the action nearest to none, ``"random"``, or a policy: observation -> action.
+        seed: Of the first reset and of random actions.
+        rgb_key: Key of the image in the observation, default ``"rgb"``.
+        depth_key: Key of the depth, uint16 millimetres or float metres; default ``"depth"`` where there is one.
+        **options: Arguments of ``gymnasium.make``, for an id.
+
+    Raises:
+        SourceError: By ``connect``: no such id, it cannot be made, or its observation has no image.
+        ValueError: Other ``actions``, or options for an environment that is made already.
+
+    Example:
+        >>> with EnvSource("shape_obs_envs:ShapeObs/Cable-v0", actions="random", seed=0) as source:  # doctest: +SKIP
+        ...     frame = source.read()
+    """
+
+    kind: str = "env"
+
+    def __init__(
+        self,
+        env: str | gym.Env[Any, Any],
+        extrinsics: Extrinsics | str | Path | None = None,
+        *,
+        actions: Actions = "zero",
+        seed: int | None = None,
+        rgb_key: str | None = None,
+        depth_key: str | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(env if isinstance(env, str) else str(env.spec.id if env.spec else env), extrinsics)
+        if actions not in ("zero", "random") and not callable(actions):
+            raise ValueError(f"actions: expected 'zero', 'random' or a function, got {actions!r}.")
+        if options and not isinstance(env, str):
+            raise ValueError(f"{self.name} is made already and takes no {sorted(options)}.")
+        self._given, self._options, self._keys = env, options, (rgb_key, depth_key)
+        self._actions, self._seed = actions, seed
+        self._env: gym.Env[Any, Any] | None = None
+        self._episode = 0
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether observations carry depth."""
+        self._check_connected()
+        return self._images.depth_key is not None
+
+    @property
+    def anchors(self) -> Mapping[str, Sequence[float]]:
+        """Where the object is held: name -> base-frame point (x, y, z) in metres, or pixel (u, v)."""
+        return {name: tuple(point) for name, point in env_protocol.anchors(self._made()).items()}
+
+    @property
+    def episode(self) -> int:
+        """Counts the episodes from 0."""
+        return self._episode
+
+    def connect(self) -> None:
+        """Make the environment, if it is an id; the first ``read`` resets it."""
+        if self._connected:
+            return
+        env = self._make()
+        try:
+            self._images = Images.find(env.observation_space, *self._keys)
+        except ValueError as error:
+            if env is not self._given:
+                env.close()
+            raise SourceError(f"{self.name}: {error}") from error
+        if self._seed is not None:
+            env.action_space.seed(self._seed)
+        self._env, self._connected = env, True
+        self._dt = env_protocol.seconds_per_step(env)
+        self._number, self._episode, self._over = 0, -1, True
+        self._observation: Any = None
+
+    def disconnect(self) -> None:
+        """Close the environment, unless it is yours."""
+        if self._env is not None and self._env is not self._given:
+            self._env.close()
+        self._env = None
+        super().disconnect()
+
+    def _next(self) -> Frame:
+        env = self._made()
+        if self._over:
+            self._episode += 1
+            self._observation, info = env.reset(seed=self._seed if self._episode == 0 else None)
+            self._over = False
+        else:
+            self._observation, _, terminated, truncated, info = env.step(self._action(env))
+            self._over = bool(terminated or truncated)
+        rgb, depth = self._images.read(self._observation)
+        frame = Frame(
+            np.array(rgb),  # environments may use their buffers again
+            None if depth is None else np.array(depth),
+            self.camera,
+            stamp=float(info.get("stamp", self._number * self._dt)),
+            received=time.monotonic(),
+            number=self._number,
+        )
+        self._number += 1
+        return frame
+
+    def _known_camera(self) -> CameraModel | None:
+        return env_protocol.camera_model(self._made())
+
+    def _action(self, env: gym.Env[Any, Any]) -> Any:
+        if callable(self._actions):
+            return self._actions(self._observation)
+        return env.action_space.sample() if self._actions == "random" else no_motion(env.action_space)
+
+    def _make(self) -> gym.Env[Any, Any]:
+        if not isinstance(self._given, str):
+            return self._given
+        try:
+            return gym.make(self._given, **self._options)
+        except (gym.error.Error, ImportError, TypeError, ValueError) as error:
+            raise SourceError(f"{self._given}: the environment cannot be made: {error}") from error
+
+    def _made(self) -> gym.Env[Any, Any]:
+        self._check_connected()
+        assert self._env is not None
+        return self._env

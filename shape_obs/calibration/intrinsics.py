@@ -1,0 +1,193 @@
+"""A camera's projection, fitted to views of a board, beside the one that the factory has stored."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.calibration.board import Board
+from shape_obs.calibration.views import BoardView
+from shape_obs.camera import Intrinsics
+from shape_obs.extrinsics import now
+from shape_obs.files import write_whole
+from shape_obs.spec import Spec, SpecError
+
+Array = npt.NDArray[np.float64]
+
+LEAST_VIEWS: Final = 6
+# The factory's projection is good while its rays lie near the fitted ones (a pixel is 1.8 mm at 0.7 m) and it explains
+# the board hardly worse; a fit that does not know its focal length so well cannot judge it.
+GOOD_RAYS: Final = 0.7  # pixels rms
+GOOD_RMS: Final = 0.2  # pixels more than the fitted rms
+KNOWN_FOCAL: Final = 0.0025  # of it: the standard deviation of the fit
+
+
+@dataclass(frozen=True)
+class IntrinsicsFit(Spec):
+    """What a board has told about a camera.
+
+    Args:
+        intrinsics: Fitted: Brown-Conrady without k3.
+        rms: By how much the corners lie off under it, pixels.
+        deviation: Standard deviation of fx and fy, as a share of them.
+        views: How many.
+        coverage: Share of the image's cells in which corners were seen.
+        factory: The projection that the camera told; None where it told none.
+        factory_rms: By how much the corners lie off under that one, pixels.
+        factory_apart: By how much its rays lie beside the fitted ones where corners were seen, pixels rms; a turn of
+            the camera is not counted, it belongs to its place.
+        doubts: What speaks against the factory's projection, or against the fit; empty if nothing does.
+        serial: Of the camera.
+        created: When, ISO 8601.
+    """
+
+    intrinsics: Intrinsics
+    rms: float
+    deviation: float
+    views: int
+    coverage: float
+    factory: Intrinsics | None = None
+    factory_rms: float | None = None
+    factory_apart: float | None = None
+    doubts: tuple[str, ...] = ()
+    serial: str | None = None
+    created: str = field(default_factory=now)
+
+    @property
+    def good(self) -> bool:
+        """Whether nothing speaks against the camera's own projection, or the fitted one where it has none."""
+        return not self.doubts
+
+    def save(self, path: str | Path) -> None:
+        """Write it as JSON, whole or not at all.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        text = json.dumps(self.to_dict(), indent=2) + "\n"
+        write_whole(Path(path), lambda beside: _write(beside, text))
+
+    @classmethod
+    def load(cls, path: str | Path) -> IntrinsicsFit:
+        """Read a file that ``save`` wrote.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            SpecError: It is no JSON, or lacks something.
+        """
+        try:
+            return cls.from_dict(json.loads(Path(path).read_text(encoding="utf-8")))
+        except FileNotFoundError as error:
+            raise FileNotFoundError(f"{path}: no such file of intrinsics") from error
+        except ValueError as error:
+            raise SpecError(f"{path}: not a file of intrinsics, or a damaged one: {error}") from error
+
+
+def fit_intrinsics(
+    views: Sequence[BoardView],
+    size: tuple[int, int],
+    board: Board,
+    factory: Intrinsics | None = None,
+    coverage: float = 0.0,
+    serial: str | None = None,
+) -> IntrinsicsFit:
+    """Fit a camera's projection, and judge the factory's.
+
+    Args:
+        views: Of the board, as ``BoardViews`` collects them.
+        size: (H, W) of the images.
+        board: What was looked at.
+        factory: The projection that the camera tells.
+        coverage: See ``IntrinsicsFit``.
+        serial: Of the camera.
+
+    Raises:
+        ValueError: Fewer than 6 views, or views that do not tell the focal length: the board was never tilted.
+
+    References:
+        Z. Zhang, "A flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000.
+    """
+    if len(views) < LEAST_VIEWS:
+        raise ValueError(
+            f"{len(views)} different views of the board are too few, at least {LEAST_VIEWS} are needed: show all of "
+            "it, near and far, tilted, and in every part of the image. Is it the board that --board describes?"
+        )
+    solid = [np.asarray(board.corners[view.ids], np.float32) for view in views]
+    pixels = [np.asarray(view.pixels, np.float32).reshape(-1, 1, 2) for view in views]
+    height, width = size
+    nothing: Any = None
+    rms, matrix, coeffs, _, _, deviations, _, _ = cv2.calibrateCameraExtended(
+        solid, pixels, (width, height), nothing, nothing, flags=cv2.CALIB_FIX_K3
+    )
+    fitted = Intrinsics(width, height, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], "brown_conrady")
+    fitted = replace(fitted, coeffs=tuple(np.ravel(coeffs)[:5].tolist()))
+    deviation = float(max(np.ravel(deviations)[:2] / (fitted.fx, fitted.fy)))
+    if not np.isfinite(deviation) or deviation > 20 * KNOWN_FOCAL:
+        raise ValueError(
+            "the views do not tell the focal length: tilt the board, by up to 45 degrees, in all directions."
+        )
+    factory_rms = apart = None
+    if factory is not None:
+        factory_rms = float(np.sqrt(np.mean(np.concatenate(_off(views, board, factory)) ** 2)))
+        apart = _apart(fitted, factory, np.concatenate([view.pixels for view in views]))
+    doubts = _doubts(float(rms), deviation, apart, factory_rms)
+    return IntrinsicsFit(
+        fitted, float(rms), deviation, len(views), coverage, factory, factory_rms, apart, doubts, serial
+    )
+
+
+def _doubts(rms: float, deviation: float, apart: float | None, factory_rms: float | None) -> tuple[str, ...]:
+    found = []
+    if rms > 1:
+        found.append(f"the corners lie {rms:.2f} px off even under the fitted projection: is the board flat?")
+    if deviation > KNOWN_FOCAL:
+        found.append(
+            f"the focal length is known to {100 * deviation:.2f} % only: show more views, tilted by up to 45 degrees."
+        )
+    elif apart is not None and apart > GOOD_RAYS:
+        found.append(
+            f"the factory's rays lie {apart:.1f} px rms beside the fitted ones: the focal lengths are wrong, or the "
+            "image is not rectified, or the lens was moved."
+        )
+    if factory_rms is not None and factory_rms > rms + GOOD_RMS:
+        found.append(
+            f"the corners lie {factory_rms:.2f} px off under the factory's projection, {rms:.2f} px under the fitted "
+            "one."
+        )
+    return tuple(found)
+
+
+def _apart(one: Intrinsics, other: Intrinsics, pixels: Array) -> float:
+    """By how much the rays of two projections through the same pixels differ, pixels rms, after the best turn."""
+    first, second = (_unit(each.rays(pixels)) for each in (one, other))
+    left, _, right = np.linalg.svd(first.T @ second)
+    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return float(np.sqrt(np.mean(np.sum((first - second @ turn.T) ** 2, axis=1))) * one.fx)
+
+
+def _unit(rays: Array) -> Array:
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def _off(views: Sequence[BoardView], board: Board, intrinsics: Intrinsics) -> list[Array]:
+    """Of each view, by how much its corners lie off where the best pose of the board puts them, pixels."""
+    off = []
+    for view in views:
+        solid = board.corners[view.ids]
+        # The pose is fitted to rays, so that every lens model is judged alike.
+        rays = np.ascontiguousarray(intrinsics.rays(view.pixels)[:, :2])
+        _, turn, shift = cv2.solvePnP(solid, rays, np.eye(3), np.zeros(0), flags=cv2.SOLVEPNP_ITERATIVE)
+        placed = solid @ cv2.Rodrigues(turn)[0].T + np.ravel(shift)
+        off.append(np.linalg.norm(intrinsics.project(placed) - view.pixels, axis=1))
+    return off
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")

@@ -1,0 +1,158 @@
+"""``shape-obs replay``: a recording through the detector."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from shape_obs.cli.source import open_named, warnings_as_lines
+from shape_obs.config import detector_arguments, load_config
+from shape_obs.detector import ShapeDetector
+from shape_obs.recording import OverlayVideo, Recording, ShapeLog, replay
+from shape_obs.recording.moment import read_moments
+from shape_obs.recording.player import check_depth
+from shape_obs.recording.table import check_table_path
+from shape_obs.source import BadRecording, RGBDSource
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Run the detector over a recording; the shapes are those that the camera's frames gave, to the bit.
+
+    Exit code 0 if every frame was looked at, whether its shape was found or not.
+    """
+
+    recording: Annotated[str, tyro.conf.Positional]
+    """A folder, FILE.db3, FILE.bag or a video file; or, with --frames, d455[:serial] or an environment's id."""
+    config: Path | None = None
+    """A YAML config file; without one --verify is all that is done."""
+    csv: Path | None = None
+    """Write the shapes as a CSV table, and FILE.meta.json beside it."""
+    npz: Path | None = None
+    """Write the shapes as NumPy arrays."""
+    parquet: Path | None = None
+    """Write the shapes as a Parquet table (needs the extra 'parquet')."""
+    video: Path | None = None
+    """Write the frames with the shapes drawn over them: .mp4 or .avi."""
+    frames: int | None = None
+    """How many at most."""
+    extrinsics: Path | None = None
+    """A file that says where the camera stands in the base frame; wins over the recorded place."""
+    set: tuple[str, ...] = ()
+    """KEY=VALUE ...: arguments of the source."""
+    verify: bool = False
+    """Read every frame first and check it against its checksums; all damaged ones are told."""
+    json: bool = False
+    """Print the summary as JSON."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command; returns the exit code."""
+    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs replay")
+    if args.config is None and not args.verify:
+        raise ValueError("give --config FILE to detect with, or --verify to check the recording.")
+    arguments = None if args.config is None else load_config(args.config)
+    tables = _tables(args)
+    with warnings_as_lines("shape-obs replay"), open_named(args.recording, args.extrinsics, args.set) as source:
+        if source.kind in ("d455", "software", "env") and args.frames is None:
+            raise ValueError(f"{source.name} never ends: give --frames N.")
+        result: dict[str, Any] = {"source": source.name}
+        if args.verify:
+            result["verified"] = _verify(source, args.frames)
+        if arguments is not None:
+            result |= _replay(args, arguments, source, tables)
+    print(json.dumps(result) if args.json else summary(result))
+    return 0
+
+
+def summary(result: dict[str, Any]) -> str:
+    """The lines that the command prints."""
+    lines = [f"source          {result['source']}"]
+    if "verified" in result:
+        lines.append(f"verified        {result['verified']} frames, all whole")
+    if "frames" in result:
+        lines.append(f"frames          {result['frames']}")
+    for name, shape in result.get("shapes", {}).items():
+        lines.append(f"{name:<15} ok in {shape['ok']}, {shape['valid_fraction']:.1%} of the points valid then")
+        lines += [f"  {count:>6} x      {reason}" for reason, count in shape["reasons"].items()]
+    if "ms" in result:
+        lines.append(f"ms per frame    {result['ms']['median']:.2f} median, {result['ms']['p95']:.2f} 95th percentile")
+    lines += [f"wrote           {path}" for path in result.get("files", ())]
+    return "\n".join(lines)
+
+
+def _tables(args: Arguments) -> list[Path]:
+    """The tables to write; what is wrong with them is told before the work begins."""
+    tables = []
+    for suffix, path in ((".csv", args.csv), (".npz", args.npz), (".parquet", args.parquet)):
+        if path is None:
+            continue
+        if path.suffix != suffix:
+            raise ValueError(f"--{suffix[1:]}: expected a file named *{suffix}, got {path}.")
+        check_table_path(path)
+        tables.append(path)
+    return tables
+
+
+def _verify(source: RGBDSource, frames: int | None) -> int:
+    """Read all; how many frames there are."""
+    recording = getattr(source, "recording", None)
+    bar = partial(tqdm, unit="frame", leave=False, desc="checking")
+    if not isinstance(recording, Recording):
+        count = sum(1 for _ in bar(read_moments(source, frames)))
+        source.disconnect()  # for the detector it begins again
+        source.connect()
+        return count
+    damaged = [wrong for wrong in bar(recording.check(), total=len(recording)) if wrong]
+    if damaged:
+        raise BadRecording(f"{len(damaged)} of {len(recording)} frames are damaged: {' '.join(damaged)}")
+    return len(recording)
+
+
+def _replay(args: Arguments, arguments: dict[str, Any], source: RGBDSource, tables: list[Path]) -> dict[str, Any]:
+    detector = ShapeDetector(**_lenient(detector_arguments(arguments)))
+    check_depth(source, detector, arguments)
+    log = ShapeLog(detector, arguments, source)
+    times = []
+    with ExitStack() as stack:
+        video = None if args.video is None else stack.enter_context(OverlayVideo(args.video))
+        length = args.frames or (len(source) if hasattr(source, "__len__") else None)  # pyright: ignore[reportArgumentType]
+        for moment, detection in tqdm(
+            replay(source, detector, args.frames), total=length, unit="frame", leave=False, desc="replaying"
+        ):
+            log.add(moment, detection)
+            times.append(detection.timings["total"])
+            if video is not None:
+                video.add(moment, detection)
+    table = log.table()
+    for path in tables:
+        table.save(path)
+    files = [str(path) for path in (*tables, args.video) if path is not None]
+    shapes = {spec.name: _told(table, spec.name) for spec in detector.shapes}
+    ms = {"median": round(float(np.median(times)), 3), "p95": round(float(np.percentile(times, 95)), 3)}
+    hashes = {name: log.metadata[name] for name in ("schema_hash", "config_hash")}
+    return {"frames": len(table), "shapes": shapes, "ms": ms, "files": files, **hashes}
+
+
+def _lenient(arguments: dict[str, Any]) -> dict[str, Any]:
+    """A replay goes on where a policy would be stopped: a lost shape is a row that is not ok."""
+    return {**arguments, "on_missing": "nan"} if arguments.get("on_missing") == "raise" else arguments
+
+
+def _told(table: Any, name: str) -> dict[str, Any]:
+    ok, valid = table[f"{name}/ok"], table[f"{name}/valid"]
+    return {
+        "ok": int(ok.sum()),
+        "valid_fraction": round(float(valid[ok].mean()), 4) if ok.any() else 0.0,
+        "reasons": dict(Counter(reason for reason in table[f"{name}/reason"].tolist() if reason)),
+    }

@@ -1,0 +1,138 @@
+"""Images of a table with four markers, as a camera like the D455 sees them: true poses, blur, noise, uneven light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.camera import Intrinsics
+from shape_obs.markers import MarkerLayout
+from shape_obs.markers.finder import dictionary_named
+
+Array = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]
+
+CAMERA: Final = Intrinsics(640, 480, 386.0, 386.0, 321.3, 244.6)
+LAYOUT: Final = MarkerLayout.rectangle(marker=0.06, width=0.6, height=0.42)
+DISTANCE: Final = (0.65, 0.9)  # metres from the camera to the middle of the rectangle
+TILT: Final = 35.0  # degrees, at most
+_RASTER: Final = 2000  # pixels a metre, of the drawn table
+_MARGIN: Final = 0.35  # metres of table around the markers
+_FINER: Final = 4  # each pixel is the mean of so many squared
+_BLUR: Final = 0.6  # pixels, of the lens
+_NOISE: Final = 3.0  # gray levels
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerScene:
+    """A table with markers, seen by a camera.
+
+    Args:
+        rgb: (480,640,3) uint8.
+        transform: (4,4) metres: p_camera = T p_table.
+        intrinsics: Of the camera.
+        layout: Where the markers lie on the table.
+    """
+
+    rgb: Image
+    transform: Array
+    intrinsics: Intrinsics
+    layout: MarkerLayout
+
+    def to_camera(self, points: Array) -> Array:
+        """(..., 2) metres on the table -> (..., 3) metres, camera frame."""
+        return points @ self.transform[:3, :2].T + self.transform[:3, 3]
+
+    def to_pixels(self, points: Array) -> Array:
+        """(..., 2) metres on the table -> (..., 2) pixels."""
+        return self.intrinsics.project(self.to_camera(points))
+
+    def grid(self, steps: int = 12) -> Array:
+        """(steps*steps, 2) metres: places all over the rectangle."""
+        low, high = self.layout.box
+        axes = [np.linspace(a, b, steps) for a, b in zip(low, high, strict=True)]
+        return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+
+    def depth(self, rng: np.random.Generator) -> Array:
+        """(480,640) metres, with a D455's noise."""
+        rows, columns = np.mgrid[: self.intrinsics.height, : self.intrinsics.width]
+        rays = self.intrinsics.rays(np.stack([columns, rows], axis=-1))
+        normal = self.transform[:3, 2]
+        depth = (normal @ self.transform[:3, 3]) / (rays @ normal)
+        sigma = depth**2 * 0.08 / (self.intrinsics.fx * 0.095)  # a disparity error of 0.08 px at a base line of 95 mm
+        noise = cv2.GaussianBlur(rng.normal(size=depth.shape), (0, 0), 1.0)  # stereo matching ties neighbours together
+        return depth + sigma * noise / noise.std()
+
+
+def marker_scene(
+    seed: int, hidden: tuple[int, ...] = (), layout: MarkerLayout = LAYOUT, intrinsics: Intrinsics = CAMERA
+) -> MarkerScene:
+    """Draw a scene: distance, tilt, turn, light and noise are the seed's."""
+    rng = np.random.default_rng(seed)
+    transform = random_pose(rng, np.mean(layout.box, axis=0), DISTANCE, TILT)
+    table, origin = _table(layout, hidden, rng)
+    return MarkerScene(photograph(table, origin, _RASTER, transform, intrinsics, rng), transform, intrinsics, layout)
+
+
+def random_pose(
+    rng: np.random.Generator, middle: Array, distance: tuple[float, float], tilt: float, aside: float = 0.03
+) -> Array:
+    """(4,4) p_camera = T p_table, of a table whose ``middle`` is looked at from so far, and so tilted at most."""
+    lean, towards, turn = np.radians(rng.uniform(0, tilt)), rng.uniform(0, 2 * np.pi), rng.uniform(-0.4, 0.4)
+    axis = lean * np.array([np.cos(towards), np.sin(towards), 0])
+    rotation = cv2.Rodrigues(axis)[0] @ cv2.Rodrigues(np.array([0, 0, turn]))[0]
+    transform = np.eye(4)
+    transform[:3, :3] = rotation
+    away = np.array([*rng.uniform(-aside, aside, 2), rng.uniform(*distance)])
+    transform[:3, 3] = away - rotation[:, :2] @ middle
+    return transform
+
+
+def photograph(
+    table: Image, origin: Array, raster: float, transform: Array, intrinsics: Intrinsics, rng: np.random.Generator
+) -> Image:
+    """(H,W,3) what the camera sees of a drawn (h,w) table whose upper left corner lies at ``origin``, metres."""
+    to_metres = np.array(
+        [[1 / raster, 0, origin[0] + 0.5 / raster], [0, 1 / raster, origin[1] + 0.5 / raster], [0, 0, 1]]
+    )
+    finer = np.array([[_FINER, 0, 0.5 * (_FINER - 1)], [0, _FINER, 0.5 * (_FINER - 1)], [0, 0, 1]])
+    warp = finer @ intrinsics.matrix @ transform[:3, (0, 1, 3)] @ to_metres
+    large = (intrinsics.width * _FINER, intrinsics.height * _FINER)
+    seen = cv2.warpPerspective(table, warp, large, flags=cv2.INTER_AREA, borderValue=150)
+    gray = cv2.resize(seen, (intrinsics.width, intrinsics.height), interpolation=cv2.INTER_AREA).astype(np.float64)
+    gray = cv2.GaussianBlur(gray, (0, 0), _BLUR)
+    slope = rng.uniform(-0.15, 0.15, 2)
+    x, y = np.linspace(-1, 1, intrinsics.width), np.linspace(-1, 1, intrinsics.height)[:, None]
+    light = rng.uniform(0.7, 1.0) * (1 + slope[0] * x + slope[1] * y)
+    rgb = (gray * light)[..., None] * (1.0, 0.98, 0.94) + rng.normal(0, _NOISE, (*gray.shape, 3))
+    return np.clip(np.round(rgb), 0, 255).astype(np.uint8)
+
+
+def _table(layout: MarkerLayout, hidden: tuple[int, ...], rng: np.random.Generator) -> tuple[Image, Array]:
+    """A speckled table with the markers on white paper, and where its upper left corner lies, metres."""
+    low, high = np.array(layout.box[0]) - _MARGIN, np.array(layout.box[1]) + _MARGIN
+    width, height = np.ceil((high - low) * _RASTER).astype(int)
+    coarse = rng.normal(165, 12, (height // 40, width // 40))
+    table = np.clip(cv2.resize(coarse, (int(width), int(height)), interpolation=cv2.INTER_CUBIC), 0, 255).astype(
+        np.uint8
+    )
+    for each, corners in zip(layout.ids, layout.array, strict=True):
+        if each in hidden:
+            continue
+        places = (corners - low) * _RASTER - 0.5
+        side = 600
+        marker = cv2.aruco.generateImageMarker(dictionary_named(layout.dictionary), each, side)
+        sheet = np.pad(marker, side // 5, constant_values=235)
+        sheet[sheet < 50] = 25
+        sheet[sheet > 235] = 235
+        edge = side // 5 - 0.5
+        square = np.array([[edge, edge], [edge + side, edge], [edge + side, edge + side], [edge, edge + side]])
+        lay = cv2.getPerspectiveTransform(square.astype(np.float32), places.astype(np.float32))
+        cover = cv2.warpPerspective(np.full_like(sheet, 255), lay, (int(width), int(height)))
+        drawn = cv2.warpPerspective(sheet, lay, (int(width), int(height)), flags=cv2.INTER_AREA)
+        table = np.where(cover > 127, drawn, table)
+    return table, low

@@ -1,0 +1,13 @@
+"""Recordings: frames of any source in a folder, and what a detector says about them, as a table and a video."""
+
+from __future__ import annotations
+
+from shape_obs.recording.log import ShapeLog as ShapeLog
+from shape_obs.recording.moment import Moment as Moment
+from shape_obs.recording.overlay import OverlayVideo as OverlayVideo
+from shape_obs.recording.player import replay as replay
+from shape_obs.recording.reader import Recording as Recording
+from shape_obs.recording.recorder import Recorded as Recorded
+from shape_obs.recording.recorder import record as record
+from shape_obs.recording.table import ShapeTable as ShapeTable
+from shape_obs.recording.writer import RecordingWriter as RecordingWriter

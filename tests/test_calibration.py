@@ -1,0 +1,191 @@
+"""Calibration and printed sheets, against true cameras, poses and sizes; `shape-obs bench claims --only markers`."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from drawn_frames import Frames, run
+
+from shape_obs import Extrinsics, SpecError
+from shape_obs.calibration import (
+    Touch,
+    fit_base,
+    marker_points,
+    read_touches,
+    write_touches,
+)
+from shape_obs.evaluation.marker_claims import touched
+from shape_obs.evaluation.marker_scenes import CAMERA, LAYOUT, MarkerScene, marker_scene
+from shape_obs.markers import find_markers
+from shape_obs.recording import record
+
+PLACE = np.eye(4)
+PLACE[:3, :3] = cv2.Rodrigues(np.array([2.2, 0.4, -0.3]))[0]
+PLACE[:3, 3] = 0.45, -0.12, 0.83
+
+
+def millimetres(metres: np.ndarray) -> np.ndarray:
+    return np.round(1000 * metres).astype(np.uint16)
+
+
+@pytest.fixture(scope="module")
+def scene() -> MarkerScene:
+    return marker_scene(3)
+
+
+@pytest.fixture(scope="module")
+def touches(scene) -> list[Touch]:
+    corners = scene.to_camera(LAYOUT.array) @ PLACE[:3, :3].T + PLACE[:3, 3]
+    noise = np.random.default_rng(0).normal(0, 0.0005, corners.shape)
+    return [Touch(i, j, *(corners + noise)[i, j].tolist()) for i in range(4) for j in range(4)]
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory, scene):
+    folder = tmp_path_factory.mktemp("base") / "recording"
+    rng = np.random.default_rng(5)
+    depths = [millimetres(scene.depth(rng)) for _ in range(3)]
+    record(Frames([scene.rgb] * 3, CAMERA, depths), folder)
+    return folder
+
+
+class TestFitBase:
+    rng = np.random.default_rng(1)
+    seen = rng.uniform((-0.3, -0.2, 0.6), (0.3, 0.2, 0.9), (12, 3))
+    touched = seen @ PLACE[:3, :3].T + PLACE[:3, 3]
+
+    def test_exact(self):
+        fit = fit_base(self.seen, self.touched)
+        np.testing.assert_allclose(fit.extrinsics.matrix, PLACE, atol=1e-9)
+        assert fit.rms < 1e-9
+        assert fit.suspect is None
+
+    def test_noise(self):
+        fit = fit_base(self.seen, self.touched + self.rng.normal(0, 0.0005, (12, 3)), CAMERA, "7")
+        assert fit.rms <= 0.001
+        np.testing.assert_allclose(fit.extrinsics.camera(CAMERA).to_base(self.seen), self.touched, atol=0.001)
+        assert (fit.extrinsics.serial, fit.extrinsics.intrinsics, fit.extrinsics.rms) == ("7", CAMERA, fit.rms)
+
+    def test_a_mirrored_set_is_no_motion(self):
+        fit = fit_base(self.seen, self.touched * (-1, 1, 1))
+        assert np.linalg.det(fit.extrinsics.matrix[:3, :3]) > 0
+        assert fit.rms > 0.05
+
+    @pytest.mark.parametrize("wrong", [0, 5, 11])
+    def test_an_outlier_is_named(self, wrong):
+        touched = self.touched + self.rng.normal(0, 0.0005, (12, 3))
+        touched[wrong] += (0.004, -0.006, 0.003)
+        fit = fit_base(self.seen, touched)
+        assert fit.suspect == wrong
+        assert fit.suspect_off == pytest.approx(0.0078, abs=0.002)
+
+    def test_too_few_or_on_a_line(self):
+        with pytest.raises(ValueError, match="3 touches are too few, at least 4 are needed"):
+            fit_base(self.seen[:3], self.touched[:3])
+        line = np.linspace((0, 0, 0.7), (0.3, 0.1, 0.8), 6)
+        with pytest.raises(ValueError, match="lie within 0 mm of one line"):
+            fit_base(line, line)
+        with pytest.raises(ValueError, match=r"two arrays of shape \(K, 3\), got \(12, 3\) and \(11, 3\)"):
+            fit_base(self.seen, self.touched[1:])
+        with pytest.raises(ValueError, match="finite"):
+            fit_base(self.seen, np.full((12, 3), np.nan))
+
+
+class TestMarkerPoints:
+    def test_depth_of_the_whole_marker(self, scene):
+        depth = millimetres(scene.depth(np.random.default_rng(0)))
+        for each, corners in find_markers(scene.rgb).items():
+            truth = scene.to_camera(LAYOUT.array[each])
+            assert np.linalg.norm(marker_points(corners, CAMERA, depth) - truth, axis=1).max() < 0.002
+            assert np.linalg.norm(marker_points(corners, CAMERA, size=0.06) - truth, axis=1).max() < 0.006
+
+    def test_holes_and_what_lies_beside(self, scene):
+        depth = scene.depth(np.random.default_rng(0))
+        depth[np.random.default_rng(1).uniform(size=depth.shape) < 0.4] = 0
+        depth[::7, ::5] += 0.05
+        corners = find_markers(scene.rgb)[0]
+        truth = scene.to_camera(LAYOUT.array[0])
+        assert np.linalg.norm(marker_points(corners, CAMERA, depth) - truth, axis=1).max() < 0.003
+
+    def test_without_depth_the_size_is_needed(self, scene):
+        with pytest.raises(ValueError, match="give the marker's size"):
+            marker_points(find_markers(scene.rgb)[0], CAMERA, np.zeros((480, 640), np.uint16))
+
+
+class TestBase:
+    def test_simulated_touches_with_half_a_millimetre_of_noise(self):
+        result = touched(4)
+        assert result.rms_mm <= 1.0
+        assert result.table_rms_mm <= 0.5
+
+    def test_from_a_recording_and_a_file(self, tmp_path, recording, touches, scene, capsys):
+        write_touches(tmp_path / "touches.csv", touches)
+        out = tmp_path / "extrinsics.json"
+        assert run("calibrate", "base", "--source", recording, "--touches", tmp_path / "touches.csv", "-o", out) == 0
+        told = capsys.readouterr().out
+        assert told.startswith("16 touches, ")
+        assert "corners seen by their depth" in told
+        assert "marker 3, corner 2 (bottom right)" in told
+        place = Extrinsics.load(out)
+        corners = scene.to_camera(scene.grid())
+        truth = corners @ PLACE[:3, :3].T + PLACE[:3, 3]
+        assert np.linalg.norm(place.camera(CAMERA).to_base(corners) - truth, axis=1).max() < 0.002
+        assert place.intrinsics == CAMERA
+
+    def test_json_both_ways_and_a_suspect(self, tmp_path, recording, touches, capsys):
+        wrong = [replace(touch, z=touch.z + 0.009) if i == 6 else touch for i, touch in enumerate(touches)]
+        (tmp_path / "touches.json").write_text(json.dumps([touch.to_dict() for touch in wrong]))
+        words = ["calibrate", "base", "--source", recording, "--touches", tmp_path / "touches.json"]
+        assert run(*words, "-o", tmp_path / "e.json", "--json") == 0
+        told = json.loads(capsys.readouterr().out)
+        assert [touch["suspect"] for touch in told["touches"]].index(True) == 6
+        assert run(*words, "-o", tmp_path / "f.json", "--max-rms", 1) == 1
+        errors = capsys.readouterr().err
+        assert "more than --max-rms 1: nothing was written; the others agree without marker 1, corner 2" in errors
+        assert not (tmp_path / "f.json").exists()
+
+    def test_asked_at_the_terminal(self, tmp_path, recording, touches, capsys, monkeypatch):
+        lines = [f"{touch.x} {touch.y}, {touch.z}" for touch in touches]
+        lines[3:5] = ["", "0.1 0.2", "412 100 20", lines[4]]
+        monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join([*lines[:12], "done", "no more"])))
+        out = tmp_path / "extrinsics.json"
+        assert run("calibrate", "base", "--source", recording, "-o", out) == 0
+        errors = capsys.readouterr().err
+        assert "expected three numbers such as 0.412 -0.105 0.021, got '0.1 0.2'" in errors
+        assert "are they millimetres?" in errors
+        assert out.exists()
+        kept = read_touches(tmp_path / "extrinsics_touches.csv")
+        assert kept == [touch for i, touch in enumerate(touches) if i < 10 and i != 3]
+
+    def test_without_depth(self, tmp_path, touches, scene, capsys):
+        record(Frames([scene.rgb], CAMERA), tmp_path / "recording")
+        write_touches(tmp_path / "t.csv", touches)
+        words = ["calibrate", "base", "--source", tmp_path / "recording", "--touches", tmp_path / "t.csv"]
+        assert run(*words, "-o", tmp_path / "e.json") == 1
+        assert "give the marker's size" in capsys.readouterr().err
+        assert run(*words, "-o", tmp_path / "e.json", "--size", 60) == 0
+        assert "by the markers' size" in capsys.readouterr().out
+
+    @pytest.mark.parametrize(
+        ("name", "text", "message"),
+        [
+            ("t.csv", "marker,corner,x,y\n0,0,1,2\n", "expected the header marker,corner,x,y,z, got marker,corner,x,y"),
+            ("t.csv", "marker,corner,x,y,z\n0,0,1,2,3\n0,1,x,2,3\n", "line 3: expected five numbers"),
+            ("t.csv", "marker,corner,x,y,z\n0,4,1,2,3\n", "line 2: corner: expected 0 to 3"),
+            ("t.csv", "marker,corner,x,y,z\n0,1,412,20,3\n", "line 2: x, y, z: expected metres, got 412.0, 20.0, 3.0"),
+            ("t.csv", "marker,corner,x,y,z\n", "holds no touches"),
+            ("t.json", "[{", "not a JSON file, or a damaged one"),
+            ("t.json", '{"marker": 0}', "expected a list of touches, got dict"),
+            ("t.json", '[{"marker": 0, "corner": 0}]', "touch 1: Touch: missing x, y, z"),
+        ],
+    )
+    def test_bad_touches(self, tmp_path, name, text, message):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(SpecError, match=message):
+            read_touches(tmp_path / name)

@@ -1,0 +1,218 @@
+"""``shape-obs record`` and ``shape-obs replay`` as people and programs use them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from shape_obs import save_config
+from shape_obs.cli import main
+from shape_obs.recording import Recording, ShapeTable
+
+BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
+CABLE = ["--set", "actions=random", "seed=2", "renderer=rays", "camera=[96, 72]"]
+
+
+def run(capsys, *arguments):
+    """(exit code, stdout, stderr) of a command run in this process."""
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return stop.value.code, captured.out, captured.err
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with configs, photos, and files that are bad in their several ways."""
+    folder = tmp_path_factory.mktemp("place")
+    save_config(folder / "pixels.yaml", {"segmentation": BLUE, "shapes": [{"kind": "centerline", "n": 8}]})
+    space = {"kind": "centerline", "n": 8, "anchor": "gripper0", "ends": "tips", "spacing": "m"}
+    save_config(folder / "space.yaml", {"segmentation": BLUE, "shapes": [space], "features": ["points3d"]})
+    save_config(folder / "far.yaml", {"segmentation": {"kind": "depth", "near": 0.5, "far": 0.6}})
+    (folder / "damaged.yaml").write_text("shape: [unclosed")
+    for name, count in (("photos", 3), ("damaged", 2)):
+        (folder / name).mkdir()
+        for i in range(count):
+            rgb = np.full((72, 96, 3), 190, np.uint8)
+            cv2.line(rgb, (10, 30 + 4 * i), (80, 40), (200, 60, 30), 6)
+            cv2.imwrite(str(folder / name / f"{i}.png"), rgb)
+    data = (folder / "damaged" / "1.png").read_bytes()
+    (folder / "damaged" / "1.png").write_bytes(data[: len(data) // 2])
+    (folder / "empty").mkdir()
+    (folder / "notes.txt").write_text("notes")
+    (folder / "junk.mp4").write_bytes(b"no video" * 100)
+    writer = cv2.VideoWriter(str(folder / "rope.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (96, 72))
+    for i in range(3):
+        writer.write(np.asarray(cv2.imread(str(folder / "photos" / f"{i}.png"))))
+    writer.release()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def recorded(place):
+    """Twelve frames of the simulated cable."""
+    pytest.importorskip("mujoco")
+    with pytest.raises(SystemExit) as stop:
+        main(["record", "--source", "ShapeObs/Cable-v0", "-o", str(place / "cable"), "--frames", "12", *CABLE])
+    assert stop.value.code == 0
+    return place / "cable"
+
+
+def test_record_then_replay_then_read(place, recorded, tmp_path, capsys):
+    pytest.importorskip("pyarrow")
+    capsys.readouterr()
+    code, out, err = run(
+        capsys, "replay", recorded, "--config", place / "space.yaml", "--verify", "--json",
+        "--csv", tmp_path / "s.csv", "--npz", tmp_path / "s.npz", "--parquet", tmp_path / "s.parquet",
+        "--video", tmp_path / "s.mp4",
+    )  # fmt: skip
+    told = json.loads(out)
+    assert code == 0
+    assert "replaying" in err, "a progress bar"
+    assert (told["verified"], told["frames"], told["shapes"]["centerline"]["ok"]) == (12, 12, 12)
+    tables = [ShapeTable.load(tmp_path / f"s.{suffix}") for suffix in ("csv", "npz", "parquet")]
+    for table in tables:
+        assert table["centerline/points3d"].shape == (12, 8, 3)
+        assert np.array_equal(table["centerline/points3d"], tables[0]["centerline/points3d"])
+        assert table.metadata["config_hash"] == told["config_hash"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "s.csv",
+        "s.csv.meta.json",
+        "s.mp4",
+        "s.npz",
+        "s.parquet",
+    ]
+
+
+def test_replaying_the_source_itself_gives_the_recordings_shapes(place, recorded, tmp_path, capsys):
+    for source, options, name in ((recorded, [], "a.npz"), ("ShapeObs/Cable-v0", ["--frames", 12, *CABLE], "b.npz")):
+        code, out, _ = run(
+            capsys, "replay", source, "--config", place / "space.yaml", "--npz", tmp_path / name, *options
+        )
+        assert code == 0
+        assert "ok in 12" in out
+    a, b = (ShapeTable.load(tmp_path / name) for name in ("a.npz", "b.npz"))
+    for column in a.columns:
+        if column != "received":
+            assert np.array_equal(a[column], b[column]), column
+
+
+def test_seconds_are_those_of_the_stamps(place, tmp_path, capsys):
+    pytest.importorskip("mujoco")
+    code, out, _ = run(
+        capsys, "record", "--source", "ShapeObs/Cable-v0", "-o", tmp_path / "r", "--seconds", 0.5, "--json", *CABLE
+    )
+    told = json.loads(out)
+    assert code == 0
+    assert (told["frames"], told["dropped"], told["stopped"]) == (10, 0, "done")
+    assert told["seconds"] == pytest.approx(0.45)
+
+
+def test_photos_and_videos_are_recorded_and_replayed(place, tmp_path, capsys):
+    for source in ("photos", "rope.avi"):
+        code, out, _ = run(capsys, "record", "--source", place / source, "-o", tmp_path / source, "--json")
+        assert (code, json.loads(out)["frames"]) == (0, 3)
+        assert not Recording(tmp_path / source).has_depth
+        code, out, _ = run(capsys, "replay", tmp_path / source, "--config", place / "pixels.yaml", "--json")
+        assert (code, json.loads(out)["shapes"]["centerline"]["ok"]) == (0, 3)
+
+
+def test_depth_can_be_left_out(recorded, tmp_path, capsys):
+    code, _, _ = run(capsys, "record", "--source", recorded, "-o", tmp_path / "flat", "--depth", "no")
+    assert code == 0
+    assert not Recording(tmp_path / "flat").has_depth
+    assert not (tmp_path / "flat" / "depth").exists()
+
+
+def test_a_shape_that_is_not_there_is_a_row(recorded, tmp_path, capsys):
+    save_config(
+        tmp_path / "red.yaml",
+        {"segmentation": {**BLUE, "low": [0, 200, 200], "high": [5, 255, 255]}, "on_missing": "raise"},
+    )
+    code, out, _ = run(capsys, "replay", recorded, "--config", tmp_path / "red.yaml", "--npz", tmp_path / "s.npz")
+    table = ShapeTable.load(tmp_path / "s.npz")
+    assert code == 0
+    assert "12 x      the mask is empty" in out
+    assert len(table) == 12
+    assert not table["centerline/ok"].any()
+    assert np.isnan(table["centerline/points3d"]).all()
+
+
+def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, recorded, tmp_path, capsys):
+
+    shutil.copytree(recorded, tmp_path / "cut")
+    text = (tmp_path / "cut" / "frames.jsonl").read_bytes()
+    (tmp_path / "cut" / "frames.jsonl").write_bytes(text[: len(text) // 2])
+    code, out, err = run(capsys, "replay", tmp_path / "cut", "--config", place / "space.yaml", "--json")
+    whole = text[: len(text) // 2].count(b"\n")
+    assert code == 0
+    assert json.loads(out)["frames"] == whole
+    line = f"shape-obs replay: {tmp_path / 'cut'}: the recording was interrupted; its {whole} whole frames are read"
+    assert line in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["replay", "none", "--config", "pixels.yaml"], "source 'none' is no camera, path or environment"),
+        (["replay", "no/recording", "--config", "pixels.yaml"], "no/recording: no such file or folder"),
+        (["replay", "none.db3", "--config", "pixels.yaml"], "none.db3: no such file"),
+        (["replay", "empty", "--config", "pixels.yaml"], "empty: expected a recording"),
+        (["replay", "notes.txt", "--config", "pixels.yaml"], "or a folder, got '.txt'"),
+        (["replay", "junk.mp4", "--config", "pixels.yaml"], "junk.mp4: not a video that OpenCV can decode"),
+        (["replay", "damaged", "--config", "pixels.yaml"], "1.png: not an image that can be read; it may be damaged"),
+        (["replay", "rope.avi", "--config", "space.yaml"], "rope.avi has no depth, but the config needs it: feature"),
+        (["replay", "photos", "--config", "far.yaml"], "needs it: segmentation 'depth' of shape 'centerline'"),
+        (["replay", "photos", "--config", "damaged.yaml"], "damaged.yaml: not a YAML file"),
+        (["replay", "photos", "--config", "none.yaml"], "none.yaml: no such config file"),
+        (["replay", "photos"], "give --config FILE to detect with, or --verify"),
+        (["replay", "photos", "--config", "pixels.yaml", "--csv", "s.npz"], "--csv: expected a file named *.csv"),
+        (["replay", "photos", "--config", "pixels.yaml", "--csv", "notes.txt/s.csv"], "cannot make the output folder"),
+        (["replay", "photos", "--config", "pixels.yaml", "--video", "s.gif"], "expected a video named *.mp4 or *.avi"),
+        (["replay", "photos", "--config", "pixels.yaml", "--frames", "0"], "frames: expected 1 or more, got 0"),
+        (["replay", "CartPole-v1", "--config", "pixels.yaml"], "CartPole-v1: the observation must be an RGB image"),
+        (["record", "--source", "photos", "-o", "photos"], "photos: the folder is not empty"),
+        (["record", "--source", "photos", "-o", "notes.txt/out"], "cannot make the output folder notes.txt/out"),
+        (["record", "--source", "rope.avi", "-o", "new", "--depth", "yes"], "rope.avi has no depth to record"),
+        (["record", "--source", "photos", "-o", "new", "--seconds", "1"], "its frames have no stamps"),
+        (["record", "--source", "photos", "-o", "new.db3"], "only a camera (d455) can be recorded to .db3"),
+        (["record", "--source", "photos", "-o", "new", "--set", "exposure"], "--set: expected KEY=VALUE"),
+        (
+            ["record", "--source", "photos", "-o", "new", "--set", "exposure=1"],
+            "a FolderSource does not take ['exposure']",
+        ),
+    ],
+)
+def test_bad_input_gets_one_clear_line(place, capsys, monkeypatch, arguments, message):
+    monkeypatch.chdir(place)
+    before = sorted(place.rglob("*"))
+    code, out, err = run(capsys, *arguments)
+    lines = [line for line in err.replace("\r", "\n").splitlines() if line.startswith("shape-obs")]
+    assert code == 1
+    assert out == ""
+    assert len(lines) == 1
+    assert message in lines[0]
+    assert [path for path in sorted(place.rglob("*")) if path not in before] == []
+
+
+def test_an_endless_source_needs_a_limit(place, capsys):
+    pytest.importorskip("mujoco")
+    code, _, err = run(capsys, "replay", "ShapeObs/Cable-v0", "--config", place / "space.yaml", *CABLE)
+    assert code == 1
+    assert "ShapeObs/Cable-v0 never ends: give --frames N" in err
+
+
+def test_verify_names_all_that_is_damaged(recorded, tmp_path, capsys):
+
+    shutil.copytree(recorded, tmp_path / "r")
+    for name in ("rgb/000001.png", "depth/000005.png"):
+        (tmp_path / "r" / name).write_bytes(b"junk")
+    code, out, err = run(capsys, "replay", tmp_path / "r", "--verify")
+    assert (code, out) == (1, "")
+    assert "2 of 12 frames are damaged" in err
+    assert "rgb/000001.png" in err
+    assert "depth/000005.png" in err

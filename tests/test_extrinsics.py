@@ -1,0 +1,138 @@
+"""The file that says where a camera stands."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+import warnings
+from datetime import datetime, timedelta, timezone
+
+import cv2
+import numpy as np
+import pytest
+
+from shape_obs import Extrinsics, HSVRange, Intrinsics, ShapeDetector, SpecError
+from shape_obs.extrinsics import ExtrinsicsWarning
+
+INTRINSICS = Intrinsics(640, 480, 386.0, 385.0, 321.0, 243.0)
+
+
+def place() -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, :3] = cv2.Rodrigues(np.array([2.0, 0.3, -0.4]))[0]
+    matrix[:3, 3] = 0.4, -0.1, 0.8
+    return matrix
+
+
+def extrinsics(**fields) -> Extrinsics:
+    given = {"T": place().tolist(), "intrinsics": INTRINSICS, "serial": "123", "rms": 0.0007, **fields}
+    return Extrinsics.from_dict(given)
+
+
+def test_saved_and_loaded(tmp_path):
+    path = tmp_path / "extrinsics.json"
+    first = extrinsics()
+    first.save(path)
+    assert Extrinsics.load(path) == first
+    assert [each.name for each in tmp_path.iterdir()] == ["extrinsics.json"]
+    data = json.loads(path.read_text())
+    assert (data["parent"], data["child"]) == ("base", "camera")
+    assert data["convention"].startswith("p_base = T p_camera")
+    np.testing.assert_allclose(data["T"], place())
+    assert datetime.fromisoformat(data["created"]).tzinfo is not None
+
+
+def test_the_camera_knows_its_place(tmp_path):
+    extrinsics().save(tmp_path / "e.json")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        camera = Extrinsics.load(str(tmp_path / "e.json")).camera(INTRINSICS, "123")
+    np.testing.assert_allclose(camera.to_base([0.1, 0.2, 0.7]), (place() @ [0.1, 0.2, 0.7, 1])[:3])
+
+
+def test_points3d_of_a_detection_lead_to_the_base_frame():
+    image = np.full((480, 640, 3), 200, np.uint8)
+    cv2.line(image, (200, 240), (440, 240), (20, 40, 200), 12)
+    camera = extrinsics().camera(INTRINSICS)
+    depth = np.full((480, 640), 700, np.uint16)
+    shape = ShapeDetector(["centerline"], HSVRange((100, 80, 40), (130, 255, 255))).detect(image, depth, camera)[
+        "centerline"
+    ]
+    truth = INTRINSICS.deproject(shape.points2d, np.full(20, 0.7)) @ place()[:3, :3].T + place()[:3, 3]
+    np.testing.assert_allclose(camera.to_base(np.asarray(shape.points3d)), truth, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"T": None}, "missing T; `shape-obs calibrate base` writes such files"),
+        ({"created": None}, "missing created"),
+        ({"T": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}, r"expected 4 rows of 4 numbers, got rows of \[3, 3, 3\]"),
+        ({"T": np.diag([2.0, 1, 1, 1]).tolist()}, "expected a rigid transform"),
+        ({"T": np.diag([-1.0, 1, 1, 1]).tolist()}, "expected a rigid transform"),
+        ({"T": [[1, 0, 0, "x"], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, r"T\[0\]\[3\]: expected float, got 'x'"),
+        ({"created": "yesterday"}, "expected a time such as 20.*, got 'yesterday'"),
+        ({"parent": "camera", "child": "base"}, "invert T if it leads the other way"),
+        ({"serialnumber": "1"}, "unknown field 'serialnumber'; did you mean 'serial'"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_told(tmp_path, change, message):
+    data = {**extrinsics().to_dict(), **change}
+    path = tmp_path / "e.json"
+    path.write_text(json.dumps({key: value for key, value in data.items() if value is not None}))
+    with pytest.raises(SpecError, match=message) as told:
+        Extrinsics.load(path)
+    assert str(path) in str(told.value)
+
+
+def test_damaged_and_missing_files(tmp_path):
+    path = tmp_path / "e.json"
+    extrinsics().save(path)
+    path.write_text(path.read_text()[:200])
+    with pytest.raises(SpecError, match=r"e.json: not a JSON file, or a damaged one"):
+        Extrinsics.load(path)
+    path.write_text("[1, 2]")
+    with pytest.raises(SpecError, match="expected a mapping"):
+        Extrinsics.load(path)
+    with pytest.raises(FileNotFoundError, match="no such file of extrinsics"):
+        Extrinsics.load(tmp_path / "other.json")
+    with pytest.raises(OSError, match="cannot write"):
+        extrinsics().save(tmp_path / "nowhere" / "e.json")
+
+
+class TestDoubts:
+    def warned(self, given: Extrinsics, intrinsics=INTRINSICS, serial: str | None = "123") -> list[str]:
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            for _ in range(3):
+                given.camera(intrinsics, serial)
+        assert all(each.category is ExtrinsicsWarning for each in told)
+        return [str(each.message) for each in told]
+
+    def test_old(self):
+        then = (datetime.now(timezone.utc) - timedelta(days=40)).isoformat()
+        assert ["measured 40 days ago, which is more than 30" in each for each in self.warned(extrinsics(created=then))]
+        assert not self.warned(extrinsics(created=then, max_age_days=60))
+        assert not self.warned(extrinsics(created=then[:19] + "Z", max_age_days=60))
+
+    def test_another_camera_is_told_once(self):
+        assert self.warned(extrinsics(), serial="456") == ["the place is that of camera 123, and this is camera 456."]
+        assert not self.warned(extrinsics(), serial=None)
+        assert not self.warned(extrinsics(serial=None), serial="456")
+
+    def test_other_intrinsics(self):
+        (told,) = self.warned(extrinsics(), Intrinsics(640, 480, 400.0, 398.0, 321.0, 243.0))
+        assert "fx 386.0" in told
+        assert "differ by 3.6 %" in told
+        assert not self.warned(extrinsics(), Intrinsics(640, 480, 387.5, 386.0, 320.0, 244.0))
+        assert not self.warned(extrinsics(), Intrinsics(320, 240, 193.0, 192.5, 160.5, 121.5)), (
+            "the same, half as large"
+        )
+        assert self.warned(extrinsics(), Intrinsics(848, 480, 386.0, 385.0, 425.0, 243.0))
+
+    @pytest.mark.parametrize("twin", [copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))])
+    def test_copies(self, twin):
+        first = extrinsics()
+        first.camera(INTRINSICS)
+        assert twin(first) == first
