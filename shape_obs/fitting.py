@@ -98,7 +98,7 @@ def fit(
         return found, None
     form = found.form
     if depth is not None and isinstance(form, Curve) and isinstance(body, Region) and _hidden(form) > form.memory.slack:
-        form = revealed(form, depth)
+        form = revealed(form, depth, body.width)
         found = replace(found, form=form)
     nodes, width = spec.nodes(form, topology), spec.girth(form, body)
     box = body.box if isinstance(body, Region) else None

@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
-from shape_obs.form import Form
+from shape_obs.covered import overlaid
+from shape_obs.form import Curve, Form
 from shape_obs.kernels.interface import MILLIMETRE
 from shape_obs.region import Region
 
@@ -62,6 +63,14 @@ def lift(points: Array, z: Array, intrinsics: Intrinsics, radius: float) -> Arra
     return rays * z[:, None]
 
 
+def form_depth(form: Form, depth: npt.NDArray[Any], region: Region, width: float) -> Array:
+    """(P,) metres under a form, NaN where it is not known or belongs to something that lies over it."""
+    z = local_depth(form.points, depth, region, width)
+    if isinstance(form, Curve) and not form.whole:
+        z[form.bridged | overlaid(form, z, width)] = np.nan
+    return z
+
+
 def lift_form(
     form: Form, depth: npt.NDArray[Any], region: Region, width: float, intrinsics: Intrinsics
 ) -> Array | None:
@@ -73,6 +82,6 @@ def lift_form(
     Returns:
         (P,3) metres, or None where less than half of the form has depth.
     """
-    z = local_depth(form.points, depth, region, width)
+    z = form_depth(form, depth, region, width)
     known = np.isfinite(z)
     return None if known.mean() < 0.5 else intrinsics.deproject(form.points, form.smoothed(z, known))

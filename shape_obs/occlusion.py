@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.covered import is_hidden
 from shape_obs.curve import arc_length, interpolate
 from shape_obs.form import Curve, Memory
 from shape_obs.tracking import Prediction
@@ -26,6 +27,7 @@ _OFFSETS: Final = 13  # places along the rope that are tried for it
 _ONE_END: Final = 0.35
 # The weight of where the piece was in the last frame against where it now agrees best: hands move slowly.
 _INERTIA: Final = 0.05
+_MOST: Final = 0.75  # of the length: a piece shorter than that lies elsewhere than the middle of the rope
 _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
 # Of half a diagonal. Cloths that bend and move by 30 px a frame stay below 0.025, a hand 12 px in radius makes 0.11.
 STRAYED: Final = 0.06
@@ -36,6 +38,7 @@ _PLACE: Final = 0.1  # the weight of where a rope is predicted against how it is
 _SLACK: Final = (0.015, 2.5)
 _GIVING: Final = 0.003
 _CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
+_ASKEW: Final = 0.6  # widths: of the visible piece next to a hidden end, which may follow the cut
 _GAINING: Final = 0.01  # a chain that bulges in one frame does not make the rope longer for good
 
 
@@ -43,8 +46,9 @@ def follow_chain(form: Curve, prediction: Prediction) -> Curve:
     """The curve in the prediction's direction, as long as the rope is known to be.
 
     A curve that is shorter than the known length is either the whole rope (seen at a steeper angle, or compressed) or
-    a piece of it. The hypothesis that agrees better with the predicted points is taken; for a piece, the hidden ends
-    follow as predicted, moved along with the visible end, and are marked as bridged.
+    a piece of it. The hypothesis that agrees better with the predicted points is taken, unless something is seen to
+    lie over the rope where it goes out of sight. The hidden ends of a piece follow as predicted, moved along with the
+    visible end, and are marked as bridged.
     """
     slack = max(_SLACK[0] * prediction.size, _SLACK[1] * prediction.grain)
     size, found = prediction.size, form.size
@@ -55,16 +59,17 @@ def follow_chain(form: Curve, prediction: Prediction) -> Curve:
         return form.remembering(Memory(size=min(max(found, size), (1 + _GAINING) * size)))
     prediction = prediction._replace(size=size)
     known = _Known(prediction)
-    whole = known.filled(min((form, form.reversed()), key=known.distance))
+    whole = known.filled(known.turned(form))
     missing = known.size - whole.size
     if missing <= 0:
         return replace(whole, memory=Memory(size=min(whole.size, (1 + _GAINING) * prediction.size)))
-    starts = np.linspace(0, missing, _OFFSETS)
-    costs = np.array([known.disagreement(whole, start, start + whole.size) for start in starts])
-    if costs.min() >= known.disagreement(whole, 0.0, known.size):
-        return whole
+    starts, costs = known.starts(whole)
     start = _start(starts, costs, prediction.memory.hidden[0], missing)
-    return replace(known.completed(whole, start), memory=Memory((start, missing - start), slack))
+    piece = replace(known.completed(whole, start), memory=Memory((start, missing - start), slack))
+    if costs.min() < known.disagreement(whole, 0.0, known.size):
+        return piece
+    depth = prediction.depth
+    return piece if depth is not None and is_hidden(piece, depth, prediction.width) else whole
 
 
 def strayed_corner(expected: Array, found: Array, freedom: float = STRAYED) -> str:
@@ -157,6 +162,7 @@ class _Known:
 
     def __init__(self, prediction: Prediction) -> None:
         nodes, self.size = prediction.nodes, prediction.size
+        self.askew = _ASKEW * prediction.width
         gap = self.size / len(nodes)
         self.arc = np.concatenate([[0.0], (np.arange(len(nodes)) + 0.5) * gap, [self.size]])
         self.points = np.concatenate([1.5 * nodes[:1] - 0.5 * nodes[1:2], nodes, 1.5 * nodes[-1:] - 0.5 * nodes[-2:-1]])
@@ -180,6 +186,18 @@ class _Known:
         overlap[-1] *= np.sign(np.linalg.det(u @ v))
         bent = float(np.sum(expected**2) + np.sum(found**2) - 2 * overlap.sum()) / _PROBES
         return bent + _PLACE * apart
+
+    def starts(self, curve: Curve) -> tuple[Array, Array]:
+        """Arc positions at which a visible piece may begin, and how badly it agrees with the rope from each of them."""
+        starts = np.linspace(0, max(self.size - curve.size, 0.0), _OFFSETS)
+        return starts, np.array([self.disagreement(curve, start, start + curve.size) for start in starts])
+
+    def turned(self, curve: Curve) -> Curve:
+        """The curve in the rope's direction: as a whole, or where much is missing as the piece that it may be."""
+        both = curve, curve.reversed()
+        if curve.size > _MOST * self.size:
+            return min(both, key=self.distance)
+        return min(both, key=lambda piece: float(self.starts(piece)[1].min()))
 
     def at(self, arc: Array) -> Array:
         """(N,D) points at arc positions."""
@@ -207,13 +225,27 @@ class _Known:
         return replace(curve, points=points, bridged=bridged)
 
     def completed(self, curve: Curve, start: float) -> Curve:
-        """The visible piece that begins at arc ``start``, with the hidden ends before and behind it."""
+        """The visible piece that begins at arc ``start``, with the hidden ends before and behind it.
+
+        A hand cuts a rope askew, and what is fitted turns into the longer side of the cut; near a hidden end the rope
+        is therefore as predicted too.
+        """
         end = start + curve.size
-        head = self._hidden(end=start, joint=curve.points[0])
-        tail = self._hidden(start=end, joint=curve.points[-1])
-        points = np.concatenate([head, curve.points, tail])
-        seen = np.concatenate([np.ones(len(head), bool), curve.bridged, np.ones(len(tail), bool)])
-        return replace(curve, points=points, bridged=seen)
+        lost = (start > 0, end < self.size - 1e-9)
+        first, last = (self.askew * at for at in lost)
+        inner = (curve.arc >= first) & (curve.arc <= curve.size - last)
+        if np.count_nonzero(inner) < 2:
+            first, last, inner = 0.0, 0.0, np.ones(len(inner), bool)
+        points, seen = curve.points[inner], curve.bridged[inner]
+        arc = start + curve.arc[inner]
+        head = self._hidden(end=arc[0], joint=points[0]) if lost[0] else points[:0]
+        tail = self._hidden(start=arc[-1], joint=points[-1]) if lost[1] else points[:0]
+        # Only what nobody sees counts as hidden.
+        before = np.linspace(0, arc[0], len(head) + 1)[:-1] < start
+        behind = np.linspace(arc[-1], self.size, len(tail) + 1)[1:] > end
+        return replace(
+            curve, points=np.concatenate([head, points, tail]), bridged=np.concatenate([before, seen, behind])
+        )
 
     def _hidden(self, joint: Array, start: float = 0.0, end: float | None = None) -> Array:
         """The rope from arc ``start`` to ``end`` without its joint, moved to the joint and of exactly that length."""

@@ -17,7 +17,7 @@ from shape_obs.deproject import SeenCloud
 from shape_obs.fitting import Fit
 from shape_obs.form import Curve, Form
 from shape_obs.frame import Frame
-from shape_obs.lift import lift, lift_form, local_depth
+from shape_obs.lift import form_depth, lift, lift_form, local_depth
 from shape_obs.missing import OnInvalid, fill_invalid
 from shape_obs.region import Region
 from shape_obs.shape import Shape
@@ -70,6 +70,10 @@ def _in_image(spec: Configuration, form: Form, region: Region, frame: Frame, cen
     if frame.depth is None or camera is None:
         return points.astype(np.float32), None, visible, visible.copy()
     z = local_depth(points, frame.depth, region, region.width)
+    if isinstance(form, Curve) and not form.whole:
+        # What the form's depth was found to be something else's is that for the points as well.
+        unknown = np.isnan(form_depth(form, frame.depth, region, region.width))
+        z[unknown[np.argmin(cdist(points, form.points), axis=1)]] = np.nan
     valid = visible & np.isfinite(z)
     if 0 < np.count_nonzero(valid) < len(valid):
         z = spec.layout.interpolate(z[:, None], valid)[:, 0]

@@ -60,3 +60,57 @@ def test_what_has_no_depth_may_hide_an_end():
     mask, depth = mask.copy(), depth.copy()
     mask[:, 220:], depth[:, 220:] = 0, 0.0
     assert not detector.detect_mask(mask, depth, CAMERA).shapes[0].visible[-2:].any()
+
+
+def under_hand(first: int, last: int, smear: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Mask and depth of the rope with a hand over columns `first` to `last`, whose depth reaches `smear` further."""
+    mask, depth, _ = rope(220)
+    mask, depth = mask.copy(), depth.copy()
+    mask[:, first:last] = 0
+    depth[:, first - smear : last + smear] = HAND
+    return mask, depth
+
+
+def metric_detector() -> ShapeDetector:
+    detector = ShapeDetector(
+        [Centerline(n=20, ends="tips", anchor=(40.0, 120.0), spacing="m")], on_invalid="interpolate"
+    )
+    mask, depth, _ = rope(220)
+    for _ in range(5):
+        detector.detect_mask(mask, depth, CAMERA)
+    return detector
+
+
+@pytest.mark.parametrize("first", [110, 130, 150])
+def test_a_long_end_that_a_hand_takes_at_once_stays_hidden(first):
+    detector = metric_detector()
+    whole = detector.detect_mask(*rope(220)[:2], CAMERA).shapes[0].pixels
+    for _ in range(3):
+        shape = detector.detect_mask(*under_hand(first, first + 25), CAMERA).shapes[0]
+        assert shape.ok
+    # Only the hand's near side is under it; where the rest should be the camera sees the table, and no rope.
+    mask, depth = under_hand(first, first + 25)
+    mask[:, first:] = 0
+    for _ in range(5):
+        shape = detector.detect_mask(mask, depth, CAMERA).shapes[0]
+        assert shape.ok
+        seen = shape.visible
+        assert not seen[-3:].any()
+        assert np.linalg.norm(shape.pixels[seen] - whole[seen], axis=1).max() < 6
+
+
+@pytest.mark.parametrize("smear", [0, 6, 14])
+def test_a_hands_depth_beside_it_is_not_the_ropes(smear):
+    detector = metric_detector()
+    whole = detector.detect_mask(*rope(220)[:2], CAMERA).shapes[0]
+    for _ in range(3):
+        shape = detector.detect_mask(*under_hand(120, 150, smear), CAMERA).shapes[0]
+    assert shape.ok
+    assert whole.points3d is not None
+    assert shape.points3d is not None
+    valid = shape.valid
+    assert 8 <= valid.sum() < 20
+    gap = np.linalg.norm(np.diff(whole.points3d, axis=0), axis=1).mean()
+    away = np.linalg.norm(shape.points3d - whole.points3d, axis=1)
+    assert away[valid].max() < 0.3 * gap
+    assert np.abs(shape.points3d[valid, 2] - ROPE).max() < 0.005
