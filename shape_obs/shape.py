@@ -78,9 +78,8 @@ class Detection:
     Args:
         shapes: In the order of the detector's configurations; ``detection["name"]`` finds one by name.
         stamp: Seconds.
-        timings: Milliseconds by stage, and ``"total"``: ``"roi"`` where it is looked for, ``"segmentation"`` of an image,
-            ``"region"`` of a mask given,
-            ``"cloud"``, ``"fit"``, ``"clustering"`` where there is any, ``"lift"``.
+        timings: Milliseconds by stage, and ``"total"``: ``"roi"`` where it moves, ``"segmentation"`` of an image,
+            ``"region"`` of a mask given, ``"cloud"``, ``"fit"``, ``"clustering"`` where there is any, ``"lift"``.
     """
 
     shapes: tuple[Shape, ...]

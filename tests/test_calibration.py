@@ -142,13 +142,17 @@ class TestBase:
         wrong = [replace(touch, z=touch.z + 0.009) if i == 6 else touch for i, touch in enumerate(touches)]
         (tmp_path / "touches.json").write_text(json.dumps([touch.to_dict() for touch in wrong]))
         words = ["calibrate", "base", "--source", recording, "--touches", tmp_path / "touches.json"]
-        assert run(*words, "-o", tmp_path / "e.json", "--json") == 0
-        told = json.loads(capsys.readouterr().out)
-        assert [touch["suspect"] for touch in told["touches"]].index(True) == 6
-        assert run(*words, "-o", tmp_path / "f.json", "--max-rms", 1) == 1
-        errors = capsys.readouterr().err
-        assert "more than --max-rms 1: nothing was written; the others agree without marker 1, corner 2" in errors
-        assert not (tmp_path / "f.json").exists()
+        assert run(*words, "-o", tmp_path / "e.json", "--json") == 1
+        told, errors = capsys.readouterr()
+        assert [touch["suspect"] for touch in json.loads(told)["touches"]].index(True) == 6
+        assert "nothing was written: marker 1, corner 2 (bottom right) lies" in errors
+        assert not (tmp_path / "e.json").exists()
+        assert run(*words, "-o", tmp_path / "e.json", "--leave-out") == 0
+        told, errors = capsys.readouterr()
+        assert "left out: marker 1, corner 2 (bottom right)" in errors
+        assert told.startswith("15 touches, ")
+        assert run(*words, "-o", tmp_path / "f.json", "--leave-out", "--max-rms", 0.1) == 1
+        assert "more than --max-rms 0.1" in capsys.readouterr().err
 
     def test_asked_at_the_terminal(self, tmp_path, recording, touches, capsys, monkeypatch):
         lines = [f"{touch.x} {touch.y}, {touch.z}" for touch in touches]
@@ -168,7 +172,10 @@ class TestBase:
         write_touches(tmp_path / "t.csv", touches)
         words = ["calibrate", "base", "--source", tmp_path / "recording", "--touches", tmp_path / "t.csv"]
         assert run(*words, "-o", tmp_path / "e.json") == 1
-        assert "give the marker's size" in capsys.readouterr().err
+        assert (
+            "markers 0, 1, 2, 3 are seen, but there is no depth on them: give the markers' size"
+            in capsys.readouterr().err
+        )
         assert run(*words, "-o", tmp_path / "e.json", "--size", 60) == 0
         assert "by the markers' size" in capsys.readouterr().out
 

@@ -21,9 +21,11 @@ def test_ideal_images_come_out_as_they_were_put_in() -> None:
         device.push(rgb, depth)
         frame = stream.read(5)
         assert isinstance(stream, RGBDSource)
-    assert frame.camera is not None and not frame.camera.intrinsics.distorted
+    assert frame.camera is not None
+    assert not frame.camera.intrinsics.distorted
     assert np.allclose(frame.camera.intrinsics.matrix, device.camera.matrix, atol=1e-4)
-    assert frame.rgb is not None and frame.depth is not None
+    assert frame.rgb is not None
+    assert frame.depth is not None
     inner = np.s_[40:-40, 80:-40]
     assert np.abs(frame.rgb[inner].astype(float) - rgb[inner]).mean() < 1
     assert np.median(np.abs(frame.depth[inner].astype(float) - 700)) <= 1
@@ -35,7 +37,8 @@ def test_raw_images_are_those_of_a_d455() -> None:
     assert lens.fx == pytest.approx(0.6 * 636.5)
     assert lens.cx == pytest.approx(0.6 * 644.4 - 64)
     assert lens.cy == pytest.approx(0.6 * 407.8)
-    assert lens.distorted and not depth.distorted
+    assert lens.distorted
+    assert not depth.distorted
     assert depth.fx == pytest.approx(386, abs=1)
 
 
@@ -45,7 +48,8 @@ def test_kind_name_and_camera() -> None:
     assert (stream.kind, stream.name, stream.live, stream.has_depth) == ("software", "software:77", True, True)
     with stream:
         assert stream.serial == "77"
-        assert stream.camera is not None and stream.camera.intrinsics == stream.intrinsics
+        assert stream.camera is not None
+        assert stream.camera.intrinsics == stream.intrinsics
 
 
 def test_a_slow_reader_gets_every_frame() -> None:
@@ -112,7 +116,8 @@ def test_stamps_are_the_cameras_and_received_is_ours() -> None:
         before = time.monotonic()
         frame = stream.read(5)
         assert frame.stamp == pytest.approx(3.25)
-        assert frame.received is not None and before - 1 < frame.received <= time.monotonic()
+        assert frame.received is not None
+        assert before - 1 < frame.received <= time.monotonic()
         device.push_raw(*picture())
         assert stream.read(5).stamp == pytest.approx(time.time(), abs=2)
 
@@ -129,7 +134,8 @@ def test_the_latest_frame_again_and_again_until_it_is_stale() -> None:
         first.rgb[:] = 0  # the caller's
         again = stream.read_latest(60)
         assert again.rgb is not None
-        assert again.number == 1 and np.array_equal(again.rgb, wanted)
+        assert again.number == 1
+        assert np.array_equal(again.rgb, wanted)
         time.sleep(0.06)
         with pytest.raises(StaleFrame, match=r"last 0\.05 s, the newest came"):
             stream.read_latest(0.05)
@@ -155,9 +161,13 @@ def test_options_are_set() -> None:
     device = camera()
     options = {"exposure": 0.008, "gain": 32, "white_balance": 4000, "laser_power": 150, "preset": "high_accuracy"}
     with source(device, **options):
-        colour = [device.option("colour", name) for name in ("exposure", "gain", "white_balance", "global_time_enabled")]
+        colour = [
+            device.option("colour", name) for name in ("exposure", "gain", "white_balance", "global_time_enabled")
+        ]
         assert colour == [80, 32, 4000, 1]
-        assert device.option("colour", "enable_auto_exposure") == device.option("colour", "enable_auto_white_balance") == 0
+        assert (
+            device.option("colour", "enable_auto_exposure") == device.option("colour", "enable_auto_white_balance") == 0
+        )
         assert device.option("depth", "laser_power") == 150
         assert device.option("depth", "visual_preset") == 3
     with source(device, laser_power=0):
@@ -216,7 +226,9 @@ def test_filters_run(caplog: pytest.LogCaptureFixture) -> None:
     with source(device, filters=(("threshold", {"max_distance": 1.0}),)) as stream:
         device.push_raw(rgb, depth)
         frame = stream.read(5)
-    assert frame.depth is not None and frame.depth.max() < 1000 and np.median(frame.depth[:, 20:70]) == pytest.approx(700, abs=2)
+    assert frame.depth is not None
+    assert frame.depth.max() < 1000
+    assert np.median(frame.depth[:, 20:70]) == pytest.approx(700, abs=2)
     with pytest.raises(ValueError, match=r"alpha must be 0 to 1, got 2"):
         source(device, filters=(("temporal", {"alpha": 2}),)).connect()
 
@@ -231,7 +243,8 @@ def test_a_software_camera_checks_its_images() -> None:
 
 def test_librealsense_is_loaded_when_a_camera_is_opened_and_missed_by_name() -> None:
     code = (
-        "import sys; import shape_obs_envs, shape_obs_envs.sources.realsense as r; assert 'pyrealsense2' not in sys.modules\n"
+        "import sys, shape_obs_envs, shape_obs_envs.sources.realsense as r\n"
+        "assert 'pyrealsense2' not in sys.modules\n"
         "sys.modules['pyrealsense2'] = None\n"
         "r.RealSenseSource(serial='1').connect()"
     )

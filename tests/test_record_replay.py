@@ -11,7 +11,7 @@ import pytest
 from scripted_source import equal
 
 import shape_obs
-from shape_obs import ShapeDetector, save_config, schema_hash
+from shape_obs import ShapeDetector, schema_hash
 from shape_obs.config import config_hash, detector_arguments, load_config
 from shape_obs.recording import Moment, OverlayVideo, ShapeLog, ShapeTable, record, replay
 from shape_obs.recording.moment import read_moments
@@ -46,13 +46,6 @@ def recorded(cable, tmp_path_factory):
         told = record(source, folder, frames=FRAMES)
     assert (told.frames, told.missed, told.dropped, told.stopped) == (FRAMES, 0, 0, "done")
     return folder
-
-
-@pytest.fixture(scope="module")
-def config(tmp_path_factory):
-    path = tmp_path_factory.mktemp("config") / "shape.yaml"
-    save_config(path, CONFIG)
-    return path
 
 
 def detector():
@@ -221,7 +214,7 @@ def test_an_overlay_shows_every_frame_with_its_points(recorded, tmp_path, suffix
 
 
 def test_an_overlay_that_fails_leaves_no_file(tmp_path):
-    finder = ShapeDetector(["centerline"], {"kind": "gray", "low": 1, "high": 2})
+    finder = ShapeDetector(["centerline"], {"kind": "gray", "low": 1, "high": 2}, backend="numpy")
     frame, other = np.zeros((60, 80, 3), np.uint8), np.zeros((90, 80, 3), np.uint8)
     detection = finder.detect(frame)
 

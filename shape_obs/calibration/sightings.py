@@ -23,7 +23,7 @@ class Sighting:
     Args:
         places: (marker, corner) -> (3,) metres, camera frame: the median over the frames.
         intrinsics: Of the images.
-        by_depth: Whether depth told the distance, or the markers' size.
+        by_depth: Whether depth told the distance, of any of them, or the markers' size alone.
     """
 
     places: dict[Place, Array]
@@ -62,12 +62,13 @@ def sight(source: RGBDSource, frames: int, dictionary: str, size: float | None =
         looked += 1
         if frame.rgb is None:
             raise ValueError(f"{source.name} has no colour images: markers cannot be seen in depth.")
-        by_depth = by_depth or frame.depth is not None
         for marker, corners in find_markers(frame.rgb, dictionary).items():
-            if size is None and frame.depth is not None and not has_depth(corners, frame.depth):
+            depth = frame.depth if frame.depth is not None and has_depth(corners, frame.depth) else None
+            if depth is None and size is None:
                 blind.add(marker)  # a marker in a hole of the depth does not stand in the way of the others
-            else:
-                seen.setdefault(marker, []).append(marker_points(corners, intrinsics, frame.depth, size))
+                continue
+            by_depth = by_depth or depth is not None
+            seen.setdefault(marker, []).append(marker_points(corners, intrinsics, depth, size))
     # What is seen in a frame or two is no marker, or one that something passes over.
     often = {marker: points for marker, points in seen.items() if 2 * len(points) >= looked}
     if not often and blind:

@@ -43,6 +43,8 @@ def main(argv: Sequence[str]) -> int:
     """Run the command; returns the exit code."""
     args = tyro.cli(Arguments, args=list(argv), prog="shape-obs markers")
     if args.charuco:
+        if (args.ids, args.size) != (Arguments.ids, Arguments.size):
+            raise ValueError("--ids and --size describe markers: with --charuco give --board.")
         board = board_from(args.board, args.dictionary)
         pages, told = [board_page(board.picture(1000 * PER_MM), board_words(board), args.paper)], board_words(board)
     else:

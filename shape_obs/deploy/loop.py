@@ -5,9 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import Any, NamedTuple
-
-import gymnasium as gym
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from shape_obs.deploy.controller import check_controller, checked_action
 from shape_obs.deploy.gate import Gate, Judgement, Limits
@@ -16,6 +14,9 @@ from shape_obs.deploy.report import Report, Tally
 from shape_obs.deploy.watchdog import Watchdog
 from shape_obs.frame import Frame
 from shape_obs.shape import Detection
+
+if TYPE_CHECKING:
+    import gymnasium as gym
 
 
 class Moment(NamedTuple):

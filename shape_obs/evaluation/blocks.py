@@ -80,12 +80,21 @@ def see(blocks: list[Block], camera: CameraModel) -> tuple[npt.NDArray[np.uint8]
     for block in blocks:
         width, length, top = block.size
         foot = width - 2 * _INSET, length - 2 * _INSET, top - _THICK
+        part = _window(block, camera)
         for size, base, colour in (((width, length, _THICK), foot[2], TOP), (foot, 0.0, FOOT)):
-            enter = _hit(block, size, base, eye, along)
-            nearer = enter < depth
-            depth = np.where(nearer, enter, depth)
-            rgb[nearer] = colour
+            enter = _hit(block, size, base, eye, along[part])
+            nearer = enter < depth[part]
+            depth[part][nearer] = enter[nearer]
+            rgb[part][nearer] = colour
     return rgb, depth
+
+
+def _window(block: Block, camera: CameraModel) -> tuple[slice, slice]:
+    """Rows and columns in which a block may be seen."""
+    lid = block.top_outline()
+    pixels = camera.project_from_base(np.concatenate([lid, lid * (1, 1, 0)]))
+    (left, top), (right, bottom) = np.floor(pixels.min(axis=0)) - 1, np.ceil(pixels.max(axis=0)) + 2
+    return slice(max(int(top), 0), max(int(bottom), 0)), slice(max(int(left), 0), max(int(right), 0))
 
 
 def _hit(block: Block, size: tuple[float, float, float], base: float, eye: Array, along: Array) -> Array:

@@ -12,6 +12,7 @@ from shape_obs.evaluation import (
     claims,
     cloud_claims,
     contour_claims,
+    deploy_claims,
     env_claims,
     env_goals,
     hard_claims,
@@ -160,6 +161,15 @@ def _counted(what: str, total: int, told: Callable[[str], object]) -> Callable[[
     return tick
 
 
+def _deploy(effort: Effort) -> Tables:
+    seconds = deploy_claims.SECONDS * effort.share
+    for title, faults in (("clean", None), ("faulty", deploy_claims.FAULTS)):
+        report, seen = deploy_claims.run(seconds, faults, seed=effort.seed, renderer=effort.renderer, told=effort.told)
+        asked = deploy_claims.clean_table if faults is None else deploy_claims.faulty_table
+        yield f"deployment, {title}: asked and seen", asked(report, seen)
+        yield f"deployment, {title}: milliseconds by section", deploy_claims.section_table(report)
+
+
 GROUPS: Final[dict[str, Callable[[Effort], Tables]]] = {
     "ropes": _ropes,
     "tangles": _tangles,
@@ -172,6 +182,7 @@ GROUPS: Final[dict[str, Callable[[Effort], Tables]]] = {
     "markers": _markers,
     "cable": _cable,
     "envs": _envs,
+    "deploy": _deploy,
 }
 
 

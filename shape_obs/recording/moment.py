@@ -32,7 +32,7 @@ def read_moment(source: RGBDSource, timeout: float) -> Moment:
 
 
 def read_moments(
-    source: RGBDSource, frames: int | None = None, seconds: float | None = None, patience: float = 5.0
+    source: RGBDSource, frames: int | None = None, seconds: float | None = None, patience: float = 20.0
 ) -> Iterator[Moment]:
     """The moments of a source, until it ends.
 
@@ -40,7 +40,7 @@ def read_moments(
         source: Is connected where it is not.
         frames: How many at most.
         seconds: By the stamps, from the first one; its end is not included.
-        patience: Seconds to wait for a frame.
+        patience: Seconds to wait for a frame; longer than a camera that stopped takes to come back.
 
     Raises:
         ValueError: ``seconds`` of a source whose frames have no stamps, or a limit that is none.

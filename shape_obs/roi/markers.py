@@ -101,7 +101,11 @@ class Markers(ROI, kind="markers"):
             return Place(None, known, f"markers {missing} not seen")
         if known is not None and corners is known.corners:
             return Place(known.region, known._replace(frames=0))
-        region = Polygon(self._area(corners))
+        area = self._area(corners)
+        if not cv2.isContourConvex(area.astype(np.float32)):
+            told = ", ".join(map(str, self.ids))
+            return Place(None, known, f"markers {told} do not stand in the corners of an area")
+        region = Polygon.from_dict({"points": area})
         return Place(region, Seen(size, corners, region))
 
     def _stayed(self, gray: Image, known: Corners) -> bool:
@@ -136,8 +140,8 @@ class Markers(ROI, kind="markers"):
         moved = cv2.perspectiveTransform(np.stack([known.corners[each] for each in gone]), homography)
         return {**seen, **dict(zip(gone, np.asarray(moved, np.float64), strict=True))}
 
-    def _area(self, corners: Corners) -> tuple[tuple[float, float], ...]:
-        """The polygon between the markers."""
+    def _area(self, corners: Corners) -> Array:
+        """(4,2) the polygon between the markers."""
         squares = np.stack([corners[each] for each in self.ids])
         centres = squares.mean(axis=1)
         middle = centres.mean(axis=0)
@@ -148,7 +152,7 @@ class Markers(ROI, kind="markers"):
             chosen = distances.argmin(axis=1) if self.inside == "inner" else distances.argmax(axis=1)
             points = squares[np.arange(4), chosen]
         around = np.argsort(np.arctan2(*(points - middle).T[::-1]))
-        return tuple((float(u), float(v)) for u, v in points[around])
+        return points[around]
 
 
 def _hidden(seen: Corners, ids: tuple[int, int, int, int]) -> Corners:

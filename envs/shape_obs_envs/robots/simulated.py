@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -131,7 +132,8 @@ class SimulatedRobot:
             RobotError: It is not connected, the simulation has ended, or this is no motion.
         """
         motion = checked_motion(action, self.action_spec)
-        self._go(self._poses + motion.reshape(self._poses.shape), self._ramp_seconds)
+        with self._lock:  # or a stop in another thread would be undone
+            self._go(self._poses + motion.reshape(self._poses.shape), self._ramp_seconds)
 
     def state(self) -> Array:
         """Where the grippers have been told to go: (A,), x, y [m] and yaw [rad] of each."""
@@ -184,7 +186,8 @@ class SimulatedRobot:
     @property
     def camera_model(self) -> CameraModel:
         """Intrinsics of the camera's rectified images, and its place in the base frame."""
-        return CameraModel(self.camera.camera, self._stage.env.camera_model.transform_camera_to_base)
+        pinhole = replace(self.camera.geometry.colour, model="pinhole", coeffs=(0.0,) * 5)
+        return CameraModel(pinhole, self._stage.env.camera_model.transform_camera_to_base)
 
     @property
     def pace(self) -> float:

@@ -16,7 +16,7 @@ from shape_obs.cli.bench.printing import table
 from shape_obs.evaluation.report import GROUPS, Effort
 
 Group = Literal[
-    "ropes", "tangles", "hands", "noise", "outlines", "sheets", "clouds", "shapes", "markers", "cable", "envs"
+    "ropes", "tangles", "hands", "noise", "outlines", "sheets", "clouds", "shapes", "markers", "cable", "envs", "deploy"
 ]
 
 

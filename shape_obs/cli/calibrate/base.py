@@ -24,7 +24,8 @@ class Arguments:
     """Measure where the camera stands: the robot touches corners of markers, and the camera looks at them.
 
     Touch four corners or more, all around the table. Without --touches the command asks for each corner in turn, and
-    keeps the answers in a file. Exit code 1, and nothing written, if the touches lie off by more than --max-rms.
+    keeps the answers in a file. Exit code 1, and nothing written, if the touches lie off by more than --max-rms, or one
+    of them does not fit to the others.
     """
 
     source: str
@@ -39,8 +40,10 @@ class Arguments:
     """Which family of markers."""
     frames: int = 30
     """Frames to look at; their median counts."""
-    max_rms: float = 5.0
+    max_rms: float = 3.0
     """Millimetres by which the touches may lie off, rms."""
+    leave_out: bool = False
+    """Leave out touches that do not fit to the others, instead of writing nothing."""
     max_age_days: float = 30.0
     """After so many days the place is not trusted any more."""
     set: tuple[str, ...] = ()
@@ -62,44 +65,50 @@ def main(argv: Sequence[str]) -> int:
         print(f"seen: markers {', '.join(map(str, seen.markers))}", file=sys.stderr)
         given = ask_touches(seen.markers, args.out.with_name(f"{args.out.stem}_touches.csv"))
     touches = _seen_ones(given, seen.places)
-    fit = fit_base(
-        [seen.places[touch.marker, touch.corner] for touch in touches],
-        [(touch.x, touch.y, touch.z) for touch in touches],
-        seen.intrinsics,
-        serial,
-        args.max_age_days,
-    )
-    good = 1000 * fit.rms <= args.max_rms
-    if good:
+    fit = _fitted(touches, seen, serial, args)
+    while args.leave_out and fit.suspect is not None:
+        left_out = touches.pop(fit.suspect)
+        print(f"left out: {left_out.name}, {1000 * fit.suspect_off:.1f} mm off", file=sys.stderr)
+        fit = _fitted(touches, seen, serial, args)
+    trouble = _trouble(fit, touches, args.max_rms)
+    if not trouble:
         fit.extrinsics.save(args.out)
     print(json.dumps(_plain(fit, touches, seen)) if args.json else summary(fit, touches, seen))
-    if not good:
-        print(
-            f"shape-obs calibrate base: the touches lie {1000 * fit.rms:.1f} mm off, more than --max-rms "
-            f"{args.max_rms:g}: nothing was written{_blame(fit, touches)}",
-            file=sys.stderr,
-        )
-        return 1
-    print(f"wrote {args.out}", file=sys.stderr)
-    return 0
+    print(
+        f"shape-obs calibrate base: nothing was written: {trouble}" if trouble else f"wrote {args.out}", file=sys.stderr
+    )
+    return 1 if trouble else 0
 
 
 def summary(fit: BaseFit, touches: Sequence[Touch], seen: Sighting) -> str:
     """The lines that the command prints."""
     how = "their depth" if seen.by_depth else "the markers' size"
     lines = [f"{len(touches)} touches, {1000 * fit.rms:.2f} mm off (rms); corners seen by {how}"]
-    for touch, off in zip(touches, fit.residuals, strict=True):
-        lines.append(f"{1000 * off:7.2f} mm  {touch.name}")
-    if fit.suspect is not None:
-        lines.append(
-            f"suspect: {touches[fit.suspect].name} lies {1000 * fit.suspect_off:.1f} mm off where the others put it; "
-            "touch it again, or leave it out"
-        )
+    for i, (touch, off) in enumerate(zip(touches, fit.residuals, strict=True)):
+        lines.append(f"{1000 * off:7.2f} mm  {touch.name}{'  <- suspect' if i == fit.suspect else ''}")
     return "\n".join(lines)
 
 
-def _blame(fit: BaseFit, touches: Sequence[Touch]) -> str:
-    return "." if fit.suspect is None else f"; the others agree without {touches[fit.suspect].name}."
+def _fitted(touches: Sequence[Touch], seen: Sighting, serial: str | None, args: Arguments) -> BaseFit:
+    return fit_base(
+        [seen.places[touch.marker, touch.corner] for touch in touches],
+        [(touch.x, touch.y, touch.z) for touch in touches],
+        seen.intrinsics,
+        serial,
+        args.max_age_days,
+    )
+
+
+def _trouble(fit: BaseFit, touches: Sequence[Touch], max_rms: float) -> str:
+    """Why a place is not to be trusted; empty if it is."""
+    if fit.suspect is not None:
+        return (
+            f"{touches[fit.suspect].name} lies {1000 * fit.suspect_off:.1f} mm off where the others put it; touch it "
+            "again, or give --leave-out."
+        )
+    if 1000 * fit.rms > max_rms:
+        return f"the touches lie {1000 * fit.rms:.1f} mm off, more than --max-rms {max_rms:g}."
+    return ""
 
 
 def _seen_ones(given: Sequence[Touch], places: Mapping[Place, Any]) -> list[Touch]:

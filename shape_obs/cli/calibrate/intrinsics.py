@@ -81,7 +81,7 @@ def summary(fit: IntrinsicsFit, out: Path) -> str:
 def _measured(source: RGBDSource, args: Arguments) -> IntrinsicsFit:
     views = _collected(source, args)
     missing = views.missing()
-    if missing:
+    if missing and views.taken:
         print(f"shape-obs calibrate intrinsics: few corners in the {missing} of the image", file=sys.stderr)
     board = board_from(args.board, args.dictionary)
     serial = getattr(source, "serial", None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -61,7 +62,7 @@ class Camera:
     """
 
     kind = "d455"
-    latency = None
+    latency: float | None = None
     live = True
 
     def __init__(self, serial: str | None) -> None:
@@ -73,10 +74,9 @@ class Camera:
         return "d455" if self._serial is None else f"d455:{self._serial}"
 
     def find(self) -> Any:
-        """Look through what is plugged in; a context remembers devices, so it is a new one every time."""
+        """Look through what is plugged in."""
         # Starting a pipeline without looking first would wait 15 s for somebody to plug it in.
-        devices = [device for device in librealsense().context().query_devices() if _awake(device)]
-        return _choose(devices, self._serial, plugged_cameras())
+        return _choose(listed_cameras(), self._serial, plugged_cameras())
 
     def start(self, pipeline: Any, config: Any, device: Any) -> tuple[Any, Take]:
         """Through a queue inside librealsense: it goes on taking frames while Python is busy elsewhere."""
@@ -92,7 +92,7 @@ class SoftwareCameras:
     """
 
     kind = "software"
-    latency = 0.0
+    latency: float | None = 0.0
     live = True
 
     def __init__(self, cameras: Sequence[SoftwareD455], serial: str | None) -> None:
@@ -121,7 +121,7 @@ class Recording:
     """
 
     kind = "recording"
-    latency = 0.0
+    latency: float | None = 0.0
     live = False
 
     def __init__(self, path: Path) -> None:
@@ -162,6 +162,19 @@ class Recording:
         return profile, take
 
 
+def listed_cameras() -> list[Any]:
+    """Every ``rs.device`` on USB that can be opened. A context remembers devices, so it is a new one every time."""
+    rs, found = librealsense(), []
+    devices = rs.context().query_devices()
+    for index in range(len(devices)):
+        # One that may not be opened, or that is just going away, is listed but does not answer.
+        with contextlib.suppress(RuntimeError):
+            device = devices[index]
+            if device.supports(rs.camera_info.serial_number):
+                found.append(device)
+    return found
+
+
 def start_queued(pipeline: Any, config: Any, device: Any) -> tuple[Any, Take]:
     """Start a pipeline that puts its framesets into a queue; when it is full, the newest win."""
     queue = librealsense().frame_queue(_WAITING)
@@ -173,14 +186,6 @@ def start_queued(pipeline: Any, config: Any, device: Any) -> tuple[Any, Take]:
         return frame.as_frameset() if came else None
 
     return profile, take
-
-
-def _awake(device: Any) -> bool:
-    """Whether a listed device answers; one that is just going away does not."""
-    try:
-        return device.supports(librealsense().camera_info.serial_number)
-    except RuntimeError:
-        return False
 
 
 def _choose(devices: Sequence[Any], serial: str | None, plugged: Sequence[str]) -> Any:

@@ -15,6 +15,7 @@ from shape_obs_envs.sources.realsense.filters import DepthFilters, Filter
 from shape_obs_envs.sources.realsense.gate import PairGate
 from shape_obs_envs.sources.realsense.geometry import Geometry
 from shape_obs_envs.sources.realsense.identity import Identity
+from shape_obs_envs.sources.realsense.modes import shared_modes
 from shape_obs_envs.sources.realsense.options import CameraOptions
 from shape_obs_envs.sources.realsense.origins import Origin
 from shape_obs_envs.sources.realsense.raw import RawFrame, arrival, colour_image, depth_image, exposure_began
@@ -76,12 +77,13 @@ class Session:
             profile, self._take = origin.start(self._pipeline, config, device)
         except RuntimeError as error:
             raise self._start_error(error, device, setup, origin) from error
+        self._recorder = None if record_to is None else profile.get_device().as_recorder()
         self.interval = 1 / profile.get_stream(rs.stream.color).fps()
         self.gate = PairGate(self.interval, setup.max_gap)
         try:
             self.geometry = Geometry.of(profile)
         except SourceError:
-            self._pipeline.stop()
+            self.stop()
             raise
 
     def pull(self, timeout: float) -> RawFrame | None:
@@ -107,8 +109,10 @@ class Session:
     def stop(self) -> None:
         """Stop the pipeline; a recording is written to its end."""
         with contextlib.suppress(RuntimeError):  # the device may be gone, and the pipeline with it
+            if self._recorder is not None:
+                self._recorder.pause()  # comes back when all is written; the pipeline's stop does not wait
             self._pipeline.stop()
-        del self._take, self._pipeline  # what holds the device and the file
+        del self._take, self._pipeline, self._recorder  # what holds the device and the file
 
     def _pair(self, frames: Any) -> RawFrame | None:
         now = time.monotonic()
@@ -134,9 +138,10 @@ class Session:
             return BadRecording(f"{origin.name}: expected a recording with a colour and a depth stream. ({told})")
         if "resolve" in told:
             advice = " It hangs on USB 2, where many modes are missing: use a USB 3 port and cable." if who.slow else ""
+            modes = ", ".join(f"{width} x {height} at {fps}" for width, height, fps in shared_modes(device))
             message = (
                 f"{who} has no {setup.width} x {setup.height} at {setup.fps} frames per second for colour and depth; "
-                f"it has {_modes(device)}.{advice}"
+                f"it has {modes or 'none for both'}.{advice}"
             )
         elif any(word in told.lower() for word in ("busy", "is streaming", "power state", "already")):
             message = f"{who} is in use, by another program or another source in this one: close that. ({told})"
@@ -149,16 +154,3 @@ def _gap(colour: Any, depth: Any) -> float | None:
     if colour.get_frame_timestamp_domain() != depth.get_frame_timestamp_domain():
         return None
     return abs(colour.get_timestamp() - depth.get_timestamp()) / 1000
-
-
-def _modes(device: Any) -> str:
-    """The modes that colour and depth share."""
-    rs = librealsense()
-    modes: dict[Any, set[tuple[int, int, int]]] = {rs.stream.color: set(), rs.stream.depth: set()}
-    for sensor in device.query_sensors():
-        for profile in sensor.get_stream_profiles():
-            if profile.stream_type() in modes:
-                video = profile.as_video_stream_profile()
-                modes[profile.stream_type()].add((video.width(), video.height(), video.fps()))
-    shared = set.intersection(*modes.values())
-    return ", ".join(f"{width} x {height} at {fps}" for width, height, fps in sorted(shared)) or "none for both"

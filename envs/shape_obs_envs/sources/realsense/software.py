@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -16,6 +17,10 @@ from shape_obs_envs.sources.raw_images import RawImages
 from shape_obs_envs.sources.realsense.d455 import BASELINE, INFO, OPTIONS, d455_geometry
 from shape_obs_envs.sources.realsense.driver import librealsense
 
+#: How fast the rate that is told follows the real one; steps of seconds are pauses.
+_PACE: Final = 0.2
+_PAUSE: Final = 1.0
+_SHORTEST: Final = 1e-4
 _SENSORS: Final = {"depth": "Stereo Module", "colour": "RGB Camera"}
 
 
@@ -35,6 +40,9 @@ class SoftwareD455:
     pipeline, and can be started on it again and again.
 
     Frames are numbered as they are pushed; one that is lost leaves a gap. All methods may be called from any thread.
+
+    Push at about ``fps``, or give stamps that advance so: librealsense keeps thrown-away frames for a second of their
+    stamps, and slows down when those are thousands.
 
     Args:
         serial: Its serial number.
@@ -74,7 +82,12 @@ class SoftwareD455:
             self.camera, geometry.colour, geometry.depth, geometry.rotation, geometry.translation, depth_unit
         )
         self.device = device = rs.software_device()
-        for key, value in {**INFO, "serial_number": serial, "usb_type_descriptor": usb, "physical_port": serial}.items():
+        for key, value in {
+            **INFO,
+            "serial_number": serial,
+            "usb_type_descriptor": usb,
+            "physical_port": serial,
+        }.items():
             device.register_info(getattr(rs.camera_info, key), value)
         self._sensors = {name: device.add_sensor(title) for name, title in _SENSORS.items()}
         self._add_options(depth_unit)
@@ -89,6 +102,7 @@ class SoftwareD455:
         device.create_matcher(rs.matchers.default)
         self._lock = threading.Lock()
         self._number, self._plugged, self._lose, self._lag = 0, True, 0, 0
+        self._interval, self._last = 1 / fps, -math.inf
         self._frozen: set[str] = set()
         self._under_way: deque[_Pair] = deque()
 
@@ -113,9 +127,7 @@ class SoftwareD455:
         """
         return self.push_raw(*self._raw_images(rgb, depth), stamp)
 
-    def push_raw(
-        self, colour: npt.NDArray[np.uint8], depth: npt.NDArray[np.uint16], stamp: float | None = None
-    ) -> int:
+    def push_raw(self, colour: npt.NDArray[np.uint8], depth: npt.NDArray[np.uint16], stamp: float | None = None) -> int:
         """Take a picture, as the sensors give it.
 
         Args:
@@ -137,6 +149,7 @@ class SoftwareD455:
         seconds = time.time() if stamp is None else float(stamp)
         with self._lock:
             self._number += 1
+            self._keep_pace(seconds)
             pair = _Pair(np.ascontiguousarray(colour), np.ascontiguousarray(depth), self._number, 1000 * seconds, clock)
             self._under_way.append(pair)
             while len(self._under_way) > self._lag:
@@ -149,7 +162,7 @@ class SoftwareD455:
             self._lose = count
 
     def delay(self, frames: int) -> None:
-        """From now on each frame arrives ``frames`` pushes late; 0 for at once, with those under way at the next push."""
+        """From now on each frame arrives ``frames`` pushes late; 0 for at once, what is under way at the next push."""
         with self._lock:
             self._lag = frames
 
@@ -176,6 +189,12 @@ class SoftwareD455:
         """What an option is set to, in librealsense's units: ``option("colour", "exposure")``."""
         return self._sensors[sensor].get_option(getattr(self._rs.option, name))
 
+    def _keep_pace(self, seconds: float) -> None:
+        """Follow the real rate, as a D455 tells it: librealsense waits for the other image of a pair by it."""
+        step, self._last = seconds - self._last, seconds
+        if 0 < step < _PAUSE:
+            self._interval += _PACE * (max(step, _SHORTEST) - self._interval)
+
     def _freeze(self, stream: str, frozen: bool) -> None:
         with self._lock:
             (self._frozen.add if frozen else self._frozen.discard)(stream)
@@ -193,7 +212,8 @@ class SoftwareD455:
         metadata = rs.frame_metadata_value
         for key, value in (
             (metadata.frame_counter, pair.number),
-            (metadata.actual_fps, 1000 * self.fps),  # without these two, a third of the pairs is mismatched
+            # Without these two, librealsense pairs a third of the images wrongly.
+            (metadata.actual_fps, round(1000 / self._interval)),
             (metadata.actual_exposure, 0),
             (metadata.time_of_arrival, int(1000 * time.time())),
         ):

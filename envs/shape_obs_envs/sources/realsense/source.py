@@ -7,10 +7,9 @@ import math
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
-from shape_obs.camera import CameraModel, Intrinsics
+from shape_obs.camera import Intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.source import NotConnected, Source, StaleFrame
@@ -266,10 +265,9 @@ class RealSenseSource(Source):
                 begin = time.perf_counter()
                 rgb, depth = self._register(raw.colour, raw.depth)
                 self.timings = {"register": 1e3 * (time.perf_counter() - begin)}
-                self._last = raw, Frame(rgb, depth, self._model, raw.stamp, raw.received, raw.number)
-            frame = self._last[1]
-            assert frame.rgb is not None and frame.depth is not None
-            return replace(frame, rgb=frame.rgb.copy(), depth=frame.depth.copy())
+                self._last = raw, rgb, depth
+            _, rgb, depth = self._last
+            return Frame(rgb.copy(), depth.copy(), self._model, raw.stamp, raw.received, raw.number)
 
 
 def _origin(
