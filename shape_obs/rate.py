@@ -1,4 +1,4 @@
-"""Rate: a fixed rate with absolute deadlines, which do not drift with what each step takes."""
+"""Rate: a fixed rate with absolute deadlines, which do not move with what each step takes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import time
 class Rate:
     """Deadlines ``start + k * dt``.
 
-    A deadline that has passed before it was waited for is an overrun. Slots that were missed altogether are skipped:
-    a late loop does not hurry to catch up.
+    A deadline that has passed before it was waited for is an overrun, after which deadlines count from there: a late
+    loop does not hurry to catch up. And a loop that waits for a camera falls into step with it: where the camera is
+    slower by a hair, deadlines would else pass shortly before each frame, and every step would be late by that hair.
 
     Args:
         hertz: Deadlines a second.
@@ -43,5 +44,6 @@ class Rate:
             time.sleep(left)
         else:
             self.overruns += 1
-        self.deadline += self.dt * (1 + int(max(0.0, -left) / self.dt))
+            self.deadline -= left
+        self.deadline += self.dt
         return left

@@ -69,10 +69,14 @@ def make_cell(args: CellArguments, robot: Any, **options: Any) -> Any:
             "one."
         )
     config = {} if args.config is None else load_config(args.config)
+    if config.get("on_invalid") == "nan":  # a detector's way, which files have filled in; no policy reads NaN
+        del config["on_invalid"]
     width, height = args.size
     source: Any = args.source
     if source != "robot":
-        source = open_named(source, args.extrinsics, args.set, width=width, height=height)
+        # Only a camera has a choice.
+        mode = {"width": width, "height": height} if source.split(":")[0] == "d455" else {}
+        source = open_named(source, args.extrinsics, args.set, **mode)
     env = gym.make(
         "shape_obs_envs:ShapeObs/D455-v0",
         source=source,

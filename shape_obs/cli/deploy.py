@@ -80,7 +80,7 @@ def main(argv: Sequence[str]) -> int:
     env = make_cell(args, robot, max_step=args.max_step, workspace=_box(args))
     detector = env.get_wrapper_attr("detector")
     header = {
-        "options": {name: value for name, value in vars(args).items() if value is not None},
+        "options": {name: str(value) for name, value in vars(args).items() if value is not None},
         "robot": robot_name(robot),
         "action_spec": robot.action_spec,
         "limits": limits,

@@ -37,7 +37,9 @@ def open_eye(
         return own()
     from shape_obs_envs.sources import open_source
 
-    return open_source(source, extrinsics=extrinsics, width=size[0], height=size[1])
+    # Only a camera has a choice.
+    mode = {"width": size[0], "height": size[1]} if source.split(":")[0] == "d455" else {}
+    return open_source(source, extrinsics=extrinsics, **mode)
 
 
 class Eye:

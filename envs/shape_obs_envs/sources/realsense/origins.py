@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -144,13 +145,15 @@ class Recording:
         pipeline.set_device(device)
         playback.pause()  # or the first frames are played before anybody can take them
         profile = pipeline.start(config)
-        playback.resume()
+        # resume() waits for the playing thread, and that one, now and then, for somebody who takes the first frame.
+        resuming = threading.Thread(target=playback.resume, name=f"{self.name} begins")
+        resuming.start()
 
         def take(seconds: float) -> Any:
             deadline = time.monotonic() + seconds
             while True:
-                # The order matters: over, and then nothing left.
-                over = playback.current_status() == rs.playback_status.stopped
+                # The order matters: begun, over, and then nothing left.
+                over = not resuming.is_alive() and playback.current_status() == rs.playback_status.stopped
                 came, frames = pipeline.try_wait_for_frames(_PATIENCE)
                 if came:
                     return frames

@@ -1,0 +1,126 @@
+"""`shape-obs goal` and `shape-obs deploy`, before a simulated robot whose camera is a software D455."""
+
+from __future__ import annotations
+
+import json
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from shape_obs import Target, save_config
+from shape_obs.cli import main
+from shape_obs.evaluation import deploy_claims
+
+pytestmark = pytest.mark.skipif(
+    not (find_spec("mujoco") and find_spec("pyrealsense2")),
+    reason="the simulated robot needs MuJoCo and librealsense: pip install 'shape-obs[sim,realsense]'",
+)
+CELL = ["--source", "robot", "--robot", "shape_obs_envs.robots:SimulatedRobot"]
+
+
+def run(capsys, *arguments):
+    """(exit code, stdout, stderr) of a command run in this process."""
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return stop.value.code, captured.out, captured.err
+
+
+def test_a_goal_is_recorded_and_deployed(capsys, tmp_path):
+    goal = tmp_path / "goal.yaml"
+    code, out, err = run(capsys, "goal", *CELL, "--robot-set", "seed=3", "-o", goal)
+    assert code == 0, err
+    assert "20 points, frame 'base'" in out
+    assert goal.with_suffix(".png").stat().st_size > 10_000
+    target = Target.load(goal)
+    assert target.frame == "base"
+    assert np.ptp(np.asarray(target.points)[:, 0]) > 0.2
+
+    options = ["--robot-set", "seed=3", "--goal", goal, "--until-reached", "3", "--log", tmp_path / "run"]
+    code, out, err = run(capsys, "deploy", *CELL, *options, "--json")
+    report = json.loads(out)
+    assert code == 0, report
+    assert report["success"]  # nobody moved it
+    assert "goal was reached in 3 frames" in report["ended"]
+    header = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert header["robot"] == "simulated"
+    assert len(header["schema"]) == 64
+    assert header["action_spec"]["units"] == ["m", "m", "rad"] * 2
+
+
+def test_the_whole_real_path_keeps_its_promises_for_some_seconds():
+    report, seen = deploy_claims.run(4.0)
+    assert not report.failed
+    assert report.steps > 60
+    assert len(seen.mm) == report.acted
+    assert np.mean(seen.mm) < 3
+    assert (seen.slips, seen.wrong, seen.stale) == (0, 0, 0)
+
+
+def test_the_whole_real_path_with_much_that_goes_wrong():
+    report, seen = deploy_claims.run(6.0, {**deploy_claims.FAULTS, "occluder": 0.3})
+    assert not report.failed
+    assert report.held > 0
+    assert seen.robot.affected.keys() >= {"drop", "freeze", "black", "occluder"}
+    assert (seen.slips, seen.wrong, seen.stale) == (0, 0, 0)
+
+
+def test_a_dry_run_with_a_simulated_camera_and_a_robot_that_moves_nothing(capsys, tmp_path):
+    shape = tmp_path / "shape.yaml"
+    save_config(shape, {"segmentation": {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}})
+    source = ["--source", "shape_obs_envs:ShapeObs/Cable-v0", "--set", "camera=d455", "--config", shape]
+    robot = ["--robot", "shape_obs_envs.robots:NullRobot", "--robot-set", "size=2", "--dry-run"]
+    controller = ["--controller", "shape_obs.deploy:Sway", "--controller-set", "share=0.5"]
+    code, out, err = run(capsys, "deploy", *source, *robot, *controller, "--steps", "4")
+    assert code == 0, err
+    assert "acted           4, held: 0" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "--robot module:Class is needed"),
+        (["--robot", "no_lab:Arm"], "--robot: cannot import 'no_lab'"),
+        (["--robot", "shape_obs_envs.robots"], "--robot: expected module:Name"),
+        (["--robot", "shape_obs_envs.robots:NullRobot"], "--config FILE is needed"),
+        (["--robot", "shape_obs_envs.robots:NullRobot", "--robot-set", "sise=3"], "does not take {'sise': 3}"),
+        (["--robot", "shape_obs_envs.robots:NullRobot", "--robot-set", "size"], "--robot-set: expected KEY=VALUE"),
+        (["--robot", "shape_obs_envs.robots:NullRobot", "--controller", "shape_obs.deploy:Swy"], "did you mean 'Sway'"),
+        (["--goal", "none.yaml"], "none.yaml: no such goal file"),
+        (["--hold", "-1"], "Limits.hold: expected seconds, 0 or more"),
+        ([*CELL, "--workspace-low", "0"], "--workspace-low and --workspace-high: give both"),
+        ([*CELL, "--max-step", "0.01"], "max_step: expected 6 numbers"),
+    ],
+)
+def test_what_is_wrong_is_told_in_one_line(capsys, arguments, message):
+    code, out, err = run(capsys, "deploy", *arguments)
+    assert (code, out) == (1, "")
+    assert message in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("goal: [", "not a YAML file"),
+        ("version: 2\ngoal: {}", "expected 'version: 1' and 'goal'"),
+        ("version: 1\ngoal: {points: [[0, 0, 0]], frames: base}", "did you mean 'frame'"),
+    ],
+)
+def test_bad_goal_files(capsys, tmp_path, text, message):
+    path = tmp_path / "goal.yaml"
+    path.write_text(text)
+    code, _, err = run(capsys, "deploy", *CELL, "--goal", path)
+    assert code == 1
+    assert message in err
+
+
+def test_goals_survive_the_file(tmp_path: Path):
+    target = Target(((0.1, 0.2, 0.01), (0.3, 0.2, 0.01)), layout={"kind": "centerline"})
+    target.save(tmp_path / "goal.yaml")
+    assert Target.load(tmp_path / "goal.yaml") == target
+    assert yaml.safe_load((tmp_path / "goal.yaml").read_text())["version"] == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["goal.yaml"]
