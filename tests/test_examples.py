@@ -17,6 +17,7 @@ EXPECTED = {
     "two_cameras.py": "camera 1: ok: True",
     "shape_goal.py": "end: is_success: True, the simulator says True",
     "markers.py": "frame 19: ok: True, markers (0, 1, 2, 3), 1.",
+    "deploy_loop.py": "goal            reached",
     "foreign_env.py": "ok: True",
     "foreign_env_depth.py": "13 points in metres, ok: True",
 }

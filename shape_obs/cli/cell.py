@@ -25,7 +25,7 @@ class CellArguments:
     robot_set: tuple[str, ...] = ()
     """KEY=VALUE: arguments of the robot's class, such as address=10.0.0.2."""
     config: Path | None = None
-    """A YAML config file, as `shape-obs detect --pick` writes one; default what suits the robot, where it says."""
+    """A YAML config file, as `shape-obs detect` writes one for a picked pixel; default what suits the robot."""
     extrinsics: Path | None = None
     """Where the camera stands in the base frame, as `shape-obs calibrate base` writes it."""
     size: tuple[int, int] = (640, 480)

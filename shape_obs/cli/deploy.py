@@ -55,8 +55,8 @@ class Arguments(CellArguments):
     """The least that each coordinate may become, in the robot's units."""
     workspace_high: tuple[float, ...] | None = None
     """The most."""
-    no_park: bool = False
-    """Leave the robot where it is in the end, instead of sending it to its safe pose."""
+    park: bool = True
+    """In the end send the robot to its safe pose; --no-park leaves it where it is."""
     log: Path | None = None
     """Folder for the log: what ran, a line for each step, the report."""
     view: int | None = None
@@ -102,7 +102,7 @@ def main(argv: Sequence[str]) -> int:
             until_reached=args.until_reached,
             log=log,
             on_step=shown.step,
-            park=not args.no_park,
+            park=args.park,
         )
     print(json.dumps(report.to_dict()) if args.json else report)
     return 1 if report.failed else 0

@@ -63,8 +63,6 @@ class Session:
         rs = librealsense()
         device = origin.find()
         self.identity, self._live, self._latency = Identity.of(device), origin.live, origin.latency
-        if origin.live:
-            setup.options.apply(device)
         self._filter = DepthFilters(setup.filters)
         # A new one each time: a config remembers the device that it was resolved with.
         config, self._pipeline = rs.config(), rs.pipeline(rs.context())
@@ -74,6 +72,8 @@ class Session:
         if record_to is not None:
             config.enable_record_to_file(str(record_to))
         try:
+            if origin.live:
+                setup.options.apply(device)
             profile, self._take = origin.start(self._pipeline, config, device)
         except RuntimeError as error:
             raise self._start_error(error, device, setup, origin) from error
@@ -143,7 +143,7 @@ class Session:
                 f"{who} has no {setup.width} x {setup.height} at {setup.fps} frames per second for colour and depth; "
                 f"it has {modes or 'none for both'}.{advice}"
             )
-        elif any(word in told.lower() for word in ("busy", "is streaming", "power state", "already")):
+        elif any(word in told.lower() for word in ("busy", "is streaming", "power state", "claim", "already")):
             message = f"{who} is in use, by another program or another source in this one: close that. ({told})"
         else:
             message = f"{who} does not start: plug it out and in again. ({told})"
