@@ -103,8 +103,10 @@ def test_a_long_end_that_a_hand_takes_at_once_stays_hidden(first):
 def test_a_hands_depth_beside_it_is_not_the_ropes(smear):
     detector = metric_detector()
     whole = detector.detect_mask(*rope(220)[:2], CAMERA).shapes[0]
-    for _ in range(3):
-        shape = detector.detect_mask(*under_hand(120, 150, smear), CAMERA).shapes[0]
+    hidden = under_hand(120, 150, smear)
+    for _ in range(2):
+        detector.detect_mask(*hidden, CAMERA)
+    shape = detector.detect_mask(*hidden, CAMERA).shapes[0]
     assert shape.ok
     assert whole.points3d is not None
     assert shape.points3d is not None

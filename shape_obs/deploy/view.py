@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 import threading
 from contextlib import redirect_stdout
@@ -38,6 +39,7 @@ class LiveView:
         except ImportError as error:
             raise ImportError("a live view needs viser: pip install 'shape-obs[view]'") from error
         self._env = env
+        port = port or _free_port()
         with redirect_stdout(sys.stderr):  # stdout belongs to the report
             self._server = viser.ViserServer("127.0.0.1", port, verbose=False)
         self.url = f"http://localhost:{self._server.get_port()}"
@@ -81,3 +83,9 @@ class LiveView:
         target = getattr(self._env, "target", None)
         under = [] if target is None or target.points2d is None else [(target.points2d, GOAL)]
         self._image.image = draw_detection(frame.rgb, moment.detection, under=under)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import CameraModel
+from shape_obs.evaluation.asked import at_most
 from shape_obs.evaluation.blocks import TOP, Block, rows_of_blocks, see
 from shape_obs.kernels import Backend
 
@@ -83,6 +84,27 @@ def registration_times(runs: int = 30) -> dict[str, float]:
         return {name: _median(way, runs) for name, way in ways.items()}
     finally:
         theirs.close()
+
+
+def registration_table(scenes: int, seed: int = 0) -> list[dict[str, Any]]:
+    """Errors over some scenes, ours held against what is asked, and librealsense's beside them."""
+    found = [registration_errors(seed + i) for i in range(scenes)]
+    edges = {way: np.concatenate([errors[way].edges for errors in found]) for way in found[0]}
+    centres = {way: 1e3 * np.concatenate([errors[way].centres for errors in found]) for way in found[0]}
+    rows = []
+    for way in edges:
+        rows += [
+            at_most(f"{way}: edges in depth against colour, median", 0.6, float(np.median(edges[way])), " px"),
+            at_most(f"{way}: the same, most", 1.5, float(edges[way].max()), " px"),
+            at_most(f"{way}: block centres, most", 2.5, float(centres[way].max()), " mm"),
+        ]
+    return rows
+
+
+def time_table() -> list[dict[str, Any]]:
+    """Median milliseconds, and as a multiple of ``rs.align`` in the same run."""
+    times = registration_times()
+    return [{"what": what, "ms": ms, "x rs.align": ms / times["rs.align"]} for what, ms in times.items()]
 
 
 class _Scene:

@@ -17,6 +17,7 @@ from shape_obs.evaluation import (
     env_goals,
     hard_claims,
     marker_claims,
+    registration,
     surface_claims,
 )
 from shape_obs.evaluation.blobs import garments
@@ -161,6 +162,14 @@ def _counted(what: str, total: int, told: Callable[[str], object]) -> Callable[[
     return tick
 
 
+def _camera(effort: Effort) -> Tables:
+    yield (
+        "depth registered to colour, ours and rs.align",
+        registration.registration_table(effort.count(10), effort.seed),
+    )
+    yield "the time that takes at 640 x 480", registration.time_table()
+
+
 def _deploy(effort: Effort) -> Tables:
     seconds = deploy_claims.SECONDS * effort.share
     for title, faults in (("clean", None), ("faulty", deploy_claims.FAULTS)):
@@ -182,6 +191,7 @@ GROUPS: Final[dict[str, Callable[[Effort], Tables]]] = {
     "markers": _markers,
     "cable": _cable,
     "envs": _envs,
+    "camera": _camera,
     "deploy": _deploy,
 }
 

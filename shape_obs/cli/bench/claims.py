@@ -16,7 +16,19 @@ from shape_obs.cli.bench.printing import table
 from shape_obs.evaluation.report import GROUPS, Effort
 
 Group = Literal[
-    "ropes", "tangles", "hands", "noise", "outlines", "sheets", "clouds", "shapes", "markers", "cable", "envs", "deploy"
+    "ropes",
+    "tangles",
+    "hands",
+    "noise",
+    "outlines",
+    "sheets",
+    "clouds",
+    "shapes",
+    "markers",
+    "cable",
+    "envs",
+    "camera",
+    "deploy",
 ]
 
 
