@@ -13,7 +13,7 @@ import tyro
 from tqdm import tqdm
 
 from shape_obs.cli.cell import CellArguments, make_cell, make_robot
-from shape_obs.cli.source import read_settings
+from shape_obs.cli.source import read_settings, warnings_as_lines
 from shape_obs.config import schema_hash
 from shape_obs.loading import make_named
 from shape_obs.robot import robot_name
@@ -92,7 +92,7 @@ def main(argv: Sequence[str]) -> int:
     if goal is not None:
         env = ShapeGoal(env, goal=goal)
     log = None if args.log is None else RunLog(args.log, header)
-    with _Progress(args, env) as shown:
+    with warnings_as_lines("shape-obs deploy"), _Progress(args, env) as shown:
         report = deploy(
             env,
             controller,

@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from shape_obs.cli.cell import CellArguments, make_cell, make_robot
 from shape_obs.cli.files import write_image
+from shape_obs.cli.source import warnings_as_lines
 from shape_obs.draw import draw_detection
 
 
@@ -45,8 +46,9 @@ def main(argv: Sequence[str]) -> int:
     robot = None if args.robot is None else _still(args)
     env = make_cell(args, robot)
     try:
-        env.reset()
-        target, detection = _first_whole(env, args)
+        with warnings_as_lines("shape-obs goal"):
+            env.reset()
+            target, detection = _first_whole(env, args)
         rgb = env.get_wrapper_attr("frame").rgb
     finally:
         env.close()

@@ -132,8 +132,9 @@ class D455Env(gym.Env[Any, Any]):
         try:
             if self.robot is not None:
                 self.robot.connect()
+            self._eye.connect()  # before anything moves
+            if self.robot is not None:
                 self.robot.reset()
-            self._eye.connect()
             self.frame = self._eye.frame_after(time.monotonic())
             self.seen_at = time.monotonic()
         except (SourceError, RobotError, ValueError):

@@ -1,0 +1,70 @@
+"""The picture of 'Deploy a policy': uv run python docs/pictures/deploy.py."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from stages import write
+
+from shape_obs import ShapeGoal, ShapeObservation, Target
+from shape_obs.deploy import Limits, Moment, deploy
+from shape_obs.draw import draw_detection, draw_text
+from shape_obs_envs.robots import SimulatedRobot
+
+sys.path.append(str(Path(__file__).parents[2] / "examples"))
+
+from deploy_loop import EndsFirst
+
+GOAL = (235, 130, 40)
+VIEW = slice(30, 400), slice(60, 580)
+
+
+def main() -> None:
+    robot = SimulatedRobot(seed=4, difficulty="near")
+    robot.connect()
+    robot.reset()
+    goal = Target.read(robot.goal)
+    robot.disconnect()
+    env = ShapeGoal(
+        ShapeObservation(gym.make("shape_obs_envs:ShapeObs/D455-v0", source="robot", robot=robot)),
+        goal=goal,
+        threshold=0.015,
+    )
+    shown: dict[str, np.ndarray] = {}
+
+    def look(moment: Moment) -> None:
+        if moment.step == 40:
+            robot.disturb(occluder=0.9, seed=5)
+        hidden = np.count_nonzero(~moment.detection.shapes[0].visible)
+        name = "step 0" if moment.step == 0 else "step 40" if moment.step == 40 else ""
+        if 4 <= hidden <= 7 and moment.step > 40 and "hand" not in shown:
+            name = "hand"
+        if name:
+            shown[name] = picture(moment, env)
+
+    deploy(env, EndsFirst(), Limits(hold=3), steps=160, on_step=look)
+    titles = {
+        "step 0": "step 0: the goal in orange",
+        "step 40": "step 40: at the goal",
+        "hand": "a hand: hidden points in red, the others keep their places",
+    }
+    panels = []
+    for name, title in titles.items():
+        panel = shown[name].copy()
+        draw_text(panel, title, (10, 20))
+        panels.append(panel)
+    write("deploy.jpg", np.concatenate(panels, axis=1))
+
+
+def picture(moment: Moment, env: Any) -> np.ndarray:
+    assert moment.frame is not None
+    assert moment.frame.rgb is not None
+    return draw_detection(moment.frame.rgb, moment.detection, under=[(env.target.points2d, GOAL)])[VIEW]
+
+
+if __name__ == "__main__":
+    main()
