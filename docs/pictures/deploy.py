@@ -11,7 +11,7 @@ import numpy as np
 from stages import write
 
 from shape_obs import ShapeGoal, ShapeObservation, Target
-from shape_obs.deploy import Limits, Moment, deploy
+from shape_obs.deploy import Limits, Step, deploy
 from shape_obs.draw import draw_detection, draw_text
 from shape_obs_envs.robots import SimulatedRobot
 
@@ -36,7 +36,7 @@ def main() -> None:
     )
     shown: dict[str, np.ndarray] = {}
 
-    def look(moment: Moment) -> None:
+    def look(moment: Step) -> None:
         if moment.step == 40:
             robot.disturb(occluder=0.9, seed=5)
         hidden = np.count_nonzero(~moment.detection.shapes[0].visible)
@@ -60,7 +60,7 @@ def main() -> None:
     write("deploy.jpg", np.concatenate(panels, axis=1))
 
 
-def picture(moment: Moment, env: Any) -> np.ndarray:
+def picture(moment: Step, env: Any) -> np.ndarray:
     assert moment.frame is not None
     assert moment.frame.rgb is not None
     return draw_detection(moment.frame.rgb, moment.detection, under=[(env.target.points2d, GOAL)])[VIEW]

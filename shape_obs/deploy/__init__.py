@@ -6,7 +6,7 @@ from shape_obs.deploy.controller import Controller, Script, Still, Sway
 from shape_obs.deploy.dry import DryRobot
 from shape_obs.deploy.gate import Gate, Limits
 from shape_obs.deploy.log import RunLog
-from shape_obs.deploy.loop import Moment, deploy
+from shape_obs.deploy.loop import Step, deploy
 from shape_obs.deploy.report import Report
 
 __all__ = [
@@ -14,10 +14,10 @@ __all__ = [
     "DryRobot",
     "Gate",
     "Limits",
-    "Moment",
     "Report",
     "RunLog",
     "Script",
+    "Step",
     "Still",
     "Sway",
     "deploy",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import gymnasium as gym
 
 
-class Moment(NamedTuple):
+class Step(NamedTuple):
     """What a step was decided on.
 
     Attributes:
@@ -37,7 +37,7 @@ class Moment(NamedTuple):
     action: Any
 
 
-OnStep = Callable[[Moment], None]
+OnStep = Callable[[Step], None]
 
 
 def deploy(
@@ -194,5 +194,5 @@ class _Run:
                 }
             )
         if self._on_step is not None:
-            self._on_step(Moment(step, frame, detection, judgement, action))
+            self._on_step(Step(step, frame, detection, judgement, action))
         return following, next_info, terminated, truncated

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from shape_obs.deploy.loop import Moment
+from shape_obs.deploy.loop import Step
 from shape_obs.draw import draw_detection
 
 GOAL = (235, 130, 40)
@@ -45,12 +45,12 @@ class LiveView:
         self.url = f"http://localhost:{self._server.get_port()}"
         self._text = self._server.gui.add_markdown("waiting for a frame")
         self._image = self._server.gui.add_image(np.zeros((48, 64, 3), np.uint8), format="jpeg")
-        self._newest: Moment | None = None
+        self._newest: Step | None = None
         self._wake, self._over = threading.Condition(), False
         self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
         self._thread.start()
 
-    def show(self, moment: Moment) -> None:
+    def show(self, moment: Step) -> None:
         """Show this next; what has not been drawn yet is left out."""
         with self._wake:
             self._newest = moment
@@ -75,7 +75,7 @@ class LiveView:
             if newest is not None:
                 self._draw(newest)
 
-    def _draw(self, moment: Moment) -> None:
+    def _draw(self, moment: Step) -> None:
         judgement, frame = moment.judgement, moment.frame
         self._text.content = f"**{judgement.move}** {judgement.reason}  \nstep {moment.step}"
         if frame is None or frame.rgb is None:
