@@ -21,6 +21,7 @@ import yaml
 from shape_obs.clustering import Clusterer, Clustering, SelfOrganisingMap
 from shape_obs.configurations import Anchor, Centerline, Configuration, Ends, Order
 from shape_obs.features import read_features
+from shape_obs.files import read_yaml, write_whole
 from shape_obs.kernels import Backend
 from shape_obs.missing import OnInvalid, OnMissing
 from shape_obs.roi import ROI, Whole
@@ -107,12 +108,7 @@ def load_config(path: str | os.PathLike[str]) -> dict[str, Any]:
         FileNotFoundError: There is no such file.
         SpecError: The file is no YAML, of another version, or holds an unknown section or field.
     """
-    try:
-        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise FileNotFoundError(f"{path}: no such config file") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SpecError(f"{path}: not a YAML file: {error}") from error
+    data = read_yaml(path, "config")
     if not isinstance(data, Mapping):
         raise SpecError(f"{path}: expected 'version', 'shape', 'scene' and 'runtime', got {type(data).__name__}.")
     if data.get("version") != VERSION:
@@ -143,13 +139,8 @@ def save_config(path: str | os.PathLike[str], arguments: Mapping[str, Any]) -> N
         path: Where to.
         arguments: Arguments of ``ShapeDetector`` or ``ShapeObservation``, as specs or plain values.
     """
-    target = Path(path)
-    beside = target.with_name(f".{target.name}.{os.getpid()}")
-    try:
-        beside.write_text(dump_config(arguments), encoding="utf-8")
-        beside.replace(target)
-    finally:
-        beside.unlink(missing_ok=True)
+    text = dump_config(arguments)
+    write_whole(Path(path), lambda beside: beside.write_text(text, encoding="utf-8"))
 
 
 def dump_config(arguments: Mapping[str, Any]) -> str:

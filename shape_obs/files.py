@@ -10,6 +10,9 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+import yaml
+
+from shape_obs.spec import SpecError
 
 
 def read_image(path: Path) -> npt.NDArray[np.uint8]:
@@ -46,6 +49,25 @@ def read_depth(path: Path) -> npt.NDArray[Any]:
     return depth
 
 
+def read_yaml(path: str | os.PathLike[str], what: str) -> Any:
+    """What a YAML file holds.
+
+    Args:
+        path: The file.
+        what: What it is, for messages: ``"config"``.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        SpecError: It is no YAML.
+    """
+    try:
+        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"{path}: no such {what} file") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise SpecError(f"{path}: not a YAML file: {error}") from error
+
+
 def make_folder(path: Path) -> Path:
     """Make a folder that can be written to.
 
@@ -76,7 +98,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         write(beside)
         beside.replace(path)
     except OSError as error:
-        raise OSError(f"cannot write {path}: {error.strerror or error}") from error
+        raise type(error)(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         beside.unlink(missing_ok=True)
 

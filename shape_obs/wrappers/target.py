@@ -16,7 +16,7 @@ from shape_obs.camera import CameraModel
 from shape_obs.config import VERSION
 from shape_obs.configurations import Configuration
 from shape_obs.features import View
-from shape_obs.files import write_whole
+from shape_obs.files import read_yaml, write_whole
 from shape_obs.shape import Shape
 from shape_obs.spec import Spec, SpecError
 from shape_obs.topology import Grid
@@ -140,12 +140,7 @@ class Target(Spec):
             FileNotFoundError: There is no such file.
             SpecError: It is no YAML, of another version, or holds no goal.
         """
-        try:
-            data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        except FileNotFoundError as error:
-            raise FileNotFoundError(f"{path}: no such goal file") from error
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise SpecError(f"{path}: not a YAML file: {' '.join(str(error).split())}") from error
+        data = read_yaml(path, "goal")
         if not isinstance(data, Mapping) or data.get("version") != VERSION or "goal" not in data:
             raise SpecError(
                 f"{path}: expected 'version: {VERSION}' and 'goal', as `shape-obs goal -o` writes them, got "
