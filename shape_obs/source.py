@@ -71,7 +71,8 @@ class RGBDSource(Protocol):
     Every frame is pinhole: colour is rectified, depth is aligned to it pixel by pixel, and ``frame.camera`` tells the
     intrinsics with all distortion coefficients zero. Arrays belong to the caller; a source never writes to them again.
 
-    Python before 3.12 reads the properties when it is asked ``isinstance(source, RGBDSource)``: ask once it is connected.
+    Python before 3.12 reads the properties when it is asked ``isinstance(source, RGBDSource)``: ask when it is
+    connected.
 
     May also have ``anchors``, a mapping of names to places where the object was held in the last frame, and
     ``episode``, the number of the stretch without jumps that this frame belongs to; recordings keep both.
