@@ -6,6 +6,7 @@ A camera, a recording, a folder of images, a video and an environment are read i
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -165,7 +166,7 @@ class RGBDSource(Protocol):
         ...
 
 
-class Source:
+class Source(ABC):
     """What implementations share: the context manager, and the camera's place.
 
     Args:
@@ -185,9 +186,9 @@ class Source:
         return None
 
     @property
+    @abstractmethod
     def intrinsics(self) -> Intrinsics | None:
         """Of every frame, without distortion; None where nobody knows them."""
-        raise NotImplementedError
 
     @property
     def camera(self) -> CameraModel | None:
@@ -197,13 +198,13 @@ class Source:
             return None if intrinsics is None else CameraModel(intrinsics)
         return self.extrinsics.camera(intrinsics, self.serial)
 
+    @abstractmethod
     def connect(self) -> None:
         """Open it."""
-        raise NotImplementedError
 
+    @abstractmethod
     def disconnect(self) -> None:
         """Close it."""
-        raise NotImplementedError
 
     def __enter__(self) -> Self:
         self.connect()

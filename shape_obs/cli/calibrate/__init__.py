@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import import_module
 from typing import Final
 
-from shape_obs.spec import did_you_mean
+from shape_obs.cli.parts import run_part
 
 CALIBRATIONS: Final = {
     "intrinsics": "the camera's projection, from a ChArUco board; checks the factory's",
@@ -16,10 +15,4 @@ CALIBRATIONS: Final = {
 
 def main(argv: Sequence[str]) -> int:
     """Run the command; returns the exit code."""
-    if not argv or argv[0] in ("-h", "--help"):
-        print("usage: shape-obs calibrate {" + ",".join(CALIBRATIONS) + "} [OPTIONS]\n")
-        print("\n".join(f"  {name:<10} {what}" for name, what in CALIBRATIONS.items()))
-        return 0
-    if argv[0] not in CALIBRATIONS:
-        raise ValueError(f"unknown calibration {argv[0]!r}{did_you_mean(argv[0], CALIBRATIONS)}")
-    return int(import_module(f"shape_obs.cli.calibrate.{argv[0]}").main(argv[1:]))
+    return run_part("calibrate", "calibration", CALIBRATIONS, argv)
