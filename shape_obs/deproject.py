@@ -15,7 +15,7 @@ from shape_obs.camera import Intrinsics
 from shape_obs.cloud import Cloud, Sheet
 from shape_obs.form import Curve
 from shape_obs.frame import depth_in_metres
-from shape_obs.lift import lift_form
+from shape_obs.lift import form_depth, lift_form
 from shape_obs.region import Region
 
 Array = npt.NDArray[np.float64]
@@ -99,7 +99,8 @@ class SeenCloud(Cloud):
 
     def lifted(self, curve: Curve) -> Curve:
         """A curve over the image, in pixels, in space."""
-        points = lift_form(curve, self.depth, self.region, self.region.width, self.intrinsics)
+        under = form_depth(curve, self.depth, self.region, self.region.width)
+        points = lift_form(curve, under, self.intrinsics)
         if points is None:
             return replace(curve, doubt=curve.doubt or _UNKNOWN)
         return curve.measured(points)

@@ -71,17 +71,19 @@ def form_depth(form: Form, depth: npt.NDArray[Any], region: Region, width: float
     return z
 
 
-def lift_form(
-    form: Form, depth: npt.NDArray[Any], region: Region, width: float, intrinsics: Intrinsics
-) -> Array | None:
+def lift_form(form: Form, z: Array, intrinsics: Intrinsics) -> Array | None:
     """A whole form in space, for measuring distances in metres.
 
     Holes are bridged and the depth is smoothed over a few points (millimetre steps would make the form longer than it
     is); the points that leave the detector are lifted afresh.
 
+    Args:
+        form: (P,2) pixels.
+        z: (P,) metres, as ``form_depth`` gives them.
+        intrinsics: The projection.
+
     Returns:
         (P,3) metres, or None where less than half of the form has depth.
     """
-    z = form_depth(form, depth, region, width)
     known = np.isfinite(z)
     return None if known.mean() < 0.5 else intrinsics.deproject(form.points, form.smoothed(z, known))

@@ -61,19 +61,21 @@ _Parts = tuple[npt.NDArray[np.float32] | None, npt.NDArray[np.float32] | None, M
 
 def _in_image(spec: Configuration, form: Form, region: Region, frame: Frame, centres: Array | None) -> _Parts:
     """Points in pixels with the depth under them; where there is none, with their neighbours'."""
-    metric, camera = form, frame.camera
-    if spec.spacing == "m" and frame.depth is not None and camera is not None:
-        lifted = lift_form(form, frame.depth, region, region.width, camera.intrinsics)
+    metric, camera, under = form, frame.camera, None
+    in_pieces = isinstance(form, Curve) and not form.whole
+    if frame.depth is not None and camera is not None and (spec.spacing == "m" or in_pieces):
+        under = form_depth(form, frame.depth, region, region.width)
+    if spec.spacing == "m" and under is not None and camera is not None:
+        lifted = lift_form(form, under, camera.intrinsics)
         metric = form if lifted is None else form.measured(lifted)
     points, bridged = spec.place(form, metric) if centres is None else _given(centres)
     visible = region.carries(points) & ~bridged
     if frame.depth is None or camera is None:
         return points.astype(np.float32), None, visible, visible.copy()
     z = local_depth(points, frame.depth, region, region.width)
-    if isinstance(form, Curve) and not form.whole:
-        # What the form's depth was found to be something else's is that for the points as well.
-        unknown = np.isnan(form_depth(form, frame.depth, region, region.width))
-        z[unknown[np.argmin(cdist(points, form.points), axis=1)]] = np.nan
+    if in_pieces and under is not None:
+        # Beside what hides a piece, depth that is not the form's is not the points' either.
+        z[np.isnan(under)[np.argmin(cdist(points, form.points), axis=1)]] = np.nan
     valid = visible & np.isfinite(z)
     if 0 < np.count_nonzero(valid) < len(valid):
         z = spec.layout.interpolate(z[:, None], valid)[:, 0]
