@@ -20,7 +20,7 @@ Array = npt.NDArray[np.float64]
 _NEARBY: Final = 0.2  # of the length next to a hidden end, whose depth it is compared with
 _CLEARANCE: Final = 0.005  # metres: what is nearer than the rope by this much lies over it
 _COVERED: Final = 0.3  # of a hidden end: below that share nothing hides it; what has no depth may
-_LONG: Final = 0.06  # of the length: no rope becomes shorter by this much from one frame to the next
+LONG: Final = 0.06  # of the length: no rope becomes shorter by this much from one frame to the next
 _AROUND: Final = 1.5  # widths around the place where a rope goes out of sight, in which what hides it must be
 _SMEARED: Final = 2.5  # widths beside a hidden piece, in which depth may be that of what hides it
 _COMPARED: Final = 6.0  # widths within which the rope's own depth is looked for
@@ -119,7 +119,7 @@ def _ends(curve: Curve, depth: npt.NDArray[Any]) -> list[_End | None]:
         over = float(np.nanmedian(beside)) - _CLEARANCE
         tip = curve.points[np.argmin(np.where(inside, away, np.inf))]
         covered = bool(np.mean(np.isnan(under) | (under < over)) >= _COVERED)
-        ends.append(_End(tip, over, covered, hidden > _LONG * size))
+        ends.append(_End(tip, over, covered, hidden > LONG * size))
     return ends
 
 

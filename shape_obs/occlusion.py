@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.covered import is_hidden
+from shape_obs.covered import LONG, is_hidden
 from shape_obs.curve import arc_length, interpolate
 from shape_obs.form import Curve, Memory
 from shape_obs.tracking import Prediction
@@ -227,12 +227,12 @@ class _Known:
     def completed(self, curve: Curve, start: float) -> Curve:
         """The visible piece that begins at arc ``start``, with the hidden ends before and behind it.
 
-        A hand cuts a rope askew, and what is fitted turns into the longer side of the cut; near a hidden end the rope
-        is therefore as predicted too.
+        A hand cuts a rope askew, and what is fitted turns into the longer side of the cut; near a long hidden end the
+        rope is therefore as predicted too.
         """
         end = start + curve.size
-        lost = (start > 0, end < self.size - 1e-9)
-        first, last = (self.askew * at for at in lost)
+        lost = start > 0, end < self.size - 1e-9
+        first, last = (self.askew if hidden > LONG * self.size else 0.0 for hidden in (start, self.size - end))
         inner = (curve.arc >= first) & (curve.arc <= curve.size - last)
         if np.count_nonzero(inner) < 2:
             first, last, inner = 0.0, 0.0, np.ones(len(inner), bool)
