@@ -63,8 +63,8 @@ class Link:
 
     @property
     def alive(self) -> bool:
-        """Whether the world runs and is heard."""
-        return self._pump.is_alive()
+        """Whether the world runs and is heard; its end is known at once, though what it last said may still be read."""
+        return self._process.is_alive() and self._pump.is_alive()
 
     def order(self, order: str, what: Any = None) -> None:
         """Send an order; see `World`.
