@@ -235,7 +235,7 @@ class _Known:
         first, last = (self.askew if hidden > LONG * self.size else 0.0 for hidden in (start, self.size - end))
         inner = (curve.arc >= first) & (curve.arc <= curve.size - last)
         if np.count_nonzero(inner) < 2:
-            first, last, inner = 0.0, 0.0, np.ones(len(inner), bool)
+            inner = np.ones(len(inner), bool)
         points, seen = curve.points[inner], curve.bridged[inner]
         arc = start + curve.arc[inner]
         head = self._hidden(end=arc[0], joint=points[0]) if lost[0] else points[:0]
