@@ -158,11 +158,11 @@ def schema_hash(arguments: Mapping[str, Any]) -> str:
 
     Defaults are filled in, the detector's too, and segmentations left out: another site's colours do not change it.
     """
-    detector = DetectorConfig.from_dict(detector_arguments(arguments))
+    detector, features = DetectorConfig.from_dict(detector_arguments(arguments)), arguments.get("features")
     shapes = [shape.to_dict() for shape in detector.resolved()]
     content = {
         "shapes": [{name: value for name, value in shape.items() if name != "segmentation"} for shape in shapes],
-        "features": _features(arguments),
+        "features": None if features is None else [feature.identity() for feature in read_features(features)],
         "clustering": detector.clustering.to_dict(),
     }
     return _sha256(content)

@@ -33,7 +33,7 @@ def test_a_saved_config_comes_back(tmp_path):
     loaded = load_config(path)
     assert ShapeDetector(**detector_arguments(loaded)).config == ShapeDetector(**detector_arguments(ARGUMENTS)).config
     assert loaded["workspace"] == [[-1.0, -1.0, 0.0], [1.0, 1.0, 0.5]]
-    assert loaded["features"][1] == {"kind": "points3d", "frame": "base", "max_depth": 2.0}
+    assert loaded["features"][1] == {"kind": "points3d", "frame": "base", "max_depth": 2.0, "origin": None}
     assert schema_hash(loaded) == schema_hash(ARGUMENTS)
     save_config(tmp_path / "again.yaml", loaded)
     assert (tmp_path / "again.yaml").read_text() == path.read_text()

@@ -24,7 +24,7 @@ from shape_obs.features import (
     View,
     read_features,
 )
-from shape_obs.topology import Chain
+from shape_obs.topology import Chain, Topology
 
 WORKSPACE = ((-0.5, -0.4, -0.1), (0.5, 0.4, 0.3))
 
@@ -57,7 +57,7 @@ ALL = [
 @pytest.mark.parametrize("feature", ALL, ids=repr)
 def test_bounds_fit_the_values_and_are_finite(feature, view):
     for n in (2, 20):
-        low, high = feature.bounds(n, view)
+        low, high = feature.bounds(Chain(n), view)
         values = feature.compute(shape(np.zeros((n, 2)), np.ones((n, 3))), view)
         assert low.shape == high.shape == values.shape
         assert np.isfinite([low, high]).all()
@@ -66,7 +66,7 @@ def test_bounds_fit_the_values_and_are_finite(feature, view):
 
 def test_the_edge_of_the_image_is_the_edge_of_the_bounds(view):
     corners = shape([[-0.5, -0.5], [319.5, 239.5]])
-    low, high = Points2D().bounds(2, view)
+    low, high = Points2D().bounds(Chain(2), view)
     np.testing.assert_array_equal(Points2D().compute(corners, view), [low[0], low[1], high[2], high[3]])
     np.testing.assert_allclose(Points2DNormalized().compute(corners, view), [-1, -1, 1, 1])
 
@@ -100,7 +100,7 @@ def test_the_base_frame_follows_the_camera_of_the_moment(view, overhead):
 
 
 def test_bounds_in_the_camera_frame_are_what_it_sees(view):
-    low, high = Points3D(max_depth=2.0).bounds(1, view)
+    low, high = Points3D(max_depth=2.0).bounds(Chain(1), view)
     edge = view.camera.intrinsics.deproject([[-0.5, -0.5], [319.5, 239.5]], [2.0, 2.0])  # type: ignore[union-attr]
     np.testing.assert_allclose(low, [edge[0, 0], edge[0, 1], 0])
     np.testing.assert_allclose(high, [edge[1, 0], edge[1, 1], 2])
@@ -111,16 +111,16 @@ def test_every_point_in_view_is_within_bounds(overhead, u, v, z):
     view = View(320, 240, overhead)
     point = overhead.intrinsics.deproject([[u, v]], [z])
     for frame in ("camera", "base"):
-        low, high = Points3D(frame=frame).bounds(1, view)
+        low, high = Points3D(frame=frame).bounds(Chain(1), view)
         values = Points3D(frame=frame).compute(shape([[u, v]], point), view)
         assert (values >= low - 1e-6).all()
         assert (values <= high + 1e-6).all()
 
 
 def test_bounds_in_the_base_frame_are_the_workspace(view):
-    low, high = Points3D(frame="base").bounds(2, view)
+    low, high = Points3D(frame="base").bounds(Chain(2), view)
     np.testing.assert_array_equal([low, high], [WORKSPACE[0] * 2, WORKSPACE[1] * 2])
-    low, high = Points3D(frame="anchor").bounds(1, view)
+    low, high = Points3D(frame="anchor").bounds(Chain(1), view)
     np.testing.assert_allclose([low, high], [[-1, -0.8, -0.4], [1, 0.8, 0.4]])
 
 
@@ -130,7 +130,7 @@ def test_trust_as_numbers(view):
     assert Ok().compute(shape(), view).tolist() == [1.0]
     assert Age().compute(lost, view).tolist() == [0.3]
     assert Age().compute(shape(age=7.0), view).tolist() == [0.5]
-    assert Age().bounds(2, view)[1].tolist() == [0.5]
+    assert Age().bounds(Chain(2), view)[1].tolist() == [0.5]
     assert Valid().compute(lost, view).tolist() == [1.0, 0.0]
 
 
@@ -143,14 +143,18 @@ def test_trust_as_numbers(view):
             "feature 'points3d' needs a camera model: let the env publish `camera_model`, or pass",
         ),
         (Points3D(frame="base"), {"pose": None}, "feature 'points3d' in frame 'base' needs transform_camera_to_base"),
-        (Points3D(frame="anchor"), {"anchor": None}, "in frame 'anchor' needs a shape anchored to a base-frame point"),
+        (
+            Points3D(frame="anchor"),
+            {"anchor": None},
+            "relative to the anchor needs a shape anchored to a base-frame point",
+        ),
     ],
 )
 def test_what_is_needed_is_told(feature, change, message, view):
     if "pose" in change:
         change = {"camera": CameraModel(view.camera.intrinsics)}
     lacking = replace(view, **change)
-    failing = feature.compute if "anchor" in change else lambda shape, view: feature.bounds(2, view)
+    failing = feature.compute if "anchor" in change else lambda shape, view: feature.bounds(Chain(2), view)
     with pytest.raises(ValueError, match=message):
         failing(shape(), lacking)
     with pytest.raises(ValueError, match="needs depth and a camera, but the shape has no points3d"):
@@ -225,7 +229,7 @@ def test_a_feature_of_ones_own(view):
     class Length(Feature, kind="test-length"):
         longest: float = 100.0
 
-        def bounds(self, count: int, view: View):
+        def bounds(self, layout: Topology, view: View):
             return np.zeros(1), np.full(1, self.longest)
 
         def compute(self, shape: Shape, view: View):

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from shape_obs.features.base import Feature, View
 from shape_obs.shape import Shape
+from shape_obs.topology import Topology
 
 Array = npt.NDArray[np.float64]
 
@@ -17,7 +18,7 @@ Array = npt.NDArray[np.float64]
 class Ok(Feature, kind="ok"):
     """1 where the shape is ok, else 0."""
 
-    def bounds(self, count: int, view: View) -> tuple[Array, Array]:
+    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
         """0...1."""
         return np.zeros(1), np.ones(1)
 
@@ -30,7 +31,12 @@ class Ok(Feature, kind="ok"):
 class Age(Feature, kind="age"):
     """Seconds since the points were seen, at most ``max_age`` (past that ``ok`` is 0 anyway)."""
 
-    def bounds(self, count: int, view: View) -> tuple[Array, Array]:
+    @property
+    def unit(self) -> str:
+        """Seconds."""
+        return "s"
+
+    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
         """0...max_age."""
         return np.zeros(1), np.full(1, view.max_age)
 
@@ -43,9 +49,9 @@ class Age(Feature, kind="age"):
 class Valid(Feature, kind="valid"):
     """For each point 1 where it was really measured, 0 where it was filled in."""
 
-    def bounds(self, count: int, view: View) -> tuple[Array, Array]:
+    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
         """0...1."""
-        return np.zeros(count), np.ones(count)
+        return np.zeros(layout.size), np.ones(layout.size)
 
     def compute(self, shape: Shape, view: View) -> Array:
         """(N,)."""

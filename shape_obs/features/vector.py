@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,22 @@ import numpy.typing as npt
 from shape_obs.configurations import Configuration
 from shape_obs.features.base import Feature, View
 from shape_obs.shape import Shape
+
+
+class Block(NamedTuple):
+    """The place of one feature of one shape in the vector.
+
+    Args:
+        shape: The shape's name.
+        feature: Which one.
+        place: From where to where.
+        units: Of each value.
+    """
+
+    shape: str
+    feature: Feature
+    place: slice
+    units: tuple[str, ...]
 
 
 class FeatureVector:
@@ -24,11 +41,18 @@ class FeatureVector:
     Attributes:
         low: (D,) float32 lowest values.
         high: (D,) float32 highest values.
+        blocks: What stands where.
     """
 
     def __init__(self, features: Sequence[Feature], shapes: Sequence[Configuration], view: View) -> None:
         self.features = tuple(features)
-        bounds = [feature.bounds(shape.count, view) for shape in shapes for feature in self.features]
+        pairs = [(shape, feature) for shape in shapes for feature in self.features]
+        bounds = [feature.bounds(shape.layout, view) for shape, feature in pairs]
+        ends = np.cumsum([len(low) for low, _ in bounds]).tolist()
+        self.blocks = tuple(
+            Block(shape.name, feature, slice(end - len(low), end), feature.units(shape.layout, view))
+            for (shape, feature), (low, _), end in zip(pairs, bounds, ends, strict=True)
+        )
         self.low = np.concatenate([low for low, _ in bounds]).astype(np.float32)
         self.high = np.concatenate([high for _, high in bounds]).astype(np.float32)
         if not np.all(self.low < self.high) or not np.all(np.isfinite([self.low, self.high])):

@@ -49,7 +49,7 @@ class GoalVector:
         self._coordinates, self.unit = _POINTS.get(kinds.pop(), (0, "")) if len(kinds) == 1 else (0, "")
         self.unit = self.unit or "of the range"
         # A gripper moves in every step, and most features do not care.
-        self._anchored = not all(_stays(feature) for feature in self.features)
+        self._anchored = any(feature.anchored for feature in self.features)
         self._known: tuple[Any, ...] = (None, None, None)
         self._desired: Vector = self.low
 
@@ -60,7 +60,7 @@ class GoalVector:
     def desired(self, target: Shape, view: View) -> Vector:
         """(D,) of the target, a fresh array."""
         shape, camera, before = self._known
-        anchor = view.anchor if self._anchored else None
+        anchor = (view.anchor, view.anchors) if self._anchored else None
         if shape is not target or camera is not view.camera or before != anchor:
             self._desired = self._vector.compute([target], [view])
             self._known = (target, view.camera, anchor)
@@ -87,13 +87,6 @@ class GoalVector:
             return np.sqrt(np.einsum("...d,...d->...", apart, apart)).mean(axis=-1)
         apart /= self.high.astype(np.float64) - self.low
         return np.sqrt(np.einsum("...d,...d->...", apart, apart) / len(self.low))
-
-
-def _stays(feature: Feature) -> bool:
-    """Whether a feature is known to be the same wherever the anchor is."""
-    return isinstance(feature, (Points2D, Points2DNormalized)) or (
-        isinstance(feature, Points3D) and feature.frame != "anchor"
-    )
 
 
 class EnvGoal:
@@ -142,7 +135,7 @@ class EnvGoal:
         self._spec = spec
         self.vector = GoalVector(metric[:1], spec, view)
         before = features[: features.index(metric[0])]
-        start = sum(len(feature.bounds(spec.count, view)[0]) for feature in before)
+        start = sum(len(feature.bounds(spec.layout, view)[0]) for feature in before)
         self._here = slice(start, start + len(self.vector.low))
         self._known: tuple[Any, ...] = (None, None)
         self._target: Shape | None = None

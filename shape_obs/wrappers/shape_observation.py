@@ -140,7 +140,7 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         self.detection = detection = self.detector.detect(rgb, depth, camera, stamp=stamp, anchors=named)
         info.update(scalars(detection))
         points = [env_protocol.base_point(spec, named) for spec in self.detector.shapes]
-        self.views = [replace(self._view, anchor=point) for point in points]
+        self.views = [replace(self._view, anchor=point, anchors=named) for point in points]
         values = self._vector.compute(detection.shapes, self.views)
         if self._goal is None or camera is None:
             return self._layout.compose(values, observation)

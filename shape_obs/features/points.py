@@ -1,0 +1,99 @@
+"""The points themselves: in pixels, normalised to the image's size, or in metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.features.base import View
+from shape_obs.features.coordinates import Coordinates, Placed
+from shape_obs.shape import Shape
+from shape_obs.spec import SpecError
+from shape_obs.topology import Topology
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Points(Placed):
+    """All coordinates of all points, one point after the other."""
+
+    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+        """Those of a point, for each."""
+        low, high = self.coordinates.box(view)
+        return np.tile(low, layout.size), np.tile(high, layout.size)
+
+    def compute(self, shape: Shape, view: View) -> Array:
+        """All coordinates; those of unknown points are NaN."""
+        return self.coordinates.points(shape, view).ravel()
+
+    def reconstruct(self, values: npt.ArrayLike, layout: Topology, view: View) -> Array:
+        """(N,2) or (N,3), exactly the points."""
+        return np.asarray(values, dtype=np.float64).reshape(layout.size, -1)
+
+
+@dataclass(frozen=True)
+class Points2D(_Points, kind="points2d"):
+    """(u0, v0, u1, v1, ...) in pixels, pixel centres at integers; within the image.
+
+    Args:
+        origin: What points are relative to: None for the image's first pixel, ``"centroid"`` for their mean,
+            ``"anchor"`` for the shape's anchor as the camera sees it, else the name of a published anchor.
+    """
+
+    origin: str | None = None
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """Pixels."""
+        return Coordinates("pixels", self.origin, kind=self.kind)
+
+
+@dataclass(frozen=True)
+class Points2DNormalized(_Points, kind="points2d_normalized"):
+    """(u0, v0, u1, v1, ...), -1...1 from the image's first edge to its last: 2 (u + 0.5) / width - 1, likewise v.
+
+    Args:
+        origin: As for ``points2d``; None for the image's centre.
+    """
+
+    origin: str | None = None
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """Normalised pixels."""
+        return Coordinates("normalized", self.origin, kind=self.kind)
+
+
+@dataclass(frozen=True)
+class Points3D(_Points, kind="points3d"):
+    """(x0, y0, z0, x1, ...) in metres.
+
+    Args:
+        frame: ``"camera"`` (optical frame: x right, y down, z forward), ``"base"`` (needs the camera's place), or
+            ``"anchor"``, short for ``frame="base", origin="anchor"``.
+        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
+        origin: What points are relative to: None for the frame's own origin, ``"centroid"`` for their mean,
+            ``"anchor"`` for the shape's anchor, else the name of a published anchor, such as a second gripper.
+    """
+
+    frame: Literal["camera", "base", "anchor"] = "camera"
+    max_depth: float = 2.0
+    origin: str | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.frame == "anchor" and self.origin is not None:
+            raise SpecError(
+                f"points3d: frame 'anchor' has an origin already; give frame='base' with origin={self.origin!r}."
+            )
+        frame, origin = ("base", "anchor") if self.frame == "anchor" else (self.frame, self.origin)
+        object.__setattr__(self, "_coordinates", Coordinates(frame, origin, self.max_depth, self.kind))
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """Metres."""
+        return self._coordinates  # type: ignore[attr-defined]
