@@ -15,6 +15,7 @@ COMMANDS: Final = {
     "detect": "find the shape in image files",
     "record": "record what a camera, a file or an environment shows",
     "replay": "find the shape in every frame of a recording, and export it",
+    "fit-features": "fit principal components to recorded shapes",
     "goal": "record the shape that is seen now as a goal",
     "deploy": "run a controller on a robot, from the camera alone",
     "markers": "draw markers or a calibration board to print",
@@ -37,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         print(f"shape-obs: unknown command {command!r}{did_you_mean(command, COMMANDS)}", file=sys.stderr)
         sys.exit(2)
     try:
-        status = import_module(f"shape_obs.cli.{command}").main(rest)
+        status = import_module(f"shape_obs.cli.{command.replace('-', '_')}").main(rest)
     except (ValueError, TypeError, OSError, ImportError) as error:
         message = " ".join(str(error).split()) or type(error).__name__
         print(f"shape-obs {command}: {message}", file=sys.stderr)
@@ -49,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def _usage() -> str:
-    lines = [f"  {name:<9} {what}" for name, what in COMMANDS.items()]
+    lines = [f"  {name:<12} {what}" for name, what in COMMANDS.items()]
     return "\n".join(
         ["usage: shape-obs COMMAND [OPTIONS]", "", *lines, "", "`shape-obs COMMAND --help` tells a command's options."]
     )

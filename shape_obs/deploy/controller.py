@@ -17,7 +17,8 @@ class Controller(Protocol):
     """Anything with ``act``.
 
     It may also have ``action_spec``, what its actions mean, which is then held against the robot's; ``reset()``, called
-    before an episode; and ``bind(spec)``, called with the robot's ``ActionSpec`` by which it can size its actions.
+    before an episode; ``attach(env)``, called with the wrapped environment; and ``bind(spec)``, called with the robot's
+    ``ActionSpec`` by which it can size its actions.
     """
 
     def act(self, observation: Any) -> npt.ArrayLike:
@@ -104,8 +105,8 @@ class Script:
         return self._actions[step] if step < len(self._actions) else np.zeros(self._actions.shape[1], np.float32)
 
 
-def check_controller(controller: Any, spec: ActionSpec) -> None:
-    """Refuse what is no controller, or one that acts in other coordinates; then bind and reset it.
+def check_controller(controller: Any, spec: ActionSpec, env: Any) -> None:
+    """Refuse what is no controller, or one that acts in other coordinates; then attach, bind and reset it.
 
     Raises:
         TypeError: It has no ``act``.
@@ -117,7 +118,7 @@ def check_controller(controller: Any, spec: ActionSpec) -> None:
     own = getattr(controller, "action_spec", None)
     if own is not None:
         spec.check_same(own, f"controller {name}")
-    for call, arguments in (("bind", (spec,)), ("reset", ())):
+    for call, arguments in (("attach", (env,)), ("bind", (spec,)), ("reset", ())):
         method = getattr(controller, call, None)
         if callable(method):
             method(*arguments)

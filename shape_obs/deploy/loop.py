@@ -104,7 +104,7 @@ class _Run:
         self._cell: Any = env.unwrapped
         self._spec = self._cell.robot.action_spec
         self._limits, self._gate, self._tally = limits, Gate(limits), Tally()
-        check_controller(controller, self._spec)
+        check_controller(controller, self._spec, env)
 
     def go(self, steps: int | None, seconds: float | None, until_reached: int) -> Report:
         """Run it."""

@@ -1,18 +1,44 @@
 """Features: a shape as numbers with units, a frame and finite bounds, one feature a file."""
 
 from shape_obs.features.base import Feature, View, read_features
+from shape_obs.features.bending import Curvature, TurningAngles
+from shape_obs.features.bezier import Bezier
+from shape_obs.features.bspline import BSpline
+from shape_obs.features.centroid import Centroid
+from shape_obs.features.distribution import PointDistribution
+from shape_obs.features.elliptic import EllipticFourier
+from shape_obs.features.fourier import Fourier
+from shape_obs.features.length import Length
+from shape_obs.features.moments import ContourMoments, RegionMoments
+from shape_obs.features.orientation import Orientation
+from shape_obs.features.pca import PrincipalComponents
 from shape_obs.features.points import Points2D, Points2DNormalized, Points3D
 from shape_obs.features.status import Age, Ok, Valid
+from shape_obs.features.tangents import Tangents
 from shape_obs.features.vector import FeatureVector
 
 __all__ = [
     "Age",
+    "BSpline",
+    "Bezier",
+    "Centroid",
+    "ContourMoments",
+    "Curvature",
+    "EllipticFourier",
     "Feature",
     "FeatureVector",
+    "Fourier",
+    "Length",
     "Ok",
+    "Orientation",
+    "PointDistribution",
     "Points2D",
     "Points2DNormalized",
     "Points3D",
+    "PrincipalComponents",
+    "RegionMoments",
+    "Tangents",
+    "TurningAngles",
     "Valid",
     "View",
     "read_features",

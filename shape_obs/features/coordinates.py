@@ -19,7 +19,7 @@ Frame = Literal["pixels", "normalized", "camera", "base"]
 
 _UNITS: Final = {"pixels": "px", "normalized": "", "camera": "m", "base": "m"}
 #: Of a point that was filled in, beside 1 of a measured one: enough to keep a fit from running away, no more.
-FILLED: Final = 0.02
+FILLED: Final = 0.001
 
 
 @dataclass(frozen=True)
@@ -84,10 +84,10 @@ class Coordinates:
         if self.origin is None:
             return points
         if self.origin == "centroid":
-            weight = self.weights(shape, points)
-            total = weight.sum()
-            middle = weight @ np.where(weight[:, None] > 0, points, 0.0) / total if total else np.nan
-            return points - middle
+            # All of them: a mean of those alone that are measured now would jump with every one that is not.
+            known = ~np.isnan(points[:, 0])
+            whole = points if known.all() or not known.any() else shape.layout.interpolate(points, known)
+            return points - whole.mean(axis=0)
         return points - self._place(view)
 
     def weights(self, shape: Shape, points: Array) -> Array:
@@ -180,7 +180,36 @@ class Placed(Feature):
 
 
 @dataclass(frozen=True)
-class Geometric(Placed):
+class Framed(Placed):
+    """A feature that can be had in any frame.
+
+    Args:
+        frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
+    """
+
+    frame: Frame = "camera"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given = {name: getattr(self, name) for name in ("origin", "max_depth") if hasattr(self, name)}
+        object.__setattr__(self, "_coordinates", Coordinates(self.frame, kind=self.kind, **given))
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """As given."""
+        return self._coordinates  # type: ignore[attr-defined]
+
+    def complete(self, shape: Shape, view: View) -> Array:
+        """(N,2) or (N,3) the points, unknown ones filled in along the layout from known ones; NaN if none is known."""
+        points = self.coordinates.points(shape, view)
+        known = ~np.isnan(points[:, 0])
+        if known.all() or not known.any():
+            return points
+        return shape.layout.interpolate(points, known)
+
+
+@dataclass(frozen=True)
+class Geometric(Framed):
     """A feature that can be had in any coordinates.
 
     Args:
@@ -189,18 +218,8 @@ class Geometric(Placed):
         max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
     """
 
-    frame: Frame = "camera"
     origin: str | None = None
     max_depth: float = 2.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "_coordinates", Coordinates(self.frame, self.origin, self.max_depth, self.kind))
-
-    @property
-    def coordinates(self) -> Coordinates:
-        """As given."""
-        return self._coordinates  # type: ignore[attr-defined]
 
 
 def _frustum(camera: CameraModel, depth: float) -> Array:

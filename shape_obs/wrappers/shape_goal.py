@@ -11,6 +11,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 
+from shape_obs.configurations import Configuration
 from shape_obs.features import Feature, View, read_features
 from shape_obs.shape import Shape
 from shape_obs.spec import did_you_mean
@@ -84,7 +85,7 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             raise ValueError(f"reward_type: unknown value {reward_type!r}{did_you_mean(reward_type, _REWARDS)}")
         self.reward_type = reward_type
         chosen = _chosen(self._source.features, recorded.get("features"))
-        self._vector = GoalVector(chosen, self._spec, self._view)
+        self._vector = GoalVector(chosen, self._spec, self.goal_view)
         self.unit = self._vector.unit
         self.threshold = _checked(threshold, self.unit)
         self._envs_goals = has_goals(self._source.observation_space)
@@ -146,8 +147,24 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return record_goal(self, self._spec.name, frame, unmeasured=unmeasured)
 
     @property
-    def _view(self) -> View:
+    def goal_features(self) -> tuple[Feature, ...]:
+        """What goals are given in, in the order of their numbers."""
+        return self._vector.features
+
+    @property
+    def goal_configuration(self) -> Configuration:
+        """What the shape that has the goal is found as."""
+        return self._spec
+
+    @property
+    def goal_view(self) -> View:
+        """Camera and anchors by which the present goal's numbers were computed."""
         return self._source.views[self._at]
+
+    @property
+    def goal_shape(self) -> Shape | None:
+        """The shape that has the goal, as it was found in the present observation; None before the first."""
+        return None if self._source.detection is None else self._source.detection.shapes[self._at]
 
     def _reward(self, distance: npt.NDArray[np.float64]) -> Any:
         reward = -distance if self.reward_type == "dense" else np.where(distance < self.threshold, 0.0, -1.0)
@@ -155,7 +172,7 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def _as_seen(self, goal: Target) -> Shape:
         """The goal as the shape that the camera, where it is now, would see."""
-        target = goal.shape_for(self._spec, self._view)
+        target = goal.shape_for(self._spec, self.goal_view)
         needing = [feature.kind for feature in self._vector.features if feature.needs_depth]
         if needing and target.points3d is None:
             raise ValueError(
@@ -171,7 +188,7 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         assert detection is not None
         assert target is not None
         self.target, shape = target, detection.shapes[self._at]
-        goals = self._vector.pair(shape, target, self._view)
+        goals = self._vector.pair(shape, target, self.goal_view)
         distance = self._vector.distance(*goals)
         if "is_success" in info:
             info["truth/is_success"] = info["is_success"]

@@ -1,0 +1,260 @@
+"""PointDistribution: how recorded shapes vary, as their mean and principal components, and the file that keeps it."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.features.alignment import Similarity, superimposed
+from shape_obs.features.coordinates import Coordinates, Frame
+from shape_obs.features.linear import Design
+from shape_obs.files import make_folder, write_whole
+from shape_obs.topology import Chain, Grid, Ring, Topology
+
+Array = npt.NDArray[np.float64]
+
+FORMAT: Final = "shape_obs point distribution"
+VERSION: Final = 1
+_ARRAYS: Final = ("mean", "components", "variance", "noise")
+_LAYOUTS: Final[Mapping[str, type[Any]]] = {"chain": Chain, "ring": Ring, "grid": Grid}
+_FLAT: Final = 1e-9  # of the first component's variance, and of the shapes' extent: what is below is rounding
+_FLOOR: Final = 1e-6  # of the last component's variance: the least that points are taken to scatter beside the model
+#: What the model leaves of neighbouring points is alike, so several of them tell no more than one (g in the formula).
+_ALIKE: Final = 10.0
+_ROUNDS: Final = 3  # of Gauss-Newton; the first solves for whole shapes
+
+
+@dataclass(frozen=True, eq=False)
+class PointDistribution:
+    """A model of shapes: ``p = mean + sum_k c_k v_k``, with c_k of variance l_k, and noise of variance s^2 beside them.
+
+    Aligned, it is ``p = t + s R (mean + sum_k c_k v_k)``: shifts t, turns R about the third axis and scales s are free.
+
+    Of points that weigh the same, coefficients are projections, ``c_k = v_k (p - mean)``. Where points are missing they
+    are the least ``sum_i w_i |p_i - model_i|^2 + (max(w) - mean(w)) g sum_k s^2 c_k^2 / l_k``: unlikely shapes are not
+    made up for what is not seen. Sources: M. E. Tipping, C. M. Bishop, "Probabilistic Principal Component Analysis",
+    Journal of the Royal Statistical Society B 61(3), 1999, section 3.2, for the prior s^2 / l_k; aligned: T. F. Cootes
+    et al., "Active Shape Models: Their Training and Application", Computer Vision and Image Understanding 61(1), 1995,
+    section 3.
+
+    Args:
+        mean: (N,D) the mean shape, in the frame's unit.
+        components: (K,N,D) orthonormal directions v_k, the greatest variance first.
+        variance: (K,) of the coefficients, squared units.
+        noise: s^2, of a coordinate, squared units.
+        layout: How the points hang together.
+        frame: Where they were measured; see ``Coordinates``.
+        origin: What they were relative to.
+        aligned: Whether place, heading and size were taken out.
+        about: JSON-able: ``shapes`` (how many it was fitted to), ``explained`` (the share of the variance that each
+            component explains), and what it was fitted to.
+    """
+
+    mean: Array
+    components: Array
+    variance: Array
+    noise: float
+    layout: Topology
+    frame: Frame
+    origin: str | None = None
+    aligned: bool = False
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def fit(
+        cls,
+        points: npt.ArrayLike,
+        components: int = 6,
+        *,
+        layout: Topology,
+        frame: Frame = "camera",
+        origin: str | None = None,
+        aligned: bool = False,
+        about: Mapping[str, Any] | None = None,
+    ) -> PointDistribution:
+        """Fit the model to shapes, with scikit-learn.
+
+        Args:
+            points: (F,N,2) or (F,N,3) F shapes, all of their points measured, in the frame and relative to the origin.
+            components: How many.
+            layout: Of the shapes.
+            frame: Where the points were measured.
+            origin: What they are relative to.
+            aligned: Take place, heading and size out first.
+            about: What is to be kept beside the model.
+
+        Raises:
+            ValueError: Points of another shape or layout, unknown ones, or more components than the shapes have.
+        """
+        points = np.asarray(points, dtype=np.float64)
+        wanted = (layout.size, 2 if Coordinates(frame).planar else 3)
+        if points.ndim != 3 or points.shape[1:] != wanted:
+            raise ValueError(
+                f"expected points (F, {wanted[0]}, {wanted[1]}) of {layout} in frame {frame!r}, got {points.shape}."
+            )
+        if not np.isfinite(points).all():
+            raise ValueError("there are unknown points among the shapes: leave those shapes out.")
+        if not 1 <= components < min(len(points), points[0].size):
+            raise ValueError(
+                f"components: expected 1 to {min(len(points), points[0].size) - 1} for {len(points)} shapes of "
+                f"{points[0].size} coordinates, got {components}."
+            )
+        from sklearn.decomposition import PCA
+
+        flat = (superimposed(points) if aligned else points).reshape(len(points), -1)
+        pca = PCA(components, svd_solver="full").fit(flat)
+        variance = pca.explained_variance_
+        ways = np.count_nonzero(variance > max(_FLAT * variance[0], (_FLAT * np.ptp(flat)) ** 2))
+        if ways < components:
+            raise ValueError(f"the shapes differ in {ways} ways only: ask for at most {ways} components.")
+        told = {"shapes": len(points), "explained": pca.explained_variance_ratio_.tolist(), **(about or {})}
+        noise = max(float(pca.noise_variance_), _FLOOR * float(variance[-1]))
+        mean, directions = flat.mean(axis=0).reshape(wanted), np.asarray(pca.components_).reshape(components, *wanted)
+        return cls(mean, directions, variance, noise, layout, frame, origin, aligned, told)
+
+    @property
+    def unit(self) -> str:
+        """Of the points."""
+        return Coordinates(self.frame).unit
+
+    @cached_property
+    def placed(self) -> int:
+        """How many of the values tell place, heading and size: 0, or those of the shift (if free) and turn."""
+        return 0 if not self.aligned else 2 + (0 if self.origin == "centroid" else self.mean.shape[1])
+
+    @cached_property
+    def design(self) -> Design:
+        """The basis: components first, then the directions whose amounts are free and told apart from them."""
+        size = self.mean.shape[1]
+        basis = list(self.components)
+        if self.aligned or self.origin == "centroid":  # the centroid of what is seen is not that of the whole
+            basis += [np.tile(axis, (len(self.mean), 1)) for axis in np.eye(size)]
+        if self.aligned:
+            x, y = self.mean[:, 0], self.mean[:, 1]
+            basis += [_in_plane(x, y, size), _in_plane(-y, x, size)]
+        bridge = np.full(len(basis), _FLOOR)
+        bridge[: len(self.components)] = _ALIKE * self.noise / self.variance
+        return Design.of(np.stack([direction.ravel() for direction in basis], axis=1), bridge=np.diag(bridge))
+
+    def values(self, points: Array, weight: Array) -> Array:
+        """(placed + K,) what stands for (N,D) points that count by (N,) weights; NaN where fewer than two are known.
+
+        Aligned: the shift (unless the origin is the centroid), the turn (s cos a, s sin a), then s c_k, of which all
+        but the turn are in the points' unit. Otherwise c_k.
+        """
+        count, size = len(self.components), points.shape[1]
+        known = np.count_nonzero(weight)
+        if known < 2:
+            return np.full(self.placed + count, np.nan)
+        if known < len(weight):
+            points = np.where(weight[:, None] > 0, points, self.mean)
+        weights = np.repeat(weight, size)
+        if not self.aligned:
+            return self.design.fit((points - self.mean).reshape(-1, 1), weights)[:count, 0]
+        pose, fitted = Similarity.of(points, self.mean, weight), np.zeros(count)
+        whole = known == len(weight) and np.ptp(weight) == 0
+        for _ in range(1 if whole else _ROUNDS):
+            solved = self.design.fit((pose.undo(points) - self.mean).reshape(-1, 1), weights)[:, 0]
+            fitted, shift, (grown, turned) = solved[:count], solved[count:-2], solved[-2:]
+            if not whole:
+                pose = Similarity(pose.apply(shift), pose.turn * complex(1 + grown, turned))
+        heading = pose.turn.real, pose.turn.imag
+        shift = () if self.origin == "centroid" else pose.shift
+        return np.concatenate([shift, heading, abs(pose.turn) * fitted])
+
+    def points(self, values: npt.ArrayLike) -> Array:
+        """(N,D) the points that values stand for."""
+        values = np.asarray(values, dtype=np.float64)
+        if values.shape != (self.placed + len(self.components),):
+            raise ValueError(f"expected {self.placed + len(self.components)} values, got shape {values.shape}.")
+        fitted = values[self.placed :]
+        if not self.aligned:
+            return self.mean + np.tensordot(fitted, self.components, axes=1)
+        turn = complex(values[self.placed - 2], values[self.placed - 1])
+        shift = values[: self.placed - 2] if self.placed > 2 else np.zeros(self.mean.shape[1])
+        scale = abs(turn) or 1.0
+        return Similarity(shift, turn).apply(self.mean + np.tensordot(fitted / scale, self.components, axes=1))
+
+    def save(self, path: str | Path) -> None:
+        """Write it as ``.npz``, whole or not at all; equal models make equal files.
+
+        Raises:
+            ValueError: Another suffix.
+            OSError: It cannot be written.
+        """
+        path = Path(path)
+        if path.suffix != ".npz":
+            raise ValueError(f"{path}: expected a file named *.npz.")
+        make_folder(path.parent)
+        kind = next(name for name, made in _LAYOUTS.items() if type(self.layout) is made)
+        head = {"format": FORMAT, "version": VERSION, "layout": {"kind": kind, **asdict(self.layout)}}  # type: ignore[call-overload]
+        head |= {name: getattr(self, name) for name in ("frame", "origin", "aligned", "unit")}
+        text = json.dumps({**head, "about": dict(self.about)})
+        arrays = {name: np.asarray(getattr(self, name)) for name in _ARRAYS}
+        write_whole(path, lambda beside: _write(beside, {"metadata": np.array(text), **arrays}))
+
+    @classmethod
+    def load(cls, path: str | Path) -> PointDistribution:
+        """Read a file that ``save`` wrote.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: It is no such file, or a damaged one.
+        """
+        return cls.from_bytes(read_bytes(Path(path)), str(path))
+
+    @classmethod
+    def from_bytes(cls, content: bytes, name: str) -> PointDistribution:
+        """What a file holds; ``name`` is the file's, for messages. Errors as those of ``load``."""
+        try:
+            with np.load(BytesIO(content), allow_pickle=False) as arrays:
+                head = json.loads(str(arrays["metadata"]))
+                mean, components, variance, noise = (np.asarray(arrays[key], dtype=np.float64) for key in _ARRAYS)
+            if head.get("format") != FORMAT or head["version"] != VERSION:
+                raise ValueError(f"expected {FORMAT!r} {VERSION}, got {head.get('format')!r} {head.get('version')}")
+            layout = _LAYOUTS[head["layout"].pop("kind")](**head["layout"])
+            size = (layout.size, 2 if Coordinates(head["frame"]).planar else 3)
+            if mean.shape != size or components.shape != (len(variance), *size) or noise.shape != ():
+                raise ValueError(f"arrays of {mean.shape} and {components.shape} do not belong to {layout}")
+            if not all(np.isfinite(array).all() for array in (mean, components)) or not min(variance.min(), noise) > 0:
+                raise ValueError("it holds numbers that are none, or variances that are not positive")
+            about = (head["frame"], head["origin"], head["aligned"], head["about"])
+        except (KeyError, ValueError, TypeError, AttributeError, EOFError, OSError, zipfile.BadZipFile) as error:
+            raise ValueError(
+                f"{name}: not a file of principal components, or a damaged one: {error}. "
+                "`shape-obs fit-features` makes such files."
+            ) from error
+        return cls(mean, components, variance, float(noise), layout, *about)
+
+
+def read_bytes(path: Path) -> bytes:
+    """A fitted file's content.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is a folder.
+    """
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"{path}: no such file; `shape-obs fit-features -o {path}` makes one.") from error
+    except IsADirectoryError as error:
+        raise ValueError(f"{path}: expected a file, got a folder.") from error
+
+
+def _in_plane(x: Array, y: Array, size: int) -> Array:
+    return np.stack([x, y, *np.zeros((size - 2, len(x)))], axis=1)
+
+
+def _write(path: Path, arrays: Mapping[str, Any]) -> None:
+    with path.open("wb") as file:
+        np.savez(file, **arrays)

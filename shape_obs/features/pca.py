@@ -1,0 +1,156 @@
+"""Principal components of recorded shapes."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.features.base import View
+from shape_obs.features.coordinates import Coordinates, Frame, Placed
+from shape_obs.features.distribution import PointDistribution, read_bytes
+from shape_obs.shape import Shape
+from shape_obs.spec import SpecError
+from shape_obs.topology import Topology
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PrincipalComponents(Placed, kind="pca"):
+    """Coefficients of the principal components of recorded shapes: ``shape-obs fit-features`` fits them.
+
+    (c_1, ..., c_K) in the points' unit, with ``p = mean + sum_k c_k v_k``. Of a file that was fitted with ``--align``:
+    (t, s cos a, s sin a, s c_1, ..., s c_K) with ``p = t + s R(a) (mean + sum_k c_k v_k)``, where the shift t is left
+    out if the origin is the centroid. Points that were not measured hardly count. Formulas and sources stand at
+    ``PointDistribution``.
+
+    Args:
+        file: The fitted file; a relative path is one from the working directory. It is read once, here.
+        frame: None for that of the file; another one is refused.
+        origin: None for that of the file; another one is refused.
+        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It holds something else, is damaged, or was fitted in another frame or to another origin.
+    """
+
+    file: str
+    frame: Frame | None = None
+    origin: str | None = None
+    max_depth: float = 2.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.file, os.PathLike):
+            object.__setattr__(self, "file", os.fspath(self.file))
+        super().__post_init__()
+        model, digest = read_fitted(Path(self.file))
+        for name in ("frame", "origin"):
+            given, fitted = getattr(self, name), getattr(model, name)
+            if given not in (None, fitted):
+                raise SpecError(
+                    f"pca: {self.file} was fitted with {name} {fitted!r}, but {name}={given!r} is asked for: "
+                    f"leave {name} out, or fit again with --{name} {given}."
+                )
+        coordinates = Coordinates(model.frame, model.origin, self.max_depth, self.kind)
+        for name, value in (("_model", model), ("_sha256", digest), ("_coordinates", coordinates)):
+            object.__setattr__(self, name, value)
+
+    @property
+    def model(self) -> PointDistribution:
+        """What the file holds."""
+        return self._model  # type: ignore[attr-defined]
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """As fitted."""
+        return self._coordinates  # type: ignore[attr-defined]
+
+    @property
+    def unit(self) -> str:
+        """That of the points; empty where the file was fitted with ``--align``, since a turn has none."""
+        return "" if self.model.aligned else self.coordinates.unit
+
+    def units(self, layout: Topology, view: View) -> tuple[str, ...]:
+        """That of the points, and none for a turn."""
+        model, unit = self._fitted_to(layout), self.coordinates.unit
+        shift = max(model.placed - 2, 0) * (unit,)
+        return (*shift, *(model.aligned * ("", "")), *(len(model.components) * (unit,)))
+
+    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+        """What points anywhere in their box can give: each coefficient is a weighted sum of them.
+
+        Raises:
+            ValueError: The file was fitted to another layout.
+        """
+        model = self._fitted_to(layout)
+        low, high = self.coordinates.box(view)
+        if model.aligned:
+            return self._bounds_aligned(low, high)
+        up, down = np.maximum(model.components, 0.0), np.minimum(model.components, 0.0)
+        at = np.tensordot(model.components, model.mean, axes=2)
+        return (up @ low + down @ high).sum(axis=1) - at, (up @ high + down @ low).sum(axis=1) - at
+
+    def compute(self, shape: Shape, view: View) -> Array:
+        """(K,), or more where the file was fitted with ``--align``."""
+        model = self._fitted_to(shape.layout)
+        points = self.coordinates.points(shape, view)
+        return model.values(points, self.coordinates.weights(shape, points))
+
+    def reconstruct(self, values: npt.ArrayLike, layout: Topology, view: View) -> Array:
+        """(N,2) or (N,3) the shape of these components."""
+        return self._fitted_to(layout).points(values)
+
+    def error(self, shape: Shape, view: View) -> float:
+        """As of any feature; relative to the centroid, that of the same points counts on both sides."""
+        points = self.coordinates.points(shape, view)
+        known = self.coordinates.weights(shape, points) == 1
+        off = (points - self.reconstruct(self.compute(shape, view), shape.layout, view))[known]
+        if self.coordinates.origin == "centroid":
+            off = off - off.mean(axis=0)
+        return float(np.linalg.norm(off, axis=1).mean())
+
+    def identity(self) -> dict[str, Any]:
+        """The file's content, wherever it lies."""
+        return {"kind": self.kind, "sha256": self._sha256, "max_depth": self.max_depth}  # type: ignore[attr-defined]
+
+    def _fitted_to(self, layout: Topology) -> PointDistribution:
+        model = self.model
+        if layout != model.layout:
+            raise ValueError(f"pca: {self.file} was fitted to shapes of {model.layout}, but this one is {layout}.")
+        return model
+
+    def _bounds_aligned(self, low: Array, high: Array) -> tuple[Array, Array]:
+        """Whatever the heading: N points of a box lie, together, within sqrt(N) / 2 diagonals of their centroid."""
+        model = self.model
+        span = (high - low) / (1 if model.origin is None else 2)  # relative to an origin the box is twice as wide
+        plane, rest = np.sqrt(len(model.mean)) / 2 * np.array([np.linalg.norm(span[:2]), np.linalg.norm(span[2:])])
+        turn = plane / np.linalg.norm(model.mean[:, :2])
+        flat, deep = (np.linalg.norm(part, axis=(1, 2)) for part in np.split(model.components, [2], axis=2))
+        tilt = np.abs(np.tensordot(model.components[..., 2:], model.mean[:, 2:], axes=2))
+        reach = np.concatenate([[turn, turn], plane * flat + rest * deep + turn * tilt])
+        shift = slice(max(model.placed - 2, 0))  # all of its coordinates, or none
+        return np.concatenate([low[shift], -reach]), np.concatenate([high[shift], reach])
+
+
+def read_fitted(path: Path) -> tuple[PointDistribution, str]:
+    """A fitted file and the SHA-256 of its content; parsed anew only where it has changed.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It holds something else, or is damaged.
+    """
+    content = read_bytes(path)
+    return _parsed(content, str(path)), hashlib.sha256(content).hexdigest()
+
+
+@lru_cache(maxsize=16)
+def _parsed(content: bytes, name: str) -> PointDistribution:
+    return PointDistribution.from_bytes(content, name)

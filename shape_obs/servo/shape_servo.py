@@ -1,0 +1,169 @@
+"""ShapeServo: a law at work on the observations of a ``ShapeGoal``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.robot import ActionSpec
+from shape_obs.servo.checks import share
+from shape_obs.servo.excitation import Excitation
+from shape_obs.servo.law import ServoLaw
+from shape_obs.servo.laws import make_law
+from shape_obs.servo.weights import geometric_weights, noise_weights
+from shape_obs.shape import Shape
+
+Array = npt.NDArray[np.float64]
+
+_LAW: Final = "mfac"
+
+
+class ShapeServo:
+    """Brings features to those of the goal, learning on the way how they answer to the robot.
+
+    It needs no model and no calibration. First it moves each coordinate of the robot a little, there and back; then it
+    acts on the Jacobian that was learnt, and goes on learning. It is a ``Controller`` of ``shape_obs.deploy``.
+
+    It learns from motions that are long enough to stand out from noise: from the sum of some small ones rather than
+    from each. That is what keeps a law from forgetting near the goal, where all motions are small.
+
+    Args:
+        law: A ``ServoLaw``, or a name of ``LAWS``.
+        actions: How many numbers an action has; ``bind`` tells it too.
+        excitation: The motions at the start.
+        least_motion: Length of the sum of actions that is learnt from.
+        weights: What an error of features is worth: (M,F), such as ``geometric_weights``; ``"noise"``, each feature as
+            a multiple of the noise that it has while nothing moves; None: all alike, which suits points.
+        seen: Tells the shape in the present observation: while that is not found, held or of too few measured points,
+            nothing moves and nothing is learnt. ``attach`` finds it; without it whoever calls must see to that.
+        min_valid: Share of its points that must be measured.
+
+    Attributes:
+        law: As given, or made.
+        exciting: Whether the motions of the start are still going on.
+        held: How many observations were not acted on.
+
+    Example:
+        >>> env = ShapeGoal(gym.make("shape_obs_envs:ShapeObs/CableShape-v0"), features=["points3d"])  # doctest: +SKIP
+        >>> servo = ShapeServo("mfac")
+        >>> servo.attach(env)  # doctest: +SKIP
+        >>> env.step(servo.act(observation))  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        law: ServoLaw | str = _LAW,
+        actions: int | None = None,
+        *,
+        excitation: Excitation | None = None,
+        least_motion: float = 0.6,
+        weights: Literal["noise"] | npt.ArrayLike | None = None,
+        seen: Callable[[], Shape] | None = None,
+        min_valid: float = 0.5,
+    ) -> None:
+        self.law = make_law(law) if isinstance(law, str) else law
+        self._size, self._seen = actions, seen
+        self._excitation = Excitation() if excitation is None else excitation
+        self._least = share("ShapeServo: least_motion", least_motion, 100.0)
+        if isinstance(weights, str) and weights != "noise":
+            raise ValueError(f"ShapeServo: weights are 'noise', a matrix (M,F) or None, got {weights!r}.")
+        self._by_noise = isinstance(weights, str)
+        self._weights = None if weights is None or self._by_noise else np.asarray(weights, dtype=np.float64)
+        self._min_valid = share("ShapeServo: min_valid", min_valid)
+        self.reset()
+
+    def attach(self, env: Any) -> None:
+        """Take from an environment with a ``ShapeGoal`` what an action is, what is seen, and what goals are worth.
+
+        What was passed to the constructor stays. ``weights`` become ``geometric_weights`` where the goal's features
+        have them, else ``"noise"``.
+
+        Args:
+            env: A Gymnasium environment.
+
+        Raises:
+            ValueError: It has no ``ShapeGoal``, or its actions are no flat ``Box`` of -1...1.
+        """
+        if not env.has_wrapper_attr("goal_features"):
+            raise ValueError(f"ShapeServo: expected an env with a ShapeGoal, got {env}: wrap it in ShapeGoal.")
+        box = env.action_space
+        if len(box.shape) != 1 or not (np.all(box.low == -1) and np.all(box.high == 1)):
+            raise ValueError(f"ShapeServo: expected actions in a flat Box of -1...1, got {box}.")
+        self._size = self._size or int(box.shape[0])
+        self._seen = self._seen or partial(env.get_wrapper_attr, "goal_shape")
+        if self._weights is None and not self._by_noise:
+            features, spec = env.get_wrapper_attr("goal_features"), env.get_wrapper_attr("goal_configuration")
+            self._weights = geometric_weights(features, spec.layout, env.get_wrapper_attr("goal_view"))
+            self._by_noise = self._weights is None
+
+    def bind(self, spec: ActionSpec) -> None:
+        """Take the number of coordinates of a robot."""
+        self._size = len(spec)
+
+    def reset(self) -> None:
+        """Forget everything that was learnt."""
+        self.held = 0
+        self._marked: Array | None = None  # the features that the next change is counted from
+        self._script: list[Array] = []
+        self._still: list[Array] = []
+
+    @property
+    def exciting(self) -> bool:
+        """Whether it has yet to move towards the goal."""
+        return self._marked is None or bool(self._script)
+
+    def act(self, observation: Mapping[str, Any]) -> npt.NDArray[np.float32]:
+        """The action (A,) in -1...1 for an observation with ``achieved_goal`` and ``desired_goal``, (F,) each.
+
+        Raises:
+            ValueError: The number of actions is not known, or the goals are of another size than before.
+        """
+        features, goal = (np.asarray(observation[key], np.float64) for key in ("achieved_goal", "desired_goal"))
+        if self._size is None:
+            raise ValueError("ShapeServo: how many numbers has an action? Pass actions=, or call bind.")
+        if not self._trusted(features):
+            self.held += 1
+            action = np.zeros(self._size)
+        else:
+            if self._marked is None:
+                self._begin(features)
+            self._learn(features)
+            action = self._script.pop(0) if self._script else self.law.act(goal - features)
+        if self._marked is not None:
+            self._moved = self._moved + action
+        return action.astype(np.float32)
+
+    def _trusted(self, features: Array) -> bool:
+        """Whether an observation may be learnt from and acted on."""
+        shape = None if self._seen is None else self._seen()
+        if shape is not None and (not shape.ok or shape.reason or shape.valid.mean() < self._min_valid):
+            return False
+        return bool(np.all(np.isfinite(features)))
+
+    def _begin(self, features: Array) -> None:
+        assert self._size is not None
+        self.law.start(len(features), self._size)
+        self._marked, self._moved = features, np.zeros(self._size)
+        still = _STILL if self._by_noise else 0
+        self._script = [*np.zeros((still, self._size)), *self._excitation.actions(self._size)]
+        self._still = []
+        self.law.weights = self._weights
+
+    def _learn(self, features: Array) -> None:
+        """Learn from what changed since the mark, once the motion is long enough."""
+        assert self._marked is not None
+        if self._by_noise and len(self._still) < _STILL:
+            self._still.append(features)
+        if np.linalg.norm(self._moved) >= self._least:
+            self.law.update(features - self._marked, self._moved)
+            self._marked, self._moved = features, np.zeros_like(self._moved)
+        if self._by_noise and self.law.weights is None and not self._script:
+            assert self.law.estimator.matrix is not None
+            self.law.weights = noise_weights(self._still, self.law.estimator.matrix)
+
+
+_STILL: Final = 8

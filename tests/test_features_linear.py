@@ -1,0 +1,300 @@
+"""Fourier, elliptic Fourier, Bezier and B-spline: closed forms, moved shapes, missing points, recorded shapes."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import interpolate
+
+from shape_obs import Feature, Shape, ShapeObservation, SpecError
+from shape_obs.features import Bezier, BSpline, EllipticFourier, Fourier, View
+from shape_obs.topology import Chain, Grid, Ring, Topology
+
+VIEW = View(160, 120)
+ROPE, OUTLINE, SHEET = Chain(20), Ring(32), Grid(4, 8)
+FITS: list[tuple[Any, Topology]] = [
+    (Fourier(), ROPE),
+    (Bezier(), ROPE),
+    (BSpline(), ROPE),
+    (EllipticFourier(), OUTLINE),
+    (BSpline(), OUTLINE),
+    (Fourier(), SHEET),
+    (Bezier(degree=3), SHEET),
+    (BSpline(coefficients=5), SHEET),
+]
+each_fit = pytest.mark.parametrize(("feature", "layout"), FITS, ids=lambda value: getattr(value, "kind", repr(value)))
+seeds = st.integers(0, 2**32 - 1)
+
+
+def shape(points: Any, layout: Topology, known: Any = None) -> Shape:
+    known = np.ones(layout.size, bool) if known is None else np.asarray(known)
+    return Shape("it", np.zeros((layout.size, 2), np.float32), np.asarray(points, np.float32), known, known, layout)
+
+
+def fit(feature: Any, points: Any, layout: Topology, known: Any = None) -> np.ndarray:
+    """(K,3) coefficients."""
+    return feature.compute(shape(points, layout, known), VIEW).reshape(-1, 3)
+
+
+def rebuilt(feature: Any, points: Any, layout: Topology, known: Any = None) -> np.ndarray:
+    """(N,3) the points that the coefficients stand for."""
+    return feature.reconstruct(fit(feature, points, layout, known), layout, VIEW)
+
+
+def draw(layout: Topology, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Wild points, a fifth of them unknown."""
+    rng = np.random.default_rng(seed)
+    points, known = rng.uniform(-0.3, 0.3, (layout.size, 3)), rng.permutation(layout.size) >= layout.size // 5
+    points[~known & (rng.random(layout.size) < 0.5)] = np.nan
+    return points, known
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """True shapes of random episodes with far goals, and their goals: {layout: (M,N,3)}, metres."""
+    pytest.importorskip("mujoco")
+    import shape_obs_envs  # noqa: F401
+
+    shapes: dict[Topology, list[np.ndarray]] = {}
+    for name, layout, episodes in (("Cable", ROPE, 10), ("Ring", OUTLINE, 6), ("Cloth", SHEET, 3)):
+        env = gym.make(f"ShapeObs/{name}-v0", render_observation=False, difficulty="far", disable_env_checker=True)
+        rng, found = np.random.default_rng(0), shapes.setdefault(layout, [])
+        action = np.zeros(cast(gym.spaces.Box, env.action_space).shape, np.float32)
+        for seed in range(episodes):
+            observation, _ = env.reset(seed=seed)
+            found.append(np.reshape(observation["desired_goal"], (-1, 3)))
+            for k in range(48):
+                if k % 8 == 0:  # held: white noise hardly moves the grippers
+                    action = rng.uniform(-1, 1, action.shape).astype(np.float32)
+                    found.append(cast(Any, env.unwrapped).truth(*(() if layout == SHEET else (layout.size,))))
+                env.step(action)
+        env.close()
+    return {layout: np.array(found) for layout, found in shapes.items()}
+
+
+class TestClosedForms:
+    @pytest.mark.parametrize("axes", [(0.2, 0.2), (0.3, 0.1)], ids=["circle", "ellipse"])
+    def test_an_ellipse_is_its_centre_and_half_axes_alone(self, axes):
+        angle, turn = 2 * np.pi * np.arange(32) / 32, np.array([[0.8, -0.6], [0.6, 0.8]])
+        ellipse = np.full((32, 3), 0.7)
+        ellipse[:, :2] = [0.1, -0.3] + (np.stack([np.cos(angle), np.sin(angle)], axis=1) * axes) @ turn.T
+        expected = np.zeros((9, 3))
+        expected[0], expected[1:3, :2] = [0.1, -0.3, 0.7], np.diag(axes) @ turn.T
+        np.testing.assert_allclose(fit(EllipticFourier(), ellipse, OUTLINE), expected, atol=1e-6)
+
+    def test_equidistant_points_give_kuhl_and_giardinas_coefficients(self):
+        corners = np.array([[0, 0, 0], [0.2, 0, 0], [0.2, 0.6, 0], [0, 0.6, 0], [0, 0, 0]])
+        places = np.interp(np.arange(32) / 32 * 1.6, [0, 0.2, 0.8, 1.0, 1.6], np.arange(5))
+        rectangle = interpolate.interp1d(np.arange(5), corners, axis=0)(places)
+        step, time = np.diff(rectangle, axis=0, append=rectangle[:1]), 2 * np.pi * np.arange(33) / 32
+        ours = fit(EllipticFourier(harmonics=6), rectangle, OUTLINE)
+        for k in range(1, 7):
+            scale = 32 / (2 * np.pi * np.pi * k**2)  # T / (2 n^2 pi^2) over the side T / 32
+            theirs = scale * np.diff([np.cos(k * time), np.sin(k * time)], axis=1) @ step
+            attenuation = np.sinc(k / 32) ** 2
+            np.testing.assert_allclose(ours[2 * k - 1 : 2 * k + 1] * attenuation, theirs, atol=1e-6)
+
+    @pytest.mark.parametrize("feature", [Bezier(degree=1), Bezier(), BSpline(), BSpline(coefficients=5, degree=2)])
+    def test_a_straight_line_is_kept_exactly(self, feature):
+        line = np.linspace([0.1, 0.2, 0.5], [0.5, -0.1, 0.7], 20)
+        assert feature.error(shape(line, ROPE), VIEW) < 1e-7
+        ends = fit(feature, line, ROPE)[[0, -1]]
+        np.testing.assert_allclose(ends, line[[0, -1]], atol=1e-6)
+        np.testing.assert_allclose(rebuilt(feature, line, ROPE, np.arange(20) < 13), line, atol=1e-4)
+
+    def test_half_a_period_keeps_a_straight_line_though_its_ends_are_apart(self):
+        line = np.linspace([0.1, 0.2, 0.5], [0.5, -0.1, 0.7], 20)  # 0.54 m
+        assert all(Fourier(harmonics=n).error(shape(line, ROPE), VIEW) < 0.001 for n in (4, 6))
+
+    @given(seeds)
+    def test_a_spline_gives_its_own_control_points_back(self, seed):
+        control, place = np.random.default_rng(seed).uniform(-1, 1, (8, 3)), np.linspace(0, 1, 20)
+        knots = np.array([0, 0, 0, 0, 2, 3, 4, 5, 7, 7, 7, 7]) / 7
+        cases = [
+            (BSpline(), ROPE, control, interpolate.BSpline(knots, control, 3)(place)),
+            (Bezier(degree=5), ROPE, control[:6], interpolate.BPoly(control[:6, None], [0, 1])(place)),
+        ]
+        turn = np.arange(-3, 12.0)
+        closed = interpolate.BSpline(turn, np.concatenate([control, control[:3]]), 3)
+        cases.append((BSpline(), OUTLINE, control, closed(np.arange(32) / 4)))
+        for feature, layout, expected, points in cases:
+            np.testing.assert_allclose(fit(feature, points, layout), expected, atol=3e-5)
+
+    @pytest.mark.parametrize("feature", [Bezier(degree=3), BSpline(coefficients=4)])
+    def test_a_cubic_sheet_is_kept_exactly_and_its_corners_are_control_points(self, feature):
+        v, u = np.meshgrid(np.linspace(0, 1, 4), np.linspace(0, 1, 8), indexing="ij")
+        sheet = np.stack([0.3 * u, 0.2 * v, 0.1 * u**3 - 0.2 * u * v**2], axis=2).reshape(-1, 3)
+        assert feature.error(shape(sheet, SHEET), VIEW) < 1e-7
+        control = fit(feature, sheet, SHEET).reshape(4, 4, 3)
+        np.testing.assert_allclose(control[::3, ::3], sheet.reshape(4, 8, 3)[::3, ::7], atol=1e-6)
+
+
+class TestMoved:
+    """What moving a shape does to its coefficients, with a fifth of the points missing."""
+
+    @each_fit
+    @given(seed=seeds)
+    def test_moving_shifts_and_turning_turns(self, feature, layout, seed):
+        points, known = draw(layout, seed)
+        rng = np.random.default_rng(seed)
+        turn, shift, scale = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.uniform(-1, 1, 3), rng.uniform(0.5, 2)
+        before = fit(feature, points, layout, known)
+        after = fit(feature, scale * points @ turn.T + shift, layout, known)
+        ones = fit(feature, np.ones((layout.size, 3)), layout)[:, :1]
+        np.testing.assert_allclose(after, scale * before @ turn.T + ones * shift, atol=2e-4)
+        harmonic = isinstance(feature, (Fourier, EllipticFourier))
+        np.testing.assert_allclose(ones[:, 0], np.eye(len(ones))[0] if harmonic else 1.0, atol=1e-5)
+
+    @given(seeds)
+    def test_reversed_points_reverse_control_points_and_alternate_harmonics(self, seed):
+        points, known = draw(ROPE, seed)
+        for feature in (Bezier(), BSpline()):
+            there, back = fit(feature, points, ROPE, known), fit(feature, points[::-1], ROPE, known[::-1])
+            np.testing.assert_allclose(back, there[::-1], atol=2e-4)
+        there, back = fit(Fourier(), points, ROPE, known), fit(Fourier(), points[::-1], ROPE, known[::-1])
+        sign = [1, -1, 1, 1, -1, -1, 1, 1, -1]
+        np.testing.assert_allclose(back, np.array(sign)[:, None] * there, atol=2e-4)
+
+    @given(seeds, st.integers(0, 31))
+    def test_another_start_turns_the_ellipses_phase(self, seed, start):
+        points, known = draw(OUTLINE, seed)
+        there = fit(EllipticFourier(), points, OUTLINE, known)
+        later = fit(EllipticFourier(), np.roll(points, -start, 0), OUTLINE, np.roll(known, -start))
+        phase = np.exp(-2j * np.pi * np.arange(1, 5) * start / 32)[:, None]
+        np.testing.assert_allclose(later[0], there[0], atol=1e-5)
+        np.testing.assert_allclose(later[1::2] + 1j * later[2::2], phase * (there[1::2] + 1j * there[2::2]), atol=1e-5)
+        other = fit(EllipticFourier(), np.roll(points[::-1], 1, 0), OUTLINE, np.roll(known[::-1], 1))
+        np.testing.assert_allclose(other[1:], np.array(4 * [1, -1])[:, None] * there[1:], atol=1e-5)
+
+
+class TestMissing:
+    @each_fit
+    def test_a_fifth_missing_at_random_costs_little(self, feature, layout, recorded):
+        rng, all_known, fifth_missing = np.random.default_rng(0), [], []
+        for truth in recorded[layout]:
+            known = rng.permutation(layout.size) >= layout.size // 5
+            gone = np.where(known[:, None], truth, np.nan)
+            for filled in (gone, layout.interpolate(gone, known)):
+                back = rebuilt(feature, filled, layout, known)
+                fifth_missing.append(np.linalg.norm(back - truth, axis=1).mean())
+            all_known.append(feature.error(shape(truth, layout), VIEW))
+        cost = 0.002 if layout == SHEET else 0.0005  # 4 rows leave a gap fewer neighbours
+        assert np.mean(fifth_missing) < np.mean(all_known) + cost
+
+    @each_fit
+    @pytest.mark.parametrize("share", [0.2, 0.4])
+    def test_a_run_missing_anywhere_leaves_the_shape_sane(self, feature, layout, share, recorded):
+        run, n = round(share * layout.size), layout.size
+        for truth, start in zip(recorded[layout][:6], 2 * (0, n // 3, n - run), strict=True):
+            known = np.ones(n, bool)
+            known[start : start + run] = False
+            back = rebuilt(feature, np.where(known[:, None], truth, np.nan), layout, known)
+            # A polynomial that is free at an end swings there; the others go straight on.
+            lengths = [np.linalg.norm(np.diff(x[layout.edges()], axis=1), axis=2).sum() for x in (back, truth)]
+            assert np.linalg.norm(back - truth, axis=1)[known].mean() < 0.01
+            assert 0.85 < lengths[0] / lengths[1] < (2.0 if isinstance(feature, Bezier) else 1.1)
+
+    @each_fit
+    @given(seed=seeds)
+    def test_two_points_are_enough_for_finite_values_one_is_not(self, feature, layout, seed):
+        rng = np.random.default_rng(seed)
+        points, order = rng.uniform(-0.3, 0.3, (layout.size, 3)), rng.permutation(layout.size)
+        for known, told in ((2, True), (1, False)):
+            points[order[known:]] = np.nan
+            values = fit(feature, points, layout, ~np.isnan(points[:, 0]))
+            assert (np.isfinite(values) == told).all()
+
+    def test_what_was_filled_in_hardly_counts(self):
+        angle = np.linspace(0, np.pi, 20)
+        truth = np.stack([0.15 * np.cos(angle), 0.15 * np.sin(angle), np.full(20, 0.5)], axis=1)
+        known, astray = np.arange(20) != 9, truth + 0.1 * (np.arange(20) == 9)[:, None]
+        for feature in (Fourier(), Bezier(), BSpline()):
+            back = rebuilt(feature, astray, ROPE, known)
+            assert np.linalg.norm(back - truth, axis=1).max() < 0.006
+
+
+class TestRecorded:
+    def test_true_shapes_come_back_to_two_millimetres_and_sheets_to_three(self, recorded):
+        for layout, features, limit in [
+            (ROPE, [Fourier(harmonics=4), BSpline(coefficients=8)], 0.002),
+            (OUTLINE, [EllipticFourier(harmonics=4), BSpline(coefficients=10)], 0.002),
+            (SHEET, [Fourier(harmonics=2), Bezier(degree=3), BSpline(coefficients=5)], 0.003),
+        ]:
+            for feature in features:
+                errors = [feature.error(shape(points, layout), VIEW) for points in recorded[layout]]
+                assert np.mean(errors) <= limit, feature
+
+    def test_shapes_from_the_camera_come_back_to_two_millimetres(self):
+        pytest.importorskip("mujoco")
+        import shape_obs_envs  # noqa: F401
+
+        features = [Fourier(frame="base"), BSpline(frame="base")]
+        env: Any = ShapeObservation(gym.make("ShapeObs/Cable-v0", camera=[160, 120]), features=["points3d", *features])
+        env.reset(seed=1)
+        errors, rng = [], np.random.default_rng(0)
+        for _ in range(4):
+            action = rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
+            for _ in range(8):
+                env.step(action)
+            errors.append([feature.error(env.detection.shapes[0], env.views[0]) for feature in features])
+        env.close()
+        assert np.all(np.mean(errors, axis=0) <= 0.002)
+
+
+@each_fit
+@given(seed=seeds)
+def test_no_points_in_view_leave_the_bounds(feature, layout, overhead, seed):
+    view = View(320, 240, overhead)
+    low, high = feature.bounds(layout, view)
+    assert np.isfinite([low, high]).all()
+    assert (low < high).all()
+    rng = np.random.default_rng(seed)
+    corners = rng.choice([0, 1], (layout.size, 3)) if rng.random() < 0.5 else rng.random((layout.size, 3))
+    points = overhead.intrinsics.deproject(corners[:, :2] * [319, 239], 2 * corners[:, 2])
+    values = feature.compute(shape(points, layout), view)
+    assert feature.units(layout, view) == len(values) * ("m",)
+    slack = 1e-5 * (high - low)
+    assert (values >= low - slack).all()
+    assert (values <= high + slack).all()
+
+
+@each_fit
+def test_a_name_and_a_number_are_all_that_a_config_needs(feature, layout):
+    assert Feature.from_dict(feature.to_dict()) == feature
+    assert feature.invertible
+
+
+@pytest.mark.parametrize(
+    ("feature", "layout", "message"),
+    [
+        (Fourier(), OUTLINE, "'fourier' is of open curves, but the shape is a ring: use 'elliptic_fourier'"),
+        (Bezier(), OUTLINE, "is of open curves, but the shape is a ring: use 'elliptic_fourier' or 'bspline'"),
+        (EllipticFourier(), ROPE, r"'elliptic_fourier' is of rings, got Chain\(count=20\): use 'fourier'"),
+        (Fourier(harmonics=4), Chain(8), "'fourier' has 9 functions here, but the shape has 8 points: use fewer"),
+        (EllipticFourier(harmonics=4), Ring(8), "has 9 functions here, but the shape has 8 points: use fewer"),
+        (BSpline(), Chain(7), "has 8 functions here, but the shape has 7 points: use fewer"),
+        (Fourier(), Grid(2, 3), r"at least 9 functions on a lattice, got Grid\(rows=2, cols=3\): use more points"),
+    ],
+)
+def test_what_a_layout_does_not_have_is_told(feature, layout, message):
+    with pytest.raises(ValueError, match=message):
+        feature.compute(shape(np.zeros((layout.size, 3)), layout), VIEW)
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ({"kind": "fourier", "harmonics": 0}, "fourier: needs at least 1 harmonic, got 0"),
+        ({"kind": "elliptic_fourier", "harmonics": -1}, "elliptic_fourier: needs at least 1 harmonic, got -1"),
+        ({"kind": "bezier", "degree": 0}, "bezier: needs a degree of at least 1, got 0"),
+        ({"kind": "bspline", "coefficients": 3}, "more coefficients than that, got degree=3 and coefficients=3"),
+    ],
+)
+def test_numbers_that_make_no_basis_are_told(spec, message):
+    with pytest.raises(SpecError, match=message):
+        Feature.from_dict(spec)

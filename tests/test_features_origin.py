@@ -1,0 +1,137 @@
+"""What points can be relative to: their centroid, the shape's anchor, or an anchor by name."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from drawn_shapes import OVERHEAD, shape
+
+from shape_obs import CameraModel, ShapeObservation, SpecError
+from shape_obs.features import Points2D, Points2DNormalized, Points3D, View
+from shape_obs.topology import Chain
+
+GRIPPER, PIXEL = (0.1, 0.05, 0.0), (200.0, 80.0)
+VIEW = View(
+    320,
+    240,
+    OVERHEAD,
+    ((-0.5, -0.4, -0.1), (0.5, 0.4, 0.3)),
+    anchor=(0.2, 0.0, 0.0),
+    anchors={"gripper1": GRIPPER, "mark": PIXEL},
+)
+# Pixels, and what lies under them one metre before the camera.
+SEEN = np.array([[100.0, 50.0], [160.0, 120.0], [220.0, 70.0]])
+
+
+def rope(unknown: Any = (), filled: Any = ()):
+    seen = shape(OVERHEAD.intrinsics.deproject(SEEN, np.ones(3)), Chain(3), unknown, filled)
+    seen.points2d[:] = SEEN
+    seen.points2d[list(unknown)] = np.nan
+    return seen
+
+
+def values(feature, seen=None, view=VIEW):
+    return feature.compute(seen or rope(), view).reshape(3, -1)
+
+
+@pytest.mark.parametrize("make", [Points2D, Points2DNormalized, Points3D])
+class TestCentroid:
+    def test_the_mean_is_zero(self, make):
+        np.testing.assert_allclose(values(make(origin="centroid")).mean(axis=0), 0, atol=1e-6)
+        np.testing.assert_allclose(np.diff(values(make(origin="centroid")), axis=0), np.diff(values(make()), axis=0))
+        assert not make(origin="centroid").anchored
+
+    def test_it_is_that_of_the_known_points(self, make):
+        some = values(make(origin="centroid"), rope(unknown=[1]))
+        assert np.isnan(some[1]).all()
+        np.testing.assert_allclose(some[0], -some[2], atol=1e-6)
+        assert np.isnan(values(make(origin="centroid"), rope(unknown=[0, 1, 2]))).all()
+
+    def test_bounds_are_the_box_from_end_to_end_either_way(self, make):
+        low, high = make().bounds(Chain(3), VIEW)
+        np.testing.assert_array_equal(make(origin="centroid").bounds(Chain(3), VIEW), [low - high, high - low])
+
+
+class TestAnchors:
+    def test_in_pixels(self):
+        place = OVERHEAD.project_from_base(np.array([GRIPPER]))[0]
+        np.testing.assert_allclose(place, [189.5, 104.5])
+        np.testing.assert_allclose(values(Points2D(origin="gripper1")), SEEN - place, atol=1e-6)
+        np.testing.assert_allclose(values(Points2D(origin="mark")), SEEN - PIXEL)
+        np.testing.assert_allclose(values(Points2D(origin="anchor")), SEEN - [219.5, 119.5], atol=1e-6)
+
+    def test_normalised_it_is_a_share_of_half_the_image(self):
+        for origin in ("gripper1", "mark", "anchor"):
+            in_pixels = values(Points2D(origin=origin))
+            np.testing.assert_allclose(values(Points2DNormalized(origin=origin)), in_pixels / [160, 120], atol=1e-6)
+
+    def test_in_metres(self):
+        base = values(Points3D(frame="base"))
+        np.testing.assert_allclose(values(Points3D(frame="base", origin="gripper1")), base - GRIPPER, atol=1e-6)
+        np.testing.assert_allclose(values(Points3D(frame="base", origin="anchor")), values(Points3D(frame="anchor")))
+        # The camera looks down from one metre: its y is the base's, mirrored.
+        camera = values(Points3D()) - [0.1, -0.05, 1.0]
+        np.testing.assert_allclose(values(Points3D(origin="gripper1")), camera, atol=1e-6)
+
+    def test_it_moves_with_the_anchor(self):
+        for feature in (Points2D(origin="gripper1"), Points3D(frame="base", origin="gripper1"), Points3D("anchor")):
+            assert feature.anchored
+        assert not Points3D("base").anchored
+
+    @pytest.mark.parametrize(
+        ("feature", "view", "message"),
+        [
+            (Points2D(origin="griper1"), VIEW, "'points2d': no origin 'griper1'; did you mean 'gripper1'? Known: "),
+            (Points3D(origin="anchr"), VIEW, "did you mean 'anchor'? Known: centroid, anchor, gripper1, mark"),
+            (Points3D("base", origin="mark"), VIEW, "origin 'mark' is a pixel, but its points are metres"),
+            (
+                Points2D(origin="anchor"),
+                View(320, 240),
+                "relative to the anchor needs a shape anchored to a base-frame",
+            ),
+            (
+                Points2D(origin="gripper1"),
+                View(320, 240, anchors={"gripper1": GRIPPER}),
+                "'points2d' needs a camera model",
+            ),
+            (
+                Points3D(origin="gripper1"),
+                View(320, 240, CameraModel(OVERHEAD.intrinsics), anchors={"gripper1": GRIPPER}),
+                "in frame 'base' needs transform_camera_to_base",
+            ),
+        ],
+    )
+    def test_what_is_wrong_is_told(self, feature, view, message):
+        with pytest.raises(ValueError, match=re.escape(message)):
+            feature.compute(rope(), view)
+
+    def test_the_anchor_frame_has_an_origin_already(self):
+        with pytest.raises(
+            SpecError, match="frame 'anchor' has an origin already; give frame='base' with origin='mark'"
+        ):
+            Points3D("anchor", origin="mark")
+
+
+def test_the_end_of_a_cable_is_where_the_second_gripper_holds_it():
+    pytest.importorskip("mujoco")
+    import shape_obs_envs  # noqa: F401
+
+    bare = gym.make("ShapeObs/Cable-v0", camera=[160, 120], renderer="rays")
+    with_origin = {"kind": "points3d", "frame": "base", "origin": "gripper1"}
+    env = ShapeObservation(bare, features=["points3d", with_origin])
+    observation, _ = env.reset(seed=2)
+    for action in np.random.default_rng(0).uniform(-1, 1, (4, 6)).astype(np.float32):
+        observation, *_ = env.step(action)
+        assert env.detection is not None
+        assert env.detection.ok
+        relative = observation["observation"][60:].reshape(20, 3)
+        assert np.linalg.norm(relative[-1]) < 0.02
+        assert np.linalg.norm(relative[0]) > 0.1
+        found = env.detection.shapes[0].points3d
+        held = env.get_wrapper_attr("camera_model").to_base(found) - env.get_wrapper_attr("anchors")["gripper1"]
+        np.testing.assert_allclose(relative, held, atol=1e-5)
+    env.close()

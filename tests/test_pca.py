@@ -1,0 +1,144 @@
+"""The feature of principal components: values, bounds, identity, and in the wrapper."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from known_ropes import MODELS, WORKSPACE, N, fit, ropes, seen
+from rope_env import run, wrapped
+
+from shape_obs import Centerline, schema_hash
+from shape_obs.features import FeatureVector, PrincipalComponents, View, read_features
+from shape_obs.topology import Chain, Ring
+
+
+@pytest.fixture
+def view(overhead) -> View:
+    return View(320, 240, overhead, WORKSPACE)
+
+
+@pytest.fixture
+def file(tmp_path) -> str:
+    fit().save(tmp_path / "rope.npz")
+    return str(tmp_path / "rope.npz")
+
+
+class TestFeature:
+    @pytest.mark.parametrize("origin", [None, "centroid"])
+    @pytest.mark.parametrize("aligned", [False, True])
+    def test_values_and_bounds(self, tmp_path, view, overhead, origin, aligned):
+        MODELS[origin, aligned].save(tmp_path / "a.npz")
+        feature = PrincipalComponents(str(tmp_path / "a.npz"))
+        low, high = feature.bounds(Chain(N), view)
+        count = 6 + (0 if not aligned else 2 if origin else 5)
+        units = feature.units(Chain(N), view)
+        assert len(low) == len(high) == len(units) == count
+        assert set(units) == ({"m", ""} if aligned else {"m"})
+        assert feature.unit == ("" if aligned else "m")
+        assert np.isfinite([low, high]).all()
+        assert (low < high).all()
+        assert feature.needs_depth
+        assert feature.invertible
+        assert not feature.anchored
+        draw = np.random.default_rng(0)
+        for points in (*ropes(20, seed=2, heading=3.0), *draw.uniform(*WORKSPACE, size=(20, N, 3))):
+            values = feature.compute(seen(points, overhead), view)
+            assert (values >= low).all()
+            assert (values <= high).all()
+        shape = seen(ropes(1, seed=2)[0], overhead, np.arange(N) != 7)
+        assert feature.error(shape, view) < (1e-3 if aligned else 5e-3)
+        back = feature.reconstruct(feature.compute(shape, view), Chain(N), view)
+        assert back.shape == (N, 3)
+
+    def test_bounds_are_reached_at_the_corners_of_the_box(self, file, view, overhead):
+        feature = PrincipalComponents(file)
+        corner = np.where(feature.model.components[0] > 0, WORKSPACE[1], WORKSPACE[0])
+        high = feature.bounds(Chain(N), view)[1]
+        np.testing.assert_allclose(feature.compute(seen(corner, overhead), view)[0], high[0], rtol=1e-5)
+
+    @pytest.mark.parametrize("aligned", [False, True])
+    def test_points_that_coincide_or_are_unknown(self, tmp_path, view, overhead, aligned):
+        MODELS[None, aligned].save(tmp_path / "a.npz")
+        feature = PrincipalComponents(str(tmp_path / "a.npz"))
+        nothing = feature.compute(seen(np.zeros((N, 3)), overhead, np.arange(N) < 1), view)
+        assert np.isnan(nothing).all()
+        for valid in (True, np.arange(N) < 2):
+            values = feature.compute(seen(np.zeros((N, 3)), overhead, valid), view)
+            assert len(values) == len(nothing)
+        bounded = FeatureVector([feature], [Centerline(n=N)], view)
+        assert np.isfinite(bounded.compute([seen(np.zeros((N, 3)), overhead)], [view])).all()
+
+    def test_another_frame_origin_or_layout_is_refused(self, file, view, overhead):
+        assert PrincipalComponents(file, frame="base").coordinates.frame == "base"
+        with pytest.raises(ValueError, match=r"fitted with frame 'base', but frame='camera' .* fit again with --frame"):
+            PrincipalComponents(file, frame="camera")
+        with pytest.raises(ValueError, match="fitted with origin None, but origin='centroid'"):
+            PrincipalComponents(file, origin="centroid")
+        feature = PrincipalComponents(file)
+        message = r"was fitted to shapes of Chain\(count=20\), but this one is Ring\(count=20\)"
+        for failing in (feature.bounds, feature.units):
+            with pytest.raises(ValueError, match=message):
+                failing(Ring(N), view)
+        with pytest.raises(ValueError, match=message):
+            feature.reconstruct(np.zeros(4), Ring(N), view)
+        with pytest.raises(ValueError, match=r"expected 4 values, got shape \(5,\)"):
+            feature.reconstruct(np.zeros(5), Chain(N), view)
+
+    def test_the_schema_follows_the_content_not_the_place(self, file, tmp_path, monkeypatch):
+        def hashed(path: Any) -> str:
+            return schema_hash({"features": [{"kind": "pca", "file": str(path)}]})
+
+        before = hashed(file)
+        (tmp_path / "copy.npz").write_bytes(Path(file).read_bytes())
+        monkeypatch.chdir(tmp_path)
+        assert hashed("copy.npz") == before
+        feature = PrincipalComponents(file)
+        fit(ropes(100)).save(file)
+        assert hashed(file) != before
+        assert schema_hash({"features": [feature]}) == before, "it holds what it has read"
+        assert [hashed(file), hashed(file)] == 2 * [hashed(file)]
+
+    def test_it_travels_as_json_and_as_a_copy(self, file, view, overhead):
+        feature = PrincipalComponents(Path(file))  # type: ignore[arg-type]
+        shape = seen(ropes(1)[0], overhead)
+        for other in (
+            read_features(json.loads(json.dumps([feature.to_dict()])))[0],
+            pickle.loads(pickle.dumps(feature)),
+            copy.deepcopy(feature),
+        ):
+            assert other == feature
+            np.testing.assert_array_equal(other.compute(shape, view), feature.compute(shape, view))
+
+    @pytest.mark.filterwarnings("error::UserWarning")
+    @pytest.mark.parametrize("aligned", [False, True])
+    def test_in_the_wrapper(self, tmp_path, aligned):
+        fit(ropes(50), aligned=aligned).save(tmp_path / "a.npz")
+        env = wrapped(
+            features=[{"kind": "pca", "file": str(tmp_path / "a.npz")}, "ok"], workspace=((-1, -1, -1), (1, 1, 2))
+        )
+        for (observation, *_), expected in zip(run(env), run(copy.deepcopy(env)), strict=True):
+            assert env.observation_space.contains(observation)
+            np.testing.assert_array_equal(observation, expected[0])
+        lost = wrapped(env=copy.deepcopy(env.unwrapped), features=[PrincipalComponents(str(tmp_path / "a.npz"))])
+        lost.unwrapped.hide = [0]  # type: ignore[attr-defined]
+        assert np.isfinite(lost.reset(seed=0)[0]).all()
+
+    def test_an_env_is_rebuilt_from_its_spec(self, tmp_path):
+        fit(ropes(50)).save(tmp_path / "a.npz")
+        gym.register("PcaRope-v0", "rope_env:RopeEnv")
+        try:
+            env = wrapped(gym.make("PcaRope-v0"), features=[PrincipalComponents(str(tmp_path / "a.npz"))])
+            assert env.spec is not None
+            again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+            assert again.observation_space == env.observation_space
+            np.testing.assert_array_equal(again.reset(seed=3)[0], env.reset(seed=3)[0])
+        finally:
+            gym.registry.pop("PcaRope-v0")

@@ -1,0 +1,181 @@
+"""PointDistribution: against scikit-learn and shapes that are known; the file that keeps it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from known_ropes import EVERYWHERE, MODELS, N, fit, off, ropes
+from sklearn.decomposition import PCA
+
+from shape_obs.features import PointDistribution, PrincipalComponents
+from shape_obs.topology import Chain, Grid, Ring
+
+
+@pytest.fixture
+def file(tmp_path) -> str:
+    fit().save(tmp_path / "rope.npz")
+    return str(tmp_path / "rope.npz")
+
+
+class TestModel:
+    def test_whole_shapes_have_scikit_learns_coefficients(self):
+        known, new = ropes(200), ropes(20, seed=1)
+        pca = PCA(4, svd_solver="full").fit(known.reshape(200, -1))
+        model = fit(known)
+        for shape, expected in zip(new, pca.transform(new.reshape(20, -1)), strict=True):
+            np.testing.assert_allclose(model.values(shape, EVERYWHERE), expected, atol=1e-9)
+            np.testing.assert_allclose(model.values(shape, 0.02 * EVERYWHERE), expected, atol=1e-9)
+            back = pca.inverse_transform(expected[None]).reshape(N, 3)
+            np.testing.assert_allclose(model.points(expected), back, atol=1e-12)
+
+    @pytest.mark.parametrize("origin", [None, "centroid"])
+    def test_more_components_leave_less(self, origin):
+        known, new = ropes(200), ropes(50, seed=1)
+        for aligned in (False, True):
+            errors = []
+            for components in (2, 4, 6):
+                model = fit(known, components, aligned=aligned)
+                errors.append(off(np.array([model.points(model.values(p, EVERYWHERE)) for p in new]), new))
+            assert errors[0] > errors[1] > errors[2]
+            assert errors[2] < (0.5 if aligned else 3.0)
+
+    @given(st.integers(0, 10**6), st.sampled_from([None, "centroid"]), st.booleans())
+    def test_a_fifth_of_the_points_is_not_missed(self, seed, origin, aligned):
+        draw = np.random.default_rng(seed)
+        model = MODELS[origin, aligned]
+        whole = ropes(1, seed)[0] + draw.normal(scale=1e-4, size=(N, 3))
+        weight = np.where(draw.permutation(N) < N // 5, 0.0, 1.0)
+        points = np.where(weight[:, None] > 0, whole, np.nan)
+        if origin:  # of what is seen
+            points = points - np.nanmean(points, axis=0)
+        back = model.points(model.values(points, weight))
+        if origin:
+            back = back - back.mean(axis=0) + whole.mean(axis=0)
+        as_good_as = model.points(model.values(whole - whole.mean(axis=0) * bool(origin), EVERYWHERE))
+        assert off(back, whole) < off(as_good_as, whole - whole.mean(axis=0) * bool(origin)) + 1.0
+
+    def test_points_that_were_filled_in_hardly_count(self):
+        model, whole = MODELS[None, False], ropes(1, seed=3)[0]
+        wrong, weight = whole.copy(), EVERYWHERE.copy()
+        wrong[[2, 9]] += 0.05
+        weight[[2, 9]] = 0.02
+        least = off(model.points(model.values(whole, EVERYWHERE)), whole)
+        assert off(model.points(model.values(wrong, weight)), whole) < least + 1
+        assert off(model.points(model.values(wrong, EVERYWHERE)), whole) > least + 5
+
+    @given(st.floats(-3, 3), st.floats(-0.2, 0.2), st.floats(0.5, 2.0))
+    def test_aligned_components_do_not_change_with_place_and_heading(self, angle, shift, scale):
+        model, shape = MODELS[None, True], ropes(1, seed=5)[0]
+        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        moved = scale * shape @ turn.T + (shift, -shift, 0.1)
+        one, other = model.values(shape, EVERYWHERE), model.values(moved, EVERYWHERE)
+        np.testing.assert_allclose(other[5:], scale * one[5:], atol=1e-9)
+        np.testing.assert_allclose(other[:3], scale * turn @ one[:3] + (shift, -shift, 0.1), atol=1e-9)
+        turned = complex(one[3], one[4]) * scale * np.exp(1j * angle)
+        np.testing.assert_allclose(other[3:5], (turned.real, turned.imag), atol=1e-9)
+
+    def test_fewer_than_two_points_tell_nothing(self):
+        for model in MODELS.values():
+            for known in (0, 1):
+                weight = (np.arange(N) < known).astype(float)
+                values = model.values(np.where(weight[:, None] > 0, ropes(1)[0], np.nan), weight)
+                assert np.isnan(values).all()
+
+    def test_pixels_rings_and_sheets(self):
+        draw = np.random.default_rng(0)
+        for layout in (Ring(12), Grid(3, 4)):
+            points = 40 * draw.normal(size=(1, 12, 2)) + draw.normal(size=(60, 12, 2))
+            model = PointDistribution.fit(points, 20, layout=layout, frame="pixels", aligned=True)
+            back = [model.points(model.values(p, np.ones(12))) for p in points]
+            np.testing.assert_allclose(back, points, atol=1e-9)  # four of 24 coordinates are place, heading and size
+            assert model.unit == "px"
+
+    @pytest.mark.parametrize(
+        ("points", "rest", "message"),
+        [
+            (ropes(9)[..., :2], {}, r"points \(F, 20, 3\) of Chain\(count=20\) in frame 'base', got \(9, 20, 2\)"),
+            (ropes(9), {"layout": Chain(5)}, r"expected points \(F, 5, 3\)"),
+            (np.full((9, N, 3), np.nan), {}, "unknown points among the shapes: leave those"),
+            (ropes(9), {"components": 9}, "components: expected 1 to 8 for 9 shapes of 60 coordinates, got 9"),
+            (ropes(9), {"components": 0}, "components: expected 1 to 8"),
+            (np.tile(ropes(1), (9, 1, 1)), {}, "differ in 0 ways only"),
+            (ropes(2)[[0, 1, 0, 1, 0]], {}, "differ in 1 ways only: ask for at most 1 components"),
+            (ropes(9) * np.eye(9)[0, :, None, None], {"aligned": True}, "too unlike the others"),
+        ],
+    )  # fmt: skip
+    def test_what_cannot_be_fitted_is_told(self, points, rest, message):
+        with pytest.raises(ValueError, match=message):
+            fit(points, **rest)
+
+
+class TestFile:
+    @pytest.mark.parametrize("aligned", [False, True])
+    def test_it_comes_back_whole(self, tmp_path, aligned):
+        model = fit(origin="centroid", aligned=aligned, about={"schema_hashes": ["abc"]})
+        model.save(tmp_path / "a.npz")
+        back = PointDistribution.load(tmp_path / "a.npz")
+        for name in ("mean", "components", "variance", "noise"):
+            np.testing.assert_array_equal(getattr(back, name), getattr(model, name))
+        for name in ("layout", "frame", "origin", "aligned", "about", "unit"):
+            assert getattr(back, name) == getattr(model, name)
+        assert (back.about["shapes"], back.about["schema_hashes"]) == (200, ["abc"])
+        back.save(tmp_path / "b.npz")
+        assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+    def test_an_interrupted_write_leaves_what_was_there(self, tmp_path, monkeypatch):
+        def interrupted(file: Any, **_: Any) -> None:
+            file.write(b"half")
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(np, "savez", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            fit().save(tmp_path / "a.npz")
+        assert list(tmp_path.iterdir()) == []
+
+    def test_a_damaged_file_is_told(self, file):
+        content = Path(file).read_bytes()
+        draw = np.random.default_rng(0)
+        for at in (0, 10, 500, len(content) // 2, len(content) - 1, *draw.integers(0, len(content), 10)):
+            Path(file).write_bytes(content[:at])
+            with pytest.raises(
+                ValueError, match=r"rope\.npz: not a file of principal components, or a damaged one: .*fit"
+            ):
+                PrincipalComponents(file)
+
+    def test_another_file_is_told(self, tmp_path):
+        np.savez(tmp_path / "a.npz", mean=np.zeros(3))
+        (tmp_path / "b.npz").write_text("notes")
+        np.savez(tmp_path / "c.npz", metadata=np.array([{"a": 1}], dtype=object))  # a pickle: never opened
+        for name in ("a.npz", "b.npz", "c.npz"):
+            with pytest.raises(ValueError, match=f"{name}: not a file of principal components"):
+                PointDistribution.load(tmp_path / name)
+        with pytest.raises(
+            FileNotFoundError, match=r"d\.npz: no such file; `shape-obs fit-features -o .*d\.npz` makes one"
+        ):
+            PrincipalComponents(str(tmp_path / "d.npz"))
+        with pytest.raises(ValueError, match="expected a file, got a folder"):
+            PrincipalComponents(str(tmp_path))
+        with pytest.raises(ValueError, match=r"pca\.file: expected str, got 3"):
+            PrincipalComponents(3)  # type: ignore[arg-type]
+        with pytest.raises(ValueError, match=r"a\.txt: expected a file named \*\.npz"):
+            fit().save(tmp_path / "a.txt")
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"variance": np.array([1.0, 0, 0, 0])}, "variances that are not positive"),
+            ({"mean": np.full((N, 3), np.nan)}, "numbers that are none"),
+            ({"components": np.zeros((4, N, 2))}, r"arrays of \(20, 3\) and \(4, 20, 2\) do not belong to Chain"),
+        ],
+    )
+    def test_a_file_that_makes_no_sense_is_told(self, file, change, message):
+        with np.load(file) as arrays:
+            content = {**arrays, **change}
+        np.savez(file, **content)
+        with pytest.raises(ValueError, match=message):
+            PrincipalComponents(file)
