@@ -17,8 +17,9 @@ class Controller(Protocol):
     """Anything with ``act``.
 
     It may also have ``action_spec``, what its actions mean, which is then held against the robot's; ``reset()``, called
-    before an episode; ``attach(env)``, called with the wrapped environment; and ``bind(spec)``, called with the robot's
-    ``ActionSpec`` by which it can size its actions.
+    before an episode; ``attach(env)``, called with the wrapped environment; ``bind(spec)``, called with the robot's
+    ``ActionSpec`` by which it can size its actions; and ``withheld()``, called where its last action was not sent,
+    because the image had grown too old meanwhile.
     """
 
     def act(self, observation: Any) -> npt.ArrayLike:

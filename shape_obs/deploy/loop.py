@@ -157,6 +157,9 @@ class _Run:
         if judgement.move == "act" and not watchdog.bitten:
             tally.acted += 1
         else:
+            withheld = getattr(self._controller, "withheld", None)
+            if action is not None and callable(withheld):
+                withheld()
             action = None
             tally.held += 1
             tally.reasons[judgement.cause or "watchdog"] += 1

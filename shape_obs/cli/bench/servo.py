@@ -59,7 +59,8 @@ class Servo:
     difficulties: tuple[Difficulty, ...] = DIFFICULTIES
     """How far goals are from the start."""
     sources: tuple[Source, ...] = SOURCES
-    """Where the points come from: the images of a simulated D455, the simulator's state."""
+    """Where the points come from: the images of a simulated D455; the simulator's state; the images, for points and for
+    the goal."""
     sizes: tuple[str, ...] = ("160x120",)
     """Of the images."""
     goals: int = 5
@@ -119,7 +120,7 @@ def _settings(args: Servo) -> list[Setting]:
             raise ValueError(f"--laws: unknown law {law!r}{did_you_mean(law, LAWS)}")
     if args.pca is not None and not args.pca.is_file():
         raise FileNotFoundError(f"{args.pca}: no such file")
-    if args.paired and set(args.sources) != set(SOURCES):
+    if args.paired and not set(SOURCES) <= set(args.sources):
         raise ValueError(f"--paired: needs --sources camera truth, got {' '.join(args.sources)}.")
     wrong = Disturbance(args.invalid, args.blackout)
     wrong.check()

@@ -10,13 +10,13 @@ from shape_obs.evaluation.env_runner import Env
 from shape_obs.topology import Chain, Grid, Ring, Topology
 
 Difficulty = Literal["near", "middle", "far"]
-Source = Literal["camera", "truth"]
+Source = Literal["camera", "truth", "taught"]
 FeatureSet = Literal[
     "points3d", "points2d", "fourier", "bezier", "bspline", "tangents", "curvature", "turning_angles", "moments", "pca"
 ]
 
 DIFFICULTIES: Final[tuple[Difficulty, ...]] = get_args(Difficulty)
-SOURCES: Final[tuple[Source, ...]] = get_args(Source)
+SOURCES: Final[tuple[Source, ...]] = ("camera", "truth")
 SETS: Final[tuple[FeatureSet, ...]] = get_args(FeatureSet)
 #: How the points of each environment hang together, as it publishes it.
 LAYOUTS: Final[Mapping[Env, Topology]] = {"Cable": Chain(20), "Ring": Ring(32), "Cloth": Grid(4, 8)}
@@ -89,7 +89,8 @@ class Setting(NamedTuple):
     Args:
         env: The environment.
         difficulty: How far goals are from the start.
-        source: ``"camera"``: points found in the images of a D455; ``"truth"``: those of the simulator.
+        source: ``"camera"``: points found in the images of a D455; ``"truth"``: those of the simulator; ``"taught"``:
+            the camera's, and the goal too is what the camera saw of it, as one records a goal on a real table.
         size: Of the images, ``"160x120"``; the truth has none, but features in pixels need it.
         features: A name of ``FEATURES``, or ``"pca"``.
         law: A name of ``shape_obs.servo.LAWS``.
@@ -160,7 +161,7 @@ def combinations(
     renderer: str = "auto",
     pca: str | None = None,
 ) -> Iterator[Setting]:
-    """Every combination that there is; the camera alone is disturbed.
+    """Every combination that there is; the camera's images alone are disturbed.
 
     Raises:
         ValueError: ``"pca"`` without a file.
@@ -168,7 +169,7 @@ def combinations(
     for env, size, name, law, difficulty, source in product(envs, sizes, features, laws, difficulties, sources):
         if feature_set(env, name, pca) is None:
             continue
-        wrong = disturbance if source == "camera" else Disturbance()
+        wrong = Disturbance() if source == "truth" else disturbance
         yield Setting(env, difficulty, source, size, name, law, wrong, renderer, pca if name == "pca" else None)
 
 

@@ -54,7 +54,7 @@ def paired_rows(found: Found, seed: int = 0) -> list[Row]:
     pairs: dict[Setting, npt.NDArray[np.bool_]] = {}
     for setting, seen in found.items():
         twin = setting._replace(source="truth", disturbance=Disturbance())
-        if setting.source != "camera" or twin not in found:
+        if setting.source == "truth" or twin not in found:
             continue
         both = [(a, b) for a, b in zip(seen, found[twin], strict=True) if not (a.failure or b.failure)]
         pairs[setting] = np.array([(a.success, b.success) for a, b in both], bool).reshape(-1, 2)
@@ -107,9 +107,8 @@ def _summary(some: Sequence[Episode]) -> Row:
 def _paired(setting: Setting, difficulty: str, pairs: npt.NDArray[np.bool_], seed: int) -> Row:
     low, high = _ratio_interval(pairs, seed)
     camera, truth = pairs.sum(axis=0).tolist()
-    named = _named(setting) | {"difficulty": difficulty}
-    del named["source"]
-    return named | {
+    return _named(setting) | {
+        "difficulty": difficulty,
         "n": len(pairs),
         "camera": _percent(camera, len(pairs)),
         "truth": _percent(truth, len(pairs)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -18,6 +18,10 @@ from shape_obs.shape import Shape
 from shape_obs.wrappers import ShapeGoal, ShapeObservation, env_protocol
 from shape_obs.wrappers.goals import EnvGoal, GoalVector
 from shape_obs.wrappers.placing import shape_at
+from shape_obs.wrappers.shape_goal import record_goal
+
+#: Steps at rest after which an environment's goal is as it is recorded.
+SETTLING: Final = 20
 
 
 class World(NamedTuple):
@@ -56,7 +60,7 @@ def world(setting: Setting) -> World:
     if specs is None:
         raise ValueError(f"there are no features {setting.features!r} of {setting.env}.")
     features = read_features(specs)
-    return (_camera_world if setting.source == "camera" else _true_world)(setting, features)
+    return (_true_world if setting.source == "truth" else _camera_world)(setting, features)
 
 
 class Witness(gym.Wrapper[Any, Any, Any, Any]):
@@ -67,6 +71,23 @@ class Witness(gym.Wrapper[Any, Any, Any, Any]):
         observation, info = self.env.reset(seed=seed, options=options)
         info["truth/goal"] = np.asarray(observation["desired_goal"]).reshape(-1, 3).copy()
         return observation, info
+
+
+class Taught(gym.Wrapper[Any, Any, Any, Any]):
+    """Before each episode the goal's own motion is played, and what the camera sees in the end becomes the goal.
+
+    Args:
+        env: A simulated environment in a ``ShapeGoal``.
+    """
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Play, look, and reset to the same start."""
+        self.env.reset(seed=seed, options=options)
+        motion = self.get_wrapper_attr("goal_actions")
+        for action in [*motion, *np.zeros((SETTLING, motion.shape[1]), np.float32)]:
+            self.env.step(action)
+        seen = record_goal(self.env, frame="base", unmeasured=True)
+        return self.env.reset(seed=seed, options={**(options or {}), "goal": seen})
 
 
 class TrueGoal(gym.Wrapper[Any, Any, Any, Any]):
@@ -146,7 +167,9 @@ def _camera_world(setting: Setting, features: Sequence[Feature]) -> World:
     if setting.disturbance.invalid:
         observing.detector = LosingDetector(disturbed.lost, **observing.detector.config.to_dict())
     # A reward needs a threshold, but nobody looks at it here.
-    env = ShapeGoal(observing, features=features, threshold=0.01)
+    env: gym.Env[Any, Any] = ShapeGoal(observing, features=features, threshold=0.01)
+    if setting.source == "taught":
+        env = Taught(env)
 
     def seen() -> Shape:
         assert observing.detection is not None
