@@ -78,6 +78,10 @@ class Feature(Spec, family="feature"):
     def compute(self, shape: Shape, view: View) -> Array:
         """(D,) values; NaN where the shape does not tell."""
 
+    def measured(self, shape: Shape, size: int) -> npt.NDArray[np.bool_]:
+        """(D,) which of its D = ``size`` values were measured; all of a feature that weighs the points itself."""
+        return np.ones(size, bool)
+
     def units(self, layout: Topology, view: View) -> tuple[str, ...]:
         """The unit of each of the D values."""
         return len(self.bounds(layout, view)[0]) * (self.unit,)

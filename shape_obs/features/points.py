@@ -30,6 +30,10 @@ class _Points(Placed):
         """All coordinates; those of unknown points are NaN."""
         return self.coordinates.points(shape, view).ravel()
 
+    def measured(self, shape: Shape, size: int) -> npt.NDArray[np.bool_]:
+        """Those of points that were: visible in an image, with depth in space."""
+        return np.repeat(shape.visible if self.coordinates.planar else shape.valid, size // len(shape))
+
     def reconstruct(self, values: npt.ArrayLike, layout: Topology, view: View) -> Array:
         """(N,2) or (N,3), exactly the points."""
         return np.asarray(values, dtype=np.float64).reshape(layout.size, -1)

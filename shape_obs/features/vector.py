@@ -83,3 +83,9 @@ class FeatureVector:
                 stacklevel=2,
             )
         return clipped
+
+    def measured(self, shapes: Sequence[Shape]) -> npt.NDArray[np.bool_]:
+        """(D,) which values were measured in this frame, not filled in."""
+        known = {shape.name: shape for shape in shapes}
+        parts = [block.feature.measured(known[block.shape], len(block.units)) for block in self.blocks]
+        return np.concatenate(parts)

@@ -41,8 +41,18 @@ class JacobianEstimator(ABC):
         self.matrix, self.error = begin, float("nan")
         self._begin(actions)
 
-    def update(self, delta_features: npt.ArrayLike, delta_action: npt.ArrayLike) -> bool:
-        """Learn from a change of features (F,) and the sum of the actions (A,) since: whether something was learnt.
+    def update(
+        self,
+        delta_features: npt.ArrayLike,
+        delta_action: npt.ArrayLike,
+        measured: npt.NDArray[np.bool_] | None = None,
+    ) -> bool:
+        """Learn from a change of features and the actions since: whether something was learnt.
+
+        Args:
+            delta_features: (F,).
+            delta_action: (A,) the sum of the actions.
+            measured: (F,) which features are learnt from; None for all.
 
         Nothing is learnt from changes that are not finite, nor without a motion.
 
@@ -61,6 +71,8 @@ class JacobianEstimator(ABC):
         if not (np.isfinite(square) and square > 0 and np.all(np.isfinite(df))):
             return False
         residual = df - self.matrix @ da
+        if measured is not None:
+            residual = np.where(measured, residual, 0.0)
         self.error = float(np.linalg.norm(residual) / max(np.linalg.norm(df), 1e-12))
         self.matrix = self.matrix + np.outer(residual, self._gain(da))
         return True

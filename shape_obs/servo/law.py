@@ -39,9 +39,14 @@ class ServoLaw(ABC):
         self.estimator.start(features, actions, matrix)
         self.weights, self.learnt = None, 0
 
-    def update(self, delta_features: npt.ArrayLike, delta_action: npt.ArrayLike) -> bool:
-        """Learn from a change of features (F,) and the sum of the actions (A,) since: whether something was learnt."""
-        done = self.estimator.update(delta_features, delta_action)
+    def update(
+        self,
+        delta_features: npt.ArrayLike,
+        delta_action: npt.ArrayLike,
+        measured: npt.NDArray[np.bool_] | None = None,
+    ) -> bool:
+        """See ``JacobianEstimator.update``."""
+        done = self.estimator.update(delta_features, delta_action, measured)
         self.learnt += done
         return done
 
@@ -51,8 +56,12 @@ class ServoLaw(ABC):
         matrix = self.estimator.matrix
         return matrix is not None and bool(np.all(np.isfinite(matrix))) and float(np.abs(matrix).max()) > _SINGULAR
 
-    def act(self, error: npt.ArrayLike) -> Array:
+    def act(self, error: npt.ArrayLike, measured: npt.NDArray[np.bool_] | None = None) -> Array:
         """The action (A,) in -1...1 for an error (F,), what is desired minus what is.
+
+        Args:
+            error: (F,).
+            measured: (F,) which features count; None for all.
 
         Zeros while there is no estimate to act on, and for an error that is not finite.
 
@@ -66,6 +75,8 @@ class ServoLaw(ABC):
             raise ValueError(f"servo law: expected an error of {matrix.shape[0]} features, got {away.shape}.")
         if not self.ready or not np.all(np.isfinite(away)):
             return np.zeros(matrix.shape[1])
+        if measured is not None:
+            matrix, away = np.where(measured[:, None], matrix, 0.0), np.where(measured, away, 0.0)
         if self.weights is not None:
             matrix, away = self.weights @ matrix, self.weights @ away
         return self._step(matrix, away)

@@ -20,8 +20,8 @@ class RecursiveLeastSquares(JacobianEstimator):
 
     Args:
         forgetting: f, 0...1: the weight of a motion sinks by this factor with each later one.
-        uncertainty: P at the start is this times the identity. P grows no further: directions in which nothing moves
-            would else be believed less and less, until noise is taken for an answer.
+        uncertainty: P at the start is this times the identity. No eigenvalue of P grows beyond: directions in which
+            nothing moves would else be believed less and less, until noise is taken for an answer.
     """
 
     def __init__(self, forgetting: float = 0.95, uncertainty: float = 10.0) -> None:
@@ -36,7 +36,7 @@ class RecursiveLeastSquares(JacobianEstimator):
         before = self._covariance
         spread = before @ da
         gain = spread / (self.forgetting + da @ spread)
-        after = (before - np.outer(gain, spread)) / self.forgetting
-        largest = np.linalg.eigvalsh(after)[-1]
-        self._covariance = after * min(1.0, self.uncertainty / largest)
+        values, vectors = np.linalg.eigh((before - np.outer(gain, spread)) / self.forgetting)
+        # One by one: scaling all of P would keep what moves from being forgotten while something else rests.
+        self._covariance = (vectors * np.clip(values, 0.0, self.uncertainty)) @ vectors.T
         return gain

@@ -18,8 +18,10 @@ from shape_obs.servo.weights import geometric_weights, noise_weights
 from shape_obs.shape import Shape
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 _LAW: Final = "mfac"
+_STILL: Final = 8  # frames over which noise is measured
 
 
 class ShapeServo:
@@ -40,6 +42,8 @@ class ShapeServo:
             a multiple of the noise that it has while nothing moves; None: all alike, which suits points.
         seen: Tells the shape in the present observation: while that is not found, held or of too few measured points,
             nothing moves and nothing is learnt. ``attach`` finds it; without it whoever calls must see to that.
+        measured: Tells which of the F features were measured in the present observation: the others are neither learnt
+            from nor acted on. ``attach`` finds it; None for all.
         min_valid: Share of its points that must be measured.
 
     Attributes:
@@ -63,16 +67,17 @@ class ShapeServo:
         least_motion: float = 0.6,
         weights: Literal["noise"] | npt.ArrayLike | None = None,
         seen: Callable[[], Shape] | None = None,
+        measured: Callable[[], Mask] | None = None,
         min_valid: float = 0.5,
     ) -> None:
         self.law = make_law(law) if isinstance(law, str) else law
-        self._size, self._seen = actions, seen
         self._excitation = Excitation() if excitation is None else excitation
         self._least = share("ShapeServo: least_motion", least_motion, 100.0)
         if isinstance(weights, str) and weights != "noise":
             raise ValueError(f"ShapeServo: weights are 'noise', a matrix (M,F) or None, got {weights!r}.")
-        self._by_noise = isinstance(weights, str)
-        self._weights = None if weights is None or self._by_noise else np.asarray(weights, dtype=np.float64)
+        matrix = None if weights is None or isinstance(weights, str) else np.asarray(weights, dtype=np.float64)
+        self._given = (actions, seen, measured, matrix, isinstance(weights, str))
+        self._size, self._seen, self._measured, self._weights, self._by_noise = self._given
         self._min_valid = share("ShapeServo: min_valid", min_valid)
         self.reset()
 
@@ -93,8 +98,11 @@ class ShapeServo:
         box = env.action_space
         if len(box.shape) != 1 or not (np.all(box.low == -1) and np.all(box.high == 1)):
             raise ValueError(f"ShapeServo: expected actions in a flat Box of -1...1, got {box}.")
-        self._size = self._size or int(box.shape[0])
-        self._seen = self._seen or partial(env.get_wrapper_attr, "goal_shape")
+        # What an env that it was attached to before has told is of no use here.
+        size, seen, measured, self._weights, self._by_noise = self._given
+        self._size = size or int(box.shape[0])
+        self._seen = seen or partial(env.get_wrapper_attr, "goal_shape")
+        self._measured = measured or partial(env.get_wrapper_attr, "goal_measured")
         if self._weights is None and not self._by_noise:
             features, spec = env.get_wrapper_attr("goal_features"), env.get_wrapper_attr("goal_configuration")
             self._weights = geometric_weights(features, spec.layout, env.get_wrapper_attr("goal_view"))
@@ -120,22 +128,35 @@ class ShapeServo:
         """The action (A,) in -1...1 for an observation with ``achieved_goal`` and ``desired_goal``, (F,) each.
 
         Raises:
-            ValueError: The number of actions is not known, or the goals are of another size than before.
+            ValueError: The number of actions is not known, or the goals are of another size than before, than each
+                other or than the weights.
         """
         features, goal = (np.asarray(observation[key], np.float64) for key in ("achieved_goal", "desired_goal"))
         if self._size is None:
             raise ValueError("ShapeServo: how many numbers has an action? Pass actions=, or call bind.")
+        size = features.shape if self._marked is None else self._marked.shape
+        if features.shape != size or goal.shape != size:
+            raise ValueError(
+                f"ShapeServo: expected {size[0]} features, got {features.size} in achieved_goal and {goal.size} in "
+                "desired_goal; after a change of features call reset."
+            )
         if not self._trusted(features):
             self.held += 1
             action = np.zeros(self._size)
         else:
+            known = np.ones(size, bool) if self._measured is None else self._measured()
             if self._marked is None:
-                self._begin(features)
-            self._learn(features)
-            action = self._script.pop(0) if self._script else self.law.act(goal - features)
+                self._begin(features, known)
+            self._learn(features, known)
+            action = self._script.pop(0) if self._script else self.law.act(goal - features, known)
         if self._marked is not None:
-            self._moved = self._moved + action
+            self._moved, self._last = self._moved + action, action
         return action.astype(np.float32)
+
+    def withheld(self) -> None:
+        """Take back what the last action was counted for: it was not sent."""
+        if self._marked is not None:
+            self._moved, self._last = self._moved - self._last, np.zeros_like(self._last)
 
     def _trusted(self, features: Array) -> bool:
         """Whether an observation may be learnt from and acted on."""
@@ -144,26 +165,33 @@ class ShapeServo:
             return False
         return bool(np.all(np.isfinite(features)))
 
-    def _begin(self, features: Array) -> None:
+    def _begin(self, features: Array, known: Mask) -> None:
         assert self._size is not None
+        if self._weights is not None and (self._weights.ndim != 2 or self._weights.shape[1] != len(features)):
+            raise ValueError(
+                f"ShapeServo: weights: expected (M, {len(features)}) for {len(features)} features, got "
+                f"{self._weights.shape}."
+            )
         self.law.start(len(features), self._size)
-        self._marked, self._moved = features, np.zeros(self._size)
+        self._mark(features, known)
         still = _STILL if self._by_noise else 0
         self._script = [*np.zeros((still, self._size)), *self._excitation.actions(self._size)]
         self._still = []
         self.law.weights = self._weights
 
-    def _learn(self, features: Array) -> None:
+    def _mark(self, features: Array, known: Mask) -> None:
+        """Count changes and motions from here."""
+        assert self._size is not None
+        self._marked, self._known, self._moved = features, known, np.zeros(self._size)
+
+    def _learn(self, features: Array, known: Mask) -> None:
         """Learn from what changed since the mark, once the motion is long enough."""
         assert self._marked is not None
         if self._by_noise and len(self._still) < _STILL:
             self._still.append(features)
         if np.linalg.norm(self._moved) >= self._least:
-            self.law.update(features - self._marked, self._moved)
-            self._marked, self._moved = features, np.zeros_like(self._moved)
+            self.law.update(features - self._marked, self._moved, known & self._known)
+            self._mark(features, known)
         if self._by_noise and self.law.weights is None and not self._script:
             assert self.law.estimator.matrix is not None
             self.law.weights = noise_weights(self._still, self.law.estimator.matrix)
-
-
-_STILL: Final = 8

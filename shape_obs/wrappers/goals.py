@@ -57,6 +57,10 @@ class GoalVector:
         """((D,), (D,)): what was achieved and what is desired, fresh arrays."""
         return self._vector.compute([seen], [view]), self.desired(target, view)
 
+    def measured(self, seen: Shape) -> npt.NDArray[np.bool_]:
+        """(D,) which of the achieved values were measured in this frame, not filled in."""
+        return self._vector.measured([seen])
+
     def desired(self, target: Shape, view: View) -> Vector:
         """(D,) of the target, a fresh array."""
         shape, camera, before = self._known

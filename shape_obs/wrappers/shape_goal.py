@@ -162,6 +162,12 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return self._source.views[self._at]
 
     @property
+    def goal_measured(self) -> npt.NDArray[np.bool_]:
+        """(D,) which numbers of the present ``achieved_goal`` were measured, not filled in."""
+        assert self.goal_shape is not None
+        return self._vector.measured(self.goal_shape)
+
+    @property
     def goal_shape(self) -> Shape | None:
         """The shape that has the goal, as it was found in the present observation; None before the first."""
         return None if self._source.detection is None else self._source.detection.shapes[self._at]

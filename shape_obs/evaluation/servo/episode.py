@@ -190,7 +190,14 @@ def _servo(world: World, law: str) -> ShapeServo:
     space = world.env.action_space
     weights = geometric_weights(world.features, world.spec.layout, world.view())
     how: Any = "noise" if weights is None else weights
-    return ShapeServo(make_law(law), actions=int(np.prod(space.shape or ())), seen=world.seen, weights=how)
+    vector = FeatureVector(world.features, [world.spec], world.view())
+    return ShapeServo(
+        make_law(law),
+        actions=int(np.prod(space.shape or ())),
+        seen=world.seen,
+        measured=lambda: vector.measured([world.seen()]),
+        weights=how,
+    )
 
 
 def _milliseconds(vector: FeatureVector, world: World) -> float:
