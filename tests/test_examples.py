@@ -20,6 +20,8 @@ EXPECTED = {
     "deploy_loop.py": "goal            reached",
     "foreign_env.py": "ok: True",
     "foreign_env_depth.py": "13 points in metres, ok: True",
+    "shape_servo.py": "3 of 3 goals within 10 mm",
+    "servo_robot.py": "goal            reached",
     "features_offline.py": "pca, aligned    11 values, points back within  ",
 }
 DRAWN_BY_GYMNASIUM = ("foreign_env.py", "foreign_env_depth.py")

@@ -20,7 +20,7 @@ from shape_obs.shape import Shape
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_LAW: Final = "mfac"
+_LAW: Final = "rls"
 _STILL: Final = 8  # frames over which noise is measured
 
 

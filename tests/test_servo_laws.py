@@ -1,0 +1,247 @@
+"""Estimators, laws and the excitation: what they learn, and where they send a robot, against closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from shape_obs.servo import (
+    LAWS,
+    Broyden,
+    DampedLeastSquares,
+    Excitation,
+    Kalman,
+    ModelFreeAdaptiveControl,
+    PseudoJacobian,
+    RecursiveLeastSquares,
+    make_law,
+)
+from shape_obs.spec import SpecError
+
+ESTIMATORS = [Broyden, RecursiveLeastSquares, Kalman, PseudoJacobian]
+every = pytest.mark.parametrize("estimator", ESTIMATORS)
+sizes = st.tuples(st.integers(1, 12), st.integers(1, 6))
+seeds = st.integers(0, 2**32 - 1)
+
+
+def learnt(estimator, plant, motions):
+    """The estimate after motions of a plant, which is a matrix, or one for each motion."""
+    estimator.start(*plant.shape[-2:])
+    plants = np.broadcast_to(plant, (len(motions), *plant.shape[-2:]))
+    for matrix, motion in zip(plants, motions, strict=True):
+        assert estimator.update(matrix @ motion, motion)
+    return estimator.matrix
+
+
+@every
+@settings(max_examples=10)
+@given(sizes, seeds)
+def test_a_constant_map_is_learnt_from_random_motions(estimator, size, seed):
+    rng = np.random.default_rng(seed)
+    plant = rng.normal(size=size)
+    found = learnt(estimator(), plant, rng.uniform(-1, 1, (200, size[1])))
+    assert found == pytest.approx(plant, abs=1e-2 * np.abs(plant).max())
+
+
+@every
+def test_a_map_that_changes_slowly_is_followed(estimator):
+    rng = np.random.default_rng(0)
+    first, last = rng.normal(size=(2, 5, 3))
+    blend = np.linspace(0, 1, 400)[:, None, None]
+    found = learnt(estimator(), (1 - blend) * first + blend * last, rng.uniform(-1, 1, (400, 3)))
+    assert np.linalg.norm(found - last) < 0.1 * np.linalg.norm(last - first)
+
+
+def test_recursive_least_squares_forgets_one_direction_while_another_rests():
+    motions = np.tile([1.0, 0.0], (200, 1))
+    plants = np.repeat([[[1.0, 0.0]], [[3.0, 0.0]]], [170, 30], axis=0)
+    found = learnt(RecursiveLeastSquares(forgetting=0.8), plants, motions)
+    assert found == pytest.approx(np.array([[3.0, 0.0]]), abs=0.01)
+
+
+@every
+def test_the_first_motions_are_explained_by_the_exact_solution(estimator):
+    """Unit motions one by one: each column is what was seen, in the share that the gain takes."""
+    plant = np.arange(1.0, 7).reshape(2, 3)
+    share = {Broyden: 0.5 / 1.02, RecursiveLeastSquares: None, Kalman: 10.02 / 10.07, PseudoJacobian: 0.5 / 1.2}
+    found = learnt(estimator(), plant[:, :1], np.ones((1, 1)))
+    expected = 10 / 10.95 if share[estimator] is None else share[estimator]
+    assert found == pytest.approx(expected * plant[:, :1])
+
+
+@every
+def test_nothing_is_learnt_from_what_is_not_finite_nor_without_a_motion(estimator):
+    rng = np.random.default_rng(1)
+    made = estimator()
+    plant = learnt(made, rng.normal(size=(4, 2)), rng.uniform(-1, 1, (50, 2)))
+    for bad in np.nan, np.inf:
+        assert not made.update([bad, 0, 0, 0], [1, 0])
+        assert not made.update([1, 1, 1, 1], [bad, 0])
+    assert not made.update([1, 1, 1, 1], [0, 0])
+    assert made.matrix is plant
+
+
+@every
+@given(seeds, st.floats(1e-3, 1e3))
+def test_the_unit_of_features_changes_no_action(estimator, seed, unit):
+    rng = np.random.default_rng(seed)
+    plant, motions, error = rng.normal(size=(6, 3)), rng.uniform(-1, 1, (20, 3)), rng.normal(size=6)
+    law, scaled = DampedLeastSquares(estimator()), DampedLeastSquares(estimator())
+    matrix = learnt(law.estimator, plant, motions)
+    assert learnt(scaled.estimator, unit * plant, motions) == pytest.approx(unit * matrix, rel=1e-9, abs=1e-9 * unit)
+    assert scaled.act(unit * error) == pytest.approx(law.act(error), abs=1e-9)
+
+
+@every
+@settings(max_examples=8)
+@given(seeds)
+def test_long_motion_in_one_direction_spoils_nothing(estimator, seed):
+    """Afterwards a small motion of noise in another direction is no revelation, and any motion is foreseen better."""
+    rng = np.random.default_rng(seed)
+    plant = rng.normal(size=(4, 3))
+    made = estimator()
+    learnt(made, plant, rng.uniform(-1, 1, (60, 3)))
+    for _ in range(300):
+        made.update(plant @ [0.8, 0, 0] + 1e-3 * rng.normal(size=4), np.array([0.8, 0, 0]))
+    made.update(plant @ [0.8, 1e-3, 0] + 1e-3 * rng.normal(size=4), np.array([0.8, 1e-3, 0]))
+    assert made.matrix == pytest.approx(plant, abs=0.15)
+    for motion in rng.uniform(-1, 1, (20, 3)):
+        change = rng.normal(size=4)
+        before = change - made.matrix @ motion
+        made.update(change, motion)
+        assert made.error == pytest.approx(np.linalg.norm(before) / np.linalg.norm(change))
+        after = change - made.matrix @ motion
+        # Of the same direction, shorter: true of any gain from a positive covariance.
+        left = after @ before / (before @ before)
+        assert -1e-9 <= left < 1
+        assert after == pytest.approx(left * before, abs=1e-9)
+
+
+@every
+def test_estimators_say_what_they_expect(estimator):
+    made = estimator()
+    with pytest.raises(ValueError, match="call start"):
+        made.update([1.0], [1.0])
+    made.start(3, 2)
+    with pytest.raises(ValueError, match=r"3 features and 2 actions, got \(2,\) and \(2,\)"):
+        made.update([1.0, 2], [1.0, 2])
+    with pytest.raises(ValueError, match=r"finite Jacobian \(3, 2\)"):
+        made.start(3, 2, np.full((3, 2), np.nan))
+    made.start(3, 2, np.ones((3, 2)))
+    assert (made.matrix == 1).all()
+
+
+@pytest.mark.parametrize("make", [Broyden, PseudoJacobian, RecursiveLeastSquares, Kalman])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, True, "1"])
+def test_settings_that_are_no_share_are_refused(make, value):
+    with pytest.raises(ValueError, match="expected a number above 0"):
+        make(value)
+
+
+def told(law, matrix):
+    """A law that knows its Jacobian."""
+    law.start(*np.shape(matrix), matrix=matrix)
+    return law
+
+
+@given(sizes, seeds)
+def test_damped_least_squares_is_its_closed_form(size, seed):
+    rng = np.random.default_rng(seed)
+    jacobian, error = rng.normal(size=size), 1e-3 * rng.normal(size=size[0])
+    damping = 0.1 * np.trace(jacobian.T @ jacobian) / size[1]
+    # The same step as least squares with the damping as further rows.
+    rows = np.concatenate([jacobian, np.sqrt(damping) * np.eye(size[1])])
+    step = np.linalg.lstsq(rows, np.concatenate([0.5 * error, np.zeros(size[1])]), rcond=None)[0]
+    assume(np.abs(step).max() < 1)
+    assert told(DampedLeastSquares(PseudoJacobian()), jacobian).act(error) == pytest.approx(step, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", LAWS)
+@given(sizes, seeds)
+def test_saturation_keeps_the_direction(name, size, seed):
+    rng = np.random.default_rng(seed)
+    law, error = told(make_law(name), rng.normal(size=size)), rng.normal(size=size[0])
+    small, large = law.act(1e-4 * error), law.act(1e6 * error)
+    assert np.abs(large).max() <= 1 + 1e-12
+    assert large @ small == pytest.approx(np.linalg.norm(large) * np.linalg.norm(small))
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_without_an_estimate_or_an_error_nothing_moves(name):
+    law = make_law(name)
+    with pytest.raises(ValueError, match="call start"):
+        law.act([1.0])
+    law.start(3, 2)
+    assert not law.ready
+    assert (law.act([1.0, 2, 3]) == 0).all()
+    told(law, np.ones((3, 2)))
+    assert law.ready
+    assert (law.act([1.0, np.nan, 3]) == 0).all()
+    assert (law.act(np.zeros(3)) == 0).all()
+    with pytest.raises(ValueError, match=r"an error of 3 features, got \(2,\)"):
+        law.act([1.0, 2])
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_features_that_were_not_measured_are_neither_acted_on_nor_learnt_from(name):
+    rng = np.random.default_rng(3)
+    jacobian, error = rng.normal(size=(6, 3)), 0.1 * rng.normal(size=6)
+    measured = np.array([True, True, False, True, False, True])
+    law = told(make_law(name), jacobian)
+    assert law.act(error, measured) == pytest.approx(told(make_law(name), jacobian[measured]).act(error[measured]))
+    assert law.update(rng.normal(size=6), rng.normal(size=3), measured)
+    changed = (law.estimator.matrix != jacobian).any(axis=1)
+    assert (changed == measured).all()
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_weights_are_as_a_map_that_was_weighted_before(name):
+    rng = np.random.default_rng(2)
+    jacobian, error, weights = rng.normal(size=(5, 3)), 0.1 * rng.normal(size=5), rng.normal(size=(4, 5))
+    law = told(make_law(name), jacobian)
+    plain = law.act(error)
+    law.weights = weights
+    assert law.act(error) == pytest.approx(told(make_law(name), weights @ jacobian).act(weights @ error))
+    law.weights = np.eye(5)
+    assert law.act(error) == pytest.approx(plain)
+
+
+@given(sizes, seeds, st.floats(0.05, 1.0))
+def test_model_free_adaptive_control_comes_nearer_with_every_step(size, seed, step):
+    """On a linear plant that is known: the error never grows, and what can be reached shrinks."""
+    rng = np.random.default_rng(seed)
+    plant, error = rng.normal(size=size), rng.normal(size=size[0])
+    law = told(ModelFreeAdaptiveControl(PseudoJacobian(), step=step), plant)
+    for _ in range(20):
+        after = error - plant @ law.act(error)
+        assert np.linalg.norm(after) <= np.linalg.norm(error) * (1 + 1e-12)
+        if np.linalg.norm(plant.T @ error) > 1e-6:
+            assert np.linalg.norm(after) < np.linalg.norm(error)
+        error = after
+
+
+@given(st.integers(1, 8), st.integers(1, 5), st.floats(0.01, 1.0))
+def test_excitation_moves_each_coordinate_alone_and_comes_back(size, hold, amplitude):
+    actions = Excitation(amplitude, hold).actions(size)
+    assert actions.shape == (2 * size * hold, size)
+    assert actions.sum(axis=0) == pytest.approx(np.zeros(size), abs=1e-12)
+    assert (np.count_nonzero(actions, axis=1) == 1).all()
+    assert np.abs(actions).max() == amplitude
+    assert np.abs(np.cumsum(actions, axis=0)).max() == pytest.approx(hold * amplitude)
+
+
+def test_names_and_specs():
+    assert Excitation.from_dict({"amplitude": 0.3}) == Excitation(0.3)
+    with pytest.raises(SpecError, match="amplitude above 0"):
+        Excitation(amplitude=0)
+    with pytest.raises(ValueError, match="did you mean 'mfac'"):
+        make_law("mfaq")
+    assert {type(make_law(name).estimator) for name in LAWS} == set(ESTIMATORS)
+
+
+@given(hnp.arrays(float, (3, 2), elements=st.floats(-1e-12, 1e-12)))
+def test_an_estimate_of_nothing_is_not_acted_on(matrix):
+    assert (told(make_law("rls"), matrix).act(np.ones(3)) == 0).all()
