@@ -45,7 +45,7 @@ def bring(env: ShapeGoal, law: str, seed: int, most: int) -> bool:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--law", default="mfac", help="broyden, rls, kalman, mfac or mfac-law")
+    parser.add_argument("--law", default="rls", help="broyden, rls, kalman, mfac or mfac-law")
     parser.add_argument("--difficulty", default="near", choices=["near", "middle", "far"])
     parser.add_argument("--seed", type=int, default=2)
     parser.add_argument("--steps", type=int, default=100, help="at most")
