@@ -15,12 +15,13 @@ from shape_obs.features.pca import PrincipalComponents
 from shape_obs.features.points import Points2D, Points2DNormalized, Points3D
 from shape_obs.features.status import Age, Ok, Valid
 from shape_obs.features.tangents import Tangents
-from shape_obs.features.vector import FeatureVector
+from shape_obs.features.vector import Block, FeatureVector
 
 __all__ = [
     "Age",
     "BSpline",
     "Bezier",
+    "Block",
     "Centroid",
     "ContourMoments",
     "Curvature",

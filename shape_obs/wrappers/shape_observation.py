@@ -50,11 +50,11 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         detector: The ``ShapeDetector``; its state is the wrapper's.
         detection: What it found in the last observation; None before the first.
         features: Of each shape, in the order of the vector.
+        blocks: What stands where in the vector: a ``Block`` for each feature of each shape.
         views: Camera and anchor of each shape in the last observation.
         target: The goal of a goal-conditioned env in the last observation, as a shape; else None.
 
     Example:
-        >>> env = ShapeObservation(gym.make("shape_obs_envs:ShapeObs/Cable-v0"))  # doctest: +SKIP
         >>> env = ShapeObservation(env, ["centerline"], HSVRange((90, 60, 30), (130, 255, 255)))  # doctest: +SKIP
     """
 
@@ -98,6 +98,7 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
             raise ValueError("features need depth, but the observation has no 'depth'; pass depth_key=.")
         space, shapes = env.observation_space, self.detector.shapes
         self._vector = FeatureVector(self.features, shapes, view)
+        self.blocks = self._vector.blocks
         self._goal = EnvGoal.find(space, self.features, shapes, view, env_protocol.goal_layout(env))
         self._layout = Layout(space, own["keep"] or (), self._vector, self._goal and self._goal.vector)
         self.observation_space = self._layout.space
