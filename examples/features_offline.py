@@ -17,7 +17,7 @@ from shape_obs.features import Feature, PointDistribution, Points3D, PrincipalCo
 from shape_obs.recording import record, replay
 from shape_obs_envs.sources import open_source
 
-EPISODES, STEPS = 10, 51
+EPISODES, STEPS = 6, 51
 FEATURES = [
     {"kind": "fourier", "harmonics": 4, "frame": "base"},
     {"kind": "bspline", "coefficients": 8, "frame": "base"},
