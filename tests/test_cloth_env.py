@@ -67,11 +67,11 @@ def env():
 
 @pytest.fixture(scope="module")
 def episodes() -> dict[str, np.ndarray]:
-    """What 12 episodes of held actions, white noise and full strength do to the sheet."""
+    """What 20 episodes of held actions, white noise and full strength do to the sheet."""
     env = make(render_observation=False)
     rng, action = np.random.default_rng(0), IDLE
     seen: dict[str, list[Any]] = {name: [] for name in ("stretch", "crossings", "pixels", "surface", "grippers")}
-    for seed in range(12):
+    for seed in range(20):
         env.reset(seed=seed)
         for step in range(50):
             if step % 8 == 0 or seed % 3 == 0:

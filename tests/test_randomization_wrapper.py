@@ -15,10 +15,11 @@ from shape_obs import ShapeObservation
 
 
 @pytest.mark.parametrize("name", ENVS)
-def test_both_checkers_pass(name):
-    check_env(make(name, renderer="auto", difficulty="near"), skip_render_check=True)
+@pytest.mark.parametrize("renderer", ["rays", "auto"])
+def test_both_checkers_pass(name, renderer):
+    check_env(make(name, renderer=renderer, difficulty="near"), skip_render_check=True)
     sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
-    sb3.check_env(make(name, renderer="auto", difficulty="near"), warn=False)
+    sb3.check_env(make(name, renderer=renderer, difficulty="near"), warn=False)
 
 
 @pytest.mark.parametrize("name", ENVS)

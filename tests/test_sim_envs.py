@@ -69,10 +69,11 @@ def test_both_checkers_pass(name, renderer):
     sb3.check_env(make(name, renderer=renderer), warn=False)
 
 
-def test_both_checkers_pass_on_what_is_ready_wrapped(name):
+@pytest.mark.parametrize("renderer", ["rays", "auto"])
+def test_both_checkers_pass_on_what_is_ready_wrapped(name, renderer):
     sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
     env_id, arguments = ENVS[name]
-    wrapped = gym.make(env_id.replace("-v0", "Shape-v0"), renderer="auto", **arguments)
+    wrapped = gym.make(env_id.replace("-v0", "Shape-v0"), renderer=renderer, **arguments)
     check_env(wrapped)
     sb3.check_env(wrapped, warn=False)
     for observation, info in play(wrapped, seed=1):
