@@ -1,0 +1,137 @@
+"""Study: what an ablation compares, as its YAML file says it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from shape_obs.ablation.arm import Arm, Disturbance
+from shape_obs.files import read_yaml
+from shape_obs.spec import Spec, SpecError
+
+VERSION: Final = 1
+_NAME: Final = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-")
+
+Algorithm = Literal["SAC", "TD3", "DDPG", "PPO", "A2C"]
+OFF_POLICY: Final = ("SAC", "TD3", "DDPG")
+
+
+@dataclass(frozen=True)
+class Evaluation(Spec):
+    """How policies are tried out: on goals that no training sees, the same for all.
+
+    Args:
+        every: Steps of training between two evaluations.
+        goals: Of each difficulty, in each evaluation but the last.
+        final_goals: Of each difficulty, in the last.
+        difficulties: How far goals are from the start; empty for an env that has none.
+        seed: Of the first goal; the others count on. Trainings have seeds far below.
+        disturbances: In which the last policy is tried out besides, by name.
+    """
+
+    every: int = 2500
+    goals: int = 20
+    final_goals: int = 100
+    difficulties: tuple[str, ...] = ("near", "middle", "far")
+    seed: int = 1_000_000
+    disturbances: Mapping[str, Disturbance] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("every", "goals", "final_goals"):
+            if getattr(self, name) < 1:
+                raise SpecError(f"evaluation.{name}: expected at least 1, got {getattr(self, name)}.")
+        if not self.difficulties:
+            raise SpecError("evaluation.difficulties: expected at least one.")
+
+
+@dataclass(frozen=True)
+class Study(Spec):
+    """Arms × seeds: trainings that differ in what the policy sees, and in nothing else.
+
+    Args:
+        arms: What is compared, by name.
+        env: A goal-conditioned simulated environment, its reward in metres.
+        env_arguments: Of the environment; ``reward_type`` is ``"sparse"`` unless they say otherwise.
+        episode: Steps of an episode.
+        difficulties: Drawn from in training; a name that stands twice is drawn twice as often.
+        after: Episodes after which one more of these joins the first; 0 draws from all of them at once.
+        seeds: Of the trainings of each arm.
+        steps: Of a training.
+        algorithm: Of Stable-Baselines3.
+        hyperparameters: Of the algorithm, as Stable-Baselines3 names them; ``net_arch`` too.
+        her: Arguments of ``HerReplayBuffer``; None for no hindsight, and always with PPO and A2C.
+        normalize: Arguments of ``VecNormalize``; None for none.
+        evaluation: How policies are tried out.
+
+    Raises:
+        SpecError: Something is missing, out of range, or does not fit together.
+    """
+
+    arms: Mapping[str, Arm]
+    env: str = "ShapeObs/Cable-v0"
+    env_arguments: Mapping[str, Any] = field(default_factory=dict)
+    episode: int = 50
+    difficulties: tuple[str, ...] = ("near", "middle", "far")
+    after: int = 0
+    seeds: tuple[int, ...] = (0, 1, 2)
+    steps: int = 20_000
+    algorithm: Algorithm = "SAC"
+    hyperparameters: Mapping[str, Any] = field(default_factory=dict)
+    her: Mapping[str, Any] | None = None
+    normalize: Mapping[str, Any] | None = None
+    evaluation: Evaluation = field(default_factory=Evaluation)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.arms:
+            raise SpecError("arms: expected at least one, got none.")
+        for name in self.arms:
+            if not name or not set(name) <= _NAME or name.startswith("."):
+                raise SpecError(f"arms: a name is a folder's too: letters, digits and '._-', got {name!r}.")
+        if not self.seeds or len(set(self.seeds)) != len(self.seeds):
+            raise SpecError(f"seeds: expected different ones, at least one, got {list(self.seeds)}.")
+        if min(self.seeds) < 0 or max(self.seeds) >= self.evaluation.seed:
+            raise SpecError(f"seeds: expected 0 ... evaluation.seed - 1, got {list(self.seeds)}.")
+        for name in ("steps", "episode"):
+            if getattr(self, name) < 1:
+                raise SpecError(f"{name}: expected at least 1, got {getattr(self, name)}.")
+        if not self.difficulties:
+            raise SpecError("difficulties: expected at least one.")
+        if self.her is not None and self.algorithm not in OFF_POLICY:
+            raise SpecError(f"her: hindsight replay needs one of {', '.join(OFF_POLICY)}, got {self.algorithm}.")
+
+    def made_with(self, arm: str) -> dict[str, Any]:
+        """All that the numbers of a run depend on, but its seed."""
+        whole = self.to_dict()
+        return {
+            **{name: value for name, value in whole.items() if name not in ("arms", "seeds")},
+            "arm": whole["arms"][arm],
+        }
+
+    def hash(self, arm: str) -> str:
+        """SHA-256 of ``made_with``."""
+        text = json.dumps(self.made_with(arm), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def load_study(path: str | os.PathLike[str]) -> Study:
+    """Read a study from a YAML file.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        SpecError: It is no YAML, of another version, or not understood; the message names the place.
+    """
+    data = read_yaml(Path(path), "study")
+    if not isinstance(data, Mapping) or data.get("version") != VERSION:
+        got = data.get("version") if isinstance(data, Mapping) else type(data).__name__
+        raise SpecError(f"{path}: expected a study with 'version: {VERSION}', got {got!r}.")
+    try:
+        return Study.from_dict({name: value for name, value in data.items() if name != "version"})
+    except SpecError as error:
+        raise SpecError(f"{path}: {error}") from error

@@ -1,0 +1,1 @@
+"""Bundles: a trained policy with all that it takes to run it elsewhere."""

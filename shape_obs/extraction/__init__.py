@@ -1,0 +1,1 @@
+"""Extraction: shapes and features of many recorded episodes, into tables."""
