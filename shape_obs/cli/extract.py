@@ -1,0 +1,166 @@
+"""``shape-obs extract``: shapes and features of many recorded episodes, as Parquet."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from glob import glob, has_magic
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+import yaml
+from tqdm import tqdm
+
+from shape_obs.cli.source import open_named, warnings_as_lines
+from shape_obs.config import load_config
+from shape_obs.features import read_features
+
+if TYPE_CHECKING:
+    from shape_obs.extraction import Outcome
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Find the shapes in every recorded episode, and write a Parquet file for each into one dataset.
+
+    What is there already is left alone, so a run that was stopped goes on where it was. Exit code 0 if every episode is
+    in the dataset, 1 if some failed: those are listed, and in _failures.json too.
+    """
+
+    source: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """Recorded folders, folders of images, .db3, .bag and video files, folders with any of these in them, patterns."""
+    config: Path
+    """A YAML config file."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """The dataset's folder."""
+    features: tuple[str, ...] = ()
+    """Features, each a name or a mapping as YAML; instead of the config's."""
+    frames: int | None = None
+    """How many at most, of each episode."""
+    extrinsics: Path | None = None
+    """A file that says where the camera stands in the base frame; wins over the recorded places."""
+    jobs: int | None = None
+    """How many episodes at once; default 1, on Ray as many as there are processors."""
+    engine: Literal["local", "ray"] = "local"
+    """Processes of this machine, or a Ray cluster (needs the extra 'ray')."""
+    address: str | None = None
+    """Of the Ray cluster, 'auto' for the one that this machine belongs to; default one of this machine alone."""
+    json: bool = False
+    """Print the summary as JSON."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command; returns the exit code."""
+    from shape_obs.extraction import Extraction, all_tasks, extract
+
+    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs extract")
+    config = load_config(args.config)
+    if args.features:
+        config["features"] = [feature.to_dict() for feature in read_features(map(_feature, args.features))]
+    if args.extrinsics is not None and not args.extrinsics.is_file():
+        raise FileNotFoundError(f"--extrinsics: {args.extrinsics}: no such file.")
+    tasks = all_tasks(recordings(args.source))
+    job = Extraction(config, args.out, partial(open_named, extrinsics=args.extrinsics), args.extrinsics, args.frames)
+    found: list[Outcome] = []
+    with warnings_as_lines("shape-obs extract"):
+        run = extract(job, tasks, engine=args.engine, jobs=args.jobs, address=args.address)
+        with (
+            closing(run) as outcomes,
+            tqdm(outcomes, total=len(tasks), unit="episode", leave=False, desc="extracting") as bar,
+        ):
+            for outcome in bar:
+                found.append(outcome)
+                if outcome.status == "failed":
+                    bar.write(f"failed: {outcome.task.source}: {outcome.reason}", file=sys.stderr)
+        for text in sorted({text for outcome in found for text in outcome.warnings}):
+            print(f"shape-obs extract: {text}", file=sys.stderr)
+    found.sort(key=lambda outcome: (outcome.task.source, outcome.task.index))
+    result = _result(args, found)
+    print(json.dumps(result) if args.json else summary(result))
+    return int(bool(result["failed"]))
+
+
+def recordings(texts: Sequence[str]) -> list[str]:
+    """The recordings that are named, with those in folders and those that patterns fit, in the order of their paths.
+
+    Raises:
+        ValueError: No text, a camera or an environment, or a folder or pattern with no recording in it.
+    """
+    if not texts:
+        raise ValueError("give at least one recording, or a folder of them.")
+    found: list[str] = []
+    for text in texts:
+        if has_magic(text) and not Path(text).exists():
+            paths = [Path(name) for name in sorted(glob(text, recursive=True))]
+        else:
+            paths = [Path(text)]
+            if not paths[0].exists():
+                raise ValueError(f"{text}: no such file or folder; record a camera or an environment first.")
+        inside = [str(inner) for path in paths for inner in (_inside(path) if path.is_dir() else [path])]
+        if not inside:
+            raise ValueError(f"{text}: found no recording there: no recorded folder, images, .db3, .bag or video file.")
+        found += inside
+    return list(dict.fromkeys(found))
+
+
+def summary(result: dict[str, Any]) -> str:
+    """The lines that the command prints."""
+    lines = [
+        f"episodes        {result['done']} done, {result['kept']} kept, {len(result['failed'])} failed",
+        f"frames          {result['frames']}",
+        *(f"{name:<15} ok in {ok}, {ok / max(result['frames'], 1):.1%}" for name, ok in result["ok"].items()),
+        *(f"failed          {failure['source']}: {failure['reason']}" for failure in result["failed"]),
+        f"wrote           {result['files']} files in {result['out']}",
+    ]
+    return "\n".join(lines)
+
+
+def _result(args: Arguments, found: Sequence[Outcome]) -> dict[str, Any]:
+    status, ok = Counter(outcome.status for outcome in found), Counter[str]()
+    for outcome in found:
+        ok.update(outcome.ok)
+    failed = [outcome for outcome in found if outcome.status == "failed"]
+    return {
+        "done": status["done"],
+        "kept": status["kept"],
+        "frames": sum(outcome.frames for outcome in found),
+        "ok": dict(ok),
+        "failed": [
+            {"source": outcome.task.source, "index": outcome.task.index, "reason": outcome.reason} for outcome in failed
+        ],
+        "files": len(found) - len(failed),
+        "out": str(args.out),
+    }
+
+
+def _inside(folder: Path) -> Iterator[Path]:
+    """The recordings in a folder, which may be one itself."""
+    from shape_obs.recording.layout import CAMERA_FILE, FRAMES_FILE
+    from shape_obs_envs.sources.folder import PHOTOS
+    from shape_obs_envs.sources.opening import RECORDINGS
+    from shape_obs_envs.sources.video import VIDEOS
+
+    inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    names, suffixes = {path.name for path in inside}, {path.suffix.lower() for path in inside if path.is_file()}
+    if names & {CAMERA_FILE, FRAMES_FILE} or suffixes & set(PHOTOS):
+        yield folder
+        return
+    for path in inside:
+        if path.is_dir():
+            yield from _inside(path)
+        elif path.suffix.lower() in (*RECORDINGS, *VIDEOS):
+            yield path
+
+
+def _feature(text: str) -> Any:
+    """``fourier`` or ``{kind: fourier, harmonics: 4}``."""
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ValueError(f"--features: {text!r} is no YAML: {error}") from error

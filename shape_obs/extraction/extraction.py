@@ -1,0 +1,164 @@
+"""Extraction: what all episodes of a dataset have in common, and the work on one of them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from shape_obs import __version__
+from shape_obs.config import config_hash, detector_arguments, schema_hash
+from shape_obs.detector import ShapeDetector
+from shape_obs.extraction.episode import EpisodeSource
+from shape_obs.extraction.features import FeatureLog
+from shape_obs.extraction.task import Outcome, Task
+from shape_obs.features import read_features
+from shape_obs.recording import ShapeLog, ShapeTable, replay
+from shape_obs.recording.player import check_depth
+from shape_obs.recording.table import Column
+from shape_obs.source import RGBDSource
+
+#: Key of the JSON text in the metadata of a part's schema.
+METADATA: Final = b"shape_obs"
+_NOWHERE: Final = {"points2d": 2, "points3d": 3}
+
+
+@dataclass(frozen=True)
+class Extraction:
+    """What to find in every episode, and where to write it. Is pickled to other processes.
+
+    Args:
+        config: As ``load_config`` gives it, features included.
+        out: The dataset's folder.
+        open: Opens a recording that is no recorded folder, such as ``shape_obs_envs.sources.open_source``.
+        extrinsics: A file that says where the camera stands; wins over recorded places.
+        frames: How many at most, of each episode.
+
+    Raises:
+        ValueError: By ``made_with`` and ``work``: something of the config is not understood.
+    """
+
+    config: Mapping[str, Any]
+    out: Path
+    open: Callable[[str], RGBDSource]
+    extrinsics: Path | None = None
+    frames: int | None = None
+
+    def made_with(self) -> dict[str, Any]:
+        """All that the numbers depend on but the recordings; JSON-able. Equal for all parts of a dataset.
+
+        The backend is part of it, since NumPy and Numba agree to a thousandth of a pixel, not to the bit.
+        """
+        place = None if self.extrinsics is None else hashlib.sha256(self.extrinsics.read_bytes()).hexdigest()
+        return {
+            "shape_obs": __version__,
+            "config_hash": config_hash(self.config),
+            "schema_hash": schema_hash(self.config),
+            "backend": "numba" if self.detector().kernels.compiled else "numpy",
+            "extrinsics": place,
+            "frames": self.frames,
+        }
+
+    def detector(self) -> ShapeDetector:
+        """A new one. It goes on where a policy would be stopped: a lost shape is a row that is not ok."""
+        given = detector_arguments(self.config)
+        return ShapeDetector(**{**given, "on_missing": "nan"} if given.get("on_missing") == "raise" else given)
+
+
+def work(job: Extraction, made_with: Mapping[str, Any], task: Task) -> Outcome:
+    """Find the shapes of an episode and write them, unless that was done before.
+
+    Args:
+        job: What to find.
+        made_with: Of the job.
+        task: The episode.
+
+    Returns:
+        What became of it. Whatever goes wrong with an episode is told there, and no other one is lost with it.
+    """
+    part = job.out / task.part
+    for beside in job.out.glob(f".*.{task.part}"):  # of a run that was killed
+        beside.unlink(missing_ok=True)
+    read = False
+    try:
+        made, read = {**made_with, "fingerprint": task.fingerprint()}, True
+        kept = _kept(part, made, task)
+        if kept is not None:
+            return kept
+        with one_thread(), warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", UserWarning)
+            table = _table(job, made, task)
+        said = [" ".join(str(warning.message).split()) for warning in caught if warning.category is UserWarning]
+        table.save(part)
+    except Exception as error:  # noqa: BLE001 - whatever it was, the other episodes go on
+        if read:
+            part.unlink(missing_ok=True)  # of what the recording was before
+        reason = " ".join(str(error).split())
+        expected = isinstance(error, (OSError, ValueError)) and reason
+        return Outcome(task, "failed", reason=reason if expected else f"{type(error).__name__}: {reason}")
+    return Outcome(task, "done", len(table), table.metadata["ok"], warnings=tuple(dict.fromkeys(said)))
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Hold OpenCV, BLAS and OpenMP to one thread: processes are what runs side by side, and sums stay the same."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+def _kept(part: Path, made: Mapping[str, Any], task: Task) -> Outcome | None:
+    """What was done before, if it was made of the same recording with the same things."""
+    import pyarrow
+    from pyarrow import parquet
+
+    if not part.exists():
+        return None
+    try:
+        told = json.loads((parquet.read_schema(part).metadata or {})[METADATA])
+    except (pyarrow.ArrowException, KeyError, ValueError, OSError):
+        return None  # damaged since
+    return Outcome(task, "kept", told["frames"], told["ok"]) if told.get("made_with") == made else None
+
+
+def _table(job: Extraction, made: Mapping[str, Any], task: Task) -> ShapeTable:
+    detector, features = job.detector(), read_features(job.config.get("features") or ())
+    source = job.open(task.source) if task.frames is None else EpisodeSource(task.source, task.frames, job.extrinsics)
+    collected = FeatureLog(features, detector.shapes, job.config.get("workspace"), detector.config.max_age)
+    with source:
+        check_depth(source, detector, job.config)
+        log = ShapeLog(detector, job.config, source)
+        for moment, detection in replay(source, detector, job.frames):
+            log.add(moment, detection)
+            collected.add(moment, detection)
+    shapes = log.table()
+    columns = {"source": np.full(len(shapes), task.source), **_whole(shapes.columns, log.metadata["shapes"])}
+    # Nothing of when or by which process it was made: equal recordings make equal files.
+    told = {name: value for name, value in log.metadata.items() if name not in ("created", "software")}
+    told |= {"source": {"kind": source.kind, "name": task.source}, "frames": len(shapes), "made_with": dict(made)}
+    told |= {"ok": {name: int(shapes[f"{name}/ok"].sum()) for name in log.metadata["shapes"]}}
+    told |= {"features": collected.described()}
+    return ShapeTable({**columns, **collected.columns()}, told)
+
+
+def _whole(columns: Mapping[str, Column], sizes: Mapping[str, int]) -> dict[str, Column]:
+    """The columns that every part has, whatever its recording lacks; without times of the machine that read it."""
+    found = {name: column for name, column in columns.items() if name != "received"}
+    for name, size in sizes.items():
+        for kind, axes in _NOWHERE.items():
+            found.setdefault(f"{name}/{kind}", np.full((len(columns["frame"]), size, axes), np.nan, np.float32))
+    first = [name for name in found if "/" not in name]
+    return {name: found[name] for name in [*first, *sorted(set(found) - set(first))]}
