@@ -165,6 +165,8 @@ def act_of(model: BaseAlgorithm) -> Callable[[Any], Any]:
 
 def _disturbed(study: Study, arm: Arm, model: BaseAlgorithm, seeds: range, steps: int) -> Iterable[Row]:
     plan = study.evaluation
+    if arm.observation == "truth":
+        return  # sees no images
     for name, disturbance in plan.disturbances.items():
         env = make_env(arm, study.env, _arguments(study), study.episode, disturbance)
         try:

@@ -12,7 +12,7 @@ from typing import Any, Final, Literal
 
 from shape_obs.ablation.arm import Arm, Disturbance
 from shape_obs.files import read_yaml
-from shape_obs.spec import Spec, SpecError
+from shape_obs.spec import Spec, SpecError, did_you_mean
 
 VERSION: Final = 1
 _NAME: Final = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-")
@@ -29,9 +29,9 @@ class Evaluation(Spec):
         every: Steps of training between two evaluations.
         goals: Of each difficulty, in each evaluation but the last.
         final_goals: Of each difficulty, in the last.
-        difficulties: How far goals are from the start; empty for an env that has none.
+        difficulties: How far goals are from the start.
         seed: Of the first goal; the others count on. Trainings have seeds far below.
-        disturbances: In which the last policy is tried out besides, by name.
+        disturbances: In which the last policy is tried out besides, by name; an arm that sees no images is not.
     """
 
     every: int = 2500
@@ -68,6 +68,7 @@ class Study(Spec):
         her: Arguments of ``HerReplayBuffer``; None for no hindsight, and always with PPO and A2C.
         normalize: Arguments of ``VecNormalize``; None for none.
         evaluation: How policies are tried out.
+        reference: The arm that the others are compared with; None for the first.
 
     Raises:
         SpecError: Something is missing, out of range, or does not fit together.
@@ -86,6 +87,7 @@ class Study(Spec):
     her: Mapping[str, Any] | None = None
     normalize: Mapping[str, Any] | None = None
     evaluation: Evaluation = field(default_factory=Evaluation)
+    reference: str | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -105,12 +107,14 @@ class Study(Spec):
             raise SpecError("difficulties: expected at least one.")
         if self.her is not None and self.algorithm not in OFF_POLICY:
             raise SpecError(f"her: hindsight replay needs one of {', '.join(OFF_POLICY)}, got {self.algorithm}.")
+        if self.reference is not None and self.reference not in self.arms:
+            raise SpecError(f"reference: no arm {self.reference!r}{did_you_mean(self.reference, self.arms)}")
 
     def made_with(self, arm: str) -> dict[str, Any]:
         """All that the numbers of a run depend on, but its seed."""
         whole = self.to_dict()
         return {
-            **{name: value for name, value in whole.items() if name not in ("arms", "seeds")},
+            **{name: value for name, value in whole.items() if name not in ("arms", "seeds", "reference")},
             "arm": whole["arms"][arm],
         }
 

@@ -13,6 +13,7 @@ MEASUREMENTS: Final = {
     "peers": "time and quality beside other ways to the same points, on the same masks",
     "latency": "the time of every stage from image to 3D points, and how it grows",
     "envs": "steps per second of the simulated environments, bare, wrapped and in vectors",
+    "training": "the wrapper's share of the time that a training takes",
     "servo": "shape servoing: features and laws on the same goals, from the camera and from the true points",
 }
 

@@ -1,0 +1,83 @@
+"""The image through a convolutional network in place of ordered points: what train_sac_her.py learns, for comparison.
+
+The goal is told in points, and the reward is the simulator's, which an image does not tell. Much slower, step by step.
+
+Run: ``uv run --extra sim --extra sb3 --extra fast examples/train_cnn.py``; ``--help`` tells what can be set,
+``tensorboard --logdir runs`` draws the curves, and ``--resume`` goes on from the last checkpoint.
+"""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import torch
+import tyro
+from stable_baselines3 import SAC, HerReplayBuffer
+from stable_baselines3.common.callbacks import CheckpointCallback, EvalCallback
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import VecNormalize, VecTransposeImage
+
+from shape_obs.bundle import save_bundle
+from shape_obs.training import Curriculum, ImageAndGoal, Pixels
+
+HELD_OUT = 1_000_000  # seed of the goals that policies are tried out on; trainings count on from far below
+# The network scales the image by itself. 1e-4 m2: what moves by less than a centimetre is not blown up.
+FLOOR: dict[str, Any] = {"norm_reward": False, "epsilon": 1e-4, "norm_obs_keys": ["achieved_goal", "desired_goal"]}
+
+
+@dataclass
+class Args:
+    """Train a policy, and save it as a bundle."""
+
+    out: Path = Path("runs/cnn")
+    steps: int = 50_000
+    seed: int = 0
+    size: int = 84  # side of the images, pixels
+    buffer: int = 20_000  # steps that are remembered, each of two images: at 84 x 84 pixels 20,000 of them are 0.9 GB
+    learning_starts: int = 1000
+    evaluate_every: int = 5_000
+    goals: int = 30  # how many an evaluation plays
+    checkpoint_every: int = 10_000
+    resume: bool = False  # go on from the last checkpoint
+
+
+def make_env(size: int) -> gym.Env:
+    env = gym.make("shape_obs_envs:ShapeObs/Cable-v0", camera=[size, size], reward_type="sparse")
+    return Curriculum(Pixels(env), ["near", "middle", "far"])
+
+
+def camera(size: int, seed: int) -> VecTransposeImage:
+    return VecTransposeImage(make_vec_env(make_env, seed=seed, env_kwargs={"size": size}))  # (C, H, W), as torch has it
+
+
+def main(args: Args) -> None:
+    torch.set_num_threads(1)  # small networks are no faster with more
+    envs = camera(args.size, args.seed)
+    trial = VecNormalize(camera(args.size, HELD_OUT), training=False, **FLOOR)
+    if args.resume:  # a checkpoint's statistics are written last
+        steps = [int(path.stem.split("_")[-2]) for path in args.out.glob("model_vecnormalize_*_steps.pkl")]
+        at = max(steps) if steps else sys.exit(f"--resume: there is no checkpoint in {args.out}")
+        env = VecNormalize.load(str(args.out / f"model_vecnormalize_{at}_steps.pkl"), envs)
+        model = SAC.load(args.out / f"model_{at}_steps", env, device="cpu")
+        model.load_replay_buffer(args.out / f"model_replay_buffer_{at}_steps.pkl")
+        model.set_random_seed(args.seed + at)  # not the first goals again
+    else:
+        env = VecNormalize(envs, **FLOOR)
+        model = SAC(
+            "MultiInputPolicy", env, seed=args.seed, device="cpu", tensorboard_log=str(args.out),
+            replay_buffer_class=HerReplayBuffer, replay_buffer_kwargs={"n_sampled_goal": 4},
+            policy_kwargs={"net_arch": [256, 256], "features_extractor_class": ImageAndGoal},
+            learning_rate=1e-3, batch_size=128, gamma=0.95, tau=0.01, ent_coef="auto_0.1",
+            learning_starts=args.learning_starts, buffer_size=args.buffer,
+        )  # fmt: skip
+    save = CheckpointCallback(args.checkpoint_every, str(args.out), "model", True, True)
+    tell = EvalCallback(trial, n_eval_episodes=args.goals, eval_freq=args.evaluate_every)
+    model.learn(args.steps - model.num_timesteps, [tell, save], reset_num_timesteps=not args.resume, progress_bar=True)
+    save_bundle(model, env, args.out / "cable.policy", summary={"algorithm": "SAC", "steps": model.num_timesteps})
+    print(f"{args.out / 'cable.policy'}: after {model.num_timesteps} steps, reward {tell.last_mean_reward:.1f}")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

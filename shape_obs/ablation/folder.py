@@ -1,0 +1,126 @@
+"""RunFolder: where a run of an ablation is kept, and whether it is done."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from shape_obs.ablation.study import Study
+from shape_obs.ablation.work import PROGRESS, Outcome
+from shape_obs.files import make_folder, write_whole
+
+RUN: Final = "run.json"
+ERROR: Final = "error.txt"
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """``ROOT/ARM/seedK``: what came out of a run. It is done when ``run.json`` is there, which is written last.
+
+    Args:
+        root: Of the study.
+        arm: Name of the arm.
+        seed: Of the training.
+    """
+
+    root: Path
+    arm: str
+    seed: int
+
+    @property
+    def path(self) -> Path:
+        """The folder."""
+        return self.root / self.arm / f"seed{self.seed}"
+
+    def begin(self) -> None:
+        """Make it, empty of what an earlier try left."""
+        if self.path.is_dir():
+            shutil.rmtree(self.path)
+        make_folder(self.path)
+
+    def steps(self) -> int:
+        """How many a run under way has told; 0 before it tells any."""
+        try:
+            return int(json.loads((self.path / PROGRESS).read_text(encoding="ascii"))["steps"])
+        except (OSError, ValueError):  # not yet there, or half-written
+            return 0
+
+    def keep(self, outcome: Outcome) -> None:
+        """Write what came out, ``run.json`` last; or why nothing did, ``error.txt``."""
+        make_folder(self.path)
+        (self.path / PROGRESS).unlink(missing_ok=True)
+        if outcome.error:
+            _write(self.path / ERROR, outcome.error.rstrip().encode() + b"\n")
+            return
+        (self.path / ERROR).unlink(missing_ok=True)
+        for name, data in outcome.files.items():
+            _write(self.path / name, data)
+        study = outcome.task.study
+        told = {
+            "arm": self.arm, "seed": self.seed, "steps": study.steps, "hash": study.hash(self.arm), **outcome.about,
+            "made_with": study.made_with(self.arm),
+        }  # fmt: skip
+        _write(self.path / RUN, json.dumps(told, indent=1).encode() + b"\n")
+
+    def about(self) -> dict[str, Any] | None:
+        """What ``run.json`` tells; None while the run is not done.
+
+        Raises:
+            ValueError: It cannot be read.
+        """
+        path = self.path / RUN
+        if not path.exists():
+            return None
+        try:
+            told = json.loads(path.read_text(encoding="utf-8"))
+            _ = told["hash"], told["made_with"].items(), told["ms_per_step"], told["versions"].items()
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"{path}: not what a run wrote ({error!r}): remove its folder to do it again.") from error
+        return told
+
+    def done(self, study: Study) -> bool:
+        """Whether the run is done, as the study wants it.
+
+        Raises:
+            ValueError: It is done, but otherwise; what differs is named.
+        """
+        told = self.about()
+        if told is None:
+            return False
+        if told["hash"] != study.hash(self.arm):
+            differing = "; ".join(_differences(told["made_with"], study.made_with(self.arm)))
+            raise ValueError(
+                f"{self.path} was made with another configuration: {differing}. Choose another folder, or remove this."
+            )
+        return True
+
+
+def done_runs(study: Study, root: Path) -> list[RunFolder]:
+    """All runs of a study's arms that are done, of whatever seeds.
+
+    Raises:
+        ValueError: One of them was made with another configuration.
+    """
+    found = []
+    for arm in study.arms:
+        seeds = [path.parent.name.removeprefix("seed") for path in (root / arm).glob(f"seed*/{RUN}")]
+        found += [RunFolder(root, arm, seed) for seed in sorted(int(seed) for seed in seeds if seed.isdigit())]
+    return [folder for folder in found if folder.done(study)]
+
+
+def _differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
+    """``"steps was 100, is now 200"`` for each leaf that differs."""
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        for name in dict.fromkeys([*old, *new]):
+            place = f"{where}.{name}" if where else str(name)
+            yield from _differences(old.get(name, "absent"), new.get(name, "absent"), place)
+    elif old != new:
+        yield f"{where} was {json.dumps(old)}, is now {json.dumps(new)}"
+
+
+def _write(path: Path, data: bytes) -> None:
+    write_whole(path, lambda beside: beside.write_bytes(data))

@@ -1,0 +1,151 @@
+"""The pictures of a study: learning curves, where each arm ended, and what disturbances take away."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from shape_obs.ablation.statistics import Interval
+from shape_obs.ablation.study import Study
+from shape_obs.ablation.summary import ArmSummary, groups
+from shape_obs.files import write_whole
+
+Summary = Mapping[str, ArmSummary]
+
+CURVES: Final = "curves.png"
+INTERVALS: Final = "intervals.png"
+DEGRADATION: Final = "degradation.png"
+_INK, _GRID = "#22313f", "#e4e4e0"
+_COLOURS: Final = (
+    "#1f6fb4", "#d4541a", "#3a8f4d", "#8a56a8", "#b08a1e", "#2a9aa0", "#c0417c", "#6d6d6d", "#7a4a2b", "#4b5fd0",
+)  # fmt: skip
+_DPI: Final = 110
+
+
+def need_matplotlib() -> None:
+    """Raises ImportError where there is no matplotlib, before any work is done."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise ImportError("the pictures need Matplotlib: pip install 'shape-obs[viz]'") from error
+
+
+def draw(study: Study, summary: Summary, root: Path) -> list[Path]:
+    """Draw ``curves.png``, ``intervals.png`` and, with disturbances, ``degradation.png``; returns their paths.
+
+    Raises:
+        ImportError: There is no matplotlib.
+    """
+    need_matplotlib()
+    sheets: dict[str, Callable[[Study, Summary], Any]] = {CURVES: _curves, INTERVALS: _intervals}
+    if any(each.lost for each in summary.values()):
+        sheets[DEGRADATION] = _degradation
+    for name, sheet in sheets.items():
+        figure = sheet(study, summary)
+        write_whole(root / name, lambda path, figure=figure: figure.savefig(path, dpi=_DPI))
+    return [root / name for name in sheets]
+
+
+def _curves(study: Study, summary: Summary) -> Any:
+    """Goals reached over the steps of training, a panel for each difficulty."""
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+    panels = list(groups(study))
+    figure = Figure(figsize=(1.2 + 3.4 * len(panels) + (len(panels) == 1), 3.5), layout="constrained")
+    axes = figure.subplots(1, len(panels), squeeze=False, sharex=True, sharey=True)[0]
+    handles: list[Any] = []
+    for arm, each in summary.items():
+        colour = _colour(study, arm)
+        for axis, name in zip(axes, panels, strict=True):
+            steps = np.array(list(each.curve[name])) / 1e3
+            value, low, high = np.array(list(each.curve[name].values())).T
+            axis.plot(
+                steps, value, color=colour, linewidth=1.7, linestyle=_style(study, arm), label=arm, marker="o",
+                markersize=2.5, clip_on=False,
+            )  # fmt: skip
+            axis.fill_between(steps, low, high, color=colour, alpha=0.14, linewidth=0)
+        handles.append(axes[0].get_lines()[-1])
+    for axis, name in zip(axes, panels, strict=True):
+        _plain(axis)
+        axis.set_ylim(0, 100)
+        axis.set_xlim(left=0)
+        axis.set_title(_title(name), fontsize=9, color=_INK)
+        axis.set_xlabel("thousand steps", fontsize=9)
+    axes[0].set_ylabel("goals reached [%]", fontsize=9)
+    handles.append(Patch(color="#777777", alpha=0.2, label="95 % interval"))
+    columns = 4 if len(panels) == 1 else 8
+    figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False, fontsize=9)
+    return figure
+
+
+def _intervals(study: Study, summary: Summary) -> Any:
+    """Goals reached in the end, a panel for each difficulty."""
+    panels = {_title(name): {arm: each.success[name] for arm, each in summary.items()} for name in groups(study)}
+    figure, axes = _bars(study, list(summary), panels, "goals reached [%]")
+    for axis in axes:
+        axis.set_xlim(0, 100)
+        for line in axis.get_lines():
+            line.set_clip_on(False)
+    return figure
+
+
+def _degradation(study: Study, summary: Summary) -> Any:
+    """Goals lost, a panel for each disturbance."""
+    arms = [arm for arm, each in summary.items() if each.lost]
+    names = study.evaluation.disturbances
+    panels = {name: {arm: summary[arm].lost[name] for arm in arms} for name in names}
+    figure, axes = _bars(study, arms, panels, "goals lost [points of a hundred]")
+    for axis in axes:
+        axis.axvline(0, color=_INK, linewidth=0.8, zorder=0.9)
+    return figure
+
+
+def _bars(study: Study, arms: Sequence[str], panels: Mapping[str, Mapping[str, Interval]], label: str) -> Any:
+    """A row for each arm: the interval as a bar, the value as a line in it."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(1.6 + 2.6 * len(panels), 0.9 + 0.34 * len(arms)), layout="constrained")
+    axes = figure.subplots(1, len(panels), squeeze=False, sharex=True, sharey=True)[0]
+    for axis, (title, found) in zip(axes, panels.items(), strict=True):
+        for row, arm in enumerate(arms):
+            value, low, high = found[arm]
+            colour = _colour(study, arm)
+            if not np.isnan(low):
+                axis.barh(row, high - low, left=low, height=0.56, color=colour, alpha=0.35, linewidth=0)
+            axis.plot([value, value], [row - 0.34, row + 0.34], color=colour, linewidth=2.2, solid_capstyle="butt")
+        _plain(axis)
+        axis.use_sticky_edges = False  # a bar that begins at the axis looks cut off
+        axis.grid(visible=False, axis="y")
+        axis.set_title(title, fontsize=9, color=_INK)
+        axis.set_yticks(range(len(arms)), arms)
+        axis.tick_params(axis="y", length=0)
+    axes[0].invert_yaxis()
+    figure.supxlabel(label, fontsize=9)
+    return figure, axes
+
+
+def _title(name: str) -> str:
+    return "all difficulties" if name == "all" else name
+
+
+def _colour(study: Study, arm: str) -> str:
+    """The same in every picture, whichever arms are done."""
+    if study.arms[arm].observation == "truth":
+        return _INK
+    return _COLOURS[list(study.arms).index(arm) % len(_COLOURS)]
+
+
+def _style(study: Study, arm: str) -> Any:
+    """Dashes for what no camera sees."""
+    return (0, (4, 2)) if study.arms[arm].observation == "truth" else "-"
+
+
+def _plain(axis: Any) -> None:
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.grid(color=_GRID, linewidth=0.7)
+    axis.set_axisbelow(True)
+    axis.tick_params(labelsize=8)

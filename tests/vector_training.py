@@ -1,0 +1,84 @@
+"""A program that trains on several envs, one process each: ``python vector_training.py START_METHOD``."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode
+
+from shape_obs import ShapeObservation
+
+WORKERS = 2
+NET = {"net_arch": [16]}
+
+
+def make(renderer: str = "auto", clustering: str = "som") -> gym.Env[Any, Any]:
+    env = gym.make("shape_obs_envs:ShapeObs/Cable-v0", camera=[84, 84], renderer=renderer, max_episode_steps=25)
+    ends = "tips" if clustering == "som" else "centers"
+    return ShapeObservation(env, [{"kind": "centerline", "anchor": "gripper0", "ends": ends}], clustering=clustering)
+
+
+def use_here() -> None:
+    """What a notebook may have done before: warm Numba, OpenCV and scikit-learn, whose threads a fork does not take."""
+    env = make("rays", "kmeans")
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    env.close()
+
+
+def subproc(method: str) -> int:
+    """PPO on a vector env of Stable-Baselines3; returns the steps."""
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import SubprocVecEnv, VecNormalize
+
+    envs = VecNormalize(SubprocVecEnv([make] * WORKERS, start_method=method))
+    model = PPO("MultiInputPolicy", envs, n_steps=25, batch_size=25, n_epochs=1, policy_kwargs=NET, device="cpu")
+    before = [value.clone() for value in model.policy.parameters()]
+    model.learn(100)
+    assert any((old != new).any() for old, new in zip(before, model.policy.parameters(), strict=True))
+    envs.close()
+    return model.num_timesteps
+
+
+def asynchronous(method: str) -> int:
+    """SAC on a vector env of Gymnasium, which Stable-Baselines3 does not take: the loop is here; returns the steps."""
+    from stable_baselines3 import SAC
+    from stable_baselines3.common.logger import configure
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    envs = AsyncVectorEnv([make] * WORKERS, context=method, autoreset_mode=AutoresetMode.SAME_STEP)
+    spaces = DummyVecEnv([make] * WORKERS)  # tells the model what there is; nobody steps it
+    model = SAC("MultiInputPolicy", spaces, batch_size=16, buffer_size=400, policy_kwargs=NET, device="cpu")
+    model.set_logger(configure(None, []))
+    buffer: Any = model.replay_buffer
+    seen, _ = envs.reset(seed=0)
+    steps = 0
+    while steps < 100:
+        action = model.predict(seen)[0]
+        after, reward, terminated, truncated, info = envs.step(action)
+        last = {key: value.copy() for key, value in after.items()}
+        for i in np.flatnonzero(truncated):
+            for key in last:
+                last[key][i] = info["final_obs"][i][key]
+        done = terminated | truncated
+        infos = [{"TimeLimit.truncated": bool(over)} for over in truncated]
+        buffer.add(seen, last, model.policy.scale_action(action), reward, done, infos)
+        seen = {key: value.copy() for key, value in after.items()}
+        steps += WORKERS
+        if steps > 50:
+            model.train(1, batch_size=16)
+    envs.close()
+    spaces.close()
+    assert model._n_updates == 25
+    return steps
+
+
+if __name__ == "__main__":
+    import torch
+
+    torch.set_num_threads(1)
+    use_here()
+    print("trained", subproc(sys.argv[1]), asynchronous(sys.argv[1]))
