@@ -9,6 +9,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from shape_obs.bundle import load_bundle as load_bundle
+    from shape_obs.bundle import save_bundle as save_bundle
     from shape_obs.camera import CameraModel as CameraModel
     from shape_obs.camera import Intrinsics as Intrinsics
     from shape_obs.config import load_config as load_config
@@ -50,6 +52,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
+    "shape_obs.bundle": ("load_bundle", "save_bundle"),
     "shape_obs.camera": ("CameraModel", "Intrinsics"),
     "shape_obs.config": ("load_config", "save_config", "schema_hash"),
     "shape_obs.configurations": ("Centerline", "Configuration", "Contour", "Surface"),

@@ -59,7 +59,18 @@ def test_the_readme_has_the_two_commands_as_they_are_promised():
 @pytest.mark.parametrize(
     "command",
     ["demo", "detect", "record", "replay", "bench claims", "bench table", "bench peers", "bench latency", "bench envs"]
-    + ["markers", "calibrate intrinsics", "calibrate base", "goal", "deploy", "fit-features", "bench servo"],
+    + [
+        "markers",
+        "calibrate intrinsics",
+        "calibrate base",
+        "goal",
+        "deploy",
+        "fit-features",
+        "extract",
+        "bench servo",
+        "bench training",
+        "ablate",
+    ],
 )
 def test_the_page_of_the_command_line_knows_every_option(command, capsys):
     from shape_obs.cli import main

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from shape_obs.cli.source import open_named, read_settings
 from shape_obs.config import load_config
 from shape_obs.loading import make_named
+
+#: Steps per second where nobody says another.
+RATE: Final = 30.0
 
 
 @dataclass(frozen=True)
@@ -30,8 +33,8 @@ class CellArguments:
     """Where the camera stands in the base frame, as `shape-obs calibrate base` writes it."""
     size: tuple[int, int] = (640, 480)
     """Width and height of the images in pixels."""
-    rate: float = 30.0
-    """Steps per second."""
+    rate: float | None = None
+    """Steps per second; default 30, and of a trained policy what it was trained at."""
     timeout: float = 1.0
     """Seconds without a frame after which the camera counts as failed."""
 
@@ -59,10 +62,18 @@ def make_cell(args: CellArguments, robot: Any, **options: Any) -> Any:
     Raises:
         ValueError: There is no config and the robot knows none.
     """
-    import gymnasium as gym
-
     from shape_obs.wrappers import ShapeObservation
 
+    config = read_config(args, robot)
+    return ShapeObservation(open_cell(args, robot, **options), **config)
+
+
+def read_config(args: CellArguments, robot: Any) -> dict[str, Any]:
+    """Arguments of ``ShapeObservation`` in the config file that is asked for; none where the robot knows its own.
+
+    Raises:
+        ValueError: There is no config and the robot knows none.
+    """
     if args.config is None and not getattr(robot, "shape_obs_defaults", None):
         raise ValueError(
             "--config FILE is needed: it says what the object looks like. `shape-obs detect IMAGE --pick u,v` writes "
@@ -71,20 +82,32 @@ def make_cell(args: CellArguments, robot: Any, **options: Any) -> Any:
     config = {} if args.config is None else load_config(args.config)
     if config.get("on_invalid") == "nan":  # a detector's way, which files have filled in; no policy reads NaN
         del config["on_invalid"]
+    return config
+
+
+def open_cell(args: CellArguments, robot: Any, **options: Any) -> Any:
+    """The environment ``ShapeObs/D455-v0``, which gives images.
+
+    Args:
+        args: What the user asked for.
+        robot: The robot, or None.
+        options: Further arguments of the environment.
+    """
+    import gymnasium as gym
+
     width, height = args.size
     source: Any = args.source
     if source != "robot":
         # Only a camera has a choice.
         mode = {"width": width, "height": height} if source.split(":")[0] == "d455" else {}
         source = open_named(source, args.extrinsics, args.set, **mode)
-    env = gym.make(
+    return gym.make(
         "shape_obs_envs:ShapeObs/D455-v0",
         source=source,
         robot=robot,
-        rate=args.rate,
+        rate=RATE if args.rate is None else args.rate,
         size=list(args.size),
         timeout=args.timeout,
         disable_env_checker=True,
         **options,
     )
-    return ShapeObservation(env, **config)

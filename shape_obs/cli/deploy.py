@@ -10,37 +10,28 @@ from pathlib import Path
 from typing import Any
 
 import tyro
+from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
-from shape_obs.cli.cell import CellArguments, make_cell, make_robot
-from shape_obs.cli.source import read_settings, warnings_as_lines
+from shape_obs.cli.acting import Acting, ActingArguments, make_acting
+from shape_obs.cli.cell import RATE
+from shape_obs.cli.source import warnings_as_lines
 from shape_obs.config import schema_hash
-from shape_obs.loading import make_named
 from shape_obs.robot import robot_name
 
 
 @dataclass(frozen=True)
-class Arguments(CellArguments):
-    """Run a controller on a robot at a fixed rate, from the camera alone.
+class Arguments(ActingArguments):
+    """Run a trained policy, or another controller, on a robot at a fixed rate, from the camera alone.
 
     However it ends, the robot is stopped, sent to its safe pose and disconnected. Exit code 1 when the camera or the
     robot failed, the shape stayed lost, or the watchdog bit.
     """
 
-    controller: str = "shape_obs.deploy:Still"
-    """What acts, as module:Class with act(observation); shape_obs.deploy has Still, Sway and Script."""
-    controller_set: tuple[str, ...] = ()
-    """KEY=VALUE: arguments of the controller's class, such as share=0.2."""
-    goal: Path | None = None
-    """A goal, as `shape-obs goal` writes it; the observation then tells it to the controller."""
     seconds: float | None = 60.0
     """How long to run at most."""
-    steps: int | None = None
-    """How many steps to run at most."""
     until_reached: int = 0
     """End when the goal has been reached in so many frames one after the other; 0 goes on."""
-    dry_run: bool = False
-    """Do everything but move: the robot is asked where it is and never sent anything."""
     hold: float = 0.5
     """Seconds that a lost or old shape is waited for, without moving, before the run ends."""
     min_valid: float = 0.5
@@ -68,44 +59,56 @@ class Arguments(CellArguments):
 def main(argv: Sequence[str]) -> int:
     """Run the command; returns the exit code."""
     args = tyro.cli(Arguments, args=list(argv), prog="shape-obs deploy")
-    from shape_obs.deploy import DryRobot, Limits, RunLog, deploy
-    from shape_obs.wrappers import ShapeGoal, Target
+    with warnings_as_lines("shape-obs deploy"), threadpool_limits(1):  # a small network is slower in many threads
+        return _run(args)
 
-    goal = None if args.goal is None else Target.load(args.goal)
+
+def _run(args: Arguments) -> int:
+    from shape_obs.cli.episodes import play
+    from shape_obs.deploy import Limits, RunLog, deploy
+
     limits = Limits(args.hold, args.min_valid, args.max_age, args.watchdog)
-    controller = make_named(args.controller, "--controller", read_settings(args.controller_set, "--controller-set"))
-    robot = make_robot(args)
-    if args.dry_run:
-        robot = DryRobot(robot)
-    env = make_cell(args, robot, max_step=args.max_step, workspace=_box(args))
-    detector = env.get_wrapper_attr("detector")
-    header = {
-        "options": {name: str(value) for name, value in vars(args).items() if value is not None},
-        "robot": robot_name(robot),
-        "action_spec": robot.action_spec,
-        "limits": limits,
-        "schema": schema_hash(
-            {"shapes": detector.shapes, "clustering": detector.config.clustering, "features": env.features}
-        ),
-        "detector": detector.config,
-    }
-    if goal is not None:
-        env = ShapeGoal(env, goal=goal)
-    log = None if args.log is None else RunLog(args.log, header)
-    with warnings_as_lines("shape-obs deploy"), _Progress(args, env) as shown:
-        report = deploy(
+    acting = make_acting(args, max_step=args.max_step, workspace=_box(args))
+    header = _header(acting, limits)
+
+    def run(env: Any, number: int | None = None) -> Any:
+        """One run; of several ones, with a log of its own and without parking after it."""
+        folder = args.log if args.log is None or number is None else args.log / f"episode-{number:03}"
+        return deploy(
             env,
-            controller,
+            acting.controller,
             limits,
-            steps=args.steps,
+            steps=acting.arguments.steps,
             seconds=args.seconds,
             until_reached=args.until_reached,
-            log=log,
+            log=None if folder is None else RunLog(folder, header),
             on_step=shown.step,
-            park=args.park,
+            park=args.park and number is None,
         )
+
+    with _Progress(acting.arguments, acting.env) as shown:
+        if args.episodes is None:
+            report = run(acting.env)
+            failed = report.failed
+        else:
+            report = play(acting.env, run, args.episodes, acting.threshold, args.park)
+            failed = any(one.failed for one in report.reports)
     print(json.dumps(report.to_dict()) if args.json else report)
-    return 1 if report.failed else 0
+    return 1 if failed else 0
+
+
+def _header(acting: Acting, limits: Any) -> dict[str, Any]:
+    """What ran, for the log."""
+    detector = acting.env.get_wrapper_attr("detector")
+    told = {"shapes": detector.shapes, "clustering": detector.config.clustering}
+    return {
+        "options": {name: str(value) for name, value in vars(acting.arguments).items() if value is not None},
+        "robot": robot_name(acting.robot),
+        "action_spec": acting.robot.action_spec,
+        "limits": limits,
+        "schema": schema_hash({**told, "features": acting.env.get_wrapper_attr("features")}),
+        "detector": detector.config,
+    }
 
 
 class _Progress:
@@ -118,7 +121,9 @@ class _Progress:
 
             self._view = LiveView(args.view, env)
             print(f"shape-obs deploy: live view at {self._view.url}", file=sys.stderr)
-        total = args.steps if args.steps is not None else args.seconds and round(args.seconds * args.rate)
+        rate = RATE if args.rate is None else args.rate
+        total = args.steps if args.steps is not None else args.seconds and round(args.seconds * rate)
+        total = total and total * (args.episodes or 1)
         self._bar = tqdm(total=total, unit="step", leave=False, file=sys.stderr)
 
     def step(self, moment: Any) -> None:

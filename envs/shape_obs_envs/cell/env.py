@@ -52,6 +52,9 @@ class D455Env(gym.Env[Any, Any]):
         size: [width, height] of the images [px].
         extrinsics: File that says where the camera stands in the base frame; see `shape-obs calibrate base`.
         timeout: How long to wait for a frame before the camera counts as failed [s].
+        settle: Look when the motion is over, as a simulator does: an action has 1 / rate from when it was sent, and the
+            frame must show what there was `settle` seconds later, which makes up for its way from the camera to here.
+            A step then takes as long as it takes. None looks at the deadline, motion or not.
         max_step: (A,) how far a coordinate may move in a step, in the robot's units; default one action of 1.
         workspace: [low, high], each (A,): a smaller box than the robot's own.
         render_mode: None or "rgb_array", the last image.
@@ -62,6 +65,7 @@ class D455Env(gym.Env[Any, Any]):
 
     Attributes:
         robot: The robot, or None.
+        settle: As given.
         source: The source.
         frame: The frame of the last observation; None before the first, and where the camera failed.
         guarded: What the guard made of the last action; None where there was none.
@@ -82,6 +86,7 @@ class D455Env(gym.Env[Any, Any]):
         size: Sequence[int] = (640, 480),
         extrinsics: str | None = None,
         timeout: float = 1.0,
+        settle: float | None = None,
         max_step: Sequence[float] | None = None,
         workspace: Box | None = None,
         render_mode: str | None = None,
@@ -89,6 +94,9 @@ class D455Env(gym.Env[Any, Any]):
         self.render_mode = one_of("render_mode", render_mode, (None, "rgb_array"))
         self.rate = Rate(rate)
         self.metadata = {**type(self).metadata, "render_fps": rate}
+        if settle is not None and not 0 <= settle < 10:
+            raise ValueError(f"settle: expected seconds from 0 to below 10, or None, got {settle!r}.")
+        self.settle = settle
         width, height = (count("size", side, 16, 4096) for side in size)
         self.robot: Robot | None = make_named(robot, "robot", robot_arguments) if isinstance(robot, str) else robot
         self.source = open_eye(source, self.robot, (width, height), extrinsics)
@@ -154,8 +162,7 @@ class D455Env(gym.Env[Any, Any]):
         try:
             self._send(action)
             self.sent_at = time.monotonic()
-            self.slack = self.rate.wait()
-            self.frame = self._eye.frame_after(self.sent_at)
+            self.frame = self._look()
             self.seen_at = time.monotonic()
         except NotConnected:
             raise
@@ -215,6 +222,16 @@ class D455Env(gym.Env[Any, Any]):
             return
         self.guarded = self.guard.motion(action, self.robot.state())
         self.robot.send(self.guarded.motion)
+
+    def _look(self) -> Frame:
+        """Wait for the deadline, and for a frame."""
+        if self.settle is None:
+            self.slack = self.rate.wait()
+            return self._eye.frame_after(self.sent_at)
+        # Nothing is late here: the motion has its time from when it began.
+        self.rate.deadline = self.sent_at + self.rate.dt
+        self.slack = self.rate.wait()
+        return self._eye.frame_of(self.sent_at + self.rate.dt + self.settle)
 
     def _observe(self) -> Observation:
         images = self._eye.images(self.frame)

@@ -16,6 +16,8 @@ from shape_obs.source import NotConnected, RGBDSource, StaleFrame
 
 #: Focal length of a D455's colour stream at 480 rows [px], until the camera has told its own.
 _FOCAL_480: Final = 386.0
+#: Seconds after a frame from which another one is the next.
+_NEXT: Final = 1e-6
 #: Frames that tell the offset between the clocks: ten seconds, in which they drift by less than a millisecond.
 _WINDOW: Final = 300
 
@@ -102,6 +104,24 @@ class Eye:
             frame = self.source.read(timeout=max(0.001, until - time.monotonic()))
             if frame.received is None or frame.received >= moment or not self.source.live:
                 return self._checked(frame)
+
+    def frame_of(self, moment: float) -> Frame:
+        """The first frame at hand of what there was after a moment of `time.monotonic`, as far as clocks tell.
+
+        The quickest frames count as of when they arrived; one that came later by its lag is older by that. Where all
+        are late, the newest is taken when the time is over: it is told by its lag.
+
+        Raises:
+            SourceError: None came in time, or the camera is gone.
+            ValueError: It has no colours, no depth, or another size.
+        """
+        until = time.monotonic() + self._timeout
+        frame = self.frame_after(moment)
+        while frame.received is not None and self.source.live and time.monotonic() < until:
+            if frame.received - self.lag(frame) >= moment:
+                break
+            frame = self.frame_after(frame.received + _NEXT)
+        return frame
 
     def images(self, frame: Frame | None) -> dict[str, npt.NDArray[Any]]:
         """`rgb` and `depth` [mm] of a frame; black without one, since an old image would pass for a new one."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from shape_obs.camera import CameraModel
 from shape_obs_envs.arguments import one_of, positive
 from shape_obs_envs.mujoco.bodies.base import Body
+from shape_obs_envs.mujoco.coordinates import gripper_spec
 from shape_obs_envs.mujoco.goals import (
     DIFFICULTIES,
     SETTLING,
@@ -59,6 +60,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         ValueError: An argument is out of its range; the message says what it takes.
 
     Attributes:
+        action_spec: What an action means: displacements of the grippers, base frame.
         goal_actions: (T, A) the actions that lead from the last start state to its goal, where the object comes to
             rest within a second: a demonstration. Empty where the goal was given.
     """
@@ -126,6 +128,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
     def _install(self, body: Body, workspace: Workspace, gripper: gym.spaces.Box) -> None:
         """Take the object, where its grippers may go, and the space of the observation's `gripper`."""
         self._body, self._workspace = body, workspace
+        self.action_spec = gripper_spec(body, workspace, self.STEP)
         self._randomizer.bind(Scene(body, self._camera_spec, self.REACH, self._goal_points))
         body.refresh()
         self._target = body.gripper_poses()

@@ -8,7 +8,6 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.bodies.base import PlanarBody
 from shape_obs_envs.mujoco.engine import mujoco
 from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv
 from shape_obs_envs.mujoco.scene import TIMESTEP
@@ -46,16 +45,6 @@ class Stage:
             raise ValueError(f"env: expected a simulated environment such as 'ShapeObs/Cable-v0', got {env!r}.")
         self.env: Any = made  # with what its class publishes besides
         self._body, self._steps = made._body, 0
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of a pose's coordinates."""
-        return ("x", "y", "yaw") if isinstance(self._body, PlanarBody) else ("x", "y", "z")
-
-    @property
-    def step(self) -> Array:
-        """(3,) how far a gripper moves with an action of 1."""
-        return self.env.STEP
 
     @property
     def workspace(self) -> Workspace:

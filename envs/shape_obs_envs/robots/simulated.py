@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from shape_obs.camera import CameraModel
 from shape_obs.extrinsics import Extrinsics
-from shape_obs.robot import RobotError
+from shape_obs.robot import ActionSpec, RobotError
 from shape_obs_envs.mujoco.stage import Stage
-from shape_obs_envs.robots.coordinates import action_spec, checked_motion
+from shape_obs_envs.robots.coordinates import checked_motion
 from shape_obs_envs.robots.faults import Faults
 from shape_obs_envs.robots.footage import Footage
 from shape_obs_envs.robots.link import Link
@@ -87,7 +87,7 @@ class SimulatedRobot:
         self._stage = Stage(env, **options)  # for what it publishes; nothing moves and nobody looks here
         self.camera = SoftwareD455(fps=round(fps)) if camera is None else camera
         self._plan = Plan(env, self.camera.geometry, float(fps), seed, bool(noise), options)
-        self.action_spec = action_spec(self._stage)
+        self.action_spec: ActionSpec = self._stage.env.action_spec
         self._lock = threading.RLock()
         self._link: Link | None = None
         self._poses = self._home = np.zeros((len(self.action_spec) // 3, 3))

@@ -1,0 +1,44 @@
+"""A policy from its training to a robot: save it with all that it needs, load it, and let it act from a camera.
+
+The policy here has learnt nothing yet: train it longer (`train_sac_her.py`), or run a bundle of your own:
+``shape-obs deploy cable.policy --source robot --robot shape_obs_envs.robots:SimulatedRobot --goal robot --episodes 20``
+
+Run: ``uv run examples/deploy_policy.py`` (needs the extras ``sim``, ``sb3`` and ``realsense``)
+"""
+
+import gymnasium as gym
+from stable_baselines3 import SAC, HerReplayBuffer
+
+from shape_obs import ShapeObservation, Target, load_bundle, save_bundle
+from shape_obs.deploy import deploy
+from shape_obs.training import GoalDifference
+from shape_obs_envs.robots import SimulatedRobot
+
+
+def main() -> None:
+    env = ShapeObservation(gym.make("shape_obs_envs:ShapeObs/Cable-v0", camera=[84, 84], reward_type="sparse"))
+    policy = {"features_extractor_class": GoalDifference, "net_arch": [64, 64]}
+    replay = {"replay_buffer_class": HerReplayBuffer, "buffer_size": 1000}
+    model = SAC("MultiInputPolicy", env, policy_kwargs=policy, device="cpu", **replay)
+    save_bundle(model, env, "cable.policy", summary={"trained": "not at all"})
+
+    bundle = load_bundle("cable.policy")
+    print("reads", *(feature.kind for feature in bundle.features), "every", bundle.dt, "s")
+    robot = SimulatedRobot(seed=4, difficulty="near")
+    robot.connect()
+    robot.reset()
+    goal = Target.read(robot.goal)
+    robot.disconnect()  # the next connection begins with the same start
+
+    cell = gym.make(
+        "shape_obs_envs:ShapeObs/D455-v0",
+        source="robot",
+        robot=robot,
+        rate=1 / bundle.dt,
+        settle=0.05,  # as in the simulator, an image is taken when the motion is over
+    )
+    print(deploy(bundle.wrap(cell, goal), bundle.controller(), steps=10))
+
+
+if __name__ == "__main__":
+    main()
