@@ -26,6 +26,7 @@ _TYPES: Final[Mapping[str, type[Any]]] = {
     "visible": np.bool_,
     "valid": np.bool_,
     "reason": np.str_,
+    "source": np.str_,
     "points2d": np.float32,
     "points3d": np.float32,
 }

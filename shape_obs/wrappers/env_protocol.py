@@ -5,6 +5,7 @@
 ``goal_layout``: how the points of a goal hang together, ``{"kind": "centerline"}``, ``{"kind": "contour"}`` or
 ``{"kind": "surface", "rows": 5, "cols": 7}``; without it, like the first shape's.
 ``shape_obs_defaults``: a mapping of wrapper arguments, used where the user gives none.
+``action_spec``: an ``ActionSpec``, what actions mean; a policy's bundle keeps it, and holds it against the robot's.
 ``dt``: seconds per step, for frames without ``info["stamp"]``; else ``1 / metadata["render_fps"]``.
 """
 
