@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from cell_parts import RopeSource
+from bundles import cable, learner, registered, rope, train
 from known_ropes import fit, ropes
 from rope_env import wrapped
 
@@ -19,45 +19,17 @@ pytest.importorskip("mujoco")
 pytest.importorskip("stable_baselines3")
 
 import shape_obs_envs  # noqa: F401
-from shape_obs import ShapeGoal, ShapeObservation, load_bundle, save_bundle, schema_hash
+from shape_obs import load_bundle, save_bundle, schema_hash
 from shape_obs.bundle import BundleError
 from shape_obs.bundle.archive import read_archive, write_archive
-from shape_obs.training import Curriculum, PointReward, TrueState
 from shape_obs_envs.robots import NullRobot
-
-CABLE = {"camera": [84, 84], "reward_type": "sparse"}
-POINTS = {"kind": "points3d", "frame": "base"}
-
-
-def cable(keep=None, **options) -> Any:
-    env = gym.make("shape_obs_envs:ShapeObs/Cable-v0", disable_env_checker=True, **CABLE)
-    return ShapeObservation(env, keep=keep, **options)
-
-
-def learner(env, algorithm="SAC", **options) -> Any:
-    import stable_baselines3 as sb3
-    import torch
-
-    torch.set_num_threads(1)
-    if algorithm == "SAC":
-        options = {"buffer_size": 100, **options}
-    policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"
-    return getattr(sb3, algorithm)(policy, env, policy_kwargs={"net_arch": [16]}, seed=0, device="cpu", **options)
 
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory) -> Any:
-    """(model, vector env, path): hindsight replay, normalised, in a monitor and a curriculum, as trainings are."""
-    import stable_baselines3 as sb3
-    from stable_baselines3.common.monitor import Monitor
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
-
-    env = VecNormalize(DummyVecEnv([lambda: Monitor(Curriculum(cable(), ["near"]))]), norm_reward=False, epsilon=1e-4)
-    model = learner(env, replay_buffer_class=sb3.HerReplayBuffer, learning_starts=100)
-    model.learn(12)
+    """(model, vector env, path)."""
     path = tmp_path_factory.mktemp("bundle") / "cable.policy"
-    save_bundle(model, env, path, summary={"note": "quick"})
-    return model, env, path
+    return *train(path), path
 
 
 @pytest.fixture(scope="module")
@@ -128,10 +100,10 @@ def test_a_fresh_process_acts_alike_bit_for_bit(trained, bundle, tmp_path):
 
 
 def test_without_normalisation_and_goals_from_a_plain_env(tmp_path):
-    env = _rope(n=10)
+    env = rope(n=10)
     model = learner(env, "PPO", n_steps=4, batch_size=4)
     with pytest.raises(BundleError, match=r"another environment: observation space shape: \[30\] then, \[60\]"):
-        save_bundle(model, _rope(n=20), tmp_path / "a")
+        save_bundle(model, rope(n=20), tmp_path / "a")
     save_bundle(model, env, tmp_path / "rope.policy")
     bundle = load_bundle(tmp_path / "rope.policy")
     observation, _ = bundle.make_env().reset(seed=0)
@@ -147,7 +119,7 @@ def test_fitted_features_travel_along(tmp_path):
     fitted = tmp_path / "ropes.npz"
     fit(ropes(50)).save(fitted)
     feature = {"kind": "pca", "file": str(fitted)}
-    env = wrapped(gym.make(_registered(), disable_env_checker=True), features=[feature])
+    env = wrapped(gym.make(registered(), disable_env_checker=True), features=[feature])
     model = learner(env, "PPO", n_steps=4, batch_size=4)
     save_bundle(model, env, tmp_path / "rope.policy")
     before, _ = env.reset(seed=0)
@@ -160,122 +132,6 @@ def test_fitted_features_travel_along(tmp_path):
     assert folder.is_dir()
     del bundle
     assert not folder.exists()
-
-
-WORKSPACE = ((-1.0, -1.0, -1.0), (1.0, 1.0, 2.0))
-
-
-def _rope(n: int) -> Any:
-    shapes = [{"kind": "centerline", "n": n}]
-    env = gym.make(_registered(), disable_env_checker=True)
-    return wrapped(env, shapes=shapes, features=[POINTS], workspace=WORKSPACE)
-
-
-def _registered() -> str:
-    if "BundleRope-v0" not in gym.registry:
-        gym.register("BundleRope-v0", "rope_env:RopeEnv")
-    return "BundleRope-v0"
-
-
-class TestMismatch:
-    """Each difference is told by its name, with both values."""
-
-    @pytest.mark.parametrize(
-        ("options", "message"),
-        [
-            ({"shapes": [{"kind": "centerline", "n": 10, "anchor": "gripper0"}]}, r"shapes\[0\].n: 20 in training, 10"),
-            (
-                {"shapes": [{"kind": "centerline", "anchor": "gripper0"}]},
-                r"shapes\[0\].ends: 'tips' in training, 'cent",
-            ),
-            ({"features": [POINTS, "ok"]}, r"features\[1\]: None in training, {'kind': 'ok'} here"),
-            (
-                {"features": [{**POINTS, "origin": "centroid"}]},
-                r"features\[0\].origin: None in training, 'centroid'",
-            ),
-            ({"features": [{"kind": "points3d"}]}, r"features\[0\].frame: 'base' in training, 'camera' here"),
-            ({"keep": ["gripper"]}, r"observation 'observation' shape: \[60\] in training, \[70\] here"),
-            ({"clustering": "kmeans", "shapes": ["centerline"]}, "clustering kind: 'som' in training, 'kmeans' here"),
-        ],
-    )
-    def test_of_what_is_seen(self, bundle, options, message):
-        with pytest.raises(BundleError, match=f"does not fit this environment: .*{message}"):
-            bundle.check_env(cable(**options))
-
-    @pytest.mark.parametrize(
-        ("changes", "rate", "message"),
-        [
-            ({"scale": [0.02] * 6}, 20, r"action scale: \[0.015, .* in training, \[0.02, "),
-            ({"units": ["m"] * 6}, 20, "action units: .*'rad'.* in training, .* here"),
-            ({"mode": "velocity"}, 20, "action mode: 'displacement' in training, 'velocity' here"),
-            ({"frame": "gripper"}, 20, "action frame: 'base' in training, 'gripper' here"),
-            ({}, 30, r"dt \[s\]: 0.05 in training, 0.033333 here"),
-        ],
-    )
-    def test_of_what_is_done(self, bundle, changes, rate, message):
-        env = bundle.wrap(self.cell(bundle, changes, rate), scene=BLUE)
-        with pytest.raises(BundleError, match=message):
-            bundle.check_env(env)
-
-    def test_what_may_differ(self, bundle):
-        assert bundle.differences(cable(workspace=WORKSPACE, segmentation=BLUE["segmentation"])) == []
-        slow = bundle.wrap(self.cell(bundle, {"low": [-0.3] * 6}, 30), scene=BLUE)
-        assert bundle.differences(slow, same_rate=False) == []
-        assert isinstance(slow, ShapeGoal)
-
-    def test_a_camera_that_stands_nobody_knows_where(self, bundle):
-        env = self.cell(bundle, {}, 20)
-        env.unwrapped.source.extrinsics = None  # as of a camera without --extrinsics
-        with pytest.raises(BundleError, match=r"'points3d' in the base frame, .* give --extrinsics"):
-            bundle.wrap(env, scene=BLUE)
-
-    def cell(self, bundle, changes, rate) -> Any:
-        spec = {**bundle.action_spec.to_dict(), **changes}
-        return gym.make(
-            "shape_obs_envs:ShapeObs/D455-v0",
-            source=RopeSource(),
-            robot=NullRobot(spec=spec),
-            rate=rate,
-            size=[160, 120],
-            disable_env_checker=True,
-        )
-
-
-def rescaled() -> Any:
-    bounds: Any = -2.0, 2.0
-    return gym.wrappers.RescaleAction(cable(), *bounds)
-
-
-BLUE = {"segmentation": {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}}
-
-
-class TestDeployable:
-    @pytest.mark.parametrize(
-        ("make", "reason"),
-        [
-            (lambda: TrueState(gym.make("ShapeObs/Cable-v0", render_observation=False)), "simulator's state"),
-            (lambda: cable(keep=["gripper"]), "it reads gripper beside the shape, which only its simulator gives"),
-            (rescaled, "the wrapper RescaleAction does on a robot"),
-        ],
-    )
-    def test_what_only_a_simulator_has_is_kept_and_rebuilt_but_not_deployed(self, tmp_path, make, reason):
-        env = make()
-        save_bundle(learner(env), env, tmp_path / "a.policy")
-        bundle = load_bundle(tmp_path / "a.policy")
-        again = bundle.make_env()
-        assert again.action_space.contains(bundle.act(again.reset(seed=0)[0]))
-        with pytest.raises(BundleError, match=f"the policy cannot be deployed: .*{reason}"):
-            bundle.controller()
-
-    def test_wrappers_that_belong_to_the_policy_come_along(self, tmp_path):
-        features = ["centroid", POINTS]
-        env = PointReward(ShapeGoal(cable(features=features), features=features, threshold=1.0), threshold=0.02)
-        save_bundle(learner(env), env, tmp_path / "a.policy")
-        bundle = load_bundle(tmp_path / "a.policy")
-        cell = bundle.wrap(TestMismatch().cell(bundle, {}, 20), scene=BLUE)
-        assert isinstance(cell, PointReward)
-        assert cell.threshold == 0.02
-        bundle.check_env(cell)
 
 
 class TestFile:

@@ -1,0 +1,60 @@
+"""What tests of bundles share: the cable as policies see it, and a learner of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+from rope_env import wrapped
+
+import shape_obs_envs  # noqa: F401
+from shape_obs import ShapeObservation, save_bundle
+from shape_obs.training import Curriculum
+
+CABLE = {"camera": [84, 84], "reward_type": "sparse"}
+POINTS = {"kind": "points3d", "frame": "base"}
+
+
+def cable(keep=None, **options) -> Any:
+    env = gym.make("shape_obs_envs:ShapeObs/Cable-v0", disable_env_checker=True, **CABLE)
+    return ShapeObservation(env, keep=keep, **options)
+
+
+def learner(env, algorithm="SAC", **options) -> Any:
+    import stable_baselines3 as sb3
+    import torch
+
+    torch.set_num_threads(1)
+    if algorithm == "SAC":
+        options = {"buffer_size": 100, **options}
+    policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"
+    return getattr(sb3, algorithm)(policy, env, policy_kwargs={"net_arch": [16]}, seed=0, device="cpu", **options)
+
+
+def train(path: Path) -> Any:
+    """(model, vector env), saved: hindsight replay, normalised, in a monitor and a curriculum, as trainings are."""
+    import stable_baselines3 as sb3
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    env = VecNormalize(DummyVecEnv([lambda: Monitor(Curriculum(cable(), ["near"]))]), norm_reward=False, epsilon=1e-4)
+    model = learner(env, replay_buffer_class=sb3.HerReplayBuffer, learning_starts=100)
+    model.learn(12)
+    save_bundle(model, env, path, summary={"note": "quick"})
+    return model, env
+
+
+WORKSPACE = ((-1.0, -1.0, -1.0), (1.0, 1.0, 2.0))
+
+
+def rope(n: int) -> Any:
+    shapes = [{"kind": "centerline", "n": n}]
+    env = gym.make(registered(), disable_env_checker=True)
+    return wrapped(env, shapes=shapes, features=[POINTS], workspace=WORKSPACE)
+
+
+def registered() -> str:
+    if "BundleRope-v0" not in gym.registry:
+        gym.register("BundleRope-v0", "rope_env:RopeEnv")
+    return "BundleRope-v0"
