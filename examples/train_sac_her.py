@@ -81,7 +81,7 @@ def main(args: Args) -> None:
         trial = held_out(args.camera, goals)
         sync_envs_normalization(env, trial)
         evaluate_policy(model, trial, args.goals, callback=lambda at, _: reached.append(at["info"]["is_success"]))
-        print(f"{goals} goals reached: {sum(reached[49::50])} of {args.goals}")  # after the last of 50 steps
+        print(f"after {model.num_timesteps} steps: {sum(reached[49::50])} of {args.goals} {goals} goals reached")
         reached.clear()
     save_bundle(model, env, args.out / "cable.policy", summary={"algorithm": "SAC", "steps": model.num_timesteps})
 
