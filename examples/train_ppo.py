@@ -31,7 +31,7 @@ class Args:
     """Train a policy, and save it as a bundle."""
 
     out: Path = Path("runs/ppo")
-    steps: int = 200_000
+    steps: int = 100_000
     seed: int = 0
     goal: int = 7  # seed of the shape that the cable is to take, one that grippers can give it
     size: int = 84  # side of the images, pixels
