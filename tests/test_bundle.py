@@ -146,6 +146,15 @@ class TestFile:
         with pytest.raises(BundleError, match="truncated or damaged"):
             load_bundle(tmp_path / "a")
 
+    @pytest.mark.parametrize("share", [0.1, 0.3, 0.6, 0.9])
+    def test_bytes_that_fell_over_on_the_way(self, trained, tmp_path, share):
+        data = bytearray(trained[2].read_bytes())
+        at = int(share * len(data))
+        data[at : at + 40] = bytes(byte ^ 0xFF for byte in data[at : at + 40])
+        (tmp_path / "a").write_bytes(data)
+        with pytest.raises(BundleError, match="Copy it again"):
+            load_bundle(tmp_path / "a")
+
     def test_no_file_no_zip_and_another_zip(self, tmp_path):
         with pytest.raises(FileNotFoundError, match="no such bundle"):
             load_bundle(tmp_path / "none")

@@ -13,11 +13,11 @@ import pytest
 from shape_obs.cli import main
 from shape_obs.evaluation.backends import backends, ours
 from shape_obs.evaluation.contest import Score
-from shape_obs.evaluation.one_thread import one_thread
 from shape_obs.evaluation.peer_contest import ASKED
 from shape_obs.evaluation.peers import PEERS, spread
 from shape_obs.evaluation.turns import Entrant, turns
 from shape_obs.evaluation.workloads import cloths, ropes
+from shape_obs.one_thread import one_thread
 
 pytestmark = pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
 

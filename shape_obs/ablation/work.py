@@ -18,6 +18,7 @@ from shape_obs.ablation.run import Trained, run
 from shape_obs.ablation.score import success
 from shape_obs.ablation.scores_file import SCORES, scores_csv
 from shape_obs.ablation.study import Study
+from shape_obs.one_thread import one_thread
 
 PROGRESS: Final = "progress.json"
 POLICY: Final = "trained.policy"
@@ -65,13 +66,9 @@ class Outcome:
 
 def work(task: Task) -> Outcome:
     """Do a run in this process, on one thread; whatever it raises is told in the outcome."""
-    import cv2
-    from threadpoolctl import threadpool_limits
-
-    cv2.setNumThreads(1)
     begin = time.perf_counter()
     try:
-        with threadpool_limits(1):
+        with one_thread():
             trained = run(task.study, task.arm, task.seed, _teller(task))
             try:
                 files = {SCORES: scores_csv(trained.rows).encode(), **_policy(trained, task)}

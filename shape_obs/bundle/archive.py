@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -45,15 +47,17 @@ def read_archive(path: str | os.PathLike[str]) -> dict[str, bytes]:
 
     Raises:
         FileNotFoundError: There is no such file.
+        OSError: It cannot be read.
         BundleError: It is no bundle, of another version, truncated, or a member is missing or was changed.
     """
     if not Path(path).is_file():
         raise FileNotFoundError(f"{path}: no such bundle")
+    content = io.BytesIO(Path(path).read_bytes())  # what cannot be read at all is no damaged bundle
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(content) as archive:
             found = {name: archive.read(name) for name in archive.namelist()}
-    # A damaged length or method tells itself in many ways.
-    except (zipfile.BadZipFile, zipfile.LargeZipFile, EOFError, NotImplementedError, RuntimeError, OSError) as error:
+    # A damaged length, method or stream tells itself in many ways.
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError) as error:
         raise BundleError(f"{path}: not a bundle, or a truncated or damaged one: {error}. Copy it again.") from error
     manifest = _manifest(path, found.pop(_MANIFEST, None))
     if manifest.get("version") != VERSION:

@@ -16,7 +16,7 @@ from shape_obs.evaluation.asked import at_most
 from shape_obs.evaluation.env_physics import Strain, is_finite, strain, warnings
 from shape_obs.evaluation.env_runner import ENVS, EPISODE, Env, held_actions
 from shape_obs.evaluation.env_scores import place
-from shape_obs.evaluation.one_thread import one_thread
+from shape_obs.one_thread import one_thread
 
 Row = dict[str, Any]
 Condition = Literal["clean", "noise", "randomised", "randomised, no hand"]

@@ -14,8 +14,8 @@ from shape_obs.evaluation.asked import at_least, at_most
 from shape_obs.evaluation.backends import LABELS, Backend, backends
 from shape_obs.evaluation.env_runner import Actions, Env, Runner, Stopwatch, held_actions, make_env
 from shape_obs.evaluation.env_stock import StockDrawing
-from shape_obs.evaluation.one_thread import one_thread
 from shape_obs.evaluation.turns import Clock, Entrant, turns
+from shape_obs.one_thread import one_thread
 from shape_obs.wrappers import ShapeObservation
 
 Row = dict[str, Any]

@@ -15,8 +15,8 @@ import numpy as np
 
 from shape_obs.evaluation.env_runner import Actions, Env, Runner, held_actions, make_env
 from shape_obs.evaluation.env_speed import WARM_UP, Course, Row
-from shape_obs.evaluation.one_thread import one_thread
 from shape_obs.evaluation.turns import Entrant, turns
+from shape_obs.one_thread import one_thread
 from shape_obs.wrappers import ShapeObservation
 
 WORKERS: Final = 2

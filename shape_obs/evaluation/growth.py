@@ -14,12 +14,12 @@ from shape_obs.configurations import Centerline, Configuration, Contour, Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.evaluation.asked import at_most
 from shape_obs.evaluation.backends import LABELS, Backend, backends
-from shape_obs.evaluation.one_thread import one_thread
 from shape_obs.evaluation.ropes import SIZE, draw_rope
 from shape_obs.evaluation.sheets import draw_sheet
 from shape_obs.evaluation.streams import BLUE, RGBD, photo, pinhole
 from shape_obs.evaluation.turns import Clock, Entrant, turns
 from shape_obs.evaluation.workloads import cloths, ropes
+from shape_obs.one_thread import one_thread
 
 Array = npt.NDArray[np.float64]
 Row = dict[str, Any]

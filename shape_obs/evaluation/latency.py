@@ -14,9 +14,9 @@ from shape_obs.configurations import Centerline
 from shape_obs.detector import ShapeDetector
 from shape_obs.evaluation.asked import at_least, at_most
 from shape_obs.evaluation.backends import LABELS, Backend, backends, ours
-from shape_obs.evaluation.one_thread import one_thread
 from shape_obs.evaluation.streams import BLUE, RGBD, Size, classic, streams
 from shape_obs.evaluation.turns import Clock, Entrant, turns
+from shape_obs.one_thread import one_thread
 from shape_obs.shape import Detection
 
 Row = dict[str, Any]

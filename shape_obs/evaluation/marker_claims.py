@@ -14,8 +14,8 @@ from shape_obs.calibration.intrinsics import IntrinsicsFit
 from shape_obs.camera import Intrinsics
 from shape_obs.evaluation.asked import at_least, at_most
 from shape_obs.evaluation.marker_scenes import MarkerScene, marker_scene, photograph, random_pose
-from shape_obs.evaluation.one_thread import one_thread
 from shape_obs.markers import MarkersNotSeen, TopView, find_markers, fourth_marker
+from shape_obs.one_thread import one_thread
 
 Array = npt.NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from typing import Any, Final, Literal
 from shape_obs.configurations import Centerline
 from shape_obs.detector import ShapeDetector
 from shape_obs.evaluation.asked import at_most
-from shape_obs.evaluation.one_thread import one_thread
 from shape_obs.evaluation.streams import BLUE, streams
+from shape_obs.one_thread import one_thread
 
 WARM_UP: Final = 1_000  # frames after which the process is weighed first
 SIZE: Final = (320, 240)

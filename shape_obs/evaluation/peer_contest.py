@@ -13,10 +13,10 @@ from shape_obs.detector import ShapeDetector
 from shape_obs.evaluation.asked import at_least, at_most
 from shape_obs.evaluation.backends import LABELS, Backend, backends, ours
 from shape_obs.evaluation.contest import WARM_UP, Score, contest
-from shape_obs.evaluation.one_thread import one_thread
 from shape_obs.evaluation.peers import PEERS
 from shape_obs.evaluation.turns import Clock, Entrant
 from shape_obs.evaluation.workloads import Name, Scene, Work, work
+from shape_obs.one_thread import one_thread
 
 Row = dict[str, Any]
 

@@ -12,8 +12,8 @@ import gymnasium as gym
 from shape_obs.evaluation.asked import at_most
 from shape_obs.evaluation.backends import LABELS, backends
 from shape_obs.evaluation.env_runner import EPISODE
-from shape_obs.evaluation.one_thread import one_thread
 from shape_obs.evaluation.turns import CLOCKS, Clock, Entrant, turns
+from shape_obs.one_thread import one_thread
 from shape_obs.wrappers import ShapeObservation
 
 Row = dict[str, Any]

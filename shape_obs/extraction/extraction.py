@@ -5,15 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from shape_obs import __version__
 from shape_obs.config import config_hash, detector_arguments, schema_hash
@@ -22,6 +19,7 @@ from shape_obs.extraction.episode import EpisodeSource
 from shape_obs.extraction.features import FeatureLog
 from shape_obs.extraction.task import Outcome, Task
 from shape_obs.features import read_features
+from shape_obs.one_thread import one_thread
 from shape_obs.recording import ShapeLog, ShapeTable, replay
 from shape_obs.recording.player import check_depth
 from shape_obs.recording.table import Column
@@ -106,18 +104,6 @@ def work(job: Extraction, made_with: Mapping[str, Any], task: Task) -> Outcome:
         expected = isinstance(error, (OSError, ValueError)) and reason
         return Outcome(task, "failed", reason=reason if expected else f"{type(error).__name__}: {reason}")
     return Outcome(task, "done", len(table), table.metadata["ok"], warnings=tuple(dict.fromkeys(said)))
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Hold OpenCV, BLAS and OpenMP to one thread: processes are what runs side by side, and sums stay the same."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        with threadpool_limits(1):
-            yield
-    finally:
-        cv2.setNumThreads(before)
 
 
 def _kept(part: Path, made: Mapping[str, Any], task: Task) -> Outcome | None:

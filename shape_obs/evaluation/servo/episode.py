@@ -10,10 +10,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.evaluation.one_thread import one_thread
 from shape_obs.evaluation.servo.settings import Setting
 from shape_obs.evaluation.servo.worlds import World, world
 from shape_obs.features import FeatureVector
+from shape_obs.one_thread import one_thread
 from shape_obs.servo import ShapeServo, geometric_weights, make_law
 
 Array = npt.NDArray[np.float64]

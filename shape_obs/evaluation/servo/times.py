@@ -10,10 +10,10 @@ import numpy as np
 from shape_obs.detector import ShapeDetector
 from shape_obs.evaluation.asked import at_most
 from shape_obs.evaluation.env_runner import Env, held_actions, make_env
-from shape_obs.evaluation.one_thread import one_thread
 from shape_obs.evaluation.servo.settings import FEATURES, LAYOUTS
 from shape_obs.evaluation.turns import Clock, Entrant, turns
 from shape_obs.features import Feature, View, read_features
+from shape_obs.one_thread import one_thread
 from shape_obs.shape import Shape
 from shape_obs.topology import Grid
 from shape_obs.wrappers import env_protocol

@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs import __version__
-from shape_obs.evaluation.one_thread import one_thread
 from shape_obs.evaluation.table.frames import CONFIGURATIONS, Name, Scene, scenes
 from shape_obs.evaluation.table.methods import METHODS, Method, Row, measured
 from shape_obs.evaluation.table.parts import Parts
 from shape_obs.evaluation.table.tracings import OF, Trace, Tracing, missing, traced
 from shape_obs.evaluation.turns import Clock
+from shape_obs.one_thread import one_thread
 
 EXACT: Final = 50  # frames of each configuration whose silhouette is taken of all pixels
 _CHUNKS: Final = 20  # for each configuration, of 5 to 50 frames
