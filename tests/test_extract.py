@@ -161,8 +161,9 @@ def test_processes_give_the_same(place, clean, capsys):
 
 
 @pytest.mark.long
-def test_ray_gives_the_same(place, clean, capsys):
+def test_ray_gives_the_same(place, clean, capsys, monkeypatch):
     pytest.importorskip("ray")
+    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")  # of somebody's cluster, which nobody asked to join
     arguments = ["--config", place / "c.yaml", "-o", place / "ray", "--engine", "ray", "--jobs", 2]
     shutil.copytree(place / "recorded" / "r00", place / "bad")
     (place / "bad" / "rgb" / "000001.png").write_bytes(b"junk")

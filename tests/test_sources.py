@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from typing import Any
 
 import cv2
@@ -111,6 +112,32 @@ def test_a_damaged_photo_is_named(photos):
         source.read()
         with pytest.raises(BadRecording, match=r"shot2\.png: not an image that can be read"):
             source.read()
+
+
+def test_a_part_of_a_folder_is_read_as_all_of_it_is(photos, tmp_path):
+    with EnvSource(Clock()) as env:
+        record(env, tmp_path / "recording", frames=3)
+    for folder in (photos, tmp_path / "recording"):
+        with FolderSource(folder) as source:
+            whole = rest(source)
+        for _ in range(2):  # the second time its lines are known
+            with FolderSource(folder, frames=(1, 2)) as part:
+                assert len(part) == 2
+                found = rest(part)
+            assert [frame.number for frame in found] == [1, 2]
+            assert all(np.array_equal(mine.rgb, its.rgb) for mine, its in zip(found, whole[1:], strict=True))
+        with (
+            pytest.raises(BadRecording, match=r"frames 2 \.\.\. 3 of 3 asked for"),
+            FolderSource(folder, frames=(2, 2)),
+        ):
+            pass
+    shutil.rmtree(tmp_path / "recording")  # another one takes its place
+    record(FolderSource(photos), tmp_path / "recording", frames=1)
+    with pytest.raises(BadRecording, match="of 1 asked for"), FolderSource(tmp_path / "recording", frames=(1, 2)):
+        pass
+    for wrong in ((-1, 2), (0, 0), (3,)):
+        with pytest.raises(ValueError, match=r"frames: expected \(first, count\)"):
+            FolderSource(photos, frames=wrong)
 
 
 def test_folders_without_anything_are_refused(tmp_path):

@@ -61,8 +61,9 @@ def on_ray(job: Extraction, tasks: Sequence[Task], jobs: int | None, address: st
     made_with, folder = job.made_with(), Path.cwd()
     ours = not ray.is_initialized()
     if ours:
-        begin: dict[str, Any] = {"address": address} if address else {"num_cpus": jobs, "include_dashboard": False}
-        ray.init(**begin, log_to_driver=False, logging_level=logging.ERROR)
+        own: dict[str, Any] = {"num_cpus": jobs, "include_dashboard": False} if address is None else {}
+        # "local": without it an address in the environment would be joined.
+        ray.init(address=address or "local", log_to_driver=False, logging_level=logging.ERROR, **own)
 
     def row(told: dict[str, Any]) -> dict[str, Any]:
         task = Task.from_dict(json.loads(told["task"]))

@@ -15,7 +15,6 @@ import numpy as np
 from shape_obs import __version__
 from shape_obs.config import config_hash, detector_arguments, schema_hash
 from shape_obs.detector import ShapeDetector
-from shape_obs.extraction.episode import EpisodeSource
 from shape_obs.extraction.features import FeatureLog
 from shape_obs.extraction.task import Outcome, Task
 from shape_obs.features import read_features
@@ -37,8 +36,10 @@ class Extraction:
     Args:
         config: As ``load_config`` gives it, features included.
         out: The dataset's folder.
-        open: Opens a recording that is no recorded folder, such as ``shape_obs_envs.sources.open_source``.
-        extrinsics: A file that says where the camera stands; wins over recorded places.
+        open: Opens a recording, such as ``shape_obs_envs.sources.open_source``; of a recorded folder the part
+            ``frames=(first, count)``.
+        extrinsics: The file that ``open`` has of where the camera stands, where it has one; what was found with
+            another is another dataset.
         frames: How many at most, of each episode.
 
     Raises:
@@ -47,7 +48,7 @@ class Extraction:
 
     config: Mapping[str, Any]
     out: Path
-    open: Callable[[str], RGBDSource]
+    open: Callable[..., RGBDSource]
     extrinsics: Path | None = None
     frames: int | None = None
 
@@ -122,7 +123,7 @@ def _kept(part: Path, made: Mapping[str, Any], task: Task) -> Outcome | None:
 
 def _table(job: Extraction, made: Mapping[str, Any], task: Task) -> ShapeTable:
     detector, features = job.detector(), read_features(job.config.get("features") or ())
-    source = job.open(task.source) if task.frames is None else EpisodeSource(task.source, task.frames, job.extrinsics)
+    source = job.open(task.source, **({} if task.frames is None else {"frames": task.frames}))
     collected = FeatureLog(features, detector.shapes, job.config.get("workspace"), detector.config.max_age)
     with source:
         check_depth(source, detector, job.config)

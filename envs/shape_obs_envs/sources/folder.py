@@ -6,6 +6,7 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,9 +34,12 @@ class FolderSource(SequenceSource):
     Args:
         path: The folder.
         extrinsics: See ``Source``; for a recording it wins over the camera's place that was recorded.
+        frames: (first, count) of a part, such as an episode; None for all that there are.
 
     Raises:
-        BadRecording: By ``connect``: no folder, none that can be read, or nothing in it. By ``read``: a damaged file.
+        ValueError: ``frames`` that cannot be.
+        BadRecording: By ``connect``: no folder, none that can be read, nothing in it, or fewer frames than the part
+            has. By ``read``: a damaged file.
 
     Warns:
         UserWarning: By ``connect``: the recording was interrupted, and what of it is left out.
@@ -43,21 +47,29 @@ class FolderSource(SequenceSource):
 
     kind: str = "folder"
 
-    def __init__(self, path: str | Path, extrinsics: Extrinsics | str | Path | None = None) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        extrinsics: Extrinsics | str | Path | None = None,
+        frames: tuple[int, int] | None = None,
+    ) -> None:
         super().__init__(str(path), extrinsics)
+        if frames is not None and not (len(frames) == 2 and frames[0] >= 0 and frames[1] >= 1):
+            raise ValueError(f"frames: expected (first, count), at least 0 and 1, got {tuple(frames)}.")
         self.path = Path(path)
+        self._part = frames
         self._frames: Recording | Sequence[Path] = ()
-        self._at = 0
+        self._left = range(0)
         self._anchors: Mapping[str, Sequence[float]] = {}
         self._episode = 0
 
     def __len__(self) -> int:
-        """How many frames there are; 0 before ``connect``."""
-        return len(self._frames)
+        """How many frames there are to read in all; 0 before ``connect``."""
+        return self._part[1] if self._part and self._frames else len(self._frames)
 
     @property
     def recording(self) -> Recording | None:
-        """What was recorded; None for photos."""
+        """All that was recorded; None for photos."""
         self._check_connected()
         return self._frames if isinstance(self._frames, Recording) else None
 
@@ -87,8 +99,8 @@ class FolderSource(SequenceSource):
             return
         if not self.path.is_dir():
             raise BadRecording(f"{self.path}: {'not a folder' if self.path.exists() else 'no such folder'}.")
-        if (self.path / CAMERA_FILE).exists() or (self.path / FRAMES_FILE).exists():
-            self._frames = Recording(self.path)
+        if any(file.exists() for file in self._files()):
+            self._frames = self._recorded()
             if self._frames.warning:
                 warnings.warn(self._frames.warning, stacklevel=2)
         else:
@@ -99,22 +111,42 @@ class FolderSource(SequenceSource):
                     f"{self.path}: expected a recording ({CAMERA_FILE}, {FRAMES_FILE}, rgb/) or images "
                     f"({', '.join(PHOTOS)}), found neither."
                 )
-        self._at, self._anchors, self._episode = 0, {}, 0
+        first, count = self._part or (0, len(self._frames))
+        if first + count > len(self._frames):
+            raise BadRecording(f"{self.path}: frames {first} ... {first + count - 1} of {len(self._frames)} asked for.")
+        self._left = range(first, first + count)
+        self._anchors, self._episode = {}, 0
         self._connected = True
 
     def _next(self) -> Frame:
-        if self._at >= len(self._frames):
+        if not self._left:
             raise EndOfSource(f"{self.path}: its {len(self)} frames are over.")
+        at = self._left[0]
         if isinstance(self._frames, Recording):
-            frame, self._anchors, self._episode = self._frames[self._at]
+            frame, self._anchors, self._episode = self._frames[at]
             frame = replace(frame, camera=self._placed(frame.camera))
         else:
-            frame = _photo(self._frames[self._at], self._at)
-        self._at += 1
+            frame = _photo(self._frames[at], at)
+        self._left = self._left[1:]
         return frame
+
+    def _recorded(self) -> Recording:
+        if self._part is None:
+            return Recording(self.path)
+        changed = [file.stat().st_mtime_ns if file.exists() else 0 for file in self._files()]
+        return _opened(self.path.absolute(), *changed)
+
+    def _files(self) -> tuple[Path, Path]:
+        return self.path / CAMERA_FILE, self.path / FRAMES_FILE
 
     def _known_camera(self) -> CameraModel | None:
         return self.recording.camera if self.recording else None
+
+
+@lru_cache(maxsize=1)
+def _opened(path: Path, *changed: int) -> Recording:
+    """Parts of one recording mostly follow each other: its lines are read once."""
+    return Recording(path)
 
 
 def _photo(path: Path, number: int) -> Frame:
