@@ -20,7 +20,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize, VecTransposeImage
 
 from shape_obs.bundle import save_bundle
-from shape_obs.training import Curriculum, ImageAndGoal, Pixels
+from shape_obs.training import Curriculum, ImageAndGoal, PixelPolicy, Pixels
 
 HELD_OUT = 1_000_000  # seed of the goals that policies are tried out on; trainings count on from far below
 # The network scales the image by itself. 1e-4 m2: what moves by less than a centimetre is not blown up.
@@ -66,7 +66,7 @@ def main(args: Args) -> None:
     else:
         env = VecNormalize(envs, **FLOOR)
         model = SAC(
-            "MultiInputPolicy", env, seed=args.seed, device="cpu", tensorboard_log=str(args.out),
+            PixelPolicy, env, seed=args.seed, device="cpu", tensorboard_log=str(args.out),
             replay_buffer_class=HerReplayBuffer, replay_buffer_kwargs={"n_sampled_goal": 4},
             policy_kwargs={"net_arch": [256, 256], "features_extractor_class": ImageAndGoal},
             learning_rate=1e-3, batch_size=128, gamma=0.95, tau=0.01, ent_coef="auto_0.1",

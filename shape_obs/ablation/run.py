@@ -132,7 +132,7 @@ def make_model(study: Study, arm: Arm, env: Any, seed: int) -> BaseAlgorithm:
     """The algorithm that is to learn."""
     import stable_baselines3 as sb3
 
-    from shape_obs.training.extractors import GoalDifference, ImageAndGoal
+    from shape_obs.training import GoalDifference, ImageAndGoal, PixelPolicy
 
     given = {**study.hyperparameters, **arm.hyperparameters}
     policy: dict[str, Any] = {name: given.pop(name) for name in _POLICY if name in given}
@@ -146,7 +146,8 @@ def make_model(study: Study, arm: Arm, env: Any, seed: int) -> BaseAlgorithm:
     if study.algorithm in OFF_POLICY:
         given.setdefault("buffer_size", study.steps)  # nothing is ever forgotten
     kind = getattr(sb3, study.algorithm)
-    return kind("MultiInputPolicy", env, policy_kwargs=policy, seed=seed, device="cpu", **given)
+    network = PixelPolicy if arm.observation == "pixels" and study.algorithm == "SAC" else "MultiInputPolicy"
+    return kind(network, env, policy_kwargs=policy, seed=seed, device="cpu", **given)
 
 
 def act_of(model: BaseAlgorithm) -> Callable[[Any], Any]:

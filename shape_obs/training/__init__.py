@@ -1,11 +1,12 @@
 """What trainings need beside an env: a curriculum, and other observations to compare a shape's with.
 
-``GoalDifference`` and ``ImageAndGoal`` need the extra ``sb3``.
+``GoalDifference``, ``ImageAndGoal`` and ``PixelPolicy`` need the extra ``sb3``, and are loaded on first use.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
 
 from shape_obs.training.curriculum import Curriculum
 from shape_obs.training.pixels import Pixels
@@ -16,13 +17,16 @@ from shape_obs.training.true_state import TrueState
 if TYPE_CHECKING:
     from shape_obs.training.extractors import GoalDifference as GoalDifference
     from shape_obs.training.extractors import ImageAndGoal as ImageAndGoal
+    from shape_obs.training.pixel_policy import PixelPolicy as PixelPolicy
 
-__all__ = ["Curriculum", "GoalDifference", "ImageAndGoal", "Pixels", "PointReward", "Shuffled", "TrueState"]
+__all__ = [
+    "Curriculum", "GoalDifference", "ImageAndGoal", "PixelPolicy", "Pixels", "PointReward", "Shuffled", "TrueState",
+]  # fmt: skip
+
+_TORCH: Final = {"GoalDifference": "extractors", "ImageAndGoal": "extractors", "PixelPolicy": "pixel_policy"}
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("GoalDifference", "ImageAndGoal"):
-        from shape_obs.training import extractors
-
-        return getattr(extractors, name)
+    if name in _TORCH:
+        return getattr(import_module(f"{__name__}.{_TORCH[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -35,6 +35,7 @@ class GoalDifference(BaseFeaturesExtractor):
 class ImageAndGoal(BaseFeaturesExtractor):
     """(B, ``features`` + D): the image through the network of Mnih et al. (Nature 2015), and the desired goal (B, D).
 
+    What is made of the image lies in -1 ... 1 (a linear layer, layer normalisation, tanh), as a normalised goal does.
     ``achieved_goal`` is not read: an image is all that is known of the present shape.
 
     Args:
@@ -46,7 +47,8 @@ class ImageAndGoal(BaseFeaturesExtractor):
         super().__init__(observation_space, features + spaces.flatdim(observation_space["desired_goal"]))
         image = observation_space["observation"]
         assert isinstance(image, spaces.Box)
-        self._image = NatureCNN(image, features)
+        network = NatureCNN(image, features)
+        self._image = torch.nn.Sequential(network.cnn, network.linear[0], torch.nn.LayerNorm(features), torch.nn.Tanh())
 
     def forward(self, observations: Observations) -> torch.Tensor:
         """(B, ``features`` + D)."""
