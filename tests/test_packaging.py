@@ -89,4 +89,4 @@ def test_no_module_of_the_core_loads_gymnasium():
 def test_applications_load_environments_inside_functions_only():
     heavy = {"shape_obs_envs", "mujoco", "torch", "stable_baselines3", "pyrealsense2", "matplotlib"}
     # A network's part is a class of torch's, so its file begins with it; nothing else loads that file while loading.
-    assert not loaded_by_all_but("shape_obs.training.extractors") & heavy
+    assert not loaded_by_all_but("shape_obs.training.extractors", "shape_obs.training.pixel_policy") & heavy
