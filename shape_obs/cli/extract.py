@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import partial
 from glob import glob, has_magic
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -66,7 +65,7 @@ def main(argv: Sequence[str]) -> int:
     if args.extrinsics is not None and not args.extrinsics.is_file():
         raise FileNotFoundError(f"--extrinsics: {args.extrinsics}: no such file.")
     tasks = all_tasks(recordings(args.source))
-    job = Extraction(config, args.out, partial(open_named, extrinsics=args.extrinsics), args.extrinsics, args.frames)
+    job = Extraction(config, args.out, open_named, args.extrinsics, args.frames)
     found: list[Outcome] = []
     with warnings_as_lines("shape-obs extract"):
         run = extract(job, tasks, engine=args.engine, jobs=args.jobs, address=args.address)

@@ -36,10 +36,9 @@ class Extraction:
     Args:
         config: As ``load_config`` gives it, features included.
         out: The dataset's folder.
-        open: Opens a recording, such as ``shape_obs_envs.sources.open_source``; of a recorded folder the part
-            ``frames=(first, count)``.
-        extrinsics: The file that ``open`` has of where the camera stands, where it has one; what was found with
-            another is another dataset.
+        open: Opens a recording, such as ``shape_obs_envs.sources.open_source``, with ``extrinsics``; of a recorded
+            folder the part ``frames=(first, count)``.
+        extrinsics: A file that says where the camera stands; wins over recorded places.
         frames: How many at most, of each episode.
 
     Raises:
@@ -123,7 +122,8 @@ def _kept(part: Path, made: Mapping[str, Any], task: Task) -> Outcome | None:
 
 def _table(job: Extraction, made: Mapping[str, Any], task: Task) -> ShapeTable:
     detector, features = job.detector(), read_features(job.config.get("features") or ())
-    source = job.open(task.source, **({} if task.frames is None else {"frames": task.frames}))
+    part = {} if task.frames is None else {"frames": task.frames}
+    source = job.open(task.source, extrinsics=job.extrinsics, **part)
     collected = FeatureLog(features, detector.shapes, job.config.get("workspace"), detector.config.max_age)
     with source:
         check_depth(source, detector, job.config)
