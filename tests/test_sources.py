@@ -132,7 +132,7 @@ def test_a_part_of_a_folder_is_read_as_all_of_it_is(photos, tmp_path):
     record(FolderSource(photos), tmp_path / "recording", frames=1)
     with pytest.raises(BadRecording, match="of 1 asked for"), FolderSource(tmp_path / "recording", frames=(1, 2)):
         pass
-    several: Any = ((-1, 2), (0, 0), (3,))
+    several: Any = ((-1, 2), (0, 0), (3,), 5)
     for wrong in several:
         with pytest.raises(ValueError, match=r"frames: expected \(first, count\)"):
             FolderSource(photos, frames=wrong)

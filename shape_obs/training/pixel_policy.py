@@ -13,8 +13,8 @@ from stable_baselines3.sac.policies import MultiInputPolicy
 class PixelPolicy(MultiInputPolicy):
     """SAC's policy with one feature extractor, which learns from the critic's loss alone.
 
-    With an extractor of its own, learning from the actor's loss, an actor that sees images goes blind: its
-    convolutions died within the first thousands of steps, and it did the same whatever it saw. Stable-Baselines3's
+    With an extractor of its own, learning from the actor's loss, an actor that sees images can go blind: after a
+    training its convolutions were dead, and it did the same whatever it saw. Stable-Baselines3's
     ``share_features_extractor`` lets the actor's loss alone teach it. What is done here is that of Yarats et al.,
     "Improving Sample Efficiency in Model-Free Reinforcement Learning from Images" (AAAI 2021), without its decoder.
 

@@ -54,8 +54,9 @@ class FolderSource(SequenceSource):
         frames: tuple[int, int] | None = None,
     ) -> None:
         super().__init__(str(path), extrinsics)
-        if frames is not None and not (len(frames) == 2 and frames[0] >= 0 and frames[1] >= 1):
-            raise ValueError(f"frames: expected (first, count), at least 0 and 1, got {tuple(frames)}.")
+        pair = isinstance(frames, Sequence) and len(frames) == 2  # it may come from a command line
+        if frames is not None and not (pair and frames[0] >= 0 and frames[1] >= 1):
+            raise ValueError(f"frames: expected (first, count), at least 0 and 1, got {frames!r}.")
         self.path = Path(path)
         self._part = frames
         self._frames: Recording | Sequence[Path] = ()
