@@ -69,7 +69,7 @@ def main(args: Args) -> None:
             PixelPolicy, env, seed=args.seed, device="cpu", tensorboard_log=str(args.out),
             replay_buffer_class=HerReplayBuffer, replay_buffer_kwargs={"n_sampled_goal": 4},
             policy_kwargs={"net_arch": [256, 256], "features_extractor_class": ImageAndGoal},
-            learning_rate=1e-3, batch_size=128, gamma=0.95, tau=0.01, ent_coef="auto_0.1",
+            learning_rate=3e-4, batch_size=64, train_freq=2, gamma=0.95, tau=0.01, ent_coef="auto_0.1",
             learning_starts=args.learning_starts, buffer_size=args.buffer,
         )  # fmt: skip
     save = CheckpointCallback(args.checkpoint_every, str(args.out), "model", True, True)

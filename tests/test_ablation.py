@@ -20,9 +20,12 @@ import yaml
 from ablation_study import STUDY, here, killing, numbers, worker_of
 
 from shape_obs.ablation import load_study
+from shape_obs.ablation.check import check
 from shape_obs.ablation.engines import Local
 from shape_obs.ablation.sweep import left, sweep
 from shape_obs.cli import main
+
+EXAMPLES = Path(__file__).parents[1] / "examples" / "ablations"
 
 
 def written(path: Path, **changes) -> Path:
@@ -49,6 +52,11 @@ def clean(tmp_path_factory, study_file):
     outcomes = sweep(study, left(study, root), here)
     assert not [outcome.error for outcome in outcomes if outcome.error]
     return root
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.yaml")), ids=lambda path: path.stem)
+def test_the_studies_among_the_examples_can_begin(path):
+    check(load_study(path))
 
 
 @pytest.mark.long
