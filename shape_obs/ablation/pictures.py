@@ -76,7 +76,8 @@ def _curves(study: Study, summary: Summary) -> Any:
         axis.set_title(_title(name), fontsize=9, color=_INK)
         axis.set_xlabel("thousand steps", fontsize=9)
     axes[0].set_ylabel("goals reached [%]", fontsize=9)
-    handles.append(Patch(color="#777777", alpha=0.2, label="95 % interval"))
+    if any(each.runs > 1 for each in summary.values()):
+        handles.append(Patch(color="#777777", alpha=0.2, label="95 % interval"))
     columns = 4 if len(panels) == 1 else 8
     figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False, fontsize=9)
     return figure
