@@ -26,6 +26,7 @@ class Frame:
         stamp: Seconds; None when the source has no clock.
         received: When it reached this machine: ``time.monotonic()``, seconds; None where nobody noted it.
         number: The source's own count of its frames; gaps tell what was missed. None where it does not count.
+        exposed: The earliest time at which its exposure can have begun: ``time.monotonic()``, seconds; None if unknown.
 
     Raises:
         TypeError: A wrong array type or dtype.
@@ -38,6 +39,7 @@ class Frame:
     stamp: float | None = None
     received: float | None = None
     number: int | None = None
+    exposed: float | None = None
 
     def __post_init__(self) -> None:
         if self.rgb is not None:

@@ -1,7 +1,8 @@
-"""Robot: what moves the object, and what its actions mean."""
+"""Define the contract of a robot: what its actions mean, how it moves, and how it stops."""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, Protocol, runtime_checkable
@@ -104,7 +105,15 @@ class ActionSpec(Spec):
 
 @runtime_checkable
 class Robot(Protocol):
-    """What moves the object. Coordinates of states and actions are those of ``action_spec``, in physical units.
+    """Move the object. States and actions have the coordinates of ``action_spec``, in physical units.
+
+    A robot keeps two promises on which the safety of a deployment rests:
+
+    - Every motion ends by itself at its ``until``, by the clock of whatever controls the motors, even if the process
+      that sent it has been killed. A driver for a controller on another machine sends the time that is left,
+      ``until - time.monotonic()``, as the controller's own command timeout.
+    - ``stop`` works at any time and from any thread, also while another thread is blocked in ``send``, ``reset`` or
+      ``park``. It ends the motion that these have begun and cancels one that they have not begun yet.
 
     May also have ``anchors``, a mapping of names to base-frame points (x, y, z) where it holds the object now, and
     ``name`` for logs.
@@ -131,30 +140,36 @@ class Robot(Protocol):
         """
         ...
 
-    def send(self, action: Array) -> None:
-        """Begin a motion; returns at once. The next one replaces it.
+    def send(self, action: Array, until: float) -> None:
+        """Begin a motion and return at once. The next motion replaces it.
 
         Args:
-            action: (A,) in physical units; within the workspace, which whoever sends it has seen to.
+            action: (A,) in physical units, inside the workspace.
+            until: ``time.monotonic()`` in seconds at which the robot must stand still again, wherever it is then,
+                unless another motion has replaced this one. A motion whose time is over is not begun.
 
         Raises:
-            RobotError: It cannot.
+            RobotError: The motion cannot be begun.
         """
         ...
 
     def state(self) -> Array:
-        """Where it has been told to go: (A,), with ``action_spec``'s names and units."""
+        """Return the commanded position (A,), where the current motion ends, in the coordinates of ``action_spec``."""
         ...
 
     def stop(self) -> None:
-        """Stand still, now. May be called at any time, from any thread, and more than once."""
+        """Stand still now. May be called at any time, from any thread, and more than once.
+
+        Raises:
+            RobotError: The robot cannot be reached.
+        """
         ...
 
     def park(self) -> None:
-        """Go to a pose where it may be left alone; returns when it is there.
+        """Go to a pose where the robot may be left alone, and return when it is there.
 
         Raises:
-            RobotError: It cannot.
+            RobotError: It cannot, or it was stopped on the way.
         """
         ...
 
@@ -164,6 +179,31 @@ class Robot(Protocol):
 
 
 Anchors = Mapping[str, Sequence[float]]
+_METHODS: Final = ("connect", "reset", "send", "state", "stop", "park", "disconnect")
+
+
+def check_robot(robot: Any) -> None:
+    """Check that an object keeps the ``Robot`` protocol, as far as that shows before it moves.
+
+    Raises:
+        TypeError: A method is missing, or ``send`` does not take an action and its end.
+    """
+    name = type(robot).__name__
+    missing = [method for method in _METHODS if not callable(getattr(robot, method, None))]
+    if missing or not hasattr(robot, "action_spec"):
+        raise TypeError(
+            f"robot: expected an object as shape_obs.robot.Robot describes it, {name} has no "
+            f"{(*missing, 'action_spec')[0]!r}."
+        )
+    try:
+        inspect.signature(robot.send).bind([], 0.0)
+    except TypeError:
+        raise TypeError(
+            f"robot: expected {name}.send(action, until), got {name}.send{inspect.signature(robot.send)}: the robot "
+            "must end each motion by itself at the time `until`."
+        ) from None
+    except ValueError:
+        return  # a compiled function without a signature
 
 
 def robot_anchors(robot: Any) -> Anchors:

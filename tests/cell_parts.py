@@ -111,7 +111,7 @@ class ListRobot:
         self.calls.append("reset")
         self.told = np.zeros(len(self.action_spec))
 
-    def send(self, action: Any) -> None:
+    def send(self, action: Any, until: float) -> None:
         if self.fails:
             raise RobotError("the robot is in an emergency stop")
         self.calls.append("send")

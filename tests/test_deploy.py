@@ -52,7 +52,7 @@ def test_a_run_moves_the_robot_and_ends_by_stopping_parking_and_disconnecting():
     assert report.steps == report.acted == 5
     assert report.held == 0
     assert not report.failed
-    assert report.ended == "the time was over"
+    assert report.ended == "time limit reached"
     assert robot.told == pytest.approx([0.05, 0.0])
     assert robot.calls.count("send") == 5
     assert robot.calls[-4:] == ["stop", "park", "stop", "disconnect"]

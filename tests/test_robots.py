@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from importlib.util import find_spec
 from typing import NamedTuple
@@ -34,8 +35,8 @@ def test_the_null_robot_remembers_what_it_was_told() -> None:
         robot.reset()
     robot.connect()
     robot.reset()
-    robot.send(np.array([0.01, -0.02]))
-    robot.send(np.array([0.01, 0.0]))
+    robot.send(np.array([0.01, -0.02]), soon())
+    robot.send(np.array([0.01, 0.0]), soon())
     assert robot.state() == pytest.approx([0.02, -0.02])
     assert [motion.tolist() for _, motion in robot.sent] == [[0.01, -0.02], [0.01, 0.0]]
     robot.stop()
@@ -43,10 +44,10 @@ def test_the_null_robot_remembers_what_it_was_told() -> None:
     robot.reset()
     assert robot.state() == pytest.approx([0, 0])
     with pytest.raises(RobotError, match=r"2 finite numbers \(x0, x1\)"):
-        robot.send(np.array([np.nan, 0.0]))
+        robot.send(np.array([np.nan, 0.0]), soon())
     robot.disconnect()
     with pytest.raises(RobotError):
-        robot.send(np.zeros(2))
+        robot.send(np.zeros(2), soon())
 
 
 def test_the_null_robot_takes_any_spec() -> None:
@@ -54,7 +55,7 @@ def test_the_null_robot_takes_any_spec() -> None:
     robot = NullRobot(spec=fields, period=0.5)
     robot.connect()
     robot.reset()
-    robot.send(np.array([0.1]))
+    robot.send(np.array([0.1]), soon())
     assert robot.action_spec == ActionSpec.from_dict(fields)
     assert robot.state() == pytest.approx([0.55])
     with pytest.raises(ValueError, match="size"):
@@ -62,6 +63,10 @@ def test_the_null_robot_takes_any_spec() -> None:
 
 
 # ---- SimulatedRobot
+
+
+def soon() -> float:
+    return time.monotonic() + 5.0
 
 
 class FirstStart(NamedTuple):
@@ -97,12 +102,12 @@ def test_it_is_a_robot_that_moves_as_it_is_told(robot: SimulatedRobot) -> None:
     start = robot.state()
     before = np.array(robot_anchors(robot)["gripper0"])
     motion = np.array([0.01, 0.012, 0.0, -0.01, 0.012, 0.0])
-    robot.send(motion)
+    robot.send(motion, soon())
     assert robot.state() == pytest.approx(start + motion)
     frames(robot, 30)
     assert np.array(robot.anchors["gripper0"]) - before == pytest.approx([0.01, 0.012, 0], abs=3e-3)
 
-    robot.send(np.full(6, 5.0))  # no further than the workspace lets both grippers go
+    robot.send(np.full(6, 5.0), soon())  # no further than the workspace lets both grippers go
     assert (robot.state() <= np.asarray(robot.action_spec.high) + 1e-9).all()
     robot.stop()
     told = robot.state()
@@ -111,7 +116,7 @@ def test_it_is_a_robot_that_moves_as_it_is_told(robot: SimulatedRobot) -> None:
     robot.park()
     assert robot.state() == pytest.approx(start)
     with pytest.raises(RobotError, match="finite numbers"):
-        robot.send(np.zeros(5))
+        robot.send(np.zeros(5), soon())
 
 
 @simulated
@@ -133,7 +138,7 @@ def test_the_camera_sees_the_truth(robot: SimulatedRobot) -> None:
             assert shape.points3d is not None
             errors.append(np.linalg.norm(frame.camera.to_base(shape.points3d) - robot.truth(frame.number), axis=1))
             numbers.append(frame.number)
-            robot.send(robot.action_spec.physical(0.5 * np.sin(i / 5) * np.array([1, 0.3, 0.5, -1, 0.3, -0.5])))
+            robot.send(robot.action_spec.physical(0.5 * np.sin(i / 5) * np.array([1, 0.3, 0.5, -1, 0.3, -0.5])), soon())
     assert np.nanmean(errors) < 3e-3  # a flipped or late shape is off by centimetres
     assert np.nanmax(np.nanmean(errors, axis=1)) < 6e-3
     assert (np.diff(numbers) > 0).all()
@@ -194,7 +199,7 @@ def test_the_death_of_the_simulation_is_an_error_and_connect_starts_the_same_ane
     os.kill(child.pid, signal.SIGTERM)
     child.join(20)
     with pytest.raises(RobotError, match=r"has ended \(exit code -15.*disconnect, and connect"):
-        robot.send(np.zeros(6))
+        robot.send(np.zeros(6), soon())
     with pytest.raises(RobotError):
         robot.reset()
     robot.stop()
@@ -214,7 +219,7 @@ def test_nothing_is_left_of_it_in_the_end(robot: SimulatedRobot) -> None:
     assert not [process for process in multiprocessing.active_children() if process.name == "simulated robot"]
     assert not [thread for thread in threading.enumerate() if thread.name == "simulated robot"]
     robot.stop()
-    for call in (robot.reset, robot.park, lambda: robot.send(np.zeros(6)), robot.disturb):
+    for call in (robot.reset, robot.park, lambda: robot.send(np.zeros(6), soon()), robot.disturb):
         with pytest.raises(RobotError, match="not connected"):
             call()
 

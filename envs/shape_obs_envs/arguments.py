@@ -25,15 +25,15 @@ def one_of(name: str, value: Any, options: Iterable[Any], also: str = "") -> Any
     raise ValueError(f"{name}: expected one of {expected}, got {value!r}.{hint}")
 
 
-def positive(name: str, value: Any, default: str) -> float:
-    """Return `value` if it is a length in metres above 0; `default` words what is usual.
+def positive(name: str, value: Any, default: str, what: str = "a distance in metres") -> float:
+    """Return `value` if it is above 0; `default` says what is usual, `what` names the quantity in the message.
 
     Raises:
         ValueError: It is not.
     """
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not (number and 0 < value < float("inf")):
-        raise ValueError(f"{name}: expected a distance in metres above 0, got {value!r}. The default is {default}.")
+        raise ValueError(f"{name}: expected {what} above 0, got {value!r}. The default is {default}.")
     return float(value)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -27,7 +29,10 @@ COMMANDS: Final = {
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Entry point. Exits with 0, with 1 and one line on stderr where something is wrong, with 2 on wrong usage."""
+    """Run a command. Exits with 0; with 1 and one line on stderr if something is wrong; with 2 on wrong usage.
+
+    After a signal it exits with 128 plus the signal's number, as shells expect.
+    """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_usage())
@@ -41,13 +46,18 @@ def main(argv: Sequence[str] | None = None) -> None:
         sys.exit(2)
     try:
         status = import_module(f"shape_obs.cli.{command.replace('-', '_')}").main(rest)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # Nobody reads the output any more; without this the interpreter fails again when it flushes it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
     except (ValueError, TypeError, OSError, ImportError) as error:
         message = " ".join(str(error).split()) or type(error).__name__
         print(f"shape-obs {command}: {message}", file=sys.stderr)
         sys.exit(1)
-    except KeyboardInterrupt:
-        print(f"shape-obs {command}: interrupted", file=sys.stderr)
-        sys.exit(130)
+    except KeyboardInterrupt as interrupt:
+        print(f"shape-obs {command}: {str(interrupt) or 'interrupted'}", file=sys.stderr)
+        sys.exit(128 + getattr(interrupt, "signum", signal.SIGINT))
     sys.exit(status)
 
 

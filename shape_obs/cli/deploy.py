@@ -24,8 +24,9 @@ from shape_obs.robot import robot_name
 class Arguments(ActingArguments):
     """Run a trained policy, or another controller, on a robot at a fixed rate, from the camera alone.
 
-    However it ends, the robot is stopped, sent to its safe pose and disconnected. Exit code 1 when the camera or the
-    robot failed, the shape stayed lost, or the watchdog bit.
+    However it ends, the robot is stopped, sent to its safe pose and disconnected: also on Ctrl-C, SIGTERM, SIGHUP and
+    SIGQUIT. Exit code 1 if the camera or the robot failed, the shape stayed lost, or the loop hung; 128 plus its number
+    after a signal.
     """
 
     seconds: float | None = 60.0
@@ -37,9 +38,9 @@ class Arguments(ActingArguments):
     min_valid: float = 0.5
     """Share of the points that must be measured."""
     max_age: float = 0.2
-    """Seconds that an image may be old when it is acted on."""
+    """Seconds after its exposure within which an image may be acted on, and after which the motion ends."""
     watchdog: float = 2.0
-    """Seconds after which the robot is stopped when the loop hangs."""
+    """Seconds after which a loop that hangs is ended; its motion has ended after --max-age."""
     max_step: tuple[float, ...] | None = None
     """How far each coordinate may move in a step, in the robot's units."""
     workspace_low: tuple[float, ...] | None = None
@@ -65,17 +66,17 @@ def main(argv: Sequence[str]) -> int:
 
 def _run(args: Arguments) -> int:
     from shape_obs.cli.episodes import play
-    from shape_obs.deploy import Limits, RunLog, deploy
+    from shape_obs.deploy import Interrupted, Limits, RunLog, deploy
 
     limits = Limits(args.hold, args.min_valid, args.max_age, args.watchdog)
     acting = make_acting(args, max_step=args.max_step, workspace=_box(args))
     header = _header(acting, limits)
 
-    def run(env: Any, number: int | None = None) -> Any:
-        """One run; of several ones, with a log of its own and without parking after it."""
+    def run(number: int | None = None) -> Any:
+        """Run once; one of several episodes gets its own log, and the robot stays connected after it."""
         folder = args.log if args.log is None or number is None else args.log / f"episode-{number:03}"
         return deploy(
-            env,
+            acting.env,
             acting.controller,
             limits,
             steps=acting.arguments.steps,
@@ -84,16 +85,25 @@ def _run(args: Arguments) -> int:
             log=None if folder is None else RunLog(folder, header),
             on_step=shown.step,
             park=args.park and number is None,
+            close=number is None,
         )
 
-    with _Progress(acting.arguments, acting.env) as shown:
-        if args.episodes is None:
-            report = run(acting.env)
-            failed = report.failed
-        else:
-            report = play(acting.env, run, args.episodes, acting.threshold, args.park)
-            failed = any(one.failed for one in report.reports)
-    print(json.dumps(report.to_dict()) if args.json else report)
+    def show(report: Any) -> None:
+        print(json.dumps(report.to_dict()) if args.json else report)
+
+    try:
+        with _Progress(acting.arguments, acting.env) as shown:
+            if args.episodes is None:
+                report = run()
+                failed = report.failed
+            else:
+                report = play(acting.env, run, args.episodes, acting.threshold, args.park)
+                failed = any(one.failed for one in report.reports)
+    except Interrupted as interrupted:
+        if interrupted.report is not None:
+            show(interrupted.report)
+        raise
+    show(report)
     return 1 if failed else 0
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from shape_obs.deploy import Report
+from shape_obs.deploy import Interrupted, Report, supervised
 from shape_obs.wrappers import Target
 
 
@@ -73,13 +73,6 @@ class RobotGoals(gym.Wrapper[Any, Any, Any, Any]):
         return self.env.reset(seed=seed, options={**(options or {}), "goal": self.goal})
 
 
-class KeptOpen(gym.Wrapper[Any, Any, Any, Any]):
-    """Is not closed after an episode, since others follow."""
-
-    def close(self) -> None:
-        """Nothing; ``env.close`` closes it."""
-
-
 @dataclass(frozen=True)
 class Episodes:
     """How episodes went.
@@ -137,30 +130,30 @@ class Episodes:
         return float(np.mean(list(reached)))
 
 
-def play(env: Any, run: Callable[[Any, int], Report], count: int, threshold: float, park: bool) -> Episodes:
+def play(env: Any, run: Callable[[int], Report], count: int, threshold: float, park: bool) -> Episodes:
     """Play episodes one after the other, then stop and park the robot and disconnect, whatever happened.
 
     Args:
         env: With a ``ShapeGoal`` or not.
-        run: Plays one in an environment, without parking; is told its number.
+        run: Plays the episode of a number, without parking or disconnecting.
         count: How many at most; the first in which the camera or the robot fails or the loop hangs is the last.
         threshold: Metres below which a goal is reached in truth.
         park: Whether to park in the end.
+
+    Raises:
+        Interrupted: A signal asked the process to end; ``report`` holds the episodes that were played.
     """
     cell, reports, true_mm = env.unwrapped, [], []
     try:
-        for number in range(count):
-            reports.append(run(KeptOpen(env), number))
-            true_mm.append(_true_distance(env))
-            if reports[-1].failed and (cell.frame is None or "watchdog" in reports[-1].ended):
-                break
-    finally:
-        try:
-            cell.robot.stop()
-            if park and reports:
-                cell.robot.park()
-        finally:
-            env.close()
+        with supervised(env, park=park):
+            for number in range(count):
+                reports.append(run(number))
+                true_mm.append(_true_distance(env))
+                if reports[-1].failed and (cell.frame is None or "watchdog" in reports[-1].ended):
+                    break
+    except Interrupted as interrupted:
+        interrupted.report = Episodes(reports, true_mm, 1e3 * threshold) if reports else interrupted.report
+        raise
     return Episodes(reports, true_mm, 1e3 * threshold)
 
 

@@ -1,4 +1,4 @@
-"""The loop that runs a controller on a robot, and what keeps it safe."""
+"""Run a controller on a robot at a fixed rate, and keep it safe."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from shape_obs.deploy.gate import Gate, Limits
 from shape_obs.deploy.log import RunLog
 from shape_obs.deploy.loop import Step, deploy
 from shape_obs.deploy.report import Report
+from shape_obs.deploy.signals import Interrupted
+from shape_obs.deploy.supervision import supervised
 
 __all__ = [
     "Controller",
     "DryRobot",
     "Gate",
+    "Interrupted",
     "Limits",
     "Report",
     "RunLog",
@@ -21,4 +24,5 @@ __all__ = [
     "Still",
     "Sway",
     "deploy",
+    "supervised",
 ]

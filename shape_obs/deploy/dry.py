@@ -59,7 +59,7 @@ class DryRobot:
     def reset(self) -> None:
         """Stay where it is."""
 
-    def send(self, action: Array) -> None:
+    def send(self, action: Array, until: float) -> None:
         """Count the motion and drop it."""
         self.sent += 1
 

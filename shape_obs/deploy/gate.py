@@ -1,4 +1,4 @@
-"""Gate: whether what was seen is good enough to act on."""
+"""Gate: decide whether what was seen is good enough to act on."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Move = Literal["act", "hold", "stop"]
 
 @dataclass(frozen=True)
 class Limits(Spec):
-    """When to act, to hold and to stop.
+    """Set when to act, to hold and to stop.
 
     A shape that was not found in the present frame is never acted on, though an observation may still hold an older
     one. While it is lost, or late, the robot stands still; when that has lasted for ``hold`` seconds, the run ends.
@@ -22,9 +22,9 @@ class Limits(Spec):
     Args:
         hold: Seconds that a lost or old shape is waited for.
         min_valid: Share of a shape's points that must be measured, 0 to 1.
-        max_age: Seconds that an image may be old when it is acted on: since it arrived, and by how much later than the
-            quickest images it arrived.
-        watchdog: Seconds after which the robot is stopped from outside when the loop does not come round.
+        max_age: Seconds after the exposure of an image within which it may be acted on, and after which the motion that
+            was chosen on it ends unless a new one replaces it.
+        watchdog: Seconds after which a loop that does not come round is ended; its motion ended after ``max_age``.
 
     Raises:
         SpecError: A value out of its range.
@@ -47,7 +47,7 @@ class Limits(Spec):
 
 
 class Judgement(NamedTuple):
-    """What to do now, and why when it is not to act.
+    """Say what to do now, and why if it is not to act.
 
     Attributes:
         move: What to do.
@@ -75,8 +75,7 @@ class Gate:
         """Look at what is known of the last observation.
 
         Args:
-            info: Of the environment: ``shape/ok``, ``shape/age``, ``shape/<name>/valid_fraction``, ``received``,
-                ``lag``.
+            info: Of the environment: ``shape/ok``, ``shape/age``, ``shape/<name>/valid_fraction``, ``exposed``.
             now: ``time.monotonic()``.
         """
         cause, reason = self._fault(info, now)
@@ -99,7 +98,7 @@ class Gate:
         if shares and min(shares) < limits.min_valid:
             few = f"only {min(shares):.0%} of the points were measured (at least {limits.min_valid:.0%} wanted)"
             return "points missing", few
-        age = info.get("lag", 0.0) + now - info.get("received", now)
+        age = now - info.get("exposed", now)
         if age > limits.max_age:
             return "image old", f"the image was {1e3 * age:.0f} ms old (at most {1e3 * limits.max_age:.0f} ms wanted)"
         return "", ""

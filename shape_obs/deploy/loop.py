@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from shape_obs.deploy.controller import check_controller, checked_action
 from shape_obs.deploy.gate import Gate, Judgement, Limits
 from shape_obs.deploy.log import RunLog
 from shape_obs.deploy.report import Report, Tally
+from shape_obs.deploy.signals import Interrupted, SignalStop
+from shape_obs.deploy.supervision import supervised
 from shape_obs.deploy.watchdog import Watchdog
 from shape_obs.frame import Frame
 from shape_obs.shape import Detection
@@ -20,14 +22,14 @@ if TYPE_CHECKING:
 
 
 class Step(NamedTuple):
-    """What a step was decided on.
+    """Show what a step was decided on.
 
     Attributes:
         step: Its number.
         frame: What the camera saw; None where it failed.
         detection: What was found in it.
         judgement: What was made of that.
-        action: (A,) what the controller did; None where it was not asked.
+        action: (A,) what the controller did; None where nothing was sent.
     """
 
     step: int
@@ -51,27 +53,32 @@ def deploy(
     log: RunLog | None = None,
     on_step: OnStep | None = None,
     park: bool = True,
+    close: bool = True,
 ) -> Report:
     """Run a controller on a robot until it is done; then stop, park and disconnect the robot, whatever happened.
 
     The rate and its absolute deadlines are the environment's; so are the guard's action clip, step cap and workspace.
+    SIGINT, SIGTERM, SIGHUP and SIGQUIT stop the robot at once, from a thread, if this is called in the main thread.
 
     Args:
         env: ``ShapeObs/D455-v0`` with a robot, in a ``ShapeObservation`` and, with a goal, a ``ShapeGoal``.
         controller: A ``Controller``.
-        limits: When to hold and to stop.
+        limits: When to hold and to stop; ``limits.max_age`` becomes the environment's.
         steps: How many at most; None for no limit.
         seconds: How long at most; None for no limit.
         until_reached: End when the goal has been reached in so many frames one after the other; 0 goes on.
-        log: Where steps are written to.
+        log: Where steps and the report are written, by a thread.
         on_step: Called after each step.
         park: Whether to send the robot to its safe pose in the end.
+        close: Whether to disconnect camera and robot in the end.
 
     Raises:
+        Interrupted: A signal asked the process to end. The robot was stopped and parked, and ``report`` is the report.
         ValueError: The controller acts in other coordinates than the robot, or gave something else than an action; the
             environment has no robot or finds no shapes.
         SourceError: The camera was not there to begin with.
         RobotError: The robot was not there to begin with, or cannot stop or park.
+        OSError: The log cannot be written.
     """
     cell: Any = env.unwrapped
     if getattr(cell, "robot", None) is None:
@@ -80,91 +87,120 @@ def deploy(
         env.get_wrapper_attr("detection")
     except AttributeError:
         raise ValueError("deploy needs an environment that finds shapes: wrap it in ShapeObservation.") from None
-    with ExitStack() as finally_:
-        # In reverse: stop, park, disconnect; each of them also when one before it fails.
-        finally_.callback(env.close)
-        if park:
-            finally_.callback(cell.robot.park)
-        finally_.callback(cell.robot.stop)
-        if log is not None:
-            finally_.enter_context(log)
-        report = _Run(env, controller, limits or Limits(), log, on_step).go(steps, seconds, until_reached)
-        if log is not None:
-            log.report(report.to_dict())
-    return report
+    run: _Run | None = None
+    try:
+        with log or nullcontext(), supervised(env, park=park, close=close) as signals:
+            run = _Run(env, controller, limits or Limits(), log, on_step, signals)
+            return run.go(steps, seconds, until_reached)
+    except Interrupted as interrupted:
+        interrupted.report = None if run is None else run.report
+        raise
 
 
 class _Run:
-    """One run, from reset to its report."""
+    """Run the loop once, from reset to its report."""
 
     def __init__(
-        self, env: gym.Env[Any, Any], controller: Any, limits: Limits, log: RunLog | None, on_step: OnStep | None
+        self,
+        env: gym.Env[Any, Any],
+        controller: Any,
+        limits: Limits,
+        log: RunLog | None,
+        on_step: OnStep | None,
+        signals: SignalStop,
     ) -> None:
         self._env, self._controller, self._log, self._on_step = env, controller, log, on_step
         self._cell: Any = env.unwrapped
+        self._cell.max_age = limits.max_age
         self._spec = self._cell.robot.action_spec
         self._limits, self._gate, self._tally = limits, Gate(limits), Tally()
-        check_controller(controller, self._spec, env)
+        self._signals = signals
+        self._info: dict[str, Any] = {}
+        self._count, self._begin = 0, time.monotonic()
+        self.report: Report | None = None
 
     def go(self, steps: int | None, seconds: float | None, until_reached: int) -> Report:
-        """Run it."""
-        observation, info = self._env.reset()
-        begin = time.monotonic()
-        step, reached, ended, failed = 0, 0, "", False
-        with Watchdog(self._cell.robot.stop, self._limits.watchdog) as watchdog:
-            while not ended:
-                watchdog.feed()
-                judgement = self._gate.judge(info, time.monotonic())
-                if judgement.move == "stop":
-                    ended, failed = judgement.reason, True
-                    break
-                observation, info, terminated, truncated = self._step(step, observation, info, judgement, watchdog)
-                step += 1
-                reached = reached + 1 if info.get("is_success") else 0
-                errors = [info[name] for name in ("camera_error", "robot_error") if name in info]
-                if watchdog.bitten:
-                    ended, failed = f"the loop hung for {self._limits.watchdog} s: the watchdog stopped the robot", True
-                elif errors:
-                    ended, failed = errors[0], True
-                elif terminated or truncated:
-                    ended = "the episode was over"
-                elif until_reached and reached >= until_reached:
-                    ended = f"the goal was reached in {reached} frames one after the other"
-                elif step == steps or (seconds is not None and time.monotonic() - begin >= seconds):
-                    ended = "the time was over"
-        return self._tally.report(
-            steps=step,
-            seconds=time.monotonic() - begin,
-            overruns=self._cell.rate.overruns,
-            ended=ended,
-            failed=failed,
-            success=bool(info["is_success"]) if "is_success" in info else None,
-        )
+        """Run it; the robot stands still before anything is reported."""
+        interlock = self._cell.interlock
+        expired, ended, failed = interlock.expired, "", True
+        try:
+            check_controller(self._controller, self._spec, self._env)
+            ended, failed = self._loop(steps, seconds, until_reached)
+        except Interrupted as interrupted:
+            ended, failed = str(interrupted), False
+            raise
+        except BaseException as error:
+            ended = f"{type(error).__name__}: {error}"
+            raise
+        finally:
+            self._signals.raising = False
+            try:
+                interlock.stop()
+            finally:
+                self.report = self._tally.report(
+                    steps=self._count,
+                    seconds=time.monotonic() - self._begin,
+                    overruns=self._cell.rate.overruns,
+                    expired=interlock.expired - expired,
+                    ended=ended,
+                    failed=failed,
+                    success=bool(self._info["is_success"]) if "is_success" in self._info else None,
+                )
+                if self._log is not None:
+                    self._log.report(self.report.to_dict())
+        return self.report
 
-    def _step(
-        self, step: int, observation: Any, info: dict[str, Any], judgement: Judgement, watchdog: Watchdog
-    ) -> tuple[Any, dict[str, Any], bool, bool]:
-        """Act or hold, and look again."""
-        cell, tally = self._cell, self._tally
+    def _loop(self, steps: int | None, seconds: float | None, until_reached: int) -> tuple[str, bool]:
+        """Step until something ends the run: why, and whether that is an error."""
+        observation, self._info = self._env.reset()
+        self._begin, reached = time.monotonic(), 0
+        interlock, limits = self._cell.interlock, self._limits
+        with Watchdog(lambda: interlock.trip("watchdog"), limits.watchdog) as watchdog:
+            while True:
+                watchdog.feed()
+                self._signals.check()
+                judgement = self._gate.judge(self._info, time.monotonic())
+                if judgement.move == "stop":
+                    return judgement.reason, True
+                observation, over = self._step(observation, judgement)
+                self._count += 1
+                reached = reached + 1 if self._info.get("is_success") else 0
+                errors = [self._info[name] for name in ("camera_error", "robot_error") if name in self._info]
+                if watchdog.expired:
+                    return f"the loop hung for {limits.watchdog} s: the watchdog stopped the robot", True
+                if errors:
+                    return errors[0], True
+                if over:
+                    return "the episode was over", False
+                if until_reached and reached >= until_reached:
+                    return f"the goal was reached in {reached} frames one after the other", False
+                if self._count == steps or (seconds is not None and time.monotonic() - self._begin >= seconds):
+                    return "time limit reached", False
+
+    def _step(self, observation: Any, judgement: Judgement) -> tuple[Any, bool]:
+        """Act or hold, and look again: the next observation, and whether the episode is over."""
+        cell, tally, info = self._cell, self._tally, self._info
         frame, seen_at, begin = cell.frame, cell.seen_at, time.monotonic()
         detection: Detection = self._env.get_wrapper_attr("detection")
         source, state = sum(getattr(cell.source, "timings", {}).values()), cell.robot.state()
-        action = None
+        chosen = None
         if judgement.move == "act":
-            action = checked_action(self._controller.act(observation), self._spec, self._controller)
+            chosen = checked_action(self._controller.act(observation), self._spec, self._controller)
             # The controller took its time, and the image grew older.
             judgement = self._gate.judge(info, time.monotonic())
-        if judgement.move == "act" and not watchdog.bitten:
-            tally.acted += 1
-        else:
-            withheld = getattr(self._controller, "withheld", None)
-            if action is not None and callable(withheld):
-                withheld()
-            action = None
-            tally.held += 1
-            tally.reasons[judgement.cause or "watchdog"] += 1
+        action = chosen if judgement.move == "act" else None
         acted = time.monotonic()
-        following, _, terminated, truncated, next_info = self._env.step(action)
+        following, _, terminated, truncated, self._info = self._env.step(action)
+        if action is not None and cell.withheld:  # too late at the moment of sending
+            action, judgement = None, Judgement("hold", cell.withheld, f"not sent: {cell.withheld}")
+        if action is None:
+            tally.held += 1
+            tally.reasons[judgement.cause] += 1
+            withheld = getattr(self._controller, "withheld", None)
+            if chosen is not None and callable(withheld):
+                withheld()
+        else:
+            tally.acted += 1
         times = {
             "source": source,
             "detect": detection.timings["total"],
@@ -176,19 +212,19 @@ class _Run:
         if frame is not None and frame.received is not None:
             times["age"] = 1e3 * (seen_at - frame.received) - source
         tally.time(times)
-        guarded = cell.guarded
+        guarded = cell.guarded if action is not None else None
         if guarded is not None:
             tally.guarded.update(clipped=guarded.clipped, capped=guarded.capped, boxed=guarded.boxed)
         if self._log is not None:
             self._log.step(
                 {
-                    "step": step,
+                    "step": self._count,
                     "stamp": info["stamp"],
                     "frame": info.get("frame"),
                     "lag": info.get("lag"),
                     "move": judgement.move,
                     "reason": judgement.reason,
-                    "shapes": [shape.to_dict() for shape in detection],
+                    "shapes": tuple(detection),
                     "state": state,
                     "action": action,
                     "motion": None if guarded is None else guarded.motion,
@@ -197,5 +233,5 @@ class _Run:
                 }
             )
         if self._on_step is not None:
-            self._on_step(Step(step, frame, detection, judgement, action))
-        return following, next_info, terminated, truncated
+            self._on_step(Step(self._count, frame, detection, judgement, action))
+        return following, terminated or truncated

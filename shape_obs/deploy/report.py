@@ -1,33 +1,17 @@
-"""Report: how a run went, section by section."""
+"""Report: summarize a run, section by section, in memory that does not grow with it."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-import numpy as np
-
-
-@dataclass(frozen=True)
-class Section:
-    """Milliseconds that a part of the loop took: median, 95th percentile and most."""
-
-    median: float
-    p95: float
-    most: float
-
-    @classmethod
-    def of(cls, values: Sequence[float]) -> Section:
-        """Of the values of a run."""
-        array = np.asarray(values, np.float64)
-        return cls(*(float(np.round(value, 3)) for value in (np.median(array), np.percentile(array, 95), array.max())))
+from shape_obs.deploy.quantiles import Quantiles, Section
 
 
 @dataclass(frozen=True)
 class Report:
-    """How a run went.
+    """Summarize a run.
 
     Args:
         steps: How many there were.
@@ -35,15 +19,17 @@ class Report:
         overruns: Steps whose deadline had passed before it was waited for.
         acted: Steps with an action.
         held: Steps without one, since the shape was lost or late.
+        expired: Motions that ended because no new one replaced them in time.
         guarded: How many actions the guard changed: ``clipped``, ``capped``, ``boxed``.
         reasons: Why steps were held, and how often.
         ended: Why the run ended.
-        failed: Whether that is an error: the camera or the robot failed, the shape stayed lost, or the watchdog bit.
+        failed: Whether that is an error: an exception, the camera or the robot failed, the shape stayed lost, or the
+            watchdog stopped the robot.
         success: Whether the goal was reached in the last frame; None without a goal.
-        sections: Milliseconds by part of the loop. ``source`` rectifies and aligns, ``detect`` finds the shapes,
-            ``between`` makes features of them, judges and logs, ``act`` is the controller's, ``send`` the guard's and
-            the robot's; ``own`` is all of these together, from raw images to an action sent; ``age`` is how long the
-            images had been there before.
+        sections: Milliseconds by part of the loop, right to 0.5 %. ``source`` rectifies and aligns, ``detect`` finds
+            the shapes, ``between`` makes features of them and judges, ``act`` is the controller's, ``send`` the guard's
+            and the robot's; ``own`` is all of these together, from raw images to an action sent; ``age`` is how long
+            the images had been there before.
     """
 
     steps: int
@@ -51,6 +37,7 @@ class Report:
     overruns: int
     acted: int
     held: int
+    expired: int
     guarded: dict[str, int]
     reasons: dict[str, int]
     ended: str
@@ -59,8 +46,9 @@ class Report:
     sections: dict[str, Section]
 
     def to_dict(self) -> dict[str, Any]:
-        """The report as JSON-able values."""
-        return asdict(self)
+        """Return the report as JSON-able values."""
+        sections = {name: section._asdict() for name, section in self.sections.items()}
+        return {**asdict(self), "sections": sections}
 
     def __str__(self) -> str:
         lines = [
@@ -69,6 +57,7 @@ class Report:
             f"acted           {self.acted}, held: {self.held}"
             + "".join(f"\n  held          {count} x {reason}" for reason, count in self.reasons.items()),
             "guard           " + ", ".join(f"{name} {count}" for name, count in self.guarded.items()),
+            f"motions         ended early: {self.expired}",
             f"ended           {self.ended}",
         ]
         if self.success is not None:
@@ -84,26 +73,26 @@ class Report:
 
 @dataclass
 class Tally:
-    """What is counted while a run goes on."""
+    """Count what happens while a run goes on."""
 
     acted: int = 0
     held: int = 0
     guarded: Counter[str] = field(default_factory=lambda: Counter(clipped=0, capped=0, boxed=0))
     reasons: Counter[str] = field(default_factory=Counter)
-    sections: dict[str, list[float]] = field(default_factory=dict)
+    sections: dict[str, Quantiles] = field(default_factory=dict)
 
     def time(self, milliseconds: dict[str, float]) -> None:
         """Add a step's times."""
         for name, value in milliseconds.items():
-            self.sections.setdefault(name, []).append(value)
+            self.sections.setdefault(name, Quantiles()).add(value)
 
     def report(self, **rest: Any) -> Report:
-        """The report of the run."""
+        """Return the report of the run."""
         return Report(
             acted=self.acted,
             held=self.held,
             guarded=dict(self.guarded),
             reasons=dict(self.reasons),
-            sections={name: Section.of(values) for name, values in self.sections.items()},
+            sections={name: times.section() for name, times in self.sections.items()},
             **rest,
         )

@@ -1,4 +1,4 @@
-"""Watchdog: stops the robot from outside when the loop hangs."""
+"""Watchdog: act from another thread when a loop hangs."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ if TYPE_CHECKING:
 
 
 class Watchdog:
-    """Calls ``bite`` once when it is not fed for ``seconds``. A context manager: it watches within.
+    """Call a function once when ``feed`` was not called for ``seconds``. A context manager; it watches within.
 
     Args:
-        bite: Stops the robot; called from a thread of its own.
+        act: Called from a thread when the time is over.
         seconds: How long it waits.
 
     Attributes:
-        bitten: Whether it has bitten.
+        expired: Whether the time was over.
     """
 
-    def __init__(self, bite: Callable[[], None], seconds: float) -> None:
-        self._bite, self._seconds = bite, seconds
+    def __init__(self, act: Callable[[], None], seconds: float) -> None:
+        self._act, self._seconds = act, seconds
         self._fed = time.monotonic()
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
-        self.bitten = False
+        self.expired = False
 
     def feed(self) -> None:
-        """Tell it that the loop has come round."""
+        """Report that the loop has come round."""
         self._fed = time.monotonic()
 
     def _watch(self) -> None:
@@ -39,8 +39,8 @@ class Watchdog:
         while not self._over.wait(left):
             left = self._fed + self._seconds - time.monotonic()
             if left <= 0:
-                self.bitten = True
-                self._bite()
+                self.expired = True
+                self._act()
                 return
 
     def __enter__(self) -> Self:
@@ -52,4 +52,3 @@ class Watchdog:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._over.set()
-        self._thread.join(self._seconds)

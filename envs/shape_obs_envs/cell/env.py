@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -15,10 +16,11 @@ from shape_obs.frame import Frame
 from shape_obs.guard import Box, Guard, Guarded
 from shape_obs.loading import make_named
 from shape_obs.rate import Rate
-from shape_obs.robot import Anchors, Robot, RobotError, robot_anchors
+from shape_obs.robot import Anchors, Robot, RobotError, check_robot, robot_anchors
 from shape_obs.source import NotConnected, RGBDSource, SourceError
 from shape_obs_envs.arguments import count, one_of, positive
 from shape_obs_envs.cell.eye import Eye, open_eye
+from shape_obs_envs.cell.interlock import Interlock
 
 Observation = dict[str, npt.NDArray[Any]]
 #: Of the workspace: coordinates may be so far outside, where a robot was led by hand.
@@ -32,6 +34,9 @@ class D455Env(gym.Env[Any, Any]):
     deadline and takes the newest frame that arrived after the action was sent: an observation never shows an older one.
     Rewards are 0; `ShapeGoal` gives them.
 
+    A motion ends `max_age` seconds after the exposure of the last observation's image, unless a new one replaces it. An
+    action whose observation is older than that is not sent: the robot stands still, and `info["withheld"]` says why.
+
     Where the camera fails, the episode ends with `truncated`, `info["camera_error"]` says why, the images are black,
     the robot has been stopped, and the next `reset` connects anew. `info["robot_error"]` tells the same of the robot.
 
@@ -39,9 +44,9 @@ class D455Env(gym.Env[Any, Any]):
     also `robot` (A,) float32, where it has been told to be, in its `action_spec`'s units. Action: (A,) in -1 ... 1,
     scaled and limited by a `Guard`; None stands still. Without a robot there is one action, to look.
 
-    `info`: `stamp` [s, the camera's clock], `frame` (its number), `received` [s, `time.monotonic`], `lag` (how much
-    later it came than the quickest frames do [s]), `overrun` (the deadline had passed), and what the guard did:
-    `guard/clipped`, `guard/capped`, `guard/boxed`.
+    `info`: `stamp` [s, the camera's clock], `frame` (its number), `received` and `exposed` [s, `time.monotonic`], `lag`
+    (how much later it came than the quickest frames do [s]), `overrun` (the deadline had passed), and what the guard
+    did: `guard/clipped`, `guard/capped`, `guard/boxed`.
 
     Args:
         source: A source, or a word that `shape_obs_envs.sources.open_source` takes: "d455", "d455:SERIAL", FILE.db3,
@@ -55,20 +60,25 @@ class D455Env(gym.Env[Any, Any]):
         settle: Look when the motion is over, as a simulator does: an action has 1 / rate from when it was sent, and the
             frame must show what there was `settle` seconds later, which makes up for its way from the camera to here.
             A step then takes as long as it takes. None looks at the deadline, motion or not.
+        max_age: How long a motion may go on after the exposure of the image that it was chosen on [s].
         max_step: (A,) how far a coordinate may move in a step, in the robot's units; default one action of 1.
         workspace: [low, high], each (A,): a smaller box than the robot's own.
         render_mode: None or "rgb_array", the last image.
 
     Raises:
         ValueError: An argument is out of its range, or the source cannot be opened as it is asked for.
+        TypeError: The robot does not keep the protocol `shape_obs.robot.Robot`.
         ImportError: The robot's module cannot be imported, or the extra `realsense` is missing.
 
     Attributes:
         robot: The robot, or None.
         settle: As given.
+        max_age: As given; may be changed between steps.
+        interlock: What sends motions to the robot and stops it, from any thread; None without a robot.
         source: The source.
         frame: The frame of the last observation; None before the first, and where the camera failed.
         guarded: What the guard made of the last action; None where there was none.
+        withheld: Why the last action was not sent; empty if it was.
         sent_at: `time.monotonic()` after the last action was sent [s].
         seen_at: `time.monotonic()` when the last frame was at hand [s].
         slack: How long the last step waited for its deadline [s]; negative by how much it was late.
@@ -87,6 +97,7 @@ class D455Env(gym.Env[Any, Any]):
         extrinsics: str | None = None,
         timeout: float = 1.0,
         settle: float | None = None,
+        max_age: float = 0.2,
         max_step: Sequence[float] | None = None,
         workspace: Box | None = None,
         render_mode: str | None = None,
@@ -96,11 +107,11 @@ class D455Env(gym.Env[Any, Any]):
         self.metadata = {**type(self).metadata, "render_fps": rate}
         if settle is not None and not 0 <= settle < 10:
             raise ValueError(f"settle: expected seconds from 0 to below 10, or None, got {settle!r}.")
-        self.settle = settle
+        self.settle, self.max_age = settle, positive("max_age", max_age, "0.2", "seconds")
         width, height = (count("size", side, 16, 4096) for side in size)
         self.robot: Robot | None = make_named(robot, "robot", robot_arguments) if isinstance(robot, str) else robot
         self.source = open_eye(source, self.robot, (width, height), extrinsics)
-        self._eye = Eye(self.source, (width, height), positive("timeout", timeout, "1.0"))
+        self._eye = Eye(self.source, (width, height), positive("timeout", timeout, "1.0", "seconds"))
         observed: dict[str, gym.spaces.Space[Any]] = {
             "rgb": gym.spaces.Box(0, 255, (height, width, 3), np.uint8),
             "depth": gym.spaces.Box(0, 65535, (height, width), np.uint16),
@@ -108,8 +119,10 @@ class D455Env(gym.Env[Any, Any]):
         self.action_space = gym.spaces.Discrete(1)
         self.guard: Guard | None = None
         self._reach: gym.spaces.Box | None = None
+        self.interlock: Interlock | None = None
         if self.robot is not None:
-            spec = self.robot.action_spec
+            check_robot(self.robot)
+            self.interlock, spec = Interlock(self.robot), self.robot.action_spec
             self.guard = Guard(spec, max_step, workspace, self.rate.dt)
             margin = _MARGIN * (np.asarray(spec.high) - spec.low)
             low, high = np.asarray(spec.low) - margin, np.asarray(spec.high) + margin
@@ -118,10 +131,11 @@ class D455Env(gym.Env[Any, Any]):
             self.action_space = gym.spaces.Box(-1.0, 1.0, (len(spec),), np.float32)
         self.observation_space = gym.spaces.Dict(observed)
         self.sent_at = self.seen_at = time.monotonic()
-        self.slack = 0.0
+        self.slack, self.withheld = 0.0, ""
         self.guarded: Guarded | None = None
         self.frame: Frame | None = None
         self._clock = (0.0, time.monotonic())  # the newest frame's stamp, and when it was taken
+        self._exposed = -math.inf
 
     # ---- gymnasium
 
@@ -136,15 +150,15 @@ class D455Env(gym.Env[Any, Any]):
             ValueError: The source gives other images than the env was made for.
         """
         super().reset(seed=seed)
-        self.guarded = None
+        self.guarded, self.withheld = None, ""
         try:
-            if self.robot is not None:
+            if self.robot is not None and self.interlock is not None:
+                self.interlock.arm()
                 self.robot.connect()
             self._eye.connect()  # before anything moves
             if self.robot is not None:
                 self.robot.reset()
-            self.frame = self._eye.frame_after(time.monotonic())
-            self.seen_at = time.monotonic()
+            self._see(self._eye.frame_after(time.monotonic()))
         except (SourceError, RobotError, ValueError):
             self._abandon()
             raise
@@ -162,8 +176,7 @@ class D455Env(gym.Env[Any, Any]):
         try:
             self._send(action)
             self.sent_at = time.monotonic()
-            self.frame = self._look()
-            self.seen_at = time.monotonic()
+            self._see(self._look())
         except NotConnected:
             raise
         except SourceError as error:
@@ -186,7 +199,8 @@ class D455Env(gym.Env[Any, Any]):
     def close(self) -> None:
         """Stop the robot and disconnect; nothing moves. A later `reset` connects again."""
         self._abandon()
-        if self.robot is not None:
+        if self.robot is not None and self.interlock is not None:
+            self.interlock.close()
             self.robot.disconnect()
 
     # ---- published
@@ -214,14 +228,14 @@ class D455Env(gym.Env[Any, Any]):
     # ---- inside
 
     def _send(self, action: Any) -> None:
-        self.guarded = None
-        if self.robot is None or self.guard is None:
+        self.guarded, self.withheld = None, ""
+        if self.robot is None or self.guard is None or self.interlock is None:
             return
         if action is None:
-            self.robot.stop()
+            self.interlock.stop()
             return
         self.guarded = self.guard.motion(action, self.robot.state())
-        self.robot.send(self.guarded.motion)
+        self.withheld = self.interlock.send(self.guarded.motion, self._exposed + self.max_age)
 
     def _look(self) -> Frame:
         """Wait for the deadline, and for a frame."""
@@ -232,6 +246,10 @@ class D455Env(gym.Env[Any, Any]):
         self.rate.deadline = self.sent_at + self.rate.dt
         self.slack = self.rate.wait()
         return self._eye.frame_of(self.sent_at + self.rate.dt + self.settle)
+
+    def _see(self, frame: Frame) -> None:
+        self.frame, self.seen_at = frame, time.monotonic()
+        self._exposed = self._eye.exposed(frame, self.seen_at)
 
     def _observe(self) -> Observation:
         images = self._eye.images(self.frame)
@@ -250,18 +268,21 @@ class D455Env(gym.Env[Any, Any]):
         self._clock = stamp, now
         info: dict[str, Any] = {"stamp": stamp, "overrun": overrun}
         if frame is not None:
-            info |= {"lag": self._eye.lag(frame), "received": now if frame.received is None else frame.received}
+            received = now if frame.received is None else frame.received
+            info |= {"lag": self._eye.lag(frame), "received": received, "exposed": self._exposed}
         if frame is not None and frame.number is not None:
             info["frame"] = frame.number
         if self.guarded is not None:
             _, clipped, capped, boxed = self.guarded
             info |= {"guard/clipped": clipped, "guard/capped": capped, "guard/boxed": boxed}
+        if self.withheld:
+            info["withheld"] = self.withheld
         return info
 
     def _abandon(self) -> None:
         """Stand still and let go of the camera, so that the next reset begins anew."""
         try:
-            if self.robot is not None:
-                self.robot.stop()
+            if self.interlock is not None:
+                self.interlock.stop()
         finally:
             self.source.disconnect()

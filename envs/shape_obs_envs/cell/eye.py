@@ -57,6 +57,17 @@ class Eye:
         self.source, self._size, self._timeout = source, size, timeout
         self._transport: deque[float] = deque(maxlen=_WINDOW)
 
+    def exposed(self, frame: Frame, now: float) -> float:
+        """Return the earliest time at which the exposure of a frame may have begun, ``time.monotonic()`` in seconds.
+
+        A frame of a live source that does not know it counts as exposed when the quickest frames would have arrived.
+        Other sources have no clock that runs on: their frames count as exposed now.
+        """
+        if not self.source.live or frame.received is None:
+            return now
+        arrived = frame.received - self.lag(frame)
+        return arrived if frame.exposed is None else min(frame.exposed, arrived)
+
     def connect(self) -> None:
         """Connect the source; what was known of its clock is forgotten."""
         self._transport.clear()

@@ -1,4 +1,4 @@
-"""NullRobot: a robot that moves nothing and remembers what it was told."""
+"""NullRobot: a robot that moves nothing and remembers what it was sent."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class NullRobot:
         >>> robot = NullRobot(size=2)
         >>> robot.connect()
         >>> robot.reset()
-        >>> robot.send(np.array([0.01, 0.0]))
+        >>> robot.send(np.array([0.01, 0.0]), until=time.monotonic() + 0.2)
         >>> robot.state().tolist()
         [0.01, 0.0]
     """
@@ -76,14 +76,16 @@ class NullRobot:
         self._check_connected()
         self._told = self._middle()
 
-    def send(self, action: Array) -> None:
-        """Remember a motion (A,), in physical units.
+    def send(self, action: Array, until: float) -> None:
+        """Remember a motion (A,), in physical units; one whose time is over is not begun.
 
         Raises:
             RobotError: It is not connected, or this is no motion.
         """
         self._check_connected()
         motion = checked_motion(action, self.action_spec)
+        if time.monotonic() >= until:
+            return
         self.sent.append((time.monotonic(), motion))
         self._told = self.action_spec.following(self._told, motion, self._period)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Mapping
@@ -38,8 +39,9 @@ class SimulatedRobot:
     hides it from the depth camera.
 
     Coordinates are those of the grippers, ``gripper0/x`` and so on: x, y [m] and yaw [rad] in the base frame for the
-    rope and the ring, x, y, z [m] for the cloth. A motion takes ``ramp`` seconds. Targets are clipped to where the
-    environment lets its grippers go, both together: so that they neither tear the object nor push it into loops.
+    rope and the ring, x, y, z [m] for the cloth. A motion takes ``ramp`` seconds, and ends at its ``until`` by the
+    simulation's clock, wherever it is then. Targets are clipped to where the environment lets its grippers go, both
+    together: so that they neither tear the object nor push it into loops.
 
     It starts a process as Python's ``multiprocessing`` does: a script that uses it keeps its own work under
     ``if __name__ == "__main__":``.
@@ -90,8 +92,8 @@ class SimulatedRobot:
         self.action_spec: ActionSpec = self._stage.env.action_spec
         self._lock = threading.RLock()
         self._link: Link | None = None
-        self._poses = self._home = np.zeros((len(self.action_spec) // 3, 3))
-        self._motion, self._fresh = Ramp.standing(self._poses, time.monotonic()), True
+        self._home = np.zeros((len(self.action_spec) // 3, 3))
+        self._motion, self._fresh = Ramp.standing(self._home, time.monotonic()), True
         self._start: Array | None = None
         self._goal: Array | None = None
         self._footage = Footage(self.camera, float(fps))
@@ -125,19 +127,20 @@ class SimulatedRobot:
             self._begin(started)
             self._fresh = False
 
-    def send(self, action: Array) -> None:
-        """Begin a motion (A,) in physical units; it replaces the one before.
+    def send(self, action: Array, until: float) -> None:
+        """Begin a motion (A,) in physical units that ends at ``until``; it replaces the one before.
 
         Raises:
             RobotError: It is not connected, the simulation has ended, or this is no motion.
         """
         motion = checked_motion(action, self.action_spec)
-        with self._lock:  # or a stop in another thread would be undone
-            self._go(self._poses + motion.reshape(self._poses.shape), self._ramp_seconds)
+        with self._lock:  # a stop in another thread is not undone
+            told = self._motion.final
+            self._go(told + motion.reshape(told.shape), self._ramp_seconds, until)
 
     def state(self) -> Array:
-        """Where the grippers have been told to go: (A,), x, y [m] and yaw [rad] of each."""
-        return self._poses.ravel().copy()
+        """Return where the present motion ends: (A,), x, y [m] and yaw [rad] of each gripper."""
+        return self._motion.final.ravel()
 
     def stop(self) -> None:
         """Stand still where it is now."""
@@ -150,17 +153,18 @@ class SimulatedRobot:
             except RobotError:
                 return  # what has ended stands still
             self._motion = Ramp.standing(self._motion.at(now), now)
-            self._poses = self._motion.end
 
     def park(self) -> None:
         """Go back to where the episode began.
 
         Raises:
-            RobotError: It is not connected, or the simulation has ended.
+            RobotError: It is not connected, the simulation has ended, or it was stopped on the way.
         """
-        self._go(self._home, _HOME)
+        way = self._go(self._home, _HOME)
         time.sleep(_HOME)
         self._connected().check()
+        if self._motion is not way:
+            raise RobotError("The simulated robot was stopped or moved on its way to the place where it parks.")
 
     def disconnect(self) -> None:
         """End the simulation; its process is gone when this returns."""
@@ -280,16 +284,17 @@ class SimulatedRobot:
         return self._link
 
     def _begin(self, started: Started) -> None:
-        self._poses = self._home = started.poses
+        self._home = started.poses
         self._motion = Ramp.standing(started.poses, time.monotonic())
         self._start, self._goal = started.state, None
         self._fresh = True
         self._footage.begin(started.anchors)
 
-    def _go(self, poses: Array, seconds: float) -> None:
+    def _go(self, poses: Array, seconds: float, until: float = math.inf) -> Ramp:
         with self._lock:
             link, now = self._connected(), time.monotonic()
-            poses = self._stage.workspace.clip(poses, self._poses)
-            motion = Ramp(self._motion.at(now), poses, now, seconds)
+            poses = self._stage.workspace.clip(poses, self._motion.final)
+            motion = Ramp(self._motion.at(now), poses, now, seconds, max(until, now))
             link.order("go", motion)
-            self._motion, self._poses = motion, poses
+            self._motion = motion
+            return motion

@@ -202,8 +202,14 @@ class _Noise:
 
 
 def run_world(plan: Plan, slots: Slots, orders: Connection, notices: Connection) -> None:
-    """What the simulation's process does."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the robot's process, which ends this one
+    """Run the simulation in a process of its own, until the process that started it ends it or is gone."""
+    for name in (
+        "SIGINT",
+        "SIGHUP",
+        "SIGQUIT",
+    ):  # a terminal sends these to this process too; the other one parks first
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     cv2.setNumThreads(1)
     try:
         World(plan, slots, orders, notices).run()

@@ -1,1 +1,1 @@
-"""Faults, attacks and kills: what must hold whatever happens, measured by ``shape-obs bench claims --only robustness``."""
+"""Measure what must hold under faults, attacks and kills: ``shape-obs bench claims --only robustness``."""

@@ -37,7 +37,8 @@ class RealSenseSource(Source):
 
     ``Frame.stamp`` is the colour image's, in seconds by the camera's clock: with a D455 on USB the time of day
     (librealsense's global time), otherwise as the recording or the software camera tells. ``Frame.number`` is the
-    colour camera's count.
+    colour camera's count. ``Frame.exposed`` of a live camera follows from the global time and the exposure; without
+    global time the exposure is taken to have begun two frame intervals before the frame arrived.
 
     Args:
         device: A `SoftwareD455`, or several of which ``serial`` says which; None for a camera on USB.
@@ -267,7 +268,8 @@ class RealSenseSource(Source):
                 self.timings = {"register": 1e3 * (time.perf_counter() - begin)}
                 self._last = raw, rgb, depth
             _, rgb, depth = self._last
-            return Frame(rgb.copy(), depth.copy(), self._model, raw.stamp, raw.received, raw.number)
+            exposed = raw.exposed if self.live else None
+            return Frame(rgb.copy(), depth.copy(), self._model, raw.stamp, raw.received, raw.number, exposed)
 
 
 def _origin(
