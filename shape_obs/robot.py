@@ -196,14 +196,16 @@ def check_robot(robot: Any) -> None:
             f"{(*missing, 'action_spec')[0]!r}."
         )
     try:
-        inspect.signature(robot.send).bind([], 0.0)
+        signature = inspect.signature(robot.send)
+    except ValueError:
+        return  # a compiled function does not show its parameters
+    try:
+        signature.bind([], 0.0)
     except TypeError:
         raise TypeError(
-            f"robot: expected {name}.send(action, until), got {name}.send{inspect.signature(robot.send)}: the robot "
+            f"robot: expected {name}.send(action, until), got {name}.send({', '.join(signature.parameters)}): the robot "
             "must end each motion by itself at the time `until`."
         ) from None
-    except ValueError:
-        return  # a compiled function without a signature
 
 
 def robot_anchors(robot: Any) -> Anchors:

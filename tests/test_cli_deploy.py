@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import time
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -77,6 +81,26 @@ def test_a_dry_run_with_a_simulated_camera_and_a_robot_that_moves_nothing(capsys
     code, out, err = run(capsys, "deploy", *source, *robot, *controller, "--steps", "4")
     assert code == 0, err
     assert "acted           4, held: 0" in out
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+def test_sigterm_ends_the_command_with_a_report_and_its_own_exit_code(tmp_path):
+    shape, log = tmp_path / "shape.yaml", tmp_path / "run"
+    save_config(shape, {"segmentation": {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}})
+    command = ["-c", "from shape_obs.cli import main; main()", "deploy", "--set", "camera=d455"]
+    command += ["--source", "shape_obs_envs:ShapeObs/Cable-v0"]
+    command += ["--config", str(shape), "--robot", "shape_obs_envs.robots:NullRobot", "--json", "--log", str(log)]
+    child = subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    steps = log / "steps.jsonl"
+    give_up = time.monotonic() + 60
+    while not (steps.exists() and steps.read_text().count("\n") > 3) and time.monotonic() < give_up:
+        time.sleep(0.05)
+    child.send_signal(signal.SIGTERM)
+    out, err = child.communicate(timeout=30)
+    assert child.returncode == 143, err
+    assert err.endswith("shape-obs deploy: interrupted by SIGTERM\n")
+    assert json.loads(out)["ended"] == "interrupted by SIGTERM"
+    assert json.loads((log / "report.json").read_text()) == json.loads(out)
 
 
 @pytest.mark.parametrize(

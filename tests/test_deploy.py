@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import pickle
+import signal
+import threading
 import time
 from typing import Any
 from urllib.request import urlopen
@@ -11,9 +14,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from cell_parts import HEIGHT, ROPE, WIDTH, ListRobot, RopeSource
+from hypothesis import given
+from hypothesis import strategies as st
 
 from shape_obs import ShapeGoal, ShapeObservation
-from shape_obs.deploy import DryRobot, Limits, RunLog, Script, Still, Sway, deploy
+from shape_obs.deploy import DryRobot, Interrupted, Limits, RunLog, Script, Still, Sway, deploy, supervised
+from shape_obs.deploy.report import Tally
 from shape_obs.robot import ActionSpec
 
 
@@ -246,6 +252,188 @@ def test_steps_of_a_run_that_dies_are_on_disk(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         deploy(env, Always({4: die}), steps=10, log=RunLog(tmp_path / "run", {}))
     assert len((tmp_path / "run" / "steps.jsonl").read_text().splitlines()) == 4
+
+
+class StallingLog(RunLog):
+    """A log on a disk that stalls."""
+
+    def __init__(self, *args: Any, seconds: float) -> None:
+        self.seconds, self.done = seconds, []
+        super().__init__(*args)
+
+    def _write(self, name, content):
+        time.sleep(self.seconds)
+        super()._write(name, content)
+        self.done.append((name, time.monotonic()))
+
+    def _write_step(self, record):
+        time.sleep(self.seconds)
+        super()._write_step(record)
+
+
+def test_a_disk_that_stalls_delays_neither_the_steps_nor_the_stop(tmp_path):
+    env, robot, _ = cell()
+    stops: list[float] = []
+    stop = robot.stop
+    robot.stop = lambda: (stop(), stops.append(time.monotonic()))  # type: ignore[method-assign]
+    log = StallingLog(tmp_path / "run", {}, seconds=0.2)
+    moments = []
+    report = deploy(env, Always(), steps=8, log=log, on_step=lambda moment: moments.append(time.monotonic()))
+    assert np.diff(moments).max() < 0.15
+    written = dict(log.done)["report.json"]
+    assert stops[0] - moments[-1] < 0.15
+    assert written - stops[0] > 1.0  # eight steps and the report
+    assert json.loads((tmp_path / "run" / "report.json").read_text())["steps"] == report.steps == 8
+    assert len((tmp_path / "run" / "steps.jsonl").read_text().splitlines()) == 8
+
+
+def test_a_log_that_cannot_be_written_ends_the_run_and_stops_the_robot(tmp_path):
+    class FullDisk(RunLog):
+        def _write_step(self, record):
+            raise OSError("no space left on device")
+
+    env, robot, _ = cell()
+    with pytest.raises(OSError, match="no space left"):
+        deploy(env, Always(), steps=1000, log=FullDisk(tmp_path / "run", {}))
+    assert robot.calls[-1] == "disconnect"
+    assert "no space left" in json.loads((tmp_path / "run" / "report.json").read_text())["ended"]
+
+
+def test_a_disk_that_is_hopelessly_behind_ends_the_run(tmp_path, monkeypatch):
+    monkeypatch.setattr("shape_obs.deploy.log._WAITING", 3)
+    env, *_ = cell()
+    with pytest.raises(OSError, match="the disk is 3 steps behind"):
+        deploy(env, Always(), steps=100, log=StallingLog(tmp_path / "run", {}, seconds=0.2))
+
+
+def test_an_exception_is_in_the_report_of_the_log(tmp_path):
+    env, *_ = cell()
+
+    def fail():
+        raise ZeroDivisionError("a mistake")
+
+    with pytest.raises(ZeroDivisionError):
+        deploy(env, Always({2: fail}), steps=10, log=RunLog(tmp_path / "run", {}))
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert (report["ended"], report["failed"], report["steps"]) == ("ZeroDivisionError: a mistake", True, 2)
+
+
+def raising(name):
+    """What a controller does while a signal comes."""
+
+    def act():
+        signal.raise_signal(getattr(signal, name))
+        return np.zeros(2)
+
+    return act
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"])
+def test_a_signal_stops_parks_reports_and_is_raised(name, tmp_path):
+    handler = signal.getsignal(getattr(signal, name))
+    env, robot, _ = cell()
+    with pytest.raises(Interrupted, match=f"interrupted by {name}") as caught:
+        deploy(env, Always({3: raising(name)}), steps=10, log=RunLog(tmp_path / "run", {}))
+    assert caught.value.signum == getattr(signal, name)
+    assert (caught.value.report.steps, caught.value.report.failed) == (3, False)
+    assert json.loads((tmp_path / "run" / "report.json").read_text())["ended"] == f"interrupted by {name}"
+    assert robot.calls.index("park") > robot.calls.index("stop")
+    assert robot.calls[-1] == "disconnect"
+    assert signal.getsignal(getattr(signal, name)) == handler
+    assert signal.set_wakeup_fd(-1) == -1
+    assert "signals" not in [thread.name for thread in threading.enumerate()]
+
+
+def test_a_signal_while_it_parks_ends_the_parking():
+    env, robot, _ = cell()
+
+    def park():
+        robot.calls.append("park")
+        signal.raise_signal(signal.SIGTERM)
+        robot.calls.append("parked")
+
+    robot.park = park  # type: ignore[method-assign]
+    with pytest.raises(Interrupted) as caught:
+        deploy(env, Always(), steps=3)
+    assert caught.value.report.ended == "time limit reached"
+    assert "parked" not in robot.calls
+    assert robot.calls[robot.calls.index("park") + 1] == "stop"  # from the thread that waits for signals
+    assert robot.calls[-1] == "disconnect"
+
+
+def test_a_second_signal_leaves_parking_out():
+    env, robot, _ = cell()
+    stop = robot.stop
+
+    def impatient():
+        stop()
+        if robot.calls.count("stop") == 2:  # the loop's own, after the first signal
+            signal.raise_signal(signal.SIGTERM)
+
+    robot.stop = impatient  # type: ignore[method-assign]
+    with pytest.raises(Interrupted):
+        deploy(env, Always({2: raising("SIGTERM")}), steps=9)
+    assert "park" not in robot.calls
+    assert robot.calls[-1] == "disconnect"
+
+
+def test_a_signal_between_the_episodes_of_one_supervision_parks_once():
+    env, robot, _ = cell()
+
+    def play():
+        with supervised(env):
+            for number in range(3):
+                at = {1: raising("SIGTERM")} if number == 1 else {}
+                deploy(env, Always(at), steps=3, park=False, close=False)
+
+    with pytest.raises(Interrupted):
+        play()
+    assert robot.calls.count("reset") == 2
+    assert robot.calls.count("park") == robot.calls.count("disconnect") == 1
+
+
+def test_signals_that_are_ignored_stay_ignored():
+    previous = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
+    try:
+        env, *_ = cell()
+        assert deploy(env, Always({1: raising("SIGHUP")}), steps=4).acted == 4
+    finally:
+        signal.signal(signal.SIGHUP, previous)
+
+
+def test_outside_the_main_thread_it_runs_without_signals():
+    env, *_ = cell()
+    reports = []
+    thread = threading.Thread(target=lambda: reports.append(deploy(env, Always(), steps=3)))
+    thread.start()
+    thread.join()
+    assert reports[0].acted == 3
+
+
+def test_what_is_counted_takes_no_more_memory_after_more_steps():
+    def tally(steps):
+        counted = Tally()
+        for step in range(steps):
+            counted.reasons["image old"] += 1
+            counted.time({"own": 5.0 + step % 7, "age": 0.1 * step})
+        return counted
+
+    assert len(pickle.dumps(tally(20_000))) <= len(pickle.dumps(tally(20))) + 100
+
+
+@given(st.lists(st.floats(-1, 1e5), min_size=1, max_size=200))
+def test_sections_are_quantiles(values):
+    counted = Tally()
+    for value in values:
+        counted.time({"own": value})
+    section = counted.report(steps=1, seconds=1, overruns=0, expired=0, ended="", failed=False, success=None).sections[
+        "own"
+    ]
+    # One of the values next to the exact quantile, to within half a bin.
+    for found, share in ((section.median, 0.5), (section.p95, 0.95)):
+        exact = [max(0.0, np.quantile(values, share, method=method)) for method in ("lower", "higher")]
+        assert 0.994 * exact[0] - 2e-3 <= found <= 1.006 * exact[1] + 2e-3
+    assert section.most == pytest.approx(max(0.0, *values), abs=1e-3)
 
 
 def test_a_goal_is_reached_and_ends_the_run():

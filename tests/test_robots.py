@@ -120,6 +120,26 @@ def test_it_is_a_robot_that_moves_as_it_is_told(robot: SimulatedRobot) -> None:
 
 
 @simulated
+def test_a_motion_ends_at_its_time_by_the_clock_of_the_simulation(robot: SimulatedRobot) -> None:
+    robot.reset()
+    frames(robot, 5)
+    start, before = robot.state(), np.array(robot.anchors["gripper0"])
+    motion = np.array([0.0, 0.02, 0.0, 0.0, 0.02, 0.0])
+    robot.send(motion, time.monotonic() + 0.02)  # of the 0.05 s that it takes
+    moved = robot.state() - start
+    assert 0.2 * motion[1] < moved[1] < 0.41 * motion[1]
+    frames(robot, 15)
+    assert np.array(robot.anchors["gripper0"]) - before == pytest.approx(moved[:3], abs=3e-3)
+    robot.send(motion, time.monotonic() - 0.01)  # its time is over
+    assert robot.state() - start == pytest.approx(moved)
+
+    stopping = threading.Timer(0.2, robot.stop)
+    stopping.start()
+    with pytest.raises(RobotError, match="was stopped or moved on its way"):
+        robot.park()
+
+
+@simulated
 def test_the_camera_sees_the_truth(robot: SimulatedRobot) -> None:
     robot.reset()
     defaults = robot.shape_obs_defaults
