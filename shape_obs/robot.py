@@ -202,9 +202,10 @@ def check_robot(robot: Any) -> None:
     try:
         signature.bind([], 0.0)
     except TypeError:
+        got = f"{name}.send({', '.join(signature.parameters)})"
         raise TypeError(
-            f"robot: expected {name}.send(action, until), got {name}.send({', '.join(signature.parameters)}): the robot "
-            "must end each motion by itself at the time `until`."
+            f"robot: expected {name}.send(action, until), got {got}: the robot must end each motion by itself at the "
+            "time `until`."
         ) from None
 
 

@@ -198,6 +198,13 @@ def test_the_watchdog_stops_the_robot_while_the_controller_hangs():
     assert "watchdog" in report.ended
 
 
+def test_steps_that_are_longer_than_a_motion_may_be_are_warned_of():
+    env, *_ = cell(rate=4.0)
+    with pytest.warns(UserWarning, match=r"a step takes 0.25 s and a motion ends 0.2 s after the exposure"):
+        report = deploy(env, Always(), steps=2)
+    assert report.expired == 2
+
+
 def test_other_coordinates_are_refused_before_anything_moves():
     env, robot, _ = cell()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -112,6 +113,13 @@ class _Run:
         self._env, self._controller, self._log, self._on_step = env, controller, log, on_step
         self._cell: Any = env.unwrapped
         self._cell.max_age = limits.max_age
+        if self._cell.rate.dt >= limits.max_age:
+            warnings.warn(
+                f"a step takes {self._cell.rate.dt:g} s and a motion ends {limits.max_age:g} s after the exposure of "
+                "its image, so motions end before the next step: raise the rate, or max_age.",
+                UserWarning,
+                stacklevel=3,
+            )
         self._spec = self._cell.robot.action_spec
         self._limits, self._gate, self._tally = limits, Gate(limits), Tally()
         self._signals = signals

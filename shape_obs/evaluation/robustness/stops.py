@@ -82,9 +82,9 @@ def stop(arm: ArmProcess, fault: str, state: State, *, wait: float = 0.15, max_a
 def stops(count: int, seed: int, told: Callable[[str], object] = lambda text: None) -> Iterator[Stopped]:
     """Bring every signal over every state, and every failure over those in which it can happen."""
     chance = random.Random(seed)
-    failing: tuple[State, ...] = ("moving", "log")
-    pairs = [(name, state) for name in SIGNALS for state in STATES]
-    pairs += [(failure, state) for failure in FAILURES for state in failing]
+    states: dict[str, tuple[State, ...]] = dict.fromkeys(SIGNALS, STATES)
+    states |= dict.fromkeys(FAILURES, ("moving", "log"))
+    pairs: list[tuple[str, State]] = [(fault, state) for fault, of in states.items() for state in of]
     with ArmProcess() as arm:
         for number, (fault, state) in enumerate(pair for pair in pairs for _ in range(count)):
             told(f"robustness: stop {number + 1} of {count * len(pairs)}")
