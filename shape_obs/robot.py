@@ -111,7 +111,8 @@ class Robot(Protocol):
 
     - Every motion ends by itself at its ``until``, by the clock of whatever controls the motors, even if the process
       that sent it has been killed. A driver for a controller on another machine sends the time that is left,
-      ``until - time.monotonic()``, as the controller's own command timeout.
+      ``until - time.monotonic()``, as the controller's own command timeout. Motions of ``reset`` and ``park`` end soon
+      after the process is gone, too.
     - ``stop`` works at any time and from any thread, also while another thread is blocked in ``send``, ``reset`` or
       ``park``. It ends the motion that these have begun and cancels one that they have not begun yet.
 

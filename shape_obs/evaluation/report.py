@@ -22,6 +22,7 @@ from shape_obs.evaluation import (
 )
 from shape_obs.evaluation.blobs import garments
 from shape_obs.evaluation.env_runner import ENVS, Env
+from shape_obs.evaluation.robustness import stops
 from shape_obs.evaluation.shared_pass import shared_passes
 from shape_obs.evaluation.tangle_claims import tangled_ropes
 
@@ -179,6 +180,15 @@ def _deploy(effort: Effort) -> Tables:
         yield f"deployment, {title}: milliseconds by section", deploy_claims.section_table(report)
 
 
+def _robustness(effort: Effort) -> Tables:
+    """Signals and kills."""
+    stopped = list(stops.stops(effort.count(3), effort.seed, effort.told))
+    killed = list(stops.kills(effort.count(100), effort.seed, effort.told))
+    yield "deployments that were ended: longest time until the robot stood still", stops.stop_table(stopped)
+    asked = stops.asked_table(stopped, killed, list(stops.locked(effort.count(5))))
+    yield "stopping the robot: asked and seen", asked
+
+
 GROUPS: Final[dict[str, Callable[[Effort], Tables]]] = {
     "ropes": _ropes,
     "tangles": _tangles,
@@ -193,6 +203,7 @@ GROUPS: Final[dict[str, Callable[[Effort], Tables]]] = {
     "envs": _envs,
     "camera": _camera,
     "deploy": _deploy,
+    "robustness": _robustness,
 }
 
 

@@ -29,6 +29,7 @@ Group = Literal[
     "envs",
     "camera",
     "deploy",
+    "robustness",
 ]
 
 
