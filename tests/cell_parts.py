@@ -31,6 +31,7 @@ class RopeSource(Source):
         gone: Nothing comes, and nothing can be opened.
         dark: Images are black.
         delay: Seconds by which frames are older when they arrive.
+        exposure: Seconds from the beginning of a frame's exposure to its arrival; None where the camera does not know.
     """
 
     kind, name, live, has_depth = "drawn", "drawn rope", True, True
@@ -42,6 +43,7 @@ class RopeSource(Source):
         self._last = -1
         self.gone = self.dark = False
         self.delay = 0.0
+        self.exposure: float | None = None
         self.connects = 0
 
     @property
@@ -91,7 +93,8 @@ class RopeSource(Source):
         if not self.dark:
             right = round(100 * (0.0 if self._robot is None else self._robot.told[0]) / 0.7)
             cv2.line(rgb, (40 + right, 60), (110 + right, 66), (20, 60, 200), 5)
-        return Frame(rgb, depth, self.camera, stamp, received, self._last)
+        exposed = None if self.exposure is None else received - self.exposure
+        return Frame(rgb, depth, self.camera, stamp, received, self._last, exposed)
 
 
 class ListRobot:

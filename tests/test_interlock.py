@@ -210,6 +210,9 @@ def test_the_age_of_an_image_counts_from_its_exposure():
     env = make(robot, source)
     _, info = env.reset()
     assert info["exposed"] <= info["received"]
+    source.exposure = 0.05
+    *_, info = env.step(None)
+    assert info["received"] - info["exposed"] == pytest.approx(0.05)
     source.delay = 0.15  # the next frames were taken that much earlier than they came
     *_, info = env.step(None)
     assert info["received"] - info["exposed"] == pytest.approx(0.15, abs=0.03)
