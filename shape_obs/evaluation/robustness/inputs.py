@@ -1,0 +1,284 @@
+"""Feed random, mostly degenerate inputs to the detector and the wrapper and count broken promises."""
+
+from __future__ import annotations
+
+import copy
+import linecache
+import pickle
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+
+import shape_obs
+from shape_obs.camera import CameraModel, Intrinsics
+from shape_obs.detector import ShapeDetector
+from shape_obs.evaluation.asked import at_most
+from shape_obs.evaluation.robustness import random_inputs
+from shape_obs.evaluation.robustness.random_inputs import Size, pick
+from shape_obs.kernels import Backend
+from shape_obs.missing import ShapeLostError
+from shape_obs.shape import Detection, Shape
+from shape_obs.wrappers import ShapeObservation
+
+#: What is counted, each asked to be zero.
+PROMISES: Final = ("undeclared exceptions", "warnings", "broken contracts of a Shape", "bad observations")
+_EXCEPTION, _WARNING, _CONTRACT, _OBSERVATION = PROMISES
+_PACKAGE: Final = str(Path(shape_obs.__file__).parent)
+_FRAMES: Final = (1, 1, 2, 4, 8)
+_WRAPPED: Final = 0.2  # of the cases go through ``ShapeObservation``
+_FEATURES: Final = (
+    "points2d", "points2d_normalized", "points3d", "ok", "age", "valid", "centroid", "length", "orientation",
+    "tangents", "turning_angles", "curvature", "fourier", "elliptic_fourier", "bezier", "bspline", "contour_moments",
+    "region_moments",
+)  # fmt: skip
+
+
+class Failure(NamedTuple):
+    """A promise that was broken.
+
+    Args:
+        promise: One of ``PROMISES``.
+        case: Repeat it with ``run_case(seed, case, backend)``.
+        what: What happened, in words.
+    """
+
+    promise: str
+    case: int
+    what: str
+
+
+def inputs_table(count: int, seed: int = 0, backend: Backend = "auto") -> list[dict[str, Any]]:
+    """Return a row for each promise: how often it was broken by ``count`` random inputs."""
+    inputs, failures = random_inputs_run(count, seed, backend)
+    broken = {promise: [failure for failure in failures if failure.promise == promise] for promise in PROMISES}
+    return [
+        at_most(f"{promise}, {inputs} random inputs, {backend}", 0, len(found), "")
+        | {"first": f"case {found[0].case}: {found[0].what}" if found else ""}
+        for promise, found in broken.items()
+    ]
+
+
+def random_inputs_run(count: int, seed: int = 0, backend: Backend = "auto") -> tuple[int, list[Failure]]:
+    """Run random cases until ``count`` frames were seen; return how many were, and every broken promise."""
+    inputs, case, failures = 0, 0, []
+    while inputs < count:
+        frames, broken = run_case(seed, case, backend)
+        inputs, case = inputs + frames, case + 1
+        failures += broken
+    return inputs, failures
+
+
+def run_case(seed: int, case: int, backend: Backend) -> tuple[int, list[Failure]]:
+    """Run one detector or wrapper over a few random frames; return how many, and every broken promise."""
+    rng = np.random.default_rng((seed, case))
+    failures: list[Failure] = []
+    run = _run_wrapper if rng.random() < _WRAPPED else _run_detector
+    return run(rng, backend, _Log(case, failures)), failures
+
+
+class _Log(NamedTuple):
+    case: int
+    failures: list[Failure]
+
+    def add(self, promise: str, what: str) -> None:
+        self.failures.append(Failure(promise, self.case, what))
+
+    @contextmanager
+    def watching(self) -> Iterator[None]:
+        """Record warnings and undeclared exceptions; a declared exception ends the block silently."""
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            # Declared: the scene is larger than the bounds of the features.
+            warnings.filterwarnings("ignore", message="features: .* values lie outside of their bounds")
+            try:
+                yield
+            except Exception as error:  # noqa: BLE001: every kind is counted
+                if not declared(error):
+                    self.add(_EXCEPTION, f"{type(error).__name__}: {error} ({_origin(error)})")
+        for warning in caught:
+            where = f"{Path(warning.filename).name}:{warning.lineno}"
+            self.add(_WARNING, f"{warning.category.__name__}: {warning.message} ({where})")
+
+
+def declared(error: Exception) -> bool:
+    """Return whether an exception is one that the package raises on purpose: by a ``raise`` in its own code."""
+    if isinstance(error, ShapeLostError):
+        return True
+    if not isinstance(error, (TypeError, ValueError)) or isinstance(error, np.linalg.LinAlgError):
+        return False
+    file, line = _last_line(error)
+    return file.startswith(_PACKAGE) and linecache.getline(file, line).strip().startswith("raise ")
+
+
+def broken_contracts(shape: Shape, size: int, *, in_2d: bool, in_3d: bool) -> list[str]:
+    """Return what a shape breaks of the contract in the docstring of ``Shape``."""
+    kinds = (("points2d", np.float32, (size, 2)), ("points3d", np.float32, (size, 3)), ("visible", bool, (size,)))
+    broken = []
+    for name, dtype, form in (*kinds, ("valid", bool, (size,))):
+        array = getattr(shape, name)
+        if array is None:
+            continue
+        if array.dtype != dtype or array.shape != form:
+            broken.append(f"{name} is {array.dtype} {array.shape}")
+            return broken
+        if array.flags.writeable:
+            broken.append(f"{name} is writable")
+    points2d, points3d = shape.points2d, shape.points3d
+    promises = {
+        "points2d where there are pixels only": (points2d is not None) == in_2d,
+        "points3d with depth and a camera only": (points3d is not None) == in_3d,
+        "valid where visible only": not (shape.valid & ~shape.visible).any(),
+        "points3d finite where valid": points3d is None or bool(np.isfinite(points3d[shape.valid]).all()),
+        "points3d never infinite": points3d is None or not np.isinf(points3d).any(),
+        "points2d finite if ok": points2d is None or not shape.ok or bool(np.isfinite(points2d).all()),
+        "points2d finite, or all of it NaN": points2d is None
+        or bool(np.isfinite(points2d).all() or np.isnan(points2d).all()),
+        "quality in 0...1": 0 <= shape.quality <= 1,
+        "age finite, at least 0": 0 <= shape.age < np.inf,
+        "ok and no reason, or a reason": shape.ok or bool(shape.reason),
+        "nothing visible with a reason": not shape.reason or not shape.visible.any(),
+        "age 0 without a reason": bool(shape.reason) or shape.age == 0,
+    }
+    return broken + [promise for promise, kept in promises.items() if not kept]
+
+
+def _run_detector(rng: np.random.Generator, backend: Backend, log: _Log) -> int:
+    names = [f"shape{i}" for i in range(pick(rng, (1, 1, 1, 2)))]
+    specs = [random_inputs.configuration(rng, name) for name in names]
+    detector: Any = None
+    with log.watching():
+        detector = ShapeDetector(specs, backend=backend, **random_inputs.detector_options(rng))
+    if detector is None:
+        return 1
+    size, frames, stamp = random_inputs.image_size(rng), pick(rng, _FRAMES), 0.0
+    camera, call = random_inputs.camera(rng, size), pick(rng, ("detect", "mask", "mask", "cloud", "any"))
+    returned: list[tuple[Shape, bytes]] = []
+    for _ in range(frames):
+        if rng.random() < 0.1:
+            size = random_inputs.image_size(rng)
+            camera = random_inputs.camera(rng, size)
+        detector = _between_frames(rng, detector)
+        at = random_inputs.stamp(rng, stamp)
+        stamp = stamp if at is None else at
+        with log.watching():
+            detection, in_3d = _detect(rng, detector, size, camera, at, call)
+            for shape, spec in zip(detection, detector.shapes, strict=True):
+                in_2d = in_3d is not None
+                for text in broken_contracts(shape, spec.count, in_2d=in_2d, in_3d=in_3d is not False):
+                    log.add(_CONTRACT, f"{text}: {shape.name}, {spec.kind}")
+                returned.append((shape, pickle.dumps(shape)))
+    if any(pickle.dumps(shape) != before for shape, before in returned):
+        log.add(_CONTRACT, "a later frame changed a shape")
+    return frames
+
+
+def _between_frames(rng: np.random.Generator, detector: ShapeDetector) -> ShapeDetector:
+    """Return the detector after what its owner may do between two frames."""
+    what = pick(rng, ("nothing",) * 9 + ("reset", "copy", "pickle"))
+    if what == "reset":
+        detector.reset()
+    elif what == "copy":
+        return copy.deepcopy(detector)
+    elif what == "pickle":
+        return pickle.loads(pickle.dumps(detector))
+    return detector
+
+
+def _detect(
+    rng: np.random.Generator, detector: ShapeDetector, size: Size, camera: Any, stamp: float | None, call: str
+) -> tuple[Detection, bool | None]:
+    """Return what one random input gives, and whether points in space were due; None for a cloud."""
+    anchors = pick(rng, (None, {"hand": (3.0, 4.0)}, {"hand": (0.1, 0.0, 0.5)}, {"hand": (0.1, 0.0, 0.5)}))
+    call = pick(rng, ("detect", "mask", "cloud")) if call == "any" else call
+    if call == "cloud":
+        cloud = random_inputs.cloud(rng)
+        return detector.detect_cloud(cloud, camera=camera, stamp=stamp, anchors=anchors), None
+    mask, depth = random_inputs.mask(rng, size), random_inputs.depth(rng, size)
+    if call == "mask":
+        detection = detector.detect_mask(mask, depth, camera, stamp=stamp, anchors=anchors)
+    else:
+        detection = detector.detect(_image(rng, mask), depth, camera, stamp=stamp, anchors=anchors)
+    return detection, depth is not None and camera is not None
+
+
+def _image(rng: np.random.Generator, mask: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """Return a colour image: the mask on a dark table, or noise."""
+    if rng.random() < 0.2:
+        return rng.integers(0, 256, (*mask.shape, 3), dtype=np.uint8)
+    return np.repeat(np.where(mask > 0, 230, 20).astype(np.uint8)[..., None], 3, axis=2)
+
+
+class _RandomImages(gym.Env[Any, Any]):
+    """An env without physics, whose images are random inputs of one size."""
+
+    def __init__(self, rng: np.random.Generator, size: Size, camera: CameraModel | Intrinsics | None) -> None:
+        self.rng, self.size, self.camera_model = rng, size, camera
+        self.anchors = {"hand": (0.1, 0.0, 0.5)}
+        self.action_space = gym.spaces.Discrete(2)
+        box = gym.spaces.Box
+        images = {"rgb": box(0, 255, (*size, 3), np.uint8), "depth": box(-np.inf, np.inf, size, np.float32)}
+        self.observation_space = gym.spaces.Dict(images)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Return new images."""
+        return self._observation(), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Return new images."""
+        return self._observation(), 0.0, False, False, {}
+
+    def _observation(self) -> dict[str, Any]:
+        depth = random_inputs.depth(self.rng, self.size)
+        depth = np.zeros(self.size, np.float32) if depth is None else depth
+        if depth.dtype == np.uint16:
+            depth = depth * np.float32(1e-3)
+        image = _image(self.rng, random_inputs.mask(self.rng, self.size))
+        with np.errstate(over="ignore"):
+            return {"rgb": image, "depth": depth.astype(np.float32)}
+
+
+def _run_wrapper(rng: np.random.Generator, backend: Backend, log: _Log) -> int:
+    size, frames = random_inputs.image_size(rng), pick(rng, _FRAMES)
+    env = _RandomImages(rng, size, random_inputs.camera(rng, size))
+    features = [pick(rng, _FEATURES) for _ in range(pick(rng, (1, 2, 3)))]
+    options = {**random_inputs.detector_options(rng), "backend": backend}
+    for policy in ("on_missing", "on_invalid"):  # NaN is refused in observations
+        options[policy] = "hold" if options[policy] == "nan" else options[policy]
+    wrapped: Any = None
+    with log.watching():
+        wrapped = ShapeObservation(env, [random_inputs.configuration(rng, "shape")], features=features, **options)
+    if wrapped is None:
+        return 1
+    seen: list[tuple[npt.NDArray[Any], bytes]] = []
+    for frame in range(frames):
+        with log.watching():
+            values, info = wrapped.reset() if not frame else wrapped.step(0)[::4]
+            if not np.isfinite(values).all() or values not in wrapped.observation_space:
+                log.add(_OBSERVATION, f"outside of its space: {features}")
+            if not values.flags.writeable or any(np.shares_memory(values, before) for before, _ in seen):
+                log.add(_OBSERVATION, f"not a writable copy: {features}")
+            if not all(np.isfinite(value) for value in info.values() if isinstance(value, (bool, float, int))):
+                log.add(_OBSERVATION, f"info {info}")
+            seen.append((values, values.tobytes()))
+    if any(values.tobytes() != before for values, before in seen):
+        log.add(_OBSERVATION, "a later frame changed an observation")
+    return frames
+
+
+def _last_line(error: BaseException) -> tuple[str, int]:
+    trace = error.__traceback__
+    assert trace is not None
+    while trace.tb_next is not None:
+        trace = trace.tb_next
+    return trace.tb_frame.f_code.co_filename, trace.tb_lineno
+
+
+def _origin(error: BaseException) -> str:
+    file, line = _last_line(error)
+    return f"{Path(file).name}:{line}"
