@@ -33,7 +33,7 @@ class Shape:
     Args:
         name: The configuration's name.
         points2d: (N,2) float32 pixels (u right, v down), pixel centres at integers; None for a cloud.
-        points3d: (N,3) float32 metres, camera optical frame; None without depth and camera.
+        points3d: (N,3) float32 metres, camera optical frame; None if found without depth and camera.
         visible: (N,) bool: whether the mask covers the point.
         valid: (N,) bool: visible and, in 3D, with measured depth.
         layout: The neighbours of each point: a chain, a ring or a lattice; ``layout.edges()`` lists the pairs.

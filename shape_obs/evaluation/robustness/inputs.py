@@ -132,7 +132,7 @@ def broken_contracts(shape: Shape, size: int, *, in_2d: bool, in_3d: bool) -> li
     points2d, points3d = shape.points2d, shape.points3d
     promises = {
         "points2d where there are pixels only": (points2d is not None) == in_2d,
-        "points3d with depth and a camera only": (points3d is not None) == in_3d,
+        "points3d with depth and a camera only": bool(shape.reason) or (points3d is not None) == in_3d,
         "valid where visible only": not (shape.valid & ~shape.visible).any(),
         "points3d finite where valid": points3d is None or bool(np.isfinite(points3d[shape.valid]).all()),
         "points3d never infinite": points3d is None or not np.isinf(points3d).any(),

@@ -77,7 +77,7 @@ def mask(rng: np.random.Generator, size: Size) -> npt.NDArray[Any]:
     elif kind == "box":
         out[at[0] : at[0] + int(rng.integers(1, 60)), at[1] : at[1] + int(rng.integers(1, 60))] = 1
     elif kind in ("disc", "ring"):
-        radius = int(rng.integers(1, max(height, width)))
+        radius = int(rng.integers(1, max(height, width) + 1))
         cv2.circle(out, at[::-1], radius, 1, -1 if kind == "disc" else thick)
     elif kind == "rope":
         out = _rope(rng, size)
@@ -146,16 +146,16 @@ def camera(rng: np.random.Generator, size: Size) -> CameraModel | Intrinsics | N
     model, coeffs = "pinhole", (0.0,) * 5
     lens = pick(rng, _LENSES)
     if lens == "short":
-        fx = fy = pick(rng, (1e-3, 1e-9, 1e-300))
+        fx = fy = pick(rng, (1e-3, 0.1, 1.0))
     elif lens == "long":
-        fx = fy = pick(rng, (1e6, 1e9, 1e300))
+        fx = fy = pick(rng, (1e6, 1e9))
     elif lens == "aside":
         cx, cy = float(rng.normal(0, 1e6)), float(rng.normal(0, 1e6))
     elif lens == "unequal":
         fx, fy = 1e-3, 1e6
     elif lens in ("distorted", "wild"):
         model = pick(rng, ("brown_conrady", "inverse_brown_conrady"))
-        scale = pick(rng, (0.1, 1.0)) if lens == "distorted" else pick(rng, (100.0, 1e10))
+        scale = pick(rng, (0.1, 1.0)) if lens == "distorted" else pick(rng, (100.0, 1e5))
         coeffs = tuple((rng.normal(0, scale, 5) * (1, 1, 0.1, 0.1, 1)).tolist())
     intrinsics = Intrinsics(width, height, fx, fy, cx, cy, model, coeffs)  # type: ignore[arg-type]
     if rng.random() < 0.4:
@@ -243,10 +243,8 @@ def detector_options(rng: np.random.Generator) -> dict[str, Any]:
 
 def stamp(rng: np.random.Generator, before: float) -> float | None:
     """Return the next stamp: later, equal, earlier, far off, or None."""
-    return pick(
-        rng,
-        (None, None, before + 0.03, before + 0.03, before, before - 1.0, before + 1e9, before - 1e9, 0.0, 1e300),
-    )
+    later, far = (before + 0.03, before + 1e-12, before + 5e-324), (before + 1e9, before - 1e9, 0.0, 1e300)
+    return pick(rng, (None, None, later[0], later[0], *later, before, before - 1.0, *far))
 
 
 def _rope(rng: np.random.Generator, size: Size) -> npt.NDArray[np.uint8]:
