@@ -69,14 +69,14 @@ def test_changing_points_in_place_changes_no_held_shape(detector, wave, depth):
 
 
 def test_a_shape_copies_the_arrays_that_it_is_made_of():
-    given = [np.zeros((3, 2), np.float32), np.zeros((3, 3), np.float32), np.ones(3, bool), np.ones(3, bool)]
-    shape = Shape("mine", *given, Chain(3))
-    for mine, array in zip(given, arrays(shape).values(), strict=True):
+    pixels, metres, flags = np.zeros((3, 2), np.float32), np.zeros((3, 3), np.float32), np.ones(3, bool)
+    shape = Shape("mine", pixels, metres, flags, flags, Chain(3))
+    for mine, array in zip((pixels, metres, flags, flags), arrays(shape).values(), strict=True):
         assert mine.flags.writeable
         assert not np.shares_memory(mine, array)
     rows = np.zeros((2, 3, 2))
     for array in (rows[0], np.broadcast_to(rows[0], (3, 2))):  # a view, writable or not, is no owner
-        assert not np.shares_memory(rows, Shape("mine", array, None, given[2], given[3], Chain(3)).points2d)
+        assert not np.shares_memory(rows, Shape("mine", array, None, flags, flags, Chain(3)).points2d)
 
 
 def test_later_frames_change_no_shape_and_no_shape_keeps_a_frame(detector, wave, depth):
@@ -181,7 +181,7 @@ def memory(value: Any) -> Iterator[np.ndarray]:
         yield from (value.low, value.high)
 
 
-GOAL = Target([[0.0, 0.0, 0.5], [0.1, 0.02, 0.5], [0.2, 0.0, 0.5]], "camera", layout={"kind": "centerline"})
+GOAL = Target(((0.0, 0.0, 0.5), (0.1, 0.02, 0.5), (0.2, 0.0, 0.5)), "camera", layout={"kind": "centerline"})
 
 
 @pytest.mark.parametrize(

@@ -11,16 +11,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
 import shape_obs
-from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.detector import ShapeDetector
 from shape_obs.evaluation.asked import at_most
 from shape_obs.evaluation.robustness import random_inputs
-from shape_obs.evaluation.robustness.random_inputs import Size, pick
+from shape_obs.evaluation.robustness.random_inputs import pick
+from shape_obs.evaluation.robustness.random_scenes import RandomImages, Scene, colour_image
 from shape_obs.kernels import Backend
 from shape_obs.missing import ShapeLostError
 from shape_obs.shape import Detection, Shape
@@ -98,8 +97,8 @@ class _Log(NamedTuple):
             warnings.filterwarnings("ignore", message="features: .* values lie outside of their bounds")
             try:
                 yield
-            except Exception as error:  # noqa: BLE001: every kind is counted
-                if not declared(error):
+            except Exception as error:  # noqa: BLE001
+                if not declared(error):  # every other kind is counted
                     self.add(_EXCEPTION, f"{type(error).__name__}: {error} ({_origin(error)})")
         for warning in caught:
             where = f"{Path(warning.filename).name}:{warning.lineno}"
@@ -156,18 +155,17 @@ def _run_detector(rng: np.random.Generator, backend: Backend, log: _Log) -> int:
         detector = ShapeDetector(specs, backend=backend, **random_inputs.detector_options(rng))
     if detector is None:
         return 1
-    size, frames, stamp = random_inputs.image_size(rng), pick(rng, _FRAMES), 0.0
-    camera, call = random_inputs.camera(rng, size), pick(rng, ("detect", "mask", "mask", "cloud", "any"))
+    frames, stamp = pick(rng, _FRAMES), 0.0
+    scene, call = Scene(rng, specs), pick(rng, ("detect", "mask", "mask", "cloud", "any"))
     returned: list[tuple[Shape, bytes]] = []
     for _ in range(frames):
         if rng.random() < 0.1:
-            size = random_inputs.image_size(rng)
-            camera = random_inputs.camera(rng, size)
+            scene = Scene(rng, specs)
         detector = _between_frames(rng, detector)
         at = random_inputs.stamp(rng, stamp)
         stamp = stamp if at is None else at
         with log.watching():
-            detection, in_3d = _detect(rng, detector, size, camera, at, call)
+            detection, in_3d = _detect(rng, detector, scene, at, call)
             for shape, spec in zip(detection, detector.shapes, strict=True):
                 in_2d = in_3d is not None
                 for text in broken_contracts(shape, spec.count, in_2d=in_2d, in_3d=in_3d is not False):
@@ -191,68 +189,32 @@ def _between_frames(rng: np.random.Generator, detector: ShapeDetector) -> ShapeD
 
 
 def _detect(
-    rng: np.random.Generator, detector: ShapeDetector, size: Size, camera: Any, stamp: float | None, call: str
+    rng: np.random.Generator, detector: ShapeDetector, scene: Scene, stamp: float | None, call: str
 ) -> tuple[Detection, bool | None]:
     """Return what one random input gives, and whether points in space were due; None for a cloud."""
-    anchors = pick(rng, (None, {"hand": (3.0, 4.0)}, {"hand": (0.1, 0.0, 0.5)}, {"hand": (0.1, 0.0, 0.5)}))
+    scene.next_frame(rng)
     call = pick(rng, ("detect", "mask", "cloud")) if call == "any" else call
+    known: dict[str, Any] = {"stamp": stamp, "anchors": scene.anchors}
     if call == "cloud":
-        cloud = random_inputs.cloud(rng)
-        return detector.detect_cloud(cloud, camera=camera, stamp=stamp, anchors=anchors), None
-    mask, depth = random_inputs.mask(rng, size), random_inputs.depth(rng, size)
+        return detector.detect_cloud(scene.cloud, camera=scene.camera, **known), None
     if call == "mask":
-        detection = detector.detect_mask(mask, depth, camera, stamp=stamp, anchors=anchors)
+        detection = detector.detect_mask(scene.mask, scene.depth, scene.camera, **known)
     else:
-        detection = detector.detect(_image(rng, mask), depth, camera, stamp=stamp, anchors=anchors)
-    return detection, depth is not None and camera is not None
-
-
-def _image(rng: np.random.Generator, mask: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    """Return a colour image: the mask on a dark table, or noise."""
-    if rng.random() < 0.2:
-        return rng.integers(0, 256, (*mask.shape, 3), dtype=np.uint8)
-    return np.repeat(np.where(mask > 0, 230, 20).astype(np.uint8)[..., None], 3, axis=2)
-
-
-class _RandomImages(gym.Env[Any, Any]):
-    """An env without physics, whose images are random inputs of one size."""
-
-    def __init__(self, rng: np.random.Generator, size: Size, camera: CameraModel | Intrinsics | None) -> None:
-        self.rng, self.size, self.camera_model = rng, size, camera
-        self.anchors = {"hand": (0.1, 0.0, 0.5)}
-        self.action_space = gym.spaces.Discrete(2)
-        box = gym.spaces.Box
-        images = {"rgb": box(0, 255, (*size, 3), np.uint8), "depth": box(-np.inf, np.inf, size, np.float32)}
-        self.observation_space = gym.spaces.Dict(images)
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Return new images."""
-        return self._observation(), {}
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Return new images."""
-        return self._observation(), 0.0, False, False, {}
-
-    def _observation(self) -> dict[str, Any]:
-        depth = random_inputs.depth(self.rng, self.size)
-        depth = np.zeros(self.size, np.float32) if depth is None else depth
-        if depth.dtype == np.uint16:
-            depth = depth * np.float32(1e-3)
-        image = _image(self.rng, random_inputs.mask(self.rng, self.size))
-        with np.errstate(over="ignore"):
-            return {"rgb": image, "depth": depth.astype(np.float32)}
+        detection = detector.detect(colour_image(rng, scene.mask), scene.depth, scene.camera, **known)
+    return detection, scene.depth is not None and scene.camera is not None
 
 
 def _run_wrapper(rng: np.random.Generator, backend: Backend, log: _Log) -> int:
-    size, frames = random_inputs.image_size(rng), pick(rng, _FRAMES)
-    env = _RandomImages(rng, size, random_inputs.camera(rng, size))
+    spec, frames = random_inputs.configuration(rng, "shape"), pick(rng, _FRAMES)
+    scene = Scene(rng, [spec])
+    env = RandomImages(rng, scene)
     features = [pick(rng, _FEATURES) for _ in range(pick(rng, (1, 2, 3)))]
     options = {**random_inputs.detector_options(rng), "backend": backend}
     for policy in ("on_missing", "on_invalid"):  # NaN is refused in observations
         options[policy] = "hold" if options[policy] == "nan" else options[policy]
     wrapped: Any = None
     with log.watching():
-        wrapped = ShapeObservation(env, [random_inputs.configuration(rng, "shape")], features=features, **options)
+        wrapped = ShapeObservation(env, [spec], features=features, **options)
     if wrapped is None:
         return 1
     seen: list[tuple[npt.NDArray[Any], bytes]] = []

@@ -20,6 +20,8 @@ _MASKS: Final = (
     "empty", "full", "pixel", "pixels", "row", "column", "diagonal", "stripes", "checkerboard", "noise", "frame",
     "edge", "box", "disc", "ring", "rope", "rope", "rope", "strip", "strip", "cross", "sheet", "sheet",
 )  # fmt: skip
+#: Kinds of masks and clouds in which a configuration finds its shape.
+HELD: Final = {"centerline": ("rope",), "contour": ("disc", "ring", "sheet"), "surface": ("sheet",)}
 _DEPTHS: Final = (
     "none", "none", "zero", "nan", "infinite", "negative", "random", "noise", "flat", "flat", "flat", "flat", "one",
     "farthest", "tiny", "absurd", "tilted", "tilted", "holes", "holes", "mixed",
@@ -37,17 +39,17 @@ def pick(rng: np.random.Generator, options: tuple[T, ...]) -> T:
 
 def image_size(rng: np.random.Generator) -> Size:
     """Return (H, W): 1 x 1 up to 240 x 320 pixels, small sizes more often."""
-    low, high = pick(rng, ((1, 4), (1, 17), (8, 40), (30, 90), (60, 120), (120, 241)))
+    low, high = pick(rng, ((1, 4), (1, 17), (8, 40), (30, 90), (60, 120), (60, 120), (60, 120), (120, 241)))
     height, width = int(rng.integers(low, high)), int(rng.integers(low, high * 4 // 3 + 1))
     return (height, width) if rng.random() < 0.9 else pick(rng, ((1, 4 * width), (4 * height, 1)))
 
 
-def mask(rng: np.random.Generator, size: Size) -> npt.NDArray[Any]:
-    """Return a (H,W) mask: bool, or uint8 with 0, 1 or any other values."""
+def mask(rng: np.random.Generator, size: Size, kinds: tuple[str, ...] = _MASKS) -> npt.NDArray[Any]:
+    """Return a (H,W) mask of one of the kinds: bool, or uint8 with 0, 1 or any other values."""
     height, width = size
     out = np.zeros(size, np.uint8)
     thick, at = int(rng.integers(1, 3)), (int(rng.integers(height)), int(rng.integers(width)))
-    kind = pick(rng, _MASKS)
+    kind = pick(rng, kinds)
     if kind == "full":
         out[:] = 1
     elif kind == "pixel":
@@ -97,9 +99,9 @@ def mask(rng: np.random.Generator, size: Size) -> npt.NDArray[Any]:
     return out * {"one": 1, "full": 255, "any": int(rng.integers(1, 256))}[values]
 
 
-def depth(rng: np.random.Generator, size: Size) -> npt.NDArray[Any] | None:
-    """Return a (H,W) depth image: uint16 millimetres, floating metres, or None."""
-    kind = pick(rng, _DEPTHS)
+def depth(rng: np.random.Generator, size: Size, *, needed: bool = False) -> npt.NDArray[Any] | None:
+    """Return a (H,W) depth image: uint16 millimetres, floating metres, or (unless ``needed``) None."""
+    kind = pick(rng, _DEPTHS[2:] if needed else _DEPTHS)
     if kind == "none":
         return None
     out = np.full(size, rng.uniform(0.2, 3.0))
@@ -136,9 +138,11 @@ def _narrowed(values: Array, dtype: str) -> npt.NDArray[Any]:
     return np.where(np.isfinite(values), np.clip(values, -limit, limit), values).astype(dtype)
 
 
-def camera(rng: np.random.Generator, size: Size) -> CameraModel | Intrinsics | None:
-    """Return intrinsics of any accepted kind, with a pose or without; None at times."""
-    if rng.random() < 0.15:
+def camera(
+    rng: np.random.Generator, size: Size, *, needed: bool = False, posed: bool = False
+) -> CameraModel | Intrinsics | None:
+    """Return intrinsics of any accepted kind, with or without a pose, or None; a pose if ``posed``."""
+    if rng.random() < 0.15 and not needed:
         return None
     height, width = size
     fx = fy = float(max(size))
@@ -158,7 +162,7 @@ def camera(rng: np.random.Generator, size: Size) -> CameraModel | Intrinsics | N
         scale = pick(rng, (0.1, 1.0)) if lens == "distorted" else pick(rng, (100.0, 1e5))
         coeffs = tuple((rng.normal(0, scale, 5) * (1, 1, 0.1, 0.1, 1)).tolist())
     intrinsics = Intrinsics(width, height, fx, fy, cx, cy, model, coeffs)  # type: ignore[arg-type]
-    if rng.random() < 0.4:
+    if rng.random() < 0.4 and not posed:
         return intrinsics
     pose = np.eye(4)
     axis = rng.normal(size=3)
@@ -167,9 +171,9 @@ def camera(rng: np.random.Generator, size: Size) -> CameraModel | Intrinsics | N
     return CameraModel(intrinsics, pose)
 
 
-def cloud(rng: np.random.Generator) -> npt.NDArray[Any]:
-    """Return (M,3) or (H,W,3) floating metres."""
-    count, kind = int(rng.integers(1, 800)), pick(rng, _CLOUDS)
+def cloud(rng: np.random.Generator, kinds: tuple[str, ...] = _CLOUDS) -> npt.NDArray[Any]:
+    """Return (M,3) or (H,W,3) floating metres of one of the kinds."""
+    count, kind = int(rng.integers(1, 800)), pick(rng, kinds)
     along, across = rng.uniform(0, 1, count), rng.uniform(-1, 1, count)
     points = rng.normal(size=(count, 3)) * 0.01 + (0, 0, 0.7)
     if kind == "none":
@@ -209,10 +213,11 @@ def configuration(rng: np.random.Generator, name: str) -> dict[str, Any]:
         spec["n"] = pick(rng, (2, 3, 20, 20, 50, 1000) if kind == "centerline" else (3, 4, 20, 32, 100, 1000))
     if kind != "contour":
         spec["ends"] = pick(rng, ("centers", "tips"))
-    spec["lift"] = pick(rng, ("points", "points", "cloud"))
-    spec["spacing"] = pick(rng, ("px", "px", "m"))
+    spec["lift"] = pick(rng, ("points", "points", "points", "cloud"))
+    spec["spacing"] = pick(rng, ("px", "px", "px", "m"))
     spec["radius"] = pick(rng, (0.0, 0.0, 0.005, 10.0))
-    spec["anchor"] = pick(rng, (None, None, (0.0, 0.0), (1e9, -1e9), (0.0, 0.0, 0.7), (5e5, 0.0, 1e6), "hand"))
+    anchors = ((0.0, 0.0), (1e9, -1e9), (0.0, 0.0, 0.7), (5e5, 0.0, 1e6), "hand", "hand")
+    spec["anchor"] = pick(rng, anchors) if rng.random() < 0.3 else None
     return spec
 
 
@@ -236,7 +241,7 @@ def detector_options(rng: np.random.Generator) -> dict[str, Any]:
         "max_age": pick(rng, (0.0, 0.05, 0.5)),
         "dt": pick(rng, (1e-6, 1 / 30, 100.0)),
     }
-    if rng.random() < 0.15:
+    if rng.random() < 0.1:
         options["clustering"] = pick(rng, ("kmeans", "gmm", "fcm", "kohonen"))
     return options
 
