@@ -129,6 +129,7 @@ class Intrinsics(Spec):
         rays[..., 1] = (uv[..., 1] - self.cy) / self.fy
         if self.distorted:
             rays[..., :2] = self._undistort(rays[..., :2].copy())
+            rays[np.isnan(rays[..., 0])] = np.nan
         return rays
 
     def _distort(self, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
