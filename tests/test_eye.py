@@ -6,10 +6,10 @@ import time
 
 import numpy as np
 import pytest
-from shape_obs_envs.cell.eye import Eye
 
 from shape_obs import Frame
 from shape_obs.source import FrameTimeout, StaleFrame
+from shape_obs_envs.cell.eye import Eye
 
 SIZE = (8, 6)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from shape_obs import Centerline, ShapeDetector
 from shape_obs.form import Curve, Memory
 from shape_obs.roi import Window
 from shape_obs.topology import Chain
@@ -116,3 +117,19 @@ class TestOutlook:
         assert one is not None
         assert other is not None
         assert one.united(other) == ((-8, -8, 226, 70), 3.0)
+
+
+@pytest.mark.parametrize(("grown", "starts"), [(4, 0), (40, 1)])
+def test_a_rope_that_jumps_in_length_is_found_from_a_fresh_start(monkeypatch, grown, starts):
+    """280 px: 1 % more is followed, 14 % more is not."""
+    fresh = []
+    parameterise = Centerline.parameterise
+    monkeypatch.setattr(Centerline, "parameterise", lambda *given: fresh.append(given) or parameterise(*given))
+    detector, mask = ShapeDetector(Centerline(n=9)), np.zeros((120, 400), np.uint8)
+    mask[56:64, 20:300] = 1
+    for _ in range(3):
+        assert detector.detect_mask(mask).ok
+    fresh.clear()
+    mask[56:64, 300 : 300 + grown] = 1
+    assert detector.detect_mask(mask).shapes[0].reason == ""
+    assert len(fresh) == starts
