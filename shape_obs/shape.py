@@ -12,7 +12,6 @@ import numpy.typing as npt
 from shape_obs.spec import did_you_mean
 from shape_obs.topology import Topology
 
-
 _ARRAYS: Final = (("points2d", np.float32), ("points3d", np.float32), ("visible", np.bool_), ("valid", np.bool_))
 
 
@@ -37,7 +36,7 @@ class Shape:
         visible: (N,) bool: whether the mask covers the point.
         valid: (N,) bool: visible and, in 3D, with measured depth.
         layout: The neighbours of each point: a chain, a ring or a lattice; ``layout.edges()`` lists the pairs.
-        ok: Found and passed the quality check in this frame, or held for at most ``max_age`` seconds (then ``age`` > 0).
+        ok: Found and passed the quality check in this frame, or held for at most ``max_age`` seconds.
         quality: 0...1, how well the curve explains the mask.
         reason: Why the shape was not found in this frame; empty if it was.
         age: Seconds since the points were found, or since the first frame if they never were; 0 if found in this frame.

@@ -91,11 +91,13 @@ def test_pixels_that_no_image_holds_lie_off_the_mask(backend):
 
 
 @pytest.mark.parametrize("model", ["brown_conrady", "inverse_brown_conrady"])
-def test_pixels_to_which_the_lens_has_no_ray_have_no_points(model):
-    camera = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5, model, (0.0, 0.0, 9.0, 9.0, 0.0))
+@pytest.mark.parametrize("coeffs", [(0.0, 0.0, 9.0, 9.0, 0.0), (-3.0, 0.0, 0.0, 0.0, 0.0)], ids=["beyond", "folded"])
+def test_pixels_to_which_the_lens_has_no_ray_have_no_points(model, coeffs):
+    """What undoes the distortion runs away for the first lens, and to and fro for the second."""
+    camera = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5, model, coeffs)
     rays = camera.rays(np.array([[159.5, 119.5], [162.0, 119.5], [0.0, 0.0], [319.0, 239.0]]))
-    np.testing.assert_array_equal(np.isfinite(rays).all(axis=1), [True, True, False, False])
-    assert np.isnan(rays[2]).all()
+    np.testing.assert_array_equal(np.isnan(rays).all(axis=1), [False, False, True, True])
+    assert np.isfinite(rays[:2]).all()
     mask = np.zeros((240, 320), np.uint8)
     mask[116:123, 20:310] = 1
     shape = ShapeDetector(Centerline(n=9)).detect_mask(mask, np.full(mask.shape, 0.7), camera).shapes[0]
