@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 from scipy.signal import savgol_filter
 
-from shape_obs import CameraModel, Centerline, Intrinsics, ShapeDetector
+from shape_obs import CameraModel, Centerline, Frame, Intrinsics, ShapeDetector
 from shape_obs.evaluation.ropes import Rope, draw_rope
+from shape_obs.fitting import Fit
 from shape_obs.form import Curve
 from shape_obs.lift import lift_form
+from shape_obs.points import shape_of
+from shape_obs.region import find_region
+from shape_obs.roi import Window
 from shape_obs.smoothing import straightened
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
@@ -240,3 +244,19 @@ def test_gaps_are_equal_in_metres_where_half_of_the_rope_has_depth(intrinsics, k
     curve = Curve(np.stack([np.linspace(20, 300, 100), np.full(100, 120.0)], axis=1), np.zeros(100, bool))
     z = np.where(np.arange(100) < 100 * known, 0.7, np.nan)
     assert (lift_form(curve, z, intrinsics) is not None) is lifted
+
+
+@pytest.mark.parametrize("depth", [None, 0.7])
+def test_a_hidden_piece_is_not_visible_where_another_strand_lies_under_it(intrinsics, depth):
+    """The mask carries all of the curve, but its last third is known to be hidden."""
+    mask = np.zeros((240, 320), np.uint8)
+    mask[115:126, 10:310] = 1
+    region = find_region(mask, Window(0, 0, 320, 240), 1, 0.0)
+    points = np.stack([np.linspace(20, 300, 99), np.full(99, 120.0)], axis=1)
+    curve = Curve(points, np.arange(99) >= 66)
+    metres = None if depth is None else np.full(mask.shape, depth)
+    frame = Frame(None, metres, None if depth is None else CameraModel(intrinsics))
+    shape = shape_of(Centerline(n=9), Fit(curve, 1.0), curve, region, frame, None, "nan")
+    np.testing.assert_array_equal(shape.visible, np.arange(9) < 6)
+    np.testing.assert_array_equal(shape.valid, shape.visible)
+    assert (shape.points3d is None) == (depth is None)
