@@ -260,3 +260,16 @@ def test_a_hidden_piece_is_not_visible_where_another_strand_lies_under_it(intrin
     np.testing.assert_array_equal(shape.visible, np.arange(9) < 6)
     np.testing.assert_array_equal(shape.valid, shape.visible)
     assert (shape.points3d is None) == (depth is None)
+
+
+def test_a_centre_beside_the_mask_is_not_valid_though_depth_lies_near_it(intrinsics):
+    """A clusterer may put a centre between two strands."""
+    mask = np.zeros((240, 320), np.uint8)
+    mask[108:132, 10:310] = 1
+    region = find_region(mask, Window(0, 0, 320, 240), 1, 0.0)
+    curve = Curve(np.stack([np.linspace(20, 300, 99), np.full(99, 120.0)], axis=1), np.zeros(99, bool))
+    centres = np.array([[50.0, 120.0], [150.0, 134.5], [250.0, 120.0]])
+    frame = Frame(None, np.full(mask.shape, 0.7), CameraModel(intrinsics))
+    shape = shape_of(Centerline(n=3), Fit(curve, 1.0, centres=centres), curve, region, frame, None, "nan")
+    assert shape.visible.tolist() == [True, False, True]
+    assert shape.valid.tolist() == [True, False, True]
