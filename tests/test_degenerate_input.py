@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from shape_obs import CameraModel, Centerline, Contour, Intrinsics, Shape, ShapeDetector, Surface
-from shape_obs.evaluation.robustness.inputs import broken_contracts, declared, inputs_table
+from shape_obs.evaluation.robustness.inputs import broken_contracts, declared, inputs_table, run_case
 from shape_obs.kernels import choose
 from shape_obs.topology import Chain
 
@@ -30,6 +30,12 @@ def test_random_inputs_break_no_promise(backend):
     rows = inputs_table(200, seed=11, backend=backend)
     assert [(row["what"], row["seen"], row["first"]) for row in rows if row["seen"]] == []
     assert len(rows) == 4
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_an_outline_without_extent_is_no_sheet(backend):
+    """Specks hundreds of metres apart, as a lens of 0.1 px sees them; found by the random inputs."""
+    assert run_case(5, 93, backend) == (8, [])
 
 
 def thin_masks() -> dict[str, np.ndarray]:
