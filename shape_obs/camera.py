@@ -17,6 +17,13 @@ from shape_obs.spec import Spec
 Distortion = Literal["pinhole", "brown_conrady", "inverse_brown_conrady"]
 _MAX_ITERATIONS: Final = 60
 _TOLERANCE: Final = 1e-10
+_CONVERGED: Final = 1e-3  # of the distance z; where the last step is larger, the lens has no such ray
+# Accepted values. What lies outside is a mistake, and its arithmetic would overflow.
+_FOCAL: Final = (1e-3, 1e9)  # pixels
+_MAX_CENTER: Final = 1e9  # pixels
+_MAX_COEFF: Final = 1e6
+_MAX_DISTANCE: Final = 1e9  # metres, from the base
+_MAX_PIXEL: Final = 1e12  # farther off, a projected point counts as out of sight
 
 Points = npt.NDArray[np.floating[Any]]
 
@@ -54,12 +61,17 @@ class Intrinsics(Spec):
         super().__post_init__()
         if self.width < 1 or self.height < 1:
             raise ValueError(f"Intrinsics: width and height must be positive, got {self.width} x {self.height}.")
-        if not (0 < self.fx < np.inf and 0 < self.fy < np.inf):
-            raise ValueError(f"Intrinsics: fx and fy must be positive and finite, got {self.fx} and {self.fy}.")
-        if not np.all(np.isfinite((self.cx, self.cy))):
-            raise ValueError(f"Intrinsics: cx and cy must be finite, got {self.cx} and {self.cy}.")
-        if len(self.coeffs) != 5 or not np.all(np.isfinite(self.coeffs)):
-            raise ValueError(f"Intrinsics: coeffs must be five finite numbers (k1, k2, p1, p2, k3), got {self.coeffs}.")
+        low, high = _FOCAL
+        if not (low <= self.fx <= high and low <= self.fy <= high):
+            raise ValueError(f"Intrinsics: fx and fy must lie in {low}...{high:g} pixels, got {self.fx} and {self.fy}.")
+        if not (abs(self.cx) <= _MAX_CENTER and abs(self.cy) <= _MAX_CENTER):
+            raise ValueError(
+                f"Intrinsics: cx and cy must lie in +-{_MAX_CENTER:g} pixels, got {self.cx} and {self.cy}."
+            )
+        if len(self.coeffs) != 5 or not all(abs(value) <= _MAX_COEFF for value in self.coeffs):
+            raise ValueError(
+                f"Intrinsics: coeffs must be five numbers (k1, k2, p1, p2, k3) in +-{_MAX_COEFF:g}, got {self.coeffs}."
+            )
 
     @property
     def matrix(self) -> npt.NDArray[np.float64]:
@@ -78,12 +90,15 @@ class Intrinsics(Spec):
             points: (..., 3) metres, camera frame.
 
         Returns:
-            (..., 2) pixels; NaN for points that are not in front of the camera.
+            (..., 2) pixels; NaN for points that are not in front of the camera, or too far aside for any image.
         """
         xyz = _as_points(points, 3, "points")
         z = np.where(xyz[..., 2] > 0, xyz[..., 2], np.nan)
-        xy = self._distort(xyz[..., :2] / z[..., None])
-        return xy * (self.fx, self.fy) + (self.cx, self.cy)
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is too far aside
+            xy = self._distort(xyz[..., :2] / z[..., None])
+            pixels = xy * (self.fx, self.fy) + (self.cx, self.cy)
+        seen = np.abs(pixels) < _MAX_PIXEL
+        return pixels if seen.all() else np.where(seen.all(axis=-1, keepdims=True), pixels, np.nan)
 
     def deproject(self, pixels: npt.ArrayLike, depth: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Lift pixels to points.
@@ -93,7 +108,7 @@ class Intrinsics(Spec):
             depth: (...) metres along the optical axis.
 
         Returns:
-            (..., 3) metres, camera frame; NaN where the depth is NaN.
+            (..., 3) metres, camera frame; NaN where the depth is NaN or the lens has no such ray.
         """
         rays = self.rays(pixels)
         return rays * np.asarray(depth, dtype=np.float64)[..., None]
@@ -104,13 +119,17 @@ class Intrinsics(Spec):
         return self.height, self.width
 
     def rays(self, pixels: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Viewing rays through pixels, scaled to z = 1: (..., 2) pixels -> (..., 3)."""
+        """Return viewing rays through pixels, scaled to z = 1: (..., 2) pixels -> (..., 3).
+
+        NaN where the distortion cannot be undone: no point in front of the lens is seen at such a pixel.
+        """
         uv = _as_points(pixels, 2, "pixels")
         rays = np.ones((*uv.shape[:-1], 3))
         rays[..., 0] = (uv[..., 0] - self.cx) / self.fx
         rays[..., 1] = (uv[..., 1] - self.cy) / self.fy
         if self.distorted:
             rays[..., :2] = self._undistort(rays[..., :2].copy())
+            rays[np.isnan(rays[..., 0])] = np.nan
         return rays
 
     def _distort(self, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -122,20 +141,23 @@ class Intrinsics(Spec):
         return xy * radial + tangential
 
     def _undistort(self, target: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Solve ``distort(xy) = target`` by the fixed point that OpenCV and librealsense iterate, to convergence."""
-        if not self.distorted:
-            return target
-        xy = target
-        for _ in range(_MAX_ITERATIONS):
-            radial, tangential = self._terms(xy, xy)
-            if self.model == "inverse_brown_conrady":
-                tangential = self._terms(xy * radial, xy)[1]
-            step = (target - tangential) / radial
-            change = np.abs(step - xy)
-            xy = step
-            if np.nanmax(change, initial=0.0) < _TOLERANCE:
-                break
-        return xy
+        """Solve ``distort(xy) = target`` by the fixed point that OpenCV and librealsense iterate, to convergence.
+
+        Returns NaN where it does not converge.
+        """
+        xy, change = target, np.zeros_like(target)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what diverges is found by its last step
+            for _ in range(_MAX_ITERATIONS):
+                radial, tangential = self._terms(xy, xy)
+                if self.model == "inverse_brown_conrady":
+                    tangential = self._terms(xy * radial, xy)[1]
+                step = (target - tangential) / radial
+                change = np.abs(step - xy)
+                xy = step
+                if np.fmax.reduce(change, axis=None, initial=0.0) < _TOLERANCE:
+                    break
+            found = change < _CONVERGED
+        return xy if found.all() else np.where(found.all(axis=-1, keepdims=True), xy, np.nan)
 
     def _terms(
         self, xy: npt.NDArray[np.float64], radius_of: npt.NDArray[np.float64]
@@ -164,9 +186,10 @@ class CameraModel:
         if self.transform_camera_to_base is None:
             return
         transform = np.array(self.transform_camera_to_base, dtype=np.float64)
-        rotation = transform[:3, :3] if transform.shape == (4, 4) else np.zeros((3, 3))
+        usable = transform.shape == (4, 4) and bool((np.abs(transform) <= _MAX_DISTANCE).all())
+        rotation = transform[:3, :3] if usable else np.zeros((3, 3))
         rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) and np.linalg.det(rotation) > 0
-        if not rigid or not np.all(np.isfinite(transform)) or not np.allclose(transform[3], (0, 0, 0, 1)):
+        if not rigid or not np.allclose(transform[3], (0, 0, 0, 1)):
             raise ValueError(
                 "CameraModel: transform_camera_to_base must be a rigid (4,4) transform (rotation, translation in "
                 f"metres, last row 0 0 0 1), got shape {np.shape(self.transform_camera_to_base)}:\n{transform}"

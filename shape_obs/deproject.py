@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from shape_obs.camera import Intrinsics
 from shape_obs.cloud import Cloud, Sheet
 from shape_obs.form import Curve
-from shape_obs.frame import depth_in_metres
+from shape_obs.frame import FARTHEST, depth_in_metres
 from shape_obs.lift import form_depth, lift_form
 from shape_obs.region import Region
 
@@ -69,9 +69,9 @@ class SeenCloud(Cloud):
     @cached_property
     def _sheet(self) -> Sheet:
         """The border is the mask's, which is sharper than the cloud's and knows no holes in the depth."""
-        if len(self.samples) < _NEIGHBOURS:
-            return super()._sheet
         rim = self.region.border.curve
+        if len(self.samples) < _NEIGHBOURS or not rim.size:  # that of a single pixel has no length
+            return super()._sheet
         pixels = rim.at(np.arange(_RIM) * (rim.size / _RIM))
         samples = self.pixels(self.samples.points)
         tree: Any = KDTree(samples)
@@ -85,6 +85,8 @@ class SeenCloud(Cloud):
         low, high = inverse.min(axis=1), inverse.max(axis=1)
         depth = 1 / np.clip(solved, np.maximum(2 * low - high, low / 2), 2 * high - low)
         outline = self.intrinsics.deproject(pixels, depth)
+        if not (np.abs(outline) < FARTHEST).all():  # the lens has no ray at some of the border
+            return super()._sheet
         return Sheet(outline, self.chart.flat, self.chart.to_flat(outline, near[:, 0]))
 
     def in_sight(self, place: Array, points: Array) -> npt.NDArray[np.bool_]:
@@ -92,8 +94,9 @@ class SeenCloud(Cloud):
         ends, start = self.pixels(points), self.pixels(place)
         if not np.isfinite(start).all():  # behind the camera
             return np.zeros(len(points), bool)
-        steps = int(np.ceil(np.abs(ends - start).max(initial=1.0)))  # one a pixel
-        line = start + (ends - start)[:, None] * np.linspace(0, 1, min(steps, _SIGHT) + 1)[:, None]
+        longest = float(np.fmax.reduce(np.abs(ends - start), axis=None, initial=1.0))
+        steps = int(np.ceil(min(longest, _SIGHT)))  # one a pixel
+        line = start + (ends - start)[:, None] * np.linspace(0, 1, steps + 1)[:, None]
         off = ~self.region.contains(line.reshape(-1, 2)).reshape(line.shape[:2])
         return off.sum(axis=1) < _APART
 
@@ -126,7 +129,8 @@ def deproject(region: Region, depth: npt.NDArray[Any], intrinsics: Intrinsics) -
     off = np.abs(z - _median(z, cell))
     kept = off <= np.maximum(_OFF * _median(off, cell), _TOLERANCE)
     points = intrinsics.deproject(uv[kept].astype(np.float64), z[kept])
-    return SeenCloud(points, region, depth, intrinsics, kernels=region.kernels)
+    plausible = (np.abs(points) < FARTHEST).all(axis=1)  # an absurd lens sees farther, or has no ray there
+    return SeenCloud(points[plausible], region, depth, intrinsics, kernels=region.kernels)
 
 
 def _inner(region: Region) -> npt.NDArray[np.int32]:

@@ -269,6 +269,10 @@ class ShapeDetector:
         stamp = following if frame.stamp is None else float(frame.stamp)
         if self._stamp is None:
             self._begin = stamp
+        elif stamp < self._stamp:  # another clock: no time has passed, and ages go on from what they were
+            back = self._stamp - stamp
+            self._begin -= back
+            self._last = {name: (shape, at - back) for name, (shape, at) in self._last.items()}
         self._stamp = stamp
         return stamp
 
@@ -279,9 +283,12 @@ class ShapeDetector:
         reason = found.reason
         if body is not None and found.form is not None and found.ok:
             shape = shape_of(spec, found, found.form, found.body or body, frame, last, self.config.on_invalid)
-            if not in_3d or np.count_nonzero(shape.valid):
+            if shape.points2d is not None and not np.isfinite(shape.points2d).all():
+                reason = "it runs out of the camera's sight"
+            elif not in_3d or np.count_nonzero(shape.valid):
                 return shape
-            reason = "no point has depth under it"
+            else:
+                reason = "no point has depth under it"
         return lost_shape(
             spec.name,
             spec.layout,
@@ -289,7 +296,7 @@ class ShapeDetector:
             in_2d=not isinstance(body, Cloud) or isinstance(body, SeenCloud),
             in_3d=in_3d,
             last=last,
-            age=stamp - seen,
+            age=max(stamp - seen, 0.0),
             max_age=self.config.max_age,
             policy=self.config.on_missing,
         )

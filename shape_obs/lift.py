@@ -83,7 +83,10 @@ def lift_form(form: Form, z: Array, intrinsics: Intrinsics) -> Array | None:
         intrinsics: The projection.
 
     Returns:
-        (P,3) metres, or None where less than half of the form has depth.
+        (P,3) metres, or None where less than half of the form has depth, or the lens has no ray to some of it.
     """
     known = np.isfinite(z)
-    return None if known.mean() < 0.5 else intrinsics.deproject(form.points, form.smoothed(z, known))
+    if known.mean() < 0.5:
+        return None
+    points = intrinsics.deproject(form.points, form.smoothed(z, known))
+    return points if np.isfinite(points).all() else None

@@ -60,7 +60,7 @@ def lost_shape(
             np.full((layout.size, 2), np.nan, np.float32) if in_2d else None,
             nowhere,
             visible=nobody,
-            valid=nobody.copy(),
+            valid=nobody,
             layout=layout,
             ok=False,
             quality=0.0,
@@ -69,10 +69,9 @@ def lost_shape(
         )
     return replace(
         last,
-        points2d=None if last.points2d is None else last.points2d.copy(),
-        points3d=nowhere if last.points3d is None else last.points3d.copy(),
+        points3d=nowhere if last.points3d is None else last.points3d,
         visible=nobody,
-        valid=nobody.copy(),
+        valid=nobody,
         ok=policy == "hold" and age <= max_age,
         quality=0.0,
         reason=reason,

@@ -80,6 +80,7 @@ def _in_image(spec: Configuration, form: Form, region: Region, frame: Frame, cen
     if 0 < np.count_nonzero(valid) < len(valid):
         z = spec.layout.interpolate(z[:, None], valid)[:, 0]
     points3d = lift(points, z, camera.intrinsics, spec.radius).astype(np.float32)
+    valid &= np.isfinite(points3d).all(axis=1)  # the lens may have no ray there
     return points.astype(np.float32), points3d, visible, valid
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -12,23 +12,34 @@ import numpy.typing as npt
 from shape_obs.spec import did_you_mean
 from shape_obs.topology import Topology
 
+_ARRAYS: Final = (("points2d", np.float32), ("points3d", np.float32), ("visible", np.bool_), ("valid", np.bool_))
+
 
 @dataclass(frozen=True, eq=False)
 class Shape:
     """N ordered points on an object. Point i stays the same material point from frame to frame.
 
+    The four arrays are read-only and share no memory with the detector or the caller. Copy before you change:
+    ``points = shape.points3d.copy()``, or compute a new array: ``shape.points3d - offset``.
+
+    What holds for every shape that a detector returns:
+
+    - ``valid`` is True only where ``visible`` is.
+    - ``points3d`` is finite where ``valid`` is True. Elsewhere it holds what ``on_invalid`` asks for, which may be NaN.
+    - ``points2d`` is finite if ``ok`` is True. It is NaN if no points are known, and never infinite.
+    - ``quality`` and ``age`` are finite. ``reason`` is empty if and only if the points were found in this frame.
+
     Args:
         name: The configuration's name.
-        points2d: (N,2) float32 pixels (u right, v down), pixel centres at integers; NaN where there is nothing to tell;
-            None for a cloud.
-        points3d: (N,3) float32 metres, camera optical frame; NaN where unknown; None without depth and camera.
-        visible: (N,) bool: the mask carries the point.
-        valid: (N,) bool: visible and, in 3D, a real depth under it.
-        ok: Found and through the gate in this frame, or held for no longer than ``max_age`` seconds (``age`` > 0 then).
+        points2d: (N,2) float32 pixels (u right, v down), pixel centres at integers; None for a cloud.
+        points3d: (N,3) float32 metres, camera optical frame; None if found without depth and camera.
+        visible: (N,) bool: whether the mask covers the point.
+        valid: (N,) bool: visible and, in 3D, with measured depth.
+        layout: The neighbours of each point: a chain, a ring or a lattice; ``layout.edges()`` lists the pairs.
+        ok: Found and passed the quality check in this frame, or held for at most ``max_age`` seconds.
         quality: 0...1, how well the curve explains the mask.
         reason: Why the shape was not found in this frame; empty if it was.
-        layout: How the points hang together: a chain, a ring or a lattice; ``layout.edges()`` are the neighbours.
-        age: Seconds since the points were seen, or since the first frame if they never were; 0 when found in this one.
+        age: Seconds since the points were found, or since the first frame if they never were; 0 if found in this frame.
     """
 
     name: str
@@ -41,6 +52,17 @@ class Shape:
     quality: float = 1.0
     reason: str = ""
     age: float = 0.0
+
+    def __post_init__(self) -> None:
+        fields = vars(self)
+        for name, dtype in _ARRAYS:
+            if fields[name] is not None:
+                fields[name] = _read_only(fields[name], dtype)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore a pickled or deep-copied shape, whose arrays NumPy returns writable."""
+        vars(self).update(state)
+        self.__post_init__()
 
     def __len__(self) -> int:
         return len(self.visible)
@@ -111,6 +133,15 @@ class Detection:
             "shapes": [shape.to_dict() for shape in self.shapes],
             "timings_ms": {stage: round(time, 3) for stage, time in self.timings.items()},
         }
+
+
+def _read_only(values: npt.ArrayLike, dtype: type[np.generic]) -> npt.NDArray[Any]:
+    """Return a read-only copy; an array that is one already is returned as it is."""
+    if isinstance(values, np.ndarray) and values.dtype == dtype and not values.flags.writeable and values.base is None:
+        return values
+    copy = np.array(values, dtype)
+    copy.flags.writeable = False
+    return copy
 
 
 def _listed(points: npt.NDArray[np.float32], digits: int) -> list[list[float | None]]:

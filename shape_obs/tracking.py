@@ -17,6 +17,7 @@ _VELOCITY_SHARE: Final = 0.8
 _MAX_SIZE_CHANGE: Final = 0.06
 _MAX_WIDTH_CHANGE: Final = 0.02
 _WIDTH_NOISE: Final = 0.03
+_LEAST_INTERVAL: Final = 1e-6  # seconds; stamps that are closer tell no velocity
 _SPARE: Final = 8  # pixels around the place where a mask is expected
 
 
@@ -104,7 +105,9 @@ def advance(
         width = track.width * (1 + _follow(width / track.width - 1))
     amount = amount if form.whole else 0
     interval = 0.0 if track is None else stamp - track.stamp
-    velocity = np.zeros_like(nodes) if track is None or interval <= 0 else (nodes - track.nodes) / interval
+    velocity = np.zeros_like(nodes)
+    if track is not None and interval > _LEAST_INTERVAL:
+        velocity = (nodes - track.nodes) / interval
     size = form.memory.size or form.size
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
     return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.memory, width, box, drift, amount)

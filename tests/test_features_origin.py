@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -29,9 +30,9 @@ SEEN = np.array([[100.0, 50.0], [160.0, 120.0], [220.0, 70.0]])
 
 def rope(unknown: Any = (), filled: Any = ()):
     seen = shape(OVERHEAD.intrinsics.deproject(SEEN, np.ones(3)), Chain(3), unknown, filled)
-    seen.points2d[:] = SEEN
-    seen.points2d[list(unknown)] = np.nan
-    return seen
+    pixels = SEEN.copy()
+    pixels[list(unknown)] = np.nan
+    return replace(seen, points2d=pixels)
 
 
 def values(feature, seen=None, view=VIEW):

@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 from scipy.signal import savgol_filter
 
-from shape_obs import CameraModel, Centerline, Intrinsics, ShapeDetector
+from shape_obs import CameraModel, Centerline, Frame, Intrinsics, ShapeDetector
 from shape_obs.evaluation.ropes import Rope, draw_rope
+from shape_obs.fitting import Fit
+from shape_obs.form import Curve
+from shape_obs.lift import lift_form
+from shape_obs.points import shape_of
+from shape_obs.region import find_region
+from shape_obs.roi import Window
 from shape_obs.smoothing import straightened
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
@@ -213,3 +219,57 @@ def test_lines_through_neighbours_are_those_of_savgol(closed, count, window):
     values = np.random.default_rng(0).normal(size=(count, 2)).cumsum(axis=0)
     expected = np.asarray(savgol_filter(values, window, 1, axis=0, mode="wrap" if closed else "interp"), np.float64)
     np.testing.assert_allclose(straightened(values, window, closed), expected, atol=1e-12)
+
+
+def test_a_shape_without_any_depth_is_lost(wave, intrinsics):
+    shape = ShapeDetector().detect_mask(wave.mask, np.zeros(wave.mask.shape, np.uint16), intrinsics).shapes[0]
+    assert (shape.ok, shape.reason) == (False, "no point has depth under it")
+    assert not shape.visible.any()
+
+
+@pytest.mark.parametrize(("every", "valid"), [(3, True), (8, False)])
+def test_a_point_needs_depth_under_a_quarter_of_its_pixels(intrinsics, every, valid):
+    mask = np.zeros((240, 320), np.uint8)
+    mask[110:126, 20:300] = 1
+    depth = np.zeros(mask.shape, np.uint16)
+    depth[:, ::every] = 700
+    depth[:, :60] = 700
+    shape = ShapeDetector(Centerline(n=9)).detect_mask(mask, depth, intrinsics).shapes[0]
+    assert shape.valid[0]
+    assert shape.valid[3:].all() == shape.valid[3:].any() == valid
+
+
+@pytest.mark.parametrize(("known", "lifted"), [(0.45, False), (0.55, True)])
+def test_gaps_are_equal_in_metres_where_half_of_the_rope_has_depth(intrinsics, known, lifted):
+    curve = Curve(np.stack([np.linspace(20, 300, 100), np.full(100, 120.0)], axis=1), np.zeros(100, bool))
+    z = np.where(np.arange(100) < 100 * known, 0.7, np.nan)
+    assert (lift_form(curve, z, intrinsics) is not None) is lifted
+
+
+@pytest.mark.parametrize("depth", [None, 0.7])
+def test_a_hidden_piece_is_not_visible_where_another_strand_lies_under_it(intrinsics, depth):
+    """The mask carries all of the curve, but its last third is known to be hidden."""
+    mask = np.zeros((240, 320), np.uint8)
+    mask[115:126, 10:310] = 1
+    region = find_region(mask, Window(0, 0, 320, 240), 1, 0.0)
+    points = np.stack([np.linspace(20, 300, 99), np.full(99, 120.0)], axis=1)
+    curve = Curve(points, np.arange(99) >= 66)
+    metres = None if depth is None else np.full(mask.shape, depth)
+    frame = Frame(None, metres, None if depth is None else CameraModel(intrinsics))
+    shape = shape_of(Centerline(n=9), Fit(curve, 1.0), curve, region, frame, None, "nan")
+    np.testing.assert_array_equal(shape.visible, np.arange(9) < 6)
+    np.testing.assert_array_equal(shape.valid, shape.visible)
+    assert (shape.points3d is None) == (depth is None)
+
+
+def test_a_centre_beside_the_mask_is_not_valid_though_depth_lies_near_it(intrinsics):
+    """A clusterer may put a centre between two strands."""
+    mask = np.zeros((240, 320), np.uint8)
+    mask[108:132, 10:310] = 1
+    region = find_region(mask, Window(0, 0, 320, 240), 1, 0.0)
+    curve = Curve(np.stack([np.linspace(20, 300, 99), np.full(99, 120.0)], axis=1), np.zeros(99, bool))
+    centres = np.array([[50.0, 120.0], [150.0, 134.5], [250.0, 120.0]])
+    frame = Frame(None, np.full(mask.shape, 0.7), CameraModel(intrinsics))
+    shape = shape_of(Centerline(n=3), Fit(curve, 1.0, centres=centres), curve, region, frame, None, "nan")
+    assert shape.visible.tolist() == [True, False, True]
+    assert shape.valid.tolist() == [True, False, True]

@@ -70,6 +70,18 @@ def test_a_rope_that_jumps_is_found_in_the_same_frame():
     np.testing.assert_allclose(after.points2d, before + (210, 190), atol=0.5)
 
 
+def test_a_rope_that_jumps_away_from_a_speck_is_found_in_the_same_frame():
+    """The window in which it is expected is not empty: a speck of its colour is left there."""
+    detector, mask = ShapeDetector(), rope()
+    before = [detector.detect_mask(mask).shapes[0].points2d for _ in range(3)][-1]
+    moved = shifted(mask, 210, 190)
+    u, v = before[10].round().astype(int).tolist()
+    cv2.circle(moved, (u, v), 6, (255.0,), -1)
+    after = detector.detect_mask(moved).shapes[0]
+    assert after.reason == ""
+    np.testing.assert_allclose(after.points2d, before + (210, 190), atol=0.5)
+
+
 def test_what_turns_up_elsewhere_does_not_disturb():
     detector, mask = ShapeDetector(), rope()
     before = [detector.detect_mask(mask).shapes[0].points2d for _ in range(3)][-1]

@@ -14,6 +14,7 @@ from shape_obs.cloud import Cloud
 from shape_obs.coldstart.axis import axis
 from shape_obs.configurations.base import Configuration, Ends, Origin, Points
 from shape_obs.curve import equidistant_positions
+from shape_obs.deproject import SeenCloud
 from shape_obs.form import Curve
 from shape_obs.gate import Verdict, judge_ribbon
 from shape_obs.occlusion import follow_chain, shown
@@ -58,9 +59,10 @@ class Centerline(Configuration[Curve], kind="centerline"):
         return Chain(self.n)
 
     def unfit(self, body: Body) -> str:
-        """Too many pieces, or no rope: at least three times as long as wide."""
-        if body.pieces > _MAX_PIECES:
-            return f"the {body.noun} falls into {body.pieces} pieces, at most {_MAX_PIECES}"
+        """Return why a body cannot hold a rope: too many pieces, or less than three times as long as wide."""
+        for part in (body, body.region) if isinstance(body, SeenCloud) else (body,):  # a cold start reads the mask too
+            if part.pieces > _MAX_PIECES:
+                return f"the {part.noun} falls into {part.pieces} pieces, at most {_MAX_PIECES}"
         if body.stretch < _MIN_ASPECT * body.width:
             return f"the {body.noun} is {body.stretch:.4g} x {body.width:.4g} {body.unit}: too stout for a rope"
         return ""

@@ -73,7 +73,7 @@ class Surface(Configuration[Patch], kind="surface"):
         return Grid(self.rows, self.cols)
 
     def unfit(self, body: Body) -> str:
-        """A speck, a ribbon, several pieces, or a sheet that leaves the image, whose corners cannot be known."""
+        """Return why a body cannot hold a sheet: a speck, a ribbon, pieces, corners out of sight, or no outline."""
         if body.width < _MIN_SIDE * body.grain:
             return f"the {body.noun} is {body.width:.3g} {body.unit} wide: too small for a sheet"
         if body.stretch > _MAX_ASPECT * body.width:
@@ -84,6 +84,8 @@ class Surface(Configuration[Patch], kind="surface"):
                 return f"the mask falls into {body.pieces} pieces, and the largest is {piece:.0%} of it"
             if cut > _MAX_CUT:
                 return f"{cut:.0%} of the outline lies on the image's edge: the sheet's corners are out of sight"
+        elif not np.ptp(body.sheet().outline_flat, axis=0).any():
+            return f"the outline of the {body.noun} has no extent"
         return ""
 
     def samples(self, body: Body) -> Samples:

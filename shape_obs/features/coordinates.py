@@ -223,7 +223,10 @@ class Geometric(Framed):
 
 
 def _frustum(camera: CameraModel, depth: float) -> Array:
-    """(5,3) the corners of what a camera sees up to a depth, metres, camera frame."""
+    """Return the camera's centre and the corners of what it sees up to a depth: (5,3) metres, camera frame.
+
+    Image corners to which the lens has no ray are left out.
+    """
     right, bottom = camera.intrinsics.width - 0.5, camera.intrinsics.height - 0.5
     corners = camera.intrinsics.rays([[-0.5, -0.5], [right, -0.5], [-0.5, bottom], [right, bottom]]) * depth
-    return np.concatenate([np.zeros((1, 3)), corners])
+    return np.concatenate([np.zeros((1, 3)), corners[np.isfinite(corners).all(axis=1)]])

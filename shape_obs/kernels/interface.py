@@ -16,6 +16,7 @@ Mask = npt.NDArray[np.uint8]
 
 MILLIMETRE: Final = 1e-3  # metres; the unit of depth in whole numbers
 FARTHEST: Final = 1e6  # metres; what lies beyond is garbage, and would overflow single precision
+FAR_OFF: Final = 2.0**30  # pixels; no image reaches there, and integers hold it
 # An empty bin pulls its node nowhere: each node keeps a trace of weight where it stands.
 TRACE: Final = 1e-3
 # Chords are equalised this often, or until their gaps differ by no more than this share.

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from numba import njit
 
 from shape_obs.kernels.interface import FARTHEST, Array, Mask
+from shape_obs.kernels.numba_mask import nearest_pixel
 
 
 @njit(cache=True, nogil=True)
@@ -49,7 +50,7 @@ def median_depth(
     height, width = mask.shape
     out, near = np.full(len(points), np.nan), np.empty((2 * reach + 1) ** 2)
     for n in range(len(points)):
-        column, row = int(np.rint(points[n, 0])) - left, int(np.rint(points[n, 1])) - top
+        column, row = nearest_pixel(points[n, 0]) - left, nearest_pixel(points[n, 1]) - top
         inside = known = 0
         for v in range(max(row - reach, 0), min(row + reach + 1, height)):
             for u in range(max(column - reach, 0), min(column + reach + 1, width)):

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from shape_obs.kernels.interface import Array, Indices, Mask
+from shape_obs.kernels.interface import FAR_OFF, Array, Indices, Mask
 
 # (w - ones) & ~w & tops is not 0 where one of the bytes of a word w is 0.
 _ONES = np.uint64(0x0101010101010101)
@@ -166,13 +166,19 @@ def cells(runs: Indices, size: int) -> tuple[Array, Array]:
     return points, weight
 
 
+@njit(cache=True, nogil=True, inline="always")
+def nearest_pixel(at: float) -> int:
+    """Return the nearest pixel; one off every image for NaN and for what no integer can hold."""
+    return int(np.rint(at)) if -FAR_OFF < at < FAR_OFF else int(-FAR_OFF)
+
+
 @njit(cache=True, nogil=True)
 def carried(mask: Mask, left: int, top: int, points: Array, reach: int) -> npt.NDArray[np.bool_]:
     """See ``Kernels.carried``."""
     height, width = mask.shape
     out = np.zeros(len(points), np.bool_)
     for at in range(len(points)):
-        column, row = int(np.rint(points[at, 0])) - left, int(np.rint(points[at, 1])) - top
+        column, row = nearest_pixel(points[at, 0]) - left, nearest_pixel(points[at, 1]) - top
         if 0 <= row < height and 0 <= column < width and mask[row, column] != 0:
             out[at] = True
             continue

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.kernels.interface import FARTHEST, Array, Indices, Mask
-from shape_obs.kernels.numpy_mask import around
+from shape_obs.kernels.numpy_mask import around, nearest_pixels
 
 
 def median_depth(
@@ -22,7 +22,7 @@ def median_depth(
     min_share: float,
 ) -> Array:
     """See ``Kernels.median_depth``."""
-    inside, z = _gathered(depth, mask, left, top, np.rint(points).astype(np.intp), reach)
+    inside, z = _gathered(depth, mask, left, top, nearest_pixels(points), reach)
     z = z * unit
     valid = z > 0
     valid &= z < FARTHEST

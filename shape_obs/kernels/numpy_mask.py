@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.kernels.interface import Array, Indices, Mask
+from shape_obs.kernels.interface import FAR_OFF, Array, Indices, Mask
 from shape_obs.kernels.numpy_pieces import pieces
 
 
@@ -90,9 +90,14 @@ def cells(runs: Indices, size: int) -> tuple[Array, Array]:
     return points, weight
 
 
+def nearest_pixels(points: Array) -> npt.NDArray[np.intp]:
+    """Return the pixels nearest to (N,2) points; one off every image for NaN and for what no integer can hold."""
+    return np.rint(np.fmin(np.fmax(points, -FAR_OFF), FAR_OFF)).astype(np.intp)
+
+
 def carried(mask: Mask, left: int, top: int, points: Array, reach: int) -> npt.NDArray[np.bool_]:
     """See ``Kernels.carried``."""
-    pixel = np.rint(points).astype(np.intp)
+    pixel = nearest_pixels(points)
     u, v = pixel[:, 0] - left, pixel[:, 1] - top
     height, width = mask.shape
     if len(u) and reach <= min(u.min(), v.min()) and u.max() < width - reach and v.max() < height - reach:

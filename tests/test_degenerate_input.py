@@ -1,0 +1,177 @@
+"""Degenerate masks, depth and lenses: no warning, no undeclared exception, and no NaN that is not declared."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+
+from shape_obs import CameraModel, Centerline, Contour, Intrinsics, Shape, ShapeDetector, Surface
+from shape_obs.evaluation.robustness.inputs import broken_contracts, declared, inputs_table, run_case
+from shape_obs.kernels import choose
+from shape_obs.topology import Chain
+
+BACKENDS = ("numpy", "numba")
+EVERYTHING: dict[str, Any] = {"segmentation": {"kind": "gray", "min_area": 1, "min_share": 0}, "on_invalid": "nan"}
+
+
+@pytest.fixture(autouse=True)
+def _no_warnings():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_random_inputs_break_no_promise(backend):
+    """A slice; ``shape-obs bench claims --only robustness`` runs thousands."""
+    rows = inputs_table(200, seed=11, backend=backend)
+    assert [(row["what"], row["seen"], row["first"]) for row in rows if row["seen"]] == []
+    assert len(rows) == 4
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_an_outline_without_extent_is_no_sheet(backend):
+    """Specks hundreds of metres apart, as a lens of 0.1 px sees them; found by the random inputs."""
+    assert run_case(5, 93, backend) == (8, [])
+
+
+def thin_masks() -> dict[str, np.ndarray]:
+    masks = {name: np.zeros((48, 64), np.uint8) for name in ("row", "column", "two rows", "diagonal", "dots", "edge")}
+    masks["row"][20, 3:60] = 1
+    masks["column"][3:45, 30] = 1
+    masks["two rows"][20:22] = 1
+    np.fill_diagonal(masks["diagonal"], 1)
+    masks["dots"][::4, ::4] = 1  # 192 pieces: joining them would take seconds
+    masks["edge"][[0, -1]] = masks["edge"][:, [0, -1]] = 1
+    return masks
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("lift", ["points", "cloud"])
+@pytest.mark.parametrize("name", list(thin_masks()))
+def test_thin_masks_over_any_depth(name, lift, backend):
+    mask, rng = thin_masks()[name], np.random.default_rng(0)
+    lenses: list[dict[str, Any]] = [
+        {}, {"fx": 1e-3, "fy": 1e-3}, {"fx": 1e9, "fy": 1e9}, {"cx": 1e7, "cy": -1e7},
+        {"model": "brown_conrady", "coeffs": (0.0, 0.0, 3.0, -2.0, 0.0)},
+        {"model": "inverse_brown_conrady", "coeffs": (-3.0, 40.0, 0.1, 0.1, 1e5)},
+    ]  # fmt: skip
+    specs = [Centerline(n=5, lift=lift), Contour(n=6, lift=lift), Surface(rows=2, cols=2, lift=lift)]
+    detector = ShapeDetector(specs, **EVERYTHING, backend=backend)
+    for lens in lenses:
+        camera = Intrinsics(**{"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5, **lens})
+        for depth in (rng.uniform(0, 3, mask.shape), np.full(mask.shape, 0.7), np.full(mask.shape, 1e-300)):
+            for shape, spec in zip(detector.detect_mask(mask, depth, camera), specs, strict=True):
+                assert broken_contracts(shape, spec.count, in_2d=True, in_3d=True) == []
+        detector.reset()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_cloud_contour_over_random_depth_is_seen_whole_or_refused(seed):
+    mask = np.zeros((60, 80), np.uint8)
+    mask[10:50, 10:70] = 1
+    depth = np.random.default_rng(seed).uniform(0.001, 3, mask.shape)
+    camera = Intrinsics(80, 60, 70.0, 70.0, 39.5, 29.5)
+    shape = ShapeDetector(Contour(n=32, lift="cloud", radius=0.01)).detect_mask(mask, depth, camera).shapes[0]
+    assert broken_contracts(shape, 32, in_2d=True, in_3d=True) == []
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_pixels_that_no_image_holds_lie_off_the_mask(backend):
+    """In compiled code an integer made of NaN or 1e30 would read memory that is not the image's."""
+    kernels, mask, depth = choose(backend), np.ones((9, 12), np.uint8), np.full((9, 12), 0.5, np.float32)
+    off = [np.nan, np.inf, -np.inf, 1e30, -1e30, 2.0**62, -(2.0**63)]
+    points = np.array([[5.0, 4.0], *([x, 4.0] for x in off), *([5.0, x] for x in off), *([x, x] for x in off)])
+    for left, top in ((0, 0), (100, 50)):
+        at = points + (left, top)
+        on = kernels.carried(mask, left, top, at, 1)
+        np.testing.assert_array_equal(on, np.arange(len(points)) == 0)
+        image = np.zeros((80, 120), np.float32)
+        image[top : top + 9, left : left + 12] = depth
+        image.flags.writeable = False
+        z = kernels.median_depth(image, 1.0, mask, left, top, at, 1, 0.25)
+        np.testing.assert_array_equal(np.isfinite(z), on)
+
+
+@pytest.mark.parametrize("model", ["brown_conrady", "inverse_brown_conrady"])
+@pytest.mark.parametrize("coeffs", [(0.0, 0.0, 9.0, 9.0, 0.0), (-3.0, 0.0, 0.0, 0.0, 0.0)], ids=["beyond", "folded"])
+def test_pixels_to_which_the_lens_has_no_ray_have_no_points(model, coeffs):
+    """What undoes the distortion runs away for the first lens, and to and fro for the second."""
+    camera = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5, model, coeffs)
+    rays = camera.rays(np.array([[159.5, 119.5], [162.0, 119.5], [0.0, 0.0], [319.0, 239.0]]))
+    np.testing.assert_array_equal(np.isnan(rays).all(axis=1), [False, False, True, True])
+    assert np.isfinite(rays[:2]).all()
+    mask = np.zeros((240, 320), np.uint8)
+    mask[116:123, 20:310] = 1
+    shape = ShapeDetector(Centerline(n=9)).detect_mask(mask, np.full(mask.shape, 0.7), camera).shapes[0]
+    assert shape.ok
+    assert shape.points3d is not None
+    assert 0 < np.count_nonzero(shape.valid) < 9
+    np.testing.assert_array_equal(np.isfinite(shape.points3d).all(axis=1), shape.valid)
+    assert np.isfinite(shape.points2d).all()
+
+
+def test_points_beside_or_behind_the_camera_have_no_pixels():
+    camera = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5, "brown_conrady", (0.1, 0.1, 0.0, 0.0, 0.1))
+    pixels = camera.project([[0, 0, 1], [0.1, 0, 1], [0, 0, 0], [0, 0, -1], [1, 0, 1e-300], [1e300, 0, 1]])
+    np.testing.assert_array_equal(np.isfinite(pixels).all(axis=1), [True, True, False, False, False, False])
+    assert np.isnan(pixels[2:]).all()
+
+
+@pytest.mark.parametrize(
+    ("transform", "usable"),
+    [(np.eye(4), True), (np.eye(4) * np.nan, False), (np.eye(4) * 1e200, False), (np.eye(3), False)],
+)
+def test_a_pose_is_rigid_and_of_this_world(transform, usable):
+    intrinsics = Intrinsics(4, 3, 1.0, 1.0, 0.0, 0.0)
+    if usable:
+        CameraModel(intrinsics, transform)
+    else:
+        with pytest.raises(ValueError, match="must be a rigid"):
+            CameraModel(intrinsics, transform)
+
+
+def test_a_clock_that_goes_back_makes_no_held_shape_younger(wave):
+    """A camera that restarts may count from zero: what was held for 0.4 s has been held for 0.4 s still."""
+    detector, empty = ShapeDetector(max_age=0.5), np.zeros_like(wave.mask)
+    detector.detect_mask(wave.mask, stamp=3600.0)
+    assert detector.detect_mask(empty, stamp=3600.4).shapes[0].ok
+    for stamp, age, ok in ((0.0, 0.4, True), (0.05, 0.45, True), (0.2, 0.6, False), (-50.0, 0.6, False)):
+        held = detector.detect_mask(empty, stamp=stamp).shapes[0]
+        assert held.age == pytest.approx(age, abs=1e-6)
+        assert held.ok is ok
+    never = ShapeDetector()
+    assert [never.detect_mask(empty, stamp=at).shapes[0].age for at in (9.0, 10.0, 2.0, 4.0)] == [0.0, 1.0, 1.0, 3.0]
+
+
+@pytest.mark.parametrize("interval", [5e-324, 1e-300, 1e-12, 0.0])
+def test_stamps_that_nearly_stand_still_give_no_velocity(wave, interval):
+    detector = ShapeDetector()
+    shapes = [detector.detect_mask(np.roll(wave.mask, 3 * i, axis=0), stamp=i * interval).shapes[0] for i in range(4)]
+    assert all(shape.ok and not shape.reason for shape in shapes)
+    moved = [(shape.points2d - shapes[0].points2d)[:, 1].mean() for shape in shapes]
+    assert moved == pytest.approx([0, 3, 6, 9], abs=0.3)
+
+
+def test_what_is_counted_notices_broken_promises():
+    """The measure itself: of shapes that break the contract, and of exceptions that are not the package's own."""
+    fine: dict[str, Any] = {"points2d": np.zeros((3, 2)), "points3d": np.ones((3, 3)), "visible": np.ones(3, bool)}
+    fine |= {"valid": np.ones(3, bool), "layout": Chain(3)}
+    one_nan = np.where(np.arange(3)[:, None] == 1, np.nan, 1.0)
+    for change, broken in (
+        ({}, 0), ({"points2d": one_nan * np.ones(2)}, 2), ({"points3d": one_nan * np.ones(3)}, 1), ({"age": -1.0}, 2),
+        ({"visible": np.zeros(3, bool)}, 1), ({"quality": np.nan}, 1), ({"ok": False}, 1), ({"reason": "gone"}, 1),
+        ({"points3d": np.full((3, 3), np.inf), "valid": np.zeros(3, bool)}, 1), ({"points2d": np.zeros((2, 2))}, 1),
+    ):  # fmt: skip
+        found = broken_contracts(Shape("it", **{**fine, **change}), 3, in_2d=True, in_3d=True)
+        assert len(found) == broken, (change, found)
+    for call, ours in (
+        (lambda: Centerline(n=0), True), (lambda: int(np.nan), False), (lambda: np.zeros(0).max(), False),
+        (lambda: ShapeDetector().detect(None), True), (lambda: np.linalg.inv(np.zeros((2, 2))), False),
+    ):  # fmt: skip
+        with pytest.raises(ValueError) as caught:  # noqa: PT011
+            call()
+        assert declared(caught.value) is ours, caught.value
