@@ -164,9 +164,10 @@ class CameraModel:
         if self.transform_camera_to_base is None:
             return
         transform = np.array(self.transform_camera_to_base, dtype=np.float64)
-        rotation = transform[:3, :3] if transform.shape == (4, 4) else np.zeros((3, 3))
+        known = transform.shape == (4, 4) and bool(np.all(np.isfinite(transform)))
+        rotation = transform[:3, :3] if known else np.zeros((3, 3))
         rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) and np.linalg.det(rotation) > 0
-        if not rigid or not np.all(np.isfinite(transform)) or not np.allclose(transform[3], (0, 0, 0, 1)):
+        if not rigid or not np.allclose(transform[3], (0, 0, 0, 1)):
             raise ValueError(
                 "CameraModel: transform_camera_to_base must be a rigid (4,4) transform (rotation, translation in "
                 f"metres, last row 0 0 0 1), got shape {np.shape(self.transform_camera_to_base)}:\n{transform}"

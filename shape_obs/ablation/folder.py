@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from shape_obs.ablation.study import Study
 from shape_obs.ablation.work import PROGRESS, Outcome
+from shape_obs.documents import read_json
 from shape_obs.files import make_folder, write_whole
 
 RUN: Final = "run.json"
@@ -45,8 +46,8 @@ class RunFolder:
     def steps(self) -> int:
         """How many a run under way has told; 0 before it tells any."""
         try:
-            return int(json.loads((self.path / PROGRESS).read_text(encoding="ascii"))["steps"])
-        except (OSError, ValueError):  # not yet there, or half-written
+            return int(read_json(self.path / PROGRESS, "progress")["steps"])
+        except (OSError, ValueError, KeyError, TypeError):  # not there yet, or half-written
             return 0
 
     def keep(self, outcome: Outcome) -> None:
@@ -76,7 +77,7 @@ class RunFolder:
         if not path.exists():
             return None
         try:
-            told = json.loads(path.read_text(encoding="utf-8"))
+            told = read_json(path, "run")
             _ = told["hash"], told["made_with"].items(), told["ms_per_step"], told["versions"].items()
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"{path}: not what a run wrote ({error!r}): remove its folder to do it again.") from error
@@ -123,4 +124,4 @@ def _differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
 
 
 def _write(path: Path, data: bytes) -> None:
-    write_whole(path, lambda beside: beside.write_bytes(data))
+    write_whole(path, lambda temporary: temporary.write_bytes(data))
