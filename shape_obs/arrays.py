@@ -19,6 +19,7 @@ MOST_BYTES: Final = 4 << 30
 #: Pixels of a PNG image; 8192 x 8192. OpenCV itself refuses other images from 2^30 pixels on.
 MOST_PIXELS: Final = 1 << 26
 
+_COUNT_AT: Final = -12  # of the number of entries, from the end of a ZIP file without a comment
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_SIZE: Final = struct.Struct(">II")  # width and height, the first fields of the first chunk
 _PNG_SIZE_AT: Final = len(_PNG) + 8  # behind the chunk's length and name
@@ -124,6 +125,10 @@ def decode_npz(data: bytes, where: str) -> dict[str, npt.NDArray[Any]]:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             if sum(entry.file_size for entry in archive.infolist()) > MOST_BYTES:
                 raise ValueError(f"expected at most {MOST_BYTES} bytes when unpacked")
+            # ``zipfile`` does not compare them: a damaged length in the list of entries hides those that follow.
+            wanted = int.from_bytes(data[_COUNT_AT - len(archive.comment) :][:2], "little")
+            if wanted != len(archive.namelist()) & 0xFFFF:
+                raise ValueError(f"expected {wanted} entries, found {len(archive.namelist())}")
             for name in archive.namelist():
                 if not name.endswith(".npy") or name[:-4] in arrays:
                     raise ValueError(f"unexpected entry {name!r}")

@@ -21,7 +21,8 @@ from shape_obs.recording.parquet import need_pyarrow, read_parquet, write_parque
 
 Column = npt.NDArray[Any]
 _METADATA: Final = "metadata"
-_CHECKSUM: Final = "sha256"
+_CHECKSUM: Final = "checksum"
+_ALGORITHM: Final = "sha256:"
 _AXES: Final = {"points2d": "uv", "points3d": "xyz"}
 _TYPES: Final[Mapping[str, type[Any]]] = {
     "frame": np.int64,
@@ -204,8 +205,12 @@ def _checked_metadata(path: Path) -> dict[str, Any]:
     metadata = read_json(sidecar, "metadata")
     if not isinstance(metadata, dict):
         raise ValueError(f"{sidecar}: expected a mapping, got {type(metadata).__name__}")
-    noted = metadata.pop(_CHECKSUM, None)
-    if noted is not None and noted != _checksum(path, metadata):
+    # Its key may be what is damaged: it was written last, and its value tells what it is.
+    key = _CHECKSUM if _CHECKSUM in metadata else next(reversed(metadata), "")
+    if key != _CHECKSUM and not str(metadata.get(key)).startswith(_ALGORITHM):
+        return metadata
+    noted = metadata.pop(key)
+    if key != _CHECKSUM or noted != _checksum(path, metadata):
         raise ValueError(
             f"it differs from the checksum in {sidecar.name}, so one of the two is damaged; if you changed the table "
             f"on purpose, remove {_CHECKSUM!r} there"
@@ -216,7 +221,7 @@ def _checked_metadata(path: Path) -> dict[str, Any]:
 def _checksum(path: Path, metadata: Mapping[str, Any]) -> str:
     digest = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
     digest.update(path.read_bytes())
-    return digest.hexdigest()
+    return _ALGORITHM + digest.hexdigest()
 
 
 def _sidecar(path: Path) -> Path:
