@@ -68,7 +68,9 @@ class Extrinsics(Spec):
             raise SpecError(f"Extrinsics.T: expected 4 rows of 4 numbers, got rows of {[len(row) for row in self.T]}.")
         matrix = self.matrix
         turn = matrix[:3, :3]
-        rigid = np.all(np.isfinite(matrix)) and np.allclose(turn @ turn.T, np.eye(3), atol=1e-4)
+        # The size first: products of huge numbers overflow.
+        rigid = np.all(np.isfinite(matrix)) and np.all(np.abs(turn) < 2)
+        rigid = rigid and np.allclose(turn @ turn.T, np.eye(3), atol=1e-4)
         if not rigid or np.linalg.det(turn) < 0 or not np.allclose(matrix[3], _LAST_ROW):
             raise SpecError(
                 "Extrinsics.T: expected a rigid transform (a rotation, a translation in metres, last row 0 0 0 1), "
