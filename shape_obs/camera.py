@@ -164,10 +164,15 @@ class CameraModel:
         if self.transform_camera_to_base is None:
             return
         transform = np.array(self.transform_camera_to_base, dtype=np.float64)
+        rotation = (
+            transform[:3, :3] if transform.shape == (4, 4) and np.all(np.isfinite(transform)) else np.zeros((3, 3))
+        )
         # The size first: products of huge numbers overflow.
-        sound = transform.shape == (4, 4) and bool(np.all(np.isfinite(transform)) and np.all(np.abs(transform[:3, :3]) < 2))
-        rotation = transform[:3, :3] if sound else np.zeros((3, 3))
-        rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) and np.linalg.det(rotation) > 0
+        rigid = (
+            np.all(np.abs(rotation) < 2)
+            and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
+            and np.linalg.det(rotation) > 0
+        )
         if not rigid or not np.allclose(transform[3], (0, 0, 0, 1)):
             raise ValueError(
                 "CameraModel: transform_camera_to_base must be a rigid (4,4) transform (rotation, translation in "

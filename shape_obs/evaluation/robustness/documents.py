@@ -86,7 +86,7 @@ def kinds() -> list[Kind]:
         "roi": {"kind": "rectangle", "left": 1, "top": 2, "width": 100, "height": 80},
         "features": ["points3d", {"kind": "fourier", "harmonics": 3}],
         "workspace": [[-1, -1, -1], [1, 1, 1]],
-        "max_age": 0.5,
+        "backend": "numpy",
     }
     pinhole = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
     place = Extrinsics(tuple(map(tuple, np.eye(4).tolist())), pinhole, "123", 0.001)

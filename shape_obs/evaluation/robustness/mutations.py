@@ -1,4 +1,4 @@
-"""Damage to values and bytes, drawn at random: what a broken disk, another program or an attacker may leave in a file."""
+"""Damage values and bytes at random, as a broken disk, another program or an attacker may leave them in a file."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _HOSTILE: Final[tuple[Any, ...]] = (
 _DEEP: Final = 70
 #: Pieces of text that parsers of JSON or YAML stumble over.
 _PIECES: Final = (
-    b"[", b"]", b"{", b"}", b":", b"\"", b"'", b"\t", b"\n", b"\0", b"\xff", b"\xef\xbb\xbf", b"- ", b"? ", b"&a ", b"*a",
-    b"&a [*a, *a]", b"<<: *a", b"!!int ''", b"!!float x", b"!!timestamp x", b"!!bool x", b"!!binary \xc3\xa9", b"!!set x",
-    b"!!omap [1]", b"!!pairs [1]", b"!!python/object:os.system x", b"2020-13-45", b"2020-01-01T99:99:99Z", b"1:99:99",
-    b"0o9", b"0x", b"9" * 5000, b"1e999", b".nan", b"NaN", b"-Infinity", b"[" * 3000, b'{"a":' * 3000, b"- " * 500,
-    b"\\ud800", b"\\u", b"%YAML 9.9\n", b"---\n", b"...\n", b"|", b">", b"#", b"\x85", b"\xe2\x80\xa8",
+    b"[", b"]", b"{", b"}", b":", b"\"", b"'", b"\t", b"\n", b"\0", b"\xff", b"\xef\xbb\xbf", b"- ", b"? ", b"&a ",
+    b"*a", b"&a [*a, *a]", b"<<: *a", b"!!int ''", b"!!float x", b"!!timestamp x", b"!!bool x", b"!!binary \xc3\xa9",
+    b"!!set x", b"!!omap [1]", b"!!pairs [1]", b"!!python/object:os.system x", b"2020-13-45", b"2020-01-01T99:99:99Z",
+    b"1:99:99", b"0o9", b"0x", b"9" * 5000, b"1e999", b".nan", b"NaN", b"-Infinity", b"[" * 3000, b'{"a":' * 3000,
+    b"- " * 500, b"\\ud800", b"\\u", b"%YAML 9.9\n", b"---\n", b"...\n", b"|", b">", b"#", b"\x85", b"\xe2\x80\xa8",
 )  # fmt: skip
 
 
@@ -39,7 +39,7 @@ def mutate(value: Any, draw: np.random.Generator) -> Any:
             other, at = places[draw.integers(len(places))]
             holder[key] = copy.deepcopy(other[at])
         elif action == 3:
-            holder[key] = _nested(holder[key], draw.integers(1, _DEEP))
+            holder[key] = _nested(holder[key], int(draw.integers(1, _DEEP)))
         else:
             holder[key] = copy.deepcopy(_HOSTILE[draw.integers(len(_HOSTILE))])
     return changed[0]

@@ -42,7 +42,7 @@ class Outcomes:
                 value = read()
         except self._declared:
             self.counts["refused"] += 1
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 - whatever else there is, it is what is looked for
             self.counts["undeclared"] += 1
             _LOG.warning("%s: undeclared %r", name, error, exc_info=True)
         else:

@@ -71,7 +71,8 @@ def record_some(folder: Path) -> None:
     """Record three small frames: colour, depth as millimetres, and in the last one depth as metres."""
     draw = np.random.default_rng(0)
     camera = CameraModel(Intrinsics(_SIZE[1], _SIZE[0], 20.0, 20.0, 7.5, 5.5), np.eye(4))
-    with RecordingWriter(folder, _Still(camera)) as writer:
+    source: Any = _Still(camera)  # all that a writer asks of a source
+    with RecordingWriter(folder, source) as writer:
         for i in range(_FRAMES):
             rgb = draw.integers(0, 256, (*_SIZE, 3), dtype=np.uint8)
             millimetres = draw.integers(300, 900, _SIZE, dtype=np.uint16)
@@ -140,8 +141,9 @@ def _path(folder: Path, outside: Path, draw: Draw) -> None:
     name, inner = os.path.relpath(outside, folder), folder / "rgb"
     hostile = [
         f"{name}/{_SECRET}", str(outside / _SECRET), f"rgb/../{name}/{_SECRET}", f"./{name}/{_SECRET}",
-        f"rgb/../../{folder.name}/../{outside.name}/{_SECRET}", "/dev/zero", "/etc/passwd", ".", "rgb", "rgb/", "\0", "~",
-        "link/000000.png", "rgb/link.png", "x" * 5000, f"file://{outside / _SECRET}", f"..\\{outside.name}\\{_SECRET}",
+        f"rgb/../../{folder.name}/../{outside.name}/{_SECRET}", "/etc/passwd", "/dev/null", ".", "rgb", "rgb/", "\0",
+        "~", "link/000000.png", "rgb/link.png", "x" * 5000, f"file://{outside / _SECRET}",
+        f"..\\{outside.name}\\{_SECRET}",
     ]  # fmt: skip
     (folder / "link").symlink_to(outside, target_is_directory=True)
     (inner / "link.png").symlink_to(outside / _SECRET)

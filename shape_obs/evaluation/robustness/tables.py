@@ -85,7 +85,9 @@ def same(one: ShapeTable, other: ShapeTable) -> bool:
     for name, column in other.columns.items():
         values = one[name]
         if values.shape != column.shape or not (
-            np.array_equal(values, column, equal_nan=True) if column.dtype.kind == "f" else np.array_equal(values, column)
+            np.array_equal(values, column, equal_nan=True)
+            if column.dtype.kind == "f"
+            else np.array_equal(values, column)
         ):
             return False
     return True
