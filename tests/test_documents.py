@@ -19,7 +19,7 @@ from shape_obs.evaluation.robustness.documents import damaged_documents
 from shape_obs.spec import SpecError
 from shape_obs.wrappers.target import Target
 
-DEEP = 5000
+DEEP = "[" * 5000 + "]" * 5000
 #: Each line doubles what the one before stands for: 2^40 values.
 BOMB = "a0: &a0 [x, x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 40))
 plain = st.recursive(
@@ -32,9 +32,9 @@ plain = st.recursive(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[" * DEEP, "nested too deep"),
+        (DEEP, "nested too deep"),
         ("[" * 100 + "]" * 100, "nested too deep; expected at most 64 levels"),
-        ('{"a":' * DEEP, "nested too deep"),
+        ('{"a":' * 5000 + "0" + "}" * 5000, "nested too deep"),
         ("[1, 2", "not valid JSON: "),
         (b"\xff\xfe", "not valid JSON: .*utf-8"),
         ("9" * 5000, "not valid JSON: "),
@@ -49,7 +49,7 @@ def test_json_that_cannot_be_read(text, message):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[" * DEEP, "nested too deep"),
+        (DEEP, "nested too deep"),
         ("- " * 100 + "x", "nested too deep; expected at most 64 levels"),
         (BOMB, "stands for more than 200000 values: write out what its aliases repeat"),
         ("&a [*a]", "(nested too deep|aliases)"),
@@ -100,14 +100,14 @@ def test_any_text_is_read_or_refused(text):
 @pytest.mark.parametrize(
     ("read", "name", "text"),
     [
-        (load_config, "c.yaml", "version: 1\nshape: " + "[" * DEEP),
+        (load_config, "c.yaml", "version: 1\nshape: " + DEEP),
         (load_config, "c.yaml", BOMB),
         (Target.load, "g.yaml", "version: 1\ngoal: &a {points: *a}"),
-        (load_study, "s.yaml", "- " * DEEP),
-        (Extrinsics.load, "e.json", "[" * DEEP),
+        (load_study, "s.yaml", "- " * 5000),
+        (Extrinsics.load, "e.json", DEEP),
         (Extrinsics.load, "e.json", json.dumps({"parent": "base", "child": "camera", "created": "", "T": [[10**400]]})),
-        (IntrinsicsFit.load, "i.json", '{"a":' * DEEP),
-        (read_touches, "t.json", "[" * DEEP),
+        (IntrinsicsFit.load, "i.json", '{"a":' * 100 + "0" + "}" * 100),
+        (read_touches, "t.json", DEEP),
     ],
 )
 def test_every_reader_names_its_file(tmp_path, read, name, text):

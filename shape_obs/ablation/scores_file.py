@@ -43,7 +43,7 @@ def read_scores(path: Path) -> list[Row]:
     try:
         with path.open(encoding="utf-8", newline="") as file:
             return [_row(line) for line in csv.DictReader(file)]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
         raise ValueError(f"{path}: expected a table of {', '.join(COLUMNS)} ({error!r}).") from error
 
 

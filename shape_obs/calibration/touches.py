@@ -96,7 +96,13 @@ def _json_rows(path: Path, text: str) -> list[tuple[str, Any]]:
 
 
 def _csv_rows(path: Path, text: str) -> list[tuple[str, Any]]:
-    reader = csv.DictReader(io.StringIO(text), skipinitialspace=True)
+    try:
+        return _checked_rows(path, csv.DictReader(io.StringIO(text), skipinitialspace=True))
+    except csv.Error as error:
+        raise SpecError(f"{path}: expected a CSV file of touches: {error}") from error
+
+
+def _checked_rows(path: Path, reader: csv.DictReader[str]) -> list[tuple[str, Any]]:
     if [name.strip() for name in reader.fieldnames or ()] != list(FIELDS):
         raise SpecError(f"{path}: expected the header {','.join(FIELDS)}, got {','.join(reader.fieldnames or ())}.")
     return [(f"line {reader.line_num}", _numbers(path, reader.line_num, row)) for row in reader]

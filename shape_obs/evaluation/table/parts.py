@@ -60,12 +60,25 @@ class Parts:
         write_text(path, as_csv([asdict(row) for row in rows]))
 
     def read(self, configuration: str, method: str, chunk: int, kind: type[T]) -> list[T]:
-        """The rows of a chunk that is done."""
-        types = {field.name: field.type for field in fields(cast(Any, kind))}
-        with self._path(configuration, method, chunk).open(newline="", encoding="utf-8") as file:
-            return [
-                kind(**{name: _parsed(text, types[name]) for name, text in row.items()}) for row in csv.DictReader(file)
-            ]
+        """Return the rows of a chunk that is done.
+
+        Raises:
+            ValueError: Its file is damaged.
+        """
+        types, path = (
+            {field.name: field.type for field in fields(cast(Any, kind))},
+            self._path(configuration, method, chunk),
+        )
+        try:
+            with path.open(newline="", encoding="utf-8") as file:
+                return [
+                    kind(**{name: _parsed(text, types[name]) for name, text in row.items()})
+                    for row in csv.DictReader(file)
+                ]
+        except (KeyError, TypeError, ValueError, csv.Error) as error:
+            raise ValueError(
+                f"{path}: not the rows of a chunk ({error!r}): remove it to measure them again."
+            ) from error
 
     def _path(self, configuration: str, method: str, chunk: int) -> Path:
         return self._folder / configuration / method / f"{chunk:04d}.csv"
