@@ -93,7 +93,7 @@ class Recording:
 
     @property
     def episodes(self) -> list[int]:
-        """The number of the episode that each frame belongs to."""
+        """Number of the episode that each frame belongs to."""
         return [line.episode for line in self._lines]
 
     def check(self) -> Iterator[str]:
@@ -130,22 +130,18 @@ class Recording:
             raise BadRecording(f"{path}: cannot be read: {error.strerror}.") from error
         lines: list[FrameLine] = []
         for i, text in enumerate([*whole, rest] if rest else whole):
-            where = f"{path}, line {i + 1}: damaged"
             try:
-                line = parse_json(text, where)
+                line = parse_json(text, "the line")
                 if not isinstance(line, dict):
-                    raise ValueError(f"{where}: expected an object, got {text[:20]!r}")
+                    raise ValueError(f"expected an object, got {text[:20]!r}")
+                if END in line:
+                    return lines, line, 0
+                lines.append(read_known(FrameLine, line))
             except ValueError as error:
                 # Cut by a kill, or filled with zeros by a file system that did not get to write it.
                 if i + 1 >= len(whole):
                     return lines, {}, 1
-                raise BadRecording(str(error)) from error
-            if END in line:
-                return lines, line, 0
-            try:
-                lines.append(read_known(FrameLine, line))
-            except ValueError as error:
-                raise BadRecording(f"{where}: {error}") from error
+                raise BadRecording(f"{path}, line {i + 1}: damaged: {error}") from error
         return lines, {}, 0
 
     def _leave_out_damaged_end(self) -> int:
