@@ -14,6 +14,13 @@ import cv2
 import numpy as np
 import pytest
 
+from shape_obs.ablation import Study, load_study
+from shape_obs.ablation.finished import finished
+from shape_obs.ablation.folder import RunFolder
+from shape_obs.ablation.run import Row
+from shape_obs.ablation.score import Score
+from shape_obs.ablation.scores_file import SCORES, scores_csv
+from shape_obs.ablation.work import Outcome, Task
 from shape_obs.cli import main
 from shape_obs.config import save_config
 from shape_obs.evaluation.robustness.recordings import damaged_recordings, record_some
@@ -104,6 +111,26 @@ def test_extract_verifies_what_it_keeps(tmp_path, capsys):
         told = extract()
         assert (told["done"], told["kept"]) == (1, 1), at
         assert part.read_bytes() == whole
+
+
+def test_the_scores_of_a_finished_run_are_verified(tmp_path):
+    study = load_study_of({"arms": {"truth": {"observation": "truth"}}}, tmp_path)
+    rows = [Row(60, "", Score("near", seed, 50.25, 20.125, False, 1.0)) for seed in range(3)]
+    run = RunFolder(tmp_path, "truth", 0)
+    run.begin()
+    about = {"ms_per_step": 1.0, "versions": {}}
+    run.keep(Outcome(Task(study, "truth", 0, run.path), {SCORES: scores_csv(rows).encode()}, about))
+    assert finished(study, tmp_path)[0].rows == tuple(rows)
+    whole = (run.path / SCORES).read_text()
+    for damaged in (whole.replace("50.25", "10.25"), whole[: whole.rindex("60,")]):
+        (run.path / SCORES).write_text(damaged)
+        with pytest.raises(ValueError, match=r"scores\.csv: damaged, its checksum differs from the one in run\.json"):
+            finished(study, tmp_path)
+
+
+def load_study_of(content: dict[str, Any], folder: Path) -> Study:
+    (folder / "study.yaml").write_text(json.dumps({"version": 1, **content}))
+    return load_study(folder / "study.yaml")
 
 
 # ---- recordings

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -64,24 +66,41 @@ class RunFolder:
         told = {
             "arm": self.arm, "seed": self.seed, "steps": study.steps, "hash": study.hash(self.arm), **outcome.about,
             "made_with": study.made_with(self.arm),
+            "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in outcome.files.items()},
         }  # fmt: skip
         _write(self.path / RUN, json.dumps(told, indent=1).encode() + b"\n")
 
     def about(self) -> dict[str, Any] | None:
-        """What ``run.json`` tells; None while the run is not done.
+        """Return the content of ``run.json``; None while the run is not done.
 
         Raises:
-            ValueError: It cannot be read.
+            ValueError: It cannot be read, or lacks something.
         """
         path = self.path / RUN
         if not path.exists():
             return None
         try:
             told = read_json(path, "run")
-            _ = told["hash"], told["made_with"].items(), told["ms_per_step"], told["versions"].items()
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            _ = told["hash"], math.isfinite(told["ms_per_step"])
+            _ = [told[name].items() for name in ("made_with", "versions")], told.get("sha256", {}).items()
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             raise ValueError(f"{path}: not what a run wrote ({error!r}): remove its folder to do it again.") from error
         return told
+
+    def check(self, name: str) -> Path:
+        """Return the path of a file of a done run, after comparing it with its checksum in ``run.json``.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: It is damaged.
+        """
+        path, known = self.path / name, (self.about() or {}).get("sha256", {})
+        # Runs of early versions have no checksums.
+        if name in known and hashlib.sha256(path.read_bytes()).hexdigest() != known[name]:
+            raise ValueError(
+                f"{path}: damaged, its checksum differs from the one in {RUN}: remove its folder to do it again."
+            )
+        return path
 
     def done(self, study: Study) -> bool:
         """Whether the run is done, as the study wants it.

@@ -131,17 +131,15 @@ class Recording:
         lines: list[FrameLine] = []
         for i, text in enumerate([*whole, rest] if rest else whole):
             try:
-                line = parse_json(text, "the line")
-                if not isinstance(line, dict):
-                    raise ValueError(f"expected an object, got {text[:20]!r}")
-                if END in line:
-                    return lines, line, 0
-                lines.append(read_known(FrameLine, line))
+                line = _line(text)
             except ValueError as error:
                 # Cut by a kill, or filled with zeros by a file system that did not get to write it.
                 if i + 1 >= len(whole):
                     return lines, {}, 1
                 raise BadRecording(f"{path}, line {i + 1}: damaged: {error}") from error
+            if not isinstance(line, FrameLine):
+                return lines, line, 0
+            lines.append(line)
         return lines, {}, 0
 
     def _leave_out_damaged_end(self) -> int:
@@ -153,3 +151,11 @@ class Recording:
             except BadRecording:
                 self._lines.pop()
         return before - len(self)
+
+
+def _line(text: bytes) -> FrameLine | dict[str, Any]:
+    """Return a frame's line, or the mapping that ends a recording; ValueError for anything else."""
+    line = parse_json(text, "the line")
+    if not isinstance(line, dict):
+        raise ValueError(f"expected an object, got {text[:20]!r}")
+    return line if END in line else read_known(FrameLine, line)
