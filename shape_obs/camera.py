@@ -188,7 +188,12 @@ class CameraModel:
         transform = np.array(self.transform_camera_to_base, dtype=np.float64)
         usable = transform.shape == (4, 4) and bool((np.abs(transform) <= _MAX_DISTANCE).all())
         rotation = transform[:3, :3] if usable else np.zeros((3, 3))
-        rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) and np.linalg.det(rotation) > 0
+        # The size first: products of huge numbers overflow.
+        rigid = (
+            np.all(np.abs(rotation) < 2)
+            and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
+            and np.linalg.det(rotation) > 0
+        )
         if not rigid or not np.allclose(transform[3], (0, 0, 0, 1)):
             raise ValueError(
                 "CameraModel: transform_camera_to_base must be a rigid (4,4) transform (rotation, translation in "

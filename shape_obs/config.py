@@ -20,8 +20,9 @@ import yaml
 
 from shape_obs.clustering import Clusterer, Clustering, SelfOrganisingMap
 from shape_obs.configurations import Anchor, Centerline, Configuration, Ends, Order
+from shape_obs.documents import read_yaml
 from shape_obs.features import read_features
-from shape_obs.files import read_yaml, write_whole
+from shape_obs.files import write_text
 from shape_obs.kernels import Backend
 from shape_obs.missing import OnInvalid, OnMissing
 from shape_obs.roi import ROI, Whole
@@ -139,8 +140,7 @@ def save_config(path: str | os.PathLike[str], arguments: Mapping[str, Any]) -> N
         path: Where to.
         arguments: Arguments of ``ShapeDetector`` or ``ShapeObservation``, as specs or plain values.
     """
-    text = dump_config(arguments)
-    write_whole(Path(path), lambda beside: beside.write_text(text, encoding="utf-8"))
+    write_text(Path(path), dump_config(arguments))
 
 
 def dump_config(arguments: Mapping[str, Any]) -> str:

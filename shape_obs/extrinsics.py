@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import CameraModel, Intrinsics
-from shape_obs.files import write_whole
+from shape_obs.documents import read_json
+from shape_obs.files import write_text
 from shape_obs.spec import Spec, SpecError
 
 CONVENTION: Final = "p_base = T p_camera; T row-major, metres; camera: optical frame, x right, y down, z forward"
@@ -67,7 +68,9 @@ class Extrinsics(Spec):
             raise SpecError(f"Extrinsics.T: expected 4 rows of 4 numbers, got rows of {[len(row) for row in self.T]}.")
         matrix = self.matrix
         turn = matrix[:3, :3]
-        rigid = np.all(np.isfinite(matrix)) and np.allclose(turn @ turn.T, np.eye(3), atol=1e-4)
+        # The size first: products of huge numbers overflow.
+        rigid = np.all(np.isfinite(matrix)) and np.all(np.abs(turn) < 2)
+        rigid = rigid and np.allclose(turn @ turn.T, np.eye(3), atol=1e-4)
         if not rigid or np.linalg.det(turn) < 0 or not np.allclose(matrix[3], _LAST_ROW):
             raise SpecError(
                 "Extrinsics.T: expected a rigid transform (a rotation, a translation in metres, last row 0 0 0 1), "
@@ -100,13 +103,7 @@ class Extrinsics(Spec):
             FileNotFoundError: There is no such file.
             SpecError: It is no JSON, lacks something, or holds no rigid transform.
         """
-        path = Path(path)
-        try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError as error:
-            raise FileNotFoundError(f"{path}: no such file of extrinsics") from error
-        except (json.JSONDecodeError, UnicodeDecodeError) as error:
-            raise SpecError(f"{path}: not a JSON file, or a damaged one: {error}") from error
+        data = read_json(path, "extrinsics")
         try:
             if isinstance(data, dict):
                 missing = [key for key in ("parent", "child", "T", "created") if key not in data]
@@ -122,8 +119,7 @@ class Extrinsics(Spec):
         Raises:
             OSError: It cannot be written.
         """
-        text = json.dumps(self.to_dict(), indent=2) + "\n"
-        write_whole(Path(path), lambda beside: _write(beside, text))
+        write_text(Path(path), json.dumps(self.to_dict(), indent=2) + "\n")
 
     def doubts(self, intrinsics: Intrinsics | None = None, serial: str | None = None) -> list[str]:
         """Why this may not be the place of a camera, one sentence each; empty where nothing speaks against it.
@@ -191,7 +187,3 @@ def _difference(one: Intrinsics, other: Intrinsics) -> float:
 def _told(intrinsics: Intrinsics) -> str:
     focal = f"fx {intrinsics.fx:.1f}, fy {intrinsics.fy:.1f}, cx {intrinsics.cx:.1f}, cy {intrinsics.cy:.1f}"
     return f"{intrinsics.width} x {intrinsics.height}, {focal}"
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")

@@ -1,71 +1,13 @@
-"""Reading and writing files: clear errors, and nothing half-written."""
+"""Write files whole or not at all, and keep paths inside a folder."""
 
 from __future__ import annotations
 
+import errno
 import os
+import secrets
+import stat
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-import cv2
-import numpy as np
-import numpy.typing as npt
-import yaml
-
-from shape_obs.spec import SpecError
-
-
-def read_image(path: Path) -> npt.NDArray[np.uint8]:
-    """An image file as (H,W,3) uint8 RGB.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is no image.
-    """
-    picture = _decode(path, cv2.IMREAD_COLOR)
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), dtype=np.uint8)
-
-
-def read_depth(path: Path) -> npt.NDArray[Any]:
-    """A depth file: a 16-bit single-channel image in millimetres, or a .npy of uint16 millimetres or float metres.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It holds something else.
-    """
-    if path.suffix == ".npy":
-        _check_is_file(path)
-        try:
-            depth = np.load(path, allow_pickle=False)
-        except (ValueError, EOFError) as error:
-            raise ValueError(f"{path}: not a NumPy array file: {error}") from error
-    else:
-        depth = _decode(path, cv2.IMREAD_UNCHANGED)
-    if depth.ndim != 2 or not (depth.dtype == np.uint16 or np.issubdtype(depth.dtype, np.floating)):
-        raise ValueError(
-            f"{path}: expected depth of shape (H, W) as uint16 millimetres or float metres, "
-            f"got shape {depth.shape} of {depth.dtype}."
-        )
-    return depth
-
-
-def read_yaml(path: str | os.PathLike[str], what: str) -> Any:
-    """What a YAML file holds.
-
-    Args:
-        path: The file.
-        what: What it is, for messages: ``"config"``.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        SpecError: It is no YAML.
-    """
-    try:
-        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise FileNotFoundError(f"{path}: no such {what} file") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SpecError(f"{path}: not a YAML file: {error}") from error
 
 
 def make_folder(path: Path) -> Path:
@@ -83,37 +25,126 @@ def make_folder(path: Path) -> Path:
     return path
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file whole or not at all: beside its place, then renamed; the suffix stays, since it tells the format.
+def inside(folder: Path, name: str) -> Path:
+    """Return the path of a file that a document names, which must lie in a folder.
 
     Args:
-        path: Where the file belongs.
-        write: Writes it to the path that it is given.
+        folder: The folder.
+        name: The file's path in it, with ``/`` between its parts.
 
     Raises:
-        OSError: It cannot be written.
+        ValueError: The name is absolute, contains ``..``, or leads outside the folder through a symbolic link.
     """
-    beside = path.with_name(f".{os.getpid()}.{path.name}")
+    path = folder / name
+    root, found = os.path.realpath(folder), os.path.realpath(path)
+    # "\\" and ":" too: what is a plain name here would lead elsewhere on Windows.
+    if ".." in Path(name).parts or any(character in name for character in "\\:") or os.path.isabs(name):
+        raise ValueError(f"expected a path inside {folder}, got {name!r}.")
+    if os.path.commonpath([root, found]) != root or found == root:
+        raise ValueError(f"{path} leads to {found}, outside of {root}.")
+    return path
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file in UTF-8, whole or not at all; see ``write_whole``."""
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file whole or not at all.
+
+    The content goes to a temporary file in the same folder, onto the disk, and only then to its name: a kill or a power
+    cut leaves either what was there before or all of the new file. A process that is killed while it writes leaves the
+    temporary file, ``.NAME.<random>.SUFFIX``, which can be removed.
+
+    A symbolic link stays, and the file that it points to is replaced. A new file has the permissions that ``open``
+    gives; a replaced one keeps its own.
+
+    Args:
+        path: The file.
+        write: Writes the content to the path that it is given, which has the suffix of ``path``.
+
+    Raises:
+        OSError: It cannot be written; what was there before stays as it was.
+    """
+    temporary = begin_file(path)
     try:
-        write(beside)
-        beside.replace(path)
+        write(temporary)
+        finish_file(temporary, path)
     except OSError as error:
-        raise type(error)(f"cannot write {path}: {error.strerror or error}") from error
+        raise _cannot_write(path, error) from error
     finally:
-        beside.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
 
 
-def _decode(path: Path, mode: int) -> npt.NDArray[Any]:
-    _check_is_file(path)
-    data = np.frombuffer(path.read_bytes(), np.uint8)
-    picture = cv2.imdecode(data, mode) if data.size else None
-    if picture is None:
-        raise ValueError(f"{path}: not an image that can be read; it may be damaged.")
-    return np.asarray(picture)
+def begin_file(path: Path) -> Path:
+    """Make an empty temporary file for what ``finish_file`` will move to ``path``; see ``write_whole``.
+
+    Returns:
+        The temporary file: the caller writes it, and removes it if anything goes wrong.
+
+    Raises:
+        OSError: ``path`` cannot be written.
+    """
+    try:
+        target = _target(path)
+        temporary = target.with_name(f".{target.name}.{secrets.token_hex(8)}{target.suffix}")
+        # Refuses a file that is there already, and lets the system apply the umask.
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    return temporary
 
 
-def _check_is_file(path: Path) -> None:
-    if not path.exists():
-        raise FileNotFoundError(f"{path}: no such file")
-    if not path.is_file():
-        raise ValueError(f"{path}: expected a file, got a folder")
+def finish_file(temporary: Path, path: Path) -> None:
+    """Move a temporary file that was written to its name, after it reached the disk; see ``write_whole``.
+
+    Raises:
+        OSError: It cannot be moved; what was there before stays as it was.
+    """
+    target = _target(path)
+    with temporary.open("r+b") as file:
+        os.fsync(file.fileno())
+    if target.exists():
+        temporary.chmod(stat.S_IMODE(target.stat().st_mode))
+    temporary.replace(target)
+    _sync_folder(target.parent)
+
+
+def _target(path: Path) -> Path:
+    """Return the file to replace: the one that a symbolic link points to, whether it exists or not.
+
+    Raises:
+        OSError: There is something that cannot be replaced by a file, or that must not be.
+    """
+    target = Path(os.path.realpath(path)) if path.is_symlink() else path
+    if target.is_symlink():
+        raise OSError(errno.ELOOP, "its symbolic links lead in a circle")
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "expected a file, there is a folder")
+    if target.exists():
+        if not target.is_file():
+            raise OSError(errno.EINVAL, "expected a file, there is a device or a pipe")
+        if not os.access(target, os.W_OK):
+            raise PermissionError(errno.EACCES, "permission denied: the file is read-only")
+    elif not target.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, f"there is no folder {target.parent}")
+    return target
+
+
+def _sync_folder(folder: Path) -> None:
+    """Write a folder's list of names to the disk, where the system can."""
+    if os.name != "posix":
+        return
+    number = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(number)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some network file systems cannot
+            raise
+    finally:
+        os.close(number)
+
+
+def _cannot_write(path: Path, error: OSError) -> OSError:
+    return type(error)(f"cannot write {path}: {error.strerror or error}")

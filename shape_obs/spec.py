@@ -168,7 +168,10 @@ def _convert(value: Any, hint: Any, where: str) -> Any:
         except SpecError as error:
             raise SpecError(f"{where}: {error}") from error
     if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError as error:
+            raise SpecError(f"{where}: expected a number that fits into a float, got one that is too large.") from error
     if hint is int and isinstance(value, float) and value.is_integer():
         return int(value)
     if (isinstance(value, bool) and hint is not bool) or not isinstance(value, hint):

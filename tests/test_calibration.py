@@ -187,7 +187,7 @@ class TestBase:
             ("t.csv", "marker,corner,x,y,z\n0,4,1,2,3\n", "line 2: corner: expected 0 to 3"),
             ("t.csv", "marker,corner,x,y,z\n0,1,412,20,3\n", "line 2: x, y, z: expected metres, got 412.0, 20.0, 3.0"),
             ("t.csv", "marker,corner,x,y,z\n", "holds no touches"),
-            ("t.json", "[{", "not a JSON file, or a damaged one"),
+            ("t.json", "[{", "not valid JSON"),
             ("t.json", '{"marker": 0}', "expected a list of touches, got dict"),
             ("t.json", '[{"marker": 0, "corner": 0}]', "touch 1: Touch: missing x, y, z"),
         ],

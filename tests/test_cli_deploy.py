@@ -129,7 +129,7 @@ def test_what_is_wrong_is_told_in_one_line(capsys, arguments, message):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("goal: [", "not a YAML file"),
+        ("goal: [", "not valid YAML"),
         ("version: 2\ngoal: {}", "expected 'version: 1' and 'goal'"),
         ("version: 1\ngoal: {points: [[0, 0, 0]], frames: base}", "did you mean 'frame'"),
     ],

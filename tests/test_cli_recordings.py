@@ -167,7 +167,7 @@ def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, record
         (["replay", "damaged", "--config", "pixels.yaml"], "1.png: not an image that can be read; it may be damaged"),
         (["replay", "rope.avi", "--config", "space.yaml"], "rope.avi has no depth, but the config needs it: feature"),
         (["replay", "photos", "--config", "far.yaml"], "needs it: segmentation 'depth' of shape 'centerline'"),
-        (["replay", "photos", "--config", "damaged.yaml"], "damaged.yaml: not a YAML file"),
+        (["replay", "photos", "--config", "damaged.yaml"], "damaged.yaml: not valid YAML"),
         (["replay", "photos", "--config", "none.yaml"], "none.yaml: no such config file"),
         (["replay", "photos"], "give --config FILE to detect with, or --verify"),
         (["replay", "photos", "--config", "pixels.yaml", "--csv", "s.npz"], "--csv: expected a file named *.csv"),

@@ -55,7 +55,7 @@ def test_the_file_has_a_version_and_three_sections(tmp_path):
         ("shape: {}\n", "expected 'version: 1', got None."),
         ("- 1\n", "expected 'version', 'shape', 'scene' and 'runtime', got list."),
         ("", "expected 'version', 'shape', 'scene' and 'runtime', got NoneType."),
-        ("a: [1\n", "not a YAML file: "),
+        ("a: [1\n", "not valid YAML: "),
         ("version: 1\nscenes: {}\n", "unknown section 'scenes'; did you mean 'scene'? Known: shape, scene, runtime."),
         ("version: 1\nscene: [1]\n", "section 'scene' must be a mapping, got list."),
         ("version: 1\nscene:\n  segmentaton: {}\n", "scene: unknown field 'segmentaton'; did you mean 'segmentation'?"),
@@ -75,7 +75,7 @@ def test_a_wrong_file_is_told_with_its_name(tmp_path, text, message):
 
 def test_a_binary_file_is_no_config(tmp_path):
     (tmp_path / "c.yaml").write_bytes(b"\x89PNG\xff\xfe")
-    with pytest.raises(ValueError, match=r"c.yaml: not a YAML file"):
+    with pytest.raises(ValueError, match=r"c.yaml: not valid YAML"):
         load_config(tmp_path / "c.yaml")
 
 
@@ -126,7 +126,7 @@ def test_the_old_file_is_replaced_and_never_written_into(tmp_path):
 
 
 def test_an_unwritable_place_is_an_os_error(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"cannot write .*c\.yaml: No such file or directory"):
+    with pytest.raises(FileNotFoundError, match=r"cannot write .*c\.yaml: there is no folder"):
         save_config(tmp_path / "no" / "c.yaml", {})
     (tmp_path / "folder.yaml").mkdir()
     with pytest.raises(OSError, match=r"folder\.yaml"):

@@ -90,12 +90,12 @@ def test_damaged_and_missing_files(tmp_path):
     path = tmp_path / "e.json"
     extrinsics().save(path)
     path.write_text(path.read_text()[:200])
-    with pytest.raises(SpecError, match=r"e.json: not a JSON file, or a damaged one"):
+    with pytest.raises(SpecError, match=r"e.json: not valid JSON"):
         Extrinsics.load(path)
     path.write_text("[1, 2]")
     with pytest.raises(SpecError, match="expected a mapping"):
         Extrinsics.load(path)
-    with pytest.raises(FileNotFoundError, match="no such file of extrinsics"):
+    with pytest.raises(FileNotFoundError, match="no such extrinsics file"):
         Extrinsics.load(tmp_path / "other.json")
     with pytest.raises(OSError, match="cannot write"):
         extrinsics().save(tmp_path / "nowhere" / "e.json")

@@ -71,7 +71,7 @@ def finished(study: Study, root: Path) -> list[Finished]:
     for folder in done_runs(study, root):
         about = folder.about()
         assert about is not None
-        runs.append(Finished(folder.arm, folder.seed, read_scores(folder.path / SCORES), about))
+        runs.append(Finished(folder.arm, folder.seed, read_scores(folder.check(SCORES)), about))
     return runs
 
 

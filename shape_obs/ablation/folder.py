@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -11,6 +13,7 @@ from typing import Any, Final
 
 from shape_obs.ablation.study import Study
 from shape_obs.ablation.work import PROGRESS, Outcome
+from shape_obs.documents import read_json
 from shape_obs.files import make_folder, write_whole
 
 RUN: Final = "run.json"
@@ -45,8 +48,8 @@ class RunFolder:
     def steps(self) -> int:
         """How many a run under way has told; 0 before it tells any."""
         try:
-            return int(json.loads((self.path / PROGRESS).read_text(encoding="ascii"))["steps"])
-        except (OSError, ValueError):  # not yet there, or half-written
+            return int(read_json(self.path / PROGRESS, "progress")["steps"])
+        except (OSError, ValueError, KeyError, TypeError):  # not there yet, or half-written
             return 0
 
     def keep(self, outcome: Outcome) -> None:
@@ -63,24 +66,41 @@ class RunFolder:
         told = {
             "arm": self.arm, "seed": self.seed, "steps": study.steps, "hash": study.hash(self.arm), **outcome.about,
             "made_with": study.made_with(self.arm),
+            "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in outcome.files.items()},
         }  # fmt: skip
         _write(self.path / RUN, json.dumps(told, indent=1).encode() + b"\n")
 
     def about(self) -> dict[str, Any] | None:
-        """What ``run.json`` tells; None while the run is not done.
+        """Return the content of ``run.json``; None while the run is not done.
 
         Raises:
-            ValueError: It cannot be read.
+            ValueError: It cannot be read, or lacks something.
         """
         path = self.path / RUN
         if not path.exists():
             return None
         try:
-            told = json.loads(path.read_text(encoding="utf-8"))
-            _ = told["hash"], told["made_with"].items(), told["ms_per_step"], told["versions"].items()
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            told = read_json(path, "run")
+            _ = told["hash"], math.isfinite(told["ms_per_step"])
+            _ = [told[name].items() for name in ("made_with", "versions")], told.get("sha256", {}).items()
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             raise ValueError(f"{path}: not what a run wrote ({error!r}): remove its folder to do it again.") from error
         return told
+
+    def check(self, name: str) -> Path:
+        """Return the path of a file of a done run, after comparing it with its checksum in ``run.json``.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: It is damaged.
+        """
+        path, known = self.path / name, (self.about() or {}).get("sha256", {})
+        # Runs of early versions have no checksums.
+        if name in known and hashlib.sha256(path.read_bytes()).hexdigest() != known[name]:
+            raise ValueError(
+                f"{path}: damaged, its checksum differs from the one in {RUN}: remove its folder to do it again."
+            )
+        return path
 
     def done(self, study: Study) -> bool:
         """Whether the run is done, as the study wants it.
@@ -123,4 +143,4 @@ def _differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
 
 
 def _write(path: Path, data: bytes) -> None:
-    write_whole(path, lambda beside: beside.write_bytes(data))
+    write_whole(path, lambda temporary: temporary.write_bytes(data))

@@ -42,9 +42,12 @@ def read_scores(path: Path) -> list[Row]:
     """
     try:
         with path.open(encoding="utf-8", newline="") as file:
-            return [_row(line) for line in csv.DictReader(file)]
-    except (KeyError, TypeError, ValueError) as error:
+            rows = [_row(line) for line in csv.DictReader(file)]
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
         raise ValueError(f"{path}: expected a table of {', '.join(COLUMNS)} ({error!r}).") from error
+    if not rows:
+        raise ValueError(f"{path}: expected a score in each line, it has none.")
+    return rows
 
 
 def _row(line: dict[str, str]) -> Row:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from shape_obs.ablation.arm import Arm, Disturbance
-from shape_obs.files import read_yaml
+from shape_obs.documents import read_yaml
 from shape_obs.spec import Spec, SpecError, did_you_mean
 
 VERSION: Final = 1

@@ -11,7 +11,7 @@ import numpy as np
 from shape_obs.ablation.statistics import Interval
 from shape_obs.ablation.study import Study
 from shape_obs.ablation.summary import LEVELS, ArmSummary, groups
-from shape_obs.files import write_whole
+from shape_obs.files import write_text
 
 TABLE: Final = "table.md"
 _NONE: Final = "–"
@@ -20,7 +20,7 @@ _NONE: Final = "–"
 def write_table(study: Study, summary: Mapping[str, ArmSummary], root: Path) -> Path:
     """Write ``table.md``; returns its path."""
     text = markdown(study, summary) + "\n"
-    write_whole(root / TABLE, lambda path: path.write_text(text, encoding="utf-8"))
+    write_text(root / TABLE, text)
     return root / TABLE
 
 

@@ -15,8 +15,9 @@ import numpy.typing as npt
 from shape_obs.calibration.board import Board
 from shape_obs.calibration.views import BoardView
 from shape_obs.camera import Intrinsics
+from shape_obs.documents import read_json
 from shape_obs.extrinsics import now
-from shape_obs.files import write_whole
+from shape_obs.files import write_text
 from shape_obs.spec import Spec, SpecError
 
 Array = npt.NDArray[np.float64]
@@ -71,8 +72,7 @@ class IntrinsicsFit(Spec):
         Raises:
             OSError: It cannot be written.
         """
-        text = json.dumps(self.to_dict(), indent=2) + "\n"
-        write_whole(Path(path), lambda beside: _write(beside, text))
+        write_text(Path(path), json.dumps(self.to_dict(), indent=2) + "\n")
 
     @classmethod
     def load(cls, path: str | Path) -> IntrinsicsFit:
@@ -82,10 +82,9 @@ class IntrinsicsFit(Spec):
             FileNotFoundError: There is no such file.
             SpecError: It is no JSON, or lacks something.
         """
+        data = read_json(path, "intrinsics")
         try:
-            return cls.from_dict(json.loads(Path(path).read_text(encoding="utf-8")))
-        except FileNotFoundError as error:
-            raise FileNotFoundError(f"{path}: no such file of intrinsics") from error
+            return cls.from_dict(data)
         except ValueError as error:
             raise SpecError(f"{path}: not a file of intrinsics, or a damaged one: {error}") from error
 
@@ -187,7 +186,3 @@ def _off(views: Sequence[BoardView], board: Board, intrinsics: Intrinsics) -> li
         placed = solid @ cv2.Rodrigues(turn)[0].T + np.ravel(shift)
         off.append(np.linalg.norm(intrinsics.project(placed) - view.pixels, axis=1))
     return off
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")

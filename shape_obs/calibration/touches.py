@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from shape_obs.files import write_whole
+from shape_obs.documents import parse_json
+from shape_obs.files import write_text
 from shape_obs.spec import Spec, SpecError
 
 FIELDS: Final = ("marker", "corner", "x", "y", "z")
@@ -78,7 +78,7 @@ def write_touches(path: str | Path, touches: Iterable[Touch]) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(FIELDS)
     writer.writerows([touch.to_dict()[name] for name in FIELDS] for touch in touches)
-    write_whole(Path(path), lambda beside: _write(beside, text.getvalue()))
+    write_text(Path(path), text.getvalue())
 
 
 def _touch(where: str, row: Any) -> Touch:
@@ -89,17 +89,20 @@ def _touch(where: str, row: Any) -> Touch:
 
 
 def _json_rows(path: Path, text: str) -> list[tuple[str, Any]]:
-    try:
-        rows = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise SpecError(f"{path}: not a JSON file, or a damaged one: {error}") from error
+    rows = parse_json(text, str(path))
     if not isinstance(rows, list):
         raise SpecError(f"{path}: expected a list of touches, got {type(rows).__name__}.")
     return [(f"touch {number}", row) for number, row in enumerate(rows, start=1)]
 
 
 def _csv_rows(path: Path, text: str) -> list[tuple[str, Any]]:
-    reader = csv.DictReader(io.StringIO(text), skipinitialspace=True)
+    try:
+        return _checked_rows(path, csv.DictReader(io.StringIO(text), skipinitialspace=True))
+    except csv.Error as error:
+        raise SpecError(f"{path}: expected a CSV file of touches: {error}") from error
+
+
+def _checked_rows(path: Path, reader: csv.DictReader[str]) -> list[tuple[str, Any]]:
     if [name.strip() for name in reader.fieldnames or ()] != list(FIELDS):
         raise SpecError(f"{path}: expected the header {','.join(FIELDS)}, got {','.join(reader.fieldnames or ())}.")
     return [(f"line {reader.line_num}", _numbers(path, reader.line_num, row)) for row in reader]
@@ -111,7 +114,3 @@ def _numbers(path: Path, line: int, row: Mapping[Any, Any]) -> dict[str, float]:
     except (TypeError, ValueError, AttributeError) as error:
         given = ",".join(str(value) for value in row.values())
         raise SpecError(f"{path}: line {line}: expected five numbers ({','.join(FIELDS)}), got {given}.") from error
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-import yaml
 from tqdm import tqdm
 
 from shape_obs.cli.source import open_named, warnings_as_lines
 from shape_obs.config import load_config
+from shape_obs.documents import parse_yaml
 from shape_obs.features import read_features
 
 if TYPE_CHECKING:
@@ -159,7 +159,4 @@ def _inside(folder: Path) -> Iterator[Path]:
 
 def _feature(text: str) -> Any:
     """``fourier`` or ``{kind: fourier, harmonics: 4}``."""
-    try:
-        return yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ValueError(f"--features: {text!r} is no YAML: {error}") from error
+    return parse_yaml(text, f"--features {text[:60]}")

@@ -9,15 +9,15 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from shape_obs.arrays import read_depth as read_depth
+from shape_obs.arrays import read_image as read_image
 from shape_obs.files import make_folder as make_folder
-from shape_obs.files import read_depth as read_depth
-from shape_obs.files import read_image as read_image
 from shape_obs.files import write_whole
 
 
 def write_image(path: Path, rgb: npt.NDArray[np.uint8]) -> None:
     """Write a (H,W,3) RGB picture, whole or not at all."""
-    write_whole(path, lambda beside: Image.fromarray(rgb).save(beside))
+    write_whole(path, lambda temporary: Image.fromarray(rgb).save(temporary))
 
 
 def write_gif(path: Path, frames: Sequence[npt.NDArray[np.uint8]], seconds_per_frame: float) -> None:
@@ -26,7 +26,7 @@ def write_gif(path: Path, frames: Sequence[npt.NDArray[np.uint8]], seconds_per_f
     duration = max(round(1000 * seconds_per_frame), 20)
     write_whole(
         path,
-        lambda beside: pictures[0].save(
-            beside, save_all=True, append_images=pictures[1:], duration=duration, loop=0, optimize=True
+        lambda temporary: pictures[0].save(
+            temporary, save_all=True, append_images=pictures[1:], duration=duration, loop=0, optimize=True
         ),
     )

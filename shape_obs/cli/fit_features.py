@@ -12,13 +12,13 @@ from typing import Annotated, Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import tyro
-import yaml
 from tqdm import tqdm
 
 from shape_obs.cli.source import open_named, warnings_as_lines
 from shape_obs.config import config_hash, detector_arguments, load_config, schema_hash
 from shape_obs.configurations import Configuration
 from shape_obs.detector import ShapeDetector
+from shape_obs.documents import parse_yaml
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.features import PointDistribution, PrincipalComponents, View
 from shape_obs.features.coordinates import Coordinates, Frame
@@ -182,10 +182,10 @@ def _held_out(episodes: Sequence[tuple[str, int]]) -> npt.NDArray[np.bool_]:
 def _of_table(args: Arguments, source: str, made: dict[str, Any]) -> Generator[Seen, None, None]:
     table = ShapeTable.load(source)
     try:
-        shapes = yaml.safe_load(table.metadata["config"])["shape"]["shapes"]
+        shapes = parse_yaml(table.metadata["config"], "config")["shape"]["shapes"]
         layouts = {spec.name: spec.layout for spec in map(Configuration.from_dict, shapes)}
         camera = camera_from_dict(table.metadata["camera"] or {"intrinsics": None, "transform_camera_to_base": None})
-    except (KeyError, TypeError, ValueError, yaml.YAMLError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{source}: its metadata lack shapes or camera ({error}): replay it again.") from error
     _note(made, table.metadata.get("schema_hash"), table.metadata.get("config_hash"))
     name = _chosen(args.name, list(layouts), source)

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import cv2
-import yaml
 
+from shape_obs.documents import parse_yaml
 from shape_obs.source import RGBDSource
 
 _ERRORS_ALONE: Final = 2  # OpenCV's LOG_LEVEL_ERROR
@@ -51,10 +51,7 @@ def read_settings(settings: Sequence[str], option: str = "--set") -> dict[str, A
         name, equals, value = setting.partition("=")
         if not name.isidentifier() or not equals:
             raise ValueError(f"{option}: expected KEY=VALUE, such as exposure=0.01, got {setting!r}.")
-        try:
-            values[name] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
-            raise ValueError(f"{option}: {setting!r} has no value that can be read: {error}") from error
+        values[name] = parse_yaml(value, f"{option} {setting[:60]}")
     return values
 
 

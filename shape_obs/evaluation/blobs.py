@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.border import clockwise
+from shape_obs.documents import read_json
 from shape_obs.evaluation.ropes import SIZE, resample
 
 Array = npt.NDArray[np.float64]
@@ -73,7 +73,7 @@ def garments(path: str | Path, size: tuple[int, int] = SIZE) -> Iterator[Blob]:
         path: A JSON list of ``{kind, width, height, polygon: [[u, v], ...], keypoints: {name: [u, v, hidden]}}``.
         size: Of the image, pixels; the annotated photo is shrunk to fit.
     """
-    for item in json.loads(Path(path).read_text()):
+    for item in read_json(path, "outlines"):
         scale = min(size[1] / item["width"], size[0] / item["height"])
         blob = draw_blob((np.array(item["polygon"]) + 0.5) * scale - 0.5, size=size, kind=item["kind"])
         for name, (u, v, hidden) in item["keypoints"].items():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -24,8 +23,6 @@ from shape_obs.recording.player import check_depth
 from shape_obs.recording.table import Column
 from shape_obs.source import RGBDSource
 
-#: Key of the JSON text in the metadata of a part's schema.
-METADATA: Final = b"shape_obs"
 _NOWHERE: Final = {"points2d": 2, "points3d": 3}
 
 
@@ -84,8 +81,8 @@ def work(job: Extraction, made_with: Mapping[str, Any], task: Task) -> Outcome:
         What became of it. Whatever goes wrong with an episode is told there, and no other one is lost with it.
     """
     part = job.out / task.part
-    for beside in job.out.glob(f".*.{task.part}"):  # of a run that was killed
-        beside.unlink(missing_ok=True)
+    for temporary in job.out.glob(f".{task.part}.*"):  # of a run that was killed
+        temporary.unlink(missing_ok=True)
     read = False
     try:
         made, read = {**made_with, "fingerprint": task.fingerprint()}, True
@@ -107,17 +104,14 @@ def work(job: Extraction, made_with: Mapping[str, Any], task: Task) -> Outcome:
 
 
 def _kept(part: Path, made: Mapping[str, Any], task: Task) -> Outcome | None:
-    """What was done before, if it was made of the same recording with the same things."""
-    import pyarrow
-    from pyarrow import parquet
-
+    """Return the outcome of an earlier run; None where its part is damaged, or made of something else."""
     if not part.exists():
         return None
     try:
-        told = json.loads((parquet.read_schema(part).metadata or {})[METADATA])
-    except (pyarrow.ArrowException, KeyError, ValueError, OSError):
-        return None  # damaged since
-    return Outcome(task, "kept", told["frames"], told["ok"]) if told.get("made_with") == made else None
+        known = ShapeTable.load(part).metadata  # verifies all of it
+        return Outcome(task, "kept", known["frames"], known["ok"]) if known.get("made_with") == made else None
+    except (KeyError, ValueError, OSError):
+        return None
 
 
 def _table(job: Extraction, made: Mapping[str, Any], task: Task) -> ShapeTable:

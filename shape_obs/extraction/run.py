@@ -7,10 +7,11 @@ from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from shape_obs.documents import read_json
 from shape_obs.extraction.engines import local, on_ray
 from shape_obs.extraction.extraction import Extraction
 from shape_obs.extraction.task import Outcome, Task, stem
-from shape_obs.files import make_folder, write_whole
+from shape_obs.files import make_folder, write_text
 from shape_obs.recording.table import check_table_path
 
 Engine = Literal["local", "ray"]
@@ -85,7 +86,7 @@ def _claim(folder: Path, made_with: Mapping[str, Any]) -> None:
         _write(path, dict(made_with))
         return
     try:
-        before = dict(json.loads(path.read_text(encoding="utf-8")))
+        before = dict(read_json(path, "extraction"))
     except (ValueError, TypeError) as error:
         raise ValueError(f"{path}: damaged ({error}): remove the folder, or choose another --out.") from error
     for name, now in made_with.items():
@@ -107,4 +108,4 @@ def _remove_what_is_gone(folder: Path, tasks: Sequence[Task]) -> None:
 
 
 def _write(path: Path, content: Any) -> None:
-    write_whole(path, lambda beside: beside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8"))
+    write_text(path, json.dumps(content, indent=1) + "\n")

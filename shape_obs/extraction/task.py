@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping
@@ -85,16 +84,14 @@ class Outcome(Spec):
 
 
 def tasks_of(source: str) -> list[Task]:
-    """The episodes of a recording. One that cannot be read is one task, which will say why."""
+    """Return the episodes of a recording. One that cannot be read is one task, whose outcome names the reason."""
     path = Path(source)
     if not (path.is_dir() and ((path / CAMERA_FILE).exists() or (path / FRAMES_FILE).exists())):
         return [Task(source)]
     try:
-        count = len(Recording(path))
+        episodes = Recording(path).episodes
     except BadRecording:
         return [Task(source)]
-    with (path / FRAMES_FILE).open("rb") as lines:
-        episodes = [json.loads(line).get("episode") for line in islice(lines, count)]
     found, first = [], 0
     for index, (_, run) in enumerate(groupby(episodes)):
         length = len(list(run))

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.arrays import decode_npz
+from shape_obs.documents import parse_json
 from shape_obs.features.alignment import Similarity, superimposed
 from shape_obs.features.coordinates import Coordinates, Frame
 from shape_obs.features.linear import Design
@@ -200,7 +200,7 @@ class PointDistribution:
         head |= {name: getattr(self, name) for name in ("frame", "origin", "aligned", "unit")}
         text = json.dumps({**head, "about": dict(self.about)})
         arrays = {name: np.asarray(getattr(self, name)) for name in _ARRAYS}
-        write_whole(path, lambda beside: _write(beside, {"metadata": np.array(text), **arrays}))
+        write_whole(path, lambda temporary: _write(temporary, {"metadata": np.array(text), **arrays}))
 
     @classmethod
     def load(cls, path: str | Path) -> PointDistribution:
@@ -216,9 +216,9 @@ class PointDistribution:
     def from_bytes(cls, content: bytes, name: str) -> PointDistribution:
         """What a file holds; ``name`` is the file's, for messages. Errors as those of ``load``."""
         try:
-            with np.load(BytesIO(content), allow_pickle=False) as arrays:
-                head = json.loads(str(arrays["metadata"]))
-                mean, components, variance, noise = (np.asarray(arrays[key], dtype=np.float64) for key in _ARRAYS)
+            arrays = decode_npz(content, "content")
+            head = parse_json(str(arrays["metadata"]), "metadata")
+            mean, components, variance, noise = (np.asarray(arrays[key], dtype=np.float64) for key in _ARRAYS)
             if head.get("format") != FORMAT or head["version"] != VERSION:
                 raise ValueError(f"expected {FORMAT!r} {VERSION}, got {head.get('format')!r} {head.get('version')}")
             layout = _LAYOUTS[head["layout"].pop("kind")](**head["layout"])
@@ -228,7 +228,7 @@ class PointDistribution:
             if not all(np.isfinite(array).all() for array in (mean, components)) or not min(variance.min(), noise) > 0:
                 raise ValueError("it holds numbers that are none, or variances that are not positive")
             about = (head["frame"], head["origin"], head["aligned"], head["about"])
-        except (KeyError, ValueError, TypeError, AttributeError, EOFError, OSError, zipfile.BadZipFile) as error:
+        except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise ValueError(
                 f"{name}: not a file of principal components, or a damaged one: {error}. "
                 "`shape-obs fit-features` makes such files."

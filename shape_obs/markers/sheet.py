@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import cv2
 import numpy as np
@@ -112,9 +112,10 @@ def write_pages(path: Path, pages: Sequence[Page]) -> None:
     # One bit a pixel: a PDF then holds them without loss.
     first, *others = [Image.fromarray(page).convert("1", dither=Image.Dither.NONE) for page in pages]
     if suffix == ".pdf":
-        write_whole(path, lambda beside: first.save(beside, "PDF", resolution=DPI, save_all=True, append_images=others))
+        options: dict[str, Any] = {"resolution": DPI, "save_all": True, "append_images": others}
+        write_whole(path, lambda temporary: first.save(temporary, "PDF", **options))
     else:
-        write_whole(path, lambda beside: first.save(beside, "PNG", dpi=(DPI, DPI)))
+        write_whole(path, lambda temporary: first.save(temporary, "PNG", dpi=(DPI, DPI)))
 
 
 def _blank(width: float, height: float) -> Page:

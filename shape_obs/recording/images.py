@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import zlib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,6 +11,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.arrays import decode_image, decode_npy
+from shape_obs.files import inside
+from shape_obs.recording.layout import ImageEntry
 from shape_obs.source import BadRecording
 
 # Run-length coding: the fastest that is lossless, and on a camera's images also the smallest.
@@ -19,7 +21,7 @@ _PNG: Final = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMW
 
 
 def store(folder: Path, kind: str, index: int, image: npt.NDArray[Any]) -> dict[str, Any]:
-    """Write an image and tell what a later reader needs.
+    """Write an image and return its entry for ``frames.jsonl``.
 
     Args:
         folder: The recording.
@@ -28,7 +30,7 @@ def store(folder: Path, kind: str, index: int, image: npt.NDArray[Any]) -> dict[
         image: (H,W,3) uint8 RGB; or depth: (H,W) uint16 millimetres as PNG, floating metres as .npy.
 
     Returns:
-        ``file`` in the recording, ``crc32`` of the array's bytes, ``file_crc32`` of the file's.
+        The fields of an ``ImageEntry``.
 
     Raises:
         OSError: The file cannot be written; what was written of it is removed.
@@ -51,28 +53,55 @@ def store(folder: Path, kind: str, index: int, image: npt.NDArray[Any]) -> dict[
     return {"file": name, "crc32": _crc32(image), "file_crc32": zlib.crc32(data)}
 
 
-def restore(folder: Path, kind: str, entry: Mapping[str, Any]) -> npt.NDArray[Any]:
-    """The array that ``store`` was given, to the bit.
+def restore(folder: Path, kind: str, entry: ImageEntry) -> npt.NDArray[Any]:
+    """Read the array that ``store`` was given, to the bit.
+
+    Args:
+        folder: The recording; nothing outside of it is read.
+        kind: ``"rgb"`` or ``"depth"``.
+        entry: The image's entry in ``frames.jsonl``.
 
     Raises:
-        BadRecording: The file is missing or damaged.
+        BadRecording: The file is missing or damaged, lies outside the recording, or holds something else.
     """
-    path = folder / entry["file"]
     try:
+        path = inside(folder, entry.file)
+        if path.exists() and not path.is_file():
+            raise ValueError(f"{path}: expected a file, there is a folder or a device.")
         data = path.read_bytes()
     except OSError as error:
-        raise BadRecording(f"{path}: cannot be read ({error.strerror}), but the recording names it.") from error
+        raise BadRecording(
+            f"{folder / entry.file}: cannot be read ({error.strerror}), but the recording names it."
+        ) from error
+    except ValueError as error:
+        raise BadRecording(f"{folder}: an image is named that is not one of the recording's: {error}") from error
     # Before decoding, since libpng complains to stderr by itself.
-    if zlib.crc32(data) != entry["file_crc32"]:
+    if zlib.crc32(data) != entry.file_crc32:
         raise BadRecording(f"{path}: damaged, its checksum differs from the one noted when it was written.")
-    if path.suffix == ".npy":
-        image = np.load(io.BytesIO(data), allow_pickle=False)
-    else:
-        image = np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED))
-        image = image if kind == "depth" else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
-    if _crc32(image) != entry["crc32"]:
+    try:
+        image = _decoded(data, kind, path)
+    except ValueError as error:
+        raise BadRecording(str(error)) from error
+    if _crc32(image) != entry.crc32:
         raise BadRecording(f"{path}: it decodes to another image than was recorded.")
     return image
+
+
+def _decoded(data: bytes, kind: str, path: Path) -> npt.NDArray[Any]:
+    """Return the image of a file's content; ValueError for anything that is not an image of this kind."""
+    if path.suffix == ".npy":
+        image = decode_npy(data, str(path))
+    else:
+        image = decode_image(data, cv2.IMREAD_UNCHANGED, str(path))
+    if kind == "depth":
+        right = image.ndim == 2 and (image.dtype == np.uint16 or np.issubdtype(image.dtype, np.floating))
+    else:
+        right = image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
+    if not right:
+        raise ValueError(f"{path}: expected a {kind} image, got shape {image.shape} of {image.dtype}.")
+    if path.suffix == ".npy" or kind == "depth":
+        return image
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
 
 
 def _crc32(image: npt.NDArray[Any]) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Final
@@ -11,7 +10,7 @@ import cv2
 import numpy as np
 
 from shape_obs.draw import Image, draw_detection
-from shape_obs.files import make_folder
+from shape_obs.files import begin_file, finish_file, make_folder
 from shape_obs.recording.moment import Moment
 from shape_obs.shape import Detection
 
@@ -24,7 +23,7 @@ _READABLE: Final = 480  # pixels of height; smaller images are enlarged, so that
 
 
 class OverlayVideo:
-    """Writes a video beside its place and renames it when it is whole. A context manager; an error leaves no file.
+    """Write a video whole or not at all. A context manager; an error leaves no file, or the one that was there before.
 
     Args:
         path: ``.mp4`` or ``.avi``.
@@ -40,7 +39,7 @@ class OverlayVideo:
         if self.path.suffix not in _CODECS:
             raise ValueError(f"{self.path}: expected a video named {' or '.join('*' + suffix for suffix in _CODECS)}.")
         make_folder(self.path.parent)
-        self._beside = self.path.with_name(f".{os.getpid()}.{self.path.name}")
+        self._temporary: Path | None = None
         self._fps = fps
         self._early: list[Image] = []
         self._stamps: list[float] = []
@@ -74,7 +73,8 @@ class OverlayVideo:
         if self._writer is not None:
             self._writer.release()
             self._writer = None
-            self._beside.replace(self.path)
+            assert self._temporary is not None
+            finish_file(self._temporary, self.path)
 
     def __enter__(self) -> Self:
         return self
@@ -88,7 +88,8 @@ class OverlayVideo:
         finally:
             if self._writer is not None:
                 self._writer.release()
-            self._beside.unlink(missing_ok=True)
+            if self._temporary is not None:
+                self._temporary.unlink(missing_ok=True)
 
     def _drain(self) -> list[Image]:
         early, self._early = self._early, []
@@ -107,7 +108,8 @@ class OverlayVideo:
         gap = float(np.median(gaps)) if len(gaps) else 0.0
         fps = self._fps or (1 / gap if gap > 1e-3 else 30.0)
         codec = cv2.VideoWriter.fourcc(*_CODECS[self.path.suffix])
-        writer = cv2.VideoWriter(str(self._beside), codec, round(fps, 3), self._size)
+        self._temporary = begin_file(self.path)
+        writer = cv2.VideoWriter(str(self._temporary), codec, round(fps, 3), self._size)
         if not writer.isOpened():
             raise OSError(f"cannot write {self.path}: OpenCV does not encode {_CODECS[self.path.suffix]!r} there.")
         return writer

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from shape_obs.camera import CameraModel
+from shape_obs.documents import parse_json, read_json
 from shape_obs.frame import Frame
 from shape_obs.recording.images import restore
-from shape_obs.recording.layout import CAMERA_FILE, END, FORMAT, FRAMES_FILE, VERSION, camera_from_dict
+from shape_obs.recording.layout import (
+    CAMERA_FILE,
+    END,
+    FORMAT,
+    FRAMES_FILE,
+    VERSION,
+    CameraFile,
+    FrameLine,
+    camera_from_dict,
+    read_known,
+)
 from shape_obs.recording.moment import Moment
 from shape_obs.source import BadRecording
 
@@ -39,13 +49,14 @@ class Recording:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        head = self._read_head()
+        content = self._read_camera_file()
         try:
-            self.camera: CameraModel | None = camera_from_dict(head)
-            self.source: Mapping[str, str] = dict(head["source"])
-            self.has_depth, self.serial = bool(head["depth"]), head["serial"]
+            self.camera: CameraModel | None = camera_from_dict(content)
+            head = read_known(CameraFile, content)
         except (KeyError, ValueError, TypeError) as error:
             raise BadRecording(f"{self.path / CAMERA_FILE}: damaged: {error!r}") from error
+        self.source: Mapping[str, str] = head.source
+        self.has_depth, self.serial = head.depth, head.serial
         self._lines, self.ended, partial = self._read_lines()
         self.warning = ""
         if not self.ended:
@@ -64,23 +75,26 @@ class Recording:
         return len(self._lines)
 
     def __getitem__(self, index: int) -> Moment:
-        """A moment as it was recorded, to the bit.
+        """Read a moment as it was recorded, to the bit.
 
         Raises:
-            BadRecording: One of its files is missing or damaged.
+            BadRecording: Its line is damaged, or one of its files is missing or damaged.
             IndexError: There are not so many.
         """
         line = self._lines[index]
+        rgb = None if line.rgb is None else restore(self.path, "rgb", line.rgb)
+        depth = None if line.depth is None else restore(self.path, "depth", line.depth)
         try:
-            images = {kind: restore(self.path, kind, line[kind]) for kind in ("rgb", "depth") if kind in line}
-            camera = camera_from_dict(line["camera"]) if "camera" in line else self.camera
-            frame = Frame(
-                images.get("rgb"), images.get("depth"), camera, line["stamp"], line["received"], line["number"]
-            )
-            return Moment(frame, line.get("anchors", {}), line["episode"])
+            camera = self.camera if line.camera is None else camera_from_dict(line.camera)
+            return Moment(Frame(rgb, depth, camera, line.stamp, line.received, line.number), line.anchors, line.episode)
         except (KeyError, ValueError, TypeError) as error:
             where = f"{self.path / FRAMES_FILE}, line {range(len(self))[index] + 1}"
             raise BadRecording(f"{where}: damaged: {error!r}") from error
+
+    @property
+    def episodes(self) -> list[int]:
+        """Number of the episode that each frame belongs to."""
+        return [line.episode for line in self._lines]
 
     def check(self) -> Iterator[str]:
         """Check every frame against its checksums: an empty text for each that is whole, else what is wrong with it."""
@@ -93,10 +107,10 @@ class Recording:
             return str(error)
         return ""
 
-    def _read_head(self) -> Mapping[str, Any]:
+    def _read_camera_file(self) -> Mapping[str, Any]:
         path = self.path / CAMERA_FILE
         try:
-            head = json.loads(path.read_text(encoding="utf-8"))
+            head = read_json(path, "recording")
         except FileNotFoundError as error:
             raise BadRecording(f"{path}: missing; a recording has {CAMERA_FILE}, {FRAMES_FILE} and rgb/.") from error
         except (OSError, ValueError) as error:
@@ -107,25 +121,23 @@ class Recording:
             raise BadRecording(f"{path}: expected version {VERSION}, got {head.get('version')!r}: update shape-obs.")
         return head
 
-    def _read_lines(self) -> tuple[list[dict[str, Any]], dict[str, Any], int]:
-        """The frames' lines, the last line if the recording was ended, and how many partial lines there were."""
+    def _read_lines(self) -> tuple[list[FrameLine], dict[str, Any], int]:
+        """Return the frames' lines, the last line if the recording was ended, and how many partial lines there were."""
         path = self.path / FRAMES_FILE
         try:
             *whole, rest = path.read_bytes().split(b"\n")
         except OSError as error:
             raise BadRecording(f"{path}: cannot be read: {error.strerror}.") from error
-        lines: list[dict[str, Any]] = []
+        lines: list[FrameLine] = []
         for i, text in enumerate([*whole, rest] if rest else whole):
             try:
-                line = json.loads(text)
-                if not isinstance(line, dict):
-                    raise ValueError(f"expected an object, got {text[:20]!r}")
+                line = _line(text)
             except ValueError as error:
                 # Cut by a kill, or filled with zeros by a file system that did not get to write it.
                 if i + 1 >= len(whole):
                     return lines, {}, 1
                 raise BadRecording(f"{path}, line {i + 1}: damaged: {error}") from error
-            if END in line:
+            if not isinstance(line, FrameLine):
                 return lines, line, 0
             lines.append(line)
         return lines, {}, 0
@@ -139,3 +151,11 @@ class Recording:
             except BadRecording:
                 self._lines.pop()
         return before - len(self)
+
+
+def _line(text: bytes) -> FrameLine | dict[str, Any]:
+    """Return a frame's line, or the mapping that ends a recording; ValueError for anything else."""
+    line = parse_json(text, "the line")
+    if not isinstance(line, dict):
+        raise ValueError(f"expected an object, got {text[:20]!r}")
+    return line if END in line else read_known(FrameLine, line)

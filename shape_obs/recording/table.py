@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import re
 from collections.abc import Callable, Mapping
@@ -13,10 +14,15 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.files import make_folder, write_whole
+from shape_obs.arrays import decode_npz
+from shape_obs.documents import parse_json, read_json
+from shape_obs.files import make_folder, write_text, write_whole
+from shape_obs.recording.parquet import need_pyarrow, read_parquet, write_parquet
 
 Column = npt.NDArray[Any]
 _METADATA: Final = "metadata"
+_CHECKSUM: Final = "checksum"
+_ALGORITHM: Final = "sha256:"
 _AXES: Final = {"points2d": "uv", "points3d": "xyz"}
 _TYPES: Final[Mapping[str, type[Any]]] = {
     "frame": np.int64,
@@ -59,7 +65,7 @@ class ShapeTable:
 
         Args:
             path: ``.npz``; ``.parquet``, where points are flat lists (``.reshape(-1, N, 2)``) and the metadata stand in
-                the schema's under ``shape_obs``; or ``.csv``, with the metadata beside it in ``.csv.meta.json``.
+                the schema's under ``shape_obs``; or ``.csv``, with the metadata next to it in ``.csv.meta.json``.
 
         Raises:
             ValueError: Another suffix.
@@ -68,14 +74,22 @@ class ShapeTable:
         """
         path = Path(path)
         check_table_path(path)
-        write_whole(path, lambda beside: _FORMATS[path.suffix][0](beside, self))
+        write_whole(path, lambda temporary: _FORMATS[path.suffix][0](temporary, self))
         if path.suffix == ".csv":
-            beside = json.dumps(self.metadata, indent=1) + "\n"
-            write_whole(_sidecar(path), lambda target: _write_text(target, beside))
+            _save_metadata(path, self.metadata)
 
     @classmethod
     def load(cls, path: str | Path) -> ShapeTable:
-        """Read a table that ``save`` wrote; errors as those of ``save``, and ValueError for a file that is none."""
+        """Read a table that ``save`` wrote.
+
+        Its checksums are verified: SHA-256 of the whole file in Parquet, and of CSV with its metadata; CRC-32 of each
+        column in NPZ. Files of other programs and of early versions have none, and are read as they are.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: It is damaged, or not a table of shapes.
+            ImportError: Parquet without the extra ``parquet``.
+        """
         path = Path(path)
         if not path.exists():
             raise FileNotFoundError(f"{path}: no such file.")
@@ -84,8 +98,8 @@ class ShapeTable:
             table = _FORMATS[path.suffix][1](path)
             if "frame" not in table.columns:
                 raise ValueError("it has no column 'frame'")
-        except (KeyError, ValueError, IndexError) as error:
-            raise ValueError(f"{path}: not a table of shapes: {error}") from error
+        except (KeyError, ValueError, IndexError, TypeError, OverflowError, csv.Error) as error:
+            raise ValueError(f"{path}: not a table of shapes, or a damaged one: {error}") from error
         return table
 
 
@@ -100,7 +114,7 @@ def check_table_path(path: Path) -> None:
     if path.suffix not in _FORMATS:
         raise ValueError(f"{path}: expected a file named {', '.join('*' + suffix for suffix in _FORMATS)}.")
     if path.suffix == ".parquet":
-        _pyarrow()
+        need_pyarrow()
     make_folder(path.parent)
 
 
@@ -114,52 +128,26 @@ def _save_npz(path: Path, table: ShapeTable) -> None:
 
 
 def _load_npz(path: Path) -> ShapeTable:
-    with np.load(path, allow_pickle=False) as content:
-        metadata = json.loads(str(content[_METADATA]))
-        return ShapeTable({name: content[name] for name in content.files if name != _METADATA}, metadata)
+    columns = decode_npz(path.read_bytes(), "content")
+    return ShapeTable(columns, parse_json(str(columns.pop(_METADATA)), _METADATA))
 
 
 # ---- Parquet
 
 
-def _pyarrow() -> tuple[Any, Any]:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise ImportError(f"Parquet needs pyarrow: pip install 'shape-obs[parquet]' ({error})") from error
-    return pyarrow, pyarrow.parquet
-
-
 def _save_parquet(path: Path, table: ShapeTable) -> None:
-    arrow, parquet = _pyarrow()
-    arrays = {}
-    for name, column in table.columns.items():
-        flat = arrow.array(np.ascontiguousarray(column).ravel())
-        width = int(np.prod(column.shape[1:]))
-        arrays[name] = flat if column.ndim == 1 else arrow.FixedSizeListArray.from_arrays(flat, width)
-    content = arrow.table(arrays).replace_schema_metadata({"shape_obs": json.dumps(table.metadata)})
-    parquet.write_table(content, path)
+    write_parquet(path, table.columns, table.metadata)
 
 
 def _load_parquet(path: Path) -> ShapeTable:
-    arrow, parquet = _pyarrow()
-    try:
-        content = parquet.read_table(path)
-    except arrow.ArrowException as error:
-        raise ValueError(str(error)) from error
-    columns = {}
-    for name in content.column_names:
-        column = content[name].combine_chunks()
+    columns, metadata = read_parquet(path)
+    for name, column in columns.items():
         kind = name.split("/")[-1]
-        if arrow.types.is_fixed_size_list(column.type):
-            flat = column.flatten().to_numpy(zero_copy_only=False)
-            axes = len(_AXES.get(kind, " "))
-            shape = (len(content), column.type.list_size // axes, axes)
-            columns[name] = flat.reshape(shape if kind in _AXES else shape[:2])
-        else:
-            columns[name] = column.to_numpy(zero_copy_only=False).astype(_TYPES.get(kind, np.float64))
-    return ShapeTable(columns, json.loads((content.schema.metadata or {})[b"shape_obs"]))
+        if column.ndim == 1:
+            columns[name] = column.astype(_TYPES.get(kind, np.float64))
+        elif kind in _AXES:
+            columns[name] = column.reshape(len(column), -1, len(_AXES[kind]))
+    return ShapeTable(columns, metadata)
 
 
 # ---- CSV
@@ -185,6 +173,7 @@ def _save_csv(path: Path, table: ShapeTable) -> None:
 
 
 def _load_csv(path: Path) -> ShapeTable:
+    metadata = _checked_metadata(path)
     with path.open(newline="", encoding="utf-8") as file:
         heads, *rows = csv.reader(file)
     parts: dict[str, list[list[str]]] = {}
@@ -199,16 +188,44 @@ def _load_csv(path: Path) -> ShapeTable:
         if kind in _AXES:
             column = column.reshape(len(rows), -1, len(_AXES[kind]))
         columns[name] = column if kind in (*_AXES, "visible", "valid") else column[:, 0]
+    return ShapeTable(columns, metadata)
+
+
+def _save_metadata(path: Path, metadata: Mapping[str, Any]) -> None:
+    """Write the metadata of a CSV file next to it, with the checksum of both."""
+    content = {**metadata, _CHECKSUM: _checksum(path, metadata)}
+    write_text(_sidecar(path), json.dumps(content, indent=1) + "\n")
+
+
+def _checked_metadata(path: Path) -> dict[str, Any]:
+    """Return the metadata of a CSV file; empty where there are none, as with files that other programs wrote."""
     sidecar = _sidecar(path)
-    return ShapeTable(columns, json.loads(sidecar.read_text(encoding="utf-8")) if sidecar.exists() else {})
+    if not sidecar.exists():
+        return {}
+    metadata = read_json(sidecar, "metadata")
+    if not isinstance(metadata, dict):
+        raise ValueError(f"{sidecar}: expected a mapping, got {type(metadata).__name__}")
+    # Its key may be what is damaged: it was written last, and its value tells what it is.
+    key = _CHECKSUM if _CHECKSUM in metadata else next(reversed(metadata), "")
+    if key != _CHECKSUM and not str(metadata.get(key)).startswith(_ALGORITHM):
+        return metadata
+    noted = metadata.pop(key)
+    if key != _CHECKSUM or noted != _checksum(path, metadata):
+        raise ValueError(
+            f"it differs from the checksum in {sidecar.name}, so one of the two is damaged; if you changed the table "
+            f"on purpose, remove {_CHECKSUM!r} there"
+        )
+    return metadata
+
+
+def _checksum(path: Path, metadata: Mapping[str, Any]) -> str:
+    digest = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
+    digest.update(path.read_bytes())
+    return _ALGORITHM + digest.hexdigest()
 
 
 def _sidecar(path: Path) -> Path:
     return path.with_name(path.name + ".meta.json")
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
 
 
 _Format = tuple[Callable[[Path, ShapeTable], None], Callable[[Path], ShapeTable]]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from shape_obs import __version__
 from shape_obs.camera import CameraModel
 from shape_obs.extrinsics import now
-from shape_obs.files import make_folder, write_whole
+from shape_obs.files import make_folder, write_text
 from shape_obs.recording.images import store
 from shape_obs.recording.layout import CAMERA_FILE, END, FORMAT, FRAMES_FILE, VERSION, camera_to_dict
 from shape_obs.recording.moment import Moment
@@ -60,8 +60,7 @@ class RecordingWriter:
         self._depth = depth
         self._camera = source.camera
         self._count = 0
-        head = json.dumps(_head(source, depth), indent=1)
-        write_whole(self.path / CAMERA_FILE, lambda beside: _write(beside, head))
+        write_text(self.path / CAMERA_FILE, json.dumps(_head(source, depth), indent=1) + "\n")
         self._lines = (self.path / FRAMES_FILE).open("xb", buffering=0)
         self._error: BaseException | None = None
         self._waiting: deque[Future[dict[str, Any]]] = deque()
@@ -201,7 +200,3 @@ def _head(source: RGBDSource, depth: bool) -> dict[str, Any]:
         "created": now(),
         "software": software(),
     }
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text + "\n", encoding="utf-8")

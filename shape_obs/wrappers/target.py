@@ -15,8 +15,9 @@ import yaml
 from shape_obs.camera import CameraModel
 from shape_obs.config import VERSION
 from shape_obs.configurations import Configuration
+from shape_obs.documents import read_yaml
 from shape_obs.features import View
-from shape_obs.files import read_yaml, write_whole
+from shape_obs.files import write_text
 from shape_obs.shape import Shape
 from shape_obs.spec import Spec, SpecError
 from shape_obs.topology import Grid
@@ -153,8 +154,7 @@ class Target(Spec):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a YAML file, whole or not at all."""
-        text = yaml.safe_dump({"version": VERSION, "goal": self.to_dict()}, sort_keys=False)
-        write_whole(Path(path), lambda beside: beside.write_text(text, encoding="utf-8"))
+        write_text(Path(path), yaml.safe_dump({"version": VERSION, "goal": self.to_dict()}, sort_keys=False))
 
     def shape_for(self, spec: Configuration, view: View) -> Shape:
         """The target as the shape that the detector would report of it.

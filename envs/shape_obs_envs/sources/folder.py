@@ -12,9 +12,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from shape_obs.arrays import read_image
 from shape_obs.camera import CameraModel
 from shape_obs.extrinsics import Extrinsics
-from shape_obs.files import read_image
 from shape_obs.frame import Frame
 from shape_obs.recording import Recording
 from shape_obs.recording.layout import CAMERA_FILE, FRAMES_FILE

@@ -15,11 +15,12 @@ from tqdm import tqdm
 from shape_obs.cli.files import make_folder
 from shape_obs.evaluation.machine import machine
 from shape_obs.evaluation.table.figures import draw, need_matplotlib
-from shape_obs.evaluation.table.parts import as_csv, write_whole
+from shape_obs.evaluation.table.parts import as_csv
 from shape_obs.evaluation.table.run import Plan, run
 from shape_obs.evaluation.table.summary import every_row, rankings, results, tracings
 from shape_obs.evaluation.table.text import as_values, markdown
 from shape_obs.evaluation.turns import Clock
+from shape_obs.files import write_text
 
 _LEAST: Final = 10  # frames: two chunks, or there is no interval
 Only = Literal[
@@ -81,9 +82,9 @@ def main(argv: Sequence[str]) -> int:
     found, ranked, traces = results(parts, whole), rankings(parts, whole), tracings(parts, whole)
     page = markdown(whole, machine(), found, ranked, traces)
     values = json.dumps(as_values(whole, machine(), found, ranked, traces), indent=2)
-    write_whole(folder / "table.md", page)
-    write_whole(folder / "table.json", values + "\n")
-    write_whole(folder / "frames.csv", as_csv(every_row(parts, whole)))
+    write_text(folder / "table.md", page)
+    write_text(folder / "table.json", values + "\n")
+    write_text(folder / "frames.csv", as_csv(every_row(parts, whole)))
     if args.figures and found:
         draw(plan, found, folder)
     print(values if args.json else page)

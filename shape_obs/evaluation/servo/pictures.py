@@ -45,7 +45,7 @@ def draw(found: Found, folder: Path) -> list[Path]:
         return []
     paths = [folder / name for name in PICTURES]
     for sheet, path in zip((_curves(whole), _overlays(whole)), paths, strict=True):
-        write_whole(path, lambda beside, sheet=sheet: sheet.savefig(beside, dpi=_DPI))
+        write_whole(path, lambda temporary, sheet=sheet: sheet.savefig(temporary, dpi=_DPI))
     return paths
 
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from shape_obs.evaluation.servo.study import Found
 from shape_obs.evaluation.servo.summary import episode_rows, paired_rows, summary_rows
-from shape_obs.files import write_whole
+from shape_obs.files import write_text
 
 Row = Mapping[str, Any]
 
@@ -20,14 +20,14 @@ _IF_ANY: Final = ("failed", "invalid")
 def write_tables(found: Found, folder: Path) -> None:
     """Write ``episodes.csv``, ``summary.csv`` and ``table.md``, and ``paired.csv`` where there are pairs."""
     rows, pairs = summary_rows(found), paired_rows(found)
-    _write(folder / "episodes.csv", as_csv(episode_rows(found)))
-    _write(folder / "summary.csv", as_csv(rows))
+    write_text(folder / "episodes.csv", as_csv(episode_rows(found)))
+    write_text(folder / "summary.csv", as_csv(rows))
     if pairs:
-        _write(folder / "paired.csv", as_csv(pairs))
+        write_text(folder / "paired.csv", as_csv(pairs))
     page = "# Shape servoing\n\n" + as_markdown(lean(rows))
     if pairs:
         page += "\n\n## The camera beside the true points\n\n" + as_markdown(lean(pairs))
-    _write(folder / "table.md", page + "\n")
+    write_text(folder / "table.md", page + "\n")
 
 
 def lean(rows: Sequence[Row]) -> list[dict[str, Any]]:
@@ -63,7 +63,3 @@ def _cell(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.3g}" if abs(value) < 10 else f"{value:.0f}"
     return str(value)
-
-
-def _write(path: Path, text: str) -> None:
-    write_whole(path, lambda beside: beside.write_text(text, encoding="utf-8"))

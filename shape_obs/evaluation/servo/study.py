@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from shape_obs import __version__
+from shape_obs.documents import read_json
 from shape_obs.evaluation.servo.episode import STEPS, Episode, episodes
 from shape_obs.evaluation.servo.settings import Setting
-from shape_obs.files import make_folder, write_whole
+from shape_obs.files import make_folder, write_text
 
 Found = Mapping[Setting, Sequence[Episode]]
 
@@ -88,14 +89,18 @@ def _read(folder: Path, setting: Setting, steps: int) -> dict[int, Episode]:
     path = _path(folder, setting)
     if not path.exists():
         return {}
-    document = json.loads(path.read_text(encoding="utf-8"))
-    for name, now in _made_with(setting, steps).items():
-        if document["made_with"].get(name) != now:
-            raise ValueError(
-                f"{path} holds episodes with {name} = {document['made_with'].get(name)}, this run has {now}: choose "
-                "another folder, or leave out --resume to write them anew."
-            )
-    found = [Episode.from_dict(values) for values in document["episodes"]]
+    document = read_json(path, "episodes")
+    try:
+        before, kept = dict(document["made_with"]), list(document["episodes"])
+        for name, now in _made_with(setting, steps).items():
+            if before.get(name) != now:
+                raise ValueError(
+                    f"{path} holds episodes with {name} = {before.get(name)}, this run has {now}: choose "
+                    "another folder, or leave out --resume to write them anew."
+                )
+        found = [Episode.from_dict(values) for values in kept]
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path}: not the episodes of a study ({error!r}): remove it to play them again.") from error
     return {episode.seed: episode for episode in found if not episode.failure}
 
 
@@ -104,8 +109,7 @@ def _write(folder: Path, setting: Setting, steps: int, done: Mapping[int, Episod
         "made_with": _made_with(setting, steps),
         "episodes": [done[seed].to_dict() for seed in sorted(done)],
     }
-    text = json.dumps(document, separators=(",", ":")) + "\n"
-    write_whole(_path(folder, setting), lambda beside: beside.write_text(text, encoding="utf-8"))
+    write_text(_path(folder, setting), json.dumps(document, separators=(",", ":")) + "\n")
 
 
 def _made_with(setting: Setting, steps: int) -> dict[str, Any]:

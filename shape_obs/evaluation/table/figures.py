@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,6 +14,7 @@ from shape_obs.evaluation.table.frames import CONFIGURATIONS, Name, Scene, scene
 from shape_obs.evaluation.table.methods import METHODS, Method, Row, Runner, clustered_pixels
 from shape_obs.evaluation.table.run import Plan
 from shape_obs.evaluation.table.summary import LABELS, MEASURES, PAPER, Result
+from shape_obs.files import write_whole
 from shape_obs.metrics import nearest
 
 Array = npt.NDArray[np.float64]
@@ -47,10 +49,8 @@ def draw(plan: Plan, found: Sequence[Result], folder: Path) -> list[Path]:
     sheets = (_side_by_side(plan), _bars(found))
     paths = [folder / name for name in PICTURES]
     for sheet, path in zip(sheets, paths, strict=True):
-        beside = path.with_name(f".{path.name}")
         quality: dict[str, Any] = {"pil_kwargs": {"quality": 84, "optimize": True}} if path.suffix == ".jpg" else {}
-        sheet.savefig(beside, dpi=_DPI, format=path.suffix[1:], **quality)
-        beside.replace(path)
+        write_whole(path, partial(sheet.savefig, dpi=_DPI, **quality))
     return paths
 
 

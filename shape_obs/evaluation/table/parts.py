@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, TypeVar, cast
+
+from shape_obs.documents import read_json
+from shape_obs.files import write_text
 
 T = TypeVar("T")
 
@@ -28,7 +30,11 @@ class Parts:
     def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
         self._folder, note = folder / "parts", folder / "settings.json"
         if note.exists():
-            before = json.loads(note.read_text(encoding="utf-8"))
+            before = read_json(note, "settings")
+            if not isinstance(before, dict):
+                raise ValueError(
+                    f"{note}: expected the settings of a run, got {type(before).__name__}: remove {folder}."
+                )
             for name in [*settings, *before]:
                 old, new = before.get(name), settings.get(name)
                 if old != new:
@@ -37,7 +43,7 @@ class Parts:
                         "remove that one."
                     )
         self._folder.mkdir(parents=True, exist_ok=True)
-        write_whole(note, json.dumps(dict(settings), indent=2) + "\n")
+        write_text(note, json.dumps(dict(settings), indent=2) + "\n")
 
     def has(self, configuration: str, method: str, chunk: int) -> bool:
         """Whether a chunk is done."""
@@ -51,15 +57,28 @@ class Parts:
         """Write a chunk's rows, instances of a dataclass, whole or not at all."""
         path = self._path(configuration, method, chunk)
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, as_csv([asdict(row) for row in rows]))
+        write_text(path, as_csv([asdict(row) for row in rows]))
 
     def read(self, configuration: str, method: str, chunk: int, kind: type[T]) -> list[T]:
-        """The rows of a chunk that is done."""
-        types = {field.name: field.type for field in fields(cast(Any, kind))}
-        with self._path(configuration, method, chunk).open(newline="", encoding="utf-8") as file:
-            return [
-                kind(**{name: _parsed(text, types[name]) for name, text in row.items()}) for row in csv.DictReader(file)
-            ]
+        """Return the rows of a chunk that is done.
+
+        Raises:
+            ValueError: Its file is damaged.
+        """
+        types, path = (
+            {field.name: field.type for field in fields(cast(Any, kind))},
+            self._path(configuration, method, chunk),
+        )
+        try:
+            with path.open(newline="", encoding="utf-8") as file:
+                return [
+                    kind(**{name: _parsed(text, types[name]) for name, text in row.items()})
+                    for row in csv.DictReader(file)
+                ]
+        except (KeyError, TypeError, ValueError, csv.Error) as error:
+            raise ValueError(
+                f"{path}: not the rows of a chunk ({error!r}): remove it to measure them again."
+            ) from error
 
     def _path(self, configuration: str, method: str, chunk: int) -> Path:
         return self._folder / configuration / method / f"{chunk:04d}.csv"
@@ -72,16 +91,6 @@ def as_csv(rows: list[dict[str, Any]]) -> str:
         ",".join(str(int(value)) if isinstance(value, bool) else str(value) for value in row.values()) for row in rows
     ]
     return "\n".join(lines) + "\n"
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write beside, then rename."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def _parsed(text: str, annotation: Any) -> Any:

@@ -1,0 +1,146 @@
+"""Read images and arrays: sizes are checked before memory is taken, and damaged files give one declared error."""
+
+from __future__ import annotations
+
+import io
+import struct
+import tokenize
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+#: Bytes of all arrays in a .npz file.
+MOST_BYTES: Final = 4 << 30
+#: Pixels of a PNG image; 8192 x 8192. OpenCV itself refuses other images from 2^30 pixels on.
+MOST_PIXELS: Final = 1 << 26
+
+_COUNT_AT: Final = -12  # of the number of entries, from the end of a ZIP file without a comment
+_PNG: Final = b"\x89PNG\r\n\x1a\n"
+_PNG_SIZE: Final = struct.Struct(">II")  # width and height, the first fields of the first chunk
+_PNG_SIZE_AT: Final = len(_PNG) + 8  # behind the chunk's length and name
+
+# What NumPy's reader raises for a damaged header or archive, besides ``ValueError``.
+_DAMAGED: Final = (
+    ValueError, TypeError, KeyError, IndexError, SyntaxError, EOFError, OSError, OverflowError, MemoryError,
+    RecursionError, NotImplementedError, RuntimeError, struct.error, tokenize.TokenError, zipfile.BadZipFile,
+    zlib.error,
+)  # fmt: skip
+
+
+def read_image(path: Path) -> npt.NDArray[np.uint8]:
+    """Read an image file as (H,W,3) uint8 RGB.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is not an image, or a damaged or too large one.
+    """
+    picture = decode_image(_content(path), cv2.IMREAD_COLOR, str(path))
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def read_depth(path: Path) -> npt.NDArray[Any]:
+    """Read a depth file: a 16-bit single-channel image in millimetres, or a .npy of uint16 millimetres or float metres.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It holds something else, or is damaged.
+    """
+    data = _content(path)
+    npy = path.suffix == ".npy"
+    depth = decode_npy(data, str(path)) if npy else decode_image(data, cv2.IMREAD_UNCHANGED, str(path))
+    if depth.ndim != 2 or not (depth.dtype == np.uint16 or np.issubdtype(depth.dtype, np.floating)):
+        raise ValueError(
+            f"{path}: expected depth of shape (H, W) as uint16 millimetres or float metres, "
+            f"got shape {depth.shape} of {depth.dtype}."
+        )
+    return depth
+
+
+def decode_image(data: bytes, mode: int, where: str) -> npt.NDArray[Any]:
+    """Decode an image.
+
+    Args:
+        data: The file's content.
+        mode: How, one of OpenCV's ``IMREAD_`` flags; colours come as BGR.
+        where: The file's name, for messages.
+
+    Raises:
+        ValueError: It is not an image, or a damaged or too large one.
+    """
+    # A few bytes of PNG can unpack to gigabytes.
+    if data.startswith(_PNG) and len(data) >= _PNG_SIZE_AT + _PNG_SIZE.size:
+        width, height = _PNG_SIZE.unpack_from(data, _PNG_SIZE_AT)
+        if width * height > MOST_PIXELS:
+            raise ValueError(f"{where}: expected an image of at most {MOST_PIXELS} pixels, got {width} x {height}.")
+    try:
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), mode) if data else None
+    except cv2.error as error:
+        raise ValueError(f"{where}: not an image that can be read: {error.err or error}") from error
+    if picture is None:
+        raise ValueError(f"{where}: not an image that can be read; it may be damaged.")
+    return np.asarray(picture)
+
+
+def decode_npy(data: bytes, where: str) -> npt.NDArray[Any]:
+    """Decode the content of a .npy file.
+
+    Args:
+        data: The file's content.
+        where: The file's name, for messages.
+
+    Raises:
+        ValueError: It is not a .npy file, a damaged one, or one of Python objects.
+    """
+    stream = io.BytesIO(data)
+    try:
+        version = np.lib.format.read_magic(stream)
+        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read_header(stream)
+        # NumPy takes the memory that the header asks for before it reads any of it.
+        wanted, left = dtype.itemsize * int(np.prod(shape, dtype=object)), len(data) - stream.tell()
+        if wanted != left or min(shape, default=0) < 0:
+            raise ValueError(f"its header speaks of {wanted} bytes, {left} follow")
+        return np.load(io.BytesIO(data), allow_pickle=False)
+    except _DAMAGED as error:
+        raise ValueError(f"{where}: not a NumPy array file, or a damaged one: {error}") from error
+
+
+def decode_npz(data: bytes, where: str) -> dict[str, npt.NDArray[Any]]:
+    """Decode the content of a .npz file: all its arrays by name, each checked against its checksum.
+
+    Args:
+        data: The file's content.
+        where: The file's name, for messages.
+
+    Raises:
+        ValueError: It is not a .npz file, a damaged one, or one with Python objects.
+    """
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if sum(entry.file_size for entry in archive.infolist()) > MOST_BYTES:
+                raise ValueError(f"expected at most {MOST_BYTES} bytes when unpacked")
+            # ``zipfile`` does not compare them: a damaged length in the list of entries hides those that follow.
+            wanted = int.from_bytes(data[_COUNT_AT - len(archive.comment) :][:2], "little")
+            if wanted != len(archive.namelist()) & 0xFFFF:
+                raise ValueError(f"expected {wanted} entries, found {len(archive.namelist())}")
+            for name in archive.namelist():
+                if not name.endswith(".npy") or name[:-4] in arrays:
+                    raise ValueError(f"unexpected entry {name!r}")
+                arrays[name[:-4]] = decode_npy(archive.read(name), name)
+    except _DAMAGED as error:
+        raise ValueError(f"{where}: not a file of NumPy arrays, or a damaged one: {error}") from error
+    return arrays
+
+
+def _content(path: Path) -> bytes:
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    if not path.is_file():
+        raise ValueError(f"{path}: expected a file, got a folder")
+    return path.read_bytes()

@@ -1,0 +1,113 @@
+"""Parquet files of tables, with two checksums: of each page, and of the whole file.
+
+Page checksums (CRC-32) belong to the format: other programs can verify them, DuckDB and pyarrow among them. They do
+not cover the footer, which holds the schema, the places of the columns and the metadata. A file therefore also
+carries the SHA-256 of all its bytes in the footer's metadata, and its length: where another program writes a new file
+and copies the metadata, the length differs, and the text is not taken for a checksum of that file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.documents import parse_json
+
+#: Key of the table's metadata, a JSON text, in the metadata of the schema.
+METADATA: Final = b"shape_obs"
+_CHECKSUM: Final = "shape_obs.checksum"
+_DIGITS: Final = 64
+_BLANK: Final = f"{0:016d} bytes, sha256 {'0' * _DIGITS}"
+_STAMP: Final = re.compile(rb"(\d{16}) bytes, sha256 ([0-9a-f]{64})")
+
+Column = npt.NDArray[Any]
+
+
+def write_parquet(path: Path, columns: Mapping[str, Column], metadata: Mapping[str, Any]) -> None:
+    """Write a table with its checksums; columns of more than one axis become flat lists.
+
+    Raises:
+        ImportError: There is no pyarrow.
+        OSError: The file cannot be written.
+    """
+    arrow, parquet = need_pyarrow()
+    arrays = {}
+    for name, column in columns.items():
+        flat = arrow.array(np.ascontiguousarray(column).ravel())
+        width = int(np.prod(column.shape[1:]))
+        arrays[name] = flat if column.ndim == 1 else arrow.FixedSizeListArray.from_arrays(flat, width)
+    content = arrow.table(arrays).replace_schema_metadata({METADATA: json.dumps(metadata)})
+    with parquet.ParquetWriter(path, content.schema, write_page_checksum=True) as writer:
+        writer.write_table(content)
+        writer.add_key_value_metadata({_CHECKSUM: _BLANK})
+    data = path.read_bytes()
+    at = data.rindex(_BLANK.encode())
+    sized = _stamped(data, at, f"{len(data):016d} bytes, sha256 {'0' * _DIGITS}")
+    path.write_bytes(_stamped(data, at, f"{len(data):016d} bytes, sha256 {hashlib.sha256(sized).hexdigest()}"))
+
+
+def read_parquet(path: Path) -> tuple[dict[str, Column], dict[str, Any]]:
+    """Read a file that ``write_parquet`` wrote, after checking it.
+
+    Returns:
+        Its columns, flat lists as (F,W) arrays; and its metadata.
+
+    Raises:
+        ImportError: There is no pyarrow.
+        OSError: The file cannot be read.
+        ValueError: It is damaged, or not such a file.
+    """
+    arrow, parquet = need_pyarrow()
+    data = _checked(path)
+    try:
+        content = parquet.read_table(arrow.BufferReader(data), page_checksum_verification=True)
+        metadata = parse_json((content.schema.metadata or {})[METADATA], "metadata")
+        columns = {name: _as_array(content[name].combine_chunks()) for name in content.column_names}
+    except (arrow.ArrowException, OSError) as error:
+        raise ValueError(str(error)) from error
+    if not isinstance(metadata, dict):
+        raise ValueError(f"its metadata are not a mapping but {type(metadata).__name__}")
+    return columns, metadata
+
+
+def need_pyarrow() -> tuple[Any, Any]:
+    """Return the modules ``pyarrow`` and ``pyarrow.parquet``.
+
+    Raises:
+        ImportError: The extra ``parquet`` is missing.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise ImportError(f"Parquet needs pyarrow: pip install 'shape-obs[parquet]' ({error})") from error
+    return pyarrow, pyarrow.parquet
+
+
+def _checked(path: Path) -> bytes:
+    """Return a file's content; ValueError where it differs from its checksum. Files of early versions have none."""
+    data = path.read_bytes()
+    *_, stamp = None, *_STAMP.finditer(data)
+    if stamp is None or int(stamp[1]) != len(data):
+        return data
+    blank = _stamped(data, stamp.start(2), "0" * _DIGITS)
+    if hashlib.sha256(blank).hexdigest().encode() != stamp[2]:
+        raise ValueError("damaged, its checksum differs from the one noted when it was written")
+    return data
+
+
+def _stamped(data: bytes, at: int, text: str) -> bytes:
+    return data[:at] + text.encode() + data[at + len(text) :]
+
+
+def _as_array(column: Any) -> Column:
+    if not hasattr(column.type, "list_size"):
+        return column.to_numpy(zero_copy_only=False)
+    return column.flatten().to_numpy(zero_copy_only=False).reshape(len(column), column.type.list_size)

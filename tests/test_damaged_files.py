@@ -1,0 +1,259 @@
+"""Tables and recordings that were damaged or forged: a declared error, never other values or files from outside."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from shape_obs.ablation import Study, load_study
+from shape_obs.ablation.finished import finished
+from shape_obs.ablation.folder import RunFolder
+from shape_obs.ablation.run import Row
+from shape_obs.ablation.score import Score
+from shape_obs.ablation.scores_file import SCORES, scores_csv
+from shape_obs.ablation.work import Outcome, Task
+from shape_obs.cli import main
+from shape_obs.config import save_config
+from shape_obs.evaluation.robustness.recordings import damaged_recordings, record_some
+from shape_obs.evaluation.robustness.tables import a_table, flipped_tables, same
+from shape_obs.recording import Recording, ShapeTable
+from shape_obs.source import BadRecording
+
+# ---- tables
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".npz", ".csv"])
+def test_no_flipped_bit_loads_as_other_values(tmp_path, suffix):
+    if suffix == ".parquet":
+        pytest.importorskip("pyarrow")
+    rows = flipped_tables(tmp_path, 100, seed=5, suffixes=(suffix,))
+    assert [row["seen"] for row in rows] == [0, 0]
+
+
+def test_parquet_pages_have_checksums_that_other_programs_verify(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    path = tmp_path / "t.parquet"
+    a_table().save(path)
+    data = bytearray(path.read_bytes())
+    assert parquet.read_table(path, page_checksum_verification=True).num_rows == 12
+    data[200] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(OSError, match="CRC checksum verification failed"):
+        parquet.read_table(path, page_checksum_verification=True)
+    with pytest.raises(ValueError, match=r"t\.parquet: not a table of shapes, or a damaged one: damaged, its checksum"):
+        ShapeTable.load(path)
+
+
+def test_files_of_other_programs_and_early_versions_are_read(tmp_path):
+    """Without a checksum; and with one that was copied together with the metadata of the file that it belongs to."""
+    parquet = pytest.importorskip("pyarrow.parquet")
+    a_table().save(tmp_path / "t.parquet")
+    content = parquet.read_table(tmp_path / "t.parquet")
+    parquet.write_table(content, tmp_path / "copied.parquet", compression="gzip")
+    early = content.replace_schema_metadata({"shape_obs": content.schema.metadata[b"shape_obs"]})
+    parquet.write_table(early, tmp_path / "early.parquet")
+    a_table().save(tmp_path / "t.csv")
+    note = tmp_path / "t.csv.meta.json"
+    metadata = json.loads(note.read_text())
+    assert metadata.pop("checksum").startswith("sha256:")
+    note.write_text(json.dumps(metadata))
+    for name in ("copied.parquet", "early.parquet", "t.csv"):
+        assert same(ShapeTable.load(tmp_path / name), a_table()), name
+
+
+def test_a_csv_file_that_was_changed_on_purpose(tmp_path):
+    a_table().save(tmp_path / "t.csv")
+    text = (tmp_path / "t.csv").read_text()
+    (tmp_path / "t.csv").write_text(text.replace("recordings/a", "recordings/b"))
+    with pytest.raises(ValueError, match=r"differs from the checksum in t\.csv\.meta\.json.* remove 'checksum' there"):
+        ShapeTable.load(tmp_path / "t.csv")
+
+
+def test_extract_verifies_what_it_keeps(tmp_path, capsys):
+    """A flipped bit in a part: it is done again, and comes out as it was."""
+    pytest.importorskip("pyarrow")
+    for name in ("a", "b"):
+        record_some(tmp_path / "recorded" / name)
+    config = {"shapes": [{"kind": "contour", "n": 8}], "segmentation": {"kind": "gray", "low": 1}, "backend": "numpy"}
+    save_config(tmp_path / "c.yaml", config)
+
+    def extract() -> dict[str, Any]:
+        with pytest.raises(SystemExit) as stop:
+            main(
+                [
+                    "extract",
+                    str(tmp_path / "recorded"),
+                    "--config",
+                    str(tmp_path / "c.yaml"),
+                    "-o",
+                    str(tmp_path / "out"),
+                    "--json",
+                ]
+            )
+        assert stop.value.code == 0
+        return json.loads(capsys.readouterr().out)
+
+    assert extract()["done"] == 2
+    assert extract()["kept"] == 2
+    part = min((tmp_path / "out").glob("part-a-*.parquet"))
+    whole = part.read_bytes()
+    for at in (100, len(whole) // 2, len(whole) - 300):
+        part.write_bytes(whole[:at] + bytes([whole[at] ^ 4]) + whole[at + 1 :])
+        told = extract()
+        assert (told["done"], told["kept"]) == (1, 1), at
+        assert part.read_bytes() == whole
+
+
+def test_the_scores_of_a_finished_run_are_verified(tmp_path):
+    study = load_study_of({"arms": {"truth": {"observation": "truth"}}}, tmp_path)
+    rows = [Row(60, "", Score("near", seed, 50.25, 20.125, False, 1.0)) for seed in range(3)]
+    run = RunFolder(tmp_path, "truth", 0)
+    run.begin()
+    about = {"ms_per_step": 1.0, "versions": {}}
+    run.keep(Outcome(Task(study, "truth", 0, run.path), {SCORES: scores_csv(rows).encode()}, about))
+    assert finished(study, tmp_path)[0].rows == tuple(rows)
+    whole = (run.path / SCORES).read_text()
+    for damaged in (whole.replace("50.25", "10.25"), whole[: whole.rindex("60,")]):
+        (run.path / SCORES).write_text(damaged)
+        with pytest.raises(ValueError, match=r"scores\.csv: damaged, its checksum differs from the one in run\.json"):
+            finished(study, tmp_path)
+
+
+def load_study_of(content: dict[str, Any], folder: Path) -> Study:
+    (folder / "study.yaml").write_text(json.dumps({"version": 1, **content}))
+    return load_study(folder / "study.yaml")
+
+
+# ---- recordings
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole") / "recording"
+    record_some(folder)
+    assert not any(Recording(folder).check())
+    return folder
+
+
+@pytest.fixture
+def folder(whole, tmp_path):
+    """A copy of a recording, to be damaged."""
+    return Path(shutil.copytree(whole, tmp_path / "recording"))
+
+
+def change(folder: Path, line: int, **changes: Any) -> None:
+    """Change fields of a line of ``frames.jsonl``."""
+    path = folder / "frames.jsonl"
+    lines = path.read_text().splitlines()
+    lines[line] = json.dumps({**json.loads(lines[line]), **changes})
+    path.write_text("\n".join(lines) + "\n")
+
+
+def entry(folder: Path, line: int, kind: str = "rgb") -> dict[str, Any]:
+    return json.loads((folder / "frames.jsonl").read_text().splitlines()[line])[kind]
+
+
+def replace(folder: Path, line: int, kind: str, data: bytes) -> None:
+    """Replace an image's file, with the right checksum of the file."""
+    found = entry(folder, line, kind)
+    (folder / found["file"]).write_bytes(data)
+    change(folder, line, **{kind: {**found, "file_crc32": zlib.crc32(data)}})
+
+
+def read(folder: Path) -> None:
+    recording = Recording(folder)
+    for i in range(len(recording)):
+        _ = recording[i]
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret.png", "/secret.png", "rgb/../../secret.png", "rgb/link.png", "link/secret.png"]
+)
+def test_images_outside_of_the_recording_are_not_read(folder, tmp_path, name):
+    """The image outside is a right one, with right checksums."""
+    secret = tmp_path / "secret.png"
+    shutil.copy(folder / "rgb" / "000000.png", secret)
+    (folder / "rgb" / "link.png").symlink_to(secret)
+    (folder / "link").symlink_to(tmp_path)
+    file = str(secret) if name.startswith("/") else name
+    change(folder, 1, rgb={**entry(folder, 0), "file": file})
+    with pytest.raises(BadRecording, match=r"expected a path inside|outside of"):
+        read(folder)
+
+
+def test_a_pipe_in_a_recording_is_not_waited_for(folder):
+    os.mkfifo(folder / "rgb" / "pipe.png")
+    change(folder, 1, rgb={**entry(folder, 0), "file": "rgb/pipe.png"})
+    with pytest.raises(BadRecording, match="expected a file"):
+        read(folder)
+
+
+def test_images_that_cannot_be_decoded(folder):
+    for data in (b"", b"junk", (folder / "rgb" / "000001.png").read_bytes()[:40]):
+        replace(folder, 1, "rgb", data)
+        with pytest.raises(BadRecording, match=r"rgb/000001\.png: not an image that can be read"):
+            read(folder)
+    replace(folder, 1, "rgb", cv2.imencode(".png", np.zeros((12, 16), np.uint8))[1].tobytes())
+    with pytest.raises(BadRecording, match=r"expected a rgb image, got shape \(12, 16\) of uint8"):
+        read(folder)
+
+
+def test_images_that_would_take_all_memory(folder):
+    """A few hundred bytes whose headers speak of gigabytes."""
+    data = (folder / "rgb" / "000001.png").read_bytes()
+    header = b"IHDR" + struct.pack(">II", 30_000, 30_000) + data[24:29]
+    replace(folder, 1, "rgb", data[:12] + header + struct.pack(">I", zlib.crc32(header)) + data[33:])
+    with pytest.raises(BadRecording, match="expected an image of at most 67108864 pixels, got 30000 x 30000"):
+        read(folder)
+    shutil.copytree(folder.parent / "recording", folder.parent / "other")
+    other = folder.parent / "other"
+    data = (other / "depth" / "000002.npy").read_bytes()
+    shape = b"(12, 16)"
+    replace(other, 2, "depth", data.replace(shape + b", }" + b" " * 12, b"(1200000, 160000), }   "))
+    change(other, 1, rgb=entry(other, 0))
+    with pytest.raises(BadRecording, match="its header speaks of 768000000000 bytes"):
+        read(other)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"rgb": "rgb/000001.png"}, "expected a mapping or a ImageEntry"),
+        ({"rgb": {"file": 5, "crc32": 0, "file_crc32": 0}}, "file: expected str, got 5"),
+        ({"episode": None}, "episode: expected int, got None"),
+        ({"number": 2**70}, "number: expected an integer of 64 bits"),
+        ({"stamp": "now"}, "stamp: expected float"),
+        ({"stamp": float("nan")}, "stamp must be a finite number"),
+        ({"stamp": 10**400}, "too large"),
+        ({"anchors": {"gripper": [1, 2, 3, 4]}}, "anchors.gripper: expected"),
+        ({"anchors": [[1, 2, 3]]}, "anchors: expected a mapping"),
+        ({"camera": {"intrinsics": {"width": 16}, "transform_camera_to_base": None}}, "missing height"),
+        ({"anchors": json.loads("[" * 200 + "]" * 200)}, "nested too deep"),
+    ],
+)
+def test_lines_with_wrong_values_are_named(folder, changes, message):
+    change(folder, 1, **changes)
+    with pytest.raises(BadRecording, match=rf"(?s)frames\.jsonl, line 2: damaged: .*{message}"):
+        read(folder)
+
+
+def test_damaged_recordings_raise_only_bad_recording(tmp_path):
+    rows = damaged_recordings(tmp_path, 200, seed=7)
+    assert [row["reached"] for row in rows] == ["yes"] * 3
+
+
+def test_the_measurement_sees_what_is_read_outside(tmp_path, monkeypatch):
+    """Without the check of paths it counts files that were read."""
+    monkeypatch.setattr("shape_obs.recording.images.inside", lambda folder, name: folder / name)
+    rows = damaged_recordings(tmp_path, 60, seed=7)
+    assert rows[1]["seen"] >= 3
+    assert rows[1]["reached"] == "no"

@@ -1,0 +1,129 @@
+"""JSON and YAML from other people: plain values or a declared error come out, whatever a file holds."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shape_obs import Extrinsics, load_config
+from shape_obs.ablation import load_study
+from shape_obs.calibration.intrinsics import IntrinsicsFit
+from shape_obs.calibration.touches import read_touches
+from shape_obs.cli.source import read_settings
+from shape_obs.documents import parse_json, parse_yaml, read_json, read_yaml
+from shape_obs.evaluation.robustness.documents import damaged_documents
+from shape_obs.spec import SpecError
+from shape_obs.wrappers.target import Target
+
+DEEP = "[" * 5000 + "]" * 5000
+#: Each line doubles what the one before stands for: 2^40 values.
+BOMB = "a0: &a0 [x, x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 40))
+plain = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=20,
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (DEEP, "nested too deep"),
+        ("[" * 100 + "]" * 100, "nested too deep; expected at most 64 levels"),
+        ('{"a":' * 5000 + "0" + "}" * 5000, "nested too deep"),
+        ("[1, 2", "not valid JSON: "),
+        (b"\xff\xfe", "not valid JSON: .*utf-8"),
+        ("9" * 5000, "not valid JSON: "),
+        ("", "not valid JSON: "),
+    ],
+)
+def test_json_that_cannot_be_read(text, message):
+    with pytest.raises(SpecError, match=f"^here: .*{message}"):
+        parse_json(text, "here")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (DEEP, "nested too deep"),
+        ("- " * 100 + "x", "nested too deep; expected at most 64 levels"),
+        (BOMB, "stands for more than 200000 values: write out what its aliases repeat"),
+        ("&a [*a]", "(nested too deep|aliases)"),
+        ("&a {b: *a, c: *a}", "(nested too deep|aliases)"),
+        ("a: 2020-13-45", "not valid YAML: month must be in 1..12"),
+        ("!!int ''", "not valid YAML: IndexError"),
+        ("!!bool x", "not valid YAML: KeyError"),
+        ("!!timestamp x", "not valid YAML: AttributeError"),
+        ("!!python/object/apply:os.getpid []", "not valid YAML: could not determine a constructor"),
+        ("{[1]: 2}", "not valid YAML: "),
+        (b"a: \xff", "not valid YAML: .*utf-8"),
+        ("#" * (9 << 20), "expected at most 8388608 bytes of YAML"),
+    ],
+    ids=range(13),
+)
+def test_yaml_that_cannot_be_read(text, message):
+    with pytest.raises(SpecError, match=f"(?s)^here: .*{message}"):
+        parse_yaml(text, "here")
+
+
+def test_what_is_right_comes_back(tmp_path):
+    """An anchor that is used again, and a byte order mark, as editors of Windows write it."""
+    assert parse_yaml("a: &x [1, 2]\nb: *x\n", "here") == {"a": [1, 2], "b": [1, 2]}
+    (tmp_path / "x.json").write_bytes(b'\xef\xbb\xbf{"a": 1}')
+    assert read_json(tmp_path / "x.json", "x") == {"a": 1}
+    with pytest.raises(FileNotFoundError, match=r"y\.json: no such x file"):
+        read_json(tmp_path / "y.json", "x")
+    with pytest.raises(SpecError, match="expected a x file, got a folder"):
+        read_yaml(tmp_path, "x")
+
+
+@given(plain)
+def test_every_value_survives_json_and_yaml(value):
+    assert parse_json(json.dumps(value), "here") == value
+    assert parse_json(json.dumps(value).encode(), "here") == value
+
+
+@given(st.text(alphabet="[]{}:,-?&*a!|>'\"#%@` \n\t019.e", max_size=60))
+def test_any_text_is_read_or_refused(text):
+    for parse, right in ((parse_json, json.loads), (parse_yaml, yaml.safe_load)):
+        try:
+            value = parse(text, "here")
+        except SpecError:
+            continue
+        assert value == right(text) or value != value
+
+
+@pytest.mark.parametrize(
+    ("read", "name", "text"),
+    [
+        (load_config, "c.yaml", "version: 1\nshape: " + DEEP),
+        (load_config, "c.yaml", BOMB),
+        (Target.load, "g.yaml", "version: 1\ngoal: &a {points: *a}"),
+        (load_study, "s.yaml", "- " * 5000),
+        (Extrinsics.load, "e.json", DEEP),
+        (Extrinsics.load, "e.json", json.dumps({"parent": "base", "child": "camera", "created": "", "T": [[10**400]]})),
+        (IntrinsicsFit.load, "i.json", '{"a":' * 100 + "0" + "}" * 100),
+        (read_touches, "t.json", DEEP),
+    ],
+)
+def test_every_reader_names_its_file(tmp_path, read, name, text):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(SpecError, match=name):
+        read(tmp_path / name)
+
+
+def test_settings_of_the_command_line():
+    assert read_settings(["camera=[96, 72]", "exposure=0.01"]) == {"camera": [96, 72], "exposure": 0.01}
+    for value in ("[", "[" * 1000, "!!int ''"):
+        with pytest.raises(ValueError, match=r"^--set exposure=.*: (not valid YAML|it is nested too deep)"):
+            read_settings([f"exposure={value}"])
+
+
+def test_damaged_documents_raise_only_declared_errors(tmp_path):
+    rows = damaged_documents(tmp_path, 30, seed=1)
+    assert len(rows) == 18
+    assert [row for row in rows if row["reached"] != "yes"] == []
