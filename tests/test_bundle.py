@@ -61,9 +61,9 @@ def test_it_tells_what_it_was_trained_in(trained, bundle):
     assert bundle.needs_goal
     camera = cable().get_wrapper_attr("camera_model")
     np.testing.assert_allclose(record.camera["transform_camera_to_base"], camera.transform_camera_to_base)
-    assert set(read_archive(trained[2])) == {
-        "model.zip",
-        "statistics.npz",
+    assert set(read_archive(trained[2]).members) == {
+        "weights.safetensors",
+        "statistics.safetensors",
         "env.json",
         "config.yaml",
         "policy.json",
@@ -137,7 +137,7 @@ def test_fitted_features_travel_along(tmp_path):
 class TestFile:
     @pytest.fixture
     def members(self, trained) -> dict[str, bytes]:
-        return read_archive(trained[2])
+        return read_archive(trained[2]).members
 
     @pytest.mark.parametrize("share", [0.02, 0.5, 0.99])
     def test_truncated(self, trained, tmp_path, share):
@@ -162,7 +162,7 @@ class TestFile:
         with pytest.raises(BundleError, match="a zip file of something else"):
             load_bundle(tmp_path / "other.npz")
 
-    @pytest.mark.parametrize("name", ["model.zip", "statistics.npz", "policy.json"])
+    @pytest.mark.parametrize("name", ["weights.safetensors", "statistics.safetensors", "policy.json"])
     def test_a_member_that_was_changed_or_is_missing(self, trained, tmp_path, name):
         import zipfile
 
@@ -180,9 +180,7 @@ class TestFile:
         [
             ({"schema": "0" * 64}, "features mean something else here"),
             ({"versions": {"stable-baselines3": "1.8.0"}}, "other major versions: stable-baselines3 1.8.0 then"),
-            ({"algorithm": "stable_baselines3:QRDQN"}, "has no 'QRDQN'; did you mean 'DQN'"),
-            ({"algorithm": "gymnasium:make"}, "expected a class of Stable-Baselines3"),
-            ({"action_space": {"kind": "discrete", "n": 2}}, "another action space than was recorded"),
+            ({"action_space": {"kind": "discrete", "n": 2, "start": 0}}, "another action space than was recorded"),
             ({"dt": "fast"}, "Record.dt: expected float"),
         ],
     )
@@ -218,7 +216,7 @@ class TestFile:
             save_bundle(model, cable(), tmp_path / "none" / "a.policy")
 
     def test_equal_policies_give_equal_files(self, trained, tmp_path):
-        members = read_archive(trained[2])
+        members = read_archive(trained[2]).members
         write_archive(tmp_path / "a", members)
         write_archive(tmp_path / "b", members)
         assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()

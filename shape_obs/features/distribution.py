@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +16,7 @@ from shape_obs.features.alignment import Similarity, superimposed
 from shape_obs.features.coordinates import Coordinates, Frame
 from shape_obs.features.linear import Design
 from shape_obs.files import make_folder, write_whole
+from shape_obs.npz import read_npz
 from shape_obs.topology import Chain, Grid, Ring, Topology
 
 Array = npt.NDArray[np.float64]
@@ -26,6 +25,7 @@ FORMAT: Final = "shape_obs point distribution"
 VERSION: Final = 1
 _ARRAYS: Final = ("mean", "components", "variance", "noise")
 _LAYOUTS: Final[Mapping[str, type[Any]]] = {"chain": Chain, "ring": Ring, "grid": Grid}
+_FRAMES: Final = get_args(Frame)
 _FLAT: Final = 1e-9  # of the first component's variance, and of the shapes' extent: what is below is rounding
 _FLOOR: Final = 1e-6  # of the last component's variance: the least that points are taken to scatter beside the model
 #: What the model leaves of neighbouring points is alike, so several of them tell no more than one (g in the formula).
@@ -214,21 +214,24 @@ class PointDistribution:
 
     @classmethod
     def from_bytes(cls, content: bytes, name: str) -> PointDistribution:
-        """What a file holds; ``name`` is the file's, for messages. Errors as those of ``load``."""
+        """Read the content of a file; ``name`` is the file's, for messages. Errors as those of ``load``."""
         try:
-            with np.load(BytesIO(content), allow_pickle=False) as arrays:
-                head = json.loads(str(arrays["metadata"]))
-                mean, components, variance, noise = (np.asarray(arrays[key], dtype=np.float64) for key in _ARRAYS)
+            arrays = read_npz(content)
+            head = json.loads(str(arrays["metadata"]))
+            mean, components, variance, noise = (np.asarray(arrays[key], dtype=np.float64) for key in _ARRAYS)
             if head.get("format") != FORMAT or head["version"] != VERSION:
                 raise ValueError(f"expected {FORMAT!r} {VERSION}, got {head.get('format')!r} {head.get('version')}")
             layout = _LAYOUTS[head["layout"].pop("kind")](**head["layout"])
-            size = (layout.size, 2 if Coordinates(head["frame"]).planar else 3)
+            coordinates = Coordinates(head["frame"], head["origin"])
+            size = (layout.size, 2 if coordinates.planar else 3)
+            if coordinates.frame not in _FRAMES or not isinstance(head["aligned"], bool):
+                raise ValueError(f"unknown frame {head['frame']!r}, or 'aligned' is neither true nor false")
             if mean.shape != size or components.shape != (len(variance), *size) or noise.shape != ():
                 raise ValueError(f"arrays of {mean.shape} and {components.shape} do not belong to {layout}")
             if not all(np.isfinite(array).all() for array in (mean, components)) or not min(variance.min(), noise) > 0:
                 raise ValueError("it holds numbers that are none, or variances that are not positive")
             about = (head["frame"], head["origin"], head["aligned"], head["about"])
-        except (KeyError, ValueError, TypeError, AttributeError, EOFError, OSError, zipfile.BadZipFile) as error:
+        except (KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(
                 f"{name}: not a file of principal components, or a damaged one: {error}. "
                 "`shape-obs fit-features` makes such files."
