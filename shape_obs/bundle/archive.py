@@ -35,24 +35,27 @@ _MANIFEST: Final = "manifest.json"
 _FITTED: Final = re.compile(r"files/[0-9a-f]{16}(\.[A-Za-z0-9]{1,8})?")
 
 _KIB, _MIB = 2**10, 2**20
-#: Bytes that a member may have.
-MOST_BYTES: Final = {
+_SHARED: Final = {
     _MANIFEST: 64 * _KIB,
     RECORD: 512 * _KIB,
     ENV: 256 * _KIB,
     CONFIG: 32 * _KIB,
-    STATISTICS: 8 * _MIB,
-    WEIGHTS: 1024 * _MIB,
     "files/": 8 * _MIB,
-    # of version 1
-    "model.zip": 1024 * _MIB,
-    "statistics.npz": 8 * _MIB,
+}
+#: Bytes that a member may have, by version.
+MOST_BYTES: Final = {
+    VERSION: {**_SHARED, STATISTICS: 8 * _MIB, WEIGHTS: 1024 * _MIB},
+    PICKLED: {**_SHARED, "statistics.npz": 8 * _MIB, "model.zip": 1024 * _MIB},
 }
 MOST_FITTED: Final = 8
 _STORED: Final = (WEIGHTS, STATISTICS)
 _MOST_DIRECTORY: Final = 16 * _KIB
 _END: Final = struct.Struct("<4s4H2LH")
 _ZIP64_LOCATOR: Final = 20
+#: What a damaged length, method or stream raises.
+_DAMAGED: Final = (
+    zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError,
+)  # fmt: skip
 #: Equal content gives equal files.
 _DATE: Final = (1980, 1, 1, 0, 0, 0)
 
@@ -79,7 +82,7 @@ def write_archive(path: str | os.PathLike[str], members: Mapping[str, bytes], ve
     listed = {name: {"sha256": hashlib.sha256(data).hexdigest(), "size": len(data)} for name, data in members.items()}
     manifest = write_json({"format": FORMAT, "version": version, "members": listed})
     for name, data in members.items():
-        _check_size(name, len(data))
+        _check_size(name, len(data), version)
 
     def write(beside: Path) -> None:
         with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -109,10 +112,7 @@ def read_archive(path: str | os.PathLike[str], *, trust: bool = False) -> Archiv
             return _read(file, trust)
         except BundleError:
             raise
-        # A damaged length, method or stream shows in many ways.
-        except (
-            zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError
-        ) as error:  # fmt: skip
+        except _DAMAGED as error:
             raise BundleError(f"not a bundle, or a truncated or damaged one: {error}. Copy it again.") from error
 
 
@@ -122,8 +122,8 @@ def _read(file: IO[bytes], trust: bool) -> Archive:
         infos = archive.infolist()
         if _MANIFEST not in archive.namelist():
             raise BundleError("expected a bundle as save_bundle writes it, got a zip file of something else.")
-        _check_entries(infos, start)
         known = {info.filename: info for info in infos}
+        _check_size(_MANIFEST, known[_MANIFEST].file_size, VERSION)
         manifest = _manifest(_content(archive, known.pop(_MANIFEST)))
         version = manifest["version"]
         if version == PICKLED and not trust:
@@ -131,16 +131,19 @@ def _read(file: IO[bytes], trust: bool) -> Archive:
                 "it is a bundle of version 1, which holds a pickled model; reading one runs code from the file. "
                 "Or save the policy again with this shape_obs"
             )
-        if version not in (VERSION, PICKLED):
+        if type(version) is not int or version not in MOST_BYTES:
             raise BundleError(
                 f"expected a bundle of version {VERSION}, got {version!r}: it was written by another shape_obs; use "
                 "that one, or save the policy again."
             )
+        _check_entries(infos, start, version)
         listed = manifest["members"]
         for what, names in (("misses", listed.keys() - known.keys()), ("has a foreign", known.keys() - listed.keys())):
             if names:
                 raise BundleError(f"the bundle {what} member {min(names)!r}. Copy it again.")
-        return Archive(version, {name: _verified(_content(archive, info), name, listed) for name, info in known.items()})
+        return Archive(
+            version, {name: _verified(_content(archive, info), name, listed) for name, info in known.items()}
+        )
 
 
 def _directory(file: IO[bytes]) -> int:
@@ -161,7 +164,7 @@ def _directory(file: IO[bytes]) -> int:
     return start
 
 
-def _check_entries(infos: list[zipfile.ZipInfo], directory: int) -> None:
+def _check_entries(infos: list[zipfile.ZipInfo], directory: int, version: int) -> None:
     """Refuse names, kinds and sizes that a bundle does not have, and members that overlap."""
     names = [info.filename for info in infos]
     twice = [name for name in names if names.count(name) > 1]
@@ -172,7 +175,7 @@ def _check_entries(infos: list[zipfile.ZipInfo], directory: int) -> None:
     at = 0
     for info in sorted(infos, key=lambda info: info.header_offset):
         name = info.filename
-        _check_size(name, info.file_size)
+        _check_size(name, info.file_size, version)
         kind = stat.S_IFMT(info.external_attr >> 16)
         if info.flag_bits or kind not in (0, stat.S_IFREG):
             raise BundleError(f"member {name!r} is not a plain file.")
@@ -188,12 +191,12 @@ def _check_entries(infos: list[zipfile.ZipInfo], directory: int) -> None:
         raise BundleError("something lies between the members and their directory.")
 
 
-def _check_size(name: str, size: int) -> None:
-    kind = "files/" if _FITTED.fullmatch(name) else name
-    if kind not in MOST_BYTES or name == "files/":
-        raise BundleError(f"a bundle has no member {name[:80]!r}.")
-    if size > MOST_BYTES[kind]:
-        raise BundleError(f"member {name!r}: expected at most {MOST_BYTES[kind]} bytes, got {size}.")
+def _check_size(name: str, size: int, version: int) -> None:
+    kind, most = "files/" if _FITTED.fullmatch(name) else name, MOST_BYTES[version]
+    if kind not in most or name == "files/":
+        raise BundleError(f"a bundle of version {version} has no member {name[:80]!r}.")
+    if size > most[kind]:
+        raise BundleError(f"member {name!r}: expected at most {most[kind]} bytes, got {size}.")
 
 
 def _content(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
@@ -207,8 +210,8 @@ def _verified(data: bytes, name: str, listed: Mapping[str, Any]) -> bytes:
     size, digest, found = entry.get("size"), str(entry.get("sha256")), hashlib.sha256(data).hexdigest()
     if len(data) != size or found != digest:
         raise BundleError(
-            f"member {name!r} was changed: expected {size!r} bytes with SHA-256 {digest[:12]}..., got {len(data)} bytes "
-            f"with {found[:12]}... Copy it again."
+            f"member {name!r} was changed: expected {size!r} bytes with SHA-256 {digest[:12]}..., got {len(data)} "
+            f"bytes with {found[:12]}... Copy it again."
         )
     return data
 

@@ -48,7 +48,7 @@ def write_yaml(value: Any) -> bytes:
 def read_yaml(data: bytes, what: str) -> dict[str, Any]:
     """Read a YAML member, a mapping; errors as those of ``read_json``, and aliases and tags are refused."""
     try:
-        value = yaml.load(data, Loader=_Bounded)  # noqa: S506 - a SafeLoader
+        value = yaml.load(data, Loader=_Bounded)
     except (yaml.YAMLError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise BundleError(f"{what} cannot be read: {error}") from error
     return _checked(value, what)

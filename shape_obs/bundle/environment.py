@@ -18,7 +18,7 @@ from shape_obs.spec import plain
 
 if TYPE_CHECKING:
     import gymnasium as gym
-    from gymnasium.envs.registration import EnvSpec
+    from gymnasium.envs.registration import EnvSpec, WrapperSpec
 
 _PACKAGE: Final = "shape_obs_envs"
 _SIMULATED: Final = (
@@ -150,9 +150,7 @@ def rebuild(spec: EnvSpec, *, trust: bool, arguments: Mapping[str, Any]) -> gym.
             kwargs=spec.kwargs,
             max_episode_steps=spec.max_episode_steps,
             order_enforce=spec.order_enforce,
-            additional_wrappers=tuple(
-                replace(wrapper, entry_point=_path(wrapper.name)) for wrapper in spec.additional_wrappers
-            ),
+            additional_wrappers=tuple(check_wrapper(wrapper) for wrapper in spec.additional_wrappers),
         )
     try:
         return gym.make(spec, **{"disable_env_checker": True, **arguments})
@@ -186,15 +184,16 @@ def check_rebuildable(spec: EnvSpec) -> EnvSpec:
     return known
 
 
-def check_wrapper(wrapper: Any) -> None:
-    """Refuse a wrapper that is not of the closed list, or whose arguments are not.
+def check_wrapper(wrapper: WrapperSpec) -> WrapperSpec:
+    """Return a wrapper with the entry point of the closed list; refuse one that is not in it.
 
     Raises:
         BundleError: The message names it.
     """
     name, path, kwargs = wrapper.name, wrapper.entry_point, wrapper.kwargs or {}
     own = OWN_WRAPPERS.get(name)
-    theirs = GYMNASIUM_WRAPPERS.get(name) if path.startswith("gymnasium.wrappers") else None
+    module = path.partition(":")[0]
+    theirs = GYMNASIUM_WRAPPERS.get(name) if f"{module}.".startswith("gymnasium.wrappers.") else None
     if path != own and theirs is None:
         raise needs_trust(f"the wrapper {name} ({path:.100}) is not in the list of those that are rebuilt")
     unknown = [key for key in kwargs if theirs is not None and key not in theirs]
@@ -202,6 +201,7 @@ def check_wrapper(wrapper: Any) -> None:
         raise needs_trust(f"the wrapper {name} has the argument {unknown[0]!r}, which is not in the list")
     check_numbers(kwargs, f"the wrapper {name}")
     _check_sizes(kwargs, f"the wrapper {name}")
+    return replace(wrapper, entry_point=own or f"gymnasium.wrappers:{name}")
 
 
 def _with_entry_point(spec: EnvSpec) -> EnvSpec:
@@ -213,10 +213,6 @@ def _with_entry_point(spec: EnvSpec) -> EnvSpec:
     if spec.entry_point is None and known is not None:
         return replace(spec, id=name, entry_point=known.entry_point)
     return replace(spec, id=name)
-
-
-def _path(name: str) -> str:
-    return OWN_WRAPPERS.get(name) or f"gymnasium.wrappers:{name}"
 
 
 def _registered(name: str) -> EnvSpec | None:

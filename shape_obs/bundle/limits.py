@@ -93,7 +93,11 @@ def check_goal(arguments: Mapping[str, Any], what: str) -> None:
 
 def _work(feature: Feature, shape: Configuration[Any]) -> float:
     """About how many multiplications it takes to fit the basis of a feature."""
-    own = 2 * getattr(feature, "harmonics", 0) + 1, getattr(feature, "degree", 0) + 1, getattr(feature, "coefficients", 0)
+    own = (
+        2 * getattr(feature, "harmonics", 0) + 1,
+        getattr(feature, "degree", 0) + 1,
+        getattr(feature, "coefficients", 0),
+    )
     points, functions = shape.count, max(own)
     functions = min(points, functions**2 if isinstance(shape.layout, Grid) else functions)
     return 10.0 * functions**3 + 5.0 * points * functions**2

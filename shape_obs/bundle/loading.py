@@ -138,7 +138,7 @@ def _check_schema(record: Record) -> None:
     if here != record.schema:
         raise BundleError(
             f"its features mean something else here: the hash of their schema is {str(here)[:12]}..., recorded was "
-            f"{str(record.schema)[:12]}... Use the shape-obs that it was saved with, {record.versions.get('shape-obs')}."
+            f"{str(record.schema)[:12]}... Use the shape-obs that it was saved with: {record.versions.get('shape-obs')}"
         )
 
 

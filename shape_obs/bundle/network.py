@@ -15,7 +15,6 @@ from shape_obs.bundle.tensors import Layout, read_header, read_weights
 from shape_obs.loading import load_named
 
 if TYPE_CHECKING:
-    import torch
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.policies import BasePolicy
 
@@ -94,7 +93,9 @@ class Network:
             BundleError: A class that is in no closed list, or an argument beyond its limits.
         """
         if self.algorithm not in ALGORITHMS or self.policy not in (*POLICIES, *(name for _, name in _OURS)):
-            raise needs_trust(f"the policy {self.policy!r} of {self.algorithm!r} is not in the list of those that are read")
+            raise needs_trust(
+                f"the policy {self.policy!r} of {self.algorithm!r} is not in the list of those that are read"
+            )
         network_arguments.check(self.arguments)
 
     @property

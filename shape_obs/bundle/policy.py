@@ -195,7 +195,7 @@ class Bundle:
 
     def _wrapped(self, env: gym.Env[Any, Any], wrapper: WrapperSpec, kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
         if not self.trusted:
-            environment.check_wrapper(wrapper)
+            wrapper = environment.check_wrapper(wrapper)
         kind = load_named(wrapper.entry_point, f"wrapper {wrapper.name}")
         try:
             return kind(env, **kwargs)

@@ -125,4 +125,3 @@ def _normalize(env: Any) -> Any:
     from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_normalize
 
     return unwrap_vec_normalize(env) if isinstance(env, VecEnv) else None
-

@@ -44,7 +44,6 @@ def space_to_dict(space: spaces.Space[Any]) -> dict[str, Any]:
     raise ValueError(f"expected a space of Box, Discrete or Dict, got {space}.")
 
 
-
 def space_from_dict(value: Any, where: str) -> spaces.Space[Any]:
     """Rebuild the space that ``space_to_dict`` described, after checking how much it takes.
 
