@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tokenize
 import zipfile
 import zlib
 from io import BytesIO
@@ -64,7 +65,7 @@ def _header(data: bytes, name: str) -> tuple[tuple[int, ...], bool, np.dtype[Any
         if version not in readers:
             raise ValueError(f"format {version} is not read")
         shape, fortran, dtype = readers[version](stream, max_header_size=_MOST_HEADER)
-    except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError) as error:
+    except (ValueError, SyntaxError, tokenize.TokenError, TypeError, RecursionError, MemoryError) as error:
         raise ValueError(f"array {name!r}: its header cannot be read: {error}") from error
     if any(side < 0 for side in shape):
         raise ValueError(f"array {name!r}: a side of its shape {shape} is negative.")

@@ -37,7 +37,7 @@ _FITTED: Final = re.compile(r"files/[0-9a-f]{16}(\.[A-Za-z0-9]{1,8})?")
 _KIB, _MIB = 2**10, 2**20
 _SHARED: Final = {
     _MANIFEST: 64 * _KIB,
-    RECORD: 512 * _KIB,
+    RECORD: 2 * _MIB,
     ENV: 256 * _KIB,
     CONFIG: 32 * _KIB,
     "files/": 8 * _MIB,
@@ -122,6 +122,7 @@ def _read(file: IO[bytes], trust: bool) -> Archive:
         infos = archive.infolist()
         if _MANIFEST not in archive.namelist():
             raise BundleError("expected a bundle as save_bundle writes it, got a zip file of something else.")
+        _check_entries(infos, start)
         known = {info.filename: info for info in infos}
         _check_size(_MANIFEST, known[_MANIFEST].file_size, VERSION)
         manifest = _manifest(_content(archive, known.pop(_MANIFEST)))
@@ -136,7 +137,8 @@ def _read(file: IO[bytes], trust: bool) -> Archive:
                 f"expected a bundle of version {VERSION}, got {version!r}: it was written by another shape_obs; use "
                 "that one, or save the policy again."
             )
-        _check_entries(infos, start, version)
+        for info in infos:
+            _check_size(info.filename, info.file_size, version)
         listed = manifest["members"]
         for what, names in (("misses", listed.keys() - known.keys()), ("has a foreign", known.keys() - listed.keys())):
             if names:
@@ -164,8 +166,8 @@ def _directory(file: IO[bytes]) -> int:
     return start
 
 
-def _check_entries(infos: list[zipfile.ZipInfo], directory: int, version: int) -> None:
-    """Refuse names, kinds and sizes that a bundle does not have, and members that overlap."""
+def _check_entries(infos: list[zipfile.ZipInfo], directory: int) -> None:
+    """Refuse members that are no plain files, stand twice or overlap."""
     names = [info.filename for info in infos]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
@@ -175,7 +177,6 @@ def _check_entries(infos: list[zipfile.ZipInfo], directory: int, version: int) -
     at = 0
     for info in sorted(infos, key=lambda info: info.header_offset):
         name = info.filename
-        _check_size(name, info.file_size, version)
         kind = stat.S_IFMT(info.external_attr >> 16)
         if info.flag_bits or kind not in (0, stat.S_IFREG):
             raise BundleError(f"member {name!r} is not a plain file.")

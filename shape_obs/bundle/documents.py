@@ -18,9 +18,10 @@ MOST_TEXT: Final = 65_536
 MOST_NUMBER: Final = 2**53
 
 
-def write_json(value: Any) -> bytes:
-    """Write a JSON member."""
-    return json.dumps(value, indent=2).encode()
+def write_json(value: Mapping[str, Any]) -> bytes:
+    """Write a JSON member: one line for each entry of its own, since bounds of a space are long lists."""
+    lines = ",\n".join(f"  {json.dumps(name)}: {json.dumps(item)}" for name, item in value.items())
+    return f"{{\n{lines}\n}}\n".encode()
 
 
 def read_json(data: bytes, what: str) -> dict[str, Any]:

@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 
 from shape_obs.bundle import environment, legacy
-from shape_obs.bundle.archive import CONFIG, ENV, PICKLED, RECORD, STATISTICS, WEIGHTS, Archive, read_archive
+from shape_obs.bundle.archive import (
+    CONFIG, ENV, PICKLED, RECORD, STATISTICS, VERSION, WEIGHTS, Archive, read_archive,
+)  # fmt: skip
 from shape_obs.bundle.documents import read_json, read_yaml
 from shape_obs.bundle.errors import MALFORMED, BundleError
 from shape_obs.bundle.fitted import FOLDER, extract, unpack
@@ -61,6 +63,20 @@ def load_bundle(path: str | os.PathLike[str], *, device: str = "cpu", trust: boo
         raise BundleError(f"{path}: {error}") from error
     _warn_of_versions(path, bundle.record)
     return bundle
+
+
+def check_members(members: Mapping[str, bytes]) -> None:
+    """Refuse members that ``load_bundle`` would refuse, however much it trusted them.
+
+    Raises:
+        BundleError: The message says why.
+    """
+    with _folder(members) as folder:
+        try:
+            _assemble(Archive(VERSION, dict(members)), folder, "cpu", trust=True)
+        finally:
+            if folder is not None:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def _assemble(archive: Archive, folder: Path | None, device: str, trust: bool) -> Bundle:

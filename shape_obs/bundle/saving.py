@@ -16,6 +16,7 @@ from shape_obs.bundle.chain import training_spec
 from shape_obs.bundle.documents import write_json, write_yaml
 from shape_obs.bundle.errors import BundleError
 from shape_obs.bundle.fitted import pack
+from shape_obs.bundle.loading import check_members
 from shape_obs.bundle.network import Network
 from shape_obs.bundle.record import Record, Surroundings, versions
 from shape_obs.bundle.spaces import channels_first, layout_differences, space_to_dict
@@ -43,7 +44,7 @@ def save_bundle(
     The file holds data, no code: the weights of the policy, what its network is, what ``VecNormalize`` has learnt, the
     environment's spec, the configuration of its ``ShapeObservation``, the camera, the hash of the feature schema, what
     an action means, the duration of a step, the spaces, package versions, and a summary of the training. The
-    environment is rebuilt from its spec once, so that what is saved is known to work.
+    environment and the policy are rebuilt once, so that what is saved is known to work.
 
     Args:
         model: Of Stable-Baselines3.
@@ -94,6 +95,7 @@ def save_bundle(
         members[STATISTICS] = statistics.to_bytes()
     described = {name: value for name, value in record.to_dict().items() if name != "config"}
     members[RECORD] = write_json({**described, "network": vars(network)})
+    check_members({**members, **files})
     _warn_of_trust(network, spec)
     write_archive(path, {**members, **files})
 

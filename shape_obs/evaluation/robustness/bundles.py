@@ -1,0 +1,99 @@
+"""Hostile and damaged bundles, and kills while a bundle is saved: ``shape-obs bench claims --only robustness``."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Final
+
+from shape_obs.evaluation.asked import at_least, at_most
+from shape_obs.evaluation.robustness.bundle_attacks import attacks
+from shape_obs.evaluation.robustness.bundle_bombs import bombs
+from shape_obs.evaluation.robustness.bundle_canary import VARIABLE, write_canary
+from shape_obs.evaluation.robustness.bundle_kills import kill_claims
+from shape_obs.evaluation.robustness.bundle_mutations import mutations
+from shape_obs.evaluation.robustness.bundle_sample import members_of, save_sample
+from shape_obs.evaluation.robustness.bundle_sizes import sizes
+
+_SECONDS: Final = 2.0
+_MEGABYTES: Final = 300.0
+_MINUTES: Final = 60
+#: Attacks whose code runs where the file is trusted: the canary works.
+_ALIVE: Final = 10
+
+
+def bundle_claims(mutated: int = 1000, every: int = 1, kills: int = 30, seed: int = 0) -> list[dict[str, Any]]:
+    """Read damaged and crafted bundles, and kill processes that save one.
+
+    Args:
+        mutated: How many damaged files.
+        every: Of the crafted files, each so many-th one.
+        kills: How many processes are killed.
+        seed: Of the damage and of the instants.
+
+    Returns:
+        Rows: what, asked, seen and whether it was reached.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        sample = members_of(save_sample(folder))
+        crafted = [*attacks(sample), *bombs(sample), *sizes(sample)][::every]
+        rows = _rows(f"{mutated} mutated bundles", read_all(folder, mutations(sample, mutated, seed)))
+        rows += _rows(f"{len(crafted)} crafted bundles", read_all(folder, crafted))
+        trusted = read_all(folder, attacks(sample), trust=True)
+        ran = sum(one["code"] for one in trusted)
+        rows.append(at_least("attacks that run code where trust=True (the measurement sees it)", _ALIVE, ran, ""))
+    return rows + kill_claims(kills, seed)
+
+
+def read_all(folder: Path, files: Iterable[tuple[str, bytes]], *, trust: bool = False) -> list[dict[str, Any]]:
+    """Read files, each in a process of its own: what ``bundle_trials.attempt`` returns, with the file's ``name``.
+
+    Args:
+        folder: With ``sample.policy``.
+        files: (name, content).
+        trust: Whether they are loaded with ``trust=True``.
+    """
+    names = {}
+    with tempfile.TemporaryDirectory(dir=folder) as name:
+        work = Path(name)
+        (work / "files").mkdir()
+        (work / "path").mkdir()
+        write_canary(work / "path")
+        (work / "sample.policy").write_bytes((folder / "sample.policy").read_bytes())
+        for number, (what, content) in enumerate(files):
+            names[f"{number:05}"] = what
+            (work / "files" / f"{number:05}.policy").write_bytes(content)
+        module = "shape_obs.evaluation.robustness.bundle_trials"
+        path = os.pathsep.join([str(work / "path"), *filter(None, [os.environ.get("PYTHONPATH")])])
+        threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+        done = subprocess.run(
+            [sys.executable, "-m", module, str(work), *(["trust"] if trust else [])],
+            env={**os.environ, **threads, "PYTHONPATH": path, VARIABLE: str(work / "canary")},
+            cwd=work,
+            capture_output=True,
+            text=True,
+            timeout=60 * _MINUTES,
+            check=False,
+        )
+    if done.returncode:
+        raise RuntimeError(f"reading bundles failed: {done.stderr[-2000:]}")
+    seen = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    if len(seen) != len(names):
+        raise RuntimeError(f"{len(seen)} of {len(names)} bundles were tried: {done.stderr[-2000:]}")
+    return [{**one, "name": names[one["file"]]} for one in seen]
+
+
+def _rows(what: str, seen: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [
+        at_most(f"{what}: code run", 0, sum(one["code"] for one in seen), ""),
+        at_most(f"{what}: undeclared exceptions", 0, sum(bool(one["undeclared"]) for one in seen), ""),
+        at_most(f"{what}: the slowest", _SECONDS, max(one["seconds"] for one in seen), " s"),
+        at_most(f"{what}: the largest", _MEGABYTES, max(one["mb"] for one in seen), " MB"),
+        at_most(f"{what}: temporary files left", 0, sum(one["left"] for one in seen), ""),
+    ]
