@@ -60,6 +60,9 @@ def check_configuration(arguments: Mapping[str, Any], what: str) -> None:
         ValueError: A value is not understood.
     """
     check_numbers(arguments, what)
+    workspace = arguments.get("workspace")
+    if workspace is not None and not _is_box(workspace):
+        raise BundleError(f"{what}: workspace: expected two corners of three numbers, got {workspace!r:.100}.")
     given = {field.name for field in fields(DetectorConfig)} & arguments.keys()
     with without_plugins():
         config = DetectorConfig.from_dict({name: arguments[name] for name in given})
@@ -89,6 +92,14 @@ def check_goal(arguments: Mapping[str, Any], what: str) -> None:
                 read_features(item)
         if isinstance(goal, Mapping) and goal.get("configuration") is not None:
             Configuration.from_dict(goal["configuration"])
+
+
+def _is_box(value: Any) -> bool:
+    corners = list(value) if isinstance(value, (list, tuple)) else []
+    numbers = [
+        number for corner in corners if isinstance(corner, (list, tuple)) and len(corner) == 3 for number in corner
+    ]
+    return len(corners) == 2 and len(numbers) == 6 and all(map(is_number, numbers))
 
 
 def _work(feature: Feature, shape: Configuration[Any]) -> float:

@@ -16,7 +16,15 @@ import numpy as np
 
 from shape_obs.bundle import environment, legacy
 from shape_obs.bundle.archive import (
-    CONFIG, ENV, PICKLED, RECORD, STATISTICS, VERSION, WEIGHTS, Archive, read_archive,
+    CONFIG,
+    ENV,
+    PICKLED,
+    RECORD,
+    STATISTICS,
+    VERSION,
+    WEIGHTS,
+    Archive,
+    read_archive,
 )  # fmt: skip
 from shape_obs.bundle.documents import read_json, read_yaml
 from shape_obs.bundle.errors import MALFORMED, BundleError

@@ -94,7 +94,7 @@ class Bundle:
         self._check_place(env)
         config = dict(self.record.config or {})
         shape = {name: config[name] for name in SECTIONS["shape"] if name in config}
-        running = {name: config[name] for name in ("on_missing", "on_invalid", "max_age")}
+        running = {name: config[name] for name in ("on_missing", "on_invalid", "max_age") if name in config}
         published = env_protocol.published(env, "shape_obs_defaults", {})
         known = {name: published[name] for name in ("shapes", *SECTIONS["scene"]) if name in published}
         local = {"workspace": config.get("workspace"), **running, **known, **(scene or {})}

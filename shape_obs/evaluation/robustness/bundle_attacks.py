@@ -42,9 +42,7 @@ def _pickles(sample: Members) -> Crafted:
     with zipfile.ZipFile(model, "w") as saved:
         saved.writestr("data", json.dumps({"policy_class": {":type:": "x", ":serialized:": _base64(code)}}))
         saved.writestr("policy.pth", code)
-    old = {name: data for name, data in sample.items() if name not in (WEIGHTS, STATISTICS)}
-    record = edited(old, RECORD, algorithm="stable_baselines3:SAC")
-    yield "version 1 with a pickled model", pack({**record, "model.zip": model.getvalue()}, version=1)
+    yield "version 1 with a pickled model", pack({**_old(sample), "model.zip": model.getvalue()}, version=1)
     yield "model.zip beside the weights", pack({**sample, "model.zip": model.getvalue()})
 
 
@@ -82,11 +80,16 @@ def _environments(sample: Members) -> Crafted:
         kwargs = {"source": "d455", name: value}
         yield (
             f"D455-v0 with {name}={value!r}",
-            pack(edited(sample, ENV, id="ShapeObs/D455-v0", kwargs=kwargs, wrappers=[])),
+            pack(edited(sample, ENV, **_own("ShapeObs/D455-v0", kwargs))),
         )
     for value in (canary, {"deep": [canary]}, f"../{MODULE}.py", f"{MODULE}.Class"):
         kwargs = {"plugin": value}
-        yield f"foreign with {value!r}", pack(edited(sample, ENV, id="BundleForeign-v0", kwargs=kwargs, wrappers=[]))
+        yield f"foreign with {value!r}", pack(edited(sample, ENV, **_own("BundleForeign-v0", kwargs)))
+
+
+def _own(name: str, kwargs: dict[str, Any]) -> dict[str, Any]:
+    """Changes of the environment's document: a registered id with arguments and without wrappers."""
+    return {"id": name, "entry_point": None, "kwargs": kwargs, "wrappers": []}
 
 
 def _wrappers(sample: Members) -> Crafted:
@@ -139,7 +142,7 @@ def _plugins(sample: Members) -> Crafted:
 def _yaml(sample: Members) -> Crafted:
     config = sample[CONFIG].decode()
     for tag in (
-        f"!!python/object/apply:os.system ['touch \"$BUNDLE_CANARY\"']",
+        "!!python/object/apply:os.system ['touch \"$BUNDLE_CANARY\"']",
         f"!!python/object/new:{MODULE}.Class []",
         f"!!python/name:{MODULE}.Class",
         f"!!python/module:{MODULE}",
@@ -152,6 +155,15 @@ def _yaml(sample: Members) -> Crafted:
 
 def _network(sample: Members, network: dict[str, Any]) -> bytes:
     return pack(edited(sample, RECORD, network=network))
+
+
+def _old(sample: Members) -> Members:
+    """Members as version 1 had them, without the model."""
+    record = {name: value for name, value in json.loads(sample[RECORD]).items() if name != "network"}
+    record["algorithm"] = "stable_baselines3:SAC"
+    env = {"id": "ShapeObs/Cable-v0", "entry_point": "shape_obs_envs.mujoco.cable:CableEnv", "additional_wrappers": []}
+    kept = {name: data for name, data in sample.items() if name not in (WEIGHTS, STATISTICS)}
+    return {**kept, RECORD: json.dumps(record).encode(), ENV: json.dumps(env).encode()}
 
 
 def _with_fitted(sample: Members, data: bytes) -> Members:

@@ -103,7 +103,7 @@ def _documents(sample: Members) -> Crafted:
         yield f"version {what!r}", pack(sample, version=what)
     yield "version true", pack(sample, version=True)
     yield "version 1e999", pack(sample, version=float("inf"))
-    yield "checksums of nothing", pack(sample, members={name: None for name in sample})
+    yield "checksums of nothing", pack(sample, members=dict.fromkeys(sample))
     aliases = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
         f"{new}: &{new} [{', '.join([f'*{old}'] * 9)}]\n" for old, new in zip("abcdefgh", "bcdefghi", strict=True)
     )

@@ -118,7 +118,7 @@ _KINDS: Final = (
 
 
 def _change(document: Any, rng: np.random.Generator) -> None:
-    """Change one place of a document: replace, remove or add a value, change its size, nest it, or give it a new name."""
+    """Change one place of a document: replace, remove, add, scale or nest a value, or rename it."""
     holders = [holder for holder in _holders(document) if holder]
     holder = holders[int(rng.integers(len(holders)))] if holders else document
     keys = list(holder) if isinstance(holder, dict) else list(range(len(holder)))
@@ -129,7 +129,7 @@ def _change(document: Any, rng: np.random.Generator) -> None:
     elif way == 1 and isinstance(holder, dict):
         holder["unknown"] = _hostile(rng)
     elif way == 2:
-        for _ in range(int(rng.choice([1, 20, 400]))):
+        for _ in range(int(rng.choice([1, 20, 100]))):
             value = [value]
         holder[key] = value
     elif way == 3 and isinstance(value, (int, float)):

@@ -1,8 +1,8 @@
 """Read hostile bundles, each in a process of its own, and report what they did.
 
-``python -m shape_obs.evaluation.robustness.bundle_trials FOLDER [trust]`` reads ``FOLDER/files/*.policy``. The process
-has all libraries loaded and forks for each file, so that time and memory are those of the file alone. It prints one
-line of JSON for each.
+``python -m shape_obs.evaluation.robustness.bundle_trials FOLDER`` reads ``FOLDER/files/*``, those named ``*.trusted``
+with ``trust=True``. The process has all libraries loaded and forks for each file, so that time and memory are those of
+the file alone. It prints one line of JSON for each.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ from shape_obs.bundle.spaces import space_from_dict, zeros
 from shape_obs.evaluation.robustness.bundle_canary import VARIABLE
 
 _MIB: Final = 2**20
+#: Suffix of files that are loaded with ``trust=True``.
+TRUSTED: Final = ".trusted"
 #: Seconds after which a process is ended, and bytes of addresses beyond those of its parent.
 _LONGEST: Final = 20.0
 _MOST: Final = 1024 * _MIB
@@ -75,20 +77,20 @@ class Cell(gym.Env[Any, Any]):
         self.anchors = {"gripper0": (0.0, 0.0, 0.0)}
 
 
-def main(folder: Path, trust: bool) -> None:
+def main(folder: Path) -> None:
     """Read all files of a folder."""
     import torch
 
     import shape_obs_envs  # noqa: F401 - registers the environments
 
     torch.set_num_threads(1)
-    gym.register("BundleForeign-v0", Foreign)
+    gym.register("BundleForeign-v0", f"{Foreign.__module__}:{Foreign.__name__}")
     gym.logger.min_level = gym.logger.ERROR
     warnings.simplefilter("ignore")
     attempt(folder / "sample.policy", folder, trust=False)  # what is loaded on first use
     gc.freeze()  # collecting in a fork would copy all of the parent's memory
-    for path in sorted((folder / "files").glob("*.policy")):
-        print(json.dumps({"file": path.stem, **in_fork(lambda path=path: attempt(path, folder, trust))}), flush=True)
+    for path in sorted((folder / "files").iterdir()):
+        print(json.dumps(in_fork(lambda path=path: attempt(path, folder, path.suffix == TRUSTED))), flush=True)
 
 
 def attempt(path: Path, folder: Path, trust: bool) -> dict[str, Any]:
@@ -104,17 +106,12 @@ def attempt(path: Path, folder: Path, trust: bool) -> dict[str, Any]:
         tempfile.tempdir = temporary
         before, start = _memory(), time.perf_counter()
         undeclared: list[str] = []
-        bundle = _tried("load", lambda: load_bundle(path, trust=trust), undeclared)
+        bundle: Bundle | None = _tried("load", lambda: load_bundle(path, trust=trust), undeclared)
         read = bundle is not None
-        env = None
         if bundle is not None:
-            _tried("act", lambda: _act(bundle), undeclared)
-            env = _tried("make_env", lambda: bundle.make_env(), undeclared)
-            if env is not None:
-                env.close()
-            _tried("wrap", lambda: bundle.wrap(Cell()), undeclared)
+            _use(bundle, undeclared)
         seconds, grown = time.perf_counter() - start, _memory() - before
-        bundle = env = None
+        bundle = None
         gc.collect()  # its temporary folder goes with it
         left = len(os.listdir(temporary))
         tempfile.tempdir = None
@@ -162,6 +159,14 @@ def _tried(name: str, call: Callable[[], Any], undeclared: list[str]) -> Any:
         return None
 
 
+def _use(bundle: Bundle, undeclared: list[str]) -> None:
+    _tried("act", lambda: _act(bundle), undeclared)
+    env = _tried("make_env", bundle.make_env, undeclared)
+    if env is not None:
+        env.close()
+    _tried("wrap", lambda: bundle.wrap(Cell()), undeclared)
+
+
 def _act(bundle: Bundle) -> None:
     bundle.act(zeros(space_from_dict(bundle.record.observation_space, "observation")))
 
@@ -176,4 +181,4 @@ def _addresses() -> int:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), trust=sys.argv[2:] == ["trust"])
+    main(Path(sys.argv[1]))

@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,12 +19,13 @@ from shape_obs.evaluation.robustness.bundle_kills import kill_claims
 from shape_obs.evaluation.robustness.bundle_mutations import mutations
 from shape_obs.evaluation.robustness.bundle_sample import members_of, save_sample
 from shape_obs.evaluation.robustness.bundle_sizes import sizes
+from shape_obs.evaluation.robustness.bundle_trials import TRUSTED
 
 _SECONDS: Final = 2.0
 _MEGABYTES: Final = 300.0
 _MINUTES: Final = 60
-#: Attacks whose code runs where the file is trusted: the canary works.
-_ALIVE: Final = 10
+#: (name, content) of a file.
+Named = tuple[str, bytes]
 
 
 def bundle_claims(mutated: int = 1000, every: int = 1, kills: int = 30, seed: int = 0) -> list[dict[str, Any]]:
@@ -43,37 +44,39 @@ def bundle_claims(mutated: int = 1000, every: int = 1, kills: int = 30, seed: in
         folder = Path(name)
         sample = members_of(save_sample(folder))
         crafted = [*attacks(sample), *bombs(sample), *sizes(sample)][::every]
-        rows = _rows(f"{mutated} mutated bundles", read_all(folder, mutations(sample, mutated, seed)))
-        rows += _rows(f"{len(crafted)} crafted bundles", read_all(folder, crafted))
-        trusted = read_all(folder, attacks(sample), trust=True)
-        ran = sum(one["code"] for one in trusted)
-        rows.append(at_least("attacks that run code where trust=True (the measurement sees it)", _ALIVE, ran, ""))
+        damaged = [*mutations(sample, mutated, seed)]
+        hostile = [*attacks(sample)][:: max(every // 2, 1)]
+        seen = read_all(folder, [*damaged, *crafted], hostile)
+    trusted = seen[len(damaged) + len(crafted) :]
+    rows = _rows(f"{mutated} mutated bundles", seen[: len(damaged)])
+    rows += _rows(f"{len(crafted)} crafted bundles", seen[len(damaged) : len(damaged) + len(crafted)])
+    ran = sum(one["code"] for one in trusted)
+    rows.append(at_least("attacks that run code with trust=True, so that the canary works", len(trusted) // 6, ran, ""))
     return rows + kill_claims(kills, seed)
 
 
-def read_all(folder: Path, files: Iterable[tuple[str, bytes]], *, trust: bool = False) -> list[dict[str, Any]]:
+def read_all(folder: Path, files: Sequence[Named], trusted: Sequence[Named] = ()) -> list[dict[str, Any]]:
     """Read files, each in a process of its own: what ``bundle_trials.attempt`` returns, with the file's ``name``.
 
     Args:
         folder: With ``sample.policy``.
         files: (name, content).
-        trust: Whether they are loaded with ``trust=True``.
+        trusted: Those that are loaded with ``trust=True``.
     """
-    names = {}
     with tempfile.TemporaryDirectory(dir=folder) as name:
         work = Path(name)
         (work / "files").mkdir()
         (work / "path").mkdir()
         write_canary(work / "path")
         (work / "sample.policy").write_bytes((folder / "sample.policy").read_bytes())
-        for number, (what, content) in enumerate(files):
-            names[f"{number:05}"] = what
-            (work / "files" / f"{number:05}.policy").write_bytes(content)
+        for number, (_, content) in enumerate([*files, *trusted]):
+            kind = TRUSTED if number >= len(files) else ".policy"
+            (work / "files" / f"{number:05}{kind}").write_bytes(content)
         module = "shape_obs.evaluation.robustness.bundle_trials"
         path = os.pathsep.join([str(work / "path"), *filter(None, [os.environ.get("PYTHONPATH")])])
         threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         done = subprocess.run(
-            [sys.executable, "-m", module, str(work), *(["trust"] if trust else [])],
+            [sys.executable, "-m", module, str(work)],
             env={**os.environ, **threads, "PYTHONPATH": path, VARIABLE: str(work / "canary")},
             cwd=work,
             capture_output=True,
@@ -84,9 +87,8 @@ def read_all(folder: Path, files: Iterable[tuple[str, bytes]], *, trust: bool = 
     if done.returncode:
         raise RuntimeError(f"reading bundles failed: {done.stderr[-2000:]}")
     seen = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    if len(seen) != len(names):
-        raise RuntimeError(f"{len(seen)} of {len(names)} bundles were tried: {done.stderr[-2000:]}")
-    return [{**one, "name": names[one["file"]]} for one in seen]
+    names = [name for name, _ in [*files, *trusted]]
+    return [{**one, "name": name} for one, name in zip(seen, names, strict=True)]
 
 
 def _rows(what: str, seen: list[dict[str, Any]]) -> list[dict[str, Any]]:
