@@ -57,10 +57,7 @@ def _archives(sample: Members) -> Crafted:
             archive.writestr("manifest.json", bytes(10**6))
         yield f"compression {method}", buffer.getvalue()
     yield "zip of a zip", pack({**sample, RECORD: pack(sample)})
-    yield (
-        "deflate that never ends",
-        plain.replace(zlib.compress(sample[ENV], wbits=-15)[:20], b"\x04\xc0\x81" * 6 + b"\0\0"),
-    )
+    yield "damaged deflate", plain.replace(_deflated(sample[ENV])[:20], b"\x04\xc0\x81" * 6 + b"\0\0")
 
 
 def _names(sample: Members) -> Crafted:
@@ -146,6 +143,11 @@ def _tensors(sample: Members) -> Crafted:
             yield f"{member}: {what}", pack({**sample, member: _tensor_file(json.dumps(changed).encode(), body)})
         nan = np.full(len(body) // 4, np.nan, np.float32).tobytes()
         yield f"{member}: not finite", pack({**sample, member: data[: 8 + length] + nan + body[len(nan) :]})
+
+
+def _deflated(data: bytes) -> bytes:
+    packer = zlib.compressobj(wbits=-15)
+    return packer.compress(data) + packer.flush()
 
 
 def _tensor_file(header: bytes, body: bytes) -> bytes:

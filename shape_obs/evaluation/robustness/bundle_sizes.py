@@ -116,7 +116,8 @@ def _environments(sample: Members) -> Crafted:
         ("FrameStackObservation", {"stack_size": _HUGE}), ("ResizeObservation", {"shape": [100_000, 100_000]}),
         ("ResizeObservation", {"shape": _HUGE}), ("ReshapeObservation", {"shape": [2**40]}),
         ("DelayObservation", {"delay": _HUGE}), ("MaxAndSkipObservation", {"skip": _HUGE}),
-        ("RescaleAction", {"min_action": [0.0] * 50_000, "max_action": 1}), ("TimeLimit", {"max_episode_steps": 10**18}),
+        ("RescaleAction", {"min_action": [0.0] * 50_000, "max_action": 1}),
+        ("TimeLimit", {"max_episode_steps": 10**18}),
         ("FlattenObservation", {"unknown": 1}), ("FilterObservation", {"filter_keys": ["none"]}),
     ):  # fmt: skip
         added = {"name": name, "entry_point": "gymnasium.wrappers:" + name, "kwargs": kwargs}
