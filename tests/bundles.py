@@ -62,7 +62,7 @@ def old_bundle(model, env, path: Path) -> None:
     described["additional_wrappers"] = described.pop("wrappers")
     saved, statistics = io.BytesIO(), io.BytesIO()
     model.save(saved)
-    np.savez(statistics, **load(members["statistics.safetensors"]))
+    np.savez(statistics, **load(members["statistics.safetensors"]))  # type: ignore[arg-type]
     old = {
         "model.zip": saved.getvalue(),
         "statistics.npz": statistics.getvalue(),

@@ -12,6 +12,6 @@ from shape_obs.evaluation.robustness.bundles import bundle_claims
 
 @pytest.mark.long
 def test_a_bundle_is_data():
-    rows = bundle_claims(mutated=40, every=5, kills=4)
+    rows = bundle_claims(mutated=30, every=8, kills=4)
     assert [row for row in rows if row["reached"] != "yes"] == []
     assert len(rows) == 15

@@ -71,7 +71,7 @@ def pack_plain(members: Mapping[str, bytes]) -> bytes:
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, data in members.items():
             method = zipfile.ZIP_STORED if name in (WEIGHTS, STATISTICS) else zipfile.ZIP_DEFLATED
-            archive.writestr(zipfile.ZipInfo(name, _DATE), data, method)
+            archive.writestr(zipfile.ZipInfo(name, _DATE), data, method, compresslevel=1)
     return buffer.getvalue()
 
 

@@ -1,8 +1,8 @@
 """Read hostile bundles, each in a process of its own, and report what they did.
 
-``python -m shape_obs.evaluation.robustness.bundle_trials FOLDER`` reads ``FOLDER/files/*``, those named ``*.trusted``
-with ``trust=True``. The process has all libraries loaded and forks for each file, so that time and memory are those of
-the file alone. It prints one line of JSON for each.
+``python -m shape_obs.evaluation.robustness.bundle_trials FOLDER KILLS SEED`` reads ``FOLDER/files/*``, those named
+``*.trusted`` with ``trust=True``. The process has all libraries loaded and forks for each file, so that time and memory
+are those of the file alone. It prints one line of JSON for each, and one for the kills of processes that save a bundle.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from shape_obs import CameraModel, Intrinsics, load_bundle
 from shape_obs.bundle import Bundle, BundleError
 from shape_obs.bundle.spaces import space_from_dict, zeros
 from shape_obs.evaluation.robustness.bundle_canary import VARIABLE
+from shape_obs.evaluation.robustness.bundle_kills import kill_savers
 
 _MIB: Final = 2**20
 #: Suffix of files that are loaded with ``trust=True``.
@@ -77,8 +78,8 @@ class Cell(gym.Env[Any, Any]):
         self.anchors = {"gripper0": (0.0, 0.0, 0.0)}
 
 
-def main(folder: Path) -> None:
-    """Read all files of a folder."""
+def main(folder: Path, kills: int, seed: int) -> None:
+    """Read all files of a folder, then kill processes that save one."""
     import torch
 
     import shape_obs_envs  # noqa: F401 - registers the environments
@@ -91,6 +92,9 @@ def main(folder: Path) -> None:
     gc.freeze()  # collecting in a fork would copy all of the parent's memory
     for path in sorted((folder / "files").iterdir()):
         print(json.dumps(in_fork(lambda path=path: attempt(path, folder, path.suffix == TRUSTED))), flush=True)
+    if kills:
+        with tempfile.TemporaryDirectory(dir=folder) as saved:
+            print(json.dumps(kill_savers(Path(saved), kills, seed)), flush=True)
 
 
 def attempt(path: Path, folder: Path, trust: bool) -> dict[str, Any]:
@@ -181,4 +185,4 @@ def _addresses() -> int:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))
