@@ -154,7 +154,7 @@ def rebuild(spec: EnvSpec, *, trust: bool, arguments: Mapping[str, Any]) -> gym.
         )
     try:
         return gym.make(spec, **{"disable_env_checker": True, **arguments})
-    except (*MALFORMED, gym.error.Error) as error:
+    except (*MALFORMED, OSError, gym.error.Error) as error:
         raise BundleError(f"the environment {spec.id} cannot be rebuilt: {error}") from error
 
 

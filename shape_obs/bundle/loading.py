@@ -35,7 +35,7 @@ from shape_obs.bundle.policy import Bundle
 from shape_obs.bundle.record import Record, version_differences, versions
 from shape_obs.bundle.spaces import channels_first, space_from_dict, space_to_dict, zeros
 from shape_obs.bundle.statistics import Statistics
-from shape_obs.config import SECTIONS, schema_hash
+from shape_obs.config import SECTIONS, DetectorConfig, detector_arguments, schema_hash
 
 
 def load_bundle(path: str | os.PathLike[str], *, device: str = "cpu", trust: bool = False) -> Bundle:
@@ -111,7 +111,7 @@ def _assemble(archive: Archive, folder: Path | None, device: str, trust: bool) -
         if network is None:
             policy = legacy.read_policy(record.algorithm, members[legacy.MODEL], device)
         else:
-            policy = network.build(members[WEIGHTS], device)
+            policy = network.build(members.pop(WEIGHTS), device)
         _check_spaces(policy, record)
         bundle = Bundle(record, spec, policy, _statistics(members, record), trusted=trust)
         _check_acting(bundle)
@@ -123,14 +123,16 @@ def _assemble(archive: Archive, folder: Path | None, device: str, trust: bool) -
 
 
 def _config(members: Mapping[str, bytes], folder: Path | None, trust: bool) -> dict[str, Any] | None:
-    """The arguments of ``ShapeObservation``, from the three sections."""
+    """The arguments of ``ShapeObservation`` from the three sections, defaults filled in."""
     if CONFIG not in members:
         return None
     sections = unpack(read_yaml(members[CONFIG], CONFIG), members, folder, trust=trust)
     config = {name: value for section in SECTIONS for name, value in sections.get(section, {}).items()}
+    if "features" not in config:
+        raise BundleError(f"{CONFIG}: the section 'shape' has no features.")
     if not trust:
         check_configuration(config, CONFIG)
-    return config
+    return {**DetectorConfig.from_dict(detector_arguments(config)).to_dict(), **config}
 
 
 def _statistics(members: Mapping[str, bytes], record: Record) -> Statistics | None:

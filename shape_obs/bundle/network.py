@@ -132,6 +132,7 @@ class Network:
             if self.known:
                 _check_layouts(_layouts(kind, spaces, arguments), stored)
             state = read_weights(weights, WEIGHTS)
+            del weights  # the largest part of a bundle, and the policy is to have its own
             if "ortho_init" in arguments:
                 arguments["ortho_init"] = False  # takes seconds for wide layers, and all weights are replaced
             with torch.random.fork_rng(devices=[]):

@@ -103,7 +103,9 @@ class Bundle:
         if goal is not None and not self.needs_goal:
             raise BundleError("the policy was trained without goals, so it cannot be told one.")
         if self.needs_goal and all(wrapper.name != ShapeGoal.__name__ for wrapper in wrappers):
-            points = next(feature for feature in self.features if isinstance(feature, Points3D))
+            points = next((feature for feature in self.features if isinstance(feature, Points3D)), None)
+            if points is None:
+                raise BundleError("the policy has goals of points in metres, but it reads no feature 'points3d'.")
             wrapped = ShapeGoal(wrapped, goal, [points], reward_type="sparse", threshold=self.success_threshold)
         for wrapper in wrappers:
             kwargs = dict(wrapper.kwargs or {})

@@ -5,13 +5,18 @@ from __future__ import annotations
 import copy
 import json
 import struct
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import yaml
 
 from shape_obs.bundle.archive import CONFIG, ENV, RECORD, STATISTICS, WEIGHTS
+from shape_obs.bundle.errors import MALFORMED
+from shape_obs.bundle.fitted import extract, unpack
+from shape_obs.config import SECTIONS, schema_hash
 from shape_obs.evaluation.robustness.bundle_sample import Members, edited, pack
 
 _HOSTILE: Final = (
@@ -92,7 +97,20 @@ def _yaml_changed(sample: Members, plain: bytes, rng: np.random.Generator) -> by
         return pack({**sample, CONFIG: "\n".join(lines).encode()})
     document = yaml.safe_load(text)
     _change(document, rng)
-    return pack({**sample, CONFIG: yaml.safe_dump(document).encode("utf-8", "replace")})
+    changed = {**sample, CONFIG: yaml.safe_dump(document).encode("utf-8", "replace")}
+    return pack(edited(changed, RECORD, schema=_schema(sample, document)))
+
+
+def _schema(sample: Members, document: Any) -> str | None:
+    """The hash of a configuration's schema, where it has one: a careful attacker gives the right one."""
+    fitted = {name: data for name, data in sample.items() if name.startswith("files/")}
+    with tempfile.TemporaryDirectory() as folder:
+        extract(fitted, Path(folder))
+        try:
+            sections = unpack(document, fitted, Path(folder), trust=False)
+            return schema_hash({key: value for part in SECTIONS for key, value in sections.get(part, {}).items()})
+        except MALFORMED:
+            return None
 
 
 def _tensors_changed(sample: Members, plain: bytes, rng: np.random.Generator) -> bytes:

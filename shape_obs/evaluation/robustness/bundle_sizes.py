@@ -127,6 +127,11 @@ def _environments(sample: Members) -> Crafted:
     goal = {"points": [[0.0, 0.0, 0.0]] * 10_000, "layout": {"kind": "surface", "rows": _HUGE, "cols": _HUGE}}
     added = {"name": "ShapeGoal", "entry_point": "shape_obs.wrappers.shape_goal:ShapeGoal", "kwargs": {"goal": goal}}
     yield "goal of 10^18 points", pack(edited(sample, ENV, wrappers=[*wrappers, added]))
+    points = [[i / 1e4, 0, 0] for i in range(10_000)]
+    for layout in ({"kind": "centerline"}, {"kind": "surface", "rows": 100, "cols": 100}):
+        kwargs = {"goal": {"points": points, "layout": layout}}
+        added = {"name": "ShapeGoal", "entry_point": "shape_obs.wrappers.shape_goal:ShapeGoal", "kwargs": kwargs}
+        yield f"goal of 10^4 points of a {layout['kind']}", pack(edited(sample, ENV, wrappers=[*wrappers, added]))
     yield "max_episode_steps", pack(edited(sample, ENV, max_episode_steps=10**18))
 
 
