@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from inspect import Parameter, signature
 from typing import TYPE_CHECKING, Any, Final
 
 from shape_obs.bundle import network_arguments
@@ -67,7 +68,7 @@ class Network:
         if hasattr(model, "_last_lstm_states"):
             raise BundleError(f"model: {type(model).__name__} has a recurrent policy, which bundles cannot run.")
         algorithm, policy = _known_names(model)
-        arguments = network_arguments.to_json(model.policy._get_constructor_parameters())
+        arguments = network_arguments.to_json(_accepted(type(model.policy), model.policy._get_constructor_parameters()))
         spaces = space_to_dict(model.observation_space), space_to_dict(model.action_space)
         return cls(algorithm, policy, arguments, *spaces)
 
@@ -127,7 +128,7 @@ class Network:
             space_from_dict(value, f"the policy's {what} space")
             for what, value in (("observation", self.observation_space), ("action", self.action_space))
         ]
-        arguments = {**network_arguments.from_json(self.arguments), "lr_schedule": _no_learning}
+        arguments = network_arguments.from_json(self.arguments) | _accepted(kind, {"lr_schedule": _no_learning})
         try:
             if self.known:
                 _check_layouts(_layouts(kind, spaces, arguments), stored)
@@ -213,6 +214,14 @@ def _unchecked_distributions() -> Iterator[None]:
         yield
     finally:
         Distribution.set_default_validate_args(before)
+
+
+def _accepted(kind: type[Any], arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Those arguments that a class takes: a policy may report its base class's."""
+    parameters = signature(kind).parameters
+    if any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters.values()):
+        return dict(arguments)
+    return {name: value for name, value in arguments.items() if name in parameters}
 
 
 def _no_learning(_: float) -> float:
