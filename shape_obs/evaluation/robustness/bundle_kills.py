@@ -20,7 +20,7 @@ from shape_obs import load_bundle, save_bundle
 _LAYERS: Final = [512, 512]
 _SAVES: Final = 3
 #: Seconds that writing takes, and that it is waited for.
-_WRITING: Final = 0.01
+_WRITING: Final = 0.004
 _LONGEST: Final = 30.0
 
 
