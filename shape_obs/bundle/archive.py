@@ -52,6 +52,8 @@ _STORED: Final = (WEIGHTS, STATISTICS)
 _MOST_DIRECTORY: Final = 16 * _KIB
 _END: Final = struct.Struct("<4s4H2LH")
 _ZIP64_LOCATOR: Final = 20
+#: Bytes before the name of a member.
+_LOCAL_HEADER: Final = 30
 #: What a damaged length, method or stream raises.
 _DAMAGED: Final = (
     zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError,
@@ -187,7 +189,7 @@ def _check_entries(infos: list[zipfile.ZipInfo], directory: int) -> None:
             raise BundleError(f"member {name!r} declares {info.file_size} bytes and has {info.compress_size}.")
         if info.header_offset != at:
             raise BundleError(f"member {name!r} overlaps another one, or something lies between them.")
-        at += zipfile.sizeFileHeader + len(name.encode()) + info.compress_size  # type: ignore[attr-defined]
+        at += _LOCAL_HEADER + len(name.encode()) + info.compress_size
     if at != directory:
         raise BundleError("something lies between the members and their directory.")
 

@@ -128,7 +128,8 @@ class Network:
             space_from_dict(value, f"the policy's {what} space")
             for what, value in (("observation", self.observation_space), ("action", self.action_space))
         ]
-        arguments = network_arguments.from_json(self.arguments) | _accepted(kind, {"lr_schedule": _no_learning})
+        idle = {"lr_schedule": _no_learning, "optimizer_class": _NoOptimizer}
+        arguments = network_arguments.from_json(self.arguments) | _accepted(kind, idle)
         try:
             if self.known:
                 _check_layouts(_layouts(kind, spaces, arguments), stored)
@@ -222,6 +223,13 @@ def _accepted(kind: type[Any], arguments: Mapping[str, Any]) -> dict[str, Any]:
     if any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters.values()):
         return dict(arguments)
     return {name: value for name, value in arguments.items() if name in parameters}
+
+
+class _NoOptimizer:
+    """Stands in for an optimizer, which takes memory, and seconds to import."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        """Take what an optimizer takes."""
 
 
 def _no_learning(_: float) -> float:

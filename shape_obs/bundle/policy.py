@@ -42,7 +42,7 @@ class Bundle:
     Attributes:
         record: As given.
         spec: As given; its entry points count only where the bundle is trusted.
-        policy: As given; to act with, not to train on.
+        policy: As given; to act with, not to train on: it has no optimizer.
         statistics: As given.
         trusted: As given.
     """

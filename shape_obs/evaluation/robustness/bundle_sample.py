@@ -18,6 +18,8 @@ from shape_obs.bundle.archive import FORMAT, STATISTICS, VERSION, WEIGHTS, read_
 from shape_obs.features import PointDistribution
 from shape_obs.topology import Chain
 
+#: Suffix of files that are loaded with ``trust=True``.
+TRUSTED: Final = ".trusted"
 _POINTS: Final = 20
 _SHAPES: Final = 40
 _DATE: Final = (1980, 1, 1, 0, 0, 0)

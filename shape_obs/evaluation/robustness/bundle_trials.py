@@ -32,10 +32,9 @@ from shape_obs.bundle import Bundle, BundleError
 from shape_obs.bundle.spaces import space_from_dict, zeros
 from shape_obs.evaluation.robustness.bundle_canary import VARIABLE
 from shape_obs.evaluation.robustness.bundle_kills import kill_savers
+from shape_obs.evaluation.robustness.bundle_sample import TRUSTED
 
 _MIB: Final = 2**20
-#: Suffix of files that are loaded with ``trust=True``.
-TRUSTED: Final = ".trusted"
 #: Seconds after which a process is ended, and bytes of addresses beyond those of its parent.
 _LONGEST: Final = 20.0
 _MOST: Final = 1024 * _MIB

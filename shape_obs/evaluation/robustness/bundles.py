@@ -16,9 +16,8 @@ from shape_obs.evaluation.robustness.bundle_attacks import attacks
 from shape_obs.evaluation.robustness.bundle_bombs import bombs
 from shape_obs.evaluation.robustness.bundle_canary import VARIABLE, write_canary
 from shape_obs.evaluation.robustness.bundle_mutations import mutations
-from shape_obs.evaluation.robustness.bundle_sample import members_of, save_sample
+from shape_obs.evaluation.robustness.bundle_sample import TRUSTED, members_of, save_sample
 from shape_obs.evaluation.robustness.bundle_sizes import sizes
-from shape_obs.evaluation.robustness.bundle_trials import TRUSTED
 
 _SECONDS: Final = 2.0
 _MEGABYTES: Final = 300.0
