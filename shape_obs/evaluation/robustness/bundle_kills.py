@@ -18,6 +18,7 @@ from shape_obs import load_bundle, save_bundle
 
 #: Wide, so that writing the file takes a large part of saving it: about 10 MB.
 _LAYERS: Final = [512, 512]
+_ATTEMPTS: Final = 8
 _SAVES: Final = 3
 #: Seconds that writing takes, and that it is waited for.
 _WRITING: Final = 0.004
@@ -27,7 +28,8 @@ _LONGEST: Final = 30.0
 def kill_savers(folder: Path, kills: int, seed: int) -> dict[str, int]:
     """Save several versions of a bundle, then kill forked processes that replace one by the other.
 
-    Every second instant is drawn from the whole of saving, the others from the writing of the file.
+    Every second instant is drawn from the whole of saving, the others from the writing of the file; of those, one that
+    came too late is followed by another kill.
 
     Args:
         folder: An empty one.
@@ -57,17 +59,20 @@ def kill_savers(folder: Path, kills: int, seed: int) -> dict[str, int]:
     rng = np.random.default_rng(seed)
     seen = {"broken": 0, "unread": 0, "writing": 0, "left": 0}
     for number in range(kills):
-        before = len(list(folder.iterdir()))
-        if number % 2:
-            _kill(save, lambda: None, float(rng.uniform(0, _SAVES * lasting)))
-        else:
-            _kill(save, lambda before=before: _until_written(folder, before), float(rng.uniform(0, _WRITING)))
-        seen["writing"] += len(list(folder.iterdir())) > before
-        seen["broken"] += not path.is_file() or path.read_bytes() not in versions
-        try:
-            load_bundle(path)
-        except (OSError, ValueError):
-            seen["unread"] += 1
+        before = len(os.listdir(folder))
+        for _ in range(_ATTEMPTS if number % 2 == 0 else 1):
+            if number % 2:
+                _kill(save, lambda: None, float(rng.uniform(0, _SAVES * lasting)))
+            else:
+                _kill(save, lambda before=before: _until_written(folder, before), float(rng.uniform(0, _WRITING)))
+            seen["broken"] += not path.is_file() or path.read_bytes() not in versions
+            try:
+                load_bundle(path)
+            except (OSError, ValueError):
+                seen["unread"] += 1
+            if len(os.listdir(folder)) > before:
+                seen["writing"] += 1
+                break
     seen["left"] = len(list(folder.iterdir())) - 1
     return seen
 
