@@ -110,21 +110,22 @@ def decode_npy(data: bytes, where: str) -> npt.NDArray[Any]:
         raise ValueError(f"{where}: not a NumPy array file, or a damaged one: {error}") from error
 
 
-def decode_npz(data: bytes, where: str) -> dict[str, npt.NDArray[Any]]:
+def decode_npz(data: bytes, where: str, *, most_bytes: int = MOST_BYTES) -> dict[str, npt.NDArray[Any]]:
     """Decode the content of a .npz file: all its arrays by name, each checked against its checksum.
 
     Args:
         data: The file's content.
         where: The file's name, for messages.
+        most_bytes: How many bytes all arrays may have together.
 
     Raises:
-        ValueError: It is not a .npz file, a damaged one, or one with Python objects.
+        ValueError: It is not a .npz file, a damaged or too large one, or one with Python objects.
     """
     arrays: dict[str, npt.NDArray[Any]] = {}
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            if sum(entry.file_size for entry in archive.infolist()) > MOST_BYTES:
-                raise ValueError(f"expected at most {MOST_BYTES} bytes when unpacked")
+            if sum(entry.file_size for entry in archive.infolist()) > most_bytes:
+                raise ValueError(f"expected at most {most_bytes} bytes when unpacked")
             # ``zipfile`` does not compare them: a damaged length in the list of entries hides those that follow.
             wanted = int.from_bytes(data[_COUNT_AT - len(archive.comment) :][:2], "little")
             if wanted != len(archive.namelist()) & 0xFFFF:

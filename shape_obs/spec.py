@@ -11,13 +11,31 @@ import dataclasses
 import difflib
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 from importlib import metadata
 from typing import TYPE_CHECKING, Any, ClassVar, Union
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+
+_PLUGINS: ContextVar[bool] = ContextVar("plugins", default=True)
+
+
+@contextmanager
+def without_plugins() -> Iterator[None]:
+    """Load no plugin while specs are read: a kind of another package is known only where that package is imported.
+
+    For values that come from somebody else, whose names must not choose which code is loaded.
+    """
+    before = _PLUGINS.set(False)
+    try:
+        yield
+    finally:
+        _PLUGINS.reset(before)
 
 
 class SpecError(ValueError):
@@ -53,10 +71,11 @@ class Spec:
 
     @classmethod
     def kinds(cls) -> tuple[str, ...]:
-        """The kinds that this family knows, entry points of other packages included."""
-        for entry in metadata.entry_points(group=f"shape_obs.{cls.family}"):
-            if entry.name not in cls._members:
-                entry.load()
+        """Return the kinds of this family, after loading those that other packages add through entry points."""
+        if _PLUGINS.get():
+            for entry in metadata.entry_points(group=f"shape_obs.{cls.family}"):
+                if entry.name not in cls._members:
+                    entry.load()
         return tuple(sorted(cls._members))
 
     @classmethod

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
+import json
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from rope_env import wrapped
 
 import shape_obs_envs  # noqa: F401
@@ -43,6 +46,31 @@ def train(path: Path) -> Any:
     model.learn(12)
     save_bundle(model, env, path, summary={"note": "quick"})
     return model, env
+
+
+def old_bundle(model, env, path: Path) -> None:
+    """Write a bundle as version 1 was, with the model's own zip file."""
+    from safetensors.numpy import load
+
+    from shape_obs.bundle.archive import read_archive, write_archive
+
+    save_bundle(model, env, path)
+    members = read_archive(path).members
+    record = json.loads(members["policy.json"])
+    record["algorithm"] = f"stable_baselines3:{record.pop('network')['algorithm']}"
+    described = json.loads(members["env.json"])
+    described["additional_wrappers"] = described.pop("wrappers")
+    saved, statistics = io.BytesIO(), io.BytesIO()
+    model.save(saved)
+    np.savez(statistics, **load(members["statistics.safetensors"]))  # type: ignore[arg-type]
+    old = {
+        "model.zip": saved.getvalue(),
+        "statistics.npz": statistics.getvalue(),
+        "env.json": json.dumps(described).encode(),
+        "policy.json": json.dumps(record).encode(),
+        "config.yaml": members["config.yaml"],
+    }
+    write_archive(path, old, version=1)
 
 
 WORKSPACE = ((-1.0, -1.0, -1.0), (1.0, 1.0, 2.0))

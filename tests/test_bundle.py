@@ -1,10 +1,8 @@
-"""Bundles: what was trained is what acts, in another process too; what does not fit is refused, and by its name."""
+"""Bundles: what was trained is what acts; what does not fit is refused, and by its name."""
 
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -61,42 +59,13 @@ def test_it_tells_what_it_was_trained_in(trained, bundle):
     assert bundle.needs_goal
     camera = cable().get_wrapper_attr("camera_model")
     np.testing.assert_allclose(record.camera["transform_camera_to_base"], camera.transform_camera_to_base)
-    assert set(read_archive(trained[2])) == {
-        "model.zip",
-        "statistics.npz",
+    assert set(read_archive(trained[2]).members) == {
+        "weights.safetensors",
+        "statistics.safetensors",
         "env.json",
         "config.yaml",
         "policy.json",
     }
-
-
-PLAY = """
-import sys, numpy as np, torch
-torch.set_num_threads(1)
-from shape_obs import load_bundle
-bundle = load_bundle(sys.argv[1])
-env = bundle.make_env()
-observation, _ = env.reset(seed=4)
-for _ in range(3):
-    action = bundle.act(observation)
-    print(action.tobytes().hex())
-    observation, *_ = env.step(action)
-"""
-
-
-def test_a_fresh_process_acts_alike_bit_for_bit(trained, bundle, tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", PLAY, trained[2]], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    env = bundle.make_env()
-    observation, _ = env.reset(seed=4)
-    here = []
-    for _ in range(3):
-        action = bundle.act(observation)
-        here.append(action.tobytes().hex())
-        observation, *_ = env.step(action)
-    assert done.stdout.split() == here
 
 
 def test_without_normalisation_and_goals_from_a_plain_env(tmp_path):
@@ -137,7 +106,7 @@ def test_fitted_features_travel_along(tmp_path):
 class TestFile:
     @pytest.fixture
     def members(self, trained) -> dict[str, bytes]:
-        return read_archive(trained[2])
+        return read_archive(trained[2]).members
 
     @pytest.mark.parametrize("share", [0.02, 0.5, 0.99])
     def test_truncated(self, trained, tmp_path, share):
@@ -162,7 +131,7 @@ class TestFile:
         with pytest.raises(BundleError, match="a zip file of something else"):
             load_bundle(tmp_path / "other.npz")
 
-    @pytest.mark.parametrize("name", ["model.zip", "statistics.npz", "policy.json"])
+    @pytest.mark.parametrize("name", ["weights.safetensors", "statistics.safetensors", "policy.json"])
     def test_a_member_that_was_changed_or_is_missing(self, trained, tmp_path, name):
         import zipfile
 
@@ -180,9 +149,7 @@ class TestFile:
         [
             ({"schema": "0" * 64}, "features mean something else here"),
             ({"versions": {"stable-baselines3": "1.8.0"}}, "other major versions: stable-baselines3 1.8.0 then"),
-            ({"algorithm": "stable_baselines3:QRDQN"}, "has no 'QRDQN'; did you mean 'DQN'"),
-            ({"algorithm": "gymnasium:make"}, "expected a class of Stable-Baselines3"),
-            ({"action_space": {"kind": "discrete", "n": 2}}, "another action space than was recorded"),
+            ({"action_space": {"kind": "discrete", "n": 2, "start": 0}}, "another action space than was recorded"),
             ({"dt": "fast"}, "Record.dt: expected float"),
         ],
     )
@@ -218,7 +185,7 @@ class TestFile:
             save_bundle(model, cable(), tmp_path / "none" / "a.policy")
 
     def test_equal_policies_give_equal_files(self, trained, tmp_path):
-        members = read_archive(trained[2])
+        members = read_archive(trained[2]).members
         write_archive(tmp_path / "a", members)
         write_archive(tmp_path / "b", members)
         assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()

@@ -144,3 +144,20 @@ class TestSettle:
     def test_no_time_at_all(self):
         with pytest.raises(ValueError, match="settle: expected seconds from 0 to below 10, or None, got -1"):
             self.cell(settle=-1)
+
+
+def test_a_bundle_that_runs_code_needs_trust(capsys, path, tmp_path):
+    from shape_obs.bundle.archive import read_archive, write_archive
+
+    members = dict(read_archive(path).members)
+    record = json.loads(members["policy.json"])
+    record["network"]["arguments"]["activation_fn"] = "torch.nn:Softshrink"
+    write_archive(tmp_path / "own.policy", {**members, "policy.json": json.dumps(record).encode()})
+    code, _, err = run(capsys, tmp_path / "own.policy", *CELL)
+    assert code == 1
+    assert "Load it with trust=True (--trust on the command line) only if you trust who made the file" in err
+    code, _, err = run(capsys, tmp_path / "own.policy", "--trust", *CELL)
+    assert code == 1
+    assert "give --goal FILE, or --goal robot where it is simulated" in err
+    code, _, err = run(capsys, "--trust", *CELL)
+    assert "--trust: it is for a trained policy, and none is given" in err

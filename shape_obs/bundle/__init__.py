@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from shape_obs.bundle.archive import BundleError
+from shape_obs.bundle.errors import BundleError
 from shape_obs.bundle.loading import load_bundle
 from shape_obs.bundle.policy import Bundle
 from shape_obs.bundle.saving import save_bundle

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from shape_obs.bundle.archive import BundleError
+from shape_obs.bundle.environment import from_dict, to_dict
+from shape_obs.bundle.errors import BundleError
 
 if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec, WrapperSpec
@@ -28,12 +31,11 @@ _CELL_KEYS: Final = ("rgb", "depth", "robot")
 
 
 def training_spec(env: Any) -> EnvSpec:
-    """The spec of an env, or of the first of a vector env, as JSON and back, without what only watches a training.
+    """Return the spec of an env, or of the first of a vector env, without what only watches a training.
 
     Raises:
         BundleError: It cannot be rebuilt from its spec; the message names the wrapper or argument.
     """
-    from gymnasium.envs.registration import EnvSpec
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
     while isinstance(env, VecEnvWrapper):
@@ -53,11 +55,10 @@ def training_spec(env: Any) -> EnvSpec:
             "from gymnasium.utils.RecordConstructorArgs too."
         )
     try:
-        plain = EnvSpec.from_json(spec.to_json())
+        described = json.loads(json.dumps(to_dict(replace(spec, additional_wrappers=kept))))
     except (TypeError, ValueError) as error:
         raise BundleError(f"the environment {spec.id} cannot be written as JSON: {error}") from error
-    plain.additional_wrappers = tuple(wrapper for wrapper in plain.additional_wrappers if wrapper.name not in _WATCHERS)
-    return plain
+    return from_dict(described, trust=True)
 
 
 def reading_wrappers(spec: EnvSpec) -> list[WrapperSpec]:

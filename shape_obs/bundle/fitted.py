@@ -7,13 +7,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from shape_obs.bundle.errors import needs_trust
 from shape_obs.features import PrincipalComponents
 
 FOLDER: Final = "files/"
 
 
 def pack(value: Any, files: dict[str, bytes]) -> Any:
-    """JSON values with the fitted files of features named by their members, which are added to ``files``.
+    """Return JSON values in which features name members in place of their fitted files, which ``files`` gains.
 
     Raises:
         OSError: One of them cannot be read.
@@ -28,16 +29,28 @@ def pack(value: Any, files: dict[str, bytes]) -> Any:
     return _renamed(value, name)
 
 
-def unpack(value: Any, folder: Path) -> Any:
-    """JSON values with members named by where ``extract`` has put them."""
-    return _renamed(value, lambda member: str(folder / member.removeprefix(FOLDER)))
+def unpack(value: Any, members: Mapping[str, bytes], folder: Path | None, *, trust: bool) -> Any:
+    """Return JSON values in which features name files in ``folder`` in place of members.
+
+    Raises:
+        BundleError: A feature names any other file, and the bundle is not trusted.
+    """
+
+    def path(member: str) -> str:
+        if folder is not None and member.startswith(FOLDER) and member in members:
+            return str(folder / member.removeprefix(FOLDER))
+        if trust:
+            return member
+        raise needs_trust(f"a feature reads the file {member!r:.100}, which the bundle does not hold")
+
+    return _renamed(value, path)
 
 
 def extract(members: Mapping[str, bytes], folder: Path) -> None:
-    """Write the fitted files into a folder."""
+    """Write the fitted files into a folder; the archive has checked their names."""
     for name, data in members.items():
         if name.startswith(FOLDER):
-            (folder / Path(name).name).write_bytes(data)
+            (folder / name.removeprefix(FOLDER)).write_bytes(data)
 
 
 def _renamed(value: Any, rename: Callable[[str], str]) -> Any:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bundle.archive import BundleError
+from shape_obs.bundle import environment
 from shape_obs.bundle.chain import obstacle, reading_wrappers
+from shape_obs.bundle.errors import MALFORMED, BundleError
 from shape_obs.bundle.mismatch import Difference, differences, told
 from shape_obs.bundle.record import Record, Surroundings
 from shape_obs.bundle.statistics import Statistics
@@ -22,8 +23,8 @@ from shape_obs.wrappers.env_protocol import GOALS
 
 if TYPE_CHECKING:
     import gymnasium as gym
-    from gymnasium.envs.registration import EnvSpec
-    from stable_baselines3.common.base_class import BaseAlgorithm
+    from gymnasium.envs.registration import EnvSpec, WrapperSpec
+    from stable_baselines3.common.policies import BasePolicy
 
     from shape_obs.bundle.controller import PolicyController
 
@@ -34,38 +35,46 @@ class Bundle:
     Args:
         record: What the policy is, and what it was trained in.
         spec: Of the environment.
-        model: Of Stable-Baselines3.
+        policy: Of Stable-Baselines3.
         statistics: By which observations are normalised; None for not at all.
+        trusted: Whether code that the file names may run.
 
     Attributes:
         record: As given.
-        spec: As given.
-        model: As given; to act with, not to train on.
+        spec: As given; its entry points count only where the bundle is trusted.
+        policy: As given; to act with, not to train on: it has no optimizer.
         statistics: As given.
+        trusted: As given.
     """
 
-    def __init__(self, record: Record, spec: EnvSpec, model: BaseAlgorithm, statistics: Statistics | None) -> None:
-        self.record, self.spec, self.model, self.statistics = record, spec, model, statistics
+    def __init__(
+        self, record: Record, spec: EnvSpec, policy: BasePolicy, statistics: Statistics | None, *, trusted: bool = False
+    ) -> None:
+        self.record, self.spec, self.policy, self.statistics = record, spec, policy, statistics
+        self.trusted = trusted
 
     def act(self, observation: Any) -> npt.NDArray[Any]:
-        """The action for an observation of the environment, without exploring: (A,) in -1 ... 1 as a rule."""
+        """Return the action for an observation of the environment, without exploring: (A,) in -1 ... 1 as a rule."""
         seen = observation if self.statistics is None else self.statistics.normalize(observation)
-        return np.asarray(self.model.predict(seen, deterministic=True)[0])
+        return np.asarray(self.policy.predict(seen, deterministic=True)[0])
 
     def make_env(self, **arguments: Any) -> gym.Env[Any, Any]:
-        """The environment that it was trained in, rebuilt; without what only watches a training, as ``Monitor``.
+        """Rebuild the environment that it was trained in, without what only watches a training, as ``Monitor``.
 
         Args:
             arguments: Of the environment, over those that it was trained with, such as ``render_mode="human"``.
-        """
-        import gymnasium as gym
 
-        return gym.make(self.spec, **{"disable_env_checker": True, **arguments})
+        Raises:
+            BundleError: The environment is not registered here, cannot be made, or needs the bundle to be trusted: it
+                names code or files, has a wrapper that is in no closed list, or asks for too much.
+            ImportError: A simulator is not installed.
+        """
+        return environment.rebuild(self.spec, trust=self.trusted, arguments=arguments)
 
     def wrap(
         self, env: gym.Env[Any, Any], goal: Any = None, scene: Mapping[str, Any] | None = None
     ) -> gym.Env[Any, Any]:
-        """What the policy reads, of another environment with images: a camera and a robot, as a rule.
+        """Wrap another environment with images, a camera and a robot as a rule, so that the policy can read it.
 
         Wrappers that only a training has are left out. A policy that was trained over an environment with goals of its
         own gets a ``ShapeGoal``.
@@ -77,14 +86,15 @@ class Bundle:
                 and how to behave while running.
 
         Raises:
-            BundleError: The policy cannot run before a camera, or has no goals but is told one; the message says why.
+            BundleError: The policy cannot run before a camera, has no goals but is given one, or a wrapper of its own
+                needs the bundle to be trusted; the message says why.
             ValueError: The environment or the scene do not fit.
         """
         self.check_deployable()
         self._check_place(env)
         config = dict(self.record.config or {})
         shape = {name: config[name] for name in SECTIONS["shape"] if name in config}
-        running = {name: config[name] for name in ("on_missing", "on_invalid", "max_age")}
+        running = {name: config[name] for name in ("on_missing", "on_invalid", "max_age") if name in config}
         published = env_protocol.published(env, "shape_obs_defaults", {})
         known = {name: published[name] for name in ("shapes", *SECTIONS["scene"]) if name in published}
         local = {"workspace": config.get("workspace"), **running, **known, **(scene or {})}
@@ -93,13 +103,15 @@ class Bundle:
         if goal is not None and not self.needs_goal:
             raise BundleError("the policy was trained without goals, so it cannot be told one.")
         if self.needs_goal and all(wrapper.name != ShapeGoal.__name__ for wrapper in wrappers):
-            points = next(feature for feature in self.features if isinstance(feature, Points3D))
+            points = next((feature for feature in self.features if isinstance(feature, Points3D)), None)
+            if points is None:
+                raise BundleError("the policy has goals of points in metres, but it reads no feature 'points3d'.")
             wrapped = ShapeGoal(wrapped, goal, [points], reward_type="sparse", threshold=self.success_threshold)
         for wrapper in wrappers:
             kwargs = dict(wrapper.kwargs or {})
             if wrapper.name == ShapeGoal.__name__ and goal is not None:
                 kwargs["goal"] = goal
-            wrapped = load_named(wrapper.entry_point, f"wrapper {wrapper.name}")(wrapped, **kwargs)
+            wrapped = self._wrapped(wrapped, wrapper, kwargs)
         return wrapped
 
     def check_env(self, env: gym.Env[Any, Any], *, same_rate: bool = True) -> None:
@@ -182,6 +194,15 @@ class Bundle:
     def success_threshold(self) -> float:
         """Metres below which a goal counts as reached."""
         return self.record.success_threshold or 0.01
+
+    def _wrapped(self, env: gym.Env[Any, Any], wrapper: WrapperSpec, kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
+        if not self.trusted:
+            wrapper = environment.check_wrapper(wrapper)
+        kind = load_named(wrapper.entry_point, f"wrapper {wrapper.name}")
+        try:
+            return kind(env, **kwargs)
+        except MALFORMED as error:
+            raise BundleError(f"the policy's wrapper {wrapper.name} does not fit this environment: {error}") from error
 
     def _check_place(self, env: gym.Env[Any, Any]) -> None:
         """Refuse features in the base frame where nobody knows where the camera stands in it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,7 +10,8 @@ from importlib import metadata
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Final
 
-from shape_obs.bundle.spaces import space_to_dict
+from shape_obs.bundle.errors import BundleError
+from shape_obs.bundle.spaces import space_from_dict, space_to_dict
 from shape_obs.config import schema_hash
 from shape_obs.robot import ActionSpec
 from shape_obs.spec import Spec
@@ -22,6 +24,10 @@ if TYPE_CHECKING:
 
 #: Distributions whose versions are told.
 _PACKAGES: Final = ("shape-obs", "stable-baselines3", "sb3-contrib", "torch", "gymnasium", "numpy", "mujoco")
+#: Seconds of a step.
+_SHORTEST: Final = 1e-4
+_LONGEST: Final = 3600.0
+_MOST_SIDE: Final = 16_384
 #: Of these another major version cannot be trusted to read what was written.
 _MAJOR: Final = ("stable-baselines3", "gymnasium", "torch")
 
@@ -86,7 +92,7 @@ class Record(Surroundings):
     """What a policy is, and what it was trained in.
 
     Args:
-        algorithm: Its class, ``module:Name``.
+        algorithm: Its name, such as ``"SAC"``.
         versions: Of Python and the packages, by name.
         summary: Of the training: algorithm, steps, seed, and what was given.
     """
@@ -94,6 +100,22 @@ class Record(Surroundings):
     algorithm: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
     summary: Mapping[str, Any] = field(default_factory=dict)
+
+    def check(self) -> None:
+        """Refuse numbers that no environment has, and spaces that are none.
+
+        Raises:
+            BundleError: The message names the field.
+        """
+        reached = self.success_threshold
+        if not _SHORTEST <= self.dt <= _LONGEST:
+            raise BundleError(f"dt: expected {_SHORTEST} to {_LONGEST} seconds, got {self.dt}.")
+        if reached is not None and not 0 < reached < math.inf:
+            raise BundleError(f"success_threshold: expected metres above 0, got {reached}.")
+        if self.image is not None and not all(0 < side <= _MOST_SIDE for side in self.image):
+            raise BundleError(f"image: expected 1 to {_MOST_SIDE} pixels, got {self.image}.")
+        space_from_dict(self.observation_space, "the observation space")
+        space_from_dict(self.action_space, "the action space")
 
 
 def shape_observation(env: gym.Env[Any, Any]) -> ShapeObservation | None:

@@ -4,30 +4,31 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from shape_obs.bundle.archive import BundleError, write_archive
+from shape_obs.bundle import environment
+from shape_obs.bundle.archive import CONFIG, ENV, RECORD, STATISTICS, WEIGHTS, write_archive
 from shape_obs.bundle.chain import training_spec
+from shape_obs.bundle.documents import write_json, write_yaml
+from shape_obs.bundle.errors import BundleError
 from shape_obs.bundle.fitted import pack
-from shape_obs.bundle.model import algorithm_of, write_model
+from shape_obs.bundle.loading import check_members
+from shape_obs.bundle.network import Network
 from shape_obs.bundle.record import Record, Surroundings, versions
 from shape_obs.bundle.spaces import channels_first, layout_differences, space_to_dict
 from shape_obs.bundle.statistics import Statistics
+from shape_obs.bundle.tensors import write_weights
 from shape_obs.config import dump_config
 from shape_obs.robot import ActionSpec
 from shape_obs.spec import plain
 
 if TYPE_CHECKING:
+    from gymnasium.envs.registration import EnvSpec
     from stable_baselines3.common.base_class import BaseAlgorithm
-
-MODEL: Final = "model.zip"
-STATISTICS: Final = "statistics.npz"
-ENV: Final = "env.json"
-CONFIG: Final = "config.yaml"
-RECORD: Final = "policy.json"
 
 
 def save_bundle(
@@ -40,55 +41,73 @@ def save_bundle(
 ) -> None:
     """Write a trained policy with all that it takes to run it elsewhere: whole or not at all.
 
-    The file holds the model without its replay buffer, what ``VecNormalize`` has learnt, the environment's spec, the
-    configuration of its ``ShapeObservation``, the camera, the hash of the feature schema, what an action means, the
-    duration of a step, the spaces, package versions, and a summary of the training. The environment is made anew from
-    its spec once, so that what is saved is known to work.
+    The file holds data, no code: the weights of the policy, what its network is, what ``VecNormalize`` has learnt, the
+    environment's spec, the configuration of its ``ShapeObservation``, the camera, the hash of the feature schema, what
+    an action means, the duration of a step, the spaces, package versions, and a summary of the training. The
+    environment and the policy are rebuilt once, so that what is saved is known to work.
 
     Args:
         model: Of Stable-Baselines3.
         env: What it was trained in: a vector environment, in ``VecNormalize`` or not, or a Gymnasium environment.
         path: Where to, such as ``"cable.policy"``.
-        summary: What else is to be told of the training, as JSON values.
+        summary: What else is to be recorded of the training, as JSON values.
         action_spec: What an action of 1 means, for an environment that does not publish it.
 
     Raises:
-        BundleError: The environment cannot be rebuilt from its spec, or is another one than the model was trained in.
+        BundleError: The environment cannot be rebuilt from its spec, is another one than the model was trained in, or
+            the policy has an argument that is neither a plain value nor a class.
         OSError: The file cannot be written.
+
+    Warns:
+        UserWarning: The policy has a class, or the environment a wrapper or an argument, that ``load_bundle`` or
+            ``make_env`` reads only with ``trust=True``. The message names it.
 
     Example:
         >>> save_bundle(model, model.get_env(), "cable.policy")  # doctest: +SKIP
     """
-    import gymnasium as gym
-
-    algorithm, spec = algorithm_of(model), training_spec(env)
-    told = {"algorithm": type(model).__name__, "steps": int(model.num_timesteps), "seed": model.seed}
+    network, spec = Network.of(model), training_spec(env)
+    counts = {"algorithm": type(model).__name__, "steps": int(model.num_timesteps), "seed": model.seed}
     try:
         given = json.loads(json.dumps(plain(summary or {})))
     except (TypeError, ValueError) as error:
         raise BundleError(f"summary: expected JSON values, {error}.") from error
-    rebuilt = gym.make(spec, disable_env_checker=True)
+    rebuilt = environment.rebuild(spec, trust=True, arguments={})
     try:
         seen = Surroundings.of(rebuilt)
     finally:
         rebuilt.close()
     record = Record(
-        algorithm=algorithm,
-        summary={**told, **given},
+        algorithm=network.algorithm,
+        summary={**counts, **given},
         versions=versions(),
         **{**vars(seen), "config": None, "action_spec": action_spec or seen.action_spec},
     )
     _check_spaces(model, record)
     files: dict[str, bytes] = {}
-    members = {MODEL: write_model(model), ENV: _json(pack(json.loads(spec.to_json()), files))}
+    weights = write_weights(model.policy.state_dict())
+    members = {WEIGHTS: weights, ENV: write_json(pack(environment.to_dict(spec), files))}
     if seen.config is not None:
         sections = pack(yaml.safe_load(dump_config(seen.config)), files)
-        members[CONFIG] = yaml.safe_dump(sections, sort_keys=False).encode()
+        members[CONFIG] = write_yaml(sections)
     statistics = Statistics.of(_normalize(env) or model.get_vec_normalize_env())
     if statistics is not None:
+        statistics.check(record.observation_space)
         members[STATISTICS] = statistics.to_bytes()
-    members[RECORD] = _json(record.to_dict())
+    described = {name: value for name, value in record.to_dict().items() if name != "config"}
+    members[RECORD] = write_json({**described, "network": vars(network)})
+    check_members({**members, **files})
+    _warn_of_trust(network, spec)
     write_archive(path, {**members, **files})
+
+
+def _warn_of_trust(network: Network, spec: EnvSpec) -> None:
+    """Warn of what is read only with ``trust=True``."""
+    try:
+        network.check_known()
+        environment.from_dict(environment.to_dict(spec), trust=False)
+        environment.check_rebuildable(spec)
+    except BundleError as error:
+        warnings.warn(f"the bundle is not read whole without trust: {error}", UserWarning, stacklevel=3)
 
 
 def _check_spaces(model: BaseAlgorithm, record: Record) -> None:
@@ -108,7 +127,3 @@ def _normalize(env: Any) -> Any:
     from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_normalize
 
     return unwrap_vec_normalize(env) if isinstance(env, VecEnv) else None
-
-
-def _json(value: Any) -> bytes:
-    return json.dumps(value, indent=2).encode()

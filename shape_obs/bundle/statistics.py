@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -10,12 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bundle.archive import STATISTICS
+from shape_obs.bundle.errors import BundleError
+from shape_obs.bundle.tensors import read_arrays, write_arrays
+
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecNormalize
 
 Array = npt.NDArray[np.float64]
 #: Stands for the observation itself where it is no Dict.
 WHOLE = ""
+_SCALARS = ("epsilon", "clip")
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,7 @@ class Statistics:
 
     @classmethod
     def of(cls, normalize: VecNormalize | None) -> Statistics | None:
-        """What a ``VecNormalize`` has learnt; None where it leaves observations alone."""
+        """Take what a ``VecNormalize`` has learnt; None where it leaves observations alone."""
         if normalize is None or not normalize.norm_obs:
             return None
         if isinstance(normalize.obs_rms, dict):
@@ -54,23 +58,61 @@ class Statistics:
         return {key: self._scaled(value, key) if key in self.mean else value for key, value in observation.items()}
 
     def to_bytes(self) -> bytes:
-        """A .npz file of them."""
+        """Write them as tensors."""
         arrays = {f"mean/{key}": value for key, value in self.mean.items()}
         arrays |= {f"variance/{key}": value for key, value in self.variance.items()}
-        buffer = io.BytesIO()
-        np.savez(buffer, **arrays, epsilon=np.float64(self.epsilon), clip=np.float64(self.clip))  # type: ignore[arg-type]
-        return buffer.getvalue()
+        scalars = {"epsilon": np.array(self.epsilon), "clip": np.array(self.clip)}
+        return write_arrays({**arrays, **scalars})
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Statistics:
-        """Read what ``to_bytes`` wrote."""
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            parts: dict[str, dict[str, Array]] = {"mean": {}, "variance": {}}
-            for name in arrays.files:
-                part, slash, key = name.partition("/")
-                if slash:
-                    parts[part][key] = arrays[name]
-            return cls(parts["mean"], parts["variance"], float(arrays["epsilon"]), float(arrays["clip"]))
+        """Read what ``to_bytes`` wrote.
+
+        Raises:
+            BundleError: It is something else.
+        """
+        return cls.from_arrays(read_arrays(data, STATISTICS))
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, npt.NDArray[Any]]) -> Statistics:
+        """Take them from arrays by the names that ``to_bytes`` gives them.
+
+        Raises:
+            BundleError: An array is missing, has another name or type.
+        """
+        parts: dict[str, dict[str, Array]] = {"mean": {}, "variance": {}}
+        scalars: dict[str, float] = {}
+        for name, array in arrays.items():
+            part, slash, key = name.partition("/")
+            if array.dtype != np.float64 or (part not in parts if slash else name not in _SCALARS or array.shape != ()):
+                raise BundleError(f"the statistics: unexpected array {name[:80]!r}, {array.dtype} of {array.shape}.")
+            if slash:
+                parts[part][key] = array
+            else:
+                scalars[name] = float(array)
+        if parts["mean"].keys() != parts["variance"].keys() or scalars.keys() != set(_SCALARS):
+            raise BundleError("the statistics: expected a mean and a variance of each observation, epsilon and clip.")
+        return cls(parts["mean"], parts["variance"], scalars["epsilon"], scalars["clip"])
+
+    def check(self, observation: Mapping[str, Any]) -> None:
+        """Refuse statistics that do not fit the observations.
+
+        Args:
+            observation: The space, as ``space_to_dict`` describes it.
+
+        Raises:
+            BundleError: The message names the observation.
+        """
+        spaces = observation["spaces"] if observation["kind"] == "dict" else {WHOLE: observation}
+        for key, mean in self.mean.items():
+            shape = tuple(spaces[key].get("shape", ())) if key in spaces else None
+            variance = self.variance[key]
+            if shape is None or mean.shape != shape or variance.shape != shape:
+                raise BundleError(f"the statistics of observation {key[:80]!r} do not have its shape {shape}.")
+            if not (np.isfinite(mean).all() and np.isfinite(variance).all() and (variance >= 0).all()):
+                raise BundleError(f"the statistics of observation {key[:80]!r} are not finite, or negative.")
+        if not (0 < self.epsilon < np.inf and self.clip > 0):
+            raise BundleError(f"the statistics: expected epsilon and clip above 0, got {self.epsilon} and {self.clip}.")
 
     def _scaled(self, values: npt.ArrayLike, key: str) -> npt.NDArray[np.float32]:
         centred = np.asarray(values) - self.mean[key]

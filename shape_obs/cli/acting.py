@@ -27,6 +27,9 @@ class ActingArguments(CellArguments):
 
     bundle: Annotated[Path | None, tyro.conf.Positional] = None
     """A trained policy, as shape_obs.save_bundle writes it."""
+    trust: bool = False
+    """Read a trained policy that runs code: one of an earlier version, or one with classes of its own. Only if you
+    trust who made the file."""
     controller: str | None = None
     """What acts in place of a policy, as module:Class with act(observation); shape_obs.deploy has Still, Sway and
     Script. Default Still."""
@@ -84,7 +87,7 @@ def make_acting(args: ActingArguments, **options: Any) -> Acting:
         args = replace(args, settle=_SETTLE)
     options |= {"settle": args.settle}
     goal = None if args.goal in (None, _ROBOT) else Target.load(str(args.goal))
-    bundle = None if args.bundle is None else _read_bundle(args.bundle)
+    bundle = None if args.bundle is None else _read_bundle(args.bundle, args.trust)
     if bundle is None:
         controller = make_named(
             args.controller or "shape_obs.deploy:Still",
@@ -119,16 +122,18 @@ def _check(args: ActingArguments) -> None:
         raise ValueError(f"expected a trained policy or --controller, got both: {args.bundle} and {args.controller}.")
     if args.bundle is not None and args.controller_set:
         raise ValueError("--controller-set: a trained policy takes no arguments; leave it out.")
+    if args.trust and args.bundle is None:
+        raise ValueError("--trust: it is for a trained policy, and none is given; leave it out.")
     if args.episodes is not None and args.episodes < 1:
         raise ValueError(f"--episodes: expected 1 or more, got {args.episodes}.")
     if args.rate is not None and not 0 < args.rate <= 1000:
         raise ValueError(f"rate: expected hertz above 0, at most 1000, got {args.rate!r}.")
 
 
-def _read_bundle(path: Path) -> Any:
+def _read_bundle(path: Path, trust: bool) -> Any:
     from shape_obs.bundle import load_bundle
 
-    bundle = load_bundle(path)
+    bundle = load_bundle(path, trust=trust)
     bundle.check_deployable()
     return bundle
 

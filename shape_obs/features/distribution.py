@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,8 @@ FORMAT: Final = "shape_obs point distribution"
 VERSION: Final = 1
 _ARRAYS: Final = ("mean", "components", "variance", "noise")
 _LAYOUTS: Final[Mapping[str, type[Any]]] = {"chain": Chain, "ring": Ring, "grid": Grid}
+_FRAMES: Final = get_args(Frame)
+_MOST_BYTES: Final = 32 << 20  # of all arrays of a file; a hundred components of a large lattice have 3 MB
 _FLAT: Final = 1e-9  # of the first component's variance, and of the shapes' extent: what is below is rounding
 _FLOOR: Final = 1e-6  # of the last component's variance: the least that points are taken to scatter beside the model
 #: What the model leaves of neighbouring points is alike, so several of them tell no more than one (g in the formula).
@@ -214,15 +216,18 @@ class PointDistribution:
 
     @classmethod
     def from_bytes(cls, content: bytes, name: str) -> PointDistribution:
-        """What a file holds; ``name`` is the file's, for messages. Errors as those of ``load``."""
+        """Read the content of a file; ``name`` is the file's, for messages. Errors as those of ``load``."""
         try:
-            arrays = decode_npz(content, "content")
+            arrays = decode_npz(content, "content", most_bytes=_MOST_BYTES)
             head = parse_json(str(arrays["metadata"]), "metadata")
             mean, components, variance, noise = (np.asarray(arrays[key], dtype=np.float64) for key in _ARRAYS)
             if head.get("format") != FORMAT or head["version"] != VERSION:
                 raise ValueError(f"expected {FORMAT!r} {VERSION}, got {head.get('format')!r} {head.get('version')}")
             layout = _LAYOUTS[head["layout"].pop("kind")](**head["layout"])
-            size = (layout.size, 2 if Coordinates(head["frame"]).planar else 3)
+            coordinates = Coordinates(head["frame"], head["origin"])
+            size = (layout.size, 2 if coordinates.planar else 3)
+            if coordinates.frame not in _FRAMES or not isinstance(head["aligned"], bool):
+                raise ValueError(f"unknown frame {head['frame']!r}, or 'aligned' is neither true nor false")
             if mean.shape != size or components.shape != (len(variance), *size) or noise.shape != ():
                 raise ValueError(f"arrays of {mean.shape} and {components.shape} do not belong to {layout}")
             if not all(np.isfinite(array).all() for array in (mean, components)) or not min(variance.min(), noise) > 0:

@@ -1,0 +1,17 @@
+"""Hostile and damaged bundles run no code, raise what is declared, and take little time and memory."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("stable_baselines3")
+
+from shape_obs.evaluation.robustness.bundles import bundle_claims
+
+
+@pytest.mark.long
+def test_a_bundle_is_data():
+    rows = bundle_claims(mutated=30, every=8, kills=4)
+    assert [row for row in rows if row["reached"] != "yes"] == []
+    assert len(rows) == 15
