@@ -129,13 +129,13 @@ class Network:
         ]
         idle = {"lr_schedule": _no_learning, "optimizer_class": _NoOptimizer}
         arguments = network_arguments.from_json(self.arguments) | _accepted(kind, idle)
+        if "ortho_init" in arguments:
+            arguments["ortho_init"] = False  # takes seconds for wide layers, and all weights are replaced
         try:
             if self.known:
                 _check_layouts(kind, spaces, arguments, stored)
             state = read_weights(weights, WEIGHTS)
             del weights  # the largest part of a bundle, and the policy is to have its own
-            if "ortho_init" in arguments:
-                arguments["ortho_init"] = False  # takes seconds for wide layers, and all weights are replaced
             with torch.random.fork_rng(devices=[]):
                 policy = kind(*spaces, **arguments)
             policy.load_state_dict(state, strict=True)
