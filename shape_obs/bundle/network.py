@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from inspect import Parameter, signature
 from typing import TYPE_CHECKING, Any, Final
@@ -130,13 +129,13 @@ class Network:
         ]
         idle = {"lr_schedule": _no_learning, "optimizer_class": _NoOptimizer}
         arguments = network_arguments.from_json(self.arguments) | _accepted(kind, idle)
+        if "ortho_init" in arguments:
+            arguments["ortho_init"] = False  # takes seconds for wide layers, and all weights are replaced
         try:
             if self.known:
-                _check_layouts(_layouts(kind, spaces, arguments), stored)
+                _check_layouts(kind, spaces, arguments, stored)
             state = read_weights(weights, WEIGHTS)
             del weights  # the largest part of a bundle, and the policy is to have its own
-            if "ortho_init" in arguments:
-                arguments["ortho_init"] = False  # takes seconds for wide layers, and all weights are replaced
             with torch.random.fork_rng(devices=[]):
                 policy = kind(*spaces, **arguments)
             policy.load_state_dict(state, strict=True)
@@ -177,8 +176,12 @@ def _known_names(model: BaseAlgorithm) -> tuple[str, str]:
     return type(model).__name__, network_arguments.name_of(kind, {}, "policy")
 
 
-def _layouts(kind: Any, spaces: list[Any], arguments: Mapping[str, Any]) -> dict[str, Layout]:
-    """The names, types and shapes of a policy's tensors, without memory for them."""
+def _check_layouts(kind: Any, spaces: list[Any], arguments: Mapping[str, Any], stored: Mapping[str, Layout]) -> None:
+    """Compare the tensors of a policy, without memory for them, with those of a file.
+
+    With state-dependent exploration a policy draws random numbers when it is built, which takes memory. So the policy
+    without it is compared: it differs in the names of one layer and in ``log_std``, which is as large as that layer.
+    """
     import torch
 
     class Sketch(kind):
@@ -186,35 +189,31 @@ def _layouts(kind: Any, spaces: list[Any], arguments: Mapping[str, Any]) -> dict
 
         device = property(lambda self: torch.device("meta"))
 
-    with torch.device("meta"), _unchecked_distributions():
-        state = Sketch(*spaces, **arguments).state_dict()
-    return {name: Layout(_DTYPES[str(tensor.dtype)], tuple(tensor.shape)) for name, tensor in state.items()}
-
-
-def _check_layouts(expected: Mapping[str, Layout], stored: Mapping[str, Layout]) -> None:
-    for name in {**expected, **stored}:
-        if expected.get(name) != stored.get(name):
+    noisy = bool(arguments.get("use_sde"))
+    plain = {"use_sde": False, "squash_output": False} if noisy else {}
+    with torch.device("meta"):
+        state = Sketch(
+            *spaces, **{**arguments, **{name: plain[name] for name in plain if name in arguments}}
+        ).state_dict()
+    sketched = {name: Layout(_DTYPES[str(tensor.dtype)], tuple(tensor.shape)) for name, tensor in state.items()}
+    if noisy:
+        sketched, stored = _without_noise(sketched), _without_noise(stored)
+    for name in {**sketched, **stored}:
+        if sketched.get(name) != stored.get(name):
             raise BundleError(
-                f"{WEIGHTS}: tensor {name[:80]!r}: the policy has {_worded(expected.get(name))}, the file has "
+                f"{WEIGHTS}: tensor {name[:80]!r}: the policy has {_worded(sketched.get(name))}, the file has "
                 f"{_worded(stored.get(name))}. Save the policy again."
             )
 
 
+def _without_noise(layouts: Mapping[str, Layout]) -> dict[str, Layout]:
+    return {
+        name.replace(".mu.0.", ".mu."): layout for name, layout in layouts.items() if "log_std" not in name.split(".")
+    }
+
+
 def _worded(layout: Layout | None) -> str:
     return "none" if layout is None else f"{layout.dtype} of shape {list(layout.shape)}"
-
-
-@contextmanager
-def _unchecked_distributions() -> Iterator[None]:
-    """State-dependent exploration makes a distribution, and values without memory cannot be checked."""
-    from torch.distributions import Distribution
-
-    before = Distribution._validate_args
-    Distribution.set_default_validate_args(False)
-    try:
-        yield
-    finally:
-        Distribution.set_default_validate_args(before)
 
 
 def _accepted(kind: type[Any], arguments: Mapping[str, Any]) -> dict[str, Any]:
