@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shape_obs import ShapeGoal, ShapeObservation
-from shape_obs.deploy import DryRobot, Interrupted, Limits, RunLog, Script, Still, Sway, deploy, supervised
+from shape_obs.deploy import DryRobot, Gate, Interrupted, Limits, RunLog, Script, Still, Sway, deploy, supervised
 from shape_obs.deploy.report import Tally
 from shape_obs.robot import ActionSpec
 
@@ -70,6 +70,28 @@ def test_sections_add_up_to_what_lies_between_image_and_action():
     assert set(sections) == {"source", "detect", "between", "act", "send", "own", "age"}
     assert sections["own"].most >= sections["detect"].median
     assert all(section.median <= section.p95 <= section.most for section in sections.values())
+
+
+@pytest.mark.parametrize(
+    ("info", "cause"),
+    [
+        ({}, "shape lost"),  # nothing is known
+        ({"shape/ok": True}, "shape lost"),  # found, but when?
+        ({"shape/ok": True, "shape/age": 0.1}, "shape lost"),
+        ({"shape/ok": False, "shape/age": 0.0}, "shape lost"),
+        ({"shape/ok": True, "shape/age": 0.0, "shape/rope/valid_fraction": 0.4}, "points missing"),
+        ({"shape/ok": True, "shape/age": 0.0, "exposed": 9.7}, "image old"),
+        ({"shape/ok": True, "shape/age": 0.0, "exposed": np.nan}, "image old"),
+        ({"shape/ok": True, "shape/age": 0.0, "exposed": 9.9, "shape/rope/valid_fraction": 0.6}, ""),
+    ],
+)
+def test_the_gate_lets_only_through_what_is_known_to_be_good(info, cause):
+    gate = Gate(Limits(hold=0.5, min_valid=0.5, max_age=0.2))
+    judgement = gate.judge(info, 10.0)
+    assert (judgement.move, judgement.cause) == ("hold" if cause else "act", cause)
+    if cause:
+        assert gate.judge(info, 10.4).move == "hold"
+        assert gate.judge(info, 10.6).move == "stop"
 
 
 def test_nothing_is_done_on_a_lost_shape_and_the_run_ends_when_it_stays_lost():

@@ -7,10 +7,10 @@ import pickle
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
+from shape_obs.arrays import decode_npz
 from shape_obs.bundle.errors import BundleError
 from shape_obs.bundle.statistics import Statistics
 from shape_obs.loading import load_named
-from shape_obs.arrays import decode_npz
 
 if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec

@@ -92,13 +92,13 @@ class Gate:
     def _fault(self, info: Mapping[str, Any], now: float) -> tuple[str, str]:
         limits = self._limits
         age = info.get("shape/age", math.nan)
-        if not info.get("shape/ok", False) or age > 0:
+        if not info.get("shape/ok", False) or not age <= 0:  # an age that is unknown is NaN
             return "shape lost", f"no shape in the present frame (the last is {age:.2f} s old)"
         shares = [value for name, value in info.items() if name.endswith("/valid_fraction")]
         if shares and min(shares) < limits.min_valid:
             few = f"only {min(shares):.0%} of the points were measured (at least {limits.min_valid:.0%} wanted)"
             return "points missing", few
         age = now - info.get("exposed", now)
-        if age > limits.max_age:
+        if not age <= limits.max_age:
             return "image old", f"the image was {1e3 * age:.0f} ms old (at most {1e3 * limits.max_age:.0f} ms wanted)"
         return "", ""

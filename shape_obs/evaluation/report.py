@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from shape_obs.evaluation import (
 )
 from shape_obs.evaluation.blobs import garments
 from shape_obs.evaluation.env_runner import ENVS, Env
-from shape_obs.evaluation.robustness import stops
+from shape_obs.evaluation.robustness import bundles, files, inputs, killed_studies, stops
 from shape_obs.evaluation.shared_pass import shared_passes
 from shape_obs.evaluation.tangle_claims import tangled_ropes
 
@@ -181,12 +182,30 @@ def _deploy(effort: Effort) -> Tables:
 
 
 def _robustness(effort: Effort) -> Tables:
-    """Signals and kills."""
+    """Signals and kills, random inputs, damaged and hostile files."""
     stopped = list(stops.stops(effort.count(3), effort.seed, effort.told))
     killed = list(stops.kills(effort.count(100), effort.seed, effort.told))
     yield "deployments that were ended: longest time until the robot stood still", stops.stop_table(stopped)
     asked = stops.asked_table(stopped, killed, list(stops.locked(effort.count(5))))
     yield "stopping the robot: asked and seen", asked
+    for backend in ("numpy", "numba"):
+        effort.told(f"robustness: random inputs, {backend}")
+        yield (
+            f"random and degenerate inputs, {backend}",
+            inputs.inputs_table(effort.count(10_000), effort.seed, backend),
+        )
+    with TemporaryDirectory() as folder:
+        damaged, studies = Path(folder, "damaged"), Path(folder, "studies")
+        damaged.mkdir()
+        studies.mkdir()
+        effort.told("robustness: damaged files")
+        counts = (effort.count(2000), effort.count(3000), effort.count(500))
+        yield "damaged and hostile files", files.damaged_files(damaged, *counts, effort.seed)
+        effort.told("robustness: bundles")
+        mutated, kills = effort.count(1000), effort.count(30)
+        yield "damaged and hostile bundles", bundles.bundle_claims(mutated, 1, kills, effort.seed)
+        effort.told("robustness: killed studies")
+        yield "ablations that were killed and resumed", killed_studies.killed_studies(studies, kills, effort.seed)
 
 
 GROUPS: Final[dict[str, Callable[[Effort], Tables]]] = {
