@@ -88,6 +88,7 @@ def main(folder: Path, kills: int, seed: int) -> None:
     gym.logger.min_level = gym.logger.ERROR
     warnings.simplefilter("ignore")
     attempt(folder / "sample.policy", folder, trust=False)  # what is loaded on first use
+    importlib.import_module("torch._dynamo")  # PyTorch's own, for policies with a CNN or PPO
     gc.freeze()  # collecting in a fork would copy all of the parent's memory
     for path in sorted((folder / "files").iterdir()):
         print(json.dumps(in_fork(lambda path=path: attempt(path, folder, path.suffix == TRUSTED))), flush=True)
