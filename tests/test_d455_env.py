@@ -182,6 +182,8 @@ def test_the_guard_tells_what_it_did():
 def test_the_guard_speaks_each_mode(mode, sent):
     spec = ActionSpec(("x",), ("m",), (0.01,), (-1,), (1,), mode)
     assert Guard(spec, max_step=[0.5], dt=0.1).motion([1.0], [0.0]).motion == pytest.approx([sent])
+    if mode != "position":
+        assert Guard(spec, dt=0.1).max_step == pytest.approx([0.001 if mode == "velocity" else 0.01])
     capped = Guard(spec, max_step=[0.0005], dt=0.1).motion([1.0], [0.0])
     assert capped.capped
     assert capped.motion == pytest.approx([0.005 if mode == "velocity" else 0.0005])

@@ -92,6 +92,8 @@ def test_the_gate_lets_only_through_what_is_known_to_be_good(info, cause):
     if cause:
         assert gate.judge(info, 10.4).move == "hold"
         assert gate.judge(info, 10.6).move == "stop"
+        gate.judge({"shape/ok": True, "shape/age": 0.0}, 10.7)
+        assert gate.judge(info, 10.8).move == "hold"  # the next wait begins
 
 
 def test_nothing_is_done_on_a_lost_shape_and_the_run_ends_when_it_stays_lost():
@@ -225,6 +227,12 @@ def test_steps_that_are_longer_than_a_motion_may_be_are_warned_of():
     with pytest.warns(UserWarning, match=r"a step takes 0.25 s and a motion ends 0.2 s after the exposure"):
         report = deploy(env, Always(), steps=2)
     assert report.expired == 2
+
+
+def test_the_watchdog_leaves_a_loop_alone_that_goes_round():
+    env, *_ = cell()
+    report = deploy(env, Always(), Limits(watchdog=0.5), steps=40)  # 0.8 s
+    assert (report.ended, report.acted) == ("time limit reached", 40)
 
 
 def test_other_coordinates_are_refused_before_anything_moves():
@@ -426,6 +434,8 @@ def test_signals_that_are_ignored_stay_ignored():
     try:
         env, *_ = cell()
         assert deploy(env, Always({1: raising("SIGHUP")}), steps=4).acted == 4
+    except Interrupted:
+        pytest.fail("an ignored signal ended the run")
     finally:
         signal.signal(signal.SIGHUP, previous)
 

@@ -88,6 +88,7 @@ def test_nothing_is_sent_after_its_time_or_after_a_trip_until_it_is_armed():
     assert interlock.send(np.ones(2), time.monotonic() - 0.01) == "image old"
     assert robot.calls == ["stop"]
     interlock.trip("a person")
+    assert robot.calls == ["stop", "stop"]
     assert interlock.send(np.ones(2), time.monotonic() + 9) == "a person"
     assert "send" not in robot.calls
     interlock.arm()

@@ -191,22 +191,19 @@ class _Run:
         frame, seen_at, begin = cell.frame, cell.seen_at, time.monotonic()
         detection: Detection = self._env.get_wrapper_attr("detection")
         source, state = sum(getattr(cell.source, "timings", {}).values()), cell.robot.state()
-        chosen = None
+        action = None
         if judgement.move == "act":
-            chosen = checked_action(self._controller.act(observation), self._spec, self._controller)
-            # The controller took its time, and the image grew older.
-            judgement = self._gate.judge(info, time.monotonic())
-        action = chosen if judgement.move == "act" else None
+            action = checked_action(self._controller.act(observation), self._spec, self._controller)
         acted = time.monotonic()
         following, _, terminated, truncated, self._info = self._env.step(action)
-        if action is not None and cell.withheld:  # too late at the moment of sending
+        if cell.withheld:  # the image grew too old before the motion was sent
             action, judgement = None, Judgement("hold", cell.withheld, f"not sent: {cell.withheld}")
+            withheld = getattr(self._controller, "withheld", None)
+            if callable(withheld):
+                withheld()
         if action is None:
             tally.held += 1
             tally.reasons[judgement.cause] += 1
-            withheld = getattr(self._controller, "withheld", None)
-            if chosen is not None and callable(withheld):
-                withheld()
         else:
             tally.acted += 1
         times = {
