@@ -234,8 +234,8 @@ class ShapeDetector:
         self, spec: Configuration, body: Body, target: Array | None, stamp: float, timings: Any, depth: Any = None
     ) -> tuple[Fit, Track | None]:
         if self._kinds.setdefault(spec.name, type(body)) is not type(body):
-            for memory in (self._tracks, self._last):  # pixels say nothing about metres
-                memory.pop(spec.name, None)
+            self._tracks.pop(spec.name, None)  # pixels say nothing about metres
+            self._last.pop(spec.name, None)
             self._kinds[spec.name] = type(body)
         with Timed(timings, "fit"):
             return fit(body, spec, self._tracks.get(spec.name), target, stamp, depth)
@@ -283,12 +283,10 @@ class ShapeDetector:
         reason = found.reason
         if body is not None and found.form is not None and found.ok:
             shape = shape_of(spec, found, found.form, found.body or body, frame, last, self.config.on_invalid)
-            if shape.points2d is not None and not np.isfinite(shape.points2d).all():
-                reason = "it runs out of the camera's sight"
-            elif not in_3d or np.count_nonzero(shape.valid):
+            seen_whole = shape.points2d is None or np.isfinite(shape.points2d).all()
+            if seen_whole and (not in_3d or np.count_nonzero(shape.valid)):
                 return shape
-            else:
-                reason = "no point has depth under it"
+            reason = "no point has depth under it" if seen_whole else "it runs out of the camera's sight"
         return lost_shape(
             spec.name,
             spec.layout,

@@ -9,6 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.arrays import decode_npy
 from shape_obs.robot import ActionSpec
 
 
@@ -146,7 +147,8 @@ def _read(path: str | Path) -> npt.NDArray[np.float32]:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file of actions")
     try:
-        loaded = np.load(path) if path.suffix == ".npy" else np.loadtxt(path, delimiter=",", ndmin=2)
-    except (ValueError, EOFError) as error:
+        npy = path.suffix == ".npy"
+        loaded = decode_npy(path.read_bytes(), path.name) if npy else np.loadtxt(path, delimiter=",", ndmin=2)
+    except ValueError as error:
         raise ValueError(f"{path}: expected actions as .npy (T, A), or .csv with a row a step: {error}") from error
     return np.asarray(loaded, np.float32)
