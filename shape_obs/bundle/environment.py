@@ -31,8 +31,10 @@ OWN_IDS: Final = {
     **dict.fromkeys(
         ("ShapeObs/Ring-v0", "ShapeObs/RingShape-v0", "ShapeObs/Cloth-v0", "ShapeObs/ClothShape-v0"), _SIMULATED
     ),
-    "ShapeObs/D455-v0": ("source", "rate", "size", "timeout", "settle", "max_step", "workspace", "render_mode"),
-}
+    "ShapeObs/D455-v0": (
+        "source", "rate", "size", "timeout", "settle", "max_age", "max_step", "workspace", "render_mode",
+    ),
+}  # fmt: skip
 _CAMERA: Final = re.compile(r"robot|d455(:[\w-]+)?")
 _SIZES: Final = ("camera", "render_size", "size", "shape")
 #: Pixels of a side of an image.

@@ -5,6 +5,8 @@ from __future__ import annotations
 from .mutant import Mutant
 
 _CELL = "envs/shape_obs_envs/cell"
+#: Modules of ``shape_obs/deploy`` that other files than ``test_deploy.py`` test.
+_TESTS = {"signals": "deploy_signals", "supervision": "deploy_signals", "log": "run_log"}
 
 
 def _eye(name: str, old: str, new: str, *tests: str) -> Mutant:
@@ -21,7 +23,7 @@ def _cell(name: str, old: str, new: str) -> Mutant:
 
 
 def _deploy(name: str, module: str, old: str, new: str, *tests: str, equivalent: str = "") -> Mutant:
-    files = tests or ("tests/test_deploy.py",)
+    files = tests or (f"tests/test_{_TESTS.get(module, 'deploy')}.py",)
     return Mutant(f"safety: {name}", f"shape_obs/deploy/{module}.py", old, new, files, equivalent)
 
 
@@ -77,7 +79,7 @@ SAFETY: tuple[Mutant, ...] = (
     _deploy("a withheld motion counts as sent", "loop", "if cell.withheld:", "if False:",
             "tests/test_interlock.py"),
     _deploy("no report after an exception", "loop", "                    self._log.report(",
-            "                    str("),
+            "                    str(", "tests/test_run_log.py"),
     _deploy("the watchdog sleeps", "watchdog", "if left <= 0:", "if left <= -1e9:"),
     _deploy("signals do not stop", "signals", "self._stop(signal.Signals(signum).name)", "pass",
             "tests/test_stops.py"),
@@ -88,7 +90,8 @@ SAFETY: tuple[Mutant, ...] = (
             "signal.signal(signum, signal.SIG_DFL if handler is None else handler)", "pass"),
     _deploy("a second signal parks", "supervision", "if len(signals.received) > 1:", "if False:"),
     _deploy("parking cannot be ended", "supervision", "signals.raising = True", "signals.raising = False"),
-    _deploy("no parking", "supervision", "            if park:", "            if False:"),
+    _deploy("no parking", "supervision", "            if park:", "            if False:",
+            "tests/test_deploy.py"),
     _deploy("steps wait for the disk", "log", "        self._tasks.put(lambda: self._write_step(record))",
             "        self._write_step(record)"),
     _deploy("a full disk goes unnoticed", "log", "            self._failure = self._failure or error",

@@ -1,0 +1,40 @@
+"""A deployment before the parts of `cell_parts`, and a controller that pushes on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from cell_parts import HEIGHT, ROPE, WIDTH, ListRobot, RopeSource
+
+from shape_obs import ShapeObservation
+
+
+def cell(robot=None, source=None, rate=50.0, **options) -> Any:
+    robot = robot or ListRobot()
+    source = source or RopeSource(robot)
+    env = gym.make(
+        "shape_obs_envs:ShapeObs/D455-v0",
+        source=source,
+        robot=robot,
+        rate=rate,
+        size=[WIDTH, HEIGHT],
+        timeout=0.2,
+        disable_env_checker=True,
+        **options,
+    )
+    return ShapeObservation(env, **ROPE), robot, source
+
+
+class Always:
+    """Pushes on; `at` says what to do in a step."""
+
+    def __init__(self, at=None):
+        self._at, self._step = at or {}, -1
+
+    def act(self, observation):
+        self._step += 1
+        if self._step in self._at:
+            return self._at[self._step]()
+        return np.array([1.0, 0.0])
