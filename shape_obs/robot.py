@@ -161,6 +161,8 @@ class Robot(Protocol):
     def stop(self) -> None:
         """Stand still now. May be called at any time, from any thread, and more than once.
 
+        While it is not connected nothing happens.
+
         Raises:
             RobotError: The robot cannot be reached.
         """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import socket
 import threading
+import time
 from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Final
@@ -17,6 +18,8 @@ SIGNALS: Final = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK") if hasattr(signal, name)
 )
 _END: Final = 0  # no signal has this number
+#: Seconds that the main thread waits at most for the robot to be stopped, before it goes on to end the run.
+_PATIENCE: Final = 1.0
 
 
 class Interrupted(KeyboardInterrupt):
@@ -60,6 +63,7 @@ class SignalStop:
     def __init__(self, stop: Callable[[str], None]) -> None:
         self._stop, self.raising = stop, True
         self.received: list[int] = []
+        self._stops = 0
 
     def check(self) -> None:
         """Raise ``Interrupted`` if a signal came whose exception was lost, as in a destructor."""
@@ -101,9 +105,15 @@ class SignalStop:
         while (signum := self._reading.recv(1)[0]) != _END:
             if signum in self._previous:
                 self._stop(signal.Signals(signum).name)
+                self._stops += 1
 
     def _handle(self, signum: int, frame: FrameType | None) -> None:
         self.received.append(signum)
+        # The robot is not parked or disconnected before the thread has stopped it. Without a lock, since one signal may
+        # interrupt the handler of another.
+        end = time.monotonic() + _PATIENCE
+        while self._stops < len(self.received) and time.monotonic() < end:
+            time.sleep(0.0005)
         if self.raising:
             self.raising = False
             raise Interrupted(signum)
