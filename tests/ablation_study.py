@@ -10,26 +10,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from shape_obs.ablation.scores_file import read_scores
 from shape_obs.ablation.work import Outcome, Task, work
-
-STUDY: dict[str, Any] = {
-    "version": 1,
-    "episode": 10,
-    "difficulties": ["near"],
-    "seeds": [0, 1],
-    "steps": 60,
-    "hyperparameters": {"batch_size": 8, "learning_starts": 20, "buffer_size": 100},
-    "her": {},
-    "normalize": {},
-    "evaluation": {"every": 30, "goals": 1, "final_goals": 2, "difficulties": ["near", "middle"]},
-    "arms": {
-        "small": {"observation": "truth", "hyperparameters": {"net_arch": [8]}},
-        "smaller": {"observation": "truth", "hyperparameters": {"net_arch": [4]}},
-    },
-}
+from shape_obs.evaluation.robustness.killed_studies import STUDY as STUDY
 
 
 def numbers(root: Path) -> dict[str, list[tuple]]:

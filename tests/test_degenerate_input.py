@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from shape_obs import CameraModel, Centerline, Contour, Intrinsics, Shape, ShapeDetector, Surface
 from shape_obs.evaluation.robustness.inputs import broken_contracts, declared, inputs_table, run_case
@@ -30,6 +32,11 @@ def test_random_inputs_break_no_promise(backend):
     rows = inputs_table(200, seed=11, backend=backend)
     assert [(row["what"], row["seen"], row["first"]) for row in rows if row["seen"]] == []
     assert len(rows) == 4
+
+
+@given(seed=st.integers(0, 2**31), case=st.integers(0, 2**20), backend=st.sampled_from(BACKENDS))
+def test_no_drawn_case_breaks_a_promise(seed, case, backend):
+    assert run_case(seed, case, backend)[1] == []
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

@@ -103,7 +103,7 @@ class SignalStop:
     def _wait(self) -> None:
         """Call the function for each signal: Python's C handler writes its number into the socket at once."""
         while (signum := self._reading.recv(1)[0]) != _END:
-            if signum in self._previous:
+            if signum in SIGNALS:  # others with a handler of their own come here too
                 self._stop(signal.Signals(signum).name)
                 self._stops += 1
 
