@@ -11,8 +11,8 @@ import numpy as np
 from PIL import Image
 
 from shape_obs import Centerline, ShapeDetector
-from shape_obs.draw import draw_detection
-from shape_obs.segmentation.pick import propose_hsv
+from shape_obs.drawing import draw_detection
+from shape_obs.image.colour_picker import propose_hsv
 
 
 def drawn_photo() -> np.ndarray:

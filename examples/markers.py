@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from shape_obs import Centerline, HSVRange, MarkerLayout, ShapeDetector, TopView
-from shape_obs.draw import draw_detection
+from shape_obs.drawing import draw_detection
 
 # 60 mm markers in the corners of 600 x 420 mm, as they are laid: from outer edge to outer edge.
 LAYOUT = MarkerLayout.rectangle(marker=0.06, width=0.60, height=0.42)

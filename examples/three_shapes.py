@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from shape_obs import Centerline, Contour, Detection, HSVRange, ShapeDetector, Surface
-from shape_obs.draw import draw_detection
+from shape_obs.drawing import draw_detection
 
 FRAMES = 20
 TABLE, BLUE, ORANGE, GREEN = (200, 198, 190), (20, 70, 160), (225, 120, 40), (60, 150, 80)

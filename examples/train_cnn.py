@@ -19,7 +19,7 @@ from stable_baselines3.common.callbacks import CheckpointCallback, EvalCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize, VecTransposeImage
 
-from shape_obs.bundle import save_bundle
+from shape_obs.deploy.policy_bundle import save_bundle
 from shape_obs.training import Curriculum, ImageAndGoal, PixelPolicy, Pixels
 
 HELD_OUT = 1_000_000  # seed of the goals that policies are tried out on; trainings count on from far below

@@ -18,7 +18,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecNormalize
 
 from shape_obs import ShapeGoal, ShapeObservation
-from shape_obs.bundle import save_bundle
+from shape_obs.deploy.policy_bundle import save_bundle
 from shape_obs.training import GoalDifference
 
 HELD_OUT = 1_000_000  # seed of the starts that policies are tried out on; trainings count on from far below

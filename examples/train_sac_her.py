@@ -19,7 +19,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize, sync_envs_normalization
 
 from shape_obs import ShapeObservation
-from shape_obs.bundle import save_bundle
+from shape_obs.deploy.policy_bundle import save_bundle
 from shape_obs.training import Curriculum, GoalDifference
 
 GOALS = ("near", "middle", "far")

@@ -9,8 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from shape_obs.bundle import load_bundle as load_bundle
-    from shape_obs.bundle import save_bundle as save_bundle
+    from shape_obs.calibration.extrinsics import Extrinsics as Extrinsics
     from shape_obs.camera import CameraModel as CameraModel
     from shape_obs.camera import Intrinsics as Intrinsics
     from shape_obs.config import load_config as load_config
@@ -20,30 +19,29 @@ if TYPE_CHECKING:
     from shape_obs.configurations import Configuration as Configuration
     from shape_obs.configurations import Contour as Contour
     from shape_obs.configurations import Surface as Surface
+    from shape_obs.deploy.policy_bundle import load_bundle as load_bundle
+    from shape_obs.deploy.policy_bundle import save_bundle as save_bundle
     from shape_obs.detector import ShapeDetector as ShapeDetector
-    from shape_obs.extrinsics import Extrinsics as Extrinsics
     from shape_obs.features import Feature as Feature
     from shape_obs.frame import Frame as Frame
+    from shape_obs.image.marker_roi import Markers as Markers
+    from shape_obs.image.roi import ROI as ROI
+    from shape_obs.image.roi import Polygon as Polygon
+    from shape_obs.image.roi import Rectangle as Rectangle
+    from shape_obs.image.roi import Whole as Whole
+    from shape_obs.image.segmentation import ColourRule as ColourRule
+    from shape_obs.image.segmentation import DepthRange as DepthRange
+    from shape_obs.image.segmentation import GrayRange as GrayRange
+    from shape_obs.image.segmentation import HSVRange as HSVRange
+    from shape_obs.image.segmentation import Segmentation as Segmentation
     from shape_obs.markers import MarkerLayout as MarkerLayout
     from shape_obs.markers import TopView as TopView
     from shape_obs.markers import find_markers as find_markers
-    from shape_obs.missing import ShapeLostError as ShapeLostError
-    from shape_obs.pool import DetectorPool as DetectorPool
-    from shape_obs.pool import DetectorPoolError as DetectorPoolError
-    from shape_obs.roi import ROI as ROI
-    from shape_obs.roi import Markers as Markers
-    from shape_obs.roi import Polygon as Polygon
-    from shape_obs.roi import Rectangle as Rectangle
-    from shape_obs.roi import Whole as Whole
-    from shape_obs.segmentation import ColourRule as ColourRule
-    from shape_obs.segmentation import DepthRange as DepthRange
-    from shape_obs.segmentation import GrayRange as GrayRange
-    from shape_obs.segmentation import HSVRange as HSVRange
-    from shape_obs.segmentation import Segmentation as Segmentation
     from shape_obs.shape import Detection as Detection
     from shape_obs.shape import Shape as Shape
     from shape_obs.spec import Spec as Spec
     from shape_obs.spec import SpecError as SpecError
+    from shape_obs.tracking.missing import ShapeLostError as ShapeLostError
     from shape_obs.wrappers import ShapeGoal as ShapeGoal
     from shape_obs.wrappers import ShapeObservation as ShapeObservation
     from shape_obs.wrappers import Target as Target
@@ -52,19 +50,19 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "shape_obs.bundle": ("load_bundle", "save_bundle"),
+    "shape_obs.deploy.policy_bundle": ("load_bundle", "save_bundle"),
     "shape_obs.camera": ("CameraModel", "Intrinsics"),
     "shape_obs.config": ("load_config", "save_config", "schema_hash"),
     "shape_obs.configurations": ("Centerline", "Configuration", "Contour", "Surface"),
     "shape_obs.detector": ("ShapeDetector",),
-    "shape_obs.extrinsics": ("Extrinsics",),
+    "shape_obs.calibration.extrinsics": ("Extrinsics",),
     "shape_obs.features": ("Feature",),
     "shape_obs.frame": ("Frame",),
     "shape_obs.markers": ("MarkerLayout", "TopView", "find_markers"),
-    "shape_obs.missing": ("ShapeLostError",),
-    "shape_obs.pool": ("DetectorPool", "DetectorPoolError"),
-    "shape_obs.roi": ("ROI", "Markers", "Polygon", "Rectangle", "Whole"),
-    "shape_obs.segmentation": ("ColourRule", "DepthRange", "GrayRange", "HSVRange", "Segmentation"),
+    "shape_obs.tracking.missing": ("ShapeLostError",),
+    "shape_obs.image.marker_roi": ("Markers",),
+    "shape_obs.image.roi": ("ROI", "Polygon", "Rectangle", "Whole"),
+    "shape_obs.image.segmentation": ("ColourRule", "DepthRange", "GrayRange", "HSVRange", "Segmentation"),
     "shape_obs.shape": ("Detection", "Shape"),
     "shape_obs.spec": ("Spec", "SpecError"),
     "shape_obs.wrappers": ("ShapeGoal", "ShapeObservation", "Target", "record_goal"),

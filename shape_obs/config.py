@@ -19,15 +19,15 @@ from typing import Any, Final
 import yaml
 
 from shape_obs.clustering import Clusterer, Clustering, SelfOrganisingMap
+from shape_obs.compiled import Backend
 from shape_obs.configurations import Anchor, Centerline, Configuration, Ends, Order
-from shape_obs.documents import read_yaml
 from shape_obs.features import read_features
-from shape_obs.files import write_text
-from shape_obs.kernels import Backend
-from shape_obs.missing import OnInvalid, OnMissing
-from shape_obs.roi import ROI, Whole
-from shape_obs.segmentation import Segmentation
+from shape_obs.image.roi import ROI, Whole
+from shape_obs.image.segmentation import Segmentation
 from shape_obs.spec import Spec, SpecError, did_you_mean, plain
+from shape_obs.tracking.missing import OnInvalid, OnMissing
+from shape_obs.utils.documents import read_yaml
+from shape_obs.utils.files import write_text
 
 VERSION: Final = 1
 SECTIONS: Final = {

@@ -9,28 +9,28 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.anchors import Anchors, anchor_pixel, anchor_point
-from shape_obs.body import Body
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
-from shape_obs.centres import clustered
-from shape_obs.cloud import Cloud, read_cloud
 from shape_obs.clustering import Clusterer
+from shape_obs.compiled import Kernels, choose
+from shape_obs.compiled.warmup import warm_up
 from shape_obs.config import DetectorConfig
 from shape_obs.configurations import Configuration
-from shape_obs.deproject import SeenCloud
-from shape_obs.fitting import Fit, fit
-from shape_obs.forking import use_no_threads_in_forked_children
+from shape_obs.configurations.anchors import Anchors, anchor_pixel, anchor_point
+from shape_obs.configurations.cluster_assignment import clustered
+from shape_obs.configurations.fitting import Fit, fit
+from shape_obs.configurations.points import shape_of
 from shape_obs.frame import Frame, check_mask
-from shape_obs.kernels import Kernels, choose
-from shape_obs.missing import lost_shape
-from shape_obs.points import shape_of
-from shape_obs.segment import prepare
-from shape_obs.segmentation import Segmentation
+from shape_obs.image.region import prepare
+from shape_obs.image.segmentation import Segmentation
+from shape_obs.point_cloud.body import Body
+from shape_obs.point_cloud.cloud import Cloud, read_cloud
+from shape_obs.point_cloud.deprojection import SeenCloud
 from shape_obs.shape import Detection, Shape
-from shape_obs.timing import Timed
-from shape_obs.tracking import Expected, Track
-from shape_obs.view import View, outlooks, placed
-from shape_obs.warmup import warm_up
+from shape_obs.tracking.missing import lost_shape
+from shape_obs.tracking.prediction import Expected, Track
+from shape_obs.tracking.search_window import View, outlooks, placed
+from shape_obs.utils.threads import use_no_threads_in_forked_children
+from shape_obs.utils.timing import Timed
 
 Array = npt.NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import CameraModel
-from shape_obs.kernels.interface import FARTHEST, MILLIMETRE
+from shape_obs.compiled.interface import FARTHEST, MILLIMETRE
 
 
 @dataclass(frozen=True)

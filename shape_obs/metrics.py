@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
-from shape_obs.curve import nearest_on
-from shape_obs.topology import Grid, Topology
+from shape_obs.geometry.polyline import nearest_on
+from shape_obs.geometry.topology import Grid, Topology
 
 Array = npt.NDArray[np.float64]
 Labels = npt.NDArray[np.intp]

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.geometry.topology import Topology
 from shape_obs.spec import did_you_mean
-from shape_obs.topology import Topology
 
 _ARRAYS: Final = (("points2d", np.float32), ("points3d", np.float32), ("visible", np.bool_), ("valid", np.bool_))
 

@@ -52,7 +52,7 @@ def old_bundle(model, env, path: Path) -> None:
     """Write a bundle as version 1 was, with the model's own zip file."""
     from safetensors.numpy import load
 
-    from shape_obs.bundle.archive import read_archive, write_archive
+    from shape_obs.deploy.policy_bundle.archive import read_archive, write_archive
 
     save_bundle(model, env, path)
     members = read_archive(path).members

@@ -22,7 +22,7 @@ from shape_obs.features import (
     TurningAngles,
     View,
 )
-from shape_obs.topology import Chain, Grid, Ring, Topology
+from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
 OVERHEAD = CameraModel(
     Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5),

@@ -8,7 +8,7 @@ import numpy as np
 
 from shape_obs import CameraModel, Shape
 from shape_obs.features import PointDistribution
-from shape_obs.topology import Chain
+from shape_obs.geometry.topology import Chain
 
 N = 20
 WORKSPACE = ((-0.5, -0.5, -0.1), (0.5, 0.5, 0.3))

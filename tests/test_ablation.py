@@ -105,7 +105,7 @@ def test_results_table_and_pictures_of_what_is_done(study_file, clean, capsys):
 
 @pytest.mark.long
 def test_every_run_leaves_a_policy_that_can_be_deployed(clean):
-    from shape_obs.bundle import load_bundle
+    from shape_obs.deploy.policy_bundle import load_bundle
 
     bundle = load_bundle(clean / "small" / "seed1" / "trained.policy")
     env = bundle.make_env()

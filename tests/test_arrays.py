@@ -14,7 +14,7 @@ from rope_env import RopeEnv, wrapped
 
 from shape_obs import CameraModel, Centerline, Contour, Intrinsics, Shape, ShapeDetector, ShapeGoal, Surface, Target
 from shape_obs.features import Feature, View
-from shape_obs.topology import Chain, Grid, Ring, Topology
+from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
 ARRAYS = ("points2d", "points3d", "visible", "valid")
 INTRINSICS = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)

@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Centerline, HSVRange, ShapeDetector
-from shape_obs.evaluation.disturbances import photographed
-from shape_obs.evaluation.hands import hidden_rope
-from shape_obs.evaluation.motion import moving_rope
-from shape_obs.evaluation.ropes import random_rope
-from shape_obs.evaluation.tangles import crossing_rope, cut_rope
-from shape_obs.kernels import NUMPY, choose
-from shape_obs.topology import Chain, Grid, Ring
+from shape_obs.bench.disturbances import photographed
+from shape_obs.bench.hands import hidden_rope
+from shape_obs.bench.motion import moving_rope
+from shape_obs.bench.ropes import random_rope
+from shape_obs.bench.tangles import crossing_rope, cut_rope
+from shape_obs.compiled import NUMPY, choose
+from shape_obs.geometry.topology import Chain, Grid, Ring
 
 pytest.importorskip("numba", reason="Numba is an extra: pip install 'shape-obs[fast]'")
 NUMBA = choose("numba")
@@ -139,7 +139,7 @@ def test_depth_is_read_alike(seed, kind):
 
 
 def test_numba_that_is_missing_is_told(monkeypatch):
-    from shape_obs.kernels import choice
+    from shape_obs.compiled import choice
 
     choice.choose.cache_clear()
     monkeypatch.setattr(choice, "find_spec", lambda name: None)
@@ -152,7 +152,7 @@ def test_numba_that_is_missing_is_told(monkeypatch):
 
 
 def test_numba_that_does_not_work_is_told(monkeypatch):
-    from shape_obs.kernels import choice
+    from shape_obs.compiled import choice
 
     load = choice._load
 

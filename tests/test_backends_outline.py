@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from shape_obs import Contour, ShapeDetector, Surface
-from shape_obs.border import Border
-from shape_obs.evaluation.blobs import KINDS, moving_blob, random_blob
-from shape_obs.evaluation.sheets import moving_sheet, random_sheet, turning_sheet
-from shape_obs.form import Curve
-from shape_obs.kernels import NUMPY, choose
-from shape_obs.occlusion import strayed_corner, strays
-from shape_obs.phase import blend, lag
+from shape_obs.bench.blobs import KINDS, moving_blob, random_blob
+from shape_obs.bench.sheets import moving_sheet, random_sheet, turning_sheet
+from shape_obs.compiled import NUMPY, choose
+from shape_obs.geometry.form import Curve
+from shape_obs.geometry.outline import Border
+from shape_obs.tracking.occlusion import strayed_corner, strays
+from shape_obs.tracking.registration import blend, lag
 
 pytest.importorskip("numba", reason="compares the backends: pip install 'shape-obs[fast]'")
 NUMBA = choose("numba")

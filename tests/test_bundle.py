@@ -18,8 +18,8 @@ pytest.importorskip("stable_baselines3")
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import load_bundle, save_bundle, schema_hash
-from shape_obs.bundle import BundleError
-from shape_obs.bundle.archive import read_archive, write_archive
+from shape_obs.deploy.policy_bundle import BundleError
+from shape_obs.deploy.policy_bundle.archive import read_archive, write_archive
 from shape_obs_envs.robots import NullRobot
 
 

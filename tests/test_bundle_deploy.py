@@ -147,7 +147,7 @@ class TestSettle:
 
 
 def test_a_bundle_that_runs_code_needs_trust(capsys, path, tmp_path):
-    from shape_obs.bundle.archive import read_archive, write_archive
+    from shape_obs.deploy.policy_bundle.archive import read_archive, write_archive
 
     members = dict(read_archive(path).members)
     record = json.loads(members["policy.json"])

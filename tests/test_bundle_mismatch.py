@@ -14,7 +14,7 @@ pytest.importorskip("stable_baselines3")
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import ShapeGoal, load_bundle, save_bundle
-from shape_obs.bundle import BundleError
+from shape_obs.deploy.policy_bundle import BundleError
 from shape_obs.training import PointReward, TrueState
 from shape_obs_envs.robots import NullRobot
 

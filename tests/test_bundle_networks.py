@@ -28,9 +28,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import load_bundle, save_bundle
-from shape_obs.bundle import BundleError
-from shape_obs.bundle.archive import read_archive, write_archive
-from shape_obs.bundle.spaces import space_from_dict, space_to_dict
+from shape_obs.deploy.policy_bundle import BundleError
+from shape_obs.deploy.policy_bundle.archive import read_archive, write_archive
+from shape_obs.deploy.policy_bundle.spaces import space_from_dict, space_to_dict
 from shape_obs.training import GoalDifference, ImageAndGoal, PixelPolicy, Pixels
 
 

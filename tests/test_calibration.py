@@ -13,6 +13,8 @@ import pytest
 from drawn_frames import Frames, run
 
 from shape_obs import Extrinsics, SpecError
+from shape_obs.bench.marker_claims import touched
+from shape_obs.bench.marker_scenes import CAMERA, LAYOUT, MarkerScene, marker_scene
 from shape_obs.calibration import (
     Touch,
     fit_base,
@@ -20,8 +22,6 @@ from shape_obs.calibration import (
     read_touches,
     write_touches,
 )
-from shape_obs.evaluation.marker_claims import touched
-from shape_obs.evaluation.marker_scenes import CAMERA, LAYOUT, MarkerScene, marker_scene
 from shape_obs.markers import find_markers
 from shape_obs.recording import record
 

@@ -12,8 +12,8 @@ import pytest
 import yaml
 from PIL import Image
 
+from shape_obs.bench.ropes import draw_rope
 from shape_obs.cli import main
-from shape_obs.evaluation.ropes import draw_rope
 
 BLUE = (30, 60, 200)
 HSV = ["--hsv", "100", "100", "50", "130", "255", "255"]

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, Contour, Intrinsics, ShapeDetector, Surface
-from shape_obs.cloud import Cloud
-from shape_obs.curve import resample
-from shape_obs.deproject import deproject
-from shape_obs.evaluation import cloud_claims
-from shape_obs.evaluation.clouds import SheetCloud, sheet_cloud
-from shape_obs.evaluation.tangles import crossing_rope
-from shape_obs.evaluation.tilted import CAMERA, tilted_rope, tilted_sheet
-from shape_obs.region import find_region
-from shape_obs.roi import Window
+from shape_obs.bench import cloud_claims
+from shape_obs.bench.clouds import SheetCloud, sheet_cloud
+from shape_obs.bench.tangles import crossing_rope
+from shape_obs.bench.tilted import CAMERA, tilted_rope, tilted_sheet
+from shape_obs.geometry.polyline import resample
+from shape_obs.image.region import find_region
+from shape_obs.image.roi import Window
+from shape_obs.point_cloud.cloud import Cloud
+from shape_obs.point_cloud.deprojection import deproject
 
 
 def straight(count: int = 3000) -> np.ndarray:

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, ShapeDetector, ShapeObservation, SpecError, load_config, save_config, schema_hash
+from shape_obs.bench.scores import score
 from shape_obs.clustering import Clusterer, KMeans, SelfOrganisingMap
-from shape_obs.evaluation.scores import score
 
 NAMES = ("kmeans", "gmm", "fcm", "kohonen")
 
@@ -109,8 +109,8 @@ FORK = """
 import os, sys
 import numpy as np
 from shape_obs.clustering import GaussianMixture, KMeans
-from shape_obs.samples import Samples
-from shape_obs.topology import Chain
+from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.topology import Chain
 
 points = np.random.default_rng(0).uniform(0, 100, (20000, 2))
 samples = Samples(points, np.ones(len(points)), 1.0)

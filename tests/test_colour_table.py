@@ -12,12 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import ColourRule, DepthRange, Frame, GrayRange, HSVRange, Polygon, ShapeDetector, Whole
-from shape_obs.evaluation.ropes import KINDS, random_rope
-from shape_obs.kernels import choose
-from shape_obs.region import find_region
-from shape_obs.roi import Window
-from shape_obs.segment import prepare, segment
-from shape_obs.segmentation.table import colour_table
+from shape_obs.bench.ropes import KINDS, random_rope
+from shape_obs.compiled import choose
+from shape_obs.image.colour_table import colour_table
+from shape_obs.image.region import find_region, prepare, segment
+from shape_obs.image.roi import Window
 
 BLUE = HSVRange((100, 120, 60), (125, 255, 255))
 
@@ -265,7 +264,7 @@ class TestSegment:
 
     def test_points_from_the_search_are_those_of_the_rule(self, kernels):
         """Through the detector, warm, over a moving rope: to 0.3 px on every point, and in fact to the last digit."""
-        from shape_obs.evaluation.motion import moving_rope
+        from shape_obs.bench.motion import moving_rope
 
         rng = np.random.default_rng(9)
         backend = "numba" if kernels.reads_tables else "numpy"

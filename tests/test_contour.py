@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Contour, ShapeDetector, SpecError
-from shape_obs.border import Border, clockwise
-from shape_obs.curve import arc_length, catmull_rom, equidistant_around
-from shape_obs.evaluation.blobs import KINDS, draw_blob, random_blob
-from shape_obs.evaluation.outline_scores import outline_score
-from shape_obs.form import Curve
+from shape_obs.bench.blobs import KINDS, draw_blob, random_blob
+from shape_obs.bench.outline_scores import outline_score
+from shape_obs.geometry.form import Curve
+from shape_obs.geometry.outline import Border, clockwise
+from shape_obs.geometry.polyline import arc_length, catmull_rom, equidistant_around
+from shape_obs.geometry.topology import Ring
 from shape_obs.metrics import spacing_cv
-from shape_obs.phase import blend, lag
-from shape_obs.topology import Ring
+from shape_obs.tracking.registration import blend, lag
 
 
 def one(mask: np.ndarray, detector: ShapeDetector | None = None, **kwargs: Any) -> Any:

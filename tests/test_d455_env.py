@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
 from shape_obs import ShapeObservation
-from shape_obs.guard import Guard
-from shape_obs.rate import Rate
 from shape_obs.robot import ActionSpec, Robot
+from shape_obs.servo.action_limiter import Guard
 from shape_obs.source import FrameTimeout, NotConnected, RGBDSource
+from shape_obs.utils.timing import Rate
 
 
 def make(source=None, robot=None, **options) -> Any:

@@ -21,10 +21,10 @@ from shape_obs.ablation.run import Row
 from shape_obs.ablation.score import Score
 from shape_obs.ablation.scores_file import SCORES, scores_csv
 from shape_obs.ablation.work import Outcome, Task
+from shape_obs.bench.robustness.recordings import damaged_recordings, record_some
+from shape_obs.bench.robustness.tables import a_table, flipped_tables, same
 from shape_obs.cli import main
 from shape_obs.config import save_config
-from shape_obs.evaluation.robustness.recordings import damaged_recordings, record_some
-from shape_obs.evaluation.robustness.tables import a_table, flipped_tables, same
 from shape_obs.recording import Recording, ShapeTable
 from shape_obs.source import BadRecording
 
@@ -253,7 +253,7 @@ def test_damaged_recordings_raise_only_bad_recording(tmp_path):
 
 def test_the_measurement_sees_what_is_read_outside(tmp_path, monkeypatch):
     """Without the check of paths it counts files that were read."""
-    monkeypatch.setattr("shape_obs.recording.images.inside", lambda folder, name: folder / name)
+    monkeypatch.setattr("shape_obs.recording.format.inside", lambda folder, name: folder / name)
     rows = damaged_recordings(tmp_path, 60, seed=7)
     assert rows[1]["seen"] >= 3
     assert rows[1]["reached"] == "no"

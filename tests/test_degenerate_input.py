@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shape_obs import CameraModel, Centerline, Contour, Intrinsics, Shape, ShapeDetector, Surface
-from shape_obs.evaluation.robustness.inputs import broken_contracts, declared, inputs_table, run_case
-from shape_obs.kernels import choose
-from shape_obs.topology import Chain
+from shape_obs.bench.robustness.inputs import broken_contracts, declared, inputs_table, run_case
+from shape_obs.compiled import choose
+from shape_obs.geometry.topology import Chain
 
 BACKENDS = ("numpy", "numba")
 EVERYTHING: dict[str, Any] = {"segmentation": {"kind": "gray", "min_area": 1, "min_share": 0}, "on_invalid": "nan"}

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from shape_obs import Extrinsics, load_config
 from shape_obs.ablation import load_study
+from shape_obs.bench.robustness.documents import damaged_documents
 from shape_obs.calibration.intrinsics import IntrinsicsFit
-from shape_obs.calibration.touches import read_touches
+from shape_obs.calibration.touch_points import read_touches
 from shape_obs.cli.source import read_settings
-from shape_obs.documents import parse_json, parse_yaml, read_json, read_yaml
-from shape_obs.evaluation.robustness.documents import damaged_documents
 from shape_obs.spec import SpecError
+from shape_obs.utils.documents import parse_json, parse_yaml, read_json, read_yaml
 from shape_obs.wrappers.target import Target
 
 DEEP = "[" * 5000 + "]" * 5000

@@ -10,12 +10,12 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from shape_obs.bench.backends import LABELS, backends
+from shape_obs.bench.env_machine import no_opengl, opengl
+from shape_obs.bench.env_runner import EPISODE, Runner, Stopwatch
+from shape_obs.bench.env_speed import Speed, speed_claims
 from shape_obs.cli import main
 from shape_obs.cli.bench import envs
-from shape_obs.evaluation.backends import LABELS, backends
-from shape_obs.evaluation.env_machine import no_opengl, opengl
-from shape_obs.evaluation.env_runner import EPISODE, Runner, Stopwatch
-from shape_obs.evaluation.env_speed import Speed, speed_claims
 
 NO_GL = no_opengl()
 

@@ -24,7 +24,7 @@ from shape_obs.features import (
     View,
     read_features,
 )
-from shape_obs.topology import Chain, Topology
+from shape_obs.geometry.topology import Chain, Topology
 
 WORKSPACE = ((-0.5, -0.4, -0.1), (0.5, 0.4, 0.3))
 

@@ -25,7 +25,7 @@ from shape_obs.features import (
     TurningAngles,
     read_features,
 )
-from shape_obs.topology import Chain, Grid, Ring
+from shape_obs.geometry.topology import Chain, Grid, Ring
 
 
 class TestPromises:

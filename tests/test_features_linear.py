@@ -13,7 +13,7 @@ from scipy import interpolate
 
 from shape_obs import Feature, Shape, ShapeObservation, SpecError
 from shape_obs.features import Bezier, BSpline, EllipticFourier, Fourier, View
-from shape_obs.topology import Chain, Grid, Ring, Topology
+from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
 VIEW = View(160, 120)
 ROPE, OUTLINE, SHEET = Chain(20), Ring(32), Grid(4, 8)

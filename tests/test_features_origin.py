@@ -13,7 +13,7 @@ from drawn_shapes import OVERHEAD, shape
 
 from shape_obs import CameraModel, ShapeObservation, SpecError
 from shape_obs.features import Points2D, Points2DNormalized, Points3D, View
-from shape_obs.topology import Chain
+from shape_obs.geometry.topology import Chain
 
 GRIPPER, PIXEL = (0.1, 0.05, 0.0), (200.0, 80.0)
 VIEW = View(

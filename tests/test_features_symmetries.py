@@ -19,7 +19,7 @@ from shape_obs.features import (
     Tangents,
     TurningAngles,
 )
-from shape_obs.topology import Chain, Grid, Ring, Topology
+from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
 
 def transformed(feature: Feature, values: np.ndarray, angle: float, shift: np.ndarray, scale: float) -> np.ndarray:

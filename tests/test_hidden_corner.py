@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from shape_obs import ShapeDetector, Surface
-from shape_obs.evaluation.sheets import moving_sheet
-from shape_obs.occlusion import strayed_corner
+from shape_obs.bench.sheets import moving_sheet
+from shape_obs.tracking.occlusion import strayed_corner
 
 
 @pytest.mark.parametrize("radius", [12, 30])

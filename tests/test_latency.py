@@ -5,11 +5,11 @@ import math
 
 import pytest
 
+from shape_obs.bench.backends import backends, ours
+from shape_obs.bench.growth import AREAS, CLOTH, COUNTS, NUMBER, POINTS, ROPE
+from shape_obs.bench.latency import CLASSIC, ONE_PASS
+from shape_obs.bench.memory import memory_growth, resident
 from shape_obs.cli import main
-from shape_obs.evaluation.backends import backends, ours
-from shape_obs.evaluation.growth import AREAS, CLOTH, COUNTS, NUMBER, POINTS, ROPE
-from shape_obs.evaluation.latency import CLASSIC, ONE_PASS
-from shape_obs.evaluation.memory import memory_growth, resident
 
 
 def run(capsys, *arguments):

@@ -9,14 +9,14 @@ import pytest
 from scipy.signal import savgol_filter
 
 from shape_obs import CameraModel, Centerline, Frame, Intrinsics, ShapeDetector
-from shape_obs.evaluation.ropes import Rope, draw_rope
-from shape_obs.fitting import Fit
-from shape_obs.form import Curve
-from shape_obs.lift import lift_form
-from shape_obs.points import shape_of
-from shape_obs.region import find_region
-from shape_obs.roi import Window
-from shape_obs.smoothing import straightened
+from shape_obs.bench.ropes import Rope, draw_rope
+from shape_obs.configurations.fitting import Fit
+from shape_obs.configurations.points import shape_of
+from shape_obs.geometry.form import Curve
+from shape_obs.geometry.polyline import straightened
+from shape_obs.image.region import find_region
+from shape_obs.image.roi import Window
+from shape_obs.point_cloud.lifting import lift_form
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 

@@ -10,9 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
-from shape_obs.evaluation.blobs import random_blob
-from shape_obs.evaluation.ropes import random_rope
-from shape_obs.evaluation.sheets import draw_sheet, random_sheet
+from shape_obs.bench.blobs import random_blob
+from shape_obs.bench.ropes import random_rope
+from shape_obs.bench.sheets import draw_sheet, random_sheet
+from shape_obs.geometry.samples import mask_pixels
+from shape_obs.geometry.topology import Chain, Grid, Ring
 from shape_obs.metrics import (
     calinski_harabasz,
     coverage,
@@ -22,8 +24,6 @@ from shape_obs.metrics import (
     silhouette,
     spacing_cv,
 )
-from shape_obs.samples import mask_pixels
-from shape_obs.topology import Chain, Grid, Ring
 
 sklearn_metrics = pytest.importorskip("sklearn.metrics")
 

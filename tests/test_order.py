@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, Configuration, Contour, ShapeDetector, Surface
-from shape_obs.evaluation.blobs import moving_blob
-from shape_obs.evaluation.motion import moving_rope
-from shape_obs.evaluation.sheets import turning_sheet
-from shape_obs.form import Curve
+from shape_obs.bench.blobs import moving_blob
+from shape_obs.bench.motion import moving_rope
+from shape_obs.bench.sheets import turning_sheet
+from shape_obs.geometry.form import Curve
 
 
 class Frame(NamedTuple):

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shape_obs.coldstart.corners import Rim
-from shape_obs.evaluation.sheets import rotation
-from shape_obs.form import Patch
-from shape_obs.kernels import NUMPY
-from shape_obs.kernels.numpy_plane import plane, points_of
-from shape_obs.kernels.numpy_sheet import coons
+from shape_obs.bench.sheets import rotation
+from shape_obs.compiled import NUMPY
+from shape_obs.compiled.numpy_plane import plane, points_of
+from shape_obs.compiled.numpy_sheet import coons
+from shape_obs.geometry.form import Patch
+from shape_obs.initialization.corners import Rim
 
 
 class TestPatches:

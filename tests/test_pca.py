@@ -17,7 +17,7 @@ from rope_env import run, wrapped
 
 from shape_obs import Centerline, schema_hash
 from shape_obs.features import FeatureVector, PrincipalComponents, View, read_features
-from shape_obs.topology import Chain, Ring
+from shape_obs.geometry.topology import Chain, Ring
 
 
 @pytest.fixture

@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
+from shape_obs.bench.backends import backends, ours
+from shape_obs.bench.contest import Score
+from shape_obs.bench.peer_contest import ASKED
+from shape_obs.bench.peers import PEERS, spread
+from shape_obs.bench.turns import Entrant, turns
+from shape_obs.bench.workloads import cloths, ropes
 from shape_obs.cli import main
-from shape_obs.evaluation.backends import backends, ours
-from shape_obs.evaluation.contest import Score
-from shape_obs.evaluation.peer_contest import ASKED
-from shape_obs.evaluation.peers import PEERS, spread
-from shape_obs.evaluation.turns import Entrant, turns
-from shape_obs.evaluation.workloads import cloths, ropes
-from shape_obs.one_thread import one_thread
+from shape_obs.utils.threads import one_thread
 
 pytestmark = pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shape_obs.kernels.numpy_pieces import pieces
+from shape_obs.compiled.numpy_pieces import pieces
 
 
 def runs_of(mask):
@@ -48,7 +48,7 @@ def test_corners_touch_and_a_gap_of_one_pixel_does_not():
 
 @pytest.mark.skipif(not find_spec("numba"), reason="no Numba")
 def test_rows_in_a_ring_s_hole_are_a_piece_of_their_own():
-    from shape_obs.kernels.numba_mask import _pieces
+    from shape_obs.compiled.numba_mask import _pieces
 
     mask = np.zeros((60, 60), np.uint8)
     cv2.circle(mask, (30, 30), 25, 255, 5)

@@ -13,7 +13,7 @@ from known_ropes import EVERYWHERE, MODELS, N, fit, off, ropes
 from sklearn.decomposition import PCA
 
 from shape_obs.features import PointDistribution, PrincipalComponents
-from shape_obs.topology import Chain, Grid, Ring
+from shape_obs.geometry.topology import Chain, Grid, Ring
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ import shape_obs
 from shape_obs import ShapeDetector, schema_hash
 from shape_obs.config import config_hash, detector_arguments, load_config
 from shape_obs.recording import Moment, OverlayVideo, ShapeLog, ShapeTable, record, replay
-from shape_obs.recording.moment import read_moments
+from shape_obs.recording.format import read_moments
 from shape_obs_envs.sources import EnvSource, FolderSource
 
 CABLE = "shape_obs_envs:ShapeObs/Cable-v0"

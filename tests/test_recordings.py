@@ -18,7 +18,7 @@ from scripted_source import Script, equal, noise
 import shape_obs
 from shape_obs import CameraModel, Intrinsics
 from shape_obs.recording import Moment, Recording, RecordingWriter, record
-from shape_obs.recording.moment import read_moments
+from shape_obs.recording.format import read_moments
 from shape_obs.source import BadRecording, SourceError
 from shape_obs_envs.sources import FolderSource
 

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shape_obs.deploy import RunLog, Sway, deploy
-from shape_obs.deploy.report import Tally
+from shape_obs.deploy.run_log import Tally
 
 
 def test_the_log_has_every_step_and_tells_what_ran(tmp_path):
@@ -87,7 +87,7 @@ def test_a_log_that_cannot_be_written_ends_the_run_and_stops_the_robot(tmp_path)
 
 
 def test_a_disk_that_is_hopelessly_behind_ends_the_run(tmp_path, monkeypatch):
-    monkeypatch.setattr("shape_obs.deploy.log._WAITING", 3)
+    monkeypatch.setattr("shape_obs.deploy.run_log._WAITING", 3)
     env, *_ = cell()
     with pytest.raises(OSError, match="the disk is 3 steps behind"):
         deploy(env, Always(), steps=100, log=StallingLog(tmp_path / "run", {}, seconds=0.2))

@@ -15,9 +15,9 @@ from shape_obs import CameraModel, Intrinsics, Shape, ShapeGoal, ShapeObservatio
 from shape_obs.deploy import Controller
 from shape_obs.deploy.controller import check_controller
 from shape_obs.features import View, read_features
+from shape_obs.geometry.topology import Chain, Grid, Ring
 from shape_obs.robot import ActionSpec
 from shape_obs.servo import LAWS, DampedLeastSquares, Excitation, RecursiveLeastSquares, ShapeServo, geometric_weights
-from shape_obs.topology import Chain, Grid, Ring
 
 POINTS = 8
 

@@ -1,4 +1,4 @@
-"""Surfaces: lattices over sheets; `shape_obs.evaluation.surface_claims` measures the same on more of them."""
+"""Surfaces: lattices over sheets; `shape_obs.bench.surface_claims` measures the same on more of them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Intrinsics, ShapeDetector, SpecError, Surface
-from shape_obs.evaluation.sheets import Sheet, draw_sheet, random_sheet, regular, rotation
-from shape_obs.evaluation.surface_claims import (
+from shape_obs.bench.sheets import Sheet, draw_sheet, random_sheet, regular, rotation
+from shape_obs.bench.surface_claims import (
     ASPECTS,
     drawn_sheets,
     first_corner,

@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from shape_obs.bench.sheets import Sheet
+from shape_obs.bench.table import methods
+from shape_obs.bench.table.frames import CONFIGURATIONS, scenes
+from shape_obs.bench.table.methods import METHODS, Row, Runner
+from shape_obs.bench.table.parts import Parts
+from shape_obs.bench.table.run import Plan, run
+from shape_obs.bench.table.summary import PAPER, rankings, results
+from shape_obs.bench.table.text import markdown
+from shape_obs.bench.table.tracings import OF
 from shape_obs.cli import main
 from shape_obs.clustering import KMeans
-from shape_obs.evaluation.sheets import Sheet
-from shape_obs.evaluation.table import methods
-from shape_obs.evaluation.table.frames import CONFIGURATIONS, scenes
-from shape_obs.evaluation.table.methods import METHODS, Row, Runner
-from shape_obs.evaluation.table.parts import Parts
-from shape_obs.evaluation.table.run import Plan, run
-from shape_obs.evaluation.table.summary import PAPER, rankings, results
-from shape_obs.evaluation.table.text import markdown
-from shape_obs.evaluation.table.tracings import OF
 
 
 def command(capsys: Any, *arguments: object) -> tuple[int, str, str]:
@@ -280,7 +280,7 @@ def test_the_ranking_counts_pairs_on_equal_frames(tmp_path):
 def test_thinning_gives_another_number_of_points_in_every_frame(tmp_path):
     pytest.importorskip("skimage")
     pytest.importorskip("mujoco")
-    from shape_obs.evaluation.table.tracings import traced
+    from shape_obs.bench.table.tracings import traced
 
     found = list(traced("thinning", enumerate(scenes("centerline", 0, 4, 0, "auto"))))
     assert OF["thinning"] == "centerline"

@@ -9,15 +9,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from shape_obs.coldstart.bridge import bridge
-from shape_obs.coldstart.skeleton import skeleton_graph
-from shape_obs.coldstart.trace import Trace, trace
-from shape_obs.evaluation.ropes import draw_rope, random_rope, resample
-from shape_obs.evaluation.tangle_claims import SETS, TangleResult, detected, tangled_ropes
-from shape_obs.evaluation.tangles import Tangle, crossing_rope, cut_rope, is_traversed
-from shape_obs.kernels.numpy_fold import fold
-from shape_obs.region import Region, find_region
-from shape_obs.roi import Window
+from shape_obs.bench.ropes import draw_rope, random_rope, resample
+from shape_obs.bench.tangle_claims import SETS, TangleResult, detected, tangled_ropes
+from shape_obs.bench.tangles import Tangle, crossing_rope, cut_rope, is_traversed
+from shape_obs.compiled.numpy_fold import fold
+from shape_obs.image.region import Region, find_region
+from shape_obs.image.roi import Window
+from shape_obs.initialization.gaps import bridge
+from shape_obs.initialization.medial_axis import Trace, trace
+from shape_obs.initialization.skeleton import skeleton_graph
 
 
 def region_of(mask: npt.NDArray[np.uint8]) -> Region:

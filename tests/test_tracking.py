@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, ShapeDetector
-from shape_obs.form import Curve, Memory
-from shape_obs.roi import Window
-from shape_obs.topology import Chain
-from shape_obs.tracking import Track, advance, outlook, predict, size_jump
+from shape_obs.geometry.form import Curve, Memory
+from shape_obs.geometry.topology import Chain
+from shape_obs.image.roi import Window
+from shape_obs.tracking.prediction import Track, advance, outlook, predict, size_jump
 
 NODES = np.stack([np.linspace(10, 90, 9), np.full(9, 50.0)], axis=1)
 

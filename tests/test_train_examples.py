@@ -15,7 +15,7 @@ pytest.importorskip("stable_baselines3")
 import torch
 from stable_baselines3.common.save_util import load_from_zip_file
 
-from shape_obs.bundle import load_bundle
+from shape_obs.deploy.policy_bundle import load_bundle
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 OFF_POLICY = {"learning_starts": 90, "buffer": 250}

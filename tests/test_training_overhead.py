@@ -10,9 +10,9 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("stable_baselines3")
 
+from shape_obs.bench.backends import LABELS, backends
+from shape_obs.bench.training_overhead import TRUTH, Course, Meter, Overhead, overhead_claims, overhead_rows
 from shape_obs.cli import main
-from shape_obs.evaluation.backends import LABELS, backends
-from shape_obs.evaluation.training_overhead import TRUTH, Course, Meter, Overhead, overhead_claims, overhead_rows
 
 
 def run(capsys, *arguments):

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from shape_obs import Frame, ShapeDetector, save_config
-from shape_obs.files import inside, write_text, write_whole
 from shape_obs.recording import Moment, OverlayVideo
+from shape_obs.utils.files import inside, write_text, write_whole
 
 
 def names(folder: Path) -> list[str]:
@@ -107,7 +107,7 @@ def test_a_read_only_file_is_refused(tmp_path):
     code = """
 import os
 from pathlib import Path
-from shape_obs.files import write_text
+from shape_obs.utils.files import write_text
 if os.geteuid() == 0:
     os.setuid(65534)
 write_text(Path("file"), "after")

@@ -14,7 +14,7 @@ import gymnasium as gym
 import numpy as np
 
 import shape_obs_envs  # noqa: F401
-from shape_obs.draw import draw_text
+from shape_obs.drawing import draw_text
 from shape_obs_envs.d455 import Cause, D455Camera, D455Model, D455Noise
 
 IMAGES = Path(__file__).parent.parent / "images"

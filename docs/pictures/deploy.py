@@ -12,7 +12,7 @@ from stages import write
 
 from shape_obs import ShapeGoal, ShapeObservation, Target
 from shape_obs.deploy import Limits, Step, deploy
-from shape_obs.draw import draw_detection, draw_text
+from shape_obs.drawing import draw_detection, draw_text
 from shape_obs_envs.robots import SimulatedRobot
 
 sys.path.append(str(Path(__file__).parents[2] / "examples"))

@@ -10,8 +10,8 @@ import numpy as np
 from stages import SIZE, cloth, photograph, ring, rope, write
 
 from shape_obs import Centerline, Contour, Intrinsics, Shape, ShapeDetector, Surface
-from shape_obs.draw import draw_detection
-from shape_obs.evaluation.ropes import draw_rope
+from shape_obs.bench.ropes import draw_rope
+from shape_obs.drawing import draw_detection
 from shape_obs.shape import Detection
 
 Mask = np.ndarray

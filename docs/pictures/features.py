@@ -9,7 +9,7 @@ from stages import write
 
 from shape_obs import Shape, ShapeObservation
 from shape_obs.features import View, read_features
-from shape_obs.topology import Chain, Ring
+from shape_obs.geometry.topology import Chain, Ring
 
 ORANGE, GREEN, GRAY = (235, 130, 40), (30, 130, 60), (120, 120, 120)
 ZOOM, FINE = 2, 400

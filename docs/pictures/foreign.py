@@ -13,7 +13,7 @@ import numpy as np
 from stages import write
 
 from shape_obs import Centerline, HSVRange, ShapeObservation
-from shape_obs.draw import draw_detection
+from shape_obs.drawing import draw_detection
 
 sys.path.append(str(Path(__file__).parents[2] / "examples"))
 

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 
 from shape_obs import HSVRange, Markers, Polygon, ShapeDetector, TopView
+from shape_obs.bench.marker_scenes import LAYOUT, MarkerScene, marker_scene
 from shape_obs.calibration import Board
 from shape_obs.cli.markers import board_words
-from shape_obs.draw import draw_curve, draw_detection, draw_text
-from shape_obs.evaluation.marker_scenes import LAYOUT, MarkerScene, marker_scene
+from shape_obs.drawing import draw_curve, draw_detection, draw_text
 from shape_obs.markers import find_markers
 from shape_obs.markers.sheet import PER_MM, board_page, marker_pages
 

@@ -8,16 +8,16 @@ import cv2
 import numpy as np
 
 from shape_obs import Centerline, Configuration, Contour, HSVRange, ShapeDetector, Surface
-from shape_obs.draw import draw_curve, draw_detection, draw_text
-from shape_obs.evaluation.ropes import draw_rope
-from shape_obs.fitting import fit
-from shape_obs.form import Curve, Form, Patch
+from shape_obs.bench.ropes import draw_rope
+from shape_obs.compiled import NUMPY
+from shape_obs.configurations.fitting import fit
+from shape_obs.drawing import draw_curve, draw_detection, draw_text
 from shape_obs.frame import Frame
-from shape_obs.kernels import NUMPY
-from shape_obs.region import Region, find_region
-from shape_obs.roi import Whole
-from shape_obs.samples import Samples
-from shape_obs.topology import Topology
+from shape_obs.geometry.form import Curve, Form, Patch
+from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.topology import Topology
+from shape_obs.image.region import Region, find_region
+from shape_obs.image.roi import Whole
 
 IMAGES = Path(__file__).parent.parent / "images"
 SIZE = (240, 320)

@@ -11,7 +11,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from shape_obs.evaluation.table.figures import PICTURES
+from shape_obs.bench.table.figures import PICTURES
 
 DOCS = Path(__file__).parent.parent
 PAGE, IMAGES = DOCS / "paper-table.md", DOCS / "images"

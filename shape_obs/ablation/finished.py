@@ -15,7 +15,7 @@ from shape_obs.ablation.run import Row
 from shape_obs.ablation.score import Score
 from shape_obs.ablation.scores_file import COLUMNS, SCORES, cells, read_scores
 from shape_obs.ablation.study import Study
-from shape_obs.files import write_whole
+from shape_obs.utils.files import write_whole
 
 RESULTS: Final = "results.csv"
 

@@ -13,8 +13,8 @@ from typing import Any, Final
 
 from shape_obs.ablation.study import Study
 from shape_obs.ablation.work import PROGRESS, Outcome
-from shape_obs.documents import read_json
-from shape_obs.files import make_folder, write_whole
+from shape_obs.utils.documents import read_json
+from shape_obs.utils.files import make_folder, write_whole
 
 RUN: Final = "run.json"
 ERROR: Final = "error.txt"

@@ -11,7 +11,7 @@ import numpy as np
 from shape_obs.ablation.statistics import Interval
 from shape_obs.ablation.study import Study
 from shape_obs.ablation.summary import ArmSummary, groups
-from shape_obs.files import write_whole
+from shape_obs.utils.files import write_whole
 
 Summary = Mapping[str, ArmSummary]
 

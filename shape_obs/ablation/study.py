@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from shape_obs.ablation.arm import Arm, Disturbance
-from shape_obs.documents import read_yaml
 from shape_obs.spec import Spec, SpecError, did_you_mean
+from shape_obs.utils.documents import read_yaml
 
 VERSION: Final = 1
 _NAME: Final = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-")

@@ -11,7 +11,7 @@ import numpy as np
 from shape_obs.ablation.statistics import Interval
 from shape_obs.ablation.study import Study
 from shape_obs.ablation.summary import LEVELS, ArmSummary, groups
-from shape_obs.files import write_text
+from shape_obs.utils.files import write_text
 
 TABLE: Final = "table.md"
 _NONE: Final = "–"

@@ -18,7 +18,7 @@ from shape_obs.ablation.run import Trained, run
 from shape_obs.ablation.score import success
 from shape_obs.ablation.scores_file import SCORES, scores_csv
 from shape_obs.ablation.study import Study
-from shape_obs.one_thread import one_thread
+from shape_obs.utils.threads import one_thread
 
 PROGRESS: Final = "progress.json"
 POLICY: Final = "trained.policy"
@@ -108,7 +108,7 @@ def _teller(task: Task) -> Callable[[int], None]:
 
 def _policy(trained: Trained, task: Task) -> dict[str, bytes]:
     """The policy as a bundle."""
-    from shape_obs.bundle import save_bundle
+    from shape_obs.deploy.policy_bundle import save_bundle
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, POLICY)

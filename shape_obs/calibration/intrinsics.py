@@ -12,13 +12,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.calibration.board import Board
-from shape_obs.calibration.views import BoardView
+from shape_obs.calibration.board import Board, BoardView
+from shape_obs.calibration.extrinsics import now
 from shape_obs.camera import Intrinsics
-from shape_obs.documents import read_json
-from shape_obs.extrinsics import now
-from shape_obs.files import write_text
 from shape_obs.spec import Spec, SpecError
+from shape_obs.utils.documents import read_json
+from shape_obs.utils.files import write_text
 
 Array = npt.NDArray[np.float64]
 

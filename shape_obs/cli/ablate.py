@@ -13,8 +13,8 @@ import tyro
 from tqdm import tqdm
 
 from shape_obs.cli.source import warnings_as_lines
-from shape_obs.files import make_folder
 from shape_obs.spec import did_you_mean
+from shape_obs.utils.files import make_folder
 
 if TYPE_CHECKING:
     from shape_obs.ablation import Study

@@ -12,7 +12,7 @@ import tyro
 from shape_obs.cli.cell import CellArguments, make_cell, make_robot, open_cell, read_config
 from shape_obs.cli.source import read_settings
 from shape_obs.config import SECTIONS
-from shape_obs.loading import make_named
+from shape_obs.utils.imports import make_named
 
 #: A goal that the robot tells, in each episode another.
 _ROBOT: Final = "robot"
@@ -131,7 +131,7 @@ def _check(args: ActingArguments) -> None:
 
 
 def _read_bundle(path: Path, trust: bool) -> Any:
-    from shape_obs.bundle import load_bundle
+    from shape_obs.deploy.policy_bundle import load_bundle
 
     bundle = load_bundle(path, trust=trust)
     bundle.check_deployable()

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from shape_obs.cli.source import open_named, read_settings
 from shape_obs.config import load_config
-from shape_obs.loading import make_named
+from shape_obs.utils.imports import make_named
 
 #: Steps per second where nobody says another.
 RATE: Final = 30.0

@@ -13,7 +13,7 @@ import tyro
 from tqdm import tqdm
 
 from shape_obs.cli.files import make_folder, write_gif, write_image
-from shape_obs.draw import draw_detection, draw_text
+from shape_obs.drawing import draw_detection, draw_text
 from shape_obs.shape import Detection
 
 GOAL = (235, 130, 40)

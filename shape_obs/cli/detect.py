@@ -17,9 +17,9 @@ from shape_obs.cli.files import make_folder, read_depth, read_image, write_image
 from shape_obs.config import detector_arguments, load_config, save_config
 from shape_obs.configurations import Configuration
 from shape_obs.detector import ShapeDetector
-from shape_obs.draw import draw_detection
-from shape_obs.segmentation import HSVRange
-from shape_obs.segmentation.pick import propose_hsv
+from shape_obs.drawing import draw_detection
+from shape_obs.image.colour_picker import propose_hsv
+from shape_obs.image.segmentation import HSVRange
 
 
 @dataclass(frozen=True)

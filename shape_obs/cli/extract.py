@@ -17,8 +17,8 @@ from tqdm import tqdm
 
 from shape_obs.cli.source import open_named, warnings_as_lines
 from shape_obs.config import load_config
-from shape_obs.documents import parse_yaml
 from shape_obs.features import read_features
+from shape_obs.utils.documents import parse_yaml
 
 if TYPE_CHECKING:
     from shape_obs.extraction import Outcome
@@ -140,7 +140,7 @@ def _result(args: Arguments, found: Sequence[Outcome]) -> dict[str, Any]:
 
 def _inside(folder: Path) -> Iterator[Path]:
     """The recordings in a folder, which may be one itself."""
-    from shape_obs.recording.layout import CAMERA_FILE, FRAMES_FILE
+    from shape_obs.recording.format import CAMERA_FILE, FRAMES_FILE
     from shape_obs_envs.sources.folder import PHOTOS
     from shape_obs_envs.sources.opening import RECORDINGS
     from shape_obs_envs.sources.video import VIDEOS

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from shape_obs.arrays import read_depth as read_depth
-from shape_obs.arrays import read_image as read_image
-from shape_obs.files import make_folder as make_folder
-from shape_obs.files import write_whole
+from shape_obs.utils.arrays import read_depth as read_depth
+from shape_obs.utils.arrays import read_image as read_image
+from shape_obs.utils.files import make_folder as make_folder
+from shape_obs.utils.files import write_whole
 
 
 def write_image(path: Path, rgb: npt.NDArray[np.uint8]) -> None:

@@ -14,20 +14,20 @@ import numpy.typing as npt
 import tyro
 from tqdm import tqdm
 
+from shape_obs.calibration.extrinsics import Extrinsics
 from shape_obs.cli.source import open_named, warnings_as_lines
 from shape_obs.config import config_hash, detector_arguments, load_config, schema_hash
 from shape_obs.configurations import Configuration
 from shape_obs.detector import ShapeDetector
-from shape_obs.documents import parse_yaml
-from shape_obs.extrinsics import Extrinsics
 from shape_obs.features import PointDistribution, PrincipalComponents, View
 from shape_obs.features.coordinates import Coordinates, Frame
+from shape_obs.geometry.topology import Topology
 from shape_obs.recording import ShapeTable, replay
-from shape_obs.recording.layout import camera_from_dict
-from shape_obs.recording.player import check_depth
+from shape_obs.recording.format import camera_from_dict
+from shape_obs.recording.replay import check_depth
 from shape_obs.shape import Shape
 from shape_obs.spec import did_you_mean
-from shape_obs.topology import Topology
+from shape_obs.utils.documents import parse_yaml
 
 Array = npt.NDArray[np.float64]
 

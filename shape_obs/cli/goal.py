@@ -16,7 +16,7 @@ from tqdm import tqdm
 from shape_obs.cli.cell import CellArguments, make_cell, make_robot
 from shape_obs.cli.files import write_image
 from shape_obs.cli.source import warnings_as_lines
-from shape_obs.draw import draw_detection
+from shape_obs.drawing import draw_detection
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from shape_obs.cli.source import open_named, warnings_as_lines
 from shape_obs.recording import Recorded, record
-from shape_obs.recording.moment import read_moments
+from shape_obs.recording.format import read_moments
 from shape_obs.recording.recorder import Depth
 from shape_obs.source import RGBDSource, SourceError
 

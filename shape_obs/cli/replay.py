@@ -19,8 +19,8 @@ from shape_obs.cli.source import open_named, warnings_as_lines
 from shape_obs.config import detector_arguments, load_config
 from shape_obs.detector import ShapeDetector
 from shape_obs.recording import OverlayVideo, Recording, ShapeLog, replay
-from shape_obs.recording.moment import read_moments
-from shape_obs.recording.player import check_depth
+from shape_obs.recording.format import read_moments
+from shape_obs.recording.replay import check_depth
 from shape_obs.recording.table import check_table_path
 from shape_obs.source import BadRecording, RGBDSource
 

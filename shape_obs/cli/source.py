@@ -12,8 +12,8 @@ from typing import Any, Final
 
 import cv2
 
-from shape_obs.documents import parse_yaml
 from shape_obs.source import RGBDSource
+from shape_obs.utils.documents import parse_yaml
 
 _ERRORS_ALONE: Final = 2  # OpenCV's LOG_LEVEL_ERROR
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.samples import Samples
+from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.topology import Topology
 from shape_obs.spec import Spec
-from shape_obs.topology import Topology
 
 
 class Centres(NamedTuple):

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from shape_obs.clustering.base import Centres, Clusterer
-from shape_obs.samples import Samples
-from shape_obs.topology import Topology
+from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.topology import Topology
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.kernels import NUMPY, Kernels
-from shape_obs.samples import Samples
-from shape_obs.topology import Topology
+from shape_obs.compiled import NUMPY, Kernels
+from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.topology import Topology
 
 
 def fit(

@@ -9,17 +9,17 @@ from typing import Final, Generic, Literal, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.body import Body
-from shape_obs.cloud import Cloud
 from shape_obs.clustering import som
-from shape_obs.form import Form
-from shape_obs.gate import Verdict
-from shape_obs.region import Region
-from shape_obs.samples import Samples, single
-from shape_obs.segmentation import Segmentation
+from shape_obs.geometry.form import Form
+from shape_obs.geometry.samples import Samples, single
+from shape_obs.geometry.topology import Topology
+from shape_obs.image.region import Region
+from shape_obs.image.segmentation import Segmentation
+from shape_obs.point_cloud.body import Body
+from shape_obs.point_cloud.cloud import Cloud
 from shape_obs.spec import Spec
-from shape_obs.topology import Topology
-from shape_obs.tracking import Prediction
+from shape_obs.tracking.prediction import Prediction
+from shape_obs.tracking.validation import Verdict
 
 Order = Literal["tracked", "image"]
 Spacing = Literal["px", "m"]

@@ -9,20 +9,20 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.body import Body
-from shape_obs.cloud import Cloud
-from shape_obs.coldstart.axis import axis
 from shape_obs.configurations.base import Configuration, Ends, Origin, Points
-from shape_obs.curve import equidistant_positions
-from shape_obs.deproject import SeenCloud
-from shape_obs.form import Curve
-from shape_obs.gate import Verdict, judge_ribbon
-from shape_obs.occlusion import follow_chain, shown
-from shape_obs.region import Region
-from shape_obs.samples import Samples
-from shape_obs.tips import extend_to_tips
-from shape_obs.topology import Chain, Topology, shrinkage
-from shape_obs.tracking import Prediction
+from shape_obs.geometry.form import Curve
+from shape_obs.geometry.polyline import equidistant_positions
+from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.topology import Chain, Topology, shrinkage
+from shape_obs.image.region import Region
+from shape_obs.initialization.medial_axis import axis
+from shape_obs.point_cloud.body import Body
+from shape_obs.point_cloud.cloud import Cloud
+from shape_obs.point_cloud.deprojection import SeenCloud
+from shape_obs.point_cloud.rope_tip import extend_to_tips
+from shape_obs.tracking.occlusion import follow_chain, shown
+from shape_obs.tracking.prediction import Prediction
+from shape_obs.tracking.validation import Verdict, judge_ribbon
 
 Array = npt.NDArray[np.float64]
 

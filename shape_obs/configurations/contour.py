@@ -8,18 +8,18 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.body import Body
-from shape_obs.border import clockwise
-from shape_obs.coldstart.outline import border, breadth, holes, outline, outline_points, outline_samples, sampling
 from shape_obs.configurations.base import Configuration, Origin, Points
-from shape_obs.curve import equidistant_around
-from shape_obs.form import Curve, Memory
-from shape_obs.gate import Verdict, judge_outline
-from shape_obs.phase import blend, lag
-from shape_obs.region import Region
-from shape_obs.samples import Samples
-from shape_obs.topology import Ring, Topology
-from shape_obs.tracking import Prediction
+from shape_obs.geometry.form import Curve, Memory
+from shape_obs.geometry.outline import clockwise
+from shape_obs.geometry.polyline import equidistant_around
+from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.topology import Ring, Topology
+from shape_obs.image.region import Region
+from shape_obs.initialization.outline import border, breadth, holes, outline, outline_points, outline_samples, sampling
+from shape_obs.point_cloud.body import Body
+from shape_obs.tracking.prediction import Prediction
+from shape_obs.tracking.registration import blend, lag
+from shape_obs.tracking.validation import Verdict, judge_outline
 
 Array = npt.NDArray[np.float64]
 

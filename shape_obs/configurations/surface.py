@@ -10,19 +10,19 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import RegularGridInterpolator
 
-from shape_obs.body import Body
-from shape_obs.cloud import Cloud
-from shape_obs.coldstart.corners import Indices, Rim
+from shape_obs.compiled import Kernels
+from shape_obs.compiled.interface_outline import FINE, RIM
 from shape_obs.configurations.base import Configuration, Ends, Origin, Points
-from shape_obs.form import Patch
-from shape_obs.gate import Verdict, judge_sheet
-from shape_obs.kernels import Kernels
-from shape_obs.kernels.interface_outline import FINE, RIM
-from shape_obs.occlusion import STRAYED, strayed_corner, strays
-from shape_obs.region import Region
-from shape_obs.samples import Samples
-from shape_obs.topology import Grid, Topology
-from shape_obs.tracking import Prediction
+from shape_obs.geometry.form import Patch
+from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.topology import Grid, Topology
+from shape_obs.image.region import Region
+from shape_obs.initialization.corners import Indices, Rim
+from shape_obs.point_cloud.body import Body
+from shape_obs.point_cloud.cloud import Cloud
+from shape_obs.tracking.occlusion import STRAYED, strayed_corner, strays
+from shape_obs.tracking.prediction import Prediction
+from shape_obs.tracking.validation import Verdict, judge_sheet
 
 Array = npt.NDArray[np.float64]
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from shape_obs.deploy.controller import Controller, Script, Still, Sway
-from shape_obs.deploy.dry import DryRobot
-from shape_obs.deploy.gate import Gate, Limits
-from shape_obs.deploy.log import RunLog
 from shape_obs.deploy.loop import Step, deploy
-from shape_obs.deploy.report import Report
+from shape_obs.deploy.run_log import Report, RunLog
+from shape_obs.deploy.safety import DryRobot, Gate, Limits
 from shape_obs.deploy.signals import Interrupted
 from shape_obs.deploy.supervision import supervised
 

@@ -9,8 +9,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.arrays import decode_npy
 from shape_obs.robot import ActionSpec
+from shape_obs.utils.arrays import decode_npy
 
 
 @runtime_checkable

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from shape_obs.deploy.loop import Step
-from shape_obs.draw import draw_detection
+from shape_obs.drawing import draw_detection
 
 GOAL = (235, 130, 40)
 

@@ -17,11 +17,11 @@ from shape_obs.detector import ShapeDetector
 from shape_obs.extraction.features import FeatureLog
 from shape_obs.extraction.task import Outcome, Task
 from shape_obs.features import read_features
-from shape_obs.one_thread import one_thread
 from shape_obs.recording import ShapeLog, ShapeTable, replay
-from shape_obs.recording.player import check_depth
+from shape_obs.recording.replay import check_depth
 from shape_obs.recording.table import Column
 from shape_obs.source import RGBDSource
+from shape_obs.utils.threads import one_thread
 
 _NOWHERE: Final = {"points2d": 2, "points3d": 3}
 

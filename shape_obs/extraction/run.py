@@ -7,12 +7,12 @@ from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from shape_obs.documents import read_json
 from shape_obs.extraction.engines import local, on_ray
 from shape_obs.extraction.extraction import Extraction
 from shape_obs.extraction.task import Outcome, Task, stem
-from shape_obs.files import make_folder, write_text
 from shape_obs.recording.table import check_table_path
+from shape_obs.utils.documents import read_json
+from shape_obs.utils.files import make_folder, write_text
 
 Engine = Literal["local", "ray"]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from shape_obs.recording import Recording
-from shape_obs.recording.layout import CAMERA_FILE, FRAMES_FILE
+from shape_obs.recording.format import CAMERA_FILE, FRAMES_FILE
 from shape_obs.source import BadRecording
 from shape_obs.spec import Spec
 

@@ -1,20 +1,15 @@
 """Features: a shape as numbers with units, a frame and finite bounds, one feature a file."""
 
 from shape_obs.features.base import Feature, View, read_features
-from shape_obs.features.bending import Curvature, TurningAngles
-from shape_obs.features.bezier import Bezier
-from shape_obs.features.bspline import BSpline
-from shape_obs.features.centroid import Centroid
+from shape_obs.features.curvature import Curvature, Tangents, TurningAngles
 from shape_obs.features.distribution import PointDistribution
-from shape_obs.features.elliptic import EllipticFourier
-from shape_obs.features.fourier import Fourier
-from shape_obs.features.length import Length
+from shape_obs.features.fourier import EllipticFourier, Fourier
 from shape_obs.features.moments import ContourMoments, RegionMoments
-from shape_obs.features.orientation import Orientation
 from shape_obs.features.pca import PrincipalComponents
 from shape_obs.features.points import Points2D, Points2DNormalized, Points3D
+from shape_obs.features.pose import Centroid, Length, Orientation
+from shape_obs.features.splines import Bezier, BSpline
 from shape_obs.features.status import Age, Ok, Valid
-from shape_obs.features.tangents import Tangents
 from shape_obs.features.vector import Block, FeatureVector
 
 __all__ = [

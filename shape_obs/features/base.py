@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import CameraModel
+from shape_obs.geometry.topology import Topology
 from shape_obs.shape import Shape
 from shape_obs.spec import Spec
-from shape_obs.topology import Topology
 
 Array = npt.NDArray[np.float64]
 

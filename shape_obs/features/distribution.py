@@ -12,13 +12,13 @@ from typing import Any, Final, get_args
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.arrays import decode_npz
-from shape_obs.documents import parse_json
 from shape_obs.features.alignment import Similarity, superimposed
+from shape_obs.features.basis import Design
 from shape_obs.features.coordinates import Coordinates, Frame
-from shape_obs.features.linear import Design
-from shape_obs.files import make_folder, write_whole
-from shape_obs.topology import Chain, Grid, Ring, Topology
+from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
+from shape_obs.utils.arrays import decode_npz
+from shape_obs.utils.documents import parse_json
+from shape_obs.utils.files import make_folder, write_whole
 
 Array = npt.NDArray[np.float64]
 

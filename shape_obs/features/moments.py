@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from shape_obs.features.base import View
 from shape_obs.features.coordinates import Geometric
-from shape_obs.features.line import closes, polyline
+from shape_obs.features.curvature import closes, polyline
+from shape_obs.geometry.topology import Grid, Ring, Topology
 from shape_obs.shape import Shape
-from shape_obs.topology import Grid, Ring, Topology
 
 Array = npt.NDArray[np.float64]
 

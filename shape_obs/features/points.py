@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from shape_obs.features.base import View
 from shape_obs.features.coordinates import Coordinates, Placed
+from shape_obs.geometry.topology import Topology
 from shape_obs.shape import Shape
 from shape_obs.spec import SpecError
-from shape_obs.topology import Topology
 
 Array = npt.NDArray[np.float64]
 

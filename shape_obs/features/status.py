@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.features.base import Feature, View
+from shape_obs.geometry.topology import Topology
 from shape_obs.shape import Shape
-from shape_obs.topology import Topology
 
 Array = npt.NDArray[np.float64]
 

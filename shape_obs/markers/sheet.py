@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
-from shape_obs.files import write_whole
 from shape_obs.markers.finder import DICTIONARY, check_ids, dictionary_named
+from shape_obs.utils.files import write_whole
 
 Paper = Literal["a4", "letter"]
 Page = npt.NDArray[np.uint8]

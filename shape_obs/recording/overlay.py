@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 
-from shape_obs.draw import Image, draw_detection
-from shape_obs.files import begin_file, finish_file, make_folder
-from shape_obs.recording.moment import Moment
+from shape_obs.drawing import Image, draw_detection
+from shape_obs.recording.format import Moment
 from shape_obs.shape import Detection
+from shape_obs.utils.files import begin_file, finish_file, make_folder
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.documents import parse_json
+from shape_obs.utils.documents import parse_json
 
 #: Key of the table's metadata, a JSON text, in the metadata of the schema.
 METADATA: Final = b"shape_obs"

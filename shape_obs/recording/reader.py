@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from shape_obs.camera import CameraModel
-from shape_obs.documents import parse_json, read_json
 from shape_obs.frame import Frame
-from shape_obs.recording.images import restore
-from shape_obs.recording.layout import (
+from shape_obs.recording.format import (
     CAMERA_FILE,
     END,
     FORMAT,
@@ -18,11 +16,13 @@ from shape_obs.recording.layout import (
     VERSION,
     CameraFile,
     FrameLine,
+    Moment,
     camera_from_dict,
     read_known,
+    restore,
 )
-from shape_obs.recording.moment import Moment
 from shape_obs.source import BadRecording
+from shape_obs.utils.documents import parse_json, read_json
 
 
 class Recording:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from shape_obs.frame import Frame
-from shape_obs.recording.moment import read_moments
+from shape_obs.recording.format import read_moments
 from shape_obs.recording.writer import RecordingWriter, check_new_folder
 from shape_obs.source import EndOfSource, RGBDSource, SourceError
 

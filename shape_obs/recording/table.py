@@ -14,10 +14,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.arrays import decode_npz
-from shape_obs.documents import parse_json, read_json
-from shape_obs.files import make_folder, write_text, write_whole
 from shape_obs.recording.parquet import need_pyarrow, read_parquet, write_parquet
+from shape_obs.utils.arrays import decode_npz
+from shape_obs.utils.documents import parse_json, read_json
+from shape_obs.utils.files import make_folder, write_text, write_whole
 
 Column = npt.NDArray[Any]
 _METADATA: Final = "metadata"

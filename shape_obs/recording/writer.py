@@ -15,13 +15,11 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from shape_obs import __version__
+from shape_obs.calibration.extrinsics import now
 from shape_obs.camera import CameraModel
-from shape_obs.extrinsics import now
-from shape_obs.files import make_folder, write_text
-from shape_obs.recording.images import store
-from shape_obs.recording.layout import CAMERA_FILE, END, FORMAT, FRAMES_FILE, VERSION, camera_to_dict
-from shape_obs.recording.moment import Moment
+from shape_obs.recording.format import CAMERA_FILE, END, FORMAT, FRAMES_FILE, VERSION, Moment, camera_to_dict, store
 from shape_obs.source import RGBDSource
+from shape_obs.utils.files import make_folder, write_text
 
 if TYPE_CHECKING:
     from typing_extensions import Self

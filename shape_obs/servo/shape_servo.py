@@ -10,10 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.robot import ActionSpec
-from shape_obs.servo.checks import share
+from shape_obs.servo.control_law import ServoLaw, make_law
 from shape_obs.servo.excitation import Excitation
-from shape_obs.servo.law import ServoLaw
-from shape_obs.servo.laws import make_law
+from shape_obs.servo.jacobian import share
 from shape_obs.servo.weights import geometric_weights, noise_weights
 from shape_obs.shape import Shape
 

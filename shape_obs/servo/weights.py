@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.features import Feature, View
-from shape_obs.topology import Topology
+from shape_obs.geometry.topology import Topology
 
 Array = npt.NDArray[np.float64]
 

@@ -8,14 +8,14 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.border import clockwise
 from shape_obs.camera import Intrinsics
 from shape_obs.configurations import Configuration
-from shape_obs.curve import catmull_rom
-from shape_obs.form import Curve, Form, Patch
+from shape_obs.geometry.form import Curve, Form, Patch
+from shape_obs.geometry.outline import clockwise
+from shape_obs.geometry.polyline import catmull_rom
+from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.shape import Shape
 from shape_obs.spec import did_you_mean
-from shape_obs.topology import Chain, Grid, Ring, Topology
 
 Array = npt.NDArray[np.float64]
 

@@ -15,12 +15,12 @@ import yaml
 from shape_obs.camera import CameraModel
 from shape_obs.config import VERSION
 from shape_obs.configurations import Configuration
-from shape_obs.documents import read_yaml
 from shape_obs.features import View
-from shape_obs.files import write_text
+from shape_obs.geometry.topology import Grid
 from shape_obs.shape import Shape
 from shape_obs.spec import Spec, SpecError
-from shape_obs.topology import Grid
+from shape_obs.utils.documents import read_yaml
+from shape_obs.utils.files import write_text
 from shape_obs.wrappers.placing import goal_topology, placed, shape_at
 
 GoalFrame = Literal["base", "camera", "pixels"]

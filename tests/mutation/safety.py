@@ -28,7 +28,7 @@ def _deploy(name: str, module: str, old: str, new: str, *tests: str, equivalent:
 
 
 def _guard(name: str, old: str, new: str) -> Mutant:
-    return Mutant(f"safety: {name}", "shape_obs/guard.py", old, new, ("tests/test_d455_env.py",))
+    return Mutant(f"safety: {name}", "shape_obs/servo/action_limiter.py", old, new, ("tests/test_d455_env.py",))
 
 
 SAFETY: tuple[Mutant, ...] = (

@@ -6,7 +6,7 @@ from .mutant import Mutant
 
 
 def _gate(name: str, old: str, new: str, equivalent: str = "") -> Mutant:
-    return Mutant(f"gate: {name}", "shape_obs/gate.py", old, new, ("tests/test_gate.py",), equivalent)
+    return Mutant(f"gate: {name}", "shape_obs/tracking/validation.py", old, new, ("tests/test_gate.py",), equivalent)
 
 
 def _lift(name: str, module: str, old: str, new: str, *tests: str, equivalent: str = "") -> Mutant:

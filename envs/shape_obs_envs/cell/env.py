@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 from shape_obs.camera import CameraModel
 from shape_obs.frame import Frame
-from shape_obs.guard import Box, Guard, Guarded
-from shape_obs.loading import make_named
-from shape_obs.rate import Rate
 from shape_obs.robot import Anchors, Robot, RobotError, check_robot, robot_anchors
+from shape_obs.servo.action_limiter import Box, Guard, Guarded
 from shape_obs.source import NotConnected, RGBDSource, SourceError
+from shape_obs.utils.imports import make_named
+from shape_obs.utils.timing import Rate
 from shape_obs_envs.arguments import count, one_of, positive
 from shape_obs_envs.cell.eye import Eye, open_eye
 from shape_obs_envs.cell.interlock import Interlock

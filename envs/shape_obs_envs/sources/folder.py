@@ -12,13 +12,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from shape_obs.arrays import read_image
+from shape_obs.calibration.extrinsics import Extrinsics
 from shape_obs.camera import CameraModel
-from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.recording import Recording
-from shape_obs.recording.layout import CAMERA_FILE, FRAMES_FILE
+from shape_obs.recording.format import CAMERA_FILE, FRAMES_FILE
 from shape_obs.source import BadRecording, EndOfSource
+from shape_obs.utils.arrays import read_image
 from shape_obs_envs.sources.sequence import SequenceSource
 
 #: Suffixes of photos.

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
-from shape_obs.kernels import Backend
+from shape_obs.compiled import Backend
 from shape_obs_envs.sources.registration import check_image, check_unit, in_metres, remap_maps, remapped
 from shape_obs_envs.sources.splat import Splat, check_pose
 

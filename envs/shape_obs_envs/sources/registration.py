@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
-from shape_obs.kernels import Backend
+from shape_obs.compiled import Backend
 from shape_obs_envs.sources.splat import Metres, Splat
 
 Images = tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16]]

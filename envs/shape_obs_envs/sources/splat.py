@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
-from shape_obs.kernels import Backend, choose
+from shape_obs.compiled import Backend, choose
 
 Depth = npt.NDArray[np.uint16]
 Metres = npt.NDArray[np.float32]

@@ -12,8 +12,8 @@ from typing import Any, Literal
 import tyro
 from tqdm import tqdm
 
+from shape_obs.bench.report import GROUPS, Effort
 from shape_obs.cli.bench.printing import table
-from shape_obs.evaluation.report import GROUPS, Effort
 
 Group = Literal[
     "ropes",

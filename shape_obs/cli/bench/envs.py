@@ -11,24 +11,14 @@ from typing import Any, Literal
 import tyro
 from tqdm import tqdm
 
+from shape_obs.bench.backends import backends
+from shape_obs.bench.env_machine import no_opengl, opengl
+from shape_obs.bench.env_runner import ENVS, Env
+from shape_obs.bench.env_speed import RENDERERS, SIZES, WARM_UP, Course, Row, speed_claims, speed_row, speeds, stock_row
+from shape_obs.bench.env_vectors import vector_row
+from shape_obs.bench.machine import machine
+from shape_obs.bench.turns import Clock
 from shape_obs.cli.bench.printing import table
-from shape_obs.evaluation.backends import backends
-from shape_obs.evaluation.env_machine import no_opengl, opengl
-from shape_obs.evaluation.env_runner import ENVS, Env
-from shape_obs.evaluation.env_speed import (
-    RENDERERS,
-    SIZES,
-    WARM_UP,
-    Course,
-    Row,
-    speed_claims,
-    speed_row,
-    speeds,
-    stock_row,
-)
-from shape_obs.evaluation.env_vectors import vector_row
-from shape_obs.evaluation.machine import machine
-from shape_obs.evaluation.turns import Clock
 
 Part = Literal["single", "stock", "vector"]
 Renderer = Literal["gl", "rays"]

@@ -11,12 +11,12 @@ from typing import Any, Literal
 import tyro
 from tqdm import tqdm
 
+from shape_obs.bench import growth, latency, memory
+from shape_obs.bench.backends import backends
+from shape_obs.bench.machine import machine
+from shape_obs.bench.streams import SIZES
+from shape_obs.bench.turns import Clock
 from shape_obs.cli.bench.printing import table
-from shape_obs.evaluation import growth, latency, memory
-from shape_obs.evaluation.backends import backends
-from shape_obs.evaluation.machine import machine
-from shape_obs.evaluation.streams import SIZES
-from shape_obs.evaluation.turns import Clock
 
 Part = Literal["stages", "growth"]
 Rows = list[dict[str, Any]]

@@ -11,12 +11,12 @@ from typing import Any, get_args
 import tyro
 from tqdm import tqdm
 
+from shape_obs.bench.contest import WARM_UP
+from shape_obs.bench.machine import machine
+from shape_obs.bench.peer_contest import Result, claims, missing, run_work
+from shape_obs.bench.turns import Clock
+from shape_obs.bench.workloads import Name
 from shape_obs.cli.bench.printing import table
-from shape_obs.evaluation.contest import WARM_UP
-from shape_obs.evaluation.machine import machine
-from shape_obs.evaluation.peer_contest import Result, claims, missing, run_work
-from shape_obs.evaluation.turns import Clock
-from shape_obs.evaluation.workloads import Name
 
 
 @dataclass(frozen=True)

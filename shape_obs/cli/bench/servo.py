@@ -12,13 +12,12 @@ from typing import Any, Literal
 import tyro
 from tqdm import tqdm
 
-from shape_obs.cli.bench.printing import table
-from shape_obs.evaluation.env_runner import Env
-from shape_obs.evaluation.machine import machine
-from shape_obs.evaluation.servo.episode import Episode
-from shape_obs.evaluation.servo.pictures import draw, need_matplotlib
-from shape_obs.evaluation.servo.results import lean, write_tables
-from shape_obs.evaluation.servo.settings import (
+from shape_obs.bench.env_runner import Env
+from shape_obs.bench.machine import machine
+from shape_obs.bench.servo.episode import Episode
+from shape_obs.bench.servo.pictures import draw, need_matplotlib
+from shape_obs.bench.servo.results import lean, write_tables
+from shape_obs.bench.servo.settings import (
     DIFFICULTIES,
     SOURCES,
     Difficulty,
@@ -30,10 +29,11 @@ from shape_obs.evaluation.servo.settings import (
     image_size,
     missing,
 )
-from shape_obs.evaluation.servo.study import run
-from shape_obs.evaluation.servo.summary import paired_rows, summary_rows
-from shape_obs.evaluation.servo.times import WARM_UP, asked_rows, feature_times
-from shape_obs.evaluation.turns import Clock
+from shape_obs.bench.servo.study import run
+from shape_obs.bench.servo.summary import paired_rows, summary_rows
+from shape_obs.bench.servo.times import WARM_UP, asked_rows, feature_times
+from shape_obs.bench.turns import Clock
+from shape_obs.cli.bench.printing import table
 from shape_obs.servo import LAWS
 from shape_obs.spec import did_you_mean
 

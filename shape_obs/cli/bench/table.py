@@ -12,15 +12,15 @@ from typing import Final, Literal
 import tyro
 from tqdm import tqdm
 
+from shape_obs.bench.machine import machine
+from shape_obs.bench.table.figures import draw, need_matplotlib
+from shape_obs.bench.table.parts import as_csv
+from shape_obs.bench.table.run import Plan, run
+from shape_obs.bench.table.summary import every_row, rankings, results, tracings
+from shape_obs.bench.table.text import as_values, markdown
+from shape_obs.bench.turns import Clock
 from shape_obs.cli.files import make_folder
-from shape_obs.evaluation.machine import machine
-from shape_obs.evaluation.table.figures import draw, need_matplotlib
-from shape_obs.evaluation.table.parts import as_csv
-from shape_obs.evaluation.table.run import Plan, run
-from shape_obs.evaluation.table.summary import every_row, rankings, results, tracings
-from shape_obs.evaluation.table.text import as_values, markdown
-from shape_obs.evaluation.turns import Clock
-from shape_obs.files import write_text
+from shape_obs.utils.files import write_text
 
 _LEAST: Final = 10  # frames: two chunks, or there is no interval
 Only = Literal[

@@ -11,11 +11,10 @@ from typing import Any, Literal
 import tyro
 from tqdm import tqdm
 
-from shape_obs.cli.bench.printing import table
-from shape_obs.evaluation.backends import backends
-from shape_obs.evaluation.env_machine import opengl
-from shape_obs.evaluation.machine import machine
-from shape_obs.evaluation.training_overhead import (
+from shape_obs.bench.backends import backends
+from shape_obs.bench.env_machine import opengl
+from shape_obs.bench.machine import machine
+from shape_obs.bench.training_overhead import (
     ALGORITHMS,
     SIZES,
     Algorithm,
@@ -24,7 +23,8 @@ from shape_obs.evaluation.training_overhead import (
     overhead_rows,
     overheads,
 )
-from shape_obs.evaluation.turns import Clock
+from shape_obs.bench.turns import Clock
+from shape_obs.cli.bench.printing import table
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 from shape_obs.calibration import BaseFit, Touch, fit_base, read_touches
-from shape_obs.calibration.sightings import Place, Sighting, sight
+from shape_obs.calibration.touch_points import Place, Sighting, sight
 from shape_obs.cli.calibrate.prompts import ask_touches
 from shape_obs.cli.source import open_named, warnings_as_lines
 from shape_obs.markers import DICTIONARY

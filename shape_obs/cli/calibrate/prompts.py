@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from shape_obs.calibration import Touch, write_touches
-from shape_obs.calibration.touches import CORNERS
+from shape_obs.calibration.touch_points import CORNERS
 from shape_obs.spec import SpecError
 
 

@@ -1,0 +1,168 @@
+"""The whole real path without hardware: a simulated robot before a software D455, run by the deployment loop.
+
+What the camera saw is held against the simulator's truth of the same frame; clean, and with frames that are lost,
+late, frozen or black and a hand over the object. The tests run slices; ``shape-obs bench claims --only deploy`` runs
+all of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+
+from shape_obs.bench.asked import at_most
+from shape_obs.bench.env_scores import place
+
+Row = dict[str, Any]
+Array = npt.NDArray[np.float64]
+
+SECONDS: Final = 60.0
+FAULTS: Final = {"drop": 0.05, "delay": 0.05, "freeze": 0.05, "black": 0.05, "occluder": 0.15}
+_SLIP: Final = 0.5  # gaps
+_WRONG: Final = 15.0  # mm
+_OWN: Final = 25.0  # ms, 95th percentile
+_OVERRUNS: Final = 1.0  # percent
+
+
+@dataclass
+class Seen:
+    """What the loop saw of the object, step by step, and what it did on that.
+
+    Args:
+        robot: The simulated robot, which knows the truth.
+
+    Attributes:
+        mm: Mean error of the measured points of each frame that was acted on.
+        slips: Frames that were acted on with a valid point more than half a gap off its place.
+        wrong: Frames that were acted on with a slip, or a mean error of the measured points above 15 mm.
+        hidden: Errors of single points that were hidden, and told so.
+        stale: Actions on a frame that was shown before, on one that the camera had not taken anew, or on a black one.
+        oldest: Most seconds from the exposure of an image to the decision to act on it.
+    """
+
+    robot: Any
+    mm: list[float] = field(default_factory=list)
+    hidden: list[float] = field(default_factory=list)
+    slips: int = 0
+    wrong: int = 0
+    stale: int = 0
+    oldest: float = 0.0
+    _numbers: set[int] = field(default_factory=set)
+
+    def step(self, moment: Any) -> None:
+        """Look at a step; the loop calls it."""
+        frame, affected = moment.frame, self.robot.affected
+        if moment.judgement.move != "act":
+            return
+        shape = moment.detection.shapes[0]
+        if frame is None or frame.number in self._numbers or shape.age > 0 or not shape.ok:
+            self.stale += 1
+            return
+        self.stale += any(frame.number in affected.get(kind, ()) for kind in ("drop", "freeze", "black"))
+        self._numbers.add(frame.number)
+        self.oldest = max(self.oldest, frame.received - frame.stamp)
+        points, truth = frame.camera.to_base(shape.points3d), _At(self.robot.truth(frame.number))
+        found = place(points, shape.valid, shape.layout, truth)
+        off = np.linalg.norm(points - truth.truth(len(points)), axis=1)
+        mm = 1e3 * float(off[shape.valid].mean())
+        self.mm.append(mm)
+        self.hidden.extend(1e3 * off[~shape.valid])
+        slipped = found.slip > _SLIP or found.flipped
+        self.slips += slipped
+        self.wrong += slipped or mm > _WRONG
+
+
+class _At:
+    """The truth of a moment, as the simulator tells that of the present."""
+
+    def __init__(self, points: Array) -> None:
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        self._curve, self._length = CubicSpline(along, points), along[-1]
+
+    def truth(self, n: int) -> Array:
+        """(n,3) metres, base frame, equidistant."""
+        return np.asarray(self._curve(np.linspace(0, self._length, n)))
+
+
+def run(
+    seconds: float = SECONDS,
+    faults: Mapping[str, float] | None = None,
+    *,
+    seed: int = 0,
+    renderer: str = "auto",
+    rate: float = 30.0,
+    noise: bool = False,
+    told: Callable[[str], object] = lambda text: None,
+) -> tuple[Any, Seen]:
+    """Run the loop for a while.
+
+    Args:
+        seconds: How long.
+        faults: What goes wrong, as ``SimulatedRobot.disturb`` takes it; None for nothing.
+        seed: Of the scene and of the faults.
+        renderer: The simulator's camera.
+        rate: Of the loop and the camera, hertz.
+        noise: Whether images have a D455's noise.
+        told: Called with how far it is.
+
+    Returns:
+        The loop's report, and what was seen.
+    """
+    import gymnasium as gym
+
+    import shape_obs_envs  # noqa: F401 - registers the ids
+    from shape_obs.deploy import Limits, Sway, deploy
+    from shape_obs.wrappers import ShapeObservation
+    from shape_obs_envs.robots import SimulatedRobot
+
+    robot = SimulatedRobot(seed=seed, renderer=renderer, fps=rate, noise=noise)
+    seen = Seen(robot)
+
+    def step(moment: Any) -> None:
+        if moment.step == 0 and faults is not None:
+            robot.disturb(**faults, seed=seed)
+        if moment.step % 30 == 0:
+            told(f"deploy: {moment.step / rate:.0f} of {seconds:.0f} s")
+        seen.step(moment)
+
+    env = gym.make("ShapeObs/D455-v0", source="robot", robot=robot, rate=rate, disable_env_checker=True)
+    # A hand may stay for a second; the run is to go on after it.
+    report = deploy(ShapeObservation(env), Sway(share=0.25), Limits(hold=5.0), seconds=seconds, on_step=step)
+    return report, seen
+
+
+def clean_table(report: Any, seen: Seen) -> list[Row]:
+    """What is asked of a run in which nothing goes wrong."""
+    return [
+        at_most("overruns", _OVERRUNS, 100 * report.overruns / report.steps, " %"),
+        at_most("image to action, own share, 95th percentile", _OWN, report.sections["own"].p95, " ms"),
+        at_most("mean error", 5.0, float(np.mean(seen.mm)), " mm"),
+        at_most("frames with an index slip", 0, seen.slips, ""),
+        at_most("steps without an action", 0, report.held, ""),
+    ]
+
+
+def faulty_table(report: Any, seen: Seen) -> list[Row]:
+    """What is asked of a run in which much goes wrong."""
+    return [
+        at_most("wrong shapes that were acted on", 0, seen.wrong, ""),
+        at_most("actions on a stale shape", 0, seen.stale, ""),
+        at_most("mean error of what was acted on", 5.0, float(np.mean(seen.mm)), " mm"),
+        _told("mean error of the points that were told hidden", float(np.mean(seen.hidden or [np.nan])), " mm"),
+        _told("most seconds from an exposure to its arrival", seen.oldest, " s"),
+        _told("steps without an action", report.held),
+    ]
+
+
+def _told(what: str, seen: float, unit: str = "") -> Row:
+    return {"what": what, "asked": "-" + unit, "seen": float(seen), "reached": "-"}
+
+
+def section_table(report: Any) -> list[Row]:
+    """Milliseconds by part of the loop."""
+    return [{"section": name, **vars(section)} for name, section in report.sections.items()]

@@ -1,0 +1,178 @@
+"""Measure how soon a robot stands still when its process is asked to end, fails or is killed, by the robot's clock."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import random
+import signal
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from shape_obs.bench.asked import at_most
+from shape_obs.bench.robustness.arm import ArmProcess
+from shape_obs.bench.robustness.cell import STATES, State, run_cell
+
+SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+#: What ends a run without a signal.
+FAILURES: Final = ("exception", "closed stdout")
+_ASKED: Final = 0.05  # seconds
+#: Longer than any measurement, so that the arm's own limit does not help.
+_LONG: Final = 10.0
+#: Of an image, in a deployment that is killed.
+MAX_AGE: Final = 0.2
+_START: Final = 60.0
+
+
+class Stopped(NamedTuple):
+    """How a run ended.
+
+    Attributes:
+        fault: What ended it.
+        state: What it was doing.
+        seconds: From the fault until the arm stood still; 0 if it did not move.
+        moved_again: Whether a motion was begun after that.
+        code: The exit code.
+        report: Whether the log has a report.
+    """
+
+    fault: str
+    state: State
+    seconds: float
+    moved_again: bool
+    code: int | None
+    report: bool
+
+
+def stop(arm: ArmProcess, fault: str, state: State, *, wait: float = 0.15, max_age: float = _LONG) -> Stopped:
+    """Run a deployment, bring a fault over it, and see when the arm stands still.
+
+    Args:
+        arm: What it moves.
+        fault: A signal's name, or one of ``FAILURES``.
+        state: What the deployment is doing then.
+        wait: Seconds between the state and the fault.
+        max_age: Of an image, in seconds: after that the arm stops by itself.
+    """
+    arm.tell("clear")
+    with tempfile.TemporaryDirectory() as folder, _running(arm, state, max_age, folder) as (child, fail, close):
+        time.sleep(wait)
+        # A failure is noted by the process in which it happens, a signal here.
+        begin = time.monotonic()
+        if fault == "exception":
+            fail()
+        elif fault == "closed stdout":
+            close()
+        else:
+            assert child.pid is not None
+            os.kill(child.pid, getattr(signal, fault))
+        child.join(_START)
+        time.sleep(max_age + 0.1 if fault == "SIGKILL" else 0.0)
+        notes = arm.notes()
+        begin = next((moment for what, moment in notes if what == "mark"), begin)
+        report = any(Path(folder).glob("*/report.json"))
+        return Stopped(fault, state, *_after(notes, begin), child.exitcode, report)
+
+
+def stops(count: int, seed: int, told: Callable[[str], object] = lambda text: None) -> Iterator[Stopped]:
+    """Bring every signal over every state, and every failure over those in which it can happen."""
+    chance = random.Random(seed)
+    states: dict[str, tuple[State, ...]] = dict.fromkeys(SIGNALS, STATES)
+    states |= dict.fromkeys(FAILURES, ("moving", "log"))
+    pairs: list[tuple[str, State]] = [(fault, state) for fault, of in states.items() for state in of]
+    with ArmProcess() as arm:
+        for number, (fault, state) in enumerate(pair for pair in pairs for _ in range(count)):
+            told(f"robustness: stop {number + 1} of {count * len(pairs)}")
+            yield stop(arm, fault, state, wait=chance.uniform(0.1, 0.2))
+
+
+def kills(count: int, seed: int, told: Callable[[str], object] = lambda text: None) -> Iterator[Stopped]:
+    """Kill deployments outright, at random instants."""
+    chance = random.Random(seed)
+    with ArmProcess() as arm:
+        for number in range(count):
+            told(f"robustness: kill {number + 1} of {count}")
+            yield stop(arm, "SIGKILL", "moving", wait=chance.uniform(0.0, 0.5), max_age=MAX_AGE)
+
+
+def locked(count: int) -> Iterator[Stopped]:
+    """Signal deployments whose main thread is in C code that lets no other thread run."""
+    with ArmProcess() as arm:
+        for _ in range(count):
+            yield stop(arm, "SIGTERM", "C with the lock", max_age=MAX_AGE)
+
+
+def stop_table(found: Sequence[Stopped]) -> list[dict[str, Any]]:
+    """Return a row for each fault with the longest time in each state, in milliseconds."""
+    rows = []
+    for fault in dict.fromkeys(each.fault for each in found):
+        of = [each for each in found if each.fault == fault]
+        row: dict[str, Any] = {"fault": fault, "runs": len(of)}
+        for state in STATES:
+            times = [1e3 * each.seconds for each in of if each.state == state]
+            row[f"{state} [ms]"] = round(max(times), 1) if times else None
+        rows.append(row)
+    return rows
+
+
+def asked_table(
+    stopped: Sequence[Stopped], killed: Sequence[Stopped], locked_: Sequence[Stopped]
+) -> list[dict[str, Any]]:
+    """Compare what was seen with what is asked."""
+    orderly = [each for each in stopped if each.fault in SIGNALS]
+    return [
+        at_most("longest time to stand still, process alive", 1e3 * _ASKED, _longest(stopped), " ms"),
+        at_most("motions begun after the stop", 0, sum(each.moved_again for each in stopped), ""),
+        at_most("signals without report or exit code 128 + n", 0, sum(not _orderly(each) for each in orderly), ""),
+        at_most(f"longest time to stand still, {len(killed)} kills", 1e3 * MAX_AGE, _longest(killed), " ms"),
+        at_most("the same, main thread in C code that holds Python's lock", 1e3 * MAX_AGE, _longest(locked_), " ms"),
+    ]
+
+
+def _longest(found: Sequence[Stopped]) -> float:
+    return 1e3 * max(each.seconds for each in found)
+
+
+def _orderly(each: Stopped) -> bool:
+    return each.report and each.code == 128 + getattr(signal, each.fault)
+
+
+def _after(notes: Sequence[tuple[str, float]], begin: float) -> tuple[float, bool]:
+    """Return the seconds from a moment until the arm stood still for good, and whether it moved again in between."""
+    motions = [(what, moment) for what, moment in notes if what in ("move", "still")]
+    moving = [what for what, moment in motions if moment <= begin][-1:] == ["move"]
+    stills = [moment for what, moment in motions if what == "still" and moment > begin]
+    if not stills:
+        return (_LONG if moving else 0.0), False
+    first = stills[0] if moving else begin
+    return stills[-1] - begin, any(what == "move" and moment > first for what, moment in motions)
+
+
+@contextmanager
+def _running(
+    arm: ArmProcess, state: State, max_age: float, folder: str
+) -> Iterator[tuple[BaseProcess, Callable[[], None], Callable[[], None]]]:
+    """Run a deployment that has come into a state: its process, how to make it raise, how to close its stdout."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([run_cell.__module__, "shape_obs.wrappers", "shape_obs_envs", "gymnasium"])
+    here, there = context.Pipe()
+    reading, writing = context.Pipe(duplex=False)
+    child = context.Process(target=run_cell, args=(arm.port, state, max_age, folder, there, writing))
+    child.start()
+    there.close()
+    writing.close()
+    try:
+        if not here.poll(_START):
+            raise TimeoutError(f"the deployment did not come into the state {state!r} within {_START:g} s")
+        here.recv()
+        yield child, lambda: here.send("fail"), reading.close
+    finally:
+        child.kill()
+        child.join()
+        for end in (here, reading):
+            end.close()

@@ -1,0 +1,164 @@
+"""The pictures of a study: the error over time, and where shapes started, should end and did end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.bench.servo.episode import REACHED, Episode
+from shape_obs.bench.servo.settings import LAYOUTS, Difficulty, Setting
+from shape_obs.bench.servo.study import Found
+from shape_obs.utils.files import write_whole
+
+Array = npt.NDArray[np.float64]
+
+PICTURES: Final = ("curves.png", "overlays.png")
+_INK, _START, _GOAL = "#22313f", "#b8bcc0", "#22313f"
+_COLOURS: Final = (
+    "#1f6fb4", "#d4541a", "#3a8f4d", "#8a56a8", "#b08a1e", "#2a9aa0", "#c0417c", "#6d6d6d", "#7a4a2b", "#4b5fd0",
+)  # fmt: skip
+_FINAL: Final = _COLOURS[1]
+_STYLES: Final = {"camera": "-", "truth": (0, (4, 2))}
+_DPI: Final = 110
+_FINEST: Final = 0.3  # millimetres; below it the truth alone gets, and nobody cares
+
+
+def need_matplotlib() -> None:
+    """Raises ImportError where there is no matplotlib, before any work is done."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise ImportError(
+            "the pictures need matplotlib: pip install 'shape-obs[viz]', or leave them out with --no-figures."
+        ) from error
+
+
+def draw(found: Found, folder: Path) -> list[Path]:
+    """Draw both pictures of what did not break off into a folder; returns their paths, none where there is nothing."""
+    whole = {setting: [each for each in some if not each.failure] for setting, some in found.items()}
+    whole = {setting: some for setting, some in whole.items() if some}
+    if not whole:
+        return []
+    paths = [folder / name for name in PICTURES]
+    for sheet, path in zip((_curves(whole), _overlays(whole)), paths, strict=True):
+        write_whole(path, lambda temporary, sheet=sheet: sheet.savefig(temporary, dpi=_DPI))
+    return paths
+
+
+def _curves(found: Found) -> Any:
+    """Median and quartiles of the error over time: a line for each law or each set of features, whichever are more."""
+    from matplotlib.figure import Figure
+
+    many = _distinct(setting.features for setting in found), _distinct(setting.law for setting in found)
+    by_law = len(many[1]) >= len(many[0])
+    lines = many[by_law]
+    panels = _distinct(_panel(setting, by_law) for setting in found)
+    columns: list[Difficulty] = _distinct(setting.difficulty for setting in found)
+    figure = Figure(figsize=(1.2 + 3.6 * len(columns), 0.7 + 2.5 * len(panels)), layout="constrained")
+    axes = figure.subplots(len(panels), len(columns), squeeze=False, sharex=True, sharey=True)
+    for setting, some in found.items():
+        axis = axes[panels.index(_panel(setting, by_law)), columns.index(setting.difficulty)]
+        line = setting.law if by_law else setting.features
+        colour = _COLOURS[lines.index(line) % len(_COLOURS)]
+        errors = np.array([episode.errors_mm for episode in some])
+        low, middle, high = np.percentile(errors, [25, 50, 75], axis=0)
+        steps = np.arange(errors.shape[1])
+        axis.plot(steps, middle, color=colour, linewidth=1.6, linestyle=_STYLES[setting.source])
+        if setting.source == "camera" or not any(other.source == "camera" for other in found):
+            axis.fill_between(steps, low, high, color=colour, alpha=0.14, linewidth=0)
+    for row, panel in zip(axes, panels, strict=True):
+        for axis, difficulty in zip(row, columns, strict=True):
+            _plain(axis)
+            axis.set_yscale("log")
+            axis.set_ylim(bottom=_FINEST)
+            axis.yaxis.set_major_formatter("{x:g}")
+            axis.axhline(REACHED, color=_INK, linewidth=0.8, linestyle=":")
+            axis.set_title(f"{' '.join(panel)}, {difficulty}", fontsize=9, color=_INK)
+        row[0].set_ylabel("mean error [mm]")
+    for axis in axes[-1]:
+        axis.set_xlabel("step")
+    figure.legend(handles=_legend(lines, found), loc="outside upper center", ncols=6, frameon=False, fontsize=9)
+    return figure
+
+
+def _panel(setting: Setting, by_law: bool) -> tuple[str, ...]:
+    return setting.env, setting.size, setting.features if by_law else setting.law
+
+
+def _legend(lines: Sequence[str], found: Found) -> list[Any]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles = [Line2D([], [], color=_COLOURS[i % len(_COLOURS)], label=line) for i, line in enumerate(lines)]
+    for source in _distinct(setting.source for setting in found):
+        name = {"camera": "from the camera", "truth": "from the true points"}[source]
+        handles.append(Line2D([], [], color="#777777", linestyle=_STYLES[source], label=name))
+    return [*handles, Patch(color="#777777", alpha=0.2, label="quartiles")]
+
+
+def _overlays(found: Found) -> Any:
+    """A good goal, the median one and the worst, by final error, of the best combination of each env and difficulty."""
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    groups = _distinct((setting.env, setting.difficulty) for setting in found)
+    figure = Figure(figsize=(10.2, 0.6 + 3.1 * len(groups)), layout="constrained")
+    axes = figure.subplots(len(groups), 3, squeeze=False)
+    for row, group in zip(axes, groups, strict=True):
+        setting = max(
+            (setting for setting in found if (setting.env, setting.difficulty) == group),
+            key=lambda setting: _worth(setting, found[setting]),
+        )
+        ranked = sorted(found[setting], key=lambda episode: episode.final_mm or 0.0)
+        shown = {"good": ranked[len(ranked) // 4], "median": ranked[len(ranked) // 2], "worst": ranked[-1]}
+        for axis, (name, episode) in zip(row, shown.items(), strict=True):
+            _shapes(axis, setting, episode)
+            error = f"{episode.start_mm:.0f} to {episode.final_mm:.1f} mm"
+            axis.set_title(f"{name}: seed {episode.seed}, {error}", fontsize=9, color=_INK)
+        row[0].set_ylabel(f"{setting.env}, {setting.difficulty}\n{setting.features}, {setting.law}\ny [mm]", fontsize=9)
+    for axis in axes[-1]:
+        axis.set_xlabel("x [mm]")
+    handles = [
+        Line2D([], [], color=_START, linewidth=2, label="start"),
+        Line2D([], [], color=_FINAL, linewidth=1.8, label="end"),
+        Line2D([], [], color=_GOAL, linewidth=1.4, linestyle=":", label="goal"),
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False, fontsize=9)
+    return figure
+
+
+def _worth(setting: Setting, some: Sequence[Episode]) -> tuple[bool, int, float]:
+    """The camera before the truth, then by goals reached, then by the final error."""
+    final = float(np.median([episode.final_mm or 0.0 for episode in some]))
+    return setting.source == "camera", sum(episode.success for episode in some), -final
+
+
+def _shapes(axis: Any, setting: Setting, episode: Episode) -> None:
+    """Start grey, end in colour, goal dotted, from above; point 0 has a mark."""
+    edges = LAYOUTS[setting.env].edges()
+    styles: dict[str, dict[str, Any]] = {
+        "start": {"color": _START, "linewidth": 2.0},
+        "final": {"color": _FINAL, "linewidth": 1.8},
+        "goal": {"color": _GOAL, "linewidth": 1.4, "linestyle": ":"},
+    }
+    for name, style in styles.items():
+        points = np.asarray(getattr(episode, name))
+        axis.plot(*points[edges][..., :2].transpose(2, 1, 0), **style)
+        axis.plot(*points[0, :2], marker="o", markersize=4, color=style["color"])
+    _plain(axis)
+    axis.set_aspect("equal", adjustable="datalim")
+
+
+def _plain(axis: Any) -> None:
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.grid(color="#e4e4e0", linewidth=0.7)
+    axis.set_axisbelow(True)
+    axis.tick_params(labelsize=8)
+
+
+def _distinct(values: Iterable[Any]) -> list[Any]:
+    return list(dict.fromkeys(values))

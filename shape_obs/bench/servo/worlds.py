@@ -1,0 +1,183 @@
+"""The two worlds in which a law is put to the test: what a D455 sees, and what the simulator knows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+
+from shape_obs.bench.env_runner import make_env
+from shape_obs.bench.servo.disturbing import Disturbed, LosingDetector
+from shape_obs.bench.servo.settings import Setting, feature_set
+from shape_obs.configurations import Configuration
+from shape_obs.features import Feature, View, read_features
+from shape_obs.shape import Shape
+from shape_obs.wrappers import ShapeGoal, ShapeObservation, env_protocol
+from shape_obs.wrappers.goals import EnvGoal, GoalVector
+from shape_obs.wrappers.placing import shape_at
+from shape_obs.wrappers.shape_goal import record_goal
+
+#: Steps at rest after which an environment's goal is as it is recorded.
+SETTLING: Final = 20
+
+
+class World(NamedTuple):
+    """An env whose observation has ``achieved_goal`` and ``desired_goal`` in the features that are asked for.
+
+    In either, ``info`` has ``truth/mean_error``, the mean distance of the true points from the true goal's, metres: the
+    common geometric metric; ``truth/points`` and ``truth/goal``, (N,3) metres, base frame. Equal seeds give equal
+    episodes in both.
+
+    Args:
+        env: The env; it ends no episode by itself.
+        features: Of the goals.
+        spec: The configuration of the shape.
+        seen: The shape in the last observation.
+        view: What surrounds it.
+        milliseconds: What the detector took for it; None where there is none.
+        dark: Whether the last frame was black.
+    """
+
+    env: gym.Env[Any, Any]
+    features: tuple[Feature, ...]
+    spec: Configuration
+    seen: Callable[[], Shape]
+    view: Callable[[], View]
+    milliseconds: Callable[[], float | None]
+    dark: Callable[[], bool]
+
+
+def world(setting: Setting) -> World:
+    """The world of a setting.
+
+    Raises:
+        ValueError: There are no such features of this environment, or something else that is not understood.
+    """
+    specs = feature_set(setting.env, setting.features, setting.pca)
+    if specs is None:
+        raise ValueError(f"there are no features {setting.features!r} of {setting.env}.")
+    features = read_features(specs)
+    return (_true_world if setting.source == "truth" else _camera_world)(setting, features)
+
+
+class Witness(gym.Wrapper[Any, Any, Any, Any]):
+    """Tells the true goal in ``info``, where no policy looks."""
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Reset the env."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        info["truth/goal"] = np.asarray(observation["desired_goal"]).reshape(-1, 3).copy()
+        return observation, info
+
+
+class Taught(gym.Wrapper[Any, Any, Any, Any]):
+    """Before each episode the goal's own motion is played, and what the camera sees in the end becomes the goal.
+
+    Args:
+        env: A simulated environment in a ``ShapeGoal``.
+    """
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Play, look, and reset to the same start."""
+        self.env.reset(seed=seed, options=options)
+        motion = self.get_wrapper_attr("goal_actions")
+        for action in [*motion, *np.zeros((SETTLING, motion.shape[1]), np.float32)]:
+            self.env.step(action)
+        seen = record_goal(self.env, frame="base", unmeasured=True)
+        return self.env.reset(seed=seed, options={**(options or {}), "goal": seen})
+
+
+class TrueGoal(gym.Wrapper[Any, Any, Any, Any]):
+    """Goals in features of the true points, by the code that ``ShapeGoal`` uses for those that a camera sees.
+
+    Args:
+        env: A simulated environment; it need not draw.
+        features: Of the goals.
+        size: (width, height) of the image that features in pixels are of.
+
+    Attributes:
+        configuration: Of the shape.
+        shape: The true points as a shape, after ``reset``.
+        view: What surrounds it.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], features: Sequence[Feature], size: tuple[int, int]) -> None:
+        super().__init__(env)
+        defaults = env_protocol.defaults(env)
+        self.configuration = Configuration.from_dict(defaults["shapes"][0])
+        self.view = View(*size, env_protocol.camera_model(env), defaults["workspace"])
+        self._place()
+        self._vector = GoalVector(features, self.configuration, self.view)
+        space = env.observation_space
+        assert isinstance(space, gym.spaces.Dict)
+        # The target is placed by the same code as that of ShapeObservation, whatever the features are.
+        metric = read_features(defaults["features"])
+        known = EnvGoal.find(space, metric, [self.configuration], self.view, env_protocol.goal_layout(env))
+        assert known is not None
+        self._goal = known
+        bounds = gym.spaces.Box(self._vector.low, self._vector.high, dtype=np.float32)
+        self.observation_space = gym.spaces.Dict(dict.fromkeys(env_protocol.GOALS, bounds))
+        self.shape: Shape | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Reset the env."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self.view = replace(self.view, camera=env_protocol.camera_model(self.env))
+        return self._observe(observation), info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step the env."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return self._observe(observation), float(reward), terminated, truncated, info
+
+    def _place(self) -> None:
+        named = env_protocol.anchors(self.env)
+        self.view = replace(self.view, anchor=env_protocol.base_point(self.configuration, named), anchors=named)
+
+    def _observe(self, observation: Any) -> dict[str, Any]:
+        self._place()
+        camera, simulator = self.view.camera, self.unwrapped
+        assert camera is not None
+        points = camera.from_base(simulator.truth())  # type: ignore[attr-defined]
+        self.shape = shape_at(points, self.configuration, camera.intrinsics)
+        target = self._goal.target(observation["desired_goal"], camera)
+        return dict(zip(env_protocol.GOALS, self._vector.pair(self.shape, target, self.view), strict=True))
+
+
+def _true_world(setting: Setting, features: Sequence[Feature]) -> World:
+    options = {"camera": setting.pixels, "render_observation": False, "difficulty": setting.difficulty}
+    env = TrueGoal(Witness(make_env(setting.env, options)), features, setting.pixels)
+
+    def seen() -> Shape:
+        assert env.shape is not None
+        return env.shape
+
+    return World(env, tuple(features), env.configuration, seen, lambda: env.view, lambda: None, lambda: False)
+
+
+def _camera_world(setting: Setting, features: Sequence[Feature]) -> World:
+    from shape_obs_envs.d455 import D455Noise
+
+    options = {"camera": setting.pixels, "renderer": setting.renderer, "difficulty": setting.difficulty}
+    disturbed = Disturbed(D455Noise(Witness(make_env(setting.env, options))), setting.disturbance)
+    observing = ShapeObservation(disturbed)
+    if setting.disturbance.invalid:
+        observing.detector = LosingDetector(disturbed.lost, **observing.detector.config.to_dict())
+    # A reward needs a threshold, but nobody looks at it here.
+    env: gym.Env[Any, Any] = ShapeGoal(observing, features=features, threshold=0.01)
+    if setting.source == "taught":
+        env = Taught(env)
+
+    def seen() -> Shape:
+        assert observing.detection is not None
+        return observing.detection.shapes[0]
+
+    def milliseconds() -> float | None:
+        assert observing.detection is not None
+        return observing.detection.timings["total"]
+
+    spec = observing.detector.shapes[0]
+    return World(env, tuple(features), spec, seen, lambda: observing.views[0], milliseconds, lambda: disturbed.dark)

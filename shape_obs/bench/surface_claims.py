@@ -1,0 +1,264 @@
+"""The accuracy that the project claims for surfaces, measured on drawn cloths: at rest, turning, moving, noisy.
+
+The tests run slices of these functions; ``shape-obs bench claims`` runs them whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.bench.sheets import Sheet, moving_sheet, noisy, random_sheet, turning_sheet
+from shape_obs.configurations import Ends, Surface
+from shape_obs.detector import ShapeDetector
+from shape_obs.shape import Shape
+
+Array = npt.NDArray[np.float64]
+
+ASPECTS: Final = (1.0, 1.5, 2.0, 3.0, 1 / 2, 1 / 3)
+LATTICES: Final = ((4, 8), (2, 2), (3, 3), (8, 8), (6, 10))
+_BOTH_ENDS: Final[tuple[Ends, ...]] = ("centers", "tips")
+# Nearer to half a quarter turn than this, two corners are the top left one equally well.
+_UNDECIDED: Final = 2.0
+_SLIP: Final = 0.5  # cells
+
+
+class SheetScore(NamedTuple):
+    """Found points against the known material.
+
+    Args:
+        mean: Mean distance from where the points belong, pixels.
+        worst: The largest.
+        slip: The farthest that a point lies from its own material, in gaps of the lattice along a row or a column.
+    """
+
+    mean: float
+    worst: float
+    slip: float
+
+
+class SheetResult(NamedTuple):
+    """One drawn cloth, looked at cold. ``corner_right``: point 0 is at the corner that the paper's rule tells."""
+
+    aspect: float
+    degrees: float
+    rows: int
+    cols: int
+    ends: Ends
+    ok: bool
+    corner_right: bool
+    quality: float
+    score: SheetScore
+
+
+class TurnResult(NamedTuple):
+    """One cloth turned once around, a degree a frame: tracked, and each frame cold."""
+
+    aspect: float
+    frames: int
+    tracked_slips: int
+    tracked_not_ok: int
+    worst_slip: float
+    worst_move: float
+    cold_wrong: int
+    cold_undecided: int
+    cold_not_ok: int
+
+
+class WanderResult(NamedTuple):
+    """One moving cloth, tracked; lengths in pixels, slips in gaps, milliseconds a warm frame."""
+
+    speed: float
+    frames: int
+    slips: int
+    not_ok: int
+    worst_slip: float
+    mean_distance: float
+    worst_distance: float
+    milliseconds: float
+
+
+class JitterResult(NamedTuple):
+    """One cloth at rest under a mask with a noisy border, tracked: rms movement of its points, pixels."""
+
+    aspect: float
+    frames: int
+    not_ok: int
+    mean: float
+    worst_point: float
+
+
+def score_sheet(points: npt.ArrayLike, sheet: Sheet, rows: int, cols: int, ends: Ends, quarters: int) -> SheetScore:
+    """Compare (N,2) found points with a cloth whose ``quarters``-th corner, clockwise, is the first."""
+    true = _turned(sheet, quarters).lattice(rows, cols, ends)
+    distance = np.linalg.norm(np.asarray(points, dtype=np.float64).reshape(true.shape) - true, axis=-1)
+    slip = np.abs(_off(points, sheet, rows, cols, ends, quarters)).max()
+    return SheetScore(float(distance.mean()), float(distance.max()), float(slip))
+
+
+def first_corner(sheet: Sheet) -> tuple[int, bool]:
+    """Which corner the paper's rule tells to be the first (0...3, clockwise), and whether another is as good."""
+    right = (sheet.points[:, -1] - sheet.points[:, 0]).mean(axis=0)
+    down = (sheet.points[-1] - sheet.points[0]).mean(axis=0)
+    # Both axes' angles off the image's, averaged as directions.
+    right, down = right / np.linalg.norm(right), down / np.linalg.norm(down)
+    degrees = np.degrees(np.angle(complex(*right) + complex(*down) / 1j))
+    quarters = round(degrees / 90)
+    return -quarters % 4, bool(abs(abs(degrees / 90 - quarters) - 0.5) * 90 < _UNDECIDED)
+
+
+def drawn_sheets(
+    count: int,
+    seed: int = 0,
+    lattices: Sequence[tuple[int, int]] = LATTICES,
+    aspects: Sequence[float] = ASPECTS,
+    tilt: float = 0.02,
+) -> Iterator[SheetResult]:
+    """Cold detections of ``count`` bent cloths, turned all round, with each lattice and in both end modes."""
+    rng = np.random.default_rng(seed)
+    for number in range(count):
+        aspect, degrees = aspects[number % len(aspects)], 360 * number / count + rng.uniform(-5, 5)
+        sheet = random_sheet(rng, aspect, degrees, tilt=tilt)
+        expected, undecided = first_corner(sheet)
+        for rows, cols in lattices:
+            for ends in _BOTH_ENDS:
+                shape = _cold(sheet, rows, cols, ends)
+                corner, score = _best(shape, sheet, rows, cols, ends)
+                right = corner == expected or (undecided and (corner - expected) % 2 == 1)
+                yield SheetResult(aspect, degrees, rows, cols, ends, shape.ok, right, shape.quality, score)
+
+
+def turning_sheets(
+    seeds: Iterable[int], aspects: Sequence[float] = ASPECTS, rows: int = 4, cols: int = 8, step: float = 1.0
+) -> Iterator[TurnResult]:
+    """Bent cloths that turn once around on the spot."""
+    for seed in seeds:
+        aspect = aspects[seed % len(aspects)]
+        detector = ShapeDetector([Surface(rows=rows, cols=cols)])
+        slips: list[float] = []
+        moves = [0.0]
+        tracked_not_ok = wrong = open_choices = cold_not_ok = 0
+        first, before = -1, np.zeros((rows, cols, 2))
+        for sheet in turning_sheet(np.random.default_rng(seed), aspect, step):
+            shape = detector.detect_mask(sheet.mask).shapes[0]
+            tracked_not_ok += bool(shape.reason)
+            if first < 0:
+                first = _best(shape, sheet, rows, cols, "centers")[0]
+            slips.append(score_sheet(shape.pixels, sheet, rows, cols, "centers", first).slip)
+            off = _off(shape.pixels, sheet, rows, cols, "centers", first)
+            if len(slips) > 1:
+                moves.append(float(np.abs(off - before).max()))
+            before = off
+            cold = _cold(sheet, rows, cols, "centers")
+            expected, undecided = first_corner(sheet)
+            corner, score = _best(cold, sheet, rows, cols, "centers")
+            open_choices += undecided
+            wrong += score.slip > _SLIP or (corner != expected and not undecided)
+            cold_not_ok += not cold.ok
+        yield TurnResult(
+            aspect=aspect,
+            frames=len(slips),
+            tracked_slips=sum(slip > _SLIP for slip in slips),
+            tracked_not_ok=tracked_not_ok,
+            worst_slip=max(slips),
+            worst_move=max(moves),
+            cold_wrong=wrong,
+            cold_undecided=open_choices,
+            cold_not_ok=cold_not_ok,
+        )
+
+
+def moving_sheets(
+    speeds: Iterable[float], seeds: Iterable[int], frames: int = 180, rows: int = 4, cols: int = 8
+) -> Iterator[WanderResult]:
+    """Cloths that wander, turn and bend."""
+    for seed in seeds:
+        for speed in speeds:
+            detector, first = ShapeDetector([Surface(rows=rows, cols=cols)]), -1
+            scores: list[SheetScore] = []
+            times: list[float] = []
+            not_ok = 0
+            aspect = ASPECTS[seed % len(ASPECTS)]
+            for sheet in moving_sheet(np.random.default_rng(seed), speed, frames, aspect=aspect):
+                detection = detector.detect_mask(sheet.mask)
+                shape = detection.shapes[0]
+                if first < 0:
+                    first = _best(shape, sheet, rows, cols, "centers")[0]
+                not_ok += bool(shape.reason)
+                times.append(detection.timings["fit"] + detection.timings["lift"])
+                scores.append(score_sheet(shape.pixels, sheet, rows, cols, "centers", first))
+            yield WanderResult(
+                speed=speed,
+                frames=len(scores),
+                slips=sum(s.slip > _SLIP for s in scores),
+                not_ok=not_ok,
+                worst_slip=max(s.slip for s in scores),
+                mean_distance=float(np.mean([s.mean for s in scores])),
+                worst_distance=max(s.worst for s in scores),
+                milliseconds=float(np.median(times)),
+            )
+
+
+def noisy_sheets(seeds: Iterable[int], frames: int = 60, rows: int = 4, cols: int = 8) -> Iterator[JitterResult]:
+    """Cloths at rest whose mask is cut anew from a noisy image in every frame."""
+    for seed in seeds:
+        rng, aspect = np.random.default_rng(seed), ASPECTS[seed % len(ASPECTS)]
+        sheet = random_sheet(rng, aspect, float(rng.uniform(0, 360)))
+        detector = ShapeDetector([Surface(rows=rows, cols=cols)])
+        shapes = [detector.detect_mask(noisy(sheet.mask, rng)).shapes[0] for _ in range(frames)]
+        points = np.stack([shape.pixels for shape in shapes]).astype(np.float64)
+        squares = np.sum((points - points.mean(axis=0)) ** 2, axis=2).mean(axis=0)
+        yield JitterResult(
+            aspect=aspect,
+            frames=frames,
+            not_ok=sum(not shape.ok for shape in shapes),
+            mean=float(np.sqrt(squares.mean())),
+            worst_point=float(np.sqrt(squares.max())),
+        )
+
+
+def sheet_table(results: Iterable[SheetResult]) -> list[dict[str, Any]]:
+    """Worst and mean by lattice."""
+    rows: dict[str, list[SheetResult]] = {}
+    for result in results:
+        rows.setdefault(f"{result.rows}x{result.cols}", []).append(result)
+    return [
+        {
+            "lattice": lattice,
+            "sheets": len(found) // len({r.ends for r in found}),
+            "not_ok": sum(not r.ok for r in found),
+            "corner_wrong": sum(not r.corner_right for r in found),
+            "slips": sum(r.score.slip > _SLIP for r in found),
+            "worst_slip": max(r.score.slip for r in found),
+            "distance_mean_px": float(np.mean([r.score.mean for r in found])),
+            "worst_sheet_px": max(r.score.mean for r in found),
+            "worst_point_px": max(r.score.worst for r in found),
+        }
+        for lattice, found in rows.items()
+    ]
+
+
+def _turned(sheet: Sheet, quarters: int) -> Sheet:
+    return Sheet(np.rot90(sheet.points, quarters), sheet.mask)
+
+
+def _cold(sheet: Sheet, rows: int, cols: int, ends: Ends) -> Shape:
+    return ShapeDetector([Surface(rows=rows, cols=cols, ends=ends)]).detect_mask(sheet.mask).shapes[0]
+
+
+def _best(shape: Shape, sheet: Sheet, rows: int, cols: int, ends: Ends) -> tuple[int, SheetScore]:
+    """At which corner of the cloth the points begin, and how well they fit then."""
+    scores = [score_sheet(shape.pixels, sheet, rows, cols, ends, quarters) for quarters in range(4)]
+    best = int(np.argmin([score.mean for score in scores]))
+    return best, scores[best]
+
+
+def _off(points: npt.ArrayLike, sheet: Sheet, rows: int, cols: int, ends: Ends, quarters: int) -> Array:
+    """(rows,cols,2) how far each point lies from its material, in gaps of the lattice down and across."""
+    true = _turned(sheet, quarters).lattice(rows, cols, ends)
+    away = np.asarray(points, dtype=np.float64).reshape(true.shape) - true
+    gaps = np.stack([np.gradient(true, axis=0), np.gradient(true, axis=1)], axis=-1)
+    return np.asarray(np.linalg.solve(gaps, away[..., None])[..., 0], dtype=np.float64)

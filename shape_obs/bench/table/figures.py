@@ -1,0 +1,184 @@
+"""The figures of the table: the methods side by side on the same masks, and bars of the three measures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.bench.table.frames import CONFIGURATIONS, Name, Scene, scenes
+from shape_obs.bench.table.methods import METHODS, Method, Row, Runner, clustered_pixels
+from shape_obs.bench.table.run import Plan
+from shape_obs.bench.table.summary import LABELS, MEASURES, PAPER, Result
+from shape_obs.metrics import nearest
+from shape_obs.utils.files import write_whole
+
+Array = npt.NDArray[np.float64]
+
+PICTURES: Final = ("side_by_side.jpg", "bars.png")
+_FRAME: Final = 4  # of the first chunk: the tracker has settled, and every run has it
+_TINTS: Final = ("#a8c8e8", "#f6cfa5", "#b9dfb6", "#e9b8c4", "#cdbfe3", "#e8e0a2")
+_COLOURS: Final[dict[Method, str]] = {
+    "gmm": "#8c9db5",
+    "fcm": "#b59a8c",
+    "kmeans": "#9ab58c",
+    "kohonen": "#b58cab",
+    "som": "#1f6fb4",
+}
+_INK, _FIRST, _PAPER = "#22313f", "#d4541a", "#f4f4f2"
+_MARGIN: Final = 14  # pixels around the object
+_DPI: Final = 105
+
+
+def need_matplotlib() -> None:
+    """Raises ImportError where there is no matplotlib, before any work is done."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise ImportError(
+            "the figures need matplotlib: pip install 'shape-obs[viz]', or leave them out with --no-figures."
+        ) from error
+
+
+def draw(plan: Plan, found: Sequence[Result], folder: Path) -> list[Path]:
+    """Draw both figures into a folder; returns their paths."""
+    sheets = (_side_by_side(plan), _bars(found))
+    paths = [folder / name for name in PICTURES]
+    for sheet, path in zip(sheets, paths, strict=True):
+        quality: dict[str, Any] = {"pil_kwargs": {"quality": 84, "optimize": True}} if path.suffix == ".jpg" else {}
+        write_whole(path, partial(sheet.savefig, dpi=_DPI, **quality))
+    return paths
+
+
+def _side_by_side(plan: Plan) -> Any:
+    """Every method on one frame of every configuration."""
+    from matplotlib.figure import Figure
+
+    found = {name: _looked_at(plan, name) for name in plan.names}
+    windows = {name: _window(scene) for name, (scene, _) in found.items()}
+    heights = [window[3] / window[2] for window in windows.values()]
+    width = 3.1
+    figure = Figure(figsize=(width * len(plan.methods), sum(heights) * width + 0.42 * len(heights) + 0.1))
+    figure.set_facecolor("white")
+    axes = figure.subplots(
+        len(found),
+        len(plan.methods),
+        squeeze=False,
+        gridspec_kw={"height_ratios": heights, "wspace": 0.03, "hspace": 0.13},
+    )
+    figure.subplots_adjust(left=0.005, right=0.995, bottom=0.01, top=1 - 0.36 / figure.get_figheight())
+    for row, name in zip(axes, plan.names, strict=True):
+        scene, rows = found[name]
+        for axis, method in zip(row, plan.methods, strict=True):
+            _panel(axis, name, scene, rows[method], windows[name])
+            axis.set_title(_caption(method, rows[method][1]), fontsize=8.5, color=_INK, pad=4)
+    return figure
+
+
+def _looked_at(plan: Plan, name: Name) -> tuple[Scene, dict[Method, tuple[Array | None, Row]]]:
+    """The frame that is drawn, and the points of every method on it with its measures."""
+    numbers = plan.chunks[0][: _FRAME + 1]
+    made = list(scenes(name, 0, len(numbers), plan.seed, plan.renderer))
+    found: dict[Method, tuple[Array | None, Row]] = {}
+    for method in plan.methods:
+        runner = Runner(name, method)
+        for scene in made[:-1]:
+            runner.points(scene)
+        found[method] = runner.measure(made[-1], numbers[-1], exact=True)
+    return made[-1], found
+
+
+def _panel(axis: Any, name: Name, scene: Scene, result: tuple[Array | None, Row], window: tuple[int, ...]) -> None:
+    points, _ = result
+    left, top, width, height = window
+    axis.set_xlim(left - 0.5, left + width - 0.5)
+    axis.set_ylim(top + height - 0.5, top - 0.5)
+    axis.set_xticks([])
+    axis.set_yticks([])
+    axis.set_facecolor(_PAPER)
+    for spine in axis.spines.values():
+        spine.set_color("#d5d5d0")
+    if points is None:
+        axis.text(0.5, 0.5, "not found", transform=axis.transAxes, ha="center", color=_FIRST)
+        return
+    spec = CONFIGURATIONS[name]
+    axis.imshow(_tinted(scene, clustered_pixels(spec, scene), points, thick=name == "contour"), interpolation="nearest")
+    for edge in spec.layout.edges():
+        axis.plot(*points[edge].T, color=_INK, linewidth=0.9, alpha=0.75, zorder=2)
+    axis.scatter(*points.T, s=9, color=_INK, zorder=3, linewidths=0)
+    axis.scatter(*points[:1].T, s=46, facecolors="none", edgecolors=_FIRST, linewidths=1.4, zorder=4)
+    middle = points.mean(axis=0)
+    for i, place in enumerate(points):
+        away = place - middle if name == "contour" else np.array([0.7, -1.0])
+        offset = 6.5 * away / max(float(np.linalg.norm(away)), 1e-9)
+        axis.annotate(
+            str(i), place, xytext=(offset[0], -offset[1]), textcoords="offset points", fontsize=5.2, color="#5d6b78",
+            ha="center", va="center", zorder=5,
+        )  # fmt: skip
+
+
+def _tinted(scene: Scene, pixels: Array, points: Array, *, thick: bool) -> npt.NDArray[np.uint8]:
+    """(H,W,3) the mask, every clustered pixel in the tint of its cluster; an outline is drawn three pixels thick."""
+    tints = np.array([[int(tint[i : i + 2], 16) for i in (1, 3, 5)] for tint in _TINTS])
+    paper = np.array([int(_PAPER[i : i + 2], 16) for i in (1, 3, 5)])
+    picture = np.where(scene.mask[..., None] > 0, 228 if thick else 205, paper).astype(np.uint8)
+    colour = tints[nearest(pixels, points) % len(tints)]
+    reach = (-1, 0, 1) if thick else (0,)
+    for down in reach:
+        for right in reach:
+            at = np.rint(pixels).astype(int) + (right, down)
+            inside = np.all((at >= 0) & (at < scene.mask.shape[::-1]), axis=1)
+            picture[at[inside, 1], at[inside, 0]] = colour[inside]
+    return picture
+
+
+def _caption(method: Method, row: Row) -> str:
+    return f"{LABELS[method]}:  SC {row.sc:.3f}   CH {row.ch:,.0f}   {row.ms:.1f} ms".replace(",", " ")
+
+
+def _window(scene: Scene) -> tuple[int, int, int, int]:
+    """Left, top, width, height of the object with a margin."""
+    rows, columns = np.nonzero(scene.mask)
+    low = np.maximum([columns.min() - _MARGIN, rows.min() - _MARGIN], 0)
+    high = np.minimum([columns.max() + _MARGIN + 1, rows.max() + _MARGIN + 1], scene.mask.shape[::-1])
+    return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
+
+
+def _bars(found: Sequence[Result]) -> Any:
+    """The three measures by configuration, with intervals, and the paper's own beside them."""
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+    methods: list[Method] = [method for method in METHODS if any(result.method == method for result in found)]
+    names: list[str] = [name for name in CONFIGURATIONS if any(result.configuration == name for result in found)]
+    figure = Figure(figsize=(13.5, 3.9), layout="constrained")
+    heads = ("silhouette", "Calinski-Harabasz", "time of a frame [ms]")
+    for axis, measure, head in zip(figure.subplots(1, 3), MEASURES, heads, strict=True):
+        wide = 0.84 / max(len(methods), 1)
+        for i, method in enumerate(methods):
+            shift = (i - (len(methods) - 1) / 2) * wide
+            for result in found:
+                if result.method == method and result.configuration in names:
+                    at, mean = names.index(result.configuration) + shift, getattr(result, measure)
+                    axis.bar(at, mean.value, wide * 0.92, color=_COLOURS[method])
+                    if np.isfinite(mean.half):
+                        axis.errorbar(at, mean.value, mean.half, color=_INK, linewidth=1, capsize=2)
+            if method in PAPER:
+                axis.bar(
+                    len(names) + shift, PAPER[method][measure], wide * 0.92, facecolor="white",
+                    edgecolor=_COLOURS[method], hatch="////", linewidth=1.2,
+                )  # fmt: skip
+        axis.set_xticks(range(len(names) + 1), [*names, "paper,\nits own data"])
+        axis.set_title(head, fontsize=11, color=_INK)
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.grid(axis="y", color="#e4e4e0", linewidth=0.8)
+        axis.set_axisbelow(True)
+        if measure != "sc":
+            axis.set_yscale("log")
+    handles = [Patch(color=_COLOURS[method], label=LABELS[method]) for method in methods]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(methods), frameon=False)
+    return figure

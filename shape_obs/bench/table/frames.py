@@ -1,0 +1,115 @@
+"""The frames of the table: any worker can make any chunk of them anew."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from typing import Any, Final, Literal, NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.bench.disturbances import photographed
+from shape_obs.bench.sheets import Sheet, draw_sheet, moving_sheet
+from shape_obs.configurations import Centerline, Configuration, Contour, Surface
+from shape_obs.frame import Frame
+from shape_obs.image.roi import Whole
+from shape_obs.image.segmentation import HSVRange, Segmentation
+
+Array = npt.NDArray[np.float64]
+Name = Literal["centerline", "contour", "surface"]
+
+CONFIGURATIONS: Final[dict[Name, Configuration[Any]]] = {
+    "centerline": Centerline(n=20, ends="centers"),
+    "contour": Contour(n=32),
+    # The rows run along the cloth's long side, however it lies; else the cells of some cloths would be slivers.
+    "surface": Surface(rows=4, cols=8, ends="centers", anchor="corner"),
+}
+# Drawn cloths: aspect so that the cells of 4 x 8 are about square, size for some 20,000 pixels.
+_ASPECT: Final = 2.0
+_SHRUNK: Final = 0.84
+_SPEED: Final = 6.0  # pixels a frame
+_CLOTH: Final = HSVRange(low=(100, 80, 25), high=(130, 255, 255))
+_LIGHT: Final = 1.5  # brighter in one corner than in the other
+_NOISE: Final = 6.0  # gray levels
+_BLUR: Final = 0.7  # pixels
+
+
+class Scene(NamedTuple):
+    """One frame.
+
+    Args:
+        rgb: (H,W,3) uint8.
+        mask: (H,W) uint8, what the segmentation made of it.
+        truth: (P,2) pixels: the known axis from end to end, or the known outline, clockwise as seen; of a surface the
+            known cloth.
+    """
+
+    rgb: npt.NDArray[np.uint8]
+    mask: npt.NDArray[np.uint8]
+    truth: Array | Sheet
+
+    @property
+    def anchors(self) -> dict[str, tuple[float, float]]:
+        """Pixels by name: of a cloth the corner at which its lattice begins."""
+        if not isinstance(self.truth, Sheet):
+            return {}
+        u, v = self.truth.points[0, 0]
+        return {"corner": (float(u), float(v))}
+
+
+def scenes(name: Name, chunk: int, count: int, seed: int, renderer: str) -> Iterator[Scene]:
+    """The frames of one chunk: an episode of its own, one frame after the other.
+
+    Args:
+        name: ``"centerline"``: the simulated cable under random actions, seen by the simulated D455. ``"contour"`` and
+            ``"surface"``: a drawn cloth that wanders, turns and bends; there is no simulated one yet.
+        chunk: Which one.
+        count: Frames in it.
+        seed: Of the whole run.
+        renderer: The simulator's camera: ``"auto"``, ``"gl"`` or ``"rays"``.
+    """
+    source = np.random.SeedSequence([seed, list(CONFIGURATIONS).index(name), chunk])
+    if name == "centerline":
+        yield from _cable(source, count, renderer)
+    else:
+        for photo, sheet in _cloth(np.random.default_rng(source), count):
+            yield Scene(photo, _segmented(_CLOTH, photo), _outline(sheet) if name == "contour" else sheet)
+
+
+def _cable(source: np.random.SeedSequence, count: int, renderer: str) -> Iterator[Scene]:
+    import gymnasium as gym
+
+    seed = int(source.generate_state(1)[0])
+    with closing(gym.make("shape_obs_envs:ShapeObs/Cable-v0", camera="d455", renderer=renderer)) as env:
+        simulator: Any = env.unwrapped
+        rule = Segmentation.from_dict(simulator.shape_obs_defaults["segmentation"])
+        env.action_space.seed(seed)
+        observation, _ = env.reset(seed=seed)
+        for step in range(count):
+            if step:
+                observation, *_ = env.step(env.action_space.sample())
+            truth = simulator.truth(n=400, frame="pixels", surface=True)
+            yield Scene(observation["rgb"], _segmented(rule, observation["rgb"]), truth)
+
+
+def _cloth(rng: np.random.Generator, count: int) -> Iterator[tuple[npt.NDArray[np.uint8], Sheet]]:
+    for large in moving_sheet(rng, _SPEED / _SHRUNK, count, aspect=_ASPECT):
+        height, width = large.mask.shape
+        middle = np.array([width, height]) / 2
+        sheet = draw_sheet(middle + _SHRUNK * (large.points - middle))
+        photo = photographed(rng, sheet.mask, _LIGHT, _NOISE)
+        yield np.asarray(cv2.GaussianBlur(photo, (0, 0), _BLUR), dtype=np.uint8), sheet
+
+
+def _segmented(rule: Segmentation, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    frame = Frame(rgb, None, None, None)
+    assert frame.size is not None
+    return rule.apply(frame, Whole().window(frame.size))
+
+
+def _outline(sheet: Sheet) -> Array:
+    """(P,2) the cloth's border from its top left corner, clockwise in the cloth's own frame, which is not mirrored."""
+    points = sheet.points
+    return np.concatenate([points[0, :-1], points[:-1, -1], points[-1, :0:-1], points[:0:-1, 0]])

@@ -1,0 +1,183 @@
+"""The methods of the table, and what is measured of each on a frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.bench.outline_scores import outline_score
+from shape_obs.bench.scores import score
+from shape_obs.bench.sheets import Sheet
+from shape_obs.bench.surface_claims import score_sheet
+from shape_obs.bench.table.frames import CONFIGURATIONS, Name, Scene
+from shape_obs.bench.turns import CLOCKS, Clock
+from shape_obs.clustering import Centres, Clusterer, FuzzyCMeans, GaussianMixture, KMeans, Kohonen
+from shape_obs.configurations import Configuration, Surface
+from shape_obs.detector import ShapeDetector
+from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.topology import Ring, Topology
+from shape_obs.image.region import find_region
+from shape_obs.image.roi import Whole
+from shape_obs.image.segmentation import Segmentation
+from shape_obs.metrics import calinski_harabasz, nearest, silhouette, spacing_cv
+
+Array = npt.NDArray[np.float64]
+Method = Literal["gmm", "fcm", "kmeans", "kohonen", "som"]
+
+# In the paper's order, each with the settings that its spec has of itself; None is the detector as it comes.
+METHODS: Final[dict[Method, Clusterer | None]] = {
+    "gmm": GaussianMixture(),
+    "fcm": FuzzyCMeans(),
+    "kmeans": KMeans(),
+    "kohonen": Kohonen(),
+    "som": None,
+}
+SAMPLED: Final = 2000  # pixels of which the silhouette is taken where it is not taken of all
+_SLIP: Final = 0.5  # cells
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method on one frame.
+
+    Args:
+        frame: Which one of the run.
+        pixels: M, how many pixels were to be clustered.
+        ok: Whether the shape was found; else the rest means nothing.
+        sc: Silhouette.
+        exact: Whether it is the mean over all pixels, not over ``SAMPLED`` of them.
+        ch: Calinski-Harabasz, over all pixels.
+        ms: Milliseconds: of a clusterer from the pixels to its centres; of ours from the mask to the ordered points.
+        cv: Standard deviation over mean of the gaps.
+        ordered: Points follow each other as on the known curve; on a surface, each lies within half a cell of its own
+            place on the material.
+        own_order: The same of the order in which the method itself gives them.
+        steps: Iterations of a clusterer.
+        settled: It stopped by itself.
+    """
+
+    frame: int
+    pixels: int
+    ok: bool
+    sc: float
+    exact: bool
+    ch: float
+    ms: float
+    cv: float
+    ordered: bool
+    own_order: bool
+    steps: int
+    settled: bool
+
+
+@dataclass(frozen=True)
+class _Watched(Clusterer):
+    """A clusterer that remembers what it found last, and how long it took.
+
+    Args:
+        inner: The clusterer.
+        seen: What is remembered, filled in.
+        now: Counts seconds.
+    """
+
+    inner: Any
+    seen: Any
+    now: Any
+
+    def centres(self, samples: Samples, layout: Topology, seed: int) -> Centres:
+        """The inner one's."""
+        begin = self.now()
+        found = self.inner.centres(samples, layout, seed)
+        self.seen["ms"] = 1e3 * (self.now() - begin)
+        self.seen["centres"] = found
+        return found
+
+
+class Runner:
+    """One method, frame after frame: ours tracks; a clusterer starts anew, and its centres are sorted along our form.
+
+    Args:
+        name: The configuration's.
+        method: The method's.
+        clock: What counts the time.
+    """
+
+    def __init__(self, name: Name, method: Method, clock: Clock = "wall") -> None:
+        self._spec, self._seen, self._now = CONFIGURATIONS[name], dict[str, Any](), CLOCKS[clock]
+        clusterer = METHODS[method]
+        options: dict[str, Any] = (
+            {} if clusterer is None else {"clustering": _Watched(clusterer, self._seen, self._now)}
+        )
+        self._detector = ShapeDetector([self._spec], **options)
+
+    def points(self, scene: Scene) -> Array | None:
+        """(N,2) the ordered points on a frame; None where the shape was not found."""
+        return self._found(scene)[0]
+
+    def measure(self, scene: Scene, frame: int, exact: bool) -> tuple[Array | None, Row]:
+        """The points, and everything about them.
+
+        Args:
+            scene: The frame.
+            frame: Its number.
+            exact: Whether the silhouette is taken of all pixels.
+        """
+        points, ms, centres = self._found(scene)
+        if points is None:
+            return None, Row(frame, 0, False, np.nan, exact, np.nan, np.nan, np.nan, False, False, 0, False)
+        pixels = clustered_pixels(self._spec, scene)
+        labels = nearest(pixels, points)
+        ordered = in_order(self._spec, points, scene)
+        return points, Row(
+            frame=frame,
+            pixels=len(pixels),
+            ok=True,
+            sc=silhouette(pixels, labels, sample=None if exact else SAMPLED, seed=frame),
+            exact=exact,
+            ch=calinski_harabasz(pixels, labels),
+            ms=ms,
+            cv=spacing_cv(points, self._spec.layout),
+            ordered=ordered,
+            own_order=ordered if centres is None else in_order(self._spec, centres.places, scene),
+            steps=0 if centres is None else centres.steps,
+            settled=centres is None or centres.settled,
+        )
+
+    def _found(self, scene: Scene) -> tuple[Array | None, float, Centres | None]:
+        begin = self._now()
+        shape = self._detector.detect_mask(scene.mask, anchors=scene.anchors).shapes[0]
+        ms = 1e3 * (self._now() - begin)
+        if shape.reason:
+            return None, np.nan, None
+        return shape.pixels.astype(np.float64), self._seen.get("ms", ms), self._seen.get("centres")
+
+
+def measured(
+    name: Name, method: Method, chunk: Iterable[tuple[int, Scene]], exact: npt.NDArray[np.int_], clock: Clock = "wall"
+) -> Iterator[Row]:
+    """A method over the numbered frames of one chunk; the silhouette is exact on those of ``exact``."""
+    runner = Runner(name, method, clock)
+    for frame, scene in chunk:
+        yield runner.measure(scene, frame, bool(np.isin(frame, exact)))[1]
+
+
+def clustered_pixels(spec: Configuration[Any], scene: Scene) -> Array:
+    """(M,2) what is clustered: the pixels of the mask, or of a contour those that its outline runs through."""
+    height, width = scene.mask.shape
+    region = find_region(scene.mask, Whole().window((height, width)), Segmentation.min_area, Segmentation.min_share)
+    return spec.all_samples(region).points
+
+
+def in_order(spec: Configuration[Any], points: Array, scene: Scene) -> bool:
+    """Whether points follow each other as they should, wherever they begin and in either direction."""
+    if isinstance(scene.truth, Sheet):
+        assert isinstance(spec, Surface)
+        found = [score_sheet(points, scene.truth, spec.rows, spec.cols, "centers", quarters) for quarters in range(4)]
+        return min(result.slip for result in found) <= _SLIP
+    if isinstance(spec.layout, Ring):
+        return any(outline_score(way, scene.truth).ordered for way in (points, points[::-1]))
+    return score(points, scene.truth, "centers", directed=False).ordered

@@ -1,0 +1,156 @@
+"""The whole table: what is still to be measured, chunk by chunk, here or in several processes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs import __version__
+from shape_obs.bench.table.frames import CONFIGURATIONS, Name, Scene, scenes
+from shape_obs.bench.table.methods import METHODS, Method, Row, measured
+from shape_obs.bench.table.parts import Parts
+from shape_obs.bench.table.tracings import OF, Trace, Tracing, missing, traced
+from shape_obs.bench.turns import Clock
+from shape_obs.utils.threads import one_thread
+
+EXACT: Final = 50  # frames of each configuration whose silhouette is taken of all pixels
+_CHUNKS: Final = 20  # for each configuration, of 5 to 50 frames
+_FORMAT: Final = 1  # of the files; another one cannot be gone on with
+_PACKAGES: Final = ("numpy", "scipy", "scikit-learn", "opencv-python-headless", "numba", "mujoco")
+_WARM: Final[set[tuple[str, str]]] = set()  # what has run once in this process: imports and caches are behind it
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to measure.
+
+    Args:
+        frames: Of each configuration.
+        seed: Of all frames.
+        renderer: The simulator's camera: ``"auto"``, ``"gl"`` or ``"rays"``.
+        names: Configurations.
+        methods: Clusterers.
+        tracings: Thinning and contour tracing.
+        clock: What counts the time.
+    """
+
+    frames: int
+    seed: int = 0
+    renderer: str = "auto"
+    names: tuple[Name, ...] = tuple(CONFIGURATIONS)
+    methods: tuple[Method, ...] = tuple(METHODS)
+    tracings: tuple[Tracing, ...] = tuple(OF)
+    clock: Clock = "wall"
+
+    @property
+    def chunks(self) -> list[range]:
+        """The frames of each chunk."""
+        length = int(np.clip(self.frames // _CHUNKS, 5, 50))
+        return [range(first, min(first + length, self.frames)) for first in range(0, self.frames, length)]
+
+    @property
+    def exact(self) -> npt.NDArray[np.int_]:
+        """Frames whose silhouette is taken of all pixels."""
+        return np.linspace(0, self.frames - 1, min(EXACT, self.frames)).astype(int)
+
+    def settings(self) -> dict[str, Any]:
+        """What decides the figures, and may not change while a run goes on."""
+        packages = {name: _version(name) for name in _PACKAGES}
+        own = {"format": _FORMAT, "shape_obs": __version__}
+        return {
+            **own,
+            "frames": self.frames,
+            "seed": self.seed,
+            "renderer": self.renderer,
+            "clock": self.clock,
+            **packages,
+        }
+
+    def of(self, name: Name) -> list[Method | Tracing]:
+        """Everything that is measured on a configuration."""
+        return [*self.methods, *(tracing for tracing in self.tracings if OF[tracing] == name and not missing(tracing))]
+
+
+def run(plan: Plan, folder: Path, *, jobs: int = 1, redo: bool = False, tick: Callable[[int, int], Any]) -> Parts:
+    """Measure what the folder does not hold yet.
+
+    Args:
+        plan: What to measure.
+        folder: Where the results go.
+        jobs: Processes.
+        redo: Measure what the plan names anew.
+        tick: Called with (chunks done, chunks in all), at the start too.
+
+    Returns:
+        All that the folder holds.
+
+    Raises:
+        ValueError: The folder holds a run with other settings.
+    """
+    parts = Parts(folder, plan.settings())
+    if redo:
+        for name in plan.names:
+            for what in plan.of(name):
+                parts.forget(name, what)
+    open_ones = []
+    for chunk in range(len(plan.chunks)):
+        for name in plan.names:
+            left = [what for what in plan.of(name) if not parts.has(name, what, chunk)]
+            if left:
+                open_ones.append((plan, folder, name, chunk, left))
+    total = len(plan.chunks) * len(plan.names)
+    done = total - len(open_ones)
+    tick(done, total)
+    for _ in _worked_off(open_ones, jobs):
+        done += 1
+        tick(done, total)
+    return parts
+
+
+def _worked_off(tasks: list[tuple[Any, ...]], jobs: int) -> Iterator[None]:
+    if jobs == 1 or len(tasks) < 2:
+        for task in tasks:
+            yield _work(*task)
+    else:
+        from joblib import Parallel, delayed
+
+        yield from Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(_work)(*task) for task in tasks)
+
+
+def _work(plan: Plan, folder: Path, name: Name, chunk: int, left: list[Method | Tracing]) -> None:
+    """One chunk of one configuration: the frames are made once, and every method sees all of them in turn."""
+    import sklearn.cluster
+    import sklearn.mixture  # noqa: F401  # what is loaded now can be held to one thread
+
+    parts, numbers = Parts(folder, plan.settings()), plan.chunks[chunk]
+    with one_thread():
+        made = list(zip(numbers, scenes(name, chunk, len(numbers), plan.seed, plan.renderer), strict=True))
+        for what in left:
+            _warm_up(name, what, made[0], plan)
+            parts.write(name, what, chunk, _rows(name, what, made, plan))
+
+
+def _rows(name: Name, what: Any, chunk: list[tuple[int, Scene]], plan: Plan) -> Iterator[Row] | Iterator[Trace]:
+    if what in METHODS:
+        return measured(name, what, chunk, plan.exact, plan.clock)
+    return traced(what, chunk, plan.clock)
+
+
+def _warm_up(name: Name, what: Method | Tracing, first: tuple[int, Scene], plan: Plan) -> None:
+    """Run once without being timed, the first time that a process does."""
+    if (name, what) not in _WARM:
+        _WARM.add((name, what))
+        list(_rows(name, what, [first], plan))
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "none"

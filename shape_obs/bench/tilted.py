@@ -1,0 +1,120 @@
+"""Simulated depth images of drawn ropes and of sheets on a plane that leans away: noise, holes, flying pixels, a table.
+
+The table lies a centimetre behind; at the object's border, pixels mix both depths or fly off behind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.bench.ropes import Kind, random_rope
+from shape_obs.camera import Intrinsics
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.uint8]
+
+CAMERA: Final = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
+_LEAN: Final = (np.radians(30), np.radians(45))
+_NOISE: Final = 0.0015  # metres
+_TABLE: Final = 0.012  # metres behind the object
+_FLYING: Final = 0.10  # metres behind it, at most
+_SPECKLE: Final = 0.10  # of the pixels have no depth,
+_HOLES: Final = (6, 9)  # and so many squares of so many pixels on the object have none
+_SUPERSAMPLING: Final = 4
+
+
+@dataclass(frozen=True)
+class TiltedRope:
+    """A rope seen at a slant.
+
+    Args:
+        mask: (480,640) uint8.
+        depth: (480,640) metres, 0 where there is none.
+        curve: (P,3) metres, camera frame.
+        hairpin: Whether a bend is narrower than a gap of 20 points, so that equal chords leave the rope.
+    """
+
+    mask: Mask
+    depth: Array
+    curve: Array
+    hairpin: bool
+
+
+@dataclass(frozen=True)
+class TiltedSheet:
+    """A sheet of 0.36 x 0.24 m seen at a slant.
+
+    Args:
+        mask: (480,640) uint8.
+        depth: (480,640) metres, 0 where there is none.
+        corners: (4,3) metres, camera frame: top left, top right, bottom right, bottom left.
+    """
+
+    mask: Mask
+    depth: Array
+    corners: Array
+
+    def lattice(self, rows: int, cols: int) -> Array:
+        """(rows*cols,3) metres, row by row from the top left, the border included."""
+        v, u = (
+            share[..., None] for share in np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, cols), indexing="ij")
+        )
+        first, right, _, down = self.corners
+        return (first + u * (right - first) + v * (down - first)).reshape(-1, 3)
+
+    def border(self, count: int = 2000) -> Array:
+        """(count,3) metres, around the sheet."""
+        at = np.linspace(0, 4, count, endpoint=False)
+        closed = np.concatenate([self.corners, self.corners[:1]])
+        return np.stack([np.interp(at, np.arange(5), closed[:, d]) for d in range(3)], axis=1)
+
+
+def tilted_rope(rng: np.random.Generator, kind: Kind = "smooth") -> TiltedRope:
+    """A drawn rope on a plane that leans 30 to 45 degrees."""
+    rope = random_rope(rng, kind)
+    normal, point = _plane(rng, 0.9)
+    rays = CAMERA.rays(rope.curve)
+    curve = rays * ((point @ normal) / (rays @ normal))[:, None]
+    return TiltedRope(rope.mask, _depth(rng, rope.mask, normal, point), curve, rope.length / 20 > 2 * rope.bend_radius)
+
+
+def tilted_sheet(rng: np.random.Generator) -> TiltedSheet:
+    """A flat sheet on a plane that leans 30 to 45 degrees, turned by at most 20 degrees in it."""
+    normal, point = _plane(rng, 0.8)
+    right = np.array([1.0, 0, 0]) - normal * normal[0]
+    right /= np.linalg.norm(right)
+    down, turn = np.cross(normal, right), rng.uniform(-0.35, 0.35)
+    right, down = np.cos(turn) * right + np.sin(turn) * down, np.cos(turn) * down - np.sin(turn) * right
+    corners = np.array([point + x * 0.18 * right + y * 0.12 * down for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    canvas = np.zeros((480 * _SUPERSAMPLING, 640 * _SUPERSAMPLING), np.uint8)
+    pixels = (CAMERA.project(corners) + 0.5) * _SUPERSAMPLING - 0.5
+    cv2.fillPoly(canvas, [np.round(pixels * 256).astype(np.int32)], 255, shift=8)
+    small = cv2.resize(canvas, (640, 480), interpolation=cv2.INTER_AREA)
+    mask = np.where(small > 127, np.uint8(255), np.uint8(0))
+    return TiltedSheet(mask, _depth(rng, mask, normal, point), corners)
+
+
+def _plane(rng: np.random.Generator, distance: float) -> tuple[Array, Array]:
+    """Normal and a point of a plane that leans in a random direction."""
+    lean, towards = rng.uniform(*_LEAN), rng.uniform(0, 2 * np.pi)
+    normal = np.array([np.sin(lean) * np.cos(towards), np.sin(lean) * np.sin(towards), np.cos(lean)])
+    return normal, np.array([0.0, 0.0, distance])
+
+
+def _depth(rng: np.random.Generator, mask: Mask, normal: Array, point: Array) -> Array:
+    v, u = np.mgrid[: mask.shape[0], : mask.shape[1]]
+    plane = (point @ normal) / (CAMERA.rays(np.stack([u, v], axis=-1)) @ normal)
+    depth = np.where(mask > 0, plane, plane + _TABLE) + rng.normal(0, _NOISE, plane.shape)
+    cross = np.ones((3, 3), np.uint8)
+    edge = (cv2.dilate(mask, cross) > 0) & (cv2.erode(mask, cross) == 0)
+    depth[edge] += rng.uniform(0, _FLYING, int(edge.sum()))
+    depth[rng.uniform(size=depth.shape) < _SPECKLE] = 0
+    on, (count, size) = np.argwhere(mask), _HOLES
+    for row, column in on[rng.integers(len(on), size=count)]:
+        depth[max(row - size // 2, 0) : row + size // 2 + 1, max(column - size // 2, 0) : column + size // 2 + 1] = 0
+    return depth

@@ -1,1 +1,0 @@
-"""Where the nodes start when there is no previous frame."""

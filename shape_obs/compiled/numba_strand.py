@@ -1,0 +1,169 @@
+"""The way along a strand of a mask to its tip, on Numba."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from shape_obs.compiled.interface import (
+    AHEAD,
+    BEYOND,
+    LAST,
+    LAST_REST,
+    MAX_STEPS,
+    REACH,
+    SHORTEST,
+    SIDE,
+    STEP_FROM,
+    STEP_TO,
+    Array,
+    Mask,
+)
+from shape_obs.compiled.numba_curve import arc_length, catmull_rom, spread, unshrink
+from shape_obs.compiled.numba_map import settle
+from shape_obs.compiled.numba_mask import carried
+
+
+@njit(cache=True, nogil=True)
+def _bend(dx: float, dy: float, px: float, py: float, share: float) -> tuple[float, float]:
+    """The unit vector of d + share (d - p), both unit vectors; d where that vanishes."""
+    x, y = dx + share * (dx - px), dy + share * (dy - py)
+    norm = np.sqrt(x * x + y * y)
+    return (x / norm, y / norm) if norm > 1e-9 else (dx, dy)
+
+
+@njit(cache=True, nogil=True)
+def _connected(state: Mask, row: int, column: int, left: float, top: float, hx: float, hy: float, out: Array) -> int:
+    """The pixels of ``state`` that hang together with one of them, as rows of ``out``; their number."""
+    height, width = state.shape
+    stack = np.empty((state.size, 2), np.int32)
+    stack[0, 0], stack[0, 1] = row, column
+    state[row, column] = 2
+    waiting, count = 1, 0
+    while waiting:
+        waiting -= 1
+        row, column = stack[waiting, 0], stack[waiting, 1]
+        x, y = column + left, row + top
+        out[count, 0], out[count, 1] = x, y
+        out[count, 2], out[count, 3] = x * hx + y * hy, y * hx - x * hy
+        count += 1
+        for r in range(max(row - 1, 0), min(row + 2, height)):
+            for c in range(max(column - 1, 0), min(column + 2, width)):
+                if state[r, c] == 1:
+                    state[r, c] = 2
+                    stack[waiting, 0], stack[waiting, 1] = r, c
+                    waiting += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _strand(mask: Mask, u: float, v: float, hx: float, hy: float, width: float, out: Array) -> int:
+    """The pixels ahead that hang together with (u, v), as (x, y, along, side) rows of ``out``; their number."""
+    reach, aside = REACH * width + 2, SIDE * width
+    across, down = aside * abs(hy), aside * abs(hx)  # the box around the strip ahead, within a square about (u, v)
+    left = max(int(u + max(min(hx * 2 * reach, 0.0) - across, -reach)), 0)
+    top = max(int(v + max(min(hy * 2 * reach, 0.0) - down, -reach)), 0)
+    right = min(int(u + min(max(hx * 2 * reach, 0.0) + across, reach)) + 2, mask.shape[1])
+    bottom = min(int(v + min(max(hy * 2 * reach, 0.0) + down, reach)) + 2, mask.shape[0])
+    if right <= left or bottom <= top:
+        return 0
+    state = np.zeros((bottom - top, right - left), np.uint8)
+    nearest, seed_row, seed_column = np.inf, -1, -1
+    count, begin, end, whole = 0, 0, right - left, True
+    for row in range(bottom - top):
+        y = row + (top - v)
+        first, last = -1, -1
+        for column in range(right - left):
+            if mask[row + top, column + left] == 0:
+                continue
+            x = column + (left - u)
+            along, side = x * hx + y * hy, y * hx - x * hy
+            if along <= AHEAD or abs(side) > aside:
+                continue
+            state[row, column] = 1
+            out[count, 0], out[count, 1], out[count, 2], out[count, 3] = x, y, along, side
+            count += 1
+            whole &= first < 0 or last == column - 1
+            first, last = column if first < 0 else first, column
+            if x * x + y * y < nearest:
+                nearest, seed_row, seed_column = x * x + y * y, row, column
+        if first >= 0:
+            whole &= first <= end and last >= begin - 1 and end > 0
+            begin, end = first, last + 1
+        elif count:
+            end = 0  # a row without pixels: none may follow
+    # One row of pixels below the other, each touching the last, hang together; anything else has to be looked at.
+    return count if whole or count == 0 else _connected(state, seed_row, seed_column, left - u, top - v, hx, hy, out)
+
+
+@njit(cache=True, nogil=True)
+def _march(mask: Mask, left: int, top: int, start: Array, width: float, thinnest: float) -> Array:
+    """The way from the end of a chain, the first of (3,2) nodes, along its strand to the tip: (S,2)."""
+    hx, hy = start[0, 0] - start[1, 0], start[0, 1] - start[1, 1]
+    gx, gy = start[1, 0] - start[2, 0], start[1, 1] - start[2, 1]
+    norm, other = max(np.sqrt(hx * hx + hy * hy), 1e-9), max(np.sqrt(gx * gx + gy * gy), 1e-9)
+    hx, hy = _bend(hx / norm, hy / norm, gx / other, gy / other, 0.5)
+    u, v = start[0, 0] - left, start[0, 1] - top
+    edge = int(2 * (REACH * width + 2)) + 4
+    seen = np.empty((edge * edge, 4))
+    path, steps, rest = np.empty((MAX_STEPS + 1, 2)), 0, 0.0
+    breadth = max(width / 4, 0.5)
+    for _ in range(MAX_STEPS):
+        count = _strand(mask, u, v, hx, hy, width, seen)
+        inside, farthest, beyond = 0, 0.0, False
+        for p in range(count):
+            beyond |= seen[p, 2] > BEYOND * width
+            if abs(seen[p, 3]) <= breadth:
+                inside += 1
+                farthest = max(farthest, seen[p, 2])
+        rest = min(inside / (2 * breadth), farthest + 0.5) if count else 0.0
+        if beyond:
+            low, high = STEP_FROM * width, STEP_TO * width
+        elif rest > LAST_REST * width:
+            low, high = rest - LAST * width, np.inf
+        else:
+            break
+        x = y = 0.0
+        held = 0
+        for p in range(count):
+            if low < seen[p, 2] <= high:
+                x, y, held = x + seen[p, 0], y + seen[p, 1], held + 1
+        if held == 0:
+            break
+        x, y = x / held, y / held
+        norm = np.sqrt(x * x + y * y)
+        cx, cy = (x / norm, y / norm) if norm > 1e-9 else (hx, hy)
+        hx, hy = _bend(cx, cy, hx, hy, 0.5)
+        u, v = u + x, v + y
+        path[steps, 0], path[steps, 1] = u + left, v + top
+        steps += 1
+    rest = max(rest, SHORTEST * thinnest)
+    path[steps, 0], path[steps, 1] = u + left + hx * rest, v + top + hy * rest
+    return path[: steps + 1].copy()
+
+
+@njit(cache=True, nogil=True)
+def ribbon(
+    mask: Mask,
+    left: int,
+    top: int,
+    points: Array,
+    weight: Array,
+    nodes: Array,
+    first: Array,
+    second: Array,
+    share: float,
+    width: float,
+    thinnest: float,
+) -> tuple[Array, Array, npt.NDArray[np.bool_], float]:
+    """See ``Kernels.ribbon``."""
+    nodes = unshrink(settle(points, weight, nodes, first, second), share, False)
+    width = max(width, thinnest)
+    on = np.flatnonzero(carried(mask, left, top, nodes, 1))
+    if len(on) > 0 and on[-1] - on[0] >= 2:
+        nodes = nodes[on[0] : on[-1] + 1]
+    head = _march(mask, left, top, nodes[:3].copy(), width, thinnest)
+    tail = _march(mask, left, top, nodes[:-4:-1].copy(), width, thinnest)
+    curve = catmull_rom(np.concatenate((head[::-1].copy(), nodes.copy(), tail)), 4, False)
+    return curve, arc_length(curve), carried(mask, left, top, curve, 1), spread(points, weight, curve)

@@ -1,0 +1,221 @@
+"""Bending: by how much the shape turns at each point, as an angle or as a curvature.
+
+Tangents: which way the shape runs at each point.
+
+Shapes that are a line, open or closed: their points one after another.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.features.base import View
+from shape_obs.features.coordinates import Framed
+from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
+from shape_obs.shape import Shape
+
+Array = npt.NDArray[np.float64]
+
+
+#: What curvature saturates at: a radius of 1 cm, 5 pixels, or 5 % of half the image.
+MAX_CURVATURE: Final = {"camera": 100.0, "base": 100.0, "pixels": 0.2, "normalized": 20.0}
+
+
+@dataclass(frozen=True)
+class _Bending(Framed):
+    """A value at each point of a ring, or at each inner point of a chain."""
+
+    @abstractmethod
+    def limit(self) -> float:
+        """The highest value; the lowest is its negative."""
+
+    @abstractmethod
+    def bend(self, turn: Array, lengths: Array, steps: Array) -> Array:
+        """What is told of K points.
+
+        Args:
+            turn: (K,) radians from the edge before the point to the edge after it.
+            lengths: (K,) sum of both edges' lengths.
+            steps: (K,) how many gaps between points both edges span: 2 where no neighbour is unknown.
+        """
+
+    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+        """As far to one side as to the other."""
+        count = self._count(layout)
+        if count < 1:
+            raise ValueError(f"feature {self.kind!r} needs at least three points, got {layout}.")
+        self.coordinates.box(view)  # says what the frame lacks
+        return np.full(count, -self.limit()), np.full(count, self.limit())
+
+    def compute(self, shape: Shape, view: View) -> Array:
+        """(N - 2,) of a chain, (N,) of a ring."""
+        places = self.coordinates.points(shape, view)[:, :2]
+        closed, size = closes(shape.layout, self.kind), len(places)
+        known = np.flatnonzero(~np.isnan(places[:, 0]))
+        if len(known) < 3:
+            return np.full(self._count(shape.layout), np.nan)
+        line, at = places[known], known.astype(np.float64)
+        if closed:
+            line = np.concatenate([line[-1:], line, line[:1]])
+            at = np.concatenate([at[-1:] - size, at, at[:1] + size])
+        edge = line[1:] - line[:-1]
+        length = np.sqrt(np.einsum("kd,kd->k", edge, edge))
+        (x0, y0), (x1, y1) = edge[:-1].T, edge[1:].T
+        turn = np.arctan2(x0 * y1 - y0 * x1, x0 * x1 + y0 * y1)
+        turn[length[1:] * length[:-1] == 0] = np.nan
+        value = self.bend(turn, length[1:] + length[:-1], at[2:] - at[:-2])
+        if len(known) == size:
+            return value
+        wanted = np.arange(size) if closed else np.arange(1, size - 1)
+        return np.interp(wanted, at[1:-1], value, period=size if closed else None)
+
+    def _count(self, layout: Topology) -> int:
+        return layout.size if closes(layout, self.kind) else layout.size - 2
+
+
+@dataclass(frozen=True)
+class TurningAngles(_Bending, kind="turning_angles"):
+    """Turning angles: ``phi_i = atan2(e_{i-1} x e_i, e_{i-1} . e_i)`` of the edges ``e_i = p_{i+1} - p_i``.
+
+    Radians in the plane of the frame's first two axes, from the first towards the second: clockwise as seen in pixels
+    and in the camera's frame, counter-clockwise from above in a base frame with z up. N - 2 of a chain, N of a ring,
+    where they sum up to a whole turn. It does not matter where the shape lies nor how it is turned in that plane.
+    ``"normalized"`` stretches an image that is not square, and angles with it: ``"pixels"`` does not.
+
+    Between known points the angle is spread over the steps; that of an unknown point is interpolated between its
+    neighbours. NaN where points coincide, or fewer than three are known.
+
+    References:
+        K. Crane and M. Wardetzky, "A Glimpse into Discrete Differential Geometry", Notices of the AMS 64(10), 2017:
+        the turning angle as the discrete curvature of a plane curve.
+    """
+
+    @property
+    def unit(self) -> str:
+        """Radians."""
+        return "rad"
+
+    def limit(self) -> float:
+        """Back to where it came from."""
+        return np.pi
+
+    def bend(self, turn: Array, lengths: Array, steps: Array) -> Array:
+        """For one step."""
+        return 2 * turn / steps
+
+
+@dataclass(frozen=True)
+class Curvature(_Bending, kind="curvature"):
+    """Discrete curvature: ``kappa_i = 2 sin(phi_i / 2) / l_i``, with ``l_i`` the mean length of the two edges.
+
+    1/m, 1/px, or per half the image; the sign, the plane and what happens to unknown points are those of
+    ``turning_angles``. On a polygon with equal sides it is one over the radius of the circle through its corners,
+    however few they are. It does not matter where the shape lies nor how it is turned in that plane.
+
+    An error of 1 mm across the line of points 20 mm apart is one of 6 / m: where that is too much, ``turning_angles``
+    hold the same without the division.
+
+    Args:
+        max_curvature: At which it saturates; None for a radius of 1 cm, of 5 pixels, or of 5 % of half the image.
+
+    References:
+        K. Crane and M. Wardetzky, "A Glimpse into Discrete Differential Geometry", Notices of the AMS 64(10), 2017:
+        of their discrete curvatures the one that is the gradient of length, over the length that belongs to a point.
+    """
+
+    max_curvature: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.max_curvature is not None and not 0 < self.max_curvature < np.inf:
+            raise ValueError(f"curvature: max_curvature must be a positive number, got {self.max_curvature}.")
+
+    @property
+    def unit(self) -> str:
+        """One over the coordinates' unit."""
+        return f"1/{self.coordinates.unit}" if self.coordinates.unit else ""
+
+    def limit(self) -> float:
+        """``max_curvature``."""
+        return self.max_curvature or MAX_CURVATURE[self.frame]
+
+    def bend(self, turn: Array, lengths: Array, steps: Array) -> Array:
+        """Along the edges, however many steps they span."""
+        limit = self.limit()
+        return np.minimum(np.maximum(4 * np.sin(turn / 2) / lengths, -limit), limit)
+
+
+@dataclass(frozen=True)
+class Tangents(Framed, kind="tangents"):
+    """Unit tangents: ``t_i = (p_{i+1} - p_{i-1}) / |p_{i+1} - p_{i-1}|``, at an open end those of its edge.
+
+    N x 2 or N x 3 values without a unit, one point after the other. Of a lattice 2 N tangents: first along the rows,
+    to the right, then down the columns. It does not matter where the shape lies. Unknown points are filled in along the
+    layout first; a tangent is NaN where both neighbours are at one place.
+
+    ``"normalized"`` stretches an image that is not square, and directions with it: ``"pixels"`` does not.
+
+    References:
+        M. P. do Carmo, "Differential Geometry of Curves and Surfaces", 1976, section 1-3; by central differences.
+    """
+
+    @property
+    def unit(self) -> str:
+        """None."""
+        return ""
+
+    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+        """-1...1."""
+        low, _ = self.coordinates.box(view)
+        count = len(_neighbours(layout)[0]) * len(low)
+        return np.full(count, -1.0), np.ones(count)
+
+    def compute(self, shape: Shape, view: View) -> Array:
+        """(2 N,) or (3 N,), of a lattice twice as many."""
+        points = self.complete(shape, view)
+        after, before = _neighbours(shape.layout)
+        way = points[after] - points[before]
+        length = np.sqrt(np.einsum("nd,nd->n", way, way))
+        length[length == 0] = np.nan
+        return (way / length[:, None]).ravel()
+
+
+@lru_cache(maxsize=64)
+def _neighbours(layout: Any) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """For each tangent the point after and the point before it, the point itself at an end."""
+    at = np.arange(layout.size)
+    if isinstance(layout, Ring):
+        return np.roll(at, -1), np.roll(at, 1)
+    if isinstance(layout, Chain):
+        return np.append(at[1:], at[-1]), np.append(at[0], at[:-1])
+    if not isinstance(layout, Grid):
+        raise ValueError(f"feature 'tangents' is of a Chain, a Ring or a Grid, got {layout}.")
+    at = at.reshape(layout.rows, layout.cols)
+    wide, tall = np.pad(at, ((0, 0), (1, 1)), mode="edge"), np.pad(at, ((1, 1), (0, 0)), mode="edge")
+    after, before = (wide[:, 2:], tall[2:]), (wide[:, :-2], tall[:-2])
+    return np.ravel(after), np.ravel(before)
+
+
+def closes(layout: Topology, kind: str) -> bool:
+    """Whether a line ends where it began.
+
+    Raises:
+        ValueError: The layout is no line; ``kind`` is the feature that wants one.
+    """
+    if not isinstance(layout, (Chain, Ring)):
+        raise ValueError(
+            f"feature {kind!r} is of a line, a Chain (centerline) or a Ring (contour), got {layout}. Of a lattice "
+            "there are 'tangents', 'region_moments', 'centroid' and 'orientation'."
+        )
+    return isinstance(layout, Ring)
+
+
+def polyline(values: Array, closed: bool) -> Array:
+    """(N,...) along the line, with the first once more at the end where it closes."""
+    return np.concatenate([values, values[:1]]) if closed else values

@@ -1,0 +1,149 @@
+"""Centroid: where a shape is as a whole.
+
+Orientation: which way a shape lies as a whole.
+
+Length: how long a line is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.features.base import View
+from shape_obs.features.coordinates import Framed, Geometric
+from shape_obs.features.curvature import closes, polyline
+from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
+from shape_obs.shape import Shape
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Centroid(Geometric, kind="centroid"):
+    """The mean of the points: (u, v) or (x, y, z), in the coordinates' unit.
+
+    Unknown points are filled in along the layout first: the mean of the others would lie away from them.
+    """
+
+    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+        """Those of a point."""
+        return self.coordinates.box(view)
+
+    def compute(self, shape: Shape, view: View) -> Array:
+        """(2,) or (3,)."""
+        return self.complete(shape, view).mean(axis=0)
+
+
+#: What float32 points leave of nothing, relative to them.
+_ROUNDING: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class Orientation(Framed, kind="orientation"):
+    """A direction in the plane of the frame's first two axes, as (cos, sin), so that no angle jumps by a turn.
+
+    The heading is ``h = sum_i w_i p_i``, and the direction is that of h. Of a chain ``w_i = i - (N - 1) / 2``: the
+    slope of a straight line through the points by least squares, from the first end to the last. Of a lattice the same
+    over the columns' index: along its rows, to the right. Of a ring ``w_i = cos(2 pi i / N)``, the first harmonic:
+    from the middle towards point 0. It turns with the material and nowhere jumps, but where h vanishes.
+
+    The principal axis is that of the points' largest variance, ``theta = atan2(2 s_xy, s_xx - s_yy) / 2``; of its two
+    directions it is the one with ``h . (cos, sin) > 0``. It jumps where the shape is as broad as long, or h stands at a
+    right angle to it, and it does not depend on where on a ring point 0 is but for the sign.
+
+    Unknown points are filled in along the layout first. NaN where there is no such direction.
+
+    Args:
+        frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``. ``"normalized"``
+            stretches an image that is not square, and directions with it.
+        axis: ``"heading"`` or ``"principal"``.
+
+    References:
+        B. K. P. Horn, "Robot Vision", 1986, section 3.2 (principal axis); F. P. Kuhl and C. R. Giardina, "Elliptic
+        Fourier features of a closed contour", 1982 (first harmonic).
+    """
+
+    axis: Literal["heading", "principal"] = "heading"
+
+    @property
+    def unit(self) -> str:
+        """None."""
+        return ""
+
+    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+        """-1...1."""
+        _weights(layout)
+        self.coordinates.box(view)  # says what the frame lacks
+        return np.full(2, -1.0), np.ones(2)
+
+    def compute(self, shape: Shape, view: View) -> Array:
+        """(2,) cosine and sine from the first axis towards the second."""
+        points = self.complete(shape, view)[:, :2]
+        heading = _weights(shape.layout) @ points
+        length = np.sqrt(heading @ heading)
+        if not length > _ROUNDING * np.abs(points).max():
+            return np.full(2, np.nan)
+        heading /= length
+        return heading if self.axis == "heading" else _principal(points, heading)
+
+
+def _principal(points: Array, heading: Array) -> Array:
+    """(2,) along the axis of the largest variance, to the heading's side; NaN where there is none."""
+    away = points - points.mean(axis=0)
+    (xx, xy), (_, yy) = away.T @ away
+    if np.hypot(2 * xy, xx - yy) <= _ROUNDING * (xx + yy):
+        return np.full(2, np.nan)
+    angle = np.arctan2(2 * xy, xx - yy) / 2
+    axis = np.array([np.cos(angle), np.sin(angle)])
+    return axis if axis @ heading > 0 else -axis
+
+
+@lru_cache(maxsize=64)
+def _weights(layout: Any) -> Array:
+    """(N,) of the points in the heading."""
+    at = np.arange(layout.size, dtype=np.float64)
+    if isinstance(layout, Ring):
+        return np.cos(2 * np.pi * at / layout.size)
+    if not isinstance(layout, (Chain, Grid)):
+        raise ValueError(f"feature 'orientation' is of a Chain, a Ring or a Grid, got {layout}.")
+    column = at % layout.cols if isinstance(layout, Grid) else at
+    return column - column.mean()
+
+
+@dataclass(frozen=True)
+class Length(Framed, kind="length"):
+    """The arc length of a chain, the perimeter of a ring: ``E sum_e w_e |e| / sum_e w_e`` over its E edges.
+
+    With all points measured that is the sum of the edges. Points are equidistant, so that an edge to a point that is
+    unknown counts as the others' mean, and one to a point that was filled in hardly counts. NaN where no edge is known.
+
+    Args:
+        frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
+        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
+    """
+
+    max_depth: float = 2.0
+
+    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+        """0 to each edge as long as the diagonal of the points' box."""
+        edges = layout.size if closes(layout, self.kind) else layout.size - 1
+        low, high = self.coordinates.box(view)
+        return np.zeros(1), np.full(1, edges * np.linalg.norm(high - low))
+
+    def compute(self, shape: Shape, view: View) -> Array:
+        """(1,)."""
+        closed = closes(shape.layout, self.kind)
+        points = self.coordinates.points(shape, view)
+        weight = polyline(self.coordinates.weights(shape, points), closed)
+        line = polyline(points, closed)
+        edge, weight = line[1:] - line[:-1], weight[1:] * weight[:-1]
+        known = weight > 0
+        if not known.any():
+            return np.full(1, np.nan)
+        length = np.sqrt(np.einsum("kd,kd->k", edge, edge))
+        return np.full(1, len(edge) * (weight[known] @ length[known]) / weight.sum())

@@ -1,0 +1,1 @@
+"""Curves, lattices, outlines and topologies; nothing here depends on images."""

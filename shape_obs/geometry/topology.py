@@ -1,0 +1,208 @@
+"""Topologies of self-organising maps: which nodes hang together, and what averaging along them does.
+
+The same classes say how a shape's points hang together: a chain, a ring, or a lattice.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
+from shape_obs.compiled import NUMPY, Kernels
+
+Array = npt.NDArray[np.float64]
+Values = TypeVar("Values", bound=npt.NDArray[np.floating[Any]])
+
+
+class Neighbourhoods(NamedTuple):
+    """Kernel moments for E local-linear updates; row k weighs the bins as node k sees them.
+
+    With phi(k,j) = (1, offset of j from k in each of the P lattice directions):
+
+    Args:
+        first: (E,P+1,K,K) h(k,j) phi_a, h = exp(-|offset|^2 / 2 sigma^2).
+        second: (E,P+1,P+1,K,K) h(k,j) phi_a phi_b.
+    """
+
+    first: Array
+    second: Array
+
+
+class Topology(ABC):
+    """How nodes or points hang together."""
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """How many nodes."""
+
+    @abstractmethod
+    def offsets(self) -> Array:
+        """(P,K,K) the way from node k to node j in each lattice direction, node units."""
+
+    @abstractmethod
+    def edges(self) -> npt.NDArray[np.intp]:
+        """(E,2) pairs of neighbours, the lower index first but where a ring closes."""
+
+    @abstractmethod
+    def unshrink(self, nodes: Array, sigma: float, kernels: Kernels = NUMPY) -> Array:
+        """Undo the pull of averaging with a kernel of width ``sigma`` towards the inside of a bend: (K,D) -> (K,D)."""
+
+    @abstractmethod
+    def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
+        """(K,D) values with the unknown ones filled from their known neighbours; at least one must be known."""
+
+    def neighbourhoods(self, sigmas: tuple[float, ...]) -> Neighbourhoods:
+        """The kernels of E widths, in node units."""
+        return _neighbourhoods(self, sigmas)
+
+
+@dataclass(frozen=True)
+class _Line(Topology):
+    """``count`` nodes, one after another."""
+
+    count: int
+
+    @property
+    def size(self) -> int:
+        """How many nodes."""
+        return self.count
+
+
+@dataclass(frozen=True)
+class Chain(_Line):
+    """An open chain of ``count`` nodes."""
+
+    def offsets(self) -> Array:
+        """(1,K,K)."""
+        at = np.arange(self.count, dtype=np.float64)
+        return (at[None, :] - at[:, None])[None]
+
+    def edges(self) -> npt.NDArray[np.intp]:
+        """(K-1,2)."""
+        at = np.arange(self.count)
+        return np.stack([at[:-1], at[1:]], axis=1)
+
+    def unshrink(self, nodes: Array, sigma: float, kernels: Kernels = NUMPY) -> Array:
+        """The second difference stands for the bend, at an end its neighbour's."""
+        return kernels.unshrink(nodes, shrinkage(sigma), False)
+
+    def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
+        """In a straight line along the index, the ends repeated."""
+        return _along_index(values, known, None)
+
+
+@dataclass(frozen=True)
+class Ring(_Line):
+    """A closed ring of ``count`` nodes."""
+
+    def offsets(self) -> Array:
+        """(1,K,K) the shorter way round."""
+        at = np.arange(self.count, dtype=np.float64)
+        half = self.count // 2
+        return ((at[None, :] - at[:, None] + half) % self.count - half)[None]
+
+    def edges(self) -> npt.NDArray[np.intp]:
+        """(K,2), the last closes the ring."""
+        at = np.arange(self.count)
+        return np.stack([at, np.roll(at, -1)], axis=1)
+
+    def unshrink(self, nodes: Array, sigma: float, kernels: Kernels = NUMPY) -> Array:
+        """The second difference stands for the bend."""
+        return kernels.unshrink(nodes, shrinkage(sigma), True)
+
+    def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
+        """In a straight line along the index, across the closure too."""
+        return _along_index(values, known, self.count)
+
+
+@dataclass(frozen=True)
+class Grid(Topology):
+    """A lattice of ``rows`` x ``cols`` nodes, row by row."""
+
+    rows: int
+    cols: int
+
+    @property
+    def size(self) -> int:
+        """How many nodes."""
+        return self.rows * self.cols
+
+    def lattice(self, nodes: Array) -> Array:
+        """(K,D) nodes as (rows,cols,D)."""
+        return nodes.reshape(self.rows, self.cols, nodes.shape[1])
+
+    def places(self) -> Array:
+        """(K,2) row and column of each node."""
+        row, column = np.divmod(np.arange(self.size), self.cols)
+        return np.stack([row, column], axis=1).astype(np.float64)
+
+    def offsets(self) -> Array:
+        """(2,K,K) along the rows' and the columns' index."""
+        at = self.places().T
+        return at[:, None, :] - at[:, :, None]
+
+    def edges(self) -> npt.NDArray[np.intp]:
+        """(E,2) to the right and down."""
+        at = np.arange(self.size).reshape(self.rows, self.cols)
+        right = np.stack([at[:, :-1].ravel(), at[:, 1:].ravel()], axis=1)
+        down = np.stack([at[:-1].ravel(), at[1:].ravel()], axis=1)
+        return np.concatenate([right, down])
+
+    def unshrink(self, nodes: Array, sigma: float, kernels: Kernels = NUMPY) -> Array:
+        """As along a chain, down every column and along every row."""
+        lattice = nodes.reshape(self.rows, self.cols, -1)
+        out = lattice.copy()
+        if self.rows > 2:
+            down = lattice.reshape(self.rows, -1)
+            out += (kernels.unshrink(down, shrinkage(sigma), False) - down).reshape(lattice.shape)
+        if self.cols > 2:
+            across = np.ascontiguousarray(lattice.swapaxes(0, 1)).reshape(self.cols, -1)
+            moved = (kernels.unshrink(across, shrinkage(sigma), False) - across).reshape(self.cols, self.rows, -1)
+            out += moved.swapaxes(0, 1)
+        return out.reshape(nodes.shape)
+
+    def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
+        """Linearly over the lattice; outside the known ones the nearest is repeated."""
+        places, filled = self.places(), values.copy()
+        filled[~known] = NearestNDInterpolator(places[known], values[known])(places[~known])
+        spread = np.ptp(places[known], axis=0)
+        if known.sum() >= 3 and np.linalg.matrix_rank(places[known] - places[known][0]) == 2 and spread.all():
+            inside = LinearNDInterpolator(places[known], values[known])(places[~known])
+            filled[~known] = np.where(np.isfinite(inside), inside, filled[~known])
+        return filled
+
+
+@lru_cache(maxsize=64)
+def shrinkage(sigma: float) -> float:
+    """How far averaging pulls the nodes of a line from their curve, to second order, as a share of their bend.
+
+    The mean over a unit cell of a curve C is C + C''/24, and the kernel mean over both neighbours adds h/(1+2h) C''
+    with h = exp(-1/2 sigma^2).
+    """
+    h = float(np.exp(-0.5 / sigma**2))
+    return 1 / 24 + h / (1 + 2 * h)
+
+
+def _along_index(values: Values, known: npt.NDArray[np.bool_], period: int | None) -> Values:
+    at = np.arange(len(values))
+    filled = values.copy()
+    for d in range(values.shape[1]):
+        filled[~known, d] = np.interp(at[~known], at[known], values[known, d], period=period)
+    return filled
+
+
+@lru_cache(maxsize=64)
+def _neighbourhoods(topology: Any, sigmas: tuple[float, ...]) -> Neighbourhoods:
+    offsets: Array = topology.offsets()
+    width = np.array(sigmas)[:, None, None]
+    weight = np.exp(-0.5 * np.sum(offsets**2, axis=0) / width**2)
+    basis = np.concatenate([np.ones((1, *weight.shape[1:])), offsets])
+    first = weight[:, None] * basis
+    return Neighbourhoods(first, first[:, :, None] * basis)

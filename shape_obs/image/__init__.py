@@ -1,0 +1,1 @@
+"""Find the object in an image: region of interest, segmentation rules, colour table, colour picker."""

@@ -1,0 +1,193 @@
+"""What all pixel rules share: clean-up by opening and closing, and the area threshold.
+
+Rules that look at the colour of one pixel at a time: they compile to a table.
+
+Segmentation by a range of hue, saturation and value.
+
+Segmentation by brightness.
+
+Segmentation by distance.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.frame import MILLIMETRE, Frame
+from shape_obs.image.roi import Window
+from shape_obs.spec import Spec
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segmentation(Spec, family="segmentation"):
+    """A pixel rule with its clean-up.
+
+    Args:
+        open: Edge of the square for morphological opening, pixels; 0 leaves it out. An object thinner than this
+            vanishes.
+        close: Edge of the square for morphological closing, pixels; 0 leaves it out. A gap narrower than this fills.
+        min_area: Components with fewer pixels are dropped.
+        min_share: Components smaller than this share of the largest are dropped; 1 keeps the largest alone, as the
+            paper does. A cable that something crosses falls into several components, hence the default.
+    """
+
+    open: int = 0
+    close: int = 0
+    min_area: int = 20
+    min_share: float = 0.05
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.open < 0 or self.close < 0 or self.min_area < 1:
+            raise ValueError(
+                f"{self.kind}: open and close must be >= 0 and min_area >= 1, "
+                f"got {self.open}, {self.close} and {self.min_area}."
+            )
+        if not 0 <= self.min_share <= 1:
+            raise ValueError(f"{self.kind}: min_share must lie in 0...1, got {self.min_share}.")
+
+    def apply(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
+        """The mask of ``window``: (h,w) uint8, 0 or 255, after opening and closing."""
+        return self.clean(self.threshold(frame, window))
+
+    def clean(self, mask: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """A mask after opening and closing; it is overwritten."""
+        for size, operation in ((self.open, cv2.MORPH_OPEN), (self.close, cv2.MORPH_CLOSE)):
+            if size > 1:
+                square = cv2.getStructuringElement(cv2.MORPH_RECT, (size, size))
+                cv2.morphologyEx(mask, operation, square, dst=mask)
+        return mask
+
+    @abstractmethod
+    def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
+        """The bare rule: (h,w) uint8, 0 or 255."""
+
+
+def need(image: npt.NDArray[Any] | None, name: str, rule: Segmentation) -> npt.NDArray[Any]:
+    """The image that a rule reads, or an error that says which is missing."""
+    if image is None:
+        raise ValueError(f"segmentation {rule.kind!r} needs {name}, but the frame has none.")
+    return image
+
+
+class ColourRule(Segmentation):
+    """A pixel rule for which the colour of a pixel alone decides, not its place, its neighbours or the frame.
+
+    Such a rule is compiled to a table of all colours, once, and looked up from then on where that is faster: see
+    ``segmentation.table``. The result is the same to the pixel.
+
+    Example:
+        >>> @dataclass(frozen=True)
+        ... class MostlyRed(ColourRule, kind="mostly_red"):
+        ...     lead: int = 40
+        ...
+        ...     def matches(self, rgb):
+        ...         red, green, blue = np.moveaxis(rgb.astype(int), -1, 0)
+        ...         return red - np.maximum(green, blue) >= self.lead
+    """
+
+    @abstractmethod
+    def matches(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
+        """Which pixels of an (h,w,3) uint8 RGB image belong to the object: (h,w), bool, or uint8 0 and 255."""
+
+    def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
+        """(h,w) uint8 mask, 0 or 255."""
+        found = np.asarray(self.matches(need(frame.rgb, "rgb", self)[window.slices]))
+        return found if found.dtype == np.uint8 else found.astype(bool).view(np.uint8) * np.uint8(255)
+
+
+HUES = 180
+
+
+@dataclass(frozen=True)
+class HSVRange(ColourRule, kind="hsv"):
+    """Pixels whose colour lies in a box of HSV space, bounds included.
+
+    Args:
+        low: (h, s, v), OpenCV's scale: h 0...179, s and v 0...255.
+        high: (h, s, v). A hue below ``low``'s wraps around: red is ``low=(170, ...)``, ``high=(10, ...)``.
+    """
+
+    low: tuple[int, int, int]
+    high: tuple[int, int, int]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        top = (HUES - 1, 255, 255)
+        for name, bound in (("low", self.low), ("high", self.high)):
+            if len(bound) != 3 or any(not 0 <= value <= limit for value, limit in zip(bound, top, strict=True)):
+                raise ValueError(f"hsv: {name} must be (h 0...179, s 0...255, v 0...255), got {bound}.")
+        for i, name in ((1, "saturation"), (2, "value")):
+            if self.low[i] > self.high[i]:
+                raise ValueError(
+                    f"hsv: low {name} {self.low[i]} is above high {name} {self.high[i]}; only hue wraps around."
+                )
+
+    def matches(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """(h,w,3) uint8 -> (h,w) uint8 mask, 0 or 255."""
+        hsv = cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV)
+        if self.low[0] <= self.high[0]:
+            return _in_range(hsv, self.low, self.high)
+        mask = _in_range(hsv, self.low, (HUES - 1, *self.high[1:]))
+        return mask | _in_range(hsv, (0, *self.low[1:]), self.high)
+
+
+def _in_range(hsv: npt.NDArray[Any], low: tuple[int, int, int], high: tuple[int, int, int]) -> npt.NDArray[np.uint8]:
+    return np.asarray(cv2.inRange(hsv, np.array(low, np.uint8), np.array(high, np.uint8)), dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class GrayRange(ColourRule, kind="gray"):
+    """Pixels whose luma (ITU-R BT.601) lies in a range, bounds included.
+
+    Args:
+        low: Darkest, 0...255.
+        high: Brightest, 0...255.
+    """
+
+    low: int = 0
+    high: int = 255
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 <= self.low <= self.high <= 255:
+            raise ValueError(f"gray: expected 0 <= low <= high <= 255, got low {self.low} and high {self.high}.")
+
+    def matches(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """(h,w,3) uint8 -> (h,w) uint8 mask, 0 or 255."""
+        gray = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+        return np.asarray(cv2.inRange(gray, np.array([self.low]), np.array([self.high])), dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class DepthRange(Segmentation, kind="depth"):
+    """Pixels whose depth lies in a range, bounds included; invalid depth never does.
+
+    Args:
+        near: Metres along the optical axis.
+        far: Metres along the optical axis.
+    """
+
+    near: float
+    far: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.near <= self.far or not np.isfinite(self.far):
+            raise ValueError(f"depth: expected 0 < near <= far in metres, got near {self.near} and far {self.far}.")
+
+    def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
+        """(h,w) uint8 mask, 0 or 255."""
+        depth = need(frame.depth, "depth", self)[window.slices]
+        if depth.dtype == np.uint16:
+            low, high = max(np.ceil(self.near / MILLIMETRE - 1e-6), 1), np.floor(self.far / MILLIMETRE + 1e-6)
+            inside = (depth >= low) & (depth <= high)
+        else:
+            inside = (depth >= self.near) & (depth <= self.far)
+        return np.asarray(inside).view(np.uint8) * np.uint8(255)

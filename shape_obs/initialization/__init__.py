@@ -1,0 +1,1 @@
+"""Find the first form of a shape that has no track yet."""

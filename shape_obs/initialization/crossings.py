@@ -1,0 +1,256 @@
+"""Which strand goes on where: a skeleton's branches strung together into ropes.
+
+Within a zone where strands meet, every way to pair them is tried and the least bent one taken, except that no strand
+may close upon itself while another one passes through the same zone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import gaussian_filter1d
+
+from shape_obs.geometry.polyline import arc_length
+from shape_obs.initialization.gaps import Lead, bending, hermite, lead, unit
+from shape_obs.initialization.junctions import Arm, Overlap, Zones, find_zones, follow
+from shape_obs.initialization.skeleton import Branch, Skeleton
+
+Array = npt.NDArray[np.float64]
+Pairing = tuple[tuple[Arm, Arm], ...]
+Options = dict[int, list[tuple[float, Pairing]]]  # of each zone: what a pairing bends, and the pairing; least first
+
+# Of the staircase of pixels, in widths. Less leaves the stairs in the tangents, more cuts the bends.
+_SMOOTHING: Final = 0.35
+# In widths: over how much of a branch its direction is taken; how much a free end is cut by, where the skeleton may
+# turn into a corner of the rope's end.
+_REACH: Final = 1.5
+_CUT: Final = 0.4
+# More branches than these in one zone are paired one by one: there are (n-1)!! pairings.
+_MOST_TRIED: Final = 8
+# Squared radians by which the second best pairing must bend more for the best to be believed.
+_CLEAR: Final = 0.1
+_DENIED: Final = 5.0  # and what a pair bends more that the silhouette denies
+# In widths: along a shared branch longer than this each strand is followed on its side; a shorter one is leapt over.
+_FOLLOWED: Final = 2.0
+
+
+class Strands(NamedTuple):
+    """A skeleton resolved.
+
+    Args:
+        curves: (P_i,2) pixels each, at steps of about a pixel. Every branch is part of one of them, but the shared
+            ones of two.
+        inside: Whether the first and the last end of each lie on another strand, instead of freely.
+        rings: How many strands are closed; they are cut open somewhere.
+        doubts: Why they may be wrong, in words.
+    """
+
+    curves: tuple[Array, ...]
+    inside: tuple[tuple[bool, bool], ...]
+    rings: int
+    doubts: tuple[str, ...]
+
+
+def untangle(skeleton: Skeleton) -> Strands:
+    """String the branches of a skeleton together.
+
+    Args:
+        skeleton: Of one or several pieces of rope.
+
+    Returns:
+        As few strands as the free ends allow, bent as little as possible.
+    """
+    width = skeleton.width
+    branches = [_smooth(branch, width) for branch in skeleton.branches]
+    zones = find_zones(skeleton)
+    groups: dict[int, list[Arm]] = {}
+    for i in zones.kept:
+        for end in (0, 1):
+            groups.setdefault(zones.of[i, end], []).append((i, end))
+    free = {group[0] for group in groups.values() if len(group) == 1}
+    trimmed = {i: _trim(branches[i], (i, 0) in free, (i, 1) in free, width) for i in zones.kept}
+    leads = {(i, end): lead(trimmed[i][:: 1 - 2 * end], _REACH * width) for i in zones.kept for end in (0, 1)}
+    overlaps = _overlaps(branches, zones, groups, leads, width)
+    options = {zone: _options(group, leads, overlaps.get(zone)) for zone, group in groups.items() if len(group) > 1}
+    chosen = dict.fromkeys(options, 0)
+    _open_rings(options, chosen, zones.kept)
+    partner = _partners(options, chosen)
+    routes = _routes(zones.kept, partner)
+    ways = {pair: path for overlap in overlaps.values() for pair, path in _ways(overlap)}
+    return Strands(
+        curves=tuple(_curve(route, trimmed, partner, ways, width) for route in routes),
+        inside=tuple((route[0] not in free, (route[-1][0], 1 - route[-1][1]) not in free) for route in routes),
+        rings=sum(route[0] in partner for route in routes),
+        doubts=tuple(_doubts(options, chosen, overlaps)),
+    )
+
+
+def _overlaps(
+    branches: list[Branch], zones: Zones, groups: dict[int, list[Arm]], leads: dict[Arm, Lead], width: float
+) -> dict[int, Overlap]:
+    """What happens in the zones where two strands meet and part along one shared branch."""
+    found = {}
+    for i in zones.shared:
+        zone = zones.of[i, 0]
+        sides: list[list[Arm]] = [[], []]
+        for arm in groups.get(zone, []):
+            node = branches[arm[0]].nodes[arm[1]]
+            if node in branches[i].nodes:
+                sides[branches[i].nodes.index(node)].append(arm)
+        if len(sides[0]) == len(sides[1]) == 2 and len(groups[zone]) == 4:
+            overlap = follow(branches[i], sides[0], sides[1], leads, width)
+            if overlap is not None:
+                found[zone] = overlap
+    return found
+
+
+def _ways(overlap: Overlap) -> Iterator[tuple[tuple[Arm, Arm], Array]]:
+    """The paths of an overlap, both ways."""
+    for (first, last), path in zip(overlap.pairs, overlap.paths, strict=True):
+        yield (first, last), path
+        yield (last, first), path[::-1]
+
+
+def _doubts(options: Options, chosen: dict[int, int], overlaps: dict[int, Overlap]) -> Iterator[str]:
+    for zone, row in options.items():
+        if zone in overlaps:
+            if overlaps[zone].doubt:
+                yield overlaps[zone].doubt
+        elif len(row) > 1 and row[1 if chosen[zone] == 0 else 0][0] - row[chosen[zone]][0] < _CLEAR:
+            yield "at a crossing, two ways to go on are about equally straight"
+
+
+def _smooth(branch: Branch, width: float) -> Branch:
+    """Without the staircase; ends stay."""
+    if len(branch.points) < 3:
+        return branch
+    sigma = _SMOOTHING * width * (len(branch.points) - 1) / max(branch.length, 1e-9)
+    pad = min(int(3 * sigma) + 1, len(branch.points) - 1)
+    head = 2 * branch.points[0] - branch.points[pad:0:-1]
+    tail = 2 * branch.points[-1] - branch.points[-2 : -pad - 2 : -1]
+    smooth = gaussian_filter1d(np.concatenate([head, branch.points, tail]), sigma, axis=0)
+    return replace(branch, points=smooth[pad:-pad])
+
+
+def _trim(branch: Branch, free_start: bool, free_end: bool, width: float) -> Array:
+    """The part of a branch that is clear of the zones at its ends: there the skeleton runs between strands."""
+    arc = arc_length(branch.points)
+    length = arc[-1]
+    start = _CUT * width if free_start else float(branch.radius[0])
+    end = _CUT * width if free_end else float(branch.radius[-1])
+    # Of a short branch the middle is left.
+    share = min(1.0, 0.7 * length / max(start + end, 1e-9))
+    low, high = start * share, length - end * share
+    first, last = np.searchsorted(arc, (low, high))
+    return branch.points[first : max(last, first + 2)]
+
+
+def _options(group: list[Arm], leads: dict[Arm, Lead], overlap: Overlap | None) -> list[tuple[float, Pairing]]:
+    """All ways to pair the strands of a zone, with what they bend, least first; of an odd number one ends here."""
+    cost = {(a, b): bending(leads[a], leads[b]) for n, a in enumerate(group) for b in group[n + 1 :]}
+    if len(group) > _MOST_TRIED:
+        pairing: list[tuple[Arm, Arm]] = []
+        for a, b in sorted(cost, key=lambda pair: cost[pair]):
+            if not any({a, b} & set(pair) for pair in pairing):
+                pairing.append((a, b))
+        return [(sum(cost[pair] for pair in pairing), tuple(pairing))]
+    denied = {frozenset(pair) for pair in overlap.denied} if overlap is not None else set()
+    return sorted(
+        (sum(cost[pair] + _DENIED * (frozenset(pair) in denied) for pair in pairing), pairing)
+        for pairing in _pairings(group)
+    )
+
+
+def _pairings(group: list[Arm]) -> Iterator[Pairing]:
+    """Every way to pair as many of a group as possible."""
+    if len(group) < 2:
+        yield ()
+        return
+    if len(group) % 2:
+        for i in range(len(group)):
+            yield from _pairings(group[:i] + group[i + 1 :])
+        return
+    for i in range(1, len(group)):
+        for rest in _pairings(group[1:i] + group[i + 1 :]):
+            yield (group[0], group[i]), *rest
+
+
+def _partners(options: Options, chosen: dict[int, int]) -> dict[Arm, Arm]:
+    """Where each strand goes on."""
+    pairs = [pair for zone, row in options.items() for pair in row[chosen[zone]][1]]
+    return dict(pairs) | {b: a for a, b in pairs}
+
+
+def _routes(kept: tuple[int, ...], partner: dict[Arm, Arm]) -> list[list[Arm]]:
+    """The strands: by which arm each branch is entered. Those with ends first, rings after them."""
+    arms = [(i, end) for i in kept for end in (0, 1)]
+    routes, done = [], set()
+    for start in sorted(arms, key=lambda arm: arm in partner):
+        if start[0] in done:
+            continue
+        route, arm = [], start
+        while arm is not None and arm[0] not in done:
+            done.add(arm[0])
+            route.append(arm)
+            arm = partner.get((arm[0], 1 - arm[1]))
+        routes.append(route)
+    return routes
+
+
+def _open_rings(options: Options, chosen: dict[int, int], kept: tuple[int, ...]) -> None:
+    """Change the pairing where it costs least until no ring is left that a change would join to another strand."""
+
+    def count() -> tuple[int, int]:
+        partner = _partners(options, chosen)
+        routes = _routes(kept, partner)
+        return sum(route[0] in partner for route in routes), len(routes)
+
+    rings, strands = count()
+    while rings:
+        changes = []
+        for zone, row in options.items():
+            now = chosen[zone]
+            for other in range(len(row)):
+                chosen[zone] = other
+                after = count()
+                if after[0] < rings and after[1] < strands:
+                    changes.append((row[other][0] - row[now][0], zone, other, after))
+            chosen[zone] = now
+        if not changes:
+            return
+        _, zone, chosen_option, (rings, strands) = min(changes)
+        chosen[zone] = chosen_option
+
+
+def _curve(
+    route: list[Arm],
+    trimmed: dict[int, Array],
+    partner: dict[Arm, Arm],
+    ways: dict[tuple[Arm, Arm], Array],
+    width: float,
+) -> Array:
+    """A strand's branches, and smooth curves through the zones between them."""
+    pieces = [trimmed[i][:: 1 - 2 * end] for i, end in route]
+    if route[0] in partner:  # a ring is cut open where the first branch begins
+        pieces.append(pieces[0][:1])
+    run = [pieces[0]]
+    for (i, end), before, after in zip(route, pieces[:-1], pieces[1:], strict=False):
+        leaves = (i, 1 - end)
+        way = ways.get((leaves, partner[leaves]))
+        if way is not None and len(way) > _FOLLOWED * width:
+            run += [_joint(before, way, width), way, _joint(way, after, width), after]
+        else:
+            run += [_joint(before, after, width), after]
+    return np.concatenate(run)
+
+
+def _joint(before: Array, after: Array, width: float) -> Array:
+    """What lies between two curves with steps of about a pixel."""
+    reach = max(round(width / 2), 1)
+    out = before[-1] - before[-min(reach + 1, len(before))]
+    into = after[min(reach, len(after) - 1)] - after[0]
+    return hermite(before[-1], unit(out), after[0], unit(into), 1.0)

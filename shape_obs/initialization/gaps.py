@@ -1,0 +1,208 @@
+"""Bridging: the pieces of an interrupted rope, joined end to end.
+
+How much a rope bends that goes on from one strand to another, and the smooth curve it takes.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.geometry.polyline import arc_length, interpolate
+
+Array = npt.NDArray[np.float64]
+
+
+# So many pieces are joined in the best order of all; the work doubles with each more. Beyond, nearest and straightest
+# first.
+_MOST_ORDERED: Final = 7
+
+# In widths: over how much of a piece its direction is taken.
+_REACH: Final = 1.5
+
+# What of a piece's end is not looked at, and cut off in a gap, in widths: at a slanting cut a centreline runs into the
+# sharper corner.
+_RAGGED: Final = 0.7
+
+# What the bending energy of a bridge costs, in widths of gap: a right angle over five widths as much as three widths.
+_STIFFNESS: Final = 6.0
+
+
+class Bridged(NamedTuple):
+    """Pieces joined into one curve.
+
+    Args:
+        curve: (P,2) pixels.
+        bridged: (P,) bool, the points in the gaps.
+        bends: What the bridge over each gap bends, radians squared, in the order of the gaps.
+        rival: Price of the best way to join the pieces that differs in a gap, over the price of this one; inf if there
+            is no other.
+    """
+
+    curve: Array
+    bridged: npt.NDArray[np.bool_]
+    bends: tuple[float, ...]
+    rival: float
+
+
+def bridge(pieces: list[Array], width: float) -> Bridged:
+    """Join curves into one by smooth bridges, the short and straight ones overall.
+
+    The price of a gap is its length and the bending energy of the bridge.
+
+    Args:
+        pieces: (P_i,2) curves, pixels, in no particular direction.
+        width: Of the rope, pixels.
+    """
+    if len(pieces) == 1:
+        return Bridged(pieces[0], np.zeros(len(pieces[0]), bool), (), np.inf)
+    price, bend = _prices([_cut(piece, width) for piece in pieces], width)
+    total, order = _ordered(price) if len(pieces) <= _MOST_ORDERED else _greedy(price)
+    rival = np.inf
+    if len(pieces) <= _MOST_ORDERED:
+        for out, into in zip(order[1:-1:2], order[2::2], strict=True):
+            without = price.copy()
+            without[out, into] = without[into, out] = np.inf
+            rival = min(rival, _ordered(without)[0])
+    walked = [
+        _cut(pieces[entry // 2][:: 1 - 2 * (entry % 2)], width, start=place > 0, end=place < len(pieces) - 1)
+        for place, entry in enumerate(order[::2])
+    ]
+    run, is_gap = [walked[0]], [np.zeros(len(walked[0]), bool)]
+    for before, after in pairwise(walked):
+        out, into = -lead(before[::-1], width).heading, lead(after, width).heading
+        gap = hermite(before[-1], out, after[0], into, width / 4)
+        run += [gap, after]
+        is_gap += [np.ones(len(gap), bool), np.zeros(len(after), bool)]
+    bends = tuple(float(bend[out, into]) for out, into in zip(order[1:-1:2], order[2::2], strict=True))
+    return Bridged(np.concatenate(run), np.concatenate(is_gap), bends, rival / max(total, 1e-9))
+
+
+def _cut(piece: Array, width: float, *, start: bool = True, end: bool = True) -> Array:
+    """A piece without its ragged ends."""
+    arc = arc_length(piece)
+    cut = min(_RAGGED * width, 0.3 * float(arc[-1]))
+    low, high = cut * start, arc[-1] - cut * end
+    first, last = interpolate(piece, arc, np.array([low, high]))
+    return np.concatenate([first[None], piece[(arc > low) & (arc < high)], last[None]])
+
+
+def _prices(pieces: list[Array], width: float) -> tuple[Array, Array]:
+    """Price and bend of going on from each end to each other: (2n,2n) twice; end 2 i + e is that of piece i."""
+    ends = [piece[:: 1 - 2 * e] for piece in pieces for e in (0, 1)]
+    leads = [lead(end, _REACH * width) for end in ends]
+    size = len(ends)
+    price, bend = np.full((size, size), np.inf), np.zeros((size, size))
+    for p in range(size):
+        for q in range(p + 1, size):
+            if p // 2 != q // 2:
+                bend[p, q] = bend[q, p] = bending(leads[p], leads[q])
+                gap = float(np.linalg.norm(ends[q][0] - ends[p][0]))
+                reach = float(np.linalg.norm(leads[q].point - leads[p].point)) + width
+                price[p, q] = price[q, p] = gap / width + _STIFFNESS * 4 * bend[p, q] * width / reach
+    return price, bend
+
+
+def _ordered(price: Array) -> tuple[float, list[int]]:
+    """The cheapest way through all pieces, and the ends in its order (Held and Karp, 1962)."""
+    size = len(price)
+    full = (1 << size // 2) - 1
+    best = np.full((full + 1, size), np.inf)
+    came = np.zeros((full + 1, size), int)
+    for end in range(size):
+        best[1 << end // 2, end] = 0.0
+    for done in range(1, full):
+        options = best[done][:, None] + price
+        cheapest = options.min(axis=0)
+        for entry in range(size):
+            if not done >> entry // 2 & 1 and cheapest[entry] < best[done | 1 << entry // 2, entry ^ 1]:
+                best[done | 1 << entry // 2, entry ^ 1] = cheapest[entry]
+                came[done | 1 << entry // 2, entry ^ 1] = int(options[:, entry].argmin())
+    end = int(best[full].argmin())
+    total, done, order = float(best[full, end]), full, [end, end ^ 1]
+    while done & (done - 1):
+        before = int(came[done, end])
+        done, end = done ^ 1 << end // 2, before
+        order += [end, end ^ 1]
+    return total, order[::-1]
+
+
+def _greedy(price: Array) -> tuple[float, list[int]]:
+    """The cheapest gap first, as long as it closes no ring."""
+    size = len(price)
+    far = {end: end ^ 1 for end in range(size)}  # the other end of the chain that begins here
+    next_end: dict[int, int] = {}
+    total = 0.0
+    for place in np.argsort(price, axis=None):
+        p, q = divmod(int(place), size)
+        if p in far and q in far and far[p] != q and p // 2 != q // 2:
+            next_end[p], next_end[q] = q, p
+            total += float(price[p, q])
+            first, second = far.pop(p), far.pop(q)
+            far[first], far[second] = second, first
+            if len(far) == 2:
+                break
+    end = min(far)
+    order = [end, end ^ 1]
+    while order[-1] in next_end:
+        order += [next_end[order[-1]], next_end[order[-1]] ^ 1]
+    return total, order
+
+
+class Lead(NamedTuple):
+    """How a strand leaves a zone or a gap.
+
+    Args:
+        point: (2,) pixels, where it is clear of the zone.
+        heading: (2,) unit vector, away from the zone.
+    """
+
+    point: Array
+    heading: Array
+
+
+def lead(curve: Array, reach: float) -> Lead:
+    """How a curve of (P,2) pixels leaves its first point: taken in the middle of its first piece of ``reach`` pixels.
+
+    On a bend a chord is parallel to the tangent in its middle, so the two belong together.
+    """
+    step = np.diff(curve, axis=0)
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
+    reach = min(reach, arc[-1])
+    start, middle, end = interpolate(curve, arc, np.array([0.0, reach / 2, reach]))
+    return Lead(middle, unit(end - start))
+
+
+def unit(vector: Array) -> Array:
+    """A (2,) vector of length one in the same direction; zero for zero."""
+    return vector / max(float(np.hypot(vector[0], vector[1])), 1e-9)
+
+
+def bending(before: Lead, after: Lead) -> float:
+    """How much a smooth curve from one strand to another bends: its bending energy times its length over 4, rad^2.
+
+    Both headings point away from the gap. Of a cubic that turns by a and b from its chord at its ends the energy is
+    4 (a^2 - a b + b^2) over its length: an arc is cheaper than an S.
+    """
+    gap = after.point - before.point
+    first, second = turn(-before.heading, gap), turn(gap, after.heading)
+    return first * first - first * second + second * second
+
+
+def hermite(start: Array, out: Array, end: Array, into: Array, step: float) -> Array:
+    """A smooth curve between two points with the given unit tangents, both along the way: (P,2), ends left out."""
+    length = float(np.linalg.norm(end - start))
+    t = np.linspace(0, 1, max(round(length / step), 1) + 1)[1:-1, None]
+    return (
+        (1 + 2 * t) * (1 - t) ** 2 * start
+        + t**2 * (3 - 2 * t) * end
+        + t * (1 - t) * length * ((1 - t) * out - t * into)
+    )
+
+
+def turn(before: Array, after: Array) -> float:
+    """Signed angle from one direction to another, radians."""
+    return float(np.arctan2(before[0] * after[1] - before[1] * after[0], before @ after))

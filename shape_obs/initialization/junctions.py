@@ -1,0 +1,255 @@
+"""Where strands meet: the nodes of a skeleton gathered into zones that every rope passes straight through.
+
+Strands that cross at a steep angle thin to nodes within one another's reach. At an acute angle, or side by side, they
+share a branch for a while, from the node where they meet to the one where they part. A rope that passes through leaves
+an even number of branches at a zone, so which odd zones share a branch is a matching (as in route inspection: Kwan,
+"Graphic Programming Using Odd or Even Points", 1962).
+
+What two strands do along a branch that they share: run side by side, or cross.
+
+The silhouette tells: strands side by side are as thick as two, and where one crosses the other they lie on top of each
+other and are as thick as one. Each such waist is a crossing.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import maximum_filter1d
+
+from shape_obs.geometry.polyline import arc_length
+from shape_obs.initialization.gaps import Lead
+from shape_obs.initialization.skeleton import Branch, Skeleton
+
+Arm = tuple[int, int]  # a branch, and which of its ends
+
+
+# What it costs that a rope ends in the middle of a mask, as widths of a shared branch: two such ends are dearer than
+# any crossing's shared branch, and cheaper than a rope lying on itself for this far.
+_END: Final = 8.0
+
+# The price of a width of a shared branch where its radius is that of one strand, and of two side by side, in widths.
+_THICK: Final = (0.55, 0.8)
+
+_PER_WIDTH: Final = (3.0, 0.2)
+
+# Of the sum of both radii.
+_WITHIN: Final = 0.5
+
+_MOST_ODD: Final = 16  # the matching is found by trying all; beyond, each zone takes its nearest
+
+
+class Zones(NamedTuple):
+    """Where strands meet.
+
+    Args:
+        kept: The branches that one strand runs along.
+        shared: The branches that two run along.
+        of: The zone of either end of every kept and shared branch.
+    """
+
+    kept: tuple[int, ...]
+    shared: tuple[int, ...]
+    of: dict[Arm, int]
+
+
+def find_zones(skeleton: Skeleton) -> Zones:
+    """Gather the nodes of a skeleton into zones."""
+    branches = skeleton.branches
+    parent = {node: node for branch in branches for node in branch.nodes}
+    shared = _matching(branches, skeleton.width)
+    for i in shared:
+        _union(parent, *branches[i].nodes)
+    degree = _degrees(branches)
+    within = [i for i, branch in enumerate(branches) if i not in shared and _is_within(branch, degree)]
+    for i in within:
+        _union(parent, *branches[i].nodes)
+    of = {(i, end): _find(parent, branch.nodes[end]) for i, branch in enumerate(branches) for end in (0, 1)}
+    kept = tuple(i for i in range(len(branches)) if i not in {*shared, *within})
+    return Zones(kept, tuple(shared), of)
+
+
+def _is_within(branch: Branch, degree: dict[int, int]) -> bool:
+    """Whether a branch joins two nodes that are one: either lies well inside the largest disc about the other."""
+    first, second = branch.nodes
+    joins = first != second and min(degree[first], degree[second]) > 1
+    return joins and branch.length <= _WITHIN * (branch.radius[0] + branch.radius[-1])
+
+
+def _matching(branches: tuple[Branch, ...], width: float) -> list[int]:
+    """The branches that two strands share: each odd zone lies at one of them at most, or holds the end of a rope."""
+    degree = _degrees(branches)
+    odd = sorted(zone for zone, count in degree.items() if count % 2 and count > 1)
+    place = {zone: bit for bit, zone in enumerate(odd)}
+    links: list[list[tuple[float, int, int]]] = [[] for _ in odd]
+    for i, branch in enumerate(branches):
+        first, second = (place.get(node) for node in branch.nodes)
+        if first is not None and second is not None and first != second:
+            low, high = sorted((first, second))
+            links[low].append((_price(branch, width), high, i))
+
+    @cache
+    def best(left: int) -> tuple[float, tuple[int, ...]]:
+        """The cheapest way to match the zones in a set of bits."""
+        if not left:
+            return 0.0, ()
+        low = (left & -left).bit_length() - 1
+        rest = left & ~(1 << low)
+        options = [(_END + best(rest)[0], best(rest)[1])]
+        for price, high, i in links[low]:
+            if rest >> high & 1:
+                cost, chosen = best(rest & ~(1 << high))
+                options.append((price + cost, (*chosen, i)))
+        return min(options)
+
+    if len(odd) <= _MOST_ODD:
+        return list(best((1 << len(odd)) - 1)[1])
+    matched: set[int] = set()
+    chosen = []
+    for price, low, high, i in sorted((p, low, high, i) for low, row in enumerate(links) for p, high, i in row):
+        if price < 2 * _END and not {low, high} & matched:
+            matched |= {low, high}
+            chosen.append(i)
+    return chosen
+
+
+def _price(branch: Branch, width: float) -> float:
+    """Of sharing a branch: its length in widths, counted more where it is slender."""
+    slender = np.interp(branch.radius / width, _THICK, _PER_WIDTH)
+    return branch.length / width * float(slender.mean())
+
+
+def _degrees(branches: tuple[Branch, ...]) -> dict[int, int]:
+    """How many branches leave each node."""
+    degree: dict[int, int] = {}
+    for branch in branches:
+        for node in branch.nodes:
+            degree[node] = degree.get(node, 0) + 1
+    return degree
+
+
+def _find(parent: dict[int, int], node: int) -> int:
+    while parent[node] != node:
+        node = parent[node]
+    return node
+
+
+def _union(parent: dict[int, int], first: int, second: int) -> None:
+    parent[_find(parent, second)] = _find(parent, first)
+
+
+Array = npt.NDArray[np.float64]
+
+
+# Radius over the width of one strand: 0.5 to 0.71 in the middle of a crossing, from acute to square; 0.9 to 1 of
+# strands side by side. Below the first they lie on top of each other, above the second they do not.
+_ONE: Final = 0.76
+
+_TWO: Final = 0.82
+
+# A waist of strands that cross at 25 degrees is two widths long, a little longer where they bend. Along a longer one
+# strands may change sides unseen.
+_LONGEST: Final = 4.0
+
+# Nowhere are strands that cross thinner than one strand: a neck is where two touch in a few pixels, side by side.
+_NECK: Final = 0.42
+
+# In widths: a branch shorter than the first is one node that thinning took apart. Up to the second the crossing is
+# steep, its thickness lies between that of one strand and two, and the bends tell more.
+_NODE: Final = 0.5
+
+_SHORT: Final = 1.2
+
+_TWO_FOR_SURE: Final = 0.92
+
+_TOUCH: Final = 1.3  # the longest branch, in widths, from the axis of one strand to that of another that it touches
+
+# The skeleton strays from the axis by a pixel, and the radius drops: within so many widths the largest counts.
+_JITTER: Final = 0.2
+
+
+class Overlap(NamedTuple):
+    """Two strands along a shared branch.
+
+    Args:
+        pairs: Which strand comes out as which.
+        paths: (P,2) pixels each, the centre of either strand on the way, in the direction of its pair.
+        back: Whether the strands may also turn back before the branch: it is no longer than where two touch.
+        doubt: Why this may be wrong, or nothing.
+    """
+
+    pairs: tuple[tuple[Arm, Arm], tuple[Arm, Arm]]
+    paths: tuple[Array, Array]
+    back: bool
+    doubt: str
+
+    @property
+    def denied(self) -> tuple[tuple[Arm, Arm], ...]:
+        """What the silhouette speaks against."""
+        (a, b), (c, d) = self.pairs
+        return ((a, d), (c, b)) if self.back else ((a, d), (c, b), (a, c), (b, d))
+
+
+def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, Lead], width: float) -> Overlap | None:
+    """Follow two strands along the branch they share; None where it says nothing, and least bending must decide.
+
+    Args:
+        branch: With the skeleton's radii.
+        starts: The two strands at its first node.
+        ends: The two strands at its last node.
+        leads: How they leave.
+        width: Of one strand, pixels.
+    """
+    side, thinnest, doubt = _sides(branch, width)
+    is_neck = float(branch.radius.min()) < _NECK * width
+    is_steep = branch.length < _NODE * width or (branch.length < _SHORT * width and _ONE <= thinnest < _TWO_FOR_SURE)
+    if is_neck or is_steep:
+        return None
+    arc = arc_length(branch.points)
+    near, far = np.searchsorted(arc, (min(width, arc[-1]), max(arc[-1] - width, 0.0)))
+    behind = np.mean([leads[arm].point for arm in starts], axis=0)
+    ahead = np.mean([leads[arm].point for arm in ends], axis=0)
+    first = _by_side(starts, leads, behind, branch.points[near] - behind)
+    last = _by_side(ends, leads, ahead, ahead - branch.points[far])
+    if side[-1] != side[0]:
+        last = last[::-1]
+    tangent = np.gradient(branch.points, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+    offset = (side * np.maximum(branch.radius - width / 2, 0.0))[:, None] * normal
+    paths = branch.points - offset, branch.points + offset
+    back = branch.length < _TOUCH * width
+    return Overlap(((first[0], last[0]), (first[1], last[1])), paths, back, doubt)
+
+
+def _by_side(arms: list[Arm], leads: dict[Arm, Lead], middle: Array, ahead: Array) -> list[Arm]:
+    """The strands from left to right, looking ahead, as the image is seen."""
+    return sorted(arms, key=lambda arm: float((leads[arm].point - middle) @ (-ahead[1], ahead[0])))
+
+
+def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], float, str]:
+    """On which side a strand runs that begins on the right (1): (P,) 1 or -1.
+
+    With it the smallest radius over the width, and why the sides may be wrong, or nothing.
+    """
+    arc = arc_length(branch.points)
+    steps = round(_JITTER * width * (len(arc) - 1) / max(float(arc[-1]), 1e-9))
+    relative = maximum_filter1d(branch.radius, 2 * steps + 1) / width
+    side = np.ones(len(arc), np.intp)
+    doubt = ""
+    start: int | None = None
+    for i, value in enumerate(relative):
+        if start is None and value < _ONE:
+            start = i
+        if start is not None and (value > _TWO or i == len(arc) - 1):
+            side[(start + i + 1) // 2 :] *= -1
+            if arc[i] - arc[start] > _LONGEST * width:
+                doubt = f"strands lie on each other for {arc[i] - arc[start]:.0f} px: which comes out where is a guess"
+            start = None
+    thinnest = float(relative.min())
+    if _ONE <= thinnest < _TWO:
+        doubt = f"strands touch for {arc[-1]:.0f} px: whether they cross cannot be told"
+    return side, thinnest, doubt

@@ -1,0 +1,1 @@
+"""Fit shapes in space: deprojection, voxels, geodesics, unrolling."""

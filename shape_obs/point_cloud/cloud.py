@@ -1,0 +1,285 @@
+"""A cloud of points in space, as a body that shapes are fitted to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_matrix
+from scipy.spatial import KDTree
+
+from shape_obs.compiled import NUMPY, Kernels
+from shape_obs.frame import FARTHEST
+from shape_obs.geometry.outline import clockwise
+from shape_obs.geometry.samples import Samples
+from shape_obs.point_cloud.geodesics import ring
+from shape_obs.point_cloud.unrolling import Chart, border, chart
+from shape_obs.point_cloud.voxels import Indices, Ribbon, gather, links, measure, pieces
+
+Array = npt.NDArray[np.float64]
+
+_MOST: Final = 20_000  # points; more say nothing new and cost time
+_EDGE: Final = 0.5  # of a voxel, in widths
+_COARSE: Final = 1 / 40  # and at most, of the extent: what is no rope is not thin
+_MIN_SHARE: Final = 0.02  # of the largest piece's points; smaller pieces are specks
+# Points farther from the middle than so many times the median are no part of the object.
+_FAR: Final = 12.0
+_FEWEST: Final = 4  # samples that a sheet has
+_RING: Final = 8.0  # widths: a ring is longer
+_MAX_PIECES: Final = 16  # and falls into no more: the cost of joining them grows with the cube of their number
+_SOME: Final = 1000  # points that tell the middle
+# How near a point of the cloud lies if it carries a place: in widths, and in voxels where the cloud is sparse.
+_NEAR: Final = (0.75, 2.0)
+
+
+class Sheet(NamedTuple):
+    """A sheet and its map in the plane, not mirrored as seen along +z.
+
+    Args:
+        outline: (P,3) metres, closed, clockwise as seen along +z.
+        flat: (M,2) metres, where the cloud's samples lie on the map.
+        outline_flat: (P,2) metres, where the outline lies on it.
+    """
+
+    outline: Array
+    flat: Array
+    outline_flat: Array
+
+
+class Piece(NamedTuple):
+    """One piece that hangs together.
+
+    Args:
+        samples: Indices of the cloud's samples.
+        area: Points.
+    """
+
+    samples: Indices
+    area: float
+
+
+class _Pieces(NamedTuple):
+    """The pieces of a cloud without specks.
+
+    Args:
+        points: (M',3) metres.
+        sample: (M',) which sample each point belongs to.
+        samples: Their voxels.
+        links: How the voxels hang together.
+        components: Largest first.
+    """
+
+    points: Array
+    sample: Indices
+    samples: Samples
+    links: csr_matrix
+    components: tuple[Piece, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points of one object in space.
+
+    Args:
+        points: (M,3) metres, plausible ones.
+        kernels: What runs the inner loops.
+    """
+
+    points: Array
+    kernels: Kernels = field(default=NUMPY, kw_only=True)
+    unit: ClassVar[str] = "m"
+    noun: ClassVar[str] = "cloud"
+    grains: ClassVar[str] = "points"
+    thinnest: ClassVar[float] = 3e-4
+
+    @property
+    def pieces(self) -> int:
+        """How many pieces there are, specks left out."""
+        return len(self.components)
+
+    @cached_property
+    def amount(self) -> int:
+        """Points, specks left out."""
+        return len(self.kept)
+
+    @property
+    def kept(self) -> Array:
+        """(M',3) metres, the points without specks."""
+        return self._pieces.points
+
+    @property
+    def samples(self) -> Samples:
+        """The points in voxels of half the object's width; of sheets, a fortieth of their extent."""
+        return self._pieces.samples
+
+    @property
+    def links(self) -> csr_matrix:
+        """(M',M') distances between samples that hang together, metres."""
+        return self._pieces.links
+
+    @property
+    def components(self) -> tuple[Piece, ...]:
+        """Pieces that hang together, largest first."""
+        return self._pieces.components
+
+    @cached_property
+    def within(self) -> float:
+        """Variance across a strand that the samples hide, square metres: two of the three directions of a voxel."""
+        offset = self.kept - self.samples.points[self._pieces.sample]
+        return float(np.mean(np.sum(offset**2, axis=1))) * 2 / 3
+
+    @cached_property
+    def width(self) -> float:
+        """Thickness, metres: sqrt(12) times the rms spread across the local axis; the short side of a sheet."""
+        return max(self._ribbon.width, self.samples.scale) if len(self.kept) else 0.0
+
+    @property
+    def stretch(self) -> float:
+        """Length of a rope-like cloud, metres."""
+        return self._ribbon.stretch
+
+    @property
+    def grain(self) -> float:
+        """What the cloud resolves: the edge of a voxel, metres."""
+        return self.samples.scale
+
+    def breadth(self, length: float) -> float:
+        """The width that a spread in both directions across is judged by, metres."""
+        return max(self._ribbon.breadth, self.samples.scale)
+
+    def seen(self, points: Array, target: Array | None) -> Array:
+        """The points as an anchor is given: (N,3); without one as seen along +z, from the cloud's top left: (N,2)."""
+        if target is not None:
+            return points
+        return points[:, :2] - self.kept[:, :2].min(axis=0)
+
+    def carries(self, points: Array) -> npt.NDArray[np.bool_]:
+        """Whether the cloud has points near (N,3) places: (N,) bool."""
+        return self.near(points)
+
+    def near(self, points: Array) -> npt.NDArray[np.bool_]:
+        """Whether a sample lies within three quarters of the width, or two voxels, of (N,3) places: (N,) bool."""
+        reach = max(_NEAR[0] * self._ribbon.width, _NEAR[1] * self.samples.scale)
+        # A sheet's width is its short side; what carries a place on it is a voxel beside it.
+        reach = min(reach, _NEAR[1] * self.samples.scale)
+        return np.asarray(self._tree.query(points)[0] <= reach)
+
+    def around(self, place: Array, reach: float) -> Array:
+        """(P,3) the points within ``reach`` metres of a place (3,)."""
+        offset = self.kept - place
+        return self.kept[np.einsum("md,md->m", offset, offset) <= reach**2]
+
+    def outline(self) -> Array:
+        """(P,3) closed boundary, clockwise as seen along +z: a ring's axis, or the border of a sheet."""
+        return self.sheet().outline if self._ring is None else self._ring
+
+    @property
+    def outlined(self) -> float:
+        """The share of the cloud that the outline goes around: all of a ring, the largest piece of a sheet."""
+        return 1.0 if self._ring is not None else self.components[0].area / max(self.amount, 1)
+
+    @cached_property
+    def _ring(self) -> Array | None:
+        if self.stretch < _RING * self.width or len(self.components) > _MAX_PIECES:
+            return None
+        around = ring(self.samples, self.links, [piece.samples for piece in self.components], self.width)
+        return around if around is None or clockwise(around) else around[::-1]
+
+    def sheet(self) -> Sheet:
+        """The cloud unrolled into a plane, and its border there and in space."""
+        return self._sheet
+
+    @cached_property
+    def chart(self) -> Chart:
+        """The map that takes places on the sheet to space and back."""
+        return chart(self.samples, self.links)
+
+    @cached_property
+    def _sheet(self) -> Sheet:
+        if len(self.samples) < _FEWEST:  # a point, as far as an outline goes
+            return Sheet(self.samples.points[:1], np.zeros((len(self.samples), 2)), np.zeros((1, 2)))
+        around = border(self.chart.to_flat(self.kept, self._pieces.sample))
+        return Sheet(self.chart.to_space(around), self.chart.flat, around)
+
+    @cached_property
+    def _ribbon(self) -> Ribbon:
+        return measure(self._thinned)
+
+    @cached_property
+    def _tree(self) -> KDTree:
+        return KDTree(self.samples.points, balanced_tree=False, compact_nodes=False)
+
+    @cached_property
+    def _thinned(self) -> Array:
+        if len(self.points) <= _MOST:
+            return self.points
+        return self.points[np.random.default_rng(0).choice(len(self.points), _MOST, replace=False)]
+
+    @cached_property
+    def _pieces(self) -> _Pieces:
+        points = self._thinned
+        if not len(points):
+            nothing = Samples(np.zeros((0, 3)), np.zeros(0), 1.0)
+            return _Pieces(points, np.zeros(0, np.intp), nothing, csr_matrix((0, 0)), ())
+        extent = float(np.linalg.norm(np.ptp(points, axis=0)))
+        voxels = gather(points, min(_EDGE * self._ribbon.width, _COARSE * extent))
+        graph = links(voxels.samples)
+        found = pieces(graph, voxels.samples.weight, _MIN_SHARE)
+        samples, cube = voxels
+        weight = samples.weight
+        place = np.arange(len(samples))
+        keep = np.sort(np.concatenate(found))
+        if len(keep) < len(samples):
+            place[:] = -1
+            place[keep] = np.arange(len(keep))
+            cube = place[cube]
+            points, cube = points[cube >= 0], cube[cube >= 0]
+            samples = Samples(samples.points[keep], weight[keep], samples.scale)
+            graph = graph[keep][:, keep]
+        components = tuple(Piece(place[piece], float(weight[piece].sum())) for piece in found)
+        return _Pieces(points, cube, samples, graph, components)
+
+
+def read_cloud(points: Any, kernels: Kernels = NUMPY) -> Cloud:
+    """The cloud of an array: (M,3), or organised as (H,W,3), floating metres.
+
+    Raises:
+        TypeError: No floating array.
+        ValueError: Another shape.
+    """
+    if not isinstance(points, np.ndarray) or not np.issubdtype(points.dtype, np.floating):
+        came = f"an array of {points.dtype}" if isinstance(points, np.ndarray) else type(points).__name__
+        raise TypeError(
+            f"points: expected a numpy array of floating metres, got {came}; scale millimetres by 0.001, and stack the "
+            "fields of a PointCloud2: np.stack([cloud['x'], cloud['y'], cloud['z']], axis=-1)."
+        )
+    if points.ndim not in (2, 3) or points.shape[-1] != 3:
+        raise ValueError(
+            f"points: expected shape (M, 3) or (H, W, 3), got {points.shape}; of (M, 4) or more give points[:, :3]."
+        )
+    return Cloud(plausible(points.reshape(-1, 3)), kernels=kernels)
+
+
+def plausible(points: npt.NDArray[np.floating[Any]]) -> Array:
+    """The points that can belong to one object: finite, not absurdly far off, none that a camera writes for "none".
+
+    Args:
+        points: (M,3) metres.
+    """
+    points = points.astype(np.float64)
+    columns = points.T
+    near = np.ones(len(points), bool)
+    for column in columns:
+        near &= np.abs(column) < FARTHEST
+    near &= (columns[0] != 0) | (columns[1] != 0) | (columns[2] != 0)
+    points = points[near]
+    if not len(points):
+        return points
+    some = points[:: -(-len(points) // _SOME)]
+    middle = np.median(some, axis=0)
+    typical = np.median(np.sum((some - middle) ** 2, axis=1))
+    offset = points - middle
+    return points[np.einsum("md,md->m", offset, offset) <= _FAR**2 * typical]

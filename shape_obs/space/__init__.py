@@ -1,1 +1,0 @@
-"""Geometry of point clouds: thickness, voxels, geodesics, unrolling. Knows arrays alone."""

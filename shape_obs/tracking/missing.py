@@ -1,0 +1,104 @@
+"""What happens to what was not seen: lost shapes and single points without depth. Both policies live here."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.geometry.topology import Topology
+from shape_obs.shape import Shape
+
+OnMissing = Literal["hold", "truncate", "raise", "nan"]
+OnInvalid = Literal["interpolate", "hold", "nan"]
+
+
+class ShapeLostError(RuntimeError):
+    """A shape was not found and ``on_missing="raise"`` was asked for; the message says why it was not."""
+
+
+def lost_shape(
+    name: str,
+    layout: Topology,
+    *,
+    reason: str,
+    in_2d: bool,
+    in_3d: bool,
+    last: Shape | None,
+    age: float,
+    max_age: float,
+    policy: OnMissing,
+) -> Shape:
+    """What stands in for a shape that was not found.
+
+    ``"hold"`` repeats the last points and stays ok for ``max_age`` seconds; ``"truncate"`` repeats them too, never ok
+    (the wrapper ends the episode); ``"nan"`` forgets them; ``"raise"`` raises. No point is visible or valid.
+
+    Args:
+        name: The configuration's name.
+        layout: How its N points hang together.
+        reason: Why it was not found.
+        in_2d: Whether points2d are wanted.
+        in_3d: Whether points3d are wanted.
+        last: The shape when it was last found.
+        age: Seconds since then.
+        max_age: See above.
+        policy: See above.
+
+    Raises:
+        ShapeLostError: With ``policy="raise"``.
+    """
+    if policy == "raise":
+        raise ShapeLostError(f"shape {name!r} was not found: {reason}")
+    nobody = np.zeros(layout.size, bool)
+    nowhere = np.full((layout.size, 3), np.nan, np.float32) if in_3d else None
+    if last is None or policy == "nan":
+        return Shape(
+            name,
+            np.full((layout.size, 2), np.nan, np.float32) if in_2d else None,
+            nowhere,
+            visible=nobody,
+            valid=nobody,
+            layout=layout,
+            ok=False,
+            quality=0.0,
+            reason=reason,
+            age=age,
+        )
+    return replace(
+        last,
+        points3d=nowhere if last.points3d is None else last.points3d,
+        visible=nobody,
+        valid=nobody,
+        ok=policy == "hold" and age <= max_age,
+        quality=0.0,
+        reason=reason,
+        age=age,
+    )
+
+
+def fill_invalid(
+    expected: npt.NDArray[np.float32],
+    valid: npt.NDArray[np.bool_],
+    last: npt.NDArray[np.float32] | None,
+    policy: OnInvalid,
+) -> npt.NDArray[np.float32]:
+    """What stands in for points without depth; they stay ``valid=False`` whatever fills them.
+
+    Args:
+        expected: (N,3) metres: valid points, and where the others should be.
+        valid: (N,) bool.
+        last: (N,3) of the last frame, for ``"hold"``.
+        policy: ``"interpolate"`` takes what is expected (in an image, the point's own ray at the depth of its
+            neighbours; in a cloud, its place on the form); ``"hold"`` the last frame's; ``"nan"`` nothing.
+
+    Returns:
+        (N,3); NaN where the policy has nothing to fill with.
+    """
+    if policy == "interpolate" or np.count_nonzero(valid) == len(valid):
+        return expected
+    points3d = expected.copy()
+    points3d[~valid] = np.nan if policy == "nan" or last is None else last[~valid]
+    return points3d

@@ -1,0 +1,1 @@
+"""Files, threads, imports and timing; nothing here depends on shapes."""
