@@ -1,0 +1,300 @@
+"""Surfaces: lattices over sheets; `shape_obs.bench.surface_claims` measures the same on more of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from shape_obs import Intrinsics, ShapeDetector, SpecError, Surface
+from shape_obs.bench.sheets import Sheet, draw_sheet, random_sheet, regular, rotation
+from shape_obs.bench.surface_claims import (
+    ASPECTS,
+    drawn_sheets,
+    first_corner,
+    moving_sheets,
+    noisy_sheets,
+    score_sheet,
+    sheet_table,
+    turning_sheets,
+)
+
+REAL = Path(__file__).parents[3] / "shared" / "data" / "real"
+
+
+def one(mask: np.ndarray, spec: Surface | None = None, **kwargs: Any) -> Any:
+    return ShapeDetector([spec or Surface()]).detect_mask(mask, **kwargs).shapes[0]
+
+
+def placed(points: np.ndarray, degrees: float = 0.0, scale: float = 1.0, size: tuple[int, int] = (480, 640)) -> Sheet:
+    """A lattice about the origin, turned and put into the middle of an image."""
+    return draw_sheet(points @ rotation(degrees).T * scale + np.array([size[1] - 1, size[0] - 1]) / 2, size)
+
+
+@pytest.fixture(scope="module")
+def towel() -> Sheet:
+    return random_sheet(np.random.default_rng(4), 1.5, 20.0)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    return list(drawn_sheets(36, seed=3))
+
+
+class TestClaims:
+    def test_every_drawn_sheet_is_found(self, drawn):
+        assert len(drawn) == 36 * 5 * 2
+        assert {result.aspect for result in drawn} == set(ASPECTS)
+        assert [result for result in drawn if not result.ok] == []
+        assert np.median([result.quality for result in drawn]) > 0.9
+        assert min(result.quality for result in drawn) > 0.35
+
+    def test_every_point_has_its_true_index(self, drawn):
+        assert [result for result in drawn if not result.corner_right] == []
+        assert max(result.score.slip for result in drawn) <= 0.5
+
+    def test_points_lie_on_their_material(self, drawn):
+        assert max(result.score.mean for result in drawn) <= 3.0
+        assert float(np.mean([result.score.mean for result in drawn])) <= 1.5
+        assert {row["lattice"] for row in sheet_table(drawn)} == {"4x8", "2x2", "3x3", "8x8", "6x10"}
+
+    def test_a_full_turn_in_steps_of_a_degree(self):
+        (turn,) = turning_sheets([1])
+        assert turn.frames == 361
+        assert (turn.tracked_slips, turn.tracked_not_ok, turn.cold_wrong, turn.cold_not_ok) == (0, 0, 0, 0)
+        assert turn.worst_move <= 0.5
+        assert 4 <= turn.cold_undecided <= 20
+
+    def test_moving_sheets_keep_their_index(self):
+        for result in moving_sheets([12], [0, 3], frames=180):
+            assert (result.frames, result.slips, result.not_ok) == (180, 0, 0), result
+            assert result.mean_distance <= 3.0
+
+    def test_points_rest_under_a_noisy_mask(self):
+        for result in noisy_sheets([0, 3], frames=30):
+            assert result.not_ok == 0
+            assert result.mean <= 0.3
+
+
+class TestLattice:
+    @pytest.mark.parametrize("ends", ["centers", "tips"])
+    @pytest.mark.parametrize("lattice", [(4, 8), (2, 2), (7, 3)])
+    def test_a_rectangle_is_divided_into_equal_pieces(self, ends, lattice):
+        mask = np.zeros((240, 320), np.uint8)
+        mask[60:180, 40:280] = 255  # from -0.5 to +0.5 beyond the outermost pixels' centres
+        shape = one(mask, Surface(rows=lattice[0], cols=lattice[1], ends=ends))
+        sides = [(np.arange(n) + 0.5) / n if ends == "centers" else np.linspace(0, 1, n) for n in lattice]
+        v, u = np.meshgrid(59.5 + 120 * sides[0], 39.5 + 240 * sides[1], indexing="ij")
+        assert shape.ok
+        assert shape.visible.all()
+        np.testing.assert_allclose(shape.points2d.reshape(*lattice, 2), np.stack([u, v], axis=-1), atol=0.7)
+
+    def test_neighbours_are_the_lattices(self, towel):
+        shape = one(towel.mask)
+        assert len(shape.layout.edges()) == 4 * 7 + 3 * 8
+        gaps = np.linalg.norm(np.diff(shape.points2d[shape.layout.edges()], axis=1)[:, 0], axis=1)
+        right, down = gaps[:28], gaps[28:]
+        assert right.std() / right.mean() < 0.1
+        assert down.std() / down.mean() < 0.1
+
+    def test_the_detectors_ends_are_the_default(self, towel):
+        asked = one(towel.mask, Surface(ends="tips")).points2d
+        default = ShapeDetector([Surface()], ends="tips").detect_mask(towel.mask).shapes[0].pixels
+        np.testing.assert_array_equal(asked, default)
+        assert np.abs(asked - one(towel.mask).points2d).max() > 5
+
+    def test_specs(self):
+        assert ShapeDetector(["surface"]).shapes[0].count == 32
+        assert Surface.from_dict({"kind": "surface", "rows": 3, "cols": 5}).layout.size == 15
+        with pytest.raises(ValueError, match=r"surface: rows and cols must lie in 2...100, got 1 and 8"):
+            Surface(rows=1)
+        with pytest.raises(SpecError, match="unknown field 'columns'; did you mean 'cols'"):
+            Surface.from_dict({"kind": "surface", "columns": 5})
+
+
+class TestNumbering:
+    @settings(max_examples=15)
+    @given(seed=st.integers(0, 2**32 - 1), aspect=st.sampled_from(ASPECTS), degrees=st.floats(0, 360))
+    def test_rows_run_down_and_columns_right(self, seed, aspect, degrees):
+        sheet = random_sheet(np.random.default_rng(seed), aspect, degrees)
+        shape = one(sheet.mask)
+        assert shape.ok, shape.reason
+        lattice = shape.points2d.reshape(4, 8, 2)
+        right, down = (np.diff(lattice, axis=axis).mean(axis=(0, 1)) for axis in (1, 0))
+        assert right[0] * down[1] - right[1] * down[0] > 0  # never mirrored
+        right, down = right / np.linalg.norm(right), down / np.linalg.norm(down)
+        assert right[0] + down[1] >= 2 * np.cos(np.radians(45)) - 0.05
+        expected, undecided = first_corner(sheet)
+        best = min(range(4), key=lambda k: score_sheet(shape.points2d, sheet, 4, 8, "centers", k).mean)
+        assert best == expected or undecided
+
+    @settings(max_examples=10)
+    @given(seed=st.integers(0, 2**32 - 1), quarters=st.integers(1, 3))
+    def test_a_picture_on_its_side_has_the_same_square_lattice(self, seed, quarters):
+        """What turns with the picture is the numbering alone."""
+        sheet = random_sheet(np.random.default_rng(seed), 1.0, 10.0)
+        upright = one(sheet.mask, Surface(rows=5, cols=5)).points2d
+        turned = one(np.ascontiguousarray(np.rot90(sheet.mask, quarters)), Surface(rows=5, cols=5)).points2d
+        width, height = 640, 480
+        for _ in range(quarters):
+            upright = np.stack([upright[:, 1], width - 1 - upright[:, 0]], axis=1)
+            width, height = height, width
+        np.testing.assert_allclose(np.rot90(upright.reshape(5, 5, 2), quarters), turned.reshape(5, 5, 2), atol=0.5)
+
+    @pytest.mark.parametrize("corner", range(4))
+    def test_an_anchor_begins_at_its_corner(self, towel, corner):
+        places = towel.points[[0, 0, -1, -1], [0, -1, -1, 0]]
+        outside = places[corner] + 0.3 * (places[corner] - towel.points.mean(axis=(0, 1)))
+        shape = one(towel.mask, Surface(ends="tips", anchor=(float(outside[0]), float(outside[1]))))
+        np.testing.assert_allclose(shape.points2d[0], places[corner], atol=3)
+        np.testing.assert_allclose(shape.points2d[7], places[(corner + 1) % 4], atol=3)
+
+    def test_image_order_numbers_each_frame_anew(self):
+        tracked, image = ShapeDetector([Surface()]), ShapeDetector([Surface()], order="image")
+        firsts: list[list[np.ndarray]] = []
+        for degrees in range(0, 100, 4):
+            mask = placed(regular(1.5), degrees, 0.8).mask
+            firsts.append([d.detect_mask(mask).shapes[0].pixels[0] for d in (tracked, image)])
+        np.testing.assert_allclose(firsts[0][0], firsts[0][1])
+        assert np.linalg.norm(firsts[-1][0] - firsts[-1][1]) > 100
+        assert firsts[-1][1][1] < 240  # still a top corner
+
+
+class TestGate:
+    @pytest.mark.parametrize(
+        ("draw", "reason"),
+        [
+            (lambda m: cv2.circle(m, (320, 240), 100, (255,), -1), "the outline has 0 corners, a sheet has four"),
+            (lambda m: cv2.fillPoly(m, [np.array([[100, 400], [500, 400], [300, 60]])], (255,)), "3 corners"),
+            (lambda m: cv2.rectangle(m, (50, 200), (600, 210), (255,), -1), "too slender for a sheet"),
+            (lambda m: cv2.rectangle(m, (50, 200), (54, 206), (255,), -1), "too small for a sheet"),
+            (lambda m: cv2.rectangle(m, (-50, 100), (300, 300), (255,), -1), "corners are out of sight"),
+        ],
+    )
+    def test_what_is_no_sheet_is_refused(self, draw, reason):
+        mask = np.zeros((480, 640), np.uint8)
+        draw(mask)
+        shape = one(mask)
+        assert not shape.ok
+        assert reason in shape.reason
+
+    def test_two_pieces_are_no_sheet(self, towel):
+        mask = towel.mask.copy()
+        cv2.line(mask, (0, 0), (639, 479), (0,), 12)
+        assert "falls into 2 pieces" in one(mask).reason
+
+    def test_a_hand_over_a_side_is_told_and_survived(self, towel):
+        detector = ShapeDetector([Surface()])
+        before = detector.detect_mask(towel.mask).shapes[0]
+        bitten = towel.mask.copy()
+        cv2.circle(bitten, tuple(np.round(towel.points[0, 32]).astype(int).tolist()), 30, (0,), -1)
+        held = detector.detect_mask(bitten).shapes[0]
+        assert "between two corners" in held.reason
+        assert not held.visible.any()
+        np.testing.assert_array_equal(held.pixels, before.pixels)
+        after = detector.detect_mask(towel.mask).shapes[0]
+        assert not after.reason
+        np.testing.assert_allclose(after.pixels, before.pixels, atol=0.1)
+
+    def test_a_hole_hides_its_points_alone(self, towel):
+        mask = towel.mask.copy()
+        whole = one(mask)
+        cv2.circle(mask, tuple(np.round(whole.points2d[12]).astype(int).tolist()), 12, (0,), -1)
+        shape = one(mask)
+        assert shape.ok
+        assert np.flatnonzero(~shape.visible).tolist() == [12]
+        np.testing.assert_allclose(shape.points2d, whole.points2d, atol=0.1)
+
+    @settings(max_examples=15)
+    @given(seed=st.integers(0, 2**32 - 1))
+    def test_anything_may_be_a_mask(self, seed):
+        rng = np.random.default_rng(seed)
+        mask = cv2.resize(rng.random((rng.integers(3, 9), rng.integers(3, 9))), (96, 72)) > rng.uniform(0.3, 0.7)
+        detector = ShapeDetector([Surface()])
+        for view in (mask, np.roll(mask, 2, axis=1), mask[::-1]):
+            shape = detector.detect_mask(view).shapes[0]
+            assert shape.ok == (not shape.reason) or shape.age > 0
+            assert 0 <= shape.quality <= 1
+            assert not shape.ok or np.isfinite(shape.pixels).all()
+
+
+class TestSmallImages:
+    @pytest.mark.parametrize(("size", "scale"), [((84, 84), 0.16), ((120, 160), 0.25)])
+    def test_training_frames(self, size, scale):
+        for seed in range(12):
+            big = random_sheet(np.random.default_rng(seed), ASPECTS[seed % 4], 0.0, bend=0.02)
+            points = big.points - big.points.mean(axis=(0, 1))
+            sheet = placed(points, 31.0 * seed, scale, size)
+            shape = one(sheet.mask)
+            assert shape.ok, shape.reason
+            best = min((score_sheet(shape.points2d, sheet, 4, 8, "centers", k) for k in range(4)), key=lambda s: s.mean)
+            assert best.mean <= 0.8
+            assert best.slip <= 0.5
+
+
+CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
+
+
+@pytest.fixture(scope="module", params=[0, 25, 40])
+def tilted(request):
+    """A flat cloth of 0.3 x 0.2 m under a tilt: its material in metres, its mask and its depth."""
+    angle = np.radians(request.param)
+    v, u = np.meshgrid(np.linspace(-0.1, 0.1, 65), np.linspace(-0.15, 0.15, 65), indexing="ij")
+    points = np.stack([u, v * np.cos(angle), 0.8 + v * np.sin(angle)], axis=-1)
+    mask = draw_sheet(CAMERA.project(points.reshape(-1, 3)).reshape(65, 65, 2)).mask
+    # On the plane z = 0.8 + y tan(angle), and y = z (v - cy) / fy.
+    slope = np.tan(angle) * (np.arange(480.0) - CAMERA.cy) / CAMERA.fy
+    depth = np.repeat((0.8 / (1 - slope))[:, None], 640, axis=1)
+    noisy = depth + np.random.default_rng(0).normal(0, 0.001, depth.shape)
+    return points, mask, np.where(mask > 0, noisy, 1.5), request.param
+
+
+class TestInSpace:
+    """Equal gaps in the image are not equal on a cloth that is seen under a tilt."""
+
+    def error_mm(self, tilted, **kwargs):
+        points, mask, depth, _ = tilted
+        shape = one(mask, Surface(ends="centers", **kwargs), depth=depth, camera=CAMERA)
+        assert shape.ok, shape.reason
+        assert shape.valid.all()
+        away = shape.points3d.reshape(4, 8, 3) - Sheet(points, mask).lattice(4, 8, "centers")
+        return 1e3 * float(np.linalg.norm(away, axis=-1).mean())
+
+    def test_equal_in_metres(self, tilted):
+        assert self.error_mm(tilted, spacing="m") <= 1.5
+
+    def test_equal_in_pixels_is_off_under_a_tilt(self, tilted):
+        assert self.error_mm(tilted) <= (1.5 if tilted[3] == 0 else 8)
+
+    def test_fitted_in_space(self, tilted):
+        assert self.error_mm(tilted, lift="cloud") <= 2
+
+
+@pytest.mark.skipif(not REAL.exists(), reason=f"the shared data is not there: {REAL}")
+class TestRealMasks:
+    def test_silhouettes_score_by_what_they_are(self):
+        """Towels, T-shirts and shorts as people photographed them: the aRTF Clothes data."""
+        quality: dict[str, list[float]] = {}
+        for garment in json.loads((REAL / "garment_silhouettes.json").read_text()):
+            mask = np.zeros((garment["height"] // 3, garment["width"] // 3), np.uint8)
+            cv2.fillPoly(mask, [np.round(np.array(garment["polygon"]) / 3).astype(np.int32)], (255,))
+            shape = one(mask)
+            assert shape.ok == (not shape.reason)
+            quality.setdefault(garment["kind"], []).append(shape.quality)
+        assert min(quality["towels"]) > 0.4
+        assert np.median(quality["towels"]) > 0.8
+        for kind in ("tshirts", "shorts"):
+            assert np.mean(np.array(quality[kind]) == 0) > 0.5
+            assert np.quantile(quality[kind], 0.9) < 0.5
+
+    def test_harnesses_are_no_sheets(self):
+        for path in sorted(REAL.glob("harness_mask_*.png")):
+            mask = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+            assert mask is not None
+            assert "too slender" in one(mask).reason

@@ -1,0 +1,283 @@
+"""``shape-obs extract``: the same dataset whatever happens on the way, with the features that a policy would see."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow")
+pytest.importorskip("mujoco")
+
+from pyarrow import dataset, parquet
+
+from shape_obs import save_config
+from shape_obs.cli import main
+from shape_obs.config import load_config, schema_hash
+from shape_obs.detector import ShapeDetector
+from shape_obs.features import FeatureVector, View, read_features
+from shape_obs.recording import record, replay
+from shape_obs_envs.sources import open_source
+from shape_obs_envs.sources.realsense.driver import librealsense
+
+REAL = Path(__file__).parents[3] / "shared" / "data" / "real" / "realsense_d4xx_single_640x480.bag"
+COUNT, FRAMES, N = 20, 4, 8
+ROPE = {"kind": "centerline", "name": "rope", "n": N, "anchor": "gripper0", "ends": "tips", "spacing": "m"}
+BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
+FEATURES = ["points3d", {"kind": "points3d", "frame": "base"}, {"kind": "fourier", "harmonics": 3, "frame": "base"}]
+
+# Dies as by the kernel's hand while the eighth file is half written.
+KILLED = """
+import os, signal, sys
+import shape_obs.recording.table as table
+from shape_obs.cli import main
+
+whole, left = table.write_whole, [8]
+
+def dying(path, write):
+    def half(beside):
+        write(beside)
+        os.truncate(beside, beside.stat().st_size // 2)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    left[0] -= 1
+    whole(path, write if left[0] else half)
+
+table.write_whole = dying
+main(sys.argv[1:])
+"""
+
+
+def run(capsys, *arguments) -> tuple[object, Any, str]:
+    """(exit code, what --json told or None, stderr) of the command in this process."""
+    with pytest.raises(SystemExit) as stop:
+        main(["extract", *map(str, arguments), "--json"])
+    captured = capsys.readouterr()
+    return stop.value.code, json.loads(captured.out) if captured.out else None, captured.err
+
+
+def content(folder):
+    """Name -> bytes of everything in a folder, hidden files too."""
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """Twenty recordings of a simulated cable in ``recorded``, the last with two episodes, and a config."""
+    folder = tmp_path_factory.mktemp("place")
+    save_config(folder / "c.yaml", {"shapes": [ROPE], "segmentation": BLUE, "features": FEATURES, "backend": "numpy"})
+    with open_source(
+        "ShapeObs/Cable-v0", seed=0, actions="random", renderer="rays", camera=(96, 72), max_episode_steps=FRAMES - 1
+    ) as source:
+        for i in range(COUNT):
+            record(source, folder / "recorded" / f"r{i:02d}", frames=FRAMES * (1 + (i == COUNT - 1)))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def clean(place):
+    """The dataset as one undisturbed run makes it."""
+    with pytest.raises(SystemExit) as stop:
+        main(["extract", str(place / "recorded"), "--config", str(place / "c.yaml"), "-o", str(place / "clean")])
+    assert stop.value.code == 0
+    return place / "clean"
+
+
+def test_one_table_of_all_episodes(place, clean):
+    table = dataset.dataset(clean, format="parquet").to_table()
+    assert len(content(clean)) == COUNT + 2, "a file for each episode, and what made them"
+    assert len(table) == (COUNT + 1) * FRAMES
+    assert all(table["rope/ok"].to_pylist())
+    assert set(table["source"].to_pylist()) == {str(place / "recorded" / f"r{i:02d}") for i in range(COUNT)}
+    assert table["frame"].to_pylist()[:FRAMES] == list(range(FRAMES))
+    assert len(set(table["episode"].to_pylist())) == COUNT + 1
+    assert not {"received", "created"} & set(table.column_names)
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.read_parquet(clean)
+    assert len(frame) == len(table)
+    assert np.stack(frame["rope/points3d"]).shape == (len(table), 3 * N)
+
+
+def test_features_are_those_of_the_vector(place, clean):
+    """As a detector and a feature vector of one's own give them, with units and hashes beside."""
+    config = load_config(place / "c.yaml")
+    detector = ShapeDetector(**{name: value for name, value in config.items() if name != "features"})
+    with open_source(place / "recorded" / "r03") as source:
+        seen = [(moment, detection, moment.frame.camera) for moment, detection in replay(source, detector)]
+    view = View(96, 72, seen[0][2], max_age=detector.config.max_age)
+    vector = FeatureVector(read_features(FEATURES), detector.shapes, view)
+    expected = []
+    for moment, detection, camera in seen:
+        x, y, z = moment.anchors["gripper0"]
+        now = View(96, 72, camera, max_age=0.5, anchor=(x, y, z), anchors=moment.anchors)
+        expected.append(vector.compute(detection.shapes, [now]))
+    (part,) = clean.glob("part-r03-*.parquet")
+    table = parquet.read_table(part)
+    names = ["rope/features/points3d", "rope/features/points3d_2", "rope/features/fourier"]
+    for name, block in zip(names, vector.blocks, strict=True):
+        assert str(table.schema.field(name).type).startswith("fixed_size_list<")
+        assert np.array_equal(np.stack(table[name].to_pylist()).astype(np.float32), np.array(expected)[:, block.place])
+        assert np.array(table[f"{name}/measured"].to_pylist()).all()
+    points = np.stack(table["rope/points3d"].to_pylist()).astype(np.float32)
+    assert np.array_equal(points, [np.ravel(np.asarray(detection["rope"].points3d)) for _, detection, _ in seen])
+    told = json.loads(table.schema.metadata[b"shape_obs"])
+    assert told["schema_hash"] == told["made_with"]["schema_hash"] == schema_hash(config)
+    assert told["features"][names[1]] == {
+        "feature": read_features(FEATURES[1])[0].to_dict(),
+        "units": 3 * N * ["m"],
+    }
+
+
+def test_killed_and_restarted_is_one_clean_run(place, clean, capsys, monkeypatch):
+    arguments = [str(place / "recorded"), "--config", str(place / "c.yaml"), "-o", str(place / "killed")]
+    died = subprocess.run([sys.executable, "-c", KILLED, "extract", *arguments], capture_output=True, timeout=120)
+    assert died.returncode == -signal.SIGKILL
+    before = content(place / "killed")
+    half = [name for name in before if name.startswith(".")]
+    assert len(half) == 1, "beside its place"
+    assert sum(name.startswith("part-") for name in before) == 7
+    code, told, _ = run(capsys, *arguments)
+    assert (code, told["done"], told["kept"], told["failed"]) == (0, COUNT + 1 - 7, 7, [])
+    assert (told["frames"], told["ok"]) == ((COUNT + 1) * FRAMES, {"rope": (COUNT + 1) * FRAMES})
+    assert content(place / "killed") == content(clean)
+    assert run(capsys, *arguments)[1]["kept"] == COUNT + 1
+
+
+def test_processes_give_the_same(place, clean, capsys):
+    sources = sorted((place / "recorded").iterdir())[-3:]
+    code, told, err = run(capsys, *sources, "--config", place / "c.yaml", "-o", place / "two", "--jobs", 2)
+    assert (code, told["done"]) == (0, 4)
+    assert "extracting" in err, "a progress bar"
+    assert content(place / "two").items() <= content(clean).items()
+
+
+@pytest.mark.long
+def test_ray_gives_the_same(place, clean, capsys, monkeypatch):
+    pytest.importorskip("ray")
+    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")  # of somebody's cluster, which nobody asked to join
+    arguments = ["--config", place / "c.yaml", "-o", place / "ray", "--engine", "ray", "--jobs", 2]
+    shutil.copytree(place / "recorded" / "r00", place / "bad")
+    (place / "bad" / "rgb" / "000001.png").write_bytes(b"junk")
+    code, told, _ = run(capsys, place / "bad", *sorted((place / "recorded").iterdir())[-3:], *arguments)
+    assert (code, told["done"]) == (1, 4)
+    assert [failure["source"] for failure in told["failed"]] == [str(place / "bad")]
+    found = {name: data for name, data in content(place / "ray").items() if name != "_failures.json"}
+    assert found.items() <= content(clean).items()
+
+
+def test_a_damaged_recording_loses_only_itself(place, tmp_path, capsys):
+    """An image of the one, the lines of the other; and of one with two episodes, only the one that is damaged."""
+    for name in ("r00", "r01", "r02", "r19"):
+        shutil.copytree(place / "recorded" / name, tmp_path / "in" / name)
+    whole = (tmp_path / "in" / "r01" / "rgb" / "000002.png").read_bytes()
+    (tmp_path / "in" / "r01" / "rgb" / "000002.png").write_bytes(b"junk")
+    (tmp_path / "in" / "r02" / "frames.jsonl").write_bytes(b"no lines\n" * 5)
+    (tmp_path / "in" / "r19" / "depth" / f"{FRAMES:06d}.npy").unlink(missing_ok=True)
+    (tmp_path / "in" / "r19" / "depth" / f"{FRAMES:06d}.png").unlink(missing_ok=True)
+    arguments = (tmp_path / "in", "--config", place / "c.yaml", "-o", tmp_path / "out")
+    code, told, err = run(capsys, *arguments)
+    assert (code, told["done"], told["files"]) == (1, 2, 2)
+    assert [Path(failure["source"]).name for failure in told["failed"]] == ["r01", "r02", "r19"]
+    assert [failure["index"] for failure in told["failed"]] == [0, 0, 1]
+    assert "rgb/000002.png: damaged" in told["failed"][0]["reason"]
+    assert f"failed: {tmp_path / 'in' / 'r02'}: " in err
+    assert json.loads((tmp_path / "out" / "_failures.json").read_text()) == told["failed"]
+    assert len(dataset.dataset(tmp_path / "out", format="parquet").to_table()) == 2 * FRAMES
+    (tmp_path / "in" / "r01" / "rgb" / "000002.png").write_bytes(whole)
+    shutil.rmtree(tmp_path / "in" / "r02")
+    shutil.rmtree(tmp_path / "in" / "r19")
+    code, told, _ = run(capsys, *arguments)
+    assert (code, told["done"], told["kept"], told["failed"]) == (0, 1, 1, [])
+    assert not (tmp_path / "out" / "_failures.json").exists()
+
+
+def test_what_changed_is_done_anew_or_refused(place, tmp_path, capsys):
+    shutil.copytree(place / "recorded" / "r00", tmp_path / "in" / "a")
+    shutil.copytree(place / "recorded" / "r19", tmp_path / "in" / "b")
+    arguments = (tmp_path / "in", "--config", place / "c.yaml", "-o", tmp_path / "out")
+    assert run(capsys, *arguments)[1]["done"] == 3
+    shutil.rmtree(tmp_path / "in" / "b")
+    shutil.copytree(place / "recorded" / "r05", tmp_path / "in" / "b")  # one episode where there were two
+    told = run(capsys, *arguments)[1]
+    assert (told["done"], told["kept"], told["files"]) == (1, 1, 2)
+    assert len(dataset.dataset(tmp_path / "out", format="parquet").to_table()) == 2 * FRAMES
+    before = content(tmp_path / "out")
+    for extra, message in (
+        (("--features", "centroid"), "with config_hash "),
+        (("--frames", "2"), "with frames None, this run has 2: choose another --out, or remove the folder."),
+    ):
+        code, told, err = run(capsys, *arguments, *extra)
+        assert (code, told) == (1, None)
+        assert message in err
+    assert content(tmp_path / "out") == before
+    # Recordings that come later join the others.
+    shutil.copytree(place / "recorded" / "r07", tmp_path / "in" / "c")
+    told = run(capsys, *arguments)[1]
+    assert (told["done"], told["kept"]) == (1, 2)
+
+
+def test_images_and_a_video_without_depth(tmp_path, capsys):
+    (tmp_path / "photos").mkdir()
+    writer = cv2.VideoWriter(str(tmp_path / "rope.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (96, 72))
+    for i in range(3):
+        image = np.full((72, 96, 3), 190, np.uint8)
+        cv2.line(image, (10, 30 + 4 * i), (80, 40), (200, 60, 30), 6)
+        cv2.imwrite(str(tmp_path / "photos" / f"{i}.png"), image)
+        writer.write(image)
+    writer.release()
+    save_config(tmp_path / "c.yaml", {"shapes": [{"kind": "centerline", "n": N}], "segmentation": BLUE})
+    code, told, _ = run(
+        capsys, tmp_path, "--config", tmp_path / "c.yaml", "-o", tmp_path / "out", "--frames", 2,
+        "--features", "{kind: centroid, frame: pixels}", "ok",
+    )  # fmt: skip
+    assert (code, told["done"], told["frames"], told["ok"]) == (0, 2, 4, {"centerline": 4})
+    table = dataset.dataset(tmp_path / "out", format="parquet").to_table()
+    assert np.isfinite(np.stack(table["centerline/features/centroid"].to_pylist())).all()
+    assert np.isnan(np.stack(table["centerline/points3d"].to_pylist())).all(), "the column is there, its values are not"
+
+
+@pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not at hand")
+def test_the_recording_of_a_real_camera(tmp_path, capsys):
+    try:
+        librealsense()
+    except ImportError as error:
+        pytest.skip(f"no librealsense: {error}")
+    save_config(tmp_path / "c.yaml", {"segmentation": {"kind": "depth", "near": 0.3, "far": 5.0}, "on_missing": "nan"})
+    code, told, _ = run(capsys, REAL, "--config", tmp_path / "c.yaml", "-o", tmp_path / "out", "--frames", 1)
+    assert (code, told["done"], told["frames"]) == (0, 1, 1)
+    first = content(tmp_path / "out")
+    shutil.rmtree(tmp_path / "out")
+    run(capsys, REAL, "--config", tmp_path / "c.yaml", "-o", tmp_path / "out", "--frames", 1)
+    assert content(tmp_path / "out") == first
+
+
+def test_bad_input_gets_one_clear_line(place, clean, tmp_path, capsys):
+    good = (place / "recorded" / "r00", "--config", place / "c.yaml", "-o", tmp_path / "out")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "notes.txt").write_text("notes")
+    for arguments, message in (
+        ((tmp_path / "none", *good[1:]), "none: no such file or folder; record a camera or an environment first"),
+        ((tmp_path / "*.bag", *good[1:]), "*.bag: found no recording there"),
+        ((tmp_path, *good[1:]), "found no recording there: no recorded folder, images, .db3"),
+        ((*good[:3], "-o", tmp_path / "full"), "full: the folder is not empty, and holds no extraction"),
+        ((*good, "--jobs", "0"), "jobs: expected 1 or more, got 0"),
+        ((*good, "--address", "auto"), "address: only engine 'ray' has one"),
+        ((*good, "--features", "centriod"), "centroid"),
+        ((*good, "--extrinsics", "none.json"), "none.json: no such file"),
+    ):
+        code, told, err = run(capsys, *arguments)
+        lines = [line for line in err.replace("\r", "\n").splitlines() if line.startswith("shape-obs extract: ")]
+        assert (code, told) == (1, None), arguments
+        assert len(lines) == 1
+        assert message in lines[0]
+    assert not (tmp_path / "out").exists()
+    assert os.listdir(tmp_path / "full") == ["notes.txt"]

@@ -1,0 +1,59 @@
+"""Every example runs as its first lines say, is short, and prints what it promises."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium_gl
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+EXPECTED = {
+    "first_vector.py": "observation: (60,)",
+    "wrap_your_env.py": "bend 0.8: the middle lies 13",
+    "detect_photo.py": "ok: True",
+    "three_shapes.py": "cloth: Grid(rows=4, cols=8), ok: True",
+    "point_cloud.py": "20 ordered points, gaps",
+    "two_cameras.py": "camera 1: ok: True",
+    "shape_goal.py": "end: is_success: True, the simulator says True",
+    "markers.py": "frame 19: ok: True, markers (0, 1, 2, 3), 1.",
+    "deploy_loop.py": "goal            reached",
+    "foreign_env.py": "ok: True",
+    "foreign_env_depth.py": "13 points in metres, ok: True",
+    "shape_servo.py": "3 of 3 goals within 10 mm",
+    "servo_robot.py": "goal            reached",
+    "deploy_policy.py": "reads points3d every 0.05 s",
+    "features_offline.py": "pca, aligned    11 values, points back within  ",
+}
+# Run in small by test_train_examples.py.
+TRAINED = ("train_sac_her.py", "train_sac.py", "train_ppo.py", "train_cnn.py")
+DRAWN_BY_GYMNASIUM = ("foreign_env.py", "foreign_env_depth.py")
+
+
+def test_every_example_is_tested():
+    assert {path.name for path in EXAMPLES.glob("*.py")} == {*EXPECTED, *TRAINED}
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_example_runs(name, tmp_path):
+    environment = None
+    if name in DRAWN_BY_GYMNASIUM:
+        if gymnasium_gl.missing():
+            pytest.skip(gymnasium_gl.missing())
+        environment = gymnasium_gl.environment()
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / name],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert EXPECTED[name] in done.stdout
+
+
+@pytest.mark.parametrize("name", [*EXPECTED, *TRAINED])
+def test_example_is_short(name):
+    assert len((EXAMPLES / name).read_text().splitlines()) <= 90

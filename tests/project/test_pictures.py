@@ -1,0 +1,53 @@
+"""The page on failures says what comes out, case by case."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+@pytest.fixture(scope="module")
+def cases():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(DOCS / "pictures"))
+        from failures import CASES  # pyright: ignore[reportMissingImports]
+
+    return {name: make() for name, make in CASES.items()}
+
+
+@pytest.fixture(scope="module")
+def page():
+    return (DOCS / "what-can-go-wrong.md").read_text(encoding="utf-8")
+
+
+def unnumbered(text: str) -> str:
+    """The last digits differ between versions of NumPy and OpenCV."""
+    return re.sub(r"\d+(\.\d+)?", "#", text)
+
+
+def test_every_case_has_its_picture_on_the_page(cases, page):
+    for name in cases:
+        assert f"images/wrong_{name}.jpg" in page
+        assert (DOCS / "images" / f"wrong_{name}.jpg").exists()
+
+
+def test_reasons_and_qualities_on_the_page_are_those_that_come_out(cases, page):
+    for name, case in cases.items():
+        (row,) = [line for line in page.splitlines() if f"wrong_{name}.jpg" in line]
+        if case.shape.reason:
+            assert f'"{unnumbered(case.shape.reason)}"' in unnumbered(row)
+        else:
+            (quality,) = re.findall(r"0\.\d\d", row)
+            assert case.shape.quality == pytest.approx(float(quality), abs=0.02)
+
+
+def test_what_is_called_an_untold_error_is_one(cases, page):
+    untold = page.split("## Errors that are not told")[1]
+    for name, case in cases.items():
+        told = bool(case.shape.reason) or not case.shape.valid.all()
+        assert told, name
+        assert (f"wrong_{name}.jpg" in untold) == (name == "two_ropes")

@@ -1,0 +1,239 @@
+"""Recordings: nothing that was written is lost, and what is damaged is named."""
+
+from __future__ import annotations
+
+import resource
+import shutil
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from scripted_source import Script, equal, noise
+
+import shape_obs
+from shape_obs import CameraModel, Intrinsics
+from shape_obs.recording import Moment, Recording, RecordingWriter, record
+from shape_obs.recording.format import read_moments
+from shape_obs.source import BadRecording, SourceError
+from shape_obs_envs.sources import FolderSource
+
+FRAMES = 20
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Some frames."""
+    folder = tmp_path_factory.mktemp("noise") / "recording"
+    source: Any = Script(noise(FRAMES))
+    source.live = False
+    told = record(source, folder, frames=FRAMES)
+    assert (told.frames, told.missed, told.dropped, told.stopped) == (FRAMES, 0, 0, "done")
+    return folder
+
+
+def test_float_depth_cameras_that_move_and_missing_colour_come_back_too(tmp_path):
+    model = Intrinsics(32, 24, 40.1, 40.2, 15.5, 11.5)
+    draw = np.random.default_rng(1)
+    frames = []
+    for i in range(4):
+        pose = np.eye(4)
+        pose[:3, 3] = draw.normal(size=3)
+        depth = draw.normal(size=(24, 32)).astype(np.float32 if i % 2 else np.float64)
+        depth[3] = np.nan
+        frames.append(shape_obs.Frame(None, depth, CameraModel(model, pose), stamp=draw.normal(), number=i))
+    source: Any = Script(frames)
+    source.camera, source.live = frames[0].camera, False
+    record(source, tmp_path / "r", frames=4)
+    back = Recording(tmp_path / "r")
+    for i, frame in enumerate(frames):
+        got = back[i].frame
+        assert got.rgb is None
+        assert got.camera is not None
+        assert equal(got.depth, frame.depth)
+        assert got.stamp == frame.stamp
+        assert equal(got.camera.transform_camera_to_base, frame.camera.transform_camera_to_base)
+
+
+# ---- interruptions
+
+
+def test_a_recording_cut_at_any_byte_keeps_every_whole_frame(recorded, tmp_path):
+    folder = tmp_path / "cut"
+    shutil.copytree(recorded, folder)
+    text = (folder / "frames.jsonl").read_bytes()
+    lines = text.splitlines(keepends=True)
+    ends = np.cumsum([len(line) for line in lines])
+    draw = np.random.default_rng(0)
+    cuts = {
+        *draw.integers(ends[0], len(text), 25).tolist(),
+        *(int(end) + step for end in ends[-3:-1] for step in (-1, 0, 1)),
+    }
+    for cut in sorted(cuts):
+        (folder / "frames.jsonl").write_bytes(text[:cut])
+        recording = Recording(folder)
+        # A line that lacks nothing but its end is whole.
+        whole = sum(end - 1 <= cut for end in ends[:-1].tolist())
+        assert len(recording) == whole, cut
+        assert "was interrupted" in recording.warning
+        assert equal(
+            recording[-1].frame.rgb, np.asarray(cv2.imread(str(folder / f"rgb/{whole - 1:06d}.png")))[..., ::-1]
+        )
+    (folder / "frames.jsonl").write_bytes(text[: ends[9] + 20])
+    for name in ("rgb/000009.png", "depth/000008.png"):  # as after a power cut
+        (folder / name).write_bytes((folder / name).read_bytes()[:-30])
+    with (
+        pytest.warns(UserWarning, match="its 8 whole frames are read, the last 3 left out"),
+        FolderSource(folder) as source,
+    ):
+        assert len(source) == 8
+    (folder / "frames.jsonl").write_bytes(text[:40])
+    with pytest.raises(BadRecording, match="the recording holds no whole frame"):
+        Recording(folder)
+
+
+KILLED = """
+import sys
+from scripted_source import Script, noise
+from shape_obs.recording import record
+source = Script(noise(4) * 1000)
+source.live = False
+record(source, sys.argv[1], on_frame=lambda: print("frame", flush=True))
+"""
+
+
+def test_a_killed_recording_loses_nothing_that_was_written(tmp_path):
+    folder = tmp_path / "killed"
+    process = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(folder)],
+        cwd=Path(__file__).parents[1] / "support",
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    for _ in range(100):
+        assert process.stdout.readline() == "frame\n"
+    process.kill()
+    process.communicate()
+    lines = (folder / "frames.jsonl").read_bytes().count(b"\n")
+    recording = Recording(folder)
+    assert "was interrupted" in recording.warning
+    assert lines <= len(recording) <= lines + 1
+    assert lines > 100 - 64 - 3, "no more than what waited for the encoders is missing"
+    assert not any(recording.check())
+
+
+def test_a_recorder_that_is_interrupted_ends_cleanly(tmp_path):
+    source: Any = Script(noise(5), KeyboardInterrupt())
+    told = record(source, tmp_path / "r")
+    assert (told.frames, told.stopped) == (5, "interrupted")
+    assert Recording(tmp_path / "r").ended["stopped"] == "interrupted"
+
+
+def test_a_camera_that_is_lost_leaves_what_came(tmp_path):
+    source: Any = Script(noise(5), SourceError("the cable was pulled"))
+    told = record(source, tmp_path / "r")
+    assert (told.frames, told.stopped) == (5, "the cable was pulled")
+    assert Recording(tmp_path / "r").warning == ""
+    lost: Any = Script(noise(1), SourceError("no camera"))
+    next(lost.left)
+    with pytest.raises(SourceError, match="no camera"):
+        record(lost, tmp_path / "none")
+    assert not (tmp_path / "none").exists(), "and nothing where nothing came"
+
+
+def test_frames_that_were_missed_and_dropped_are_told(tmp_path, monkeypatch):
+    source: Any = Script(noise(5, numbers=[7, 8, 11, 12, 14]), KeyboardInterrupt())
+    assert record(source, tmp_path / "gaps").missed == 3
+    source = Script(noise(1))
+    with RecordingWriter(tmp_path / "slow", source, workers=1, pending=2) as writer:
+        slow = gated_encoders(monkeypatch)
+        taken = [writer.add(Moment(frame), wait=False) for frame in noise(5)]
+        slow.set()
+    assert taken == [True, True, False, False, False]
+    assert writer.frames == 2
+    assert len(Recording(tmp_path / "slow")) == 2
+
+
+def gated_encoders(monkeypatch):
+    """Encoders that wait until the gate is set."""
+    from shape_obs.recording import writer
+
+    gate, store = threading.Event(), writer.store
+
+    def waiting(*arguments):
+        assert gate.wait(60)
+        return store(*arguments)
+
+    monkeypatch.setattr(writer, "store", waiting)
+    return gate
+
+
+def test_a_full_disk_is_told_and_what_is_written_is_kept(tmp_path):
+    """A limit on the size of files stands in for a disk: the line of some frame does not fit any more."""
+    source: Any = Script(noise(400, size=(4, 4)))
+    source.live = False
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    try:
+        with pytest.raises(OSError, match=r"cannot write .*frames\.jsonl: .*; \d+ whole frames are kept in"):
+            record(source, tmp_path / "r", frames=400)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    recording = Recording(tmp_path / "r")
+    assert 20 < len(recording) < 400
+    assert not any(recording.check())
+
+
+def test_a_recording_needs_a_folder_of_its_own(recorded):
+    source: Any = Script(noise(1))
+    with pytest.raises(FileExistsError, match="the folder is not empty"):
+        record(source, recorded)
+
+
+# ---- damage
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "message"),
+    [
+        ("rgb/000003.png", "flip", r"rgb/000003\.png: damaged, its checksum differs"),
+        ("depth/000003.png", "cut", r"depth/000003\.png: damaged, its checksum differs"),
+        ("depth/000003.png", "remove", r"depth/000003\.png: cannot be read \(No such file or directory\)"),
+        ("camera.json", "remove", r"camera\.json: missing"),
+        ("camera.json", "cut", r"camera\.json: cannot be read"),
+        ("frames.jsonl", "remove", r"frames\.jsonl: cannot be read"),
+        ("frames.jsonl", "line", r"frames\.jsonl, line 4: damaged"),
+        ("frames.jsonl", "fewer", r"frames\.jsonl: 19 frames, but its end speaks of 20"),
+    ],
+)
+def test_damaged_files_are_named(recorded, tmp_path, name, damage, message):
+    folder = tmp_path / "damaged"
+    shutil.copytree(recorded, folder)
+    path = folder / name
+    data = path.read_bytes()
+    lines = data.split(b"\n")
+    if damage == "remove":
+        path.unlink()
+    elif damage in ("line", "fewer"):
+        path.write_bytes(b"\n".join([*lines[:3], *([b"{oops"] if damage == "line" else []), *lines[4:]]))
+    else:
+        half = len(data) // 2
+        path.write_bytes(data[:half] + (b"" if damage == "cut" else bytes([data[half] ^ 255]) + data[half + 1 :]))
+    with pytest.raises(BadRecording, match=message), FolderSource(folder) as source:
+        list(read_moments(source, 4))
+
+
+def test_checking_tells_all_that_is_damaged(recorded, tmp_path):
+    folder = tmp_path / "damaged"
+    shutil.copytree(recorded, folder)
+    for name in ("rgb/000003.png", "depth/000007.png"):
+        (folder / name).write_bytes(b"junk")
+    wrong = [text for text in Recording(folder).check() if text]
+    assert len(wrong) == 2
+    assert "rgb/000003.png" in wrong[0]
+    assert "depth/000007.png" in wrong[1]

@@ -1,0 +1,87 @@
+"""Gymnasium's own MuJoCo envs, wrapped as the examples do it, against the simulator's truth."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium_gl
+import pytest
+
+TRUTH = Path(__file__).parents[1] / "support" / "foreign_truth.py"
+PAGE = Path(__file__).parents[2] / "docs" / "foreign-envs.md"
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    if gymnasium_gl.missing():
+        pytest.skip(gymnasium_gl.missing())
+    done = subprocess.run(
+        [sys.executable, TRUTH],
+        cwd=tmp_path_factory.mktemp("foreign"),
+        env=gymnasium_gl.environment(),
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.mark.parametrize("view", ["above", "slanted", "track"])
+def test_every_pixel_of_the_depth_lies_on_a_surface_that_is_there(measured, view):
+    off = measured["surfaces"][view]
+    assert off["floor"] < 1e-4  # metres; the camera stands 4 to 6 m away
+    assert off["links"] < 2e-3  # the capsules are drawn as prisms: half a millimetre inside
+    assert 0.01 < off["share"] < 0.1
+
+
+def test_a_camera_that_swims_along_is_known_where_it_is(measured):
+    assert measured["surfaces"]["track"]["moved"] > 0.02  # and the test above saw it there
+    assert measured["surfaces"]["above"]["moved"] == 0
+
+
+def test_the_swimmer_in_colour(measured):
+    assert measured["rgb"]["ok"]
+    assert measured["rgb"]["pixels"] < 0.6
+    assert measured["rgb"]["worst_pixels"] < 2.5
+
+
+def test_the_swimmer_in_depth(measured):
+    assert measured["rgbd"]["ok"]
+    assert measured["rgbd"]["pixels"] < 0.9
+    assert measured["rgbd"]["metres"] < 0.02  # it is 3.2 m long
+    assert measured["rgbd"]["worst_metres"] < 0.08
+
+
+def test_another_env_by_the_same_camera(measured):
+    assert measured["reacher"]["ok"]
+    assert measured["reacher"]["pixels"] < 1
+    assert measured["reacher"]["metres"] < 0.003  # 0.2 m long
+    assert measured["reacher"]["worst_metres"] < 0.008
+
+
+def test_the_page_tells_what_is_measured(measured):
+    rows = re.findall(r"^\| (?:Swimmer|Reacher).*\|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(rows) == 3
+    for row, case in zip(rows, ("rgb", "rgbd", "reacher"), strict=True):
+        _, pixels, metres, _ = (cell.strip() for cell in row.strip("|").split("|"))
+        assert measured[case]["pixels"] == pytest.approx(float(pixels.removesuffix(" px")), abs=0.15)
+        if metres:
+            assert 1e3 * measured[case]["metres"] == pytest.approx(float(metres.removesuffix(" mm")), rel=0.25)
+
+
+def test_what_is_missing_is_told(monkeypatch):
+    monkeypatch.setattr(gymnasium_gl, "find_spec", lambda name: None)
+    assert "pip install 'gymnasium[mujoco]'" in gymnasium_gl.missing.__wrapped__()
+
+
+def test_the_environment_of_this_process_stays_as_it_is(monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    assert gymnasium_gl.environment()["MUJOCO_GL"] == "osmesa"
+    monkeypatch.delenv("MUJOCO_GL")
+    assert gymnasium_gl.environment().get("MUJOCO_GL") == ("egl" if sys.platform.startswith("linux") else None)
