@@ -19,7 +19,6 @@ from typing import Any, Final
 import yaml
 
 from shape_obs.clustering import Clusterer, Clustering, SelfOrganisingMap
-from shape_obs.compiled import Backend
 from shape_obs.configurations import Anchor, Centerline, Configuration, Ends, Order
 from shape_obs.features import read_features
 from shape_obs.image.roi import ROI, Whole
@@ -33,7 +32,7 @@ VERSION: Final = 1
 SECTIONS: Final = {
     "shape": ("shapes", "features", "order", "ends", "anchor", "clustering"),
     "scene": ("segmentation", "roi", "workspace"),
-    "runtime": ("on_missing", "on_invalid", "max_age", "dt", "backend"),
+    "runtime": ("on_missing", "on_invalid", "max_age", "dt"),
 }
 _WRAPPER_ONLY: Final = ("features", "workspace")
 
@@ -55,7 +54,6 @@ class DetectorConfig(Spec):
         on_invalid: What a point without depth becomes: ``"nan"``, ``"interpolate"`` or ``"hold"``.
         max_age: Seconds for which a held shape counts as ok.
         dt: Seconds between frames that carry no stamp.
-        backend: What runs the inner loops: ``"numpy"``, ``"numba"``, or ``"auto"``: Numba where it is installed.
     """
 
     shapes: tuple[Configuration, ...] = field(default_factory=lambda: (Centerline(),))
@@ -69,7 +67,6 @@ class DetectorConfig(Spec):
     on_invalid: OnInvalid = "nan"
     max_age: float = 0.5
     dt: float = 1 / 30
-    backend: Backend = "auto"
 
     def __post_init__(self) -> None:
         super().__post_init__()

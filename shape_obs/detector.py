@@ -1,4 +1,8 @@
-"""ShapeDetector: the pipeline from a frame to shapes, and its memory. Nothing else."""
+"""ShapeDetector: the way of a frame, from images to ordered points.
+
+image -> region -> initial form or prediction -> self-organising map -> finished form -> matched to the track ->
+validated -> lifted into space. ``_find`` names these steps in order.
+"""
 
 from __future__ import annotations
 
@@ -11,31 +15,29 @@ import numpy.typing as npt
 
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
 from shape_obs.clustering import Clusterer
-from shape_obs.compiled import Kernels, choose
-from shape_obs.compiled.warmup import warm_up
+from shape_obs.compiled import compile_now
 from shape_obs.config import DetectorConfig
 from shape_obs.configurations import Configuration
 from shape_obs.configurations.anchors import Anchors, anchor_pixel, anchor_point
-from shape_obs.configurations.cluster_assignment import clustered
-from shape_obs.configurations.fitting import Fit, fit
-from shape_obs.configurations.points import shape_of
+from shape_obs.configurations.cluster_assignment import assign_centres
+from shape_obs.configurations.shape_points import shape_of
 from shape_obs.frame import Frame, check_mask
+from shape_obs.geometry.observed import Observed
 from shape_obs.image.region import prepare
 from shape_obs.image.segmentation import Segmentation
-from shape_obs.point_cloud.body import Body
-from shape_obs.point_cloud.cloud import Cloud, read_cloud
-from shape_obs.point_cloud.deprojection import SeenCloud
+from shape_obs.point_cloud.lifting import median_depth
+from shape_obs.point_cloud.reading import read_cloud
 from shape_obs.shape import Detection, Shape
 from shape_obs.tracking.missing import lost_shape
-from shape_obs.tracking.prediction import Expected, Track
-from shape_obs.tracking.search_window import View, outlooks, placed
+from shape_obs.tracking.prediction import Fit, Track, advance, predict
+from shape_obs.tracking.search_window import RegionSearch, SearchWindow, locate, predict_search_window
 from shape_obs.utils.threads import use_no_threads_in_forked_children
-from shape_obs.utils.timing import Timed
 
 Array = npt.NDArray[np.float64]
 
-# Frames after which all of the image is looked at, though every shape is tracked: what was hidden may be back.
-_LOOK_AROUND: Final = 30
+# Frames after which all of the image is searched, though every shape is tracked: what was hidden may be back.
+_SEARCH_ALL: Final = 30
+_MIN_SAMPLES: Final = 16  # pixels or points of an object
 
 use_no_threads_in_forked_children()
 
@@ -49,11 +51,11 @@ class ShapeDetector:
         options: The other fields of ``DetectorConfig``.
 
     Attributes:
-        config: What was given.
+        config: The arguments, as one spec.
         shapes: The configurations, the detector's defaults filled in.
 
     Raises:
-        SpecError: An argument that is not understood; the nearest known name is told.
+        SpecError: An argument is not understood; the message names the nearest known one.
 
     Example:
         >>> detector = ShapeDetector([Centerline(n=20)], HSVRange(low=(90, 60, 30), high=(130, 255, 255)))
@@ -79,25 +81,18 @@ class ShapeDetector:
             given["segmentation"] = segmentation
         self.config = DetectorConfig.from_dict(given)
         self.shapes = self.config.resolved()
-        for rule in {spec.segmentation for spec in self.shapes}:
-            prepare(rule, self.kernels)
-        if self.kernels.compiled:
-            warm_up(ShapeDetector, self.shapes, self.config.backend)
+        functions = [*prepare(spec.segmentation for spec in self.shapes), median_depth]
+        compile_now([*functions, *(function for spec in self.shapes for function in spec.compiled)])
         self.reset()
-
-    @property
-    def kernels(self) -> Kernels:
-        """What runs the inner loops. Modules are not pickled: the backend is known by its name."""
-        return choose(self.config.backend)
 
     def reset(self) -> None:
         """Forget the track: the next frame is a cold start."""
         self._tracks: dict[str, Track] = {}
-        self._kinds: dict[str, type[Body]] = {}
+        self._kinds: dict[str, type[Observed]] = {}
         self._last: dict[str, tuple[Shape, float]] = {}
         self._stamp: float | None = None
-        self._place: Any = None  # what a region of interest that moves remembers
-        self._looked = 0
+        self._roi_memory: Any = None  # what a region of interest that moves remembers
+        self._frames = 0
         self._begin = 0.0
 
     def detect(
@@ -112,10 +107,11 @@ class ShapeDetector:
         """Find the shapes in a frame.
 
         Args:
-            rgb: (H,W,3) uint8, RGB order; may be None for a segmentation by depth.
-            depth: (H,W) uint16 millimetres or floating metres, aligned to rgb; 0, negative or non-finite = invalid.
-            camera: Intrinsics, or a camera model that knows its place in the base frame; with depth it gives 3D.
-            stamp: Seconds; without stamps frames are ``dt`` apart.
+            rgb: ``(H, W, 3)`` uint8, RGB order; may be None for a segmentation by depth.
+            depth: ``(H, W)`` uint16 millimetres or floating metres, aligned to rgb; 0, negative or non-finite =
+                invalid.
+            camera: Intrinsics, or a camera model with its place in the base frame; with depth it gives 3D.
+            stamp: In seconds; without stamps frames are ``dt`` apart.
             anchors: Name -> pixel (u, v) or base-frame point (x, y, z), for configurations with a named anchor.
 
         Raises:
@@ -133,7 +129,7 @@ class ShapeDetector:
                     f"shape {spec.name!r} has no segmentation: pass segmentation=HSVRange(low=..., high=...) to the "
                     "detector, or a mask of your own to detect_mask."
                 )
-        return self._on_image(frame, None, anchors, begin)
+        return self._detect_in_image(frame, None, anchors, begin)
 
     def detect_mask(
         self,
@@ -144,20 +140,10 @@ class ShapeDetector:
         stamp: float | None = None,
         anchors: Anchors = None,
     ) -> Detection:
-        """Find the shapes in a mask that someone else made: (H,W) bool or uint8, 0 = background. Else as ``detect``."""
+        """Find the shapes in a mask from elsewhere: ``(H, W)`` bool or uint8, 0 = background. Else as ``detect``."""
         begin = time.perf_counter()
         frame = Frame(None, depth, as_camera_model(camera), stamp)
-        mask = check_mask(mask)
-        size = (mask.shape[0], mask.shape[1])
-        for name, other in (
-            ("depth", frame.size),
-            ("the camera's intrinsics", frame.camera and frame.camera.intrinsics.size),
-        ):
-            if other is not None and other != size:
-                raise ValueError(
-                    f"the mask has {size[1]} x {size[0]} pixels, {name} {other[1]} x {other[0]}: they must be equal."
-                )
-        return self._on_image(frame, mask, anchors, begin)
+        return self._detect_in_image(frame, check_mask(mask, frame), anchors, begin)
 
     def detect_cloud(
         self,
@@ -167,15 +153,15 @@ class ShapeDetector:
         stamp: float | None = None,
         anchors: Anchors = None,
     ) -> Detection:
-        """Find the shapes in a cloud of one object's points; segmentation and ROI have no say.
+        """Find the shapes in a cloud of one object's points; ``segmentation`` and ``roi`` are ignored.
 
         Shapes have ``points3d`` in the cloud's frame and no ``points2d``; a point is visible and valid where the cloud
         has points near it. Without an anchor numbering goes by how the cloud looks along +z (x right, y down).
 
         Args:
-            points: (M,3) or (H,W,3) floating metres; rows that are not finite, or all zero, are no points.
-            camera: Says that the cloud is in the camera's frame, and anchors in the base frame.
-            stamp: Seconds; without stamps clouds are ``dt`` apart.
+            points: ``(M, 3)`` or ``(H, W, 3)`` floating metres; rows that are not finite, or all zero, are no points.
+            camera: If given, the cloud is in the camera's frame, and anchors are in the base frame.
+            stamp: In seconds; without stamps clouds are ``dt`` apart.
             anchors: Name -> point (x, y, z), for configurations with a named anchor; in the cloud's frame without a
                 camera.
 
@@ -185,86 +171,129 @@ class ShapeDetector:
             ShapeLostError: A shape was not found and ``on_missing="raise"``.
         """
         begin = time.perf_counter()
-        frame = Frame(None, None, as_camera_model(camera), stamp)
-        timings: dict[str, float] = {}
-        with Timed(timings, "cloud"):
-            cloud = read_cloud(points, self.kernels)
+        frame, timings = Frame(None, None, as_camera_model(camera), stamp), dict[str, float]()
+        cloud = read_cloud(points)
+        now = _lap(timings, "cloud", begin)
         targets = [anchor_point(spec, anchors, frame.camera) for spec in self.shapes]
-        stamp = self._next_stamp(frame)
-        shapes = [
-            self._shape(spec, frame, cloud, *self._fit(spec, cloud, target, stamp, timings), stamp, timings)
-            for spec, target in zip(self.shapes, targets, strict=True)
-        ]
-        timings["total"] = 1e3 * (time.perf_counter() - begin)
+        stamp, shapes = self._next_stamp(frame), []
+        for spec, target in zip(self.shapes, targets, strict=True):
+            found = self._fit(spec, cloud, target, stamp, None)
+            _lap(timings, "fit", now)
+            shapes.append(self._finish(spec, found, frame, stamp, (False, True), timings))
+        _lap(timings, "total", begin)
         return Detection(tuple(shapes), stamp, timings)
 
-    def _on_image(self, frame: Frame, mask: npt.NDArray[np.uint8] | None, anchors: Anchors, begin: float) -> Detection:
-        """Find each shape in its mask, or in the cloud under it: where it is expected, else everywhere."""
+    def _detect_in_image(
+        self, frame: Frame, mask: npt.NDArray[np.uint8] | None, anchors: Anchors, begin: float
+    ) -> Detection:
+        """Find each shape in its mask, or in the cloud under it."""
+        with_depth, timings = frame.depth is not None and frame.camera is not None, dict[str, float]()
         for spec in self.shapes:
             asked = "lift='cloud'" if spec.lift == "cloud" else "spacing='m'" if spec.spacing == "m" else ""
-            if asked and (frame.depth is None or frame.camera is None):
+            if asked and not with_depth:
                 instead = "lift='points'" if spec.lift == "cloud" else "spacing='px'"
                 raise ValueError(f"shape {spec.name!r}: {asked} needs depth and a camera; give both, or {instead}.")
         targets = [anchor_pixel(spec, anchors, frame.camera) for spec in self.shapes]
-        timings: dict[str, float] = {}
-        region, self._place, reason = placed(self.config.roi, frame, self._place, timings)
-        view = None if region is None else View(frame, mask, region, self.kernels, timings)
-        stamp = self._next_stamp(frame)
-        expected = self._expected()
-        shapes = []
+        now = time.perf_counter()
+        roi, self._roi_memory, reason = locate(self.config.roi, frame, self._roi_memory)
+        if roi is not self.config.roi:
+            _lap(timings, "roi", now)
+        search = None if roi is None else RegionSearch(frame, mask, roi, self._expected_windows())
+        stamp, shapes = self._next_stamp(frame), []
         for spec, target in zip(self.shapes, targets, strict=True):
-            if view is None:
-                shapes.append(self._shape(spec, frame, None, Fit(None, reason=reason), None, stamp, timings))
-                continue
-            body = view.body(spec, expected.get(spec.segmentation))
-            found, present = self._fit(spec, body, target, stamp, timings, frame.depth)
-            if not found.ok and view.look_everywhere(spec):
-                body = view.body(spec, None)
-                found, present = self._fit(spec, body, target, stamp, timings, frame.depth)
-            shapes.append(self._shape(spec, frame, body, found, present, stamp, timings))
-        timings["total"] = 1e3 * (time.perf_counter() - begin)
+            found = Fit(reason=reason) if search is None else self._find(spec, search, target, stamp, frame, timings)
+            shapes.append(self._finish(spec, found, frame, stamp, (True, with_depth), timings))
+        _lap(timings, "total", begin)
         return Detection(tuple(shapes), stamp, timings)
 
-    def _expected(self) -> dict[Segmentation | None, Expected | None]:
-        """Where the shapes of each segmentation will all be; once in a while nothing is expected anywhere."""
-        self._looked += 1
-        return {} if self._looked % _LOOK_AROUND == 0 else outlooks(self.shapes, self._tracks)
-
-    def _fit(
-        self, spec: Configuration, body: Body, target: Array | None, stamp: float, timings: Any, depth: Any = None
-    ) -> tuple[Fit, Track | None]:
-        if self._kinds.setdefault(spec.name, type(body)) is not type(body):
-            self._tracks.pop(spec.name, None)  # pixels say nothing about metres
-            self._last.pop(spec.name, None)
-            self._kinds[spec.name] = type(body)
-        with Timed(timings, "fit"):
-            return fit(body, spec, self._tracks.get(spec.name), target, stamp, depth)
-
-    def _shape(
+    def _find(
         self,
         spec: Configuration,
-        frame: Frame,
-        body: Body | None,
-        found: Fit,
-        present: Track | None,
+        search: RegionSearch,
+        target: Array | None,
         stamp: float,
+        frame: Frame,
+        timings: dict[str, float],
+    ) -> Fit:
+        """Find one shape in an image: near where the track expects it, and if that fails everywhere."""
+        while True:
+            now = time.perf_counter()
+            observed: Observed = search.region(spec.segmentation)  # image -> region
+            now = _lap(timings, "segmentation" if spec.segmentation is not None else "region", now)
+            if spec.lift == "cloud":
+                observed = search.cloud(spec.segmentation)  # depth enters: region -> cloud
+                now = _lap(timings, "cloud", now)
+            found = self._fit(spec, observed, target, stamp, frame.depth)  # -> form, matched and validated
+            _lap(timings, "fit", now)
+            if found.ok or not search.widen(spec.segmentation):
+                return found
+
+    def _fit(self, spec: Configuration, observed: Observed, target: Array | None, stamp: float, depth: Any) -> Fit:
+        """Fit a configuration to an object, from its track if there is one, and advance the track."""
+        if self._kinds.setdefault(spec.name, type(observed)) is not type(observed):
+            self._tracks.pop(spec.name, None)  # pixels say nothing about metres
+            self._last.pop(spec.name, None)
+            self._kinds[spec.name] = type(observed)
+        if not observed.pieces:
+            return Fit(reason=f"the {observed.noun} is empty")
+        if observed.area < _MIN_SAMPLES:
+            have = f"the {observed.noun} has {observed.area} {observed.sample_unit}"
+            return Fit(reason=f"{have}, at least {_MIN_SAMPLES} are needed")
+        track = self._tracks.get(spec.name)
+        found = spec.fit(observed, predict(track, observed, stamp), target, depth)
+        if found.ok:
+            self._tracks[spec.name] = advance(track, found, observed, stamp)
+            if spec.order == "image":
+                seen = observed.seen(found.form.points, target)
+                found = found._replace(form=spec.apply_index_order(found.form, seen, target))
+        if isinstance(self.config.clustering, Clusterer):
+            found = assign_centres(found, observed, spec, self.config.clustering)
+        return found
+
+    def _finish(
+        self,
+        spec: Configuration,
+        found: Fit,
+        frame: Frame,
+        stamp: float,
+        wanted: tuple[bool, bool],
         timings: dict[str, float],
     ) -> Shape:
-        """The shape of a fit, and what is remembered of it."""
-        if body is not None and isinstance(self.config.clustering, Clusterer):
-            with Timed(timings, "clustering"):
-                found = clustered(found, body, spec, self.config.clustering)
-        with Timed(timings, "lift"):
-            shape = self._finish(spec, found, body, frame, stamp)
-        if present is not None:
-            self._tracks[spec.name] = present
-        if not shape.reason:
+        """Turn a form into ordered points, in space if there is depth; or apply the policy for a lost shape."""
+        now = time.perf_counter()
+        last, seen_at = self._last.get(spec.name, (None, self._begin))
+        in_2d, in_3d = wanted
+        shape, reason = None, found.reason
+        if found.ok:
+            shape = shape_of(spec, found, frame, last, self.config.on_invalid)  # depth enters: form -> points in space
+            in_sight = shape.points2d is None or np.isfinite(shape.points2d).all()
+            if not in_sight or (in_3d and not shape.valid.any()):
+                shape, reason = None, "no point has depth under it" if in_sight else "it runs out of the camera's sight"
+        if shape is not None:
             self._last[spec.name] = (shape, stamp)
-        elif stamp - self._last.get(spec.name, (shape, stamp))[1] > self.config.max_age:
-            self._tracks.pop(spec.name, None)
+        else:
+            age = max(stamp - seen_at, 0.0)
+            shape = lost_shape(
+                spec.name, spec.layout, reason=reason, in_2d=in_2d, in_3d=in_3d, last=last, age=age,
+                max_age=self.config.max_age, policy=self.config.on_missing,
+            )  # fmt: skip
+            if last is not None and age > self.config.max_age:
+                self._tracks.pop(spec.name, None)
+        _lap(timings, "lift", now)
         return shape
 
+    def _expected_windows(self) -> dict[Segmentation | None, SearchWindow | None]:
+        """Predict where the mask of each segmentation will be; every 30 frames all of the image is searched."""
+        self._frames += 1
+        if self._frames % _SEARCH_ALL == 0:
+            return {}
+        rules: dict[Segmentation | None, list[Track | None]] = {}
+        for spec in self.shapes:
+            rules.setdefault(spec.segmentation, []).append(self._tracks.get(spec.name))
+        return {rule: predict_search_window(tracks) for rule, tracks in rules.items()}
+
     def _next_stamp(self, frame: Frame) -> float:
+        """Return the frame's time; frames without stamps follow each other by ``dt``."""
         following = 0.0 if self._stamp is None else self._stamp + self.config.dt
         stamp = following if frame.stamp is None else float(frame.stamp)
         if self._stamp is None:
@@ -276,25 +305,9 @@ class ShapeDetector:
         self._stamp = stamp
         return stamp
 
-    def _finish(self, spec: Configuration, found: Fit, body: Body | None, frame: Frame, stamp: float) -> Shape:
-        """From a form to ordered points, in space where there is depth; or what stands in for them."""
-        in_3d = isinstance(body, Cloud) or (frame.depth is not None and frame.camera is not None)
-        last, seen = self._last.get(spec.name, (None, self._begin))
-        reason = found.reason
-        if body is not None and found.form is not None and found.ok:
-            shape = shape_of(spec, found, found.form, found.body or body, frame, last, self.config.on_invalid)
-            seen_whole = shape.points2d is None or np.isfinite(shape.points2d).all()
-            if seen_whole and (not in_3d or np.count_nonzero(shape.valid)):
-                return shape
-            reason = "no point has depth under it" if seen_whole else "it runs out of the camera's sight"
-        return lost_shape(
-            spec.name,
-            spec.layout,
-            reason=reason,
-            in_2d=not isinstance(body, Cloud) or isinstance(body, SeenCloud),
-            in_3d=in_3d,
-            last=last,
-            age=max(stamp - seen, 0.0),
-            max_age=self.config.max_age,
-            policy=self.config.on_missing,
-        )
+
+def _lap(timings: dict[str, float], stage: str, since: float) -> float:
+    """Add the milliseconds since a time to a stage; return the time now."""
+    now = time.perf_counter()
+    timings[stage] = timings.get(stage, 0.0) + 1e3 * (now - since)
+    return now

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import numbers
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import CameraModel
-from shape_obs.compiled.interface import FARTHEST, MILLIMETRE
+
+MILLIMETRE: Final = 1e-3  # metres; the unit of depth in whole numbers
+FARTHEST: Final = 1e6  # metres; what lies beyond is garbage, and would overflow single precision
 
 
 @dataclass(frozen=True)
@@ -80,12 +82,25 @@ def depth_in_metres(depth: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     return metres
 
 
-def check_mask(mask: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    """A (H,W) bool or uint8 mask as uint8, without a copy."""
+def check_mask(mask: npt.NDArray[Any], frame: Frame) -> npt.NDArray[np.uint8]:
+    """Return a mask as uint8, without a copy.
+
+    Args:
+        mask: ``(H, W)`` bool or uint8.
+        frame: Depth and camera, which must have the mask's size.
+
+    Raises:
+        TypeError: A wrong array type or dtype.
+        ValueError: A wrong shape, or another size than depth or camera.
+    """
     if not isinstance(mask, np.ndarray) or mask.dtype not in (np.dtype(bool), np.dtype(np.uint8)):
         raise TypeError(f"mask: expected a numpy array of bool or uint8, got {_describe(mask)}.")
     if mask.ndim != 2 or mask.size == 0:
         raise ValueError(f"mask: expected shape (H, W), got {mask.shape}.")
+    camera = frame.camera and frame.camera.intrinsics.size
+    for name, other in (("depth", frame.size), ("the camera's intrinsics", camera)):
+        if other is not None and other != mask.shape:
+            raise ValueError(f"the mask has {_size(mask)}, {name} {other[1]} x {other[0]}: they must be equal.")
     return mask.view(np.uint8)
 
 

@@ -1,38 +1,249 @@
-"""Self-organising map: batch epochs from a good start.
+r"""Self-organising map: batch epochs over weighted samples, from a good start.
+
+The paper's map moves the best-matching unit of a sample and its neighbours towards the sample,
+
+    c_k <- c_k + a(t) h(k, b(x)) (x - c_k),      b(x) = argmin_k |x - c_k|,      h(k, j) = exp(-|k - j|^2 / 2 s(t)^2),
+
+one sample at a time (``shape_obs.clustering.kohonen`` is that map). Summed over all samples at once, its fixed point is
+the batch map: with the weight n_j and the mean m_j of the samples whose best-matching unit is j,
+
+    c_k <- sum_j h(k, j) n_j m_j / sum_j h(k, j) n_j.
+
+That mean is lopsided at the end of a chain, where it pulls the nodes inwards by 2 to 20 px. So each node here is the
+intercept of a line (on a lattice, a plane) fitted to the m_j over the index with the same weights. What averaging still
+pulls towards the inside of a bend is undone after the last epoch (``Topology.unshrink``).
 
 References:
-    T. Kohonen, "Self-Organizing Maps", Springer, 2001, the batch map; the local-linear neighbourhood follows the
-    locally weighted regression of J. Fan, "Design-adaptive Nonparametric Regression", JASA 87, 1992.
+    T. Kohonen, "Self-Organizing Maps", Springer, 2001: the batch map.
+    J. Fan, "Design-adaptive Nonparametric Regression", JASA 87, 1992: the local-linear fit.
 """
 
 from __future__ import annotations
 
+import math
+from typing import Final
+
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.compiled import NUMPY, Kernels
+from shape_obs.compiled import compiled
+from shape_obs.geometry.outline import SAMPLED, closed_arc, even_around
 from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Topology
 
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
 
-def fit(
-    samples: Samples,
-    start: npt.NDArray[np.float64],
-    topology: Topology,
-    sigmas: tuple[float, ...],
-    kernels: Kernels = NUMPY,
-) -> npt.NDArray[np.float64]:
-    """Fit the map to the samples.
+# An empty bin pulls its node nowhere: each node keeps a trace of weight where it stands.
+_TRACE: Final = 1e-3
+_RING_REACH: Final = 2  # nodes to either side among which a sample of an outline looks for its best-matching unit
+_FAR: Final = 8.9  # widths of a Gaussian, beyond which it counts as zero
+
+
+def run_som(samples: Samples, start: Array, topology: Topology, sigmas: tuple[float, ...]) -> Array:
+    """Fit a map to samples: one batch epoch for each neighbourhood width.
 
     Args:
-        samples: M weighted points.
-        start: (K,D) nodes.
-        topology: How the nodes hang together.
-        sigmas: Width of the neighbourhood in each epoch, node units; at least one.
-        kernels: What runs the inner loops.
+        samples: M weighted points of any dimension D.
+        start: ``(K, D)`` nodes.
+        topology: How the K nodes are connected.
+        sigmas: Width of the neighbourhood in each epoch, node units; without one the nodes stay where they are.
 
     Returns:
-        (K,D) nodes in the order of ``start``, the pull of the averaging undone.
+        ``(K, D)`` nodes in the order of ``start``, the pull of the averaging undone.
     """
-    nodes = kernels.settle(samples.points, samples.weight, start, *topology.neighbourhoods(sigmas))
-    return topology.unshrink(nodes, sigmas[-1], kernels)
+    if not sigmas:
+        return start
+    nodes = batch_epochs(samples.points, samples.weight, start, *topology.neighbourhoods(sigmas))
+    return topology.unshrink(nodes, sigmas[-1])
+
+
+@compiled(reassociate=True)
+def batch_epochs(points: Array, weight: Array, nodes: Array, first: Array, second: Array) -> Array:
+    """Run batch epochs of a map with a local-linear neighbourhood.
+
+    Args:
+        points: ``(M, D)``.
+        weight: ``(M,)``.
+        nodes: ``(K, D)``.
+        first: ``(E, P+1, K, K)`` moments of the neighbourhood in each epoch, see ``topology.Neighbourhoods``.
+        second: ``(E, P+1, P+1, K, K)``.
+
+    Returns:
+        ``(K, D)`` new nodes.
+    """
+    size, dimension = nodes.shape
+    middle = np.zeros(dimension)
+    for m in range(len(points)):
+        for d in range(dimension):
+            middle[d] += points[m, d]
+    middle /= max(len(points), 1)
+    points, nodes = points - middle, nodes - middle
+    whole = weight.sum()
+    count, total = np.empty(size), np.empty((size, dimension))
+    planes = first.shape[1]
+    for epoch in range(len(first)):
+        unit = best_matching_units(points, nodes)
+        trace = _TRACE * whole / size
+        for k in range(size):
+            count[k] = trace
+            for d in range(dimension):
+                total[k, d] = trace * nodes[k, d]
+        for m in range(len(points)):
+            k = unit[m]
+            count[k] += weight[m]
+            for d in range(dimension):
+                total[k, d] += weight[m] * points[m, d]
+        if planes == 2:
+            for k in range(size):
+                s0 = s1 = s2 = 0.0
+                for j in range(size):
+                    s0 += second[epoch, 0, 0, k, j] * count[j]
+                    s1 += second[epoch, 0, 1, k, j] * count[j]
+                    s2 += second[epoch, 1, 1, k, j] * count[j]
+                for d in range(dimension):
+                    t0 = t1 = 0.0
+                    for j in range(size):
+                        t0 += first[epoch, 0, k, j] * total[j, d]
+                        t1 += first[epoch, 1, k, j] * total[j, d]
+                    nodes[k, d] = (s2 * t0 - s1 * t1) / (s0 * s2 - s1 * s1)
+        else:
+            moments, sums = np.empty((planes, planes)), np.empty((planes, dimension))
+            for k in range(size):
+                for a in range(planes):
+                    for b in range(planes):
+                        moments[a, b] = np.sum(second[epoch, a, b, k] * count)
+                    for d in range(dimension):
+                        sums[a, d] = np.sum(first[epoch, a, k] * total[:, d])
+                nodes[k] = np.linalg.solve(moments, sums)[0]
+    return nodes + middle
+
+
+@compiled(reassociate=True)
+def best_matching_units(points: Array, nodes: Array) -> Indices:
+    """Return the best-matching unit of each point, argmax of x.c - |c|^2 / 2: ``(M, D)``, ``(K, D)`` -> ``(M,)``."""
+    unit, most = np.zeros(len(points), np.int64), np.empty(len(points))
+    columns = points.T.copy()
+    for k in range(len(nodes)):
+        half = 0.0
+        for d in range(nodes.shape[1]):
+            half += 0.5 * nodes[k, d] ** 2
+        if len(columns) == 2:
+            _take(unit, most, columns[0], columns[1], nodes[k, 0], nodes[k, 1], half, k)
+        else:
+            score = np.full(len(points), -half)
+            for d in range(len(columns)):
+                score += columns[d] * nodes[k, d]
+            for m in range(len(points)):
+                if k == 0 or score[m] > most[m]:
+                    most[m], unit[m] = score[m], k
+    return unit
+
+
+@compiled(inline=True)
+def _take(unit: Indices, most: Array, x: Array, y: Array, u: float, v: float, half: float, k: int) -> None:
+    """Assign the points in the plane to node k that are nearer to it than to the nodes before it."""
+    for m in range(len(x)):
+        score = x[m] * u + y[m] * v - half
+        nearer = score > most[m] or k == 0
+        most[m] = score if nearer else most[m]
+        unit[m] = k if nearer else unit[m]
+
+
+@compiled
+def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma: float) -> tuple[Array, Indices]:
+    """Fit a ring of nodes to an outline in one epoch.
+
+    The nodes start at equal distances around the smoothed outline. Nodes and samples are both ordered, so a sample
+    looks for its best-matching unit only near its own place along the outline, and never takes a node of the other
+    side of a thin object.
+
+    Args:
+        samples: ``(M, 2)`` the points of the outline, two by two.
+        smooth: ``(P, 2)`` the same outline, smoothed; M = ceil(P / 2).
+        start: ``(2,)`` the first node starts at the outline's point nearest to it.
+        count: How many nodes, K.
+        sigma: Width of the neighbourhood, node units.
+
+    Returns:
+        ``(K, 2)`` nodes, the pull of the averaging undone; ``(M,)`` the best-matching unit of each sample.
+    """
+    size = len(smooth)
+    arc = closed_arc(smooth)
+    begin, least = 0.0, np.inf
+    for p in range(size):
+        square = (smooth[p, 0] - start[0]) ** 2 + (smooth[p, 1] - start[1]) ** 2
+        if square < least:
+            begin, least = arc[p], square
+    nodes, gap = even_around(smooth, arc, begin, count), arc[size] / count
+    middle_u, middle_v = nodes[:, 0].sum() / count, nodes[:, 1].sum() / count
+    unit = np.empty(len(samples), np.int64)
+    trace = _TRACE * size / count
+    held, total = np.full(count, trace), np.empty((count, 2))
+    for k in range(count):
+        nodes[k, 0] -= middle_u
+        nodes[k, 1] -= middle_v
+        total[k, 0], total[k, 1] = trace * nodes[k, 0], trace * nodes[k, 1]
+    for m in range(len(samples)):
+        first = SAMPLED * m
+        last = min(first + SAMPLED, size) - 1
+        u, v = samples[m, 0] - middle_u, samples[m, 1] - middle_v
+        about = int(np.rint(((arc[first] + arc[last]) / 2 - begin) / gap))
+        k = nearest_around(u, v, nodes, about, _RING_REACH)
+        weight = last - first + 1
+        unit[m] = k
+        held[k] += weight
+        total[k, 0] += weight * u
+        total[k, 1] += weight * v
+    nodes = _ring_epoch(nodes, held, total, sigma)
+    for k in range(count):
+        nodes[k, 0] += middle_u
+        nodes[k, 1] += middle_v
+    return nodes, unit
+
+
+@compiled
+def _ring_epoch(nodes: Array, held: Array, total: Array, sigma: float) -> Array:
+    """Update the nodes of a ring from the weight ``(K,)`` and the sums ``(K, 2)`` of their samples; undo the pull."""
+    count = len(nodes)
+    reach = min(math.ceil(_FAR * sigma), (count - 1) // 2)
+    near = np.empty(reach + 1)
+    for o in range(reach + 1):
+        near[o] = math.exp(-0.5 * (o / sigma) ** 2)
+    out = np.empty_like(nodes)
+    for k in range(count):
+        s0 = s1 = s2 = t0u = t0v = t1u = t1v = 0.0
+        for o in range(-reach, reach + 1):
+            j = k + o
+            j = j - count if j >= count else (j + count if j < 0 else j)
+            h = near[abs(o)]
+            s0 += h * held[j]
+            s1 += h * o * held[j]
+            s2 += h * o * o * held[j]
+            t0u += h * total[j, 0]
+            t0v += h * total[j, 1]
+            t1u += h * o * total[j, 0]
+            t1v += h * o * total[j, 1]
+        over = s0 * s2 - s1 * s1
+        out[k, 0], out[k, 1] = (s2 * t0u - s1 * t1u) / over, (s2 * t0v - s1 * t1v) / over
+    share = 1 / 24 + near[1] / (1 + 2 * near[1])
+    back = np.empty_like(nodes)
+    for k in range(count):
+        before, after = k - 1 if k else count - 1, k + 1 if k < count - 1 else 0
+        for d in range(2):
+            back[k, d] = out[k, d] - share * (out[after, d] - 2 * out[k, d] + out[before, d])
+    return back
+
+
+@compiled
+def nearest_around(u: float, v: float, places: Array, about: int, reach: int) -> int:
+    """Return which of the points around a ring is nearest to (u, v), of those at most ``reach`` away from ``about``."""
+    best, least, size = 0, np.inf, len(places)
+    at = (about - reach) % size
+    for _ in range(2 * reach + 1):
+        x, y = u - places[at, 0], v - places[at, 1]
+        square = x * x + y * y
+        if square < least:
+            best, least = at, square
+        at = at + 1 if at < size - 1 else 0
+    return best

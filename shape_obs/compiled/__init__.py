@@ -1,10 +1,10 @@
-"""The inner loops, twice: on NumPy, the readable reference, and on Numba, which is used where it is installed."""
+"""Compile inner loops with Numba: the decorator, the cache on disk and the warm-up."""
 
-from typing import Final
+from typing import Any
 
-from shape_obs.compiled.choice import Backend, choose
-from shape_obs.compiled.interface import Kernels
+from shape_obs.compiled.decorator import compiled
 
-NUMPY: Final = choose("numpy")
+__all__ = ["compile_now", "compiled"]
 
-__all__ = ["NUMPY", "Backend", "Kernels", "choose"]
+
+def compile_now(functions: Any) -> None: ...

@@ -1,13 +1,12 @@
-"""Centres of a clusterer as the points of a shape: put in order along the form.
+"""Put the centres of a clusterer in order along the fitted form: they become the points of the shape.
 
-The form tracks and is judged; the centres are only sorted by it. So an index follows the track, and a point lies where
-the clusterer has put it: gaps are as they come, and a centre between two strands may be counted to either.
+The form is tracked and validated; the centres are only sorted by it. So an index follows the track, and a point lies
+where the clusterer has put it: gaps are uneven, and a centre between two strands may be counted to either.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -15,57 +14,58 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from shape_obs.clustering import Clusterer
-from shape_obs.configurations import Configuration
-from shape_obs.configurations.fitting import Fit
-from shape_obs.geometry.form import Curve, Form, Patch
+from shape_obs.configurations.base import Configuration
+from shape_obs.geometry.curve import FittedCurve, FittedForm
+from shape_obs.geometry.lattice import FittedLattice
+from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import nearest_on
 from shape_obs.geometry.topology import Grid
-from shape_obs.point_cloud.body import Body
+from shape_obs.tracking.prediction import Fit
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
-# Of whatever a clusterer draws by lot, in every frame: equal masks give equal points.
+# The seed of every frame: equal masks give equal points.
 _SEED: Final = 0
 
 
-def clustered(found: Fit, body: Body, spec: Configuration[Any], clusterer: Clusterer) -> Fit:
-    """The fit with the clusterer's centres as its points; refused where the body has fewer pixels than points."""
-    if found.form is None or not found.ok:
+def assign_centres(found: Fit, observed: Observed, spec: Configuration, clusterer: Clusterer) -> Fit:
+    """Return the fit with a clusterer's centres as its points; refused if there are fewer samples than points."""
+    if not found.ok:
         return found
-    samples = spec.all_samples(body)
+    samples = spec.clusterer_samples(observed)
     if len(samples) < spec.count:
-        reason = f"the {body.noun} has {len(samples)} {body.grains} to cluster, {spec.count} points need as many"
-        return Fit(None, reason=reason)
+        available = f"the {observed.noun} has {len(samples)} {observed.sample_unit} to cluster"
+        return Fit(reason=f"{available}, {spec.count} points need as many")
     places = clusterer.centres(samples, spec.layout, _SEED).places
-    return replace(found, centres=places[order(places, found.form, spec)])
+    return found._replace(centres=places[order(places, found.form, spec)])
 
 
-def order(centres: Array, form: Form, spec: Configuration[Any]) -> Indices:
-    """(N,) which centre becomes point i.
+def order(centres: Array, form: FittedForm, spec: Configuration) -> Indices:
+    """Return which centre becomes point i, ``(N,)``.
 
     Args:
-        centres: (N,D).
-        form: What they are sorted by: a curve by arc length, a patch by its two lattice coordinates, any other form by
-            the points that the configuration itself would put on it.
+        centres: ``(N, D)``.
+        form: What they are sorted by: a curve by arc length, a lattice by its two coordinates, any other form by the
+            points that the configuration itself would put on it.
         spec: The configuration.
     """
-    if isinstance(form, Curve):
+    if isinstance(form, FittedCurve):
         return _around(form, centres) if form.closed else np.argsort(_arcs(form, centres), kind="stable")
-    if isinstance(form, Patch) and isinstance(spec.layout, Grid):
+    if isinstance(form, FittedLattice) and isinstance(spec.layout, Grid):
         lattice = spec.layout
         return _assigned(_places(form, centres) * (lattice.rows, lattice.cols) - 0.5, lattice.places())
-    return _assigned(centres, spec.place(form, form).places)
+    return _assigned(centres, spec.resample(form, form).places)
 
 
-def _arcs(curve: Curve, centres: Array) -> Array:
-    """(N,) arc positions of the places on a curve that are nearest to (N,D) centres."""
+def _arcs(curve: FittedCurve, centres: Array) -> Array:
+    """Return the arc positions ``(N,)`` of the places on a curve that are nearest to (N,D) centres."""
     line = np.concatenate([curve.points, curve.points[:1]]) if curve.closed else curve.points
     return nearest_on(line, centres)[0]
 
 
-def _around(curve: Curve, centres: Array) -> Indices:
-    """Along a closed curve, from the centre that leaves all of them nearest to equal shares from its first point.
+def _around(curve: FittedCurve, centres: Array) -> Indices:
+    """Return the order along a closed curve, from the centre that leaves all of them nearest to equal shares from its first point.
 
     Beginning with the first centre after the curve's first point, all indices would move by one whenever a centre
     passes it.
@@ -78,8 +78,8 @@ def _around(curve: Curve, centres: Array) -> Indices:
     return np.roll(sorted_ones, -int(np.argmin(np.sum(off**2, axis=1))))
 
 
-def _places(patch: Patch, centres: Array) -> Array:
-    """(N,2) how far down and across a patch, 0...1, the places on it lie that are nearest to (N,D) centres."""
+def _places(patch: FittedLattice, centres: Array) -> Array:
+    """Return ``(N, 2)`` how far down and across a patch, 0...1, the places on it lie that are nearest to (N,D) centres."""
     lattice = patch.lattice
     row, column = np.divmod(np.argmin(cdist(centres, patch.points), axis=1), lattice.shape[1])
     # From the nearest of the patch's points a step over the plane that touches it there.
@@ -94,5 +94,5 @@ def _places(patch: Patch, centres: Array) -> Array:
 
 
 def _assigned(centres: Array, places: Array) -> Indices:
-    """Which of the centres belongs to each place, so that the squared distances are least in sum."""
+    """Return which centre belongs to each place, so that the squared distances are least in sum."""
     return linear_sum_assignment(cdist(places, centres, "sqeuclidean"))[1]

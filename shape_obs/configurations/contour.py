@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import dataclass
+from typing import Any, ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.configurations.base import Configuration, Origin, Points
-from shape_obs.geometry.form import Curve, Memory
-from shape_obs.geometry.outline import clockwise
-from shape_obs.geometry.polyline import equidistant_around
+from shape_obs.clustering.som import batch_epochs, run_ring_som, run_som
+from shape_obs.configurations.base import Configuration, Points
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.observed import Observed
+from shape_obs.geometry.outline import clockwise, material_outline, pairs
+from shape_obs.geometry.polyline import arc_length, catmull_rom, equidistant_around, interpolate
 from shape_obs.geometry.samples import Samples
-from shape_obs.geometry.topology import Ring, Topology
-from shape_obs.image.region import Region
-from shape_obs.initialization.outline import border, breadth, holes, outline, outline_points, outline_samples, sampling
-from shape_obs.point_cloud.body import Body
-from shape_obs.tracking.prediction import Prediction
-from shape_obs.tracking.registration import blend, lag
-from shape_obs.tracking.validation import Verdict, judge_outline
+from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
+from shape_obs.tracking.prediction import Fit, Prediction, size_jump
+from shape_obs.tracking.registration import blend, index_shift, match_outline, renumber_outline
+from shape_obs.tracking.validation import outline_miss, ring_miss, validate_outline
 
 Array = npt.NDArray[np.float64]
 
@@ -28,18 +27,16 @@ Array = npt.NDArray[np.float64]
 _NODE_SPACING: Final = 3.0
 _THIN: Final = 1.5  # widths from node to node at most: farther, and a node's samples are those of the other side too
 _NODES: Final = (24, 192)
-_WIDTH: Final = 0.4  # of the map's neighbourhood, nodes
+# Width of the map's neighbourhood, nodes. One epoch: the start lies on the outline, and further ones change nothing.
+_SIGMA: Final = 0.4
 _PIECES: Final = 4  # of the curve between two nodes
 _HOLLOW: Final = 0.05  # of what the outline encloses; drawn shapes without a hole have at most 0.01
-_MIN_SAMPLES: Final = 8  # a ring of 16 pixels, as few as a body may have
+_MIN_SAMPLES: Final = 8  # a ring of 16 pixels, as few as an object may have
 _MIN_WIDTH: Final = 1.25  # in samples: of outlines of 2 px, one in three has its two sides mixed up; of 3 px, none
-# Numbered by the last frame alone, an outline of noisy pixels creeps by 6 px in 180 frames. The mean of some twenty
-# frames holds it, and is left behind by slow changes of shape alone.
-_FORGETTING: Final = 0.05
 
 
 @dataclass(frozen=True)
-class Contour(Configuration[Curve], kind="contour"):
+class Contour(Configuration, kind="contour"):
     """The outline of the largest piece, clockwise as seen in the image, its points equally far from their neighbours.
 
     Point 0 lies where the outline is nearest the anchor; without one, at its topmost-left point, which is where u + v
@@ -68,105 +65,107 @@ class Contour(Configuration[Curve], kind="contour"):
         """A ring of n points."""
         return Ring(self.n)
 
-    def unfit(self, body: Body) -> str:
-        """No such hole, an outline of a few pixels, or two sides too close to be told apart."""
-        found = holes(body) if self.hole is not None else 0
-        if self.hole is not None and self.hole >= found:
-            return f"hole {self.hole} was asked for, the {body.noun} has {found}"
-        if self.ring and isinstance(body, Region) and body.hollow < _HOLLOW:
-            return f"the {body.noun} encloses no hole: something lies over the ring, or it is open"
-        count, scale = sampling(body, self.hole)
-        if count < _MIN_SAMPLES:
-            return f"the outline is too small: {count} samples, at least {_MIN_SAMPLES} are needed"
-        thin = _MIN_WIDTH * scale
-        width = breadth(body, self.hole)
+    def rejection_reason(self, observed: Observed) -> str:
+        """Return why an object has no such outline: no such hole, a few pixels, or two sides too close together."""
+        if self.hole is not None and self.hole >= observed.holes:
+            return f"hole {self.hole} was asked for, the {observed.noun} has {observed.holes}"
+        if self.ring and observed.hollow_share < _HOLLOW:
+            return f"the {observed.noun} encloses no hole: something lies over the ring, or it is open"
+        samples = observed.outline_samples(self.hole)
+        if len(samples) < _MIN_SAMPLES:
+            return f"the outline is too small: {len(samples)} samples, at least {_MIN_SAMPLES} are needed"
+        thin, width = _MIN_WIDTH * samples.scale, observed.outline_width(self.hole)
         if width < thin:
-            return f"the {body.noun} is {width:.2g} {body.unit} wide: too thin for an outline (at least {thin:.2g})"
+            return f"the {observed.noun} is {width:.2g} {observed.unit} wide: too thin for an outline (at least {thin:.2g})"
         return ""
 
-    def samples(self, body: Body) -> Samples:
-        """The outline."""
-        return outline_samples(body, self.hole)
+    def fit(
+        self, observed: Observed, prediction: Prediction | None, target: Array | None, depth: npt.NDArray[Any] | None
+    ) -> Fit:
+        """Fit a ring of nodes to this frame's own outline; number it as the track does, or by the paper's rule."""
+        reason = self.rejection_reason(observed)
+        if reason:
+            return Fit(reason=reason)
+        width = observed.width if observed.dimension == 2 else 0.0
+        outline = observed.outline_curve(self.hole)
+        if prediction is None:
+            curve, quality, reason = self._refine(
+                observed, outline, outline.points[0], self._topology(observed, outline)
+            )
+            curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
+            topology = self._topology(observed, outline)
+            return Fit(curve, quality, reason, curve.even(topology.size), topology, width, observed)
+        topology = prediction.topology
+        curve, quality, reason = self._refine(observed, outline, prediction.nodes[0], topology)
+        curve, nodes = match_outline(curve, prediction)
+        if reason or size_jump(prediction, curve):
+            start = match_outline(outline, prediction)[0].points[0]
+            curve, quality, reason = self._refine(observed, outline, start, topology)
+            curve, nodes = match_outline(curve, prediction)
+        return Fit(curve, quality, reason, nodes, topology, width, observed)
 
-    def all_samples(self, body: Body) -> Samples:
-        """Every pixel that the outline runs through; around a cloud, points at equal distances."""
-        return outline_points(body, self.hole)
+    def _refine(
+        self, observed: Observed, outline: FittedCurve, start: Array, topology: Topology
+    ) -> tuple[FittedCurve, float, str]:
+        """Run the self-organising map on the outline from its place nearest to ``start``; finish, validate."""
+        samples, traced = observed.outline_samples(self.hole), observed.traced_outline(self.hole)
+        if traced is not None:
+            nodes, unit = run_ring_som(samples.points, traced.smooth, start, topology.size, _SIGMA)
+            points = catmull_rom(nodes, _PIECES, True)
+            miss = ring_miss(samples.points, unit, points, _PIECES)
+        else:
+            nearest = np.argmin(np.sum((outline.points - start) ** 2, axis=1))
+            begin = outline.starting_at(float(outline.arc[nearest])).even(topology.size)
+            points = catmull_rom(run_som(samples, begin, topology, (_SIGMA,)), _PIECES, True)
+            size = float(arc_length(np.concatenate([points, points[:1]]))[-1])
+            miss = outline_miss(samples.points, points, size)
+        curve = FittedCurve(points, np.zeros(len(points), bool), closed=True)
+        reason, quality = validate_outline(observed, miss / samples.scale)
+        return curve, quality, reason
 
-    def topology(self, body: Body) -> Ring:
-        """A ring with a node every three samples, 24 to 192 of them; closer on what is thin."""
-        spacing = min(_NODE_SPACING * self.samples(body).scale, _THIN * breadth(body, self.hole))
-        return Ring(int(np.clip(round(self.parameterise(body).size / spacing), *_NODES)))
+    def _topology(self, observed: Observed, outline: FittedCurve) -> Ring:
+        """Return a ring with a node every three samples, 24 to 192 of them; closer on what is thin."""
+        scale = observed.outline_samples(self.hole).scale
+        spacing = min(_NODE_SPACING * scale, _THIN * observed.outline_width(self.hole))
+        return Ring(int(np.clip(round(outline.size / spacing), *_NODES)))
 
-    def parameterise(self, body: Body) -> Curve:
-        """The outline, clockwise as seen."""
-        return outline(body, self.hole)
-
-    def nodes(self, form: Curve, topology: Topology) -> Array:
-        """K places of equal arc length, the first at the form's first point."""
-        return form.even(topology.size)
-
-    def warm(self, body: Body, prediction: Prediction) -> Array:
-        """On this frame's own outline. They begin near where they are expected; it is the fitted form that follows."""
-        if isinstance(body, Region):
-            return prediction.nodes  # they tell ``settled`` where to begin
-        form = self.parameterise(body)
-        nearest = np.argmin(np.sum((form.points - prediction.nodes[0]) ** 2, axis=1))
-        return self.nodes(form.begun_at(float(form.arc[nearest])), prediction.topology)
-
-    def widths(self, origin: Origin) -> tuple[float, ...]:
-        """One epoch: the start lies on the outline, and further ones change nothing."""
-        return (_WIDTH,)
-
-    def settled(self, start: Array, body: Body, topology: Topology, origin: Origin) -> Curve:
-        """On a border all at once."""
-        if not isinstance(body, Region):
-            return super().settled(start, body, topology, origin)
-        edge = border(body, self.hole)
-        points, miss = body.kernels.ring(edge.points, edge.smooth, start[0], topology.size, _WIDTH, _PIECES)
-        return Curve(points, np.zeros(len(points), bool), True, miss=miss, kernels=body.kernels)
-
-    def finish(self, nodes: Array, body: Body) -> Curve:
-        """The closed curve through the nodes."""
-        points = body.kernels.catmull_rom(nodes, _PIECES, True)
-        return Curve(points, np.zeros(len(points), bool), closed=True, kernels=body.kernels)
-
-    def judge(self, form: Curve, body: Body, bridged: float) -> Verdict:
-        """By how closely it follows the outline, and how much of the body lies within."""
-        scale, miss = sampling(body, self.hole)[1], form.miss
-        if miss is None:
-            miss = body.kernels.miss(self.samples(body).points, form.points, form.size)
-        return judge_outline(body, miss / scale)
-
-    def numbered(self, form: Curve, seen: Array, target: Array | None) -> Curve:
-        """Clockwise as seen, from the place nearest the target, else from the least u + v."""
+    def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
+        """Return the curve clockwise as seen, from the place nearest the target, else from the least u + v."""
         if not clockwise(seen):
             form, seen = form.reversed(), np.roll(seen[::-1], 1, axis=0)
         far = seen[:, 0] + seen[:, 1] if target is None else np.sum((seen - target) ** 2, axis=1)
-        return form.begun_at(_least(far, form))
+        return form.starting_at(_least(far, form))
 
-    def follow(self, form: Curve, prediction: Prediction) -> Curve:
-        """From the place where the predicted outline begins, whichever way it has turned."""
-        reference = prediction.nodes if prediction.memory.reference is None else prediction.memory.reference
-        if form.points.shape[1] == 2:
-            points, arc, nodes, blended = form.kernels.followed(form.points, reference, prediction.nodes, _FORGETTING)
-            memory = Memory(reference=blended)
-            turned = Curve(
-                points, np.zeros(len(points), bool), True, miss=form.miss, memory=memory, kernels=form.kernels
-            )
-            return turned.knowing(arc, nodes)
-        behind = lag(reference, prediction.nodes, self.nodes(form, prediction.topology))
-        turned = form.begun_at(behind * form.size / prediction.topology.size)
-        blended = blend(reference, self.nodes(turned, prediction.topology), _FORGETTING)
-        return replace(turned, memory=Memory(reference=blended))
+    def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
+        """Return points with equal chords around, from the form's first point."""
+        at = equidistant_around(metric.points, metric.arc, self.n)
+        return Points(
+            form.at(at if form is metric else np.interp(at, metric.arc, form.arc)), metric.interpolated_at(at)
+        )
 
-    def place(self, form: Curve, metric: Curve) -> Points:
-        """Equal chords around, from the form's first point."""
-        at = equidistant_around(metric.points, metric.arc, self.n, form.kernels)
-        return Points(form.at(at if form is metric else np.interp(at, metric.arc, form.arc)), metric.bridged_at(at))
+    def clusterer_samples(self, observed: Observed) -> Samples:
+        """Return every pixel that the outline runs through; around a cloud, points at equal distances."""
+        return observed.outline_points(self.hole)
+
+    compiled: ClassVar[tuple[Any, ...]] = (
+        arc_length,
+        batch_epochs,
+        blend,
+        catmull_rom,
+        index_shift,
+        interpolate,
+        material_outline,
+        outline_miss,
+        pairs,
+        renumber_outline,
+        ring_miss,
+        run_ring_som,
+        undo_shrinkage,
+    )
 
 
-def _least(values: Array, form: Curve) -> float:
-    """Arc position of the least of (P,) values on a form's points: of the parabola through it and its neighbours."""
+def _least(values: Array, form: FittedCurve) -> float:
+    """Return the arc position of the least of ``(P,)`` values on a form's points, by a parabola through its neighbours."""
     at = int(np.argmin(values))
     before, after = form.arc[at] - form.arc[at - 1] if at else form.arc[-1] - form.arc[-2], np.diff(form.arc)[at]
     fall, rise = (values[at - 1] - values[at]) / before, (values[(at + 1) % len(values)] - values[at]) / after

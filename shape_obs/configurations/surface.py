@@ -4,40 +4,41 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import RegularGridInterpolator
+from scipy.ndimage import map_coordinates
 
-from shape_obs.compiled import Kernels
-from shape_obs.compiled.interface_outline import FINE, RIM
-from shape_obs.configurations.base import Configuration, Ends, Origin, Points
-from shape_obs.geometry.form import Patch
-from shape_obs.geometry.samples import Samples
-from shape_obs.geometry.topology import Grid, Topology
-from shape_obs.image.region import Region
-from shape_obs.initialization.corners import Indices, Rim
-from shape_obs.point_cloud.body import Body
-from shape_obs.point_cloud.cloud import Cloud
-from shape_obs.tracking.occlusion import STRAYED, strayed_corner, strays
-from shape_obs.tracking.prediction import Prediction
-from shape_obs.tracking.validation import Verdict, judge_sheet
+from shape_obs.clustering.som import batch_epochs, run_som
+from shape_obs.configurations.base import Configuration, Ends, Points
+from shape_obs.geometry.coons import FINE, coons_patch
+from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, outer_corners, sample_lattice
+from shape_obs.geometry.observed import Observed
+from shape_obs.geometry.outline import material_outline, pairs
+from shape_obs.geometry.polyline import arc_length, interpolate
+from shape_obs.geometry.topology import Grid, undo_shrinkage
+from shape_obs.initialization.corners import Indices, Rim, nearest_corners, rim_of
+from shape_obs.tracking.corner_matching import STRAYED, match_corners, match_corners_plane
+from shape_obs.tracking.prediction import Fit, Prediction, size_jump
+from shape_obs.tracking.validation import validate_sheet
 
 Array = npt.NDArray[np.float64]
 
-_NODES: Final = 8  # rows and columns that are remembered from frame to frame, whatever lattice is sampled
-_MIN_SIDE: Final = 6.0  # grains: what is narrower has no two sides to speak of
+_GRID: Final = Grid(8, 8)  # the nodes that are remembered from frame to frame, whatever lattice is sampled
+_MIN_SIDE: Final = 6.0  # in units of the resolution: what is narrower has no two sides that can be distinguished
 _MAX_ASPECT: Final = 8.0  # length over width; what is longer is a ribbon, whose corners are its ends
 _CELL: Final = 8  # pixels
-_WIDTH: Final = 0.5  # of the map's neighbourhood, nodes
+_SIGMA: Final = 0.5  # width of the map's neighbourhood, node units
 _MAX_CUT: Final = 0.03  # of the outline
-_MIN_PIECE: Final = 0.8  # of the body: the largest piece, since a sheet has no way to hang together over a gap
+_MIN_PIECE: Final = 0.8  # of the mask: the largest piece, since a sheet cannot be connected over a gap
 
 
 @dataclass(frozen=True)
-class Surface(Configuration[Patch], kind="surface"):
+class Surface(Configuration, kind="surface"):
     """A lattice over a sheet with four corners, row by row from its top left.
+
+    A surface is a Coons patch between the corners of its outline; ``epochs`` of the self-organising map may follow.
 
     Args:
         rows: How many points from top to bottom.
@@ -72,182 +73,121 @@ class Surface(Configuration[Patch], kind="surface"):
         """A lattice of rows x cols points."""
         return Grid(self.rows, self.cols)
 
-    def unfit(self, body: Body) -> str:
-        """Return why a body cannot hold a sheet: a speck, a ribbon, pieces, corners out of sight, or no outline."""
-        if body.width < _MIN_SIDE * body.grain:
-            return f"the {body.noun} is {body.width:.3g} {body.unit} wide: too small for a sheet"
-        if body.stretch > _MAX_ASPECT * body.width:
-            return f"the {body.noun} is {body.stretch:.4g} x {body.width:.4g} {body.unit}: too slender for a sheet"
-        if isinstance(body, Region):
-            piece, cut = body.outlined, _cut(body)
+    def rejection_reason(self, observed: Observed) -> str:
+        """Return why an object cannot be a sheet: a speck, a ribbon, pieces, corners out of sight, or no outline."""
+        length, width, unit = observed.length, observed.width, observed.unit
+        if width < _MIN_SIDE * observed.resolution:
+            return f"the {observed.noun} is {width:.3g} {unit} wide: too small for a sheet"
+        if length > _MAX_ASPECT * width:
+            return f"the {observed.noun} is {length:.4g} x {width:.4g} {unit}: too slender for a sheet"
+        if observed.dimension == 2:
+            piece, cut = observed.outlined_share, observed.cut_share
             if piece < _MIN_PIECE:
-                return f"the mask falls into {body.pieces} pieces, and the largest is {piece:.0%} of it"
+                return f"the mask falls into {observed.pieces} pieces, and the largest is {piece:.0%} of it"
             if cut > _MAX_CUT:
                 return f"{cut:.0%} of the outline lies on the image's edge: the sheet's corners are out of sight"
-        elif not np.ptp(body.sheet().outline_flat, axis=0).any():
-            return f"the outline of the {body.noun} has no extent"
+        elif not np.ptp(observed.sheet_outline()[1], axis=0).any():
+            return f"the outline of the {observed.noun} has no extent"
         return ""
 
-    def samples(self, body: Body) -> Samples:
-        """All of the body, fine enough for the nodes."""
-        return body.gathered(_CELL) if isinstance(body, Region) else body.samples
-
-    def topology(self, body: Body) -> Grid:
-        """A lattice of 8 x 8 nodes, to be remembered."""
-        return Grid(_NODES, _NODES)
-
-    def parameterise(self, body: Body) -> Patch:
-        """A Coons patch between the corners of the outline, numbered by the paper's rule."""
-        rim = _rim(body)
-        corners, doubt = rim.corners(), ""
-        if corners is None:
-            doubt = f"the outline has {len(rim.candidates)} corners, a sheet has four"
-            corners = np.arange(4) * (RIM // 4)
-        form = replace(_laid(rim, corners, body), doubt=doubt)
-        return self.numbered(form, body.seen(form.points, None), None)
-
-    def nodes(self, form: Patch, topology: Topology) -> Array:
-        """The centres of K equal pieces."""
-        assert isinstance(topology, Grid)
-        return form.evenly(topology.rows, topology.cols, centers=True)
-
-    def warm(self, body: Body, prediction: Prediction) -> Array:
-        """On the patch between the corners nearest to the predicted ones; over a mask without a map, as predicted.
-
-        Nodes that no map moves tell ``finish`` nothing but where the corners are expected.
-        """
-        if not self.epochs and isinstance(body, Region):
-            return prediction.nodes
-        rim = _rim(body)
-        corners = rim.corners_near(_corners(prediction.nodes, prediction.topology, rim.kernels))
-        return prediction.nodes if corners is None else self.nodes(_laid(rim, corners, body), prediction.topology)
-
-    def widths(self, origin: Origin) -> tuple[float, ...]:
-        """As many epochs as are asked for."""
-        return self.epochs * (_WIDTH,)
-
-    def finish(self, nodes: Array, body: Body) -> Patch:
-        """The Coons patch between the corners nearest to the nodes', its inside moved where the map has moved them."""
-        lattice = self.topology(body)
-        form = _found(lattice.lattice(nodes), body)
-        if form is None:
-            return replace(self.parameterise(body), doubt="the outline's corners are not where the lattice's are")
-        points = form.points
-        if self.epochs:
-            moved = lattice.lattice(nodes - self.nodes(form, lattice))
-            points = points + _over(form, moved)
-        return Patch(points, ~body.carries(points), form.rows, form.kink, kernels=form.kernels)
-
-    def judge(self, form: Patch, body: Body, bridged: float) -> Verdict:
-        """As a sheet; over a cloud as it lies unrolled, where a bent side does not wind."""
-        if form.doubt:
-            return Verdict(form.doubt, 0.0)
-        if isinstance(body, Cloud):
-            rim = _rim(body)
-            corners = rim.corners_near(form.corners)
+    def fit(
+        self, observed: Observed, prediction: Prediction | None, target: Array | None, depth: npt.NDArray[Any] | None
+    ) -> Fit:
+        """Lay a Coons patch between the corners nearest to the predicted ones, else between the best four corners."""
+        reason = self.rejection_reason(observed)
+        if reason:
+            return Fit(reason=reason)
+        rim, found = Rim.along(*observed.sheet_outline()), Fit()
+        if prediction is not None:
+            corners = rim.corners_near(outer_corners(_GRID.lattice(prediction.nodes)))
+            if corners is not None:
+                found = self._refine(observed, rim, corners, prediction)
+        if not found.ok or (prediction is not None and size_jump(prediction, found.form)):
+            corners = rim.corners()
             if corners is None:
-                return Verdict("the lattice's corners are not in order around the outline", 0.0)
-            points, kink = rim.laid(corners)
-            form = replace(form.measured(points), kink=kink)
-        return judge_sheet(form, body, math.degrees(form.kink))
+                return Fit(reason=f"the outline has {len(rim.candidates)} corners, a sheet has four")
+            found = self._refine(observed, rim, corners, prediction)
+        if not found.ok:
+            return found
+        form: FittedLattice = found.form
+        if prediction is None:
+            form = self.apply_index_order(form, observed.seen(form.points, target), target)
+        nodes = form.evenly(_GRID.rows, _GRID.cols, centers=True)
+        width = observed.width if observed.dimension == 2 else 0.0
+        return found._replace(form=form, nodes=nodes, topology=_GRID, width=width)
 
-    def numbered(self, form: Patch, seen: Array, target: Array | None) -> Patch:
-        """The first corner nearest the target; else rows run to the right and columns down, as far as they can."""
+    def _refine(self, observed: Observed, rim: Rim, corners: Indices, prediction: Prediction | None) -> Fit:
+        """Lay the patch, move its inside with the map if that is asked for, match it to the track, validate it."""
+        flat, kink = rim.patch(corners)
+        points = observed.to_space(flat)
+        form = FittedLattice(points, np.zeros(len(points), bool), rows=FINE, kink=kink)
+        if self.epochs:
+            form = form.with_points(points + self._moved_inside(form, observed))
+        form = replace(form, interpolated=~observed.carries(form.points))
+        if prediction is not None:
+            form = match_corners(form, _GRID.lattice(prediction.nodes), self.freedom)
+        if form.ambiguity:
+            return Fit(form, 0.0, form.ambiguity)
+        # A cloud is validated as it lies unrolled, where a bent side does not wind.
+        judged = form if observed.dimension == 2 else form.with_points(flat)
+        reason, quality = validate_sheet(judged, observed, math.degrees(kink))
+        return Fit(form, quality, reason, observed=observed)
+
+    def _moved_inside(self, form: FittedLattice, observed: Observed) -> Array:
+        """Return how the self-organising map moves the points of a patch: ``(P, D)``, nothing at its border."""
+        start = form.evenly(_GRID.rows, _GRID.cols, centers=True)
+        nodes = run_som(observed.gather(_CELL), start, _GRID, self.epochs * (_SIGMA,))
+        moved = np.pad(_GRID.lattice(nodes - start), ((1, 1), (1, 1), (0, 0)))
+        at = []
+        for count, places in zip(
+            (_GRID.rows, _GRID.cols), _equal_gaps(form, _GRID.rows, _GRID.cols, "centers"), strict=True
+        ):
+            knots = np.concatenate([[0.0], places, [FINE - 1.0]])
+            at.append(np.interp(np.arange(FINE), knots, np.arange(count + 2)))
+        fine = np.stack(np.meshgrid(*at, indexing="ij")).reshape(2, -1)
+        return np.stack([map_coordinates(moved[..., d], fine, order=1) for d in range(moved.shape[2])], axis=1)
+
+    def apply_index_order(self, form: FittedLattice, seen: Array, target: Array | None) -> FittedLattice:
+        """Return the lattice with its first corner nearest the target; else rows run right and columns down."""
         if target is not None:
-            corners = form.measured(seen).corners
+            corners = form.with_points(seen).corners
             return form.turned(int(np.argmin(np.sum((corners - target) ** 2, axis=1))))
-        lattice = form.measured(seen).lattice
+        lattice = form.with_points(seen).lattice
         right, down = (lattice[:, -1] - lattice[:, 0]).mean(axis=0), (lattice[-1] - lattice[0]).mean(axis=0)
         right, down = (way / max(float(np.linalg.norm(way)), 1e-9) for way in (right, down))
         level, upright = right[0] + down[1], down[0] - right[1]
         return form.turned(int(np.argmax([level, upright, -level, -upright])))
 
-    def follow(self, form: Patch, prediction: Prediction) -> Patch:
-        """Turned so that its corners lie nearest to the predicted ones; in doubt if one of them is not the sheet's."""
-        assert isinstance(prediction.topology, Grid)
-        expected = prediction.topology.lattice(prediction.nodes)
-        if expected.shape[2] == 2:
-            quarters, corner, share = form.kernels.strayed(expected, form.lattice)
-            doubt = strays(corner, share, self.freedom)
-        else:
-            expected, corners = form.kernels.outer_corners(expected), form.corners
-            away = [np.sum((np.roll(corners, -turn, axis=0) - expected) ** 2) for turn in range(4)]
-            quarters = int(np.argmin(away))
-            doubt = strayed_corner(expected, np.roll(corners, -quarters, axis=0), self.freedom)
-        turned = form.turned(quarters)
-        return replace(turned, doubt=form.doubt or doubt) if doubt else turned
-
-    def place(self, form: Patch, metric: Patch) -> Points:
-        """Equal gaps down and across, on the mean over the lattice."""
+    def resample(self, form: FittedLattice, metric: FittedLattice) -> Points:
+        """Return points with equal gaps down and across, on the mean over the lattice."""
         ends = self.ends or "centers"
-        if form is metric and not np.count_nonzero(form.bridged):
+        if form is metric and form.whole:
             return Points(form.evenly(self.rows, self.cols, centers=ends == "centers"), np.zeros(self.count, bool))
-        at = _spread(metric, self.rows, self.cols, ends)
-        return Points(form.at(*at), form.bridged_at(*at))
+        at = _equal_gaps(metric, self.rows, self.cols, ends)
+        return Points(form.at(*at), form.interpolated_at(*at))
+
+    compiled: ClassVar[tuple[Any, ...]] = (
+        arc_length,
+        assess_lattice,
+        batch_epochs,
+        coons_patch,
+        interpolate,
+        lattice_gauges,
+        match_corners_plane,
+        material_outline,
+        nearest_corners,
+        outer_corners,
+        pairs,
+        rim_of,
+        sample_lattice,
+        undo_shrinkage,
+    )
 
 
-def _cut(region: Region) -> float:
-    """The share of the outline that runs along the edge of the window."""
-    (left, top, width, height), box = region.window, region.box
-    if (
-        left < box.left
-        and top < box.top
-        and box.left + box.width < left + width
-        and box.top + box.height < top + height
-    ):
-        return 0.0
-    place = region.border.traced - (region.window.left, region.window.top)
-    return float(np.mean(np.any((place <= 0) | (place >= (width - 1, height - 1)), axis=1)))
-
-
-def _rim(body: Body) -> Rim:
-    """The outline of a body's largest piece; of a cloud as unrolled."""
-    if isinstance(body, Cloud):
-        sheet = body.sheet()
-        return Rim.along(sheet.outline, sheet.outline_flat)
-    return Rim.around(body.border)
-
-
-def _found(nodes: Array, body: Body) -> Patch | None:
-    """The Coons patch between the corners nearest to those of a lattice of nodes (R,C,D); None if out of order."""
-    if isinstance(body, Region):
-        points, kink = body.kernels.tracked(*body.border.rim, nodes)
-        return _patch(points, kink, body) if len(points) else None
-    rim = _rim(body)
-    corners = rim.corners_near(body.kernels.outer_corners(nodes))
-    return None if corners is None else _laid(rim, corners, body)
-
-
-def _laid(rim: Rim, corners: Indices, body: Body) -> Patch:
-    """The Coons patch between four corners; for a cloud in its unrolled plane, then put back onto the sheet."""
-    points, kink = rim.laid(corners)
-    return _patch(body.chart.to_space(points) if isinstance(body, Cloud) else points, kink, body)
-
-
-def _patch(points: Array, kink: float, body: Body) -> Patch:
-    return Patch(points, np.zeros(len(points), bool), FINE, kink, kernels=body.kernels)
-
-
-def _spread(form: Patch, rows: int, cols: int, ends: Ends) -> tuple[Array, Array]:
-    """Places on a patch, (rows,) down and (cols,) across, with equal gaps on the mean over the patch."""
+def _equal_gaps(form: FittedLattice, rows: int, cols: int, ends: Ends) -> tuple[Array, Array]:
+    """Return places on a lattice, ``(rows,)`` down and ``(cols,)`` across, with equal gaps on the mean."""
     found = []
     for count, gauge in zip((rows, cols), form.gauges, strict=True):
         share = np.linspace(0, 1, count) if ends == "tips" else (np.arange(count) + 0.5) / count
         found.append(np.interp(share * gauge[-1], gauge, np.arange(len(gauge))))
     return found[0], found[1]
-
-
-def _over(form: Patch, moved: Array) -> Array:
-    """(P,D) how the points of a patch move with its nodes: (R,C,D) at the nodes, nothing at the border."""
-    places = _spread(form, moved.shape[0], moved.shape[1], "centers")
-    ends = [len(gauge) - 1 for gauge in form.gauges]
-    down, across = (np.concatenate([[0.0], at, [end]]) for at, end in zip(places, ends, strict=True))
-    motion = RegularGridInterpolator((down, across), np.pad(moved, ((1, 1), (1, 1), (0, 0))), method="linear")
-    fine = np.stack(np.meshgrid(np.arange(ends[0] + 1), np.arange(ends[1] + 1), indexing="ij"), axis=-1)
-    return motion(fine.reshape(-1, 2))
-
-
-def _corners(nodes: Array, topology: Topology, kernels: Kernels) -> Array:
-    """(4,D) where the corners of a sheet belong whose pieces have their centres at the nodes, clockwise."""
-    assert isinstance(topology, Grid)
-    return kernels.outer_corners(topology.lattice(nodes))

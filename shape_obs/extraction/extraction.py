@@ -58,7 +58,6 @@ class Extraction:
             "shape_obs": __version__,
             "config_hash": config_hash(self.config),
             "schema_hash": schema_hash(self.config),
-            "backend": "numba" if self.detector().kernels.compiled else "numpy",
             "extrinsics": place,
             "frames": self.frames,
         }

@@ -1,43 +1,217 @@
-"""Curves as polylines: arc length, smooth interpolation, equidistant sampling. Any dimension.
-
-Smoothing by a straight line through each value's neighbours.
-"""
+"""Polylines in any dimension: arc length, interpolation, smooth curves, equidistant points."""
 
 from __future__ import annotations
 
 from functools import cache
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.compiled import NUMPY, Kernels
-from shape_obs.compiled.numpy_curve import arc_length, catmull_rom, interpolate
-
-__all__ = [
-    "arc_length",
-    "catmull_rom",
-    "equidistant_around",
-    "equidistant_positions",
-    "interpolate",
-    "nearest_on",
-    "resample",
-]
+from shape_obs.compiled import compiled
 
 Array = npt.NDArray[np.float64]
 
-
-# Where chords are equalised, no point leaves its arc position by more than this share of a gap: where a hairpin is
-# narrower than a gap, equal chords would cost the points their places on the material.
-_MAX_SHIFT = 0.35
-
+# Chords are equalised this often, or until their gaps differ by no more than this share.
+_EQUALISING_PASSES: Final = 40
+_EQUAL: Final = 2e-3
+# When chords are equalised, no point leaves its arc position by more than this share of a gap: where a hairpin is
+# narrower than a gap, equal chords would move points off their material.
+_MAX_SHIFT: Final = 0.35
 # Around an outline with many corners, each of which shortens a chord, equal chords need more room.
-_MAX_SHIFT_AROUND = 1.5
+_MAX_SHIFT_AROUND: Final = 1.5
+_BLOCK: Final = 250_000  # pairs of a point and a piece of a polyline in one pass: 4 MB in the plane
 
-_BLOCK = 250_000  # pairs of a point and a piece of a polyline that are looked at in one go: 4 MB in the plane
+
+@compiled
+def arc_length(curve: Array) -> Array:
+    """Return the arc length from the first point to each point: ``(P, D)`` -> ``(P,)``."""
+    arc = np.zeros(len(curve))
+    for p in range(1, len(curve)):
+        square = 0.0
+        for d in range(curve.shape[1]):
+            square += (curve[p, d] - curve[p - 1, d]) ** 2
+        arc[p] = arc[p - 1] + np.sqrt(square)
+    return arc
+
+
+@compiled
+def interpolate(curve: Array, arc: Array, at: Array) -> Array:
+    """Return the points of a polyline at arc positions: ``(P, D)``, ``(P,)``, ``(N,)`` -> ``(N, D)``."""
+    last, dimension = len(curve) - 1, curve.shape[1]
+    out = np.empty((len(at), dimension))
+    before = 0
+    for n in range(len(at)):
+        if at[n] <= arc[0]:
+            out[n] = curve[0]
+        elif at[n] >= arc[last]:
+            out[n] = curve[last]
+        else:
+            if arc[before] > at[n] or arc[min(before + 8, last)] < at[n]:
+                before = np.searchsorted(arc, at[n]) - 1
+            while arc[before + 1] < at[n]:
+                before += 1
+            gap = arc[before + 1] - arc[before]
+            share = (at[n] - arc[before]) / gap if gap > 0 else 0.0
+            for d in range(dimension):
+                out[n, d] = curve[before, d] + share * (curve[before + 1, d] - curve[before, d])
+    return out
+
+
+@compiled
+def catmull_rom(nodes: Array, subdivisions: int, closed: bool) -> Array:
+    """Return a smooth curve through nodes that may be unevenly spaced.
+
+    Cubic Hermite pieces over the chord length with the three-point tangents of E. Catmull and R. Rom, "A Class of
+    Local Interpolating Splines", 1974.
+
+    Args:
+        nodes: ``(K, D)``, K >= 3, no two neighbours equal.
+        subdivisions: Pieces between two nodes.
+        closed: Whether the last node is followed by the first.
+
+    Returns:
+        ``((K - 1) * subdivisions + 1, D)`` points, the nodes among them; ``(K * subdivisions, D)`` if closed.
+    """
+    size, dimension = nodes.shape
+    pieces = size if closed else size - 1
+    gap = np.empty(pieces)
+    for k in range(pieces):
+        square = 0.0
+        for d in range(dimension):
+            square += (nodes[(k + 1) % size, d] - nodes[k, d]) ** 2
+        gap[k] = max(np.sqrt(square), 1e-9)
+    tangent = np.empty((size, dimension))
+    for k in range(size):
+        if closed or 0 < k < size - 1:
+            before, after = gap[k - 1], gap[k % pieces]
+            for d in range(dimension):
+                back = (nodes[k, d] - nodes[k - 1, d]) / before
+                ahead = (nodes[(k + 1) % size, d] - nodes[k, d]) / after
+                tangent[k, d] = (back * after + ahead * before) / (before + after)
+    if not closed:
+        for d in range(dimension):
+            tangent[0, d] = 2 * (nodes[1, d] - nodes[0, d]) / gap[0] - tangent[1, d]
+            tangent[-1, d] = 2 * (nodes[-1, d] - nodes[-2, d]) / gap[-1] - tangent[-2, d]
+    out = np.empty((pieces * subdivisions + (0 if closed else 1), dimension))
+    for i in range(subdivisions):
+        t = i / subdivisions
+        here, there = (1 + 2 * t) * (1 - t) ** 2, t * t * (3 - 2 * t)
+        leaving, arriving = t * (1 - t) * (1 - t), t * (1 - t) * t
+        for k in range(pieces):
+            after = (k + 1) % size
+            for d in range(dimension):
+                out[k * subdivisions + i, d] = (
+                    here * nodes[k, d]
+                    + there * nodes[after, d]
+                    + gap[k] * (leaving * tangent[k, d] - arriving * tangent[after, d])
+                )
+    if not closed:
+        out[-1] = nodes[-1]
+    return out
+
+
+def straightened(values: Array, window: int, closed: bool = False) -> Array:
+    """Smooth values along the first axis by fitting a line to the neighbours of each.
+
+    The filter of A. Savitzky and M. J. E. Golay, "Smoothing and Differentiation of Data by Simplified Least Squares
+    Procedures", 1964, of first order. ``scipy.signal.savgol_filter`` gives the same with its modes "interp" and
+    "wrap", but fits the lines at both ends again at each call, which takes half a millisecond.
+
+    Args:
+        values: ``(P, ...)``, P >= window.
+        window: How many neighbours, odd. The outermost values of an open row take the line of the outermost window.
+        closed: Whether the last value is followed by the first.
+    """
+    half, count = window // 2, len(values)
+    if closed:
+        values, count = np.concatenate([values[-half:], values, values[:half]]), count + 2 * half
+    total = np.cumsum(values, axis=0)
+    middle = total[window - 1 :].copy()
+    middle[1:] -= total[: count - window]
+    middle /= window
+    if closed:
+        return middle
+    first = _end_lines(window)
+    head, tail = first @ values[:window], first[::-1, ::-1] @ values[-window:]
+    return np.concatenate([head, middle, tail])
+
+
+@cache
+def _end_lines(window: int) -> Array:
+    """Return the weights of the line through a window for its first half: ``(half, window)``."""
+    at = np.arange(window) - window // 2
+    return (1 / window + np.outer(at, at) / float(at @ at))[: window // 2]
+
+
+def resample(curve: Array, count: int) -> Array:
+    """Return ``count`` points of equal arc length from end to end: ``(P, D)`` -> ``(count, D)``."""
+    curve = np.ascontiguousarray(curve, dtype=np.float64)
+    arc = arc_length(curve)
+    return interpolate(curve, arc, np.linspace(0.0, arc[-1], count))
+
+
+def equidistant_positions(curve: Array, arc: Array, count: int, *, centers: bool) -> Array:
+    """Return the arc positions of ``count`` >= 2 points with equal chords, increasing.
+
+    Args:
+        curve: ``(P, D)``.
+        arc: ``(P,)`` its arc length.
+        count: How many.
+        centers: Whether the points lie at the middle of ``count`` equal pieces; else the first and the last lie at the
+            curve's ends.
+    """
+    return _equidistant(curve, arc, count, arc[-1] / (2 * count) if centers else 0.0, _MAX_SHIFT)
+
+
+def equidistant_around(curve: Array, arc: Array, count: int) -> Array:
+    """Return the arc positions of ``count`` >= 2 points with equal chords around a closed curve, from its first point.
+
+    Args:
+        curve: ``(P, D)``, the first point not repeated.
+        arc: ``(P + 1,)`` its arc length, the last entry the whole.
+        count: How many.
+    """
+    around = np.concatenate([curve, curve[:1]])
+    return _equidistant(around, arc, count + 1, 0.0, _MAX_SHIFT_AROUND)[:-1]
+
+
+@compiled
+def _equidistant(curve: Array, arc: Array, count: int, margin: float, max_shift: float) -> Array:
+    """Return the arc positions of ``count`` points with equal chords, ``margin`` away from both ends.
+
+    No point leaves its position by arc length by more than ``max_shift`` gaps.
+    """
+    even = np.empty(count)
+    for n in range(count):
+        even[n] = margin + (arc[-1] - 2 * margin) * (n / (count - 1))
+    at = even.copy()
+    shift = max_shift * (even[1] - even[0])
+    share = np.empty(count)
+    for _ in range(_EQUALISING_PASSES):
+        chord = arc_length(interpolate(curve, arc, at))
+        least, most = np.inf, 0.0
+        for n in range(count - 1):
+            gap = chord[n + 1] - chord[n]
+            least, most = min(least, gap), max(most, gap)
+        if most - least < _EQUAL * chord[-1] / count:
+            break
+        before = 0
+        for n in range(count):
+            wanted = chord[-1] * n / (count - 1)
+            while before < count - 2 and chord[before + 1] < wanted:
+                before += 1
+            gap = chord[before + 1] - chord[before]
+            part = min(max((wanted - chord[before]) / gap, 0.0), 1.0) if gap > 0 else 0.0
+            share[n] = at[before] + part * (at[before + 1] - at[before])
+        for n in range(count):
+            at[n] = min(max(share[n], even[n] - shift), even[n] + shift)
+    return at
 
 
 def nearest_on(curve: Array, points: Array) -> tuple[Array, Array]:
-    """Where on a polyline each point is nearest to it: (P,D), (N,D) -> (N,) arc positions, (N,) distances."""
+    """Return where a polyline is nearest to each point: ``(P, D)``, ``(N, D)`` -> arc positions, distances ``(N,)``."""
+    curve = np.ascontiguousarray(curve, dtype=np.float64)
     start, side = curve[:-1], np.diff(curve, axis=0)
     square = np.einsum("pd,pd->p", side, side)
     length = np.sqrt(square)
@@ -55,75 +229,3 @@ def nearest_on(curve: Array, points: Array) -> tuple[Array, Array]:
         arc[block] = begins[best] + share[row, best] * length[best]
         distance[block] = np.sqrt(off[row, best])
     return arc, distance
-
-
-def resample(curve: Array, count: int) -> Array:
-    """``count`` points of equal arc length from end to end: (P,D) -> (count,D)."""
-    arc = arc_length(curve)
-    return interpolate(curve, arc, np.linspace(0.0, arc[-1], count))
-
-
-def equidistant_positions(curve: Array, arc: Array, count: int, *, centers: bool, kernels: Kernels = NUMPY) -> Array:
-    """Arc positions of ``count`` >= 2 points with equal chords.
-
-    Args:
-        curve: (P,D).
-        arc: (P,) its arc length.
-        count: How many.
-        centers: Points at the middle of ``count`` equal pieces; else the first and last at the curve's ends.
-        kernels: What runs the inner loops.
-
-    Returns:
-        (count,) arc positions, increasing.
-    """
-    return kernels.equidistant(curve, arc, count, arc[-1] / (2 * count) if centers else 0.0, _MAX_SHIFT)
-
-
-def equidistant_around(curve: Array, arc: Array, count: int, kernels: Kernels = NUMPY) -> Array:
-    """Arc positions of ``count`` >= 2 points with equal chords around a closed curve, the first at its first point.
-
-    Args:
-        curve: (P,D), the first point not repeated.
-        arc: (P+1,) its arc length, the last entry the whole.
-        count: How many.
-        kernels: What runs the inner loops.
-
-    Returns:
-        (count,) arc positions, increasing from 0.
-    """
-    around = np.concatenate([curve, curve[:1]])
-    return kernels.equidistant(around, arc, count + 1, 0.0, _MAX_SHIFT_AROUND)[:-1]
-
-
-def straightened(values: Array, window: int, closed: bool = False) -> Array:
-    """Values along the first axis, each replaced by the line through its neighbours.
-
-    The filter of A. Savitzky and M. J. E. Golay, "Smoothing and Differentiation of Data by Simplified Least Squares
-    Procedures", 1964, of first order, as `scipy.signal.savgol_filter` computes it with its modes "interp" and "wrap".
-    That one fits the lines at both ends anew at each call, which takes half a millisecond.
-
-    Args:
-        values: (P, ...), P >= window.
-        window: How many neighbours, odd: the value itself and as many on both sides. The outermost values of an open
-            row take the line of the outermost window.
-        closed: The last value is followed by the first.
-    """
-    half, count = window // 2, len(values)
-    if closed:
-        values, count = np.concatenate([values[-half:], values, values[:half]]), count + 2 * half
-    total = np.cumsum(values, axis=0)
-    middle = total[window - 1 :].copy()
-    middle[1:] -= total[: count - window]
-    middle /= window
-    if closed:
-        return middle
-    first = _ends(window)
-    head, tail = first @ values[:window], first[::-1, ::-1] @ values[-window:]
-    return np.concatenate([head, middle, tail])
-
-
-@cache
-def _ends(window: int) -> Array:
-    """(half, window) what the line through a window gives for its first half."""
-    at = np.arange(window) - window // 2
-    return (1 / window + np.outer(at, at) / float(at @ at))[: window // 2]

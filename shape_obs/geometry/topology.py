@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
-from shape_obs.compiled import NUMPY, Kernels
+from shape_obs.compiled import compiled
 
 Array = npt.NDArray[np.float64]
 Values = TypeVar("Values", bound=npt.NDArray[np.floating[Any]])
@@ -51,7 +51,7 @@ class Topology(ABC):
         """(E,2) pairs of neighbours, the lower index first but where a ring closes."""
 
     @abstractmethod
-    def unshrink(self, nodes: Array, sigma: float, kernels: Kernels = NUMPY) -> Array:
+    def unshrink(self, nodes: Array, sigma: float) -> Array:
         """Undo the pull of averaging with a kernel of width ``sigma`` towards the inside of a bend: (K,D) -> (K,D)."""
 
     @abstractmethod
@@ -59,7 +59,7 @@ class Topology(ABC):
         """(K,D) values with the unknown ones filled from their known neighbours; at least one must be known."""
 
     def neighbourhoods(self, sigmas: tuple[float, ...]) -> Neighbourhoods:
-        """The kernels of E widths, in node units."""
+        """Return the moments of E neighbourhoods, from their widths in node units."""
         return _neighbourhoods(self, sigmas)
 
 
@@ -89,9 +89,9 @@ class Chain(_Line):
         at = np.arange(self.count)
         return np.stack([at[:-1], at[1:]], axis=1)
 
-    def unshrink(self, nodes: Array, sigma: float, kernels: Kernels = NUMPY) -> Array:
+    def unshrink(self, nodes: Array, sigma: float) -> Array:
         """The second difference stands for the bend, at an end its neighbour's."""
-        return kernels.unshrink(nodes, shrinkage(sigma), False)
+        return undo_shrinkage(nodes, shrinkage(sigma), False)
 
     def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
         """In a straight line along the index, the ends repeated."""
@@ -113,9 +113,9 @@ class Ring(_Line):
         at = np.arange(self.count)
         return np.stack([at, np.roll(at, -1)], axis=1)
 
-    def unshrink(self, nodes: Array, sigma: float, kernels: Kernels = NUMPY) -> Array:
+    def unshrink(self, nodes: Array, sigma: float) -> Array:
         """The second difference stands for the bend."""
-        return kernels.unshrink(nodes, shrinkage(sigma), True)
+        return undo_shrinkage(nodes, shrinkage(sigma), True)
 
     def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
         """In a straight line along the index, across the closure too."""
@@ -155,16 +155,16 @@ class Grid(Topology):
         down = np.stack([at[:-1].ravel(), at[1:].ravel()], axis=1)
         return np.concatenate([right, down])
 
-    def unshrink(self, nodes: Array, sigma: float, kernels: Kernels = NUMPY) -> Array:
+    def unshrink(self, nodes: Array, sigma: float) -> Array:
         """As along a chain, down every column and along every row."""
         lattice = nodes.reshape(self.rows, self.cols, -1)
         out = lattice.copy()
         if self.rows > 2:
             down = lattice.reshape(self.rows, -1)
-            out += (kernels.unshrink(down, shrinkage(sigma), False) - down).reshape(lattice.shape)
+            out += (undo_shrinkage(down, shrinkage(sigma), False) - down).reshape(lattice.shape)
         if self.cols > 2:
             across = np.ascontiguousarray(lattice.swapaxes(0, 1)).reshape(self.cols, -1)
-            moved = (kernels.unshrink(across, shrinkage(sigma), False) - across).reshape(self.cols, self.rows, -1)
+            moved = (undo_shrinkage(across, shrinkage(sigma), False) - across).reshape(self.cols, self.rows, -1)
             out += moved.swapaxes(0, 1)
         return out.reshape(nodes.shape)
 
@@ -188,6 +188,24 @@ def shrinkage(sigma: float) -> float:
     """
     h = float(np.exp(-0.5 / sigma**2))
     return 1 / 24 + h / (1 + 2 * h)
+
+
+@compiled
+def undo_shrinkage(nodes: Array, share: float, closed: bool) -> Array:
+    """Move the nodes ``(K, D)`` of a line, K >= 3, against their bend, by a share of their second difference.
+
+    The ends of an open line move by 1/24 of their neighbour's.
+    """
+    size, dimension = nodes.shape
+    out = np.empty_like(nodes)
+    for k in range(size):
+        end = not closed and (k == 0 or k == size - 1)
+        at = min(max(k, 1), size - 2) if end else k
+        by = 1 / 24 if end else share
+        for d in range(dimension):
+            bend = nodes[(at + 1) % size, d] - 2 * nodes[at, d] + nodes[at - 1, d]
+            out[k, d] = nodes[k, d] - by * bend
+    return out
 
 
 def _along_index(values: Values, known: npt.NDArray[np.bool_], period: int | None) -> Values:

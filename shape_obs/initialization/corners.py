@@ -1,12 +1,13 @@
 """The four corners of a sheet, and the four sides between them.
 
 The outline of a quadrilateral turns by about a right angle four times and hardly in between. Its strongest turns are
-the candidates; among all choices of four the one is taken whose sides are straightest, whose corners turn most and
-whose quadrilateral fills the outline.
+the candidates. Among all choices of four, the best has the straightest sides, corners that turn most, and a
+quadrilateral that fills the outline.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
@@ -15,15 +16,20 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.compiled import NUMPY, Kernels
-from shape_obs.compiled.interface_outline import RIM
-from shape_obs.geometry.outline import Border
+from shape_obs.compiled import compiled
+from shape_obs.geometry.coons import RIM, TURN_REACH, coons_patch
+from shape_obs.geometry.outline import closed_arc, even_around
 from shape_obs.geometry.polyline import arc_length, interpolate
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 _RIGHT_ANGLE: Final = np.pi / 2
+_CANDIDATES: Final = 10
+_LEAST_TURN: Final = 0.35  # radians; the corners of a sheet turn more, wherever it bends
+# How far from where a corner is expected it is looked for, in points: half of the least side of a sheet of 1:4.
+_NEAR: Final = 20
+_STEEP: Final = 0.3  # the angle of a smaller tangent is a series of a few terms, to 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +37,12 @@ class Rim:
     """The closed outline of a sheet, 400 points evenly spaced, clockwise as seen.
 
     Args:
-        points: (P,D) pixels or metres.
-        flat: (P,2) the same unrolled into a plane; in an image the points themselves.
-        turn: (P,) radians by which the outline turns about each point, positive where it is convex.
-        candidates: (Q,) the points where it turns most, in order, at most ten.
+        points: ``(P, D)`` pixels or metres.
+        flat: ``(P, 2)`` the same unrolled into a plane; in an image the points themselves.
+        turn: ``(P,)`` radians by which the outline turns about each point, positive where it is convex.
+        candidates: ``(Q,)`` the points where it turns most, in order, at most ten.
         step: Distance between two points along the flat outline.
         grain: What the outline was smoothed over, in its unit: the steps it was traced in.
-        kernels: What runs the inner loops.
     """
 
     points: Array
@@ -46,24 +51,20 @@ class Rim:
     candidates: Indices
     step: float
     grain: float
-    kernels: Kernels = NUMPY
-
-    @classmethod
-    def around(cls, border: Border) -> Rim:
-        """Of a piece of a mask."""
-        points, turn, candidates, step, grain = border.rim
-        return cls(points, points, turn, candidates, step, grain, border.kernels)
 
     @classmethod
     def along(cls, outline: Array, flat: Array) -> Rim:
-        """From a closed outline of (P,D) points and the same (P,2) unrolled, the first point not repeated."""
-        even, turn, candidates, step, grain = NUMPY.rim(flat)
+        """Build the rim of a closed outline of ``(P, D)`` points and the same ``(P, 2)`` unrolled, no point repeated."""
+        even, turn, candidates, step, grain = rim_of(flat)
+        if outline is flat:
+            return cls(even, even, turn, candidates, step, grain)
         arc = arc_length(np.concatenate([flat, flat[:1]]))
         at = np.arange(RIM) * (arc[-1] / RIM)
-        return cls(interpolate(np.concatenate([outline, outline[:1]]), arc, at), even, turn, candidates, step, grain)
+        points = interpolate(np.concatenate([outline, outline[:1]]), arc, at)
+        return cls(points, even, turn, candidates, step, grain)
 
     def corners(self) -> Indices | None:
-        """(4,) the points that are most like the corners of a sheet, clockwise; None where there are not four."""
+        """Return ``(4,)`` the points most like the corners of a sheet, clockwise; None if there are not four."""
         if len(self.candidates) < 4:
             return None
         chosen = self.candidates[_fours(len(self.candidates))]
@@ -77,27 +78,27 @@ class Rim:
         return chosen[np.argmin(winding + blunt + left_out)]
 
     def corners_near(self, expected: Array) -> Indices | None:
-        """The corner nearest to each place, or the outline's nearest point where there is no corner.
+        """Return the corner nearest to each place, or the outline's nearest point if there is no corner.
 
         Args:
-            expected: (4,D) clockwise as seen.
+            expected: ``(4, D)`` clockwise as seen.
 
         Returns:
-            (4,) points; None when they are not in order around the outline.
+            ``(4,)`` points; None when they are not in order around the outline.
         """
-        found = self.kernels.corners_near(self.points, self.candidates, self.step, expected)
+        found = nearest_corners(self.points, self.candidates, self.step, expected)
         return found if len(found) else None
 
-    def laid(self, corners: Indices) -> tuple[Array, float]:
-        """(P,2) the Coons patch between four corners of the flat outline, and by how much it turns between them.
+    def patch(self, corners: Indices) -> tuple[Array, float]:
+        """Return ``(P, 2)`` the Coons patch between four corners of the flat outline, and its kink.
 
-        See ``Kernels.laid``.
+        See ``coons_patch``.
         """
-        return self.kernels.laid(self.flat, self.turn, corners, self.step, self.grain)
+        return coons_patch(self.flat, self.turn, corners, self.step, self.grain)
 
 
 def _area(polygons: Array) -> Array:
-    """(T,) areas of (T,P,2) polygons."""
+    """Return the areas of ``(T, P, 2)`` polygons: ``(T,)``."""
     x, y = polygons[..., 0], polygons[..., 1]
     return 0.5 * np.abs(np.sum(x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1), axis=1))
 
@@ -105,3 +106,107 @@ def _area(polygons: Array) -> Array:
 @lru_cache(maxsize=16)
 def _fours(count: int) -> Indices:
     return np.array(list(combinations(range(count), 4)), dtype=np.int64)
+
+
+@compiled
+def rim_of(outline: Array) -> tuple[Array, Array, Indices, float, float]:
+    """Return a clockwise outline ``(P, 2)`` as the rim of a sheet.
+
+    Returns:
+        ``(400, 2)`` points evenly spaced; ``(400,)`` radians by which it turns about each, positive where it is convex;
+        ``(Q,)`` the points where it turns most, in order, at most ten; the distance between two points; the outline's own.
+    """
+    arc = closed_arc(outline)
+    points = even_around(outline, arc, 0.0, RIM)
+    turn = _turns(points)
+    step = closed_arc(points)[RIM] / RIM
+    return points, turn, _candidates(turn), step, arc[-1] / len(outline)
+
+
+@compiled
+def _turns(points: Array) -> Array:
+    """Return ``(400,)`` radians by which a rim turns about each of its points."""
+    u, v = np.empty(RIM + 2 * TURN_REACH), np.empty(RIM + 2 * TURN_REACH)
+    for p in range(len(u)):
+        at = (p - TURN_REACH) % RIM
+        u[p], v[p] = points[at, 0], points[at, 1]
+    sine, cosine, turn = np.empty(RIM), np.empty(RIM), np.empty(RIM)
+    for p in range(RIM):
+        x, y = u[p + 2 * TURN_REACH] - u[p + TURN_REACH], v[p + 2 * TURN_REACH] - v[p + TURN_REACH]
+        back_x, back_y = u[p + TURN_REACH] - u[p], v[p + TURN_REACH] - v[p]
+        sine[p], cosine[p] = back_x * y - back_y * x, back_x * x + back_y * y
+        tangent = sine[p] / cosine[p] if cosine[p] > 0 else 0.0
+        square = tangent * tangent
+        tail = 1 / 9 - square * (1 / 11 - square * (1 / 13 - square * (1 / 15 - square / 17)))
+        turn[p] = tangent * (1 - square * (1 / 3 - square * (1 / 5 - square * (1 / 7 - square * tail))))
+    for p in range(RIM):
+        if abs(sine[p]) > _STEEP * cosine[p]:
+            turn[p] = math.atan2(sine[p], cosine[p])  # which is slow
+    return turn
+
+
+@compiled
+def _candidates(turn: Array) -> Indices:
+    """Return ``(Q,)`` the points where a rim turns most, in order."""
+    peaks, count = np.empty(RIM, np.int64), 0
+    for p in range(RIM):
+        if turn[p] > _LEAST_TURN:
+            highest = True
+            for i in range(1, TURN_REACH + 1):
+                if turn[(p + i) % RIM] > turn[p] or turn[(p - i) % RIM] > turn[p]:
+                    highest = False
+                    break
+            if highest:
+                peaks[count] = p
+                count += 1
+    while count > _CANDIDATES:
+        least = 0
+        for q in range(1, count):
+            if turn[peaks[q]] <= turn[peaks[least]]:
+                least = q
+        for q in range(least, count - 1):
+            peaks[q] = peaks[q + 1]
+        count -= 1
+    return peaks[:count].copy()
+
+
+@compiled
+def nearest_corners(rim: Array, candidates: Indices, step: float, expected: Array) -> Indices:
+    """Return the candidate nearest to each place, or the rim's nearest point if there is none.
+
+    Args:
+        rim: ``(400, D)``.
+        candidates: ``(Q,)`` the points where it turns most.
+        step: Distance between two points.
+        expected: ``(4, D)`` clockwise as seen.
+
+    Returns:
+        ``(4,)`` points; ``(0,)`` when they are not in order around the rim.
+    """
+    dimension = rim.shape[1]
+    found = np.empty(4, np.int64)
+    for k in range(4):
+        least = np.inf
+        for p in range(RIM):
+            square = 0.0
+            for d in range(dimension):
+                square += (rim[p, d] - expected[k, d]) ** 2
+            if square < least:
+                least = square
+                found[k] = p
+        near, corner = np.inf, -1
+        for q in range(len(candidates)):
+            square = 0.0
+            for d in range(dimension):
+                square += (rim[candidates[q], d] - expected[k, d]) ** 2
+            if square < near:
+                near, corner = square, candidates[q]
+        if corner >= 0 and math.sqrt(near) < max(_NEAR * step, 2 * math.sqrt(least)):
+            found[k] = corner
+    around = 0
+    for k in range(4):
+        gap = (found[(k + 1) % 4] - found[k]) % RIM
+        if gap <= 1:
+            return found[:0]
+        around += gap
+    return found if around == RIM else found[:0]

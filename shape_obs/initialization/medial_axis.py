@@ -1,62 +1,72 @@
-"""The axis of a rope at a cold start: from a mask by folding and a skeleton graph, from a cloud by geodesics.
-
-Tracing: the axis of a rope from tip to tip when there is no previous frame, over crossings and gaps.
-
-The axis of a rope-like cloud at a cold start, by geodesic distance.
-"""
+"""The medial axis: a rope's curve from tip to tip when there is no previous frame, over crossings and gaps."""
 
 from __future__ import annotations
 
+from functools import singledispatch
 from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.compiled import NUMPY, Kernels
-from shape_obs.compiled.interface_outline import SPECK
-from shape_obs.geometry.form import Curve
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import arc_length, interpolate
-from shape_obs.image.region import Component, Region
+from shape_obs.image.outline_tracing import SPECK, Component
+from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.initialization.crossings import Strands, untangle
+from shape_obs.initialization.folding import fold_outline, unexplained_share
 from shape_obs.initialization.gaps import Bridged, bridge
 from shape_obs.initialization.skeleton import skeleton_graph
-from shape_obs.point_cloud.body import Body
 from shape_obs.point_cloud.cloud import Cloud
 from shape_obs.point_cloud.deprojection import SeenCloud
 from shape_obs.point_cloud.geodesics import chain
 
-
-def axis(body: Body) -> Curve:
-    """The axis of a rope from tip to tip, in no particular direction."""
-    if isinstance(body, SeenCloud):
-        return body.lifted(axis(body.region))
-    if isinstance(body, Cloud):
-        return geodesic_axis(body)
-    curve, bridged, doubt = trace(body)
-    return Curve(curve, bridged, doubt=doubt)
-
-
 Array = npt.NDArray[np.float64]
 
-
 _POINTS: Final = (96, 256)
-
 _SPACING: Final = 0.4  # of the points of a traced curve, in widths
-
 # Of a simple ribbon: how far from the folded curve its outline may lie, in widths (it is half a width along the sides,
 # 0.7 at square ends), and the share of it that may lie farther, because it is ragged.
 _RIBBON: Final = (1.0, 0.03)
-
 # A strand that ends on another one is left out as noise while no more of the skeleton than this is left out in all.
 _UNEXPLAINED: Final = 0.1
-
 # A rope that crosses itself ten times has 31 branches, and the work grows with their square.
 _MOST_BRANCHES: Final = 60
-
 # Another way to join the pieces that is dearer by this little is as likely.
 _RIVAL: Final = 1.15
+_MAX_BRIDGED: Final = 0.5  # of a cloud's axis
+
+
+@singledispatch
+def medial_axis(observed: Observed) -> FittedCurve:
+    """Return the axis of a rope from tip to tip, in no particular direction, without any previous frame.
+
+    A mask is folded, or thinned to a skeleton; a cloud is cut into slices of equal geodesic distance; a cloud under a
+    mask takes the mask's axis and puts it in space.
+    """
+    raise TypeError(f"expected a Region or a Cloud, got {type(observed).__name__}.")
+
+
+@medial_axis.register
+def _(region: Region) -> FittedCurve:
+    curve, bridged, doubt = trace(region)
+    return FittedCurve(curve, bridged, ambiguity=doubt)
+
+
+@medial_axis.register
+def _(cloud: Cloud) -> FittedCurve:
+    found = chain(cloud.samples, cloud.links, [piece.samples for piece in cloud.components], cloud.width)
+    doubt = found.doubt
+    if not doubt and found.bridged.mean() > _MAX_BRIDGED:
+        doubt = f"{found.bridged.mean():.0%} of the curve would be gaps (at most {_MAX_BRIDGED:.0%})"
+    return FittedCurve(found.points, found.bridged, ambiguity=doubt)
+
+
+@medial_axis.register
+def _(cloud: SeenCloud) -> FittedCurve:
+    return cloud.lifted(medial_axis(cloud.region))
 
 
 class Trace(NamedTuple):
@@ -82,7 +92,7 @@ def trace(region: Region) -> Trace:
     Args:
         region: With one component or more.
     """
-    folds = [(component, folded(component, region.kernels)) for component in region.components]
+    folds = [(component, folded(component)) for component in region.components]
     ribbons = [(component, curve) for component, curve in folds if curve is not None]
     if len(ribbons) == len(region.components) == 1:
         curve = ribbons[0][1]
@@ -93,7 +103,7 @@ def trace(region: Region) -> Trace:
     if len(ribbons) < len(region.components):
         skeleton = skeleton_graph(*_without(region, [component for component, _ in ribbons]))
         if len(skeleton.branches) > _MOST_BRANCHES:
-            curve = region.kernels.fold(region.components[0].outline, region.components[0].width)
+            curve = fold_outline(region.components[0].outline, region.components[0].width)
             return _doubted(curve, f"the mask branches {len(skeleton.branches)} times: it is no rope")
         strands = untangle(skeleton)
         width = skeleton.width
@@ -101,7 +111,7 @@ def trace(region: Region) -> Trace:
         pieces += [strands.curves[i] for i in kept]
         doubts += _doubts(strands, kept, alone=len(region.components) == 1)
     if not pieces:
-        curve = region.kernels.fold(region.components[0].outline, region.components[0].width)
+        curve = fold_outline(region.components[0].outline, region.components[0].width)
         return _doubted(curve, "the mask has no axis")
     joined = bridge(pieces, width)
     doubts += _doubts_of_gaps(joined)
@@ -109,13 +119,13 @@ def trace(region: Region) -> Trace:
     return Trace(curve, bridged & ~region.contains(curve), "; ".join(dict.fromkeys(doubts)))
 
 
-def folded(component: Component, kernels: Kernels = NUMPY) -> Array | None:
+def folded(component: Component) -> Array | None:
     """The centreline of a component that is a simple ribbon: it has no hole, and all of it lies near; else None."""
     if component.holes:
         return None
     outline, (near, ragged) = component.outline, _RIBBON
-    curve = kernels.fold(outline, component.width)
-    return curve if kernels.unexplained(outline, curve, near * component.width) <= ragged else None
+    curve = fold_outline(outline, component.width)
+    return curve if unexplained_share(outline, curve, near * component.width) <= ragged else None
 
 
 def _without(region: Region, ribbons: list[Component]) -> tuple[npt.NDArray[np.uint8], tuple[int, int]]:
@@ -177,15 +187,3 @@ def _even(curve: Array, bridged: npt.NDArray[np.bool_], width: float) -> tuple[A
     at = np.linspace(0.0, arc[-1], int(np.clip(round(arc[-1] / (_SPACING * width)), *_POINTS)))
     nearest = np.clip(np.searchsorted(arc, at), 1, len(arc) - 1)
     return interpolate(curve, arc, at), bridged[nearest] | bridged[nearest - 1]
-
-
-_MAX_BRIDGED: Final = 0.5
-
-
-def geodesic_axis(cloud: Cloud) -> Curve:
-    """The axis from tip to tip, in no particular direction, bridged where there are gaps."""
-    found = chain(cloud.samples, cloud.links, [piece.samples for piece in cloud.components], cloud.width)
-    doubt = found.doubt
-    if not doubt and found.bridged.mean() > _MAX_BRIDGED:
-        doubt = f"{found.bridged.mean():.0%} of the curve would be gaps (at most {_MAX_BRIDGED:.0%})"
-    return Curve(found.points, found.bridged, doubt=doubt)

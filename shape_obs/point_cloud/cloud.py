@@ -1,23 +1,27 @@
-"""A cloud of points in space, as a body that shapes are fitted to."""
+"""A cloud of points in space: the ``Observed`` of metres."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_matrix
 from scipy.spatial import KDTree
 
-from shape_obs.compiled import NUMPY, Kernels
-from shape_obs.frame import FARTHEST
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import clockwise
 from shape_obs.geometry.samples import Samples
 from shape_obs.point_cloud.geodesics import ring
+from shape_obs.point_cloud.rope_tip import extend_chain, first_gap
 from shape_obs.point_cloud.unrolling import Chart, border, chart
 from shape_obs.point_cloud.voxels import Indices, Ribbon, gather, links, measure, pieces
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 Array = npt.NDArray[np.float64]
 
@@ -25,12 +29,9 @@ _MOST: Final = 20_000  # points; more say nothing new and cost time
 _EDGE: Final = 0.5  # of a voxel, in widths
 _COARSE: Final = 1 / 40  # and at most, of the extent: what is no rope is not thin
 _MIN_SHARE: Final = 0.02  # of the largest piece's points; smaller pieces are specks
-# Points farther from the middle than so many times the median are no part of the object.
-_FAR: Final = 12.0
 _FEWEST: Final = 4  # samples that a sheet has
 _RING: Final = 8.0  # widths: a ring is longer
 _MAX_PIECES: Final = 16  # and falls into no more: the cost of joining them grows with the cube of their number
-_SOME: Final = 1000  # points that tell the middle
 # How near a point of the cloud lies if it carries a place: in widths, and in voxels where the cloud is sparse.
 _NEAR: Final = (0.75, 2.0)
 
@@ -85,14 +86,13 @@ class Cloud:
 
     Args:
         points: (M,3) metres, plausible ones.
-        kernels: What runs the inner loops.
     """
 
     points: Array
-    kernels: Kernels = field(default=NUMPY, kw_only=True)
     unit: ClassVar[str] = "m"
     noun: ClassVar[str] = "cloud"
-    grains: ClassVar[str] = "points"
+    sample_unit: ClassVar[str] = "points"
+    dimension: ClassVar[int] = 3
     thinnest: ClassVar[float] = 3e-4
 
     @property
@@ -101,7 +101,7 @@ class Cloud:
         return len(self.components)
 
     @cached_property
-    def amount(self) -> int:
+    def area(self) -> int:
         """Points, specks left out."""
         return len(self.kept)
 
@@ -126,7 +126,7 @@ class Cloud:
         return self._pieces.components
 
     @cached_property
-    def within(self) -> float:
+    def hidden_variance(self) -> float:
         """Variance across a strand that the samples hide, square metres: two of the three directions of a voxel."""
         offset = self.kept - self.samples.points[self._pieces.sample]
         return float(np.mean(np.sum(offset**2, axis=1))) * 2 / 3
@@ -137,18 +137,59 @@ class Cloud:
         return max(self._ribbon.width, self.samples.scale) if len(self.kept) else 0.0
 
     @property
-    def stretch(self) -> float:
+    def length(self) -> float:
         """Length of a rope-like cloud, metres."""
-        return self._ribbon.stretch
+        return self._ribbon.length
 
     @property
-    def grain(self) -> float:
+    def resolution(self) -> float:
         """What the cloud resolves: the edge of a voxel, metres."""
         return self.samples.scale
 
-    def breadth(self, length: float) -> float:
+    def ribbon_width(self, length: float) -> float:
         """The width that a spread in both directions across is judged by, metres."""
-        return max(self._ribbon.breadth, self.samples.scale)
+        return max(self._ribbon.spread_width, self.samples.scale)
+
+    @property
+    def box(self) -> None:
+        """None: a cloud has no pixels."""
+        return None
+
+    @property
+    def holes(self) -> int:
+        """0: the outline of a cloud has no holes."""
+        return 0
+
+    def with_width(self, width: float) -> Self:
+        """Return the cloud itself, whose width is always measured."""
+        return self
+
+    def gather(self, edge: float) -> Samples:
+        """Return the cloud's samples: its voxels do not depend on an edge in pixels."""
+        return self.samples
+
+    def all_samples(self) -> Samples:
+        """Return every point, each counting once."""
+        return Samples(self.kept, np.ones(len(self.kept)), self.resolution)
+
+    def extend_to_tips(self, nodes: Array) -> Array:
+        """Cut a chain of nodes ``(K, 3)`` where it hangs over the cloud, and lengthen it to the rope's tips."""
+        return extend_chain(nodes, self, self.width)
+
+    def connected_ahead(self, place: Array, points: Array, along: Array, width: float) -> npt.NDArray[np.bool_]:
+        """Return which points near a place belong to its strand: those before the first wide gap.
+
+        Args:
+            place: ``(3,)`` metres.
+            points: ``(P, 3)`` metres.
+            along: ``(P,)`` how far ahead of the place each point lies, metres.
+            width: Of the rope, metres.
+        """
+        return along <= first_gap(along, width)
+
+    def pixels_of(self, points: Array) -> Array | None:
+        """Return None: no camera is known that saw the cloud."""
+        return None
 
     def seen(self, points: Array, target: Array | None) -> Array:
         """The points as an anchor is given: (N,3); without one as seen along +z, from the cloud's top left: (N,2)."""
@@ -172,18 +213,63 @@ class Cloud:
         offset = self.kept - place
         return self.kept[np.einsum("md,md->m", offset, offset) <= reach**2]
 
-    def outline(self) -> Array:
-        """(P,3) closed boundary, clockwise as seen along +z: a ring's axis, or the border of a sheet."""
-        return self.sheet().outline if self._ring is None else self._ring
+    def traced_outline(self, hole: int | None = None) -> None:
+        """Return None: the boundary of a cloud is not traced pixel by pixel."""
+        return None
+
+    def outline_curve(self, hole: int | None = None) -> FittedCurve:
+        """Return the closed boundary, clockwise as seen along +z: a ring's axis, or the border of a sheet."""
+        points = self.sheet().outline if self._ring is None else self._ring
+        return FittedCurve(points, np.zeros(len(points), bool), closed=True)
+
+    def outline_samples(self, hole: int | None = None) -> Samples:
+        """Return the points of the boundary, weighted by arc length."""
+        curve = self.outline_curve()
+        step = np.diff(curve.arc)
+        return Samples(curve.points, (step + np.roll(step, 1)) / 2, curve.size / len(curve.points))
+
+    def outline_points(self, hole: int | None = None) -> Samples:
+        """Return as many points at equal distances around the boundary, each counting once."""
+        curve = self.outline_curve()
+        count = len(curve.points)
+        return Samples(curve.even(count), np.ones(count), curve.size / count)
+
+    def outline_width(self, hole: int | None = None) -> float:
+        """Return infinity: the boundary may be a ring's own axis, whose sides are not known."""
+        return np.inf
+
+    def sheet_outline(self) -> tuple[Array, Array]:
+        """Return the outline of the sheet in space, ``(P, 3)``, and unrolled into a plane, ``(P, 2)``."""
+        sheet = self.sheet()
+        return sheet.outline, sheet.outline_flat
+
+    def to_space(self, flat: Array) -> Array:
+        """Return places ``(N, 2)`` on the unrolled sheet in space, ``(N, 3)``."""
+        return self.chart.to_space(flat)
 
     @property
-    def outlined(self) -> float:
+    def cut_share(self) -> float:
+        """0: a cloud has no edge of an image."""
+        return 0.0
+
+    @property
+    def parts(self) -> tuple[Observed, ...]:
+        """The observations that an initial axis is taken from: the cloud itself."""
+        return (self,)
+
+    @property
+    def hollow_share(self) -> float:
+        """1: whether a cloud encloses a hole is not known."""
+        return 1.0
+
+    @property
+    def outlined_share(self) -> float:
         """The share of the cloud that the outline goes around: all of a ring, the largest piece of a sheet."""
-        return 1.0 if self._ring is not None else self.components[0].area / max(self.amount, 1)
+        return 1.0 if self._ring is not None else self.components[0].area / max(self.area, 1)
 
     @cached_property
     def _ring(self) -> Array | None:
-        if self.stretch < _RING * self.width or len(self.components) > _MAX_PIECES:
+        if self.length < _RING * self.width or len(self.components) > _MAX_PIECES:
             return None
         around = ring(self.samples, self.links, [piece.samples for piece in self.components], self.width)
         return around if around is None or clockwise(around) else around[::-1]
@@ -241,45 +327,3 @@ class Cloud:
             graph = graph[keep][:, keep]
         components = tuple(Piece(place[piece], float(weight[piece].sum())) for piece in found)
         return _Pieces(points, cube, samples, graph, components)
-
-
-def read_cloud(points: Any, kernels: Kernels = NUMPY) -> Cloud:
-    """The cloud of an array: (M,3), or organised as (H,W,3), floating metres.
-
-    Raises:
-        TypeError: No floating array.
-        ValueError: Another shape.
-    """
-    if not isinstance(points, np.ndarray) or not np.issubdtype(points.dtype, np.floating):
-        came = f"an array of {points.dtype}" if isinstance(points, np.ndarray) else type(points).__name__
-        raise TypeError(
-            f"points: expected a numpy array of floating metres, got {came}; scale millimetres by 0.001, and stack the "
-            "fields of a PointCloud2: np.stack([cloud['x'], cloud['y'], cloud['z']], axis=-1)."
-        )
-    if points.ndim not in (2, 3) or points.shape[-1] != 3:
-        raise ValueError(
-            f"points: expected shape (M, 3) or (H, W, 3), got {points.shape}; of (M, 4) or more give points[:, :3]."
-        )
-    return Cloud(plausible(points.reshape(-1, 3)), kernels=kernels)
-
-
-def plausible(points: npt.NDArray[np.floating[Any]]) -> Array:
-    """The points that can belong to one object: finite, not absurdly far off, none that a camera writes for "none".
-
-    Args:
-        points: (M,3) metres.
-    """
-    points = points.astype(np.float64)
-    columns = points.T
-    near = np.ones(len(points), bool)
-    for column in columns:
-        near &= np.abs(column) < FARTHEST
-    near &= (columns[0] != 0) | (columns[1] != 0) | (columns[2] != 0)
-    points = points[near]
-    if not len(points):
-        return points
-    some = points[:: -(-len(points) // _SOME)]
-    middle = np.median(some, axis=0)
-    typical = np.median(np.sum((some - middle) ** 2, axis=1))
-    offset = points - middle
-    return points[np.einsum("md,md->m", offset, offset) <= _FAR**2 * typical]

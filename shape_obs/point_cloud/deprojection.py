@@ -13,7 +13,8 @@ from scipy.spatial import KDTree
 
 from shape_obs.camera import Intrinsics
 from shape_obs.frame import FARTHEST, depth_in_metres
-from shape_obs.geometry.form import Curve
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.observed import Observed
 from shape_obs.image.region import Region
 from shape_obs.point_cloud.cloud import Cloud, Sheet
 from shape_obs.point_cloud.lifting import form_depth, lift_form
@@ -52,28 +53,33 @@ class SeenCloud(Cloud):
     depth: npt.NDArray[Any]
     intrinsics: Intrinsics
 
-    def pixels(self, points: Array) -> Array:
+    def pixels_of(self, points: Array) -> Array:
         """(N,3) metres -> (N,2) pixels."""
         return self.intrinsics.project(points)
 
     def seen(self, points: Array, target: Array | None) -> Array:
         """(N,2) pixels."""
-        return self.pixels(points)
+        return self.pixels_of(points)
+
+    @property
+    def parts(self) -> tuple[Observed, ...]:
+        """The observations that an initial axis is taken from: the cloud and its mask."""
+        return self, self.region
 
     def carries(self, points: Array) -> npt.NDArray[np.bool_]:
         """Whether the mask carries (N,3) points as they are seen; where depth has holes the object is still there."""
-        pixels = self.pixels(points)
+        pixels = self.pixels_of(points)
         ahead = np.isfinite(pixels[:, 0])
         return ahead & self.region.carries(np.where(ahead[:, None], pixels, -1e6))
 
     @cached_property
     def _sheet(self) -> Sheet:
         """The border is the mask's, which is sharper than the cloud's and knows no holes in the depth."""
-        rim = self.region.border.curve
+        rim = self.region.outline.curve
         if len(self.samples) < _NEIGHBOURS or not rim.size:  # that of a single pixel has no length
             return super()._sheet
         pixels = rim.at(np.arange(_RIM) * (rim.size / _RIM))
-        samples = self.pixels(self.samples.points)
+        samples = self.pixels_of(self.samples.points)
         tree: Any = KDTree(samples)
         _, near = tree.query(pixels, k=np.arange(_NEIGHBOURS) + 1)
         # The inverse depth of a plane is linear in the pixel.
@@ -89,9 +95,13 @@ class SeenCloud(Cloud):
             return super()._sheet
         return Sheet(outline, self.chart.flat, self.chart.to_flat(outline, near[:, 0]))
 
+    def connected_ahead(self, place: Array, points: Array, along: Array, width: float) -> npt.NDArray[np.bool_]:
+        """Return which points near a place belong to its strand: those to which the mask goes on straight."""
+        return self.in_sight(place, points)
+
     def in_sight(self, place: Array, points: Array) -> npt.NDArray[np.bool_]:
         """Whether the mask goes on from a place (3,) straight to (N,3) points near it: (N,) bool."""
-        ends, start = self.pixels(points), self.pixels(place)
+        ends, start = self.pixels_of(points), self.pixels_of(place)
         if not np.isfinite(start).all():  # behind the camera
             return np.zeros(len(points), bool)
         longest = float(np.fmax.reduce(np.abs(ends - start), axis=None, initial=1.0))
@@ -100,13 +110,13 @@ class SeenCloud(Cloud):
         off = ~self.region.contains(line.reshape(-1, 2)).reshape(line.shape[:2])
         return off.sum(axis=1) < _APART
 
-    def lifted(self, curve: Curve) -> Curve:
+    def lifted(self, curve: FittedCurve) -> FittedCurve:
         """A curve over the image, in pixels, in space."""
-        under = form_depth(curve, self.depth, self.region, self.region.width)
+        under = form_depth(curve, self.depth, self.region)
         points = lift_form(curve, under, self.intrinsics)
         if points is None:
-            return replace(curve, doubt=curve.doubt or _UNKNOWN)
-        return curve.measured(points)
+            return replace(curve, ambiguity=curve.ambiguity or _UNKNOWN)
+        return curve.with_points(points)
 
 
 def deproject(region: Region, depth: npt.NDArray[Any], intrinsics: Intrinsics) -> SeenCloud:
@@ -130,7 +140,7 @@ def deproject(region: Region, depth: npt.NDArray[Any], intrinsics: Intrinsics) -
     kept = off <= np.maximum(_OFF * _median(off, cell), _TOLERANCE)
     points = intrinsics.deproject(uv[kept].astype(np.float64), z[kept])
     plausible = (np.abs(points) < FARTHEST).all(axis=1)  # an absurd lens sees farther, or has no ray there
-    return SeenCloud(points[plausible], region, depth, intrinsics, kernels=region.kernels)
+    return SeenCloud(points[plausible], region, depth, intrinsics)
 
 
 def _inner(region: Region) -> npt.NDArray[np.int32]:

@@ -181,7 +181,7 @@ def ring(samples: Samples, graph: csr_matrix, components: Sequence[Indices], wid
         if broken.doubt or gap > _RING_GAP * length:
             return None
         around = resample(broken.points, max(round(length / width), 8))
-    smooth = catmull_rom(around, closed=True)
+    smooth = catmull_rom(around, 4, True)
     smooth = np.concatenate([smooth, smooth[:1]])
     arc = arc_length(smooth)
     count = max(round(4 * arc[-1] / width), 32)

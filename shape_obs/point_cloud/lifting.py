@@ -8,19 +8,24 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
-from shape_obs.compiled.interface import MILLIMETRE
-from shape_obs.geometry.form import Curve, Form
+from shape_obs.compiled import compiled
+from shape_obs.frame import FARTHEST, MILLIMETRE
+from shape_obs.geometry.curve import FittedCurve, FittedForm
+from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.image.region import Region
-from shape_obs.tracking.occluders import overlaid
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.uint8]
 
-_UNITS: Final = {"H": MILLIMETRE, "f": 1.0, "d": 1.0}  # metres, of uint16, float32 and float64
+_UNITS: Final = {"H": MILLIMETRE, "f": 1.0}  # metres, of uint16 and float32
 _MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry depth
+_SMEARED: Final = 2.5  # widths beside a hidden piece, in which depth may be that of what hides it
+_COMPARED: Final = 6.0  # widths within which the rope's own depth is looked for
+_STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much within a few widths
 _MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
 
 
-def local_depth(points: Array, depth: npt.NDArray[Any], region: Region, width: float) -> Array:
+def local_depth(points: Array, depth: npt.NDArray[Any], region: Region) -> Array:
     """Median depth of the mask around each point.
 
     Looks at the middle half of the object's width (13 pixels at most), so that a round rope's flanks do not pull the
@@ -30,19 +35,18 @@ def local_depth(points: Array, depth: npt.NDArray[Any], region: Region, width: f
         points: (N,2) pixels.
         depth: (H,W) the frame's depth.
         region: The mask.
-        width: The object's width, pixels.
 
     Returns:
         (N,) metres; NaN where fewer than a quarter of the mask pixels carry depth: a hole stays a hole.
     """
-    reach = min(max(round(width / 4), 1), _MAX_REACH)
+    reach = min(max(round(region.width / 4), 1), _MAX_REACH)
     if depth.dtype.char not in _UNITS or not depth.dtype.isnative:
-        depth = depth.astype(np.float64)
+        depth = depth.astype(np.float32)
     unit = _UNITS[depth.dtype.char]
-    depth = depth.view()
-    depth.flags.writeable = False  # one type for all, or arrays that are read-only would be compiled for anew
+    depth = np.ascontiguousarray(depth).view()
+    depth.flags.writeable = False  # one type for all: compiled code distinguishes read-only arrays
     left, top = region.window[:2]
-    return region.kernels.median_depth(depth, unit, region.mask, left, top, points, reach, _MIN_SHARE)
+    return median_depth(depth, unit, region.mask, left, top, points, reach, _MIN_SHARE)
 
 
 def lift(points: Array, z: Array, intrinsics: Intrinsics, radius: float) -> Array:
@@ -63,15 +67,15 @@ def lift(points: Array, z: Array, intrinsics: Intrinsics, radius: float) -> Arra
     return rays * z[:, None]
 
 
-def form_depth(form: Form, depth: npt.NDArray[Any], region: Region, width: float) -> Array:
+def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region) -> Array:
     """(P,) metres under a form, NaN where it is not known or belongs to something that lies over it."""
-    z = local_depth(form.points, depth, region, width)
-    if isinstance(form, Curve) and not form.whole:
-        z[form.bridged | overlaid(form, z, width)] = np.nan
+    z = local_depth(form.points, depth, region)
+    if isinstance(form, FittedCurve) and not form.whole:
+        z[form.interpolated | overlaid(form, z, region.width)] = np.nan
     return z
 
 
-def lift_form(form: Form, z: Array, intrinsics: Intrinsics) -> Array | None:
+def lift_form(form: FittedForm, z: Array, intrinsics: Intrinsics) -> Array | None:
     """A whole form in space, for measuring distances in metres.
 
     Holes are bridged and the depth is smoothed over a few points (millimetre steps would make the form longer than it
@@ -90,3 +94,104 @@ def lift_form(form: Form, z: Array, intrinsics: Intrinsics) -> Array | None:
         return None
     points = intrinsics.deproject(form.points, form.smoothed(z, known))
     return points if np.isfinite(points).all() else None
+
+
+def overlaid(curve: FittedCurve, metres: Array, width: float) -> npt.NDArray[np.bool_]:
+    """Where the depth beside a hidden piece is that of what hides it, and not the curve's own.
+
+    The camera's two eyes see past an edge differently, and depth is smeared there: it is compared with that of the
+    curve a little further away.
+
+    Args:
+        curve: (P,D) pixels, with hidden pieces.
+        metres: (P,) depth under it; NaN where it is not known.
+        width: Of the rope, pixels.
+
+    Returns:
+        (P,) bool.
+    """
+    arc = curve.arc[: len(metres)]
+    apart = np.abs(arc[:, None] - arc)
+    if curve.closed:
+        apart = np.minimum(apart, curve.size - apart)
+    beside = apart[:, curve.interpolated].min(axis=1) <= _SMEARED * width
+    own = np.where(beside | curve.interpolated, np.nan, metres)
+    over = np.zeros(len(metres), bool)
+    for at in np.flatnonzero(beside & ~curve.interpolated & np.isfinite(metres)):
+        near = own[apart[at] <= _COMPARED * width]
+        near = near[np.isfinite(near)] if np.isfinite(near).any() else own[np.isfinite(own)]
+        over[at] = len(near) > 0 and metres[at] < np.median(near) - _STEP
+    return over
+
+
+@compiled
+def median_depth(
+    depth: npt.NDArray[Any],
+    unit: float,
+    mask: Mask,
+    left: int,
+    top: int,
+    points: Array,
+    reach: int,
+    min_share: float,
+) -> Array:
+    """Return the median depth of the mask around each point.
+
+    Args:
+        depth: ``(H, W)`` uint16, float32 or float64; 0, negative, non-finite or absurd = invalid.
+        unit: Metres in a unit of depth.
+        mask: ``(h, w)`` uint8, C-contiguous.
+        left: Image column of its first pixel.
+        top: Image row of its first pixel.
+        points: ``(N, 2)`` image pixels.
+        reach: How far around a point is looked, pixels.
+        min_share: Of the mask's pixels there, that must have a valid depth.
+
+    Returns:
+        ``(N,)`` metres, NaN where too few have.
+    """
+    height, width = mask.shape
+    out, near = np.full(len(points), np.nan), np.empty((2 * reach + 1) ** 2)
+    for n in range(len(points)):
+        column, row = nearest_pixel(points[n, 0]) - left, nearest_pixel(points[n, 1]) - top
+        inside = known = 0
+        for v in range(max(row - reach, 0), min(row + reach + 1, height)):
+            for u in range(max(column - reach, 0), min(column + reach + 1, width)):
+                if mask[v, u] != 0:
+                    inside += 1
+                    z = depth[v + top, u + left] * unit
+                    if 0 < z < FARTHEST:
+                        near[known] = z
+                        known += 1
+        if known >= max(min_share * inside, 1):
+            upper = _select(near, known, known // 2)
+            lower = upper
+            if known % 2 == 0:
+                lower = near[0]
+                for k in range(1, known // 2):
+                    lower = max(lower, near[k])
+            out[n] = (lower + upper) / 2
+    return out
+
+
+@compiled
+def _select(values: Array, count: int, place: int) -> float:
+    """Return the value at a place of ``count`` values in order, which are left partly in order (C. A. R. Hoare, 1961)."""
+    low, high = 0, count - 1
+    while low < high:
+        pivot, i, j = values[(low + high) // 2], low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i, j = i + 1, j - 1
+        if place <= j:
+            high = j
+        elif place >= i:
+            low = i
+        else:
+            break
+    return values[place]

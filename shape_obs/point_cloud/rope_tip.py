@@ -1,18 +1,19 @@
-"""What lies ahead of the end of a strand in a cloud; in a mask, ``Kernels.ribbon`` asks the same.
+"""The tips of a rope in a cloud: go on from the last nodes of a chain along its strand to where it ends.
 
-The real ends of a rope in a cloud, past the last cluster centres; in a mask, ``Kernels.ribbon`` finds them.
+``shape_obs.image.rope_tip`` does the same in a mask.
 """
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.compiled.interface import LAST, LAST_REST, MAX_STEPS, REACH, SHORTEST, SIDE, STEP_FROM, STEP_TO
-from shape_obs.point_cloud.cloud import Cloud
-from shape_obs.point_cloud.deprojection import SeenCloud
+from shape_obs.image.rope_tip import LAST, LAST_REST, MAX_STEPS, REACH, SHORTEST, SIDE, STEP_FROM, STEP_TO
+
+if TYPE_CHECKING:
+    from shape_obs.point_cloud.cloud import Cloud
 
 Array = npt.NDArray[np.float64]
 
@@ -26,9 +27,9 @@ class Ahead(NamedTuple):
     """The strand ahead of a place.
 
     Args:
-        offset: (P,D) its points from there.
-        along: (P,) how far each lies ahead.
-        rest: The length of it, in the body's unit, where it ends within 1.5 widths.
+        offset: ``(P, 3)`` its points from there.
+        along: ``(P,)`` how far each lies ahead.
+        rest: The length of it, metres, if it ends within 1.5 widths.
         goes_on: Whether there is more of it than a last piece.
     """
 
@@ -39,11 +40,10 @@ class Ahead(NamedTuple):
 
 
 def ahead(cloud: Cloud, front: Array, heading: Array, width: float) -> Ahead:
-    """The strand that goes on from ``front`` (3,) in the direction ``heading``, a unit vector.
+    """Return the strand that goes on from ``front`` ``(3,)`` in the direction ``heading``, a unit vector.
 
-    Noise carries as many points forwards over the start as back, and at the far end it leaves the mean alone.
-
-    So the length is twice the mean, for points that are spread evenly.
+    Noise moves as many points forwards over the start as back, and at the far end it leaves the mean alone. So the
+    length is twice the mean, for points that are spread evenly.
     """
     points = cloud.around(front, REACH * width)
     offset = points - front
@@ -51,23 +51,20 @@ def ahead(cloud: Cloud, front: Array, heading: Array, width: float) -> Ahead:
     side = np.sqrt(np.maximum(np.einsum("pd,pd->p", offset, offset) - along**2, 0.0))
     strand = (along > 0) & (side <= SIDE * width)
     # Another strand that passes ahead is no part of this one.
-    if isinstance(cloud, SeenCloud):
-        strand[strand] = cloud.in_sight(front, points[strand])
-    else:
-        strand &= along <= _first_gap(along[strand], width)
+    strand[strand] = cloud.connected_ahead(front, points[strand], along[strand], width)
     offset, along = offset[strand], along[strand]
     rest = 2 * float(along.mean()) if len(along) else 0.0
     return Ahead(offset, along, rest, rest > _BEYOND * width)
 
 
-def _first_gap(along: Array, width: float) -> float:
-    """How far points hang together that lie (P,) ahead."""
+def first_gap(along: Array, width: float) -> float:
+    """Return how far points are connected that lie ``(P,)`` ahead."""
     order = np.sort(np.append(along, 0.0))
     gap = max(_GAP[0] * width, _GAP[1] * REACH * width / len(order))
     return float(order[np.argmax(np.append(np.diff(order) > gap, True))])
 
 
-def extend_to_tips(nodes: Array, cloud: Cloud, width: float) -> Array:
+def extend_chain(nodes: Array, cloud: Cloud, width: float) -> Array:
     """Cut a chain of cluster centres where it hangs over the cloud, and lengthen it to the tips.
 
     Args:
@@ -88,7 +85,7 @@ def extend_to_tips(nodes: Array, cloud: Cloud, width: float) -> Array:
 
 
 def _extension(start: Array, cloud: Cloud, width: float) -> Array:
-    """(S,3) from the end of a chain, the first of (3,3) nodes, to the tip."""
+    """Return the way ``(S, 3)`` from the end of a chain, the first of ``(3, 3)`` nodes, to the tip."""
     front, heading, rest = start[0], _heading(start), 0.0
     path: list[Array] = []
     for _ in range(MAX_STEPS):
@@ -109,14 +106,14 @@ def _extension(start: Array, cloud: Cloud, width: float) -> Array:
 
 
 def _heading(nodes: Array) -> Array:
-    """Direction out of the first of three nodes, their curvature continued."""
+    """Return the direction out of the first of three nodes, their curvature continued."""
     near, far = nodes[0] - nodes[1], nodes[1] - nodes[2]
     near, far = near / max(np.linalg.norm(near), 1e-9), far / max(np.linalg.norm(far), 1e-9)
     return _unit(near + (near - far) / 2, near)
 
 
 def _continue(heading: Array, step: Array) -> Array:
-    """The heading after a step. On a circle the tangent turns twice as far as the chord; half of that more is taken."""
+    """Return the heading after a step. On a circle the tangent turns twice as far as the chord; half of that more is taken."""
     chord = _unit(step, heading)
     return _unit(chord + (chord - heading) / 2, chord)
 

@@ -111,18 +111,18 @@ _FEWEST: Final = 12  # points in a neighbourhood; the shape of fewer is chance
 
 
 class Ribbon(NamedTuple):
-    """What a cloud measures as a rope.
+    """The measures of a cloud as a rope.
 
     Args:
         width: Metres; sqrt(12) times the rms spread across the local axis in the direction in which it is larger: a
             flat ribbon's width. The short side of what is no rope.
-        breadth: Metres; the same for the spread in both directions across.
-        stretch: Length, metres.
+        spread_width: Metres; the same for the spread in both directions across.
+        length: Metres.
     """
 
     width: float
-    breadth: float
-    stretch: float
+    spread_width: float
+    length: float
 
 
 def measure(points: Array) -> Ribbon:

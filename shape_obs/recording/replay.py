@@ -98,7 +98,6 @@ class ShapeLog:
             "config": dump_config(given),
             "schema_hash": schema_hash(given),
             "config_hash": config_hash(given),
-            "backend": "numba" if detector.kernels.compiled else "numpy",
             "shapes": {spec.name: spec.layout.size for spec in detector.shapes},
             "source": None if source is None else {"kind": source.kind, "name": source.name},
             "camera": None if source is None else camera_to_dict(source.camera),

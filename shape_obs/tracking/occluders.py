@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.frame import depth_in_metres
-from shape_obs.geometry.form import Curve
+from shape_obs.geometry.curve import FittedCurve
 
 Array = npt.NDArray[np.float64]
 
@@ -22,14 +22,11 @@ _CLEARANCE: Final = 0.005  # metres: what is nearer than the rope by this much l
 _COVERED: Final = 0.3  # of a hidden end: below that share nothing hides it; what has no depth may
 LONG: Final = 0.06  # of the length: no rope becomes shorter by this much from one frame to the next
 _AROUND: Final = 1.5  # widths around the place where a rope goes out of sight, in which what hides it must be
-_SMEARED: Final = 2.5  # widths beside a hidden piece, in which depth may be that of what hides it
-_COMPARED: Final = 6.0  # widths within which the rope's own depth is looked for
-_STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much within a few widths
 _TOUCHING: Final = 0.1  # of that neighbourhood
 
 
-def revealed(curve: Curve, depth: npt.NDArray[Any], width: float) -> Curve:
-    """The curve without the hidden ends that nothing hides: its visible tips are the rope's.
+def uncover_ends(curve: FittedCurve, depth: npt.NDArray[Any], width: float) -> FittedCurve:
+    """Return the curve without the hidden ends that nothing hides: its visible tips are the rope's.
 
     A long piece is not gone because its place, which is only predicted, can be seen past: it is hidden as long as
     something lies over the rope where it goes out of sight.
@@ -42,43 +39,15 @@ def revealed(curve: Curve, depth: npt.NDArray[Any], width: float) -> Curve:
     keep = [end is None or end.hidden or (end.long and _adjoined(end, depth, width)) for end in _ends(curve, depth)]
     if all(keep):
         return curve
-    (head, tail), arc, inside = curve.memory.hidden, curve.arc, _inside(curve)
+    (head, tail), arc, inside = curve.hints.hidden, curve.arc, _inside(curve)
     first = 0 if keep[0] else int(np.argmax(inside))
     last = len(arc) if keep[1] else len(arc) - int(np.argmax(inside[::-1]))
     hidden = (head if keep[0] else 0.0, tail if keep[1] else 0.0)
-    memory = curve.memory._replace(hidden=hidden, size=0.0)
-    return replace(curve.cut(slice(first, last)), memory=memory)
+    hints = curve.hints._replace(hidden=hidden, size=0.0)
+    return replace(curve.cut(slice(first, last)), hints=hints)
 
 
-def overlaid(curve: Curve, metres: Array, width: float) -> npt.NDArray[np.bool_]:
-    """Where the depth beside a hidden piece is that of what hides it, and not the curve's own.
-
-    The camera's two eyes see past an edge differently, and depth is smeared there: it is compared with that of the
-    curve a little further away.
-
-    Args:
-        curve: (P,D) pixels, with hidden pieces.
-        metres: (P,) depth under it; NaN where it is not known.
-        width: Of the rope, pixels.
-
-    Returns:
-        (P,) bool.
-    """
-    arc = curve.arc[: len(metres)]
-    apart = np.abs(arc[:, None] - arc)
-    if curve.closed:
-        apart = np.minimum(apart, curve.size - apart)
-    beside = apart[:, curve.bridged].min(axis=1) <= _SMEARED * width
-    own = np.where(beside | curve.bridged, np.nan, metres)
-    over = np.zeros(len(metres), bool)
-    for at in np.flatnonzero(beside & ~curve.bridged & np.isfinite(metres)):
-        near = own[apart[at] <= _COMPARED * width]
-        near = near[np.isfinite(near)] if np.isfinite(near).any() else own[np.isfinite(own)]
-        over[at] = len(near) > 0 and metres[at] < np.median(near) - _STEP
-    return over
-
-
-def is_hidden(curve: Curve, depth: npt.NDArray[Any], width: float) -> bool:
+def is_hidden(curve: FittedCurve, depth: npt.NDArray[Any], width: float) -> bool:
     """Whether a long end of a curve goes out of sight where something lies over the rope.
 
     Args:
@@ -105,15 +74,15 @@ class _End(NamedTuple):
     long: bool
 
 
-def _ends(curve: Curve, depth: npt.NDArray[Any]) -> list[_End | None]:
+def _ends(curve: FittedCurve, depth: npt.NDArray[Any]) -> list[_End | None]:
     """Head and tail; None where nothing is hidden, or the rope beside it has no depth to compare with."""
-    (head, tail), size, arc = curve.memory.hidden, curve.size, curve.arc
+    (head, tail), size, arc = curve.hints.hidden, curve.size, curve.arc
     metres, inside = _under(curve.points, depth), _inside(curve)
     ends: list[_End | None] = []
     for hidden, away in ((head, arc), (tail, size - arc)):
         under = metres[away < hidden - 1e-9]
         beside = metres[inside & (away < hidden + _NEARBY * size)]
-        if hidden <= curve.memory.slack or not len(under) or not np.isfinite(beside).any():
+        if hidden <= curve.hints.slack or not len(under) or not np.isfinite(beside).any():
             ends.append(None)
             continue
         over = float(np.nanmedian(beside)) - _CLEARANCE
@@ -132,9 +101,9 @@ def _adjoined(end: _End, depth: npt.NDArray[Any], width: float) -> bool:
     return bool(np.mean(metres < end.over) >= _TOUCHING)
 
 
-def _inside(curve: Curve) -> npt.NDArray[np.bool_]:
+def _inside(curve: FittedCurve) -> npt.NDArray[np.bool_]:
     """(P,) between the hidden ends."""
-    (head, tail), arc = curve.memory.hidden, curve.arc
+    (head, tail), arc = curve.hints.hidden, curve.arc
     return (arc >= head - 1e-9) & (arc <= curve.size - tail + 1e-9)
 
 

@@ -1,4 +1,4 @@
-"""Occlusion: which piece of a known rope a visible curve is, and which corner of a known sheet is not its own.
+"""Occlusion: find out which piece of a known rope a visible curve is.
 
 A hand over one end shortens what is seen; it does not shorten the rope. The known length is kept, the visible piece
 is put where it agrees with the prediction, and the hidden ends are carried along.
@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import dist
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.geometry.form import Curve, Memory
+from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.tracking.occluders import LONG, is_hidden
 from shape_obs.tracking.prediction import Prediction
@@ -29,8 +29,6 @@ _ONE_END: Final = 0.35
 _INERTIA: Final = 0.05
 _MOST: Final = 0.75  # of the length: a piece shorter than that lies elsewhere than the middle of the rope
 _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
-# Of half a diagonal. Cloths that bend and move by 30 px a frame stay below 0.025, a hand 12 px in radius makes 0.11.
-STRAYED: Final = 0.06
 _PLACE: Final = 0.1  # the weight of where a rope is predicted against how it is bent
 # Of the length, and in grains (pixels): what is missing below this is noise or a rope seen at a steeper angle. The
 # points then run from visible tip to visible tip, and the known length gives way, slowly, or a hand that creeps in
@@ -42,88 +40,49 @@ _ASKEW: Final = 0.6  # widths: of the visible piece next to a hidden end, which 
 _GAINING: Final = 0.01  # a chain that bulges in one frame does not make the rope longer for good
 
 
-def follow_chain(form: Curve, prediction: Prediction) -> Curve:
-    """The curve in the prediction's direction, as long as the rope is known to be.
+def match_chain(form: FittedCurve, prediction: Prediction, depth: npt.NDArray[Any] | None) -> FittedCurve:
+    """Match a curve to the predicted rope: same direction, hidden ends put back, as long as the rope is known to be.
 
     A curve that is shorter than the known length is either the whole rope (seen at a steeper angle, or compressed) or
     a piece of it. The hypothesis that agrees better with the predicted points is taken, unless something is seen to
     lie over the rope where it goes out of sight. The hidden ends of a piece follow as predicted, moved along with the
-    visible end, and are marked as bridged.
+    visible end, and are marked as interpolated.
+
+    Args:
+        form: ``(P, D)`` fitted to this frame, in any direction.
+        prediction: Where the rope should be.
+        depth: ``(H, W)`` the frame's depth if there is one and the curve is in pixels: it shows what lies over a place.
     """
-    slack = max(_SLACK[0] * prediction.size, _SLACK[1] * prediction.grain)
+    slack = max(_SLACK[0] * prediction.size, _SLACK[1] * prediction.resolution)
     size, found = prediction.size, form.size
     close = size - slack < found
     if close and found < size:
         size = max((1 - _GIVING) * size, found)
     if close and form.whole and _is_along(form, prediction.nodes):
-        return form.remembering(Memory(size=min(max(found, size), (1 + _GAINING) * size)))
+        return replace(form, hints=TrackHints(size=min(max(found, size), (1 + _GAINING) * size)))
     prediction = prediction._replace(size=size)
     known = _Known(prediction)
     whole = known.filled(known.turned(form))
     missing = known.size - whole.size
     if missing <= 0:
-        return replace(whole, memory=Memory(size=min(whole.size, (1 + _GAINING) * prediction.size)))
+        return replace(whole, hints=TrackHints(size=min(whole.size, (1 + _GAINING) * prediction.size)))
     starts, costs = known.starts(whole)
-    start = _start(starts, costs, prediction.memory.hidden[0], missing)
-    piece = replace(known.completed(whole, start), memory=Memory((start, missing - start), slack))
+    start = _start(starts, costs, prediction.hints.hidden[0], missing)
+    piece = replace(known.completed(whole, start), hints=TrackHints((start, missing - start), slack))
     if costs.min() < known.disagreement(whole, 0.0, known.size):
         return piece
-    depth = prediction.depth
     return piece if depth is not None and is_hidden(piece, depth, prediction.width) else whole
 
 
-def strayed_corner(expected: Array, found: Array, freedom: float = STRAYED) -> str:
-    """Why one of four corners cannot be the sheet's, where the other three have moved together; empty if it can.
-
-    A hand over a corner leaves the outline with another one, some way inside. The three others are laid over where they
-    were expected by a similarity transform (S. Umeyama, "Least-Squares Estimation of Transformation Parameters Between
-    Two Point Patterns", 1991), and the fourth has to follow.
-
-    Args:
-        expected: (4,D) predicted corners.
-        found: (4,D) corners in the same order.
-        freedom: As of ``strays``.
-    """
-    reach = float(np.linalg.norm(found - found.mean(axis=0), axis=1).max())
-    astray = [_astray(expected, found, corner) / max(reach, 1e-9) for corner in range(4)]
-    worst = int(np.argmax(astray))
-    return strays(worst, astray[worst], freedom)
-
-
-def strays(corner: int, share: float, freedom: float = STRAYED) -> str:
-    """Why a corner cannot be the sheet's that lies a share of half a diagonal from where the other three put it.
-
-    Args:
-        corner: 0 ... 3.
-        share: Of half a diagonal.
-        freedom: The share that it may move on its own.
-    """
-    if share <= freedom:
-        return ""
-    return f"corner {corner} strays by {share:.0%} of half a diagonal from where the other three have moved"
-
-
-def _astray(expected: Array, found: Array, corner: int) -> float:
-    """How far a corner lies from where a similarity transform of the other three puts it."""
-    others = np.arange(4) != corner
-    before, after = expected[others].mean(axis=0), found[others].mean(axis=0)
-    source, target = expected[others] - before, found[others] - after
-    u, overlap, v = np.linalg.svd(source.T @ target)
-    sign = np.ones(len(overlap))
-    sign[-1] = np.sign(np.linalg.det(u @ v))
-    turn = (u * sign) @ v * (overlap @ sign / max(float(np.sum(source**2)), 1e-18))
-    return float(np.linalg.norm((expected[corner] - before) @ turn + after - found[corner]))
-
-
-def shown(form: Curve) -> slice:
+def shown(form: FittedCurve) -> slice:
     """The piece of a followed curve over which points are spread: all of it but for ends that are hidden by a hair."""
-    (head, tail), slack = form.memory.hidden, form.memory.slack
+    (head, tail), slack = form.hints.hidden, form.hints.slack
     first = np.searchsorted(form.arc, head - 1e-9) if head < slack else 0
     last = np.searchsorted(form.arc, form.size - tail + 1e-9) if tail < slack else len(form.points)
     return slice(int(first), int(last))
 
 
-def _is_along(form: Curve, nodes: Array) -> bool:
+def _is_along(form: FittedCurve, nodes: Array) -> bool:
     """Whether a curve clearly runs in the direction of (K,D) nodes: its ends tell, where they do not lie together."""
     first, last = form.points[0].tolist(), form.points[-1].tolist()
     head, tail = nodes[0].tolist(), nodes[-1].tolist()
@@ -144,9 +103,9 @@ def _apart(first: Array, second: Array) -> float:
     return float(np.mean(np.sum((first - second) ** 2, axis=1)))
 
 
-def _widest_gap(curve: Curve) -> tuple[int, int]:
+def _widest_gap(curve: FittedCurve) -> tuple[int, int]:
     """The last point before and the first after the widest bridged piece that has visible ones on both sides."""
-    seen = np.flatnonzero(~curve.bridged)
+    seen = np.flatnonzero(~curve.interpolated)
     if len(seen) < 2:
         return 0, 0
     widest = int(np.argmax(np.diff(curve.arc[seen])))
@@ -167,12 +126,12 @@ class _Known:
         self.arc = np.concatenate([[0.0], (np.arange(len(nodes)) + 0.5) * gap, [self.size]])
         self.points = np.concatenate([1.5 * nodes[:1] - 0.5 * nodes[1:2], nodes, 1.5 * nodes[-1:] - 0.5 * nodes[-2:-1]])
 
-    def distance(self, curve: Curve) -> float:
+    def distance(self, curve: FittedCurve) -> float:
         """Mean square distance between a curve and the whole rope, point by point."""
         share = np.linspace(0, 1, _PROBES)
         return _apart(self.at(share * self.size), curve.at(share * curve.size))
 
-    def disagreement(self, curve: Curve, start: float, end: float) -> float:
+    def disagreement(self, curve: FittedCurve, start: float, end: float) -> float:
         """Mean square distance between a curve and the rope's piece from arc ``start`` to ``end``.
 
         Most of it is taken after the best rigid motion (Kabsch 1976): a prediction fails first in where a rope is,
@@ -187,12 +146,12 @@ class _Known:
         bent = float(np.sum(expected**2) + np.sum(found**2) - 2 * overlap.sum()) / _PROBES
         return bent + _PLACE * apart
 
-    def starts(self, curve: Curve) -> tuple[Array, Array]:
+    def starts(self, curve: FittedCurve) -> tuple[Array, Array]:
         """Arc positions at which a visible piece may begin, and how badly it agrees with the rope from each of them."""
         starts = np.linspace(0, max(self.size - curve.size, 0.0), _OFFSETS)
         return starts, np.array([self.disagreement(curve, start, start + curve.size) for start in starts])
 
-    def turned(self, curve: Curve) -> Curve:
+    def turned(self, curve: FittedCurve) -> FittedCurve:
         """The curve in the rope's direction: as a whole, or where much is missing as the piece that it may be."""
         both = curve, curve.reversed()
         if curve.size > _MOST * self.size:
@@ -203,7 +162,7 @@ class _Known:
         """(N,D) points at arc positions."""
         return interpolate(self.points, self.arc, arc)
 
-    def filled(self, curve: Curve) -> Curve:
+    def filled(self, curve: FittedCurve) -> FittedCurve:
         """The curve with its widest gap bent as predicted: a straight bridge would make the rope too short."""
         first, last = _widest_gap(curve)
         before, after = float(curve.arc[first]), float(curve.arc[last])
@@ -221,10 +180,10 @@ class _Known:
         points = np.concatenate([curve.points[:first], piece, curve.points[last + 1 :]])
         inside = np.ones(len(piece), bool)
         inside[[0, -1]] = False
-        bridged = np.concatenate([curve.bridged[:first], inside, curve.bridged[last + 1 :]])
-        return replace(curve, points=points, bridged=bridged)
+        bridged = np.concatenate([curve.interpolated[:first], inside, curve.interpolated[last + 1 :]])
+        return replace(curve, points=points, interpolated=bridged)
 
-    def completed(self, curve: Curve, start: float) -> Curve:
+    def completed(self, curve: FittedCurve, start: float) -> FittedCurve:
         """The visible piece that begins at arc ``start``, with the hidden ends before and behind it.
 
         A hand cuts a rope askew, and what is fitted turns into the longer side of the cut; near a long hidden end the
@@ -236,7 +195,7 @@ class _Known:
         inner = (curve.arc >= first) & (curve.arc <= curve.size - last)
         if np.count_nonzero(inner) < 2:
             inner = np.ones(len(inner), bool)
-        points, seen = curve.points[inner], curve.bridged[inner]
+        points, seen = curve.points[inner], curve.interpolated[inner]
         arc = start + curve.arc[inner]
         head = self._hidden(end=arc[0], joint=points[0]) if lost[0] else points[:0]
         tail = self._hidden(start=arc[-1], joint=points[-1]) if lost[1] else points[:0]
@@ -244,7 +203,7 @@ class _Known:
         before = np.linspace(0, arc[0], len(head) + 1)[:-1] < start
         behind = np.linspace(arc[-1], self.size, len(tail) + 1)[1:] > end
         return replace(
-            curve, points=np.concatenate([head, points, tail]), bridged=np.concatenate([before, seen, behind])
+            curve, points=np.concatenate([head, points, tail]), interpolated=np.concatenate([before, seen, behind])
         )
 
     def _hidden(self, joint: Array, start: float = 0.0, end: float | None = None) -> Array:

@@ -1,83 +1,284 @@
-"""Phase of a closed outline: which place on it is where an earlier outline began.
+"""Contour registration: find the place on a closed outline where an earlier outline began.
 
-Both outlines are sampled at as many equidistant places. For every cyclic shift, the best rigid motion of one onto the
-other is known from their cross-covariance alone (P. H. Schönemann, "A generalized solution of the orthogonal
+Both outlines are sampled at the same number of equidistant places. For every cyclic shift, the best rigid motion of one
+onto the other follows from their cross-covariance alone (P. H. Schönemann, "A generalized solution of the orthogonal
 Procrustes problem", Psychometrika 31, 1966; proper rotations: W. Kabsch, Acta Cryst. A32, 1976), and the covariances
 of all shifts are a few Fourier transforms (cf. F. P. Kuhl, C. R. Giardina, "Elliptic Fourier features of a closed
-contour", 1982).
+contour", 1982). In the plane, compiled loops do this with complex waves; in space, NumPy does.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.compiled import NUMPY, Kernels
-from shape_obs.compiled.interface_outline import FLAT, HARMONICS, PEAKS, SHIFTS, TURNING
+from shape_obs.compiled import compiled
+from shape_obs.geometry.curve import FittedCurve, TrackHints
+from shape_obs.geometry.outline import closed_arc, even_around
+from shape_obs.tracking.prediction import Prediction
 
 Array = npt.NDArray[np.float64]
 
-_AT: Final = np.arange(SHIFTS) / SHIFTS  # turns
+# Numbered by the last frame alone, an outline of noisy pixels creeps by 6 px in 180 frames. The mean of some twenty
+# frames holds it, and is left behind by slow changes of shape alone.
+_FORGETTING: Final = 0.05
+# How much the place and direction of an outline weigh against its shape, whose match is worth 1. A square fits itself
+# four ways, a towel two: the way that turns least is chosen.
+_TURNING: Final = 0.05
+# Within a fit, place decides only where the shape says nothing, as on a circle: a weight that shrinks as the shape's
+# own contrast grows beyond it, since what is predicted of a turning outline lags behind.
+_FLAT: Final = 3e-4
+# Waves around the outline that are compared: more cost time and change nothing, and on a noisy circle they mislead.
+_HARMONICS: Final = 12
+# Shifts at which a peak is looked for, ten to the shortest wave, and half-widths of the parabolas through it, in turns.
+_SHIFTS: Final = 128
+_PEAKS: Final = (0.5 / 128, 0.1 / 128)
+_AT: Final = np.arange(_SHIFTS) / _SHIFTS  # turns
+_ROUND = 2 * np.pi / _SHIFTS * np.outer(np.arange(1, _HARMONICS + 1), np.arange(_SHIFTS))
+_COS, _SIN = np.cos(_ROUND), np.sin(_ROUND)
 
 
-def lag(reference: Array, predicted: Array, found: Array, kernels: Kernels = NUMPY) -> float:
-    """Where an outline's numbering begins: node k of the past is now at ``found[k + lag]``.
+def match_outline(curve: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, Array]:
+    """Renumber a closed curve from the place where the predicted outline begins, whichever way it has turned.
 
     Args:
-        reference: (K,D) equidistant around the outline as it was, wherever it lay.
-        predicted: (K,D) the same nodes where they are expected.
-        found: (K,D) equidistant around the outline that was found, in the same direction.
-        kernels: What runs the inner loops.
+        curve: ``(P, D)``, clockwise as seen, starting anywhere.
+        prediction: Where the outline should be.
 
     Returns:
-        Places, a fraction of a place too.
+        The same curve from there on, and its ``(K, D)`` nodes, equally spaced.
     """
-    if found.shape[1] == 2:
-        return kernels.lag(reference, predicted, found)
-    shape, place = _cross_spectrum(reference, found), _cross_spectrum(predicted, found)
-    turned, still = _turned(_at(shape, _AT)), _still(_at(place, _AT))
-    contrast = float(np.ptp(turned))
-    flat = FLAT / (1 + contrast / FLAT)
-    at = _climb(turned + flat * still, int(np.argmax(turned + TURNING * still))) / SHIFTS
-    for width in PEAKS:
-        shifts = at + width * np.array([-1.0, 0.0, 1.0])
-        score = _turned(_at(shape, shifts)) + flat * _still(_at(place, shifts))
-        bend = score[0] - 2 * score[1] + score[2]
-        at += width * float(np.clip((score[0] - score[2]) / (2 * bend), -1, 1)) if bend < 0 else 0.0
-    return at * len(found)
+    count = len(prediction.nodes)
+    reference = prediction.nodes if prediction.hints.reference is None else prediction.hints.reference
+    if curve.points.shape[1] == 2:
+        points, _, nodes, blended = renumber_outline(curve.points, reference, prediction.nodes, _FORGETTING)
+        hints = TrackHints(reference=blended)
+        return FittedCurve(points, np.zeros(len(points), bool), closed=True, hints=hints), nodes
+    shift = _index_shift_space(reference, prediction.nodes, curve.even(count))
+    turned = curve.starting_at(shift * curve.size / count)
+    nodes = turned.even(count)
+    return replace(turned, hints=TrackHints(reference=_blend_space(reference, nodes, _FORGETTING))), nodes
 
 
-def blend(reference: Array, found: Array, share: float, kernels: Kernels = NUMPY) -> Array:
-    """The reference laid over what was found, and moved towards it: (K,D), (K,D) node by node -> (K,D)."""
-    if found.shape[1] == 2:
-        return kernels.blend(reference, found, share)
+@compiled
+def renumber_outline(
+    points: Array, reference: Array, predicted: Array, share: float
+) -> tuple[Array, Array, Array, Array]:
+    """Renumber an outline in the plane from where it began before.
+
+    Args:
+        points: ``(P, 2)``.
+        reference: ``(K, 2)`` equidistant around the outline as it was, wherever it lay.
+        predicted: ``(K, 2)`` the same nodes where they are expected.
+        share: How far the reference moves towards what was found.
+
+    Returns:
+        ``(P', 2)`` the same outline from there on, P' = P or P + 1; ``(P' + 1,)`` its arc length, the last entry the
+        whole; ``(K, 2)`` equidistant places on it; ``(K, 2)`` the reference laid over them and moved towards them.
+    """
+    size, count = len(points), len(predicted)
+    arc = closed_arc(points)
+    whole = arc[size]
+    start = index_shift(reference, predicted, even_around(points, arc, 0.0, count)) * (whole / count) % whole
+    same = 1e-9 * whole
+    if start + same >= whole:
+        start = 0.0
+    after = np.searchsorted(arc, start + same)
+    here = start - arc[after - 1] <= same  # the point is there already
+    turned = np.empty((size if here else size + 1, 2))
+    gap = max(arc[after] - arc[after - 1], same)
+    for d in range(2):
+        there = points[after % size, d]
+        turned[0, d] = points[after - 1, d] + (start - arc[after - 1]) / gap * (there - points[after - 1, d])
+    for p in range(1, len(turned)):
+        at = (after + p - 1) % size
+        turned[p, 0], turned[p, 1] = points[at, 0], points[at, 1]
+    arc = closed_arc(turned)
+    nodes = even_around(turned, arc, 0.0, count)
+    return turned, arc, nodes, blend(reference, nodes, share)
+
+
+@compiled
+def index_shift(reference: Array, predicted: Array, found: Array) -> float:
+    """Return by how many places the numbering has moved: node k of the past is now at ``found[k + shift]``.
+
+    Args:
+        reference: ``(K, 2)`` equidistant around the outline as it was, wherever it lay.
+        predicted: ``(K, 2)`` the same nodes where they are expected.
+        found: ``(K, 2)`` equidistant around the outline that was found, in the same direction.
+
+    Returns:
+        Places; fractions of a place too.
+    """
+    count = len(found)
+    cos, sin = np.empty(count), np.empty(count)
+    for k in range(count):
+        cos[k], sin[k] = math.cos(2 * math.pi * k / count), math.sin(2 * math.pi * k / count)
+    seen = _waves(found, cos, sin)
+    shape, place = _spectrum(_waves(reference, cos, sin), seen), _spectrum(_waves(predicted, cos, sin), seen)
+    real, imaginary, still = np.zeros(_SHIFTS), np.zeros(_SHIFTS), np.zeros(_SHIFTS)
+    for h in range(_HARMONICS):
+        for s in range(_SHIFTS):
+            real[s] += shape[0, h] * _COS[h, s] + shape[1, h] * _SIN[h, s]
+            imaginary[s] += shape[2, h] * _COS[h, s] + shape[3, h] * _SIN[h, s]
+            still[s] += place[0, h] * _COS[h, s] + place[1, h] * _SIN[h, s]
+    turned = np.sqrt(real * real + imaginary * imaginary)
+    flat = _FLAT / (1 + (turned.max() - turned.min()) / _FLAT)
+    score = turned + flat * still
+    at = np.argmax(turned + _TURNING * still)
+    while True:
+        before, after = at - 1 if at else _SHIFTS - 1, at + 1 if at < _SHIFTS - 1 else 0
+        if max(score[before], score[after]) <= score[at]:
+            break
+        at = before if score[before] >= score[after] else after
+    turns = at / _SHIFTS
+    for width in _PEAKS:
+        low, middle, high = (
+            _score(shape, place, flat, turns - width),
+            _score(shape, place, flat, turns),
+            _score(shape, place, flat, turns + width),
+        )
+        bend = low - 2 * middle + high
+        if bend < 0:
+            turns += width * min(max((low - high) / (2 * bend), -1.0), 1.0)
+    return turns * len(found)
+
+
+@compiled
+def blend(reference: Array, found: Array, share: float) -> Array:
+    """Return the reference laid over ``found`` and moved there by a share, all ``(K, 2)``."""
+    count = len(found)
+    before_u = before_v = after_u = after_v = 0.0
+    for k in range(count):
+        before_u += reference[k, 0] / count
+        before_v += reference[k, 1] / count
+        after_u += found[k, 0] / count
+        after_v += found[k, 1] / count
+    cosine = sine = 0.0
+    for k in range(count):
+        x, y = reference[k, 0] - before_u, reference[k, 1] - before_v
+        u, v = found[k, 0] - after_u, found[k, 1] - after_v
+        cosine += x * u + y * v
+        sine += x * v - y * u
+    reach = math.sqrt(cosine * cosine + sine * sine)
+    cosine, sine = (cosine / reach, sine / reach) if reach > 0 else (1.0, 0.0)
+    out = np.empty_like(found)
+    for k in range(count):
+        x, y = reference[k, 0] - before_u, reference[k, 1] - before_v
+        out[k, 0] = found[k, 0] + (1 - share) * (x * cosine - y * sine - (found[k, 0] - after_u))
+        out[k, 1] = found[k, 1] + (1 - share) * (x * sine + y * cosine - (found[k, 1] - after_v))
+    return out
+
+
+@compiled(reassociate=True)
+def _waves(points: Array, base_cos: Array, base_sin: Array) -> Array:
+    """Return the first waves around an outline, ``(4, H)``: the sums of u cos, u sin, v cos and v sin.
+
+    Args:
+        points: ``(K, 2)`` equidistant.
+        base_cos: ``(K,)`` the cosine of the first wave.
+        base_sin: ``(K,)`` its sine.
+    """
+    count = len(points)
+    u, v = points[:, 0].copy(), points[:, 1].copy()
+    cos, sin = base_cos.copy(), base_sin.copy()
+    out = np.empty((4, _HARMONICS))
+    for h in range(_HARMONICS):
+        u_cos = u_sin = v_cos = v_sin = 0.0
+        for k in range(count):
+            u_cos += u[k] * cos[k]
+            u_sin += u[k] * sin[k]
+            v_cos += v[k] * cos[k]
+            v_sin += v[k] * sin[k]
+        out[0, h], out[1, h], out[2, h], out[3, h] = u_cos, u_sin, v_cos, v_sin
+        for k in range(count):
+            turned = cos[k] * base_cos[k] - sin[k] * base_sin[k]
+            sin[k] = sin[k] * base_cos[k] + cos[k] * base_sin[k]
+            cos[k] = turned
+    return out
+
+
+@compiled
+def _spectrum(before: Array, after: Array) -> Array:
+    """Return the correlation over cyclic shifts, ``(4, H)``: real cos, real sin, imaginary cos, imaginary sin.
+
+    A wave of u + iv that runs forwards is (u_cos + v_sin) + i (v_cos - u_sin), and one that runs backwards has the
+    other signs; the correlation multiplies the conjugate of the one outline's with the other's. A perfect match gives 1.
+    """
+    out = np.empty((4, _HARMONICS))
+    first = second = 0.0
+    for h in range(_HARMONICS):
+        a, b, c, d = before[0, h], before[1, h], before[2, h], before[3, h]
+        e, f, g, i = after[0, h], after[1, h], after[2, h], after[3, h]
+        ahead = complex(a + d, -(c - b)) * complex(e + i, g - f)
+        back = complex(a - d, -(c + b)) * complex(e - i, g + f)
+        first += 2 * (a * a + b * b + c * c + d * d)
+        second += 2 * (e * e + f * f + g * g + i * i)
+        out[0, h], out[1, h] = ahead.real + back.real, back.imag - ahead.imag
+        out[2, h], out[3, h] = ahead.imag + back.imag, ahead.real - back.real
+    return out / max(math.sqrt(first * second), 1e-12)
+
+
+@compiled
+def _score(shape: Array, place: Array, flat: float, turns: float) -> float:
+    """Return how well two outlines match at one shift, in turns."""
+    base_cos, base_sin = math.cos(2 * math.pi * turns), math.sin(2 * math.pi * turns)
+    cos, sin = base_cos, base_sin
+    real = imaginary = still = 0.0
+    for h in range(_HARMONICS):
+        real += shape[0, h] * cos + shape[1, h] * sin
+        imaginary += shape[2, h] * cos + shape[3, h] * sin
+        still += place[0, h] * cos + place[1, h] * sin
+        cos, sin = cos * base_cos - sin * base_sin, sin * base_cos + cos * base_sin
+    return math.sqrt(real * real + imaginary * imaginary) + flat * still
+
+
+def _blend_space(reference: Array, found: Array, share: float) -> Array:
+    """Return the reference laid over ``found`` and moved there by a share, all ``(K, D)``."""
     before, after = reference - reference.mean(axis=0), found - found.mean(axis=0)
     left, _, right = np.linalg.svd(before.T @ after)
     left[:, -1] *= np.sign(np.linalg.det(left) * np.linalg.det(right))
     return found + (1 - share) * (before @ left @ right - after)
 
 
+def _index_shift_space(reference: Array, predicted: Array, found: Array) -> float:
+    """Return what ``index_shift`` returns, in space: all ``(K, 3)``."""
+    shape, place = _cross_spectrum(reference, found), _cross_spectrum(predicted, found)
+    turned, still = _rotated(_at(shape, _AT)), _unrotated(_at(place, _AT))
+    contrast = float(np.ptp(turned))
+    flat = _FLAT / (1 + contrast / _FLAT)
+    at = _climb(turned + flat * still, int(np.argmax(turned + _TURNING * still))) / _SHIFTS
+    for width in _PEAKS:
+        shifts = at + width * np.array([-1.0, 0.0, 1.0])
+        score = _rotated(_at(shape, shifts)) + flat * _unrotated(_at(place, shifts))
+        bend = score[0] - 2 * score[1] + score[2]
+        at += width * float(np.clip((score[0] - score[2]) / (2 * bend), -1, 1)) if bend < 0 else 0.0
+    return at * len(found)
+
+
 def _cross_spectrum(before: Array, after: Array) -> npt.NDArray[np.complex128]:
-    """(D,D,F) spectrum of the cross-covariance over cyclic shifts; 1 is a perfect match."""
-    first, second = (np.fft.rfft(points.T)[:, 1 : HARMONICS + 1] for points in (before, after))
+    """Return the spectrum of the cross-covariance over cyclic shifts, ``(D, D, F)``; a perfect match gives 1."""
+    first, second = (np.fft.rfft(points.T)[:, 1 : _HARMONICS + 1] for points in (before, after))
     scale = np.sqrt(np.sum(np.abs(first) ** 2) * np.sum(np.abs(second) ** 2))
     return np.conj(first)[:, None] * second[None] / max(float(scale), 1e-12)
 
 
 def _at(spectrum: npt.NDArray[np.complex128], turns: Array) -> Array:
-    """(D,D,S) the covariances at S shifts, in turns."""
+    """Return the covariances at S shifts, in turns: ``(D, D, S)``."""
     return (spectrum @ np.exp(2j * np.pi * np.arange(1, spectrum.shape[-1] + 1)[:, None] * turns)).real
 
 
-def _still(covariance: Array) -> Array:
-    """How well outlines match at each shift as they lie: (D,D,S) -> (S,)."""
+def _unrotated(covariance: Array) -> Array:
+    """Return how well outlines match at each shift as they lie: ``(D, D, S)`` -> ``(S,)``."""
     return np.einsum("dds->s", covariance)
 
 
-def _turned(covariance: Array) -> Array:
-    """How well they match after the best proper rotation: (D,D,S) -> (S,).
+def _rotated(covariance: Array) -> Array:
+    """Return how well they match after the best proper rotation: ``(D, D, S)`` -> ``(S,)``.
 
     Its trace is the sum of the singular values, the least one negative for a reflection.
     """
@@ -87,7 +288,7 @@ def _turned(covariance: Array) -> Array:
 
 
 def _climb(score: Array, at: int) -> int:
-    """The nearest summit uphill from an index, around a ring."""
+    """Return the nearest maximum uphill from an index, around a ring."""
     while True:
         around = (at + np.array([-1, 0, 1])) % len(score)
         step = int(np.argmax(score[around])) - 1

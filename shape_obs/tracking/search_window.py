@@ -1,119 +1,121 @@
-"""What one frame shows: the region of each pixel rule, looked for where it is expected."""
+"""Search windows: look for the region of each pixel rule near where the track expects it, else everywhere."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.compiled import Kernels
-from shape_obs.configurations import Configuration
 from shape_obs.frame import Frame
 from shape_obs.image.region import Region, find_region, segment
 from shape_obs.image.roi import ROI, Place, Window
 from shape_obs.image.segmentation import Segmentation
-from shape_obs.point_cloud.body import Body
 from shape_obs.point_cloud.deprojection import SeenCloud, deproject
-from shape_obs.tracking.prediction import Expected, Track, outlook
-from shape_obs.utils.timing import Timed
+from shape_obs.tracking.prediction import Track
+
+_SPARE: Final = 8  # pixels around the place where a mask is expected
 
 
-class View:
-    """One frame, and what was found in it so far.
+class SearchWindow(NamedTuple):
+    """Where a mask should be in the next frame.
+
+    Args:
+        window: Holds all of it, with room for what is not foreseen.
+        width: Of the object where it is thinnest, pixels; 0 if it is not known.
+    """
+
+    window: Window
+    width: float
+
+
+def predict_search_window(tracks: list[Track | None]) -> SearchWindow | None:
+    """Predict where a mask that several shapes share should be; None if that is not known for one of them.
+
+    What a hand hides may come back anywhere.
+    """
+    boxes = []
+    for track in tracks:
+        if track is None or track.box is None or any(track.hints.hidden):
+            return None
+        (left, top, width, height), spare = track.box, _SPARE + track.drift
+        boxes.append((left - spare, top - spare, left + width + spare, top + height + spare))
+    left, top = min(box[0] for box in boxes), min(box[1] for box in boxes)
+    right, bottom = max(box[2] for box in boxes), max(box[3] for box in boxes)
+    return SearchWindow(
+        Window(left, top, right - left, bottom - top), min(track.width for track in tracks if track is not None)
+    )
+
+
+class RegionSearch:
+    """The regions found in one frame so far, one for each pixel rule.
 
     Args:
         frame: The images.
-        mask: (H,W) uint8 where someone else has segmented; None where the rules do.
+        mask: ``(H, W)`` uint8 where someone else has segmented; None where the rules do.
         roi: Where to look at all.
-        kernels: What runs the inner loops.
-        timings: Milliseconds by stage, added to.
+        expected: Where the mask of each rule should be; a rule without an entry is looked for everywhere.
     """
 
     def __init__(
-        self, frame: Frame, mask: npt.NDArray[np.uint8] | None, roi: ROI, kernels: Kernels, timings: dict[str, float]
+        self,
+        frame: Frame,
+        mask: npt.NDArray[np.uint8] | None,
+        roi: ROI,
+        expected: Mapping[Segmentation | None, SearchWindow | None],
     ) -> None:
-        self._frame, self._mask, self._roi, self._kernels, self._timings = frame, mask, roi, kernels, timings
         size: Any = frame.size if mask is None else mask.shape
-        self.window = roi.window(size)
+        self._frame, self._mask, self._roi, self._expected = frame, mask, roi, dict(expected)
+        self._whole = roi.window(size)
         self._regions: dict[Segmentation | None, Region] = {}
-        self._narrow: set[Segmentation | None] = (
-            set()
-        )  # of these only a part of the image was looked at, or of its pixels
         self._clouds: dict[Segmentation | None, SeenCloud] = {}
 
-    def body(self, spec: Configuration, expected: Expected | None) -> Body:
-        """What a shape is fitted to.
-
-        Args:
-            spec: What is looked for; with depth and a camera in the frame where it asks for a cloud.
-            expected: Where all of it should be; None looks everywhere.
-        """
-        rule = spec.segmentation
-        if rule not in self._regions:
-            self._look(rule, expected)
-        if spec.lift != "cloud":
+    def region(self, rule: Segmentation | None) -> Region:
+        """Return the region of a rule, looked for where it is expected; what runs out of there, everywhere."""
+        if rule in self._regions:
             return self._regions[rule]
-        frame = self._frame
-        if rule not in self._clouds and frame.depth is not None and frame.camera is not None:
-            with Timed(self._timings, "cloud"):
-                self._clouds[rule] = deproject(self._regions[rule], frame.depth, frame.camera.intrinsics)
+        expected, whole = self._expected.get(rule), self._whole
+        window, width = (whole, 0.0) if expected is None else expected
+        reach = 1 if rule is None else 1 + rule.open + rule.close
+        if expected is not None:
+            window = _clipped(window, reach, whole)
+        if self._mask is None:
+            assert rule is not None
+            region = segment(self._frame, window, rule, self._roi, width)
+        else:
+            floor, mask = rule or Segmentation, self._roi.blank(self._mask[window.slices], window)
+            region = find_region(mask, window, floor.min_area, floor.min_share)
+        self._regions[rule] = region
+        if expected is not None and (not region.areas or _is_cut(region.box, reach, window, whole)):
+            self.widen(rule)
+            return self.region(rule)
+        return region
+
+    def cloud(self, rule: Segmentation | None) -> SeenCloud:
+        """Return the points under the region of a rule; the frame must have depth and a camera."""
+        if rule not in self._clouds:
+            assert self._frame.depth is not None
+            assert self._frame.camera is not None
+            self._clouds[rule] = deproject(self.region(rule), self._frame.depth, self._frame.camera.intrinsics)
         return self._clouds[rule]
 
-    def look_everywhere(self, spec: Configuration) -> bool:
-        """Look for a shape in all of the image; False if that has been done."""
-        if spec.segmentation not in self._narrow:
+    def widen(self, rule: Segmentation | None) -> bool:
+        """Look for a rule everywhere from now on; return False if that has been done."""
+        if self._expected.pop(rule, None) is None:
             return False
-        self._clouds.pop(spec.segmentation, None)
-        self._look(spec.segmentation, None)
+        self._regions.pop(rule, None)
+        self._clouds.pop(rule, None)
         return True
 
-    def _look(self, rule: Segmentation | None, expected: Expected | None) -> None:
-        """Find the region in the window; what runs out of it is looked for everywhere."""
-        self._narrow.discard(rule)
-        reach = 1 if rule is None else 1 + rule.open + rule.close
-        window, width = self.window, 0.0
-        if expected is not None:
-            window, width = _within(expected.window, reach, self.window), expected.width
-            self._narrow.add(rule)
-        with Timed(self._timings, "segmentation" if self._mask is None else "region"):
-            if self._mask is None:
-                assert rule is not None
-                region = segment(self._frame, window, rule, self._roi, self._kernels, width)
-            else:
-                floor, mask = rule or Segmentation, self._roi.blank(self._mask[window.slices], window)
-                region = find_region(mask, window, floor.min_area, floor.min_share, self._kernels)
-        self._regions[rule] = region
-        if expected is not None and (not region.pieces or _is_cut(region.box, reach, window, self.window)):
-            self._look(rule, None)
+
+def locate(roi: ROI, frame: Frame, memory: Any) -> Place:
+    """Locate a region of interest in a frame."""
+    return Place(roi) if type(roi).place is ROI.place else roi.place(frame.rgb, memory)
 
 
-def placed(roi: ROI, frame: Frame, memory: Any, timings: dict[str, float]) -> Place:
-    """Where a region of interest is in a frame. One that stands still takes no time."""
-    if type(roi).place is ROI.place:
-        return Place(roi)
-    with Timed(timings, "roi"):
-        return roi.place(frame.rgb, memory)
-
-
-def outlooks(
-    shapes: Iterable[Configuration], tracks: Mapping[str, Track]
-) -> dict[Segmentation | None, Expected | None]:
-    """Where the shapes of each segmentation will all be; None where one has no track."""
-    expected: dict[Segmentation | None, Expected | None] = {}
-    for spec in shapes:
-        track, rule = tracks.get(spec.name), spec.segmentation
-        here = None if track is None else outlook(track)
-        if rule in expected:
-            other = expected[rule]
-            here = None if here is None or other is None else here.united(other)
-        expected[rule] = here
-    return expected
-
-
-def _within(near: Window, reach: int, whole: Window) -> Window:
-    """The expected window with a margin, its columns in groups of eight, which kernels read at once."""
+def _clipped(near: Window, reach: int, whole: Window) -> Window:
+    """Return the expected window with a margin, its columns in groups of eight, which compiled code reads at once."""
     left, top = max((near.left - reach) // 8 * 8, whole.left), max(near.top - reach, whole.top)
     right = min(-(-(near.left + near.width + reach) // 8) * 8, whole.left + whole.width)
     bottom = min(near.top + near.height + reach, whole.top + whole.height)
@@ -121,7 +123,7 @@ def _within(near: Window, reach: int, whole: Window) -> Window:
 
 
 def _is_cut(box: Window, reach: int, window: Window, whole: Window) -> bool:
-    """Whether a box comes nearer than ``reach`` to an edge of the window beyond which there is more to see."""
+    """Return whether a box comes nearer than ``reach`` to an edge of the window beyond which there is more to see."""
     right, bottom = window.left + window.width, window.top + window.height
     return (
         (box.left < window.left + reach and window.left > whole.left)

@@ -1,27 +1,36 @@
-"""The gate: whether what was found can be believed, how far, and in words why not."""
+"""Validation: decide whether a fitted form can be trusted, how far, and say in words why not."""
 
 from __future__ import annotations
 
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.geometry.form import Curve, Patch
-from shape_obs.point_cloud.body import Body
+from shape_obs.clustering.som import best_matching_units, nearest_around
+from shape_obs.compiled import compiled
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.lattice import FittedLattice, assess_lattice
+from shape_obs.geometry.observed import Observed
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
 
 _MAX_OFF: Final = 0.10
 _MAX_SPREAD: Final = 0.40
 _IDEAL_SPREAD: Final = 12**-0.5
+_JUDGED: Final = 150  # samples are enough to measure how far a mask spreads about a curve
 MAX_HIDDEN: Final = 0.5  # of a tracked shape
 # Of an outline: the staircase of pixels alone lies 0.25 px (0.12 samples) off the best curve, flipped border pixels
-# twice that; what misses them by more follows another outline. A few hundred samples tell it.
+# twice that; what misses them by more follows another outline. A few hundred samples are enough to measure it.
 _IDEAL_MISS: Final = 0.15
 _MAX_MISS: Final = 0.75
 _MIN_PIECE: Final = 0.6
-# Of a sheet: degrees by which a corner may miss a right angle; the share of its cells beside one that lies upside down
+_JUDGED_AROUND: Final = 256
+_NEAR: Final = 6  # points of a curve, within which the nearest to a sample lies
+_GROUP: Final = 16  # points of a curve that are ruled out together when the nearest is looked for
+# Of a sheet: degrees by which a corner may miss a right angle; the share of its cells next to one that lies upside down
 # (a single one may, where a real corner is round); the excess length of a side; the variation of its cells' areas.
 _MAX_SKEW: Final = 55.0
 _MAX_FOLDS: Final = 0.01
@@ -31,8 +40,8 @@ _MAX_WINDING: Final = 0.20
 _MAX_UNEVEN: Final = 0.40
 
 
-class Verdict(NamedTuple):
-    """What the gate says of a fit.
+class FitQuality(NamedTuple):
+    """The result of validating a fit.
 
     Args:
         reason: Why it is refused; empty if it is not.
@@ -43,99 +52,208 @@ class Verdict(NamedTuple):
     quality: float
 
 
-def judge_ribbon(curve: Curve, body: Body, bridged: float) -> Verdict:
-    """Judge the axis of a ribbon or a rope.
+def validate_ribbon(curve: FittedCurve, observed: Observed, expected_off: float, spread: float) -> FitQuality:
+    """Validate the axis of a ribbon or a rope.
 
-    Refused are a curve that leaves the body over 10 % more than ``bridged`` explains, and a body that spreads about
-    the curve more than a ribbon does (rms distance over width, 0.289 for an ideal ribbon, at most 0.40).
+    Refused are a curve that leaves the object over 10 % more than ``expected_off`` explains, and an object that spreads
+    about the curve more than a ribbon does (rms distance over width, 0.289 for an ideal ribbon, at most 0.40).
 
     Args:
-        curve: From end to end; bridged is what lies off the body.
-        body: What it was fitted to.
-        bridged: The share of the curve that is known to be bridged or hidden.
+        curve: From end to end; interpolated is what lies off the object.
+        observed: What it was fitted to.
+        expected_off: The share of the curve that is known to be bridged or hidden.
+        spread: Mean square distance of the object's samples from the curve, see ``sample_spread``.
     """
-    empty = curve.empty
-    hidden = min(empty, bridged)
-    off = empty - hidden
+    unsupported = curve.unsupported_fraction
+    hidden = min(unsupported, expected_off)
+    off = unsupported - hidden
     if off > _MAX_OFF:
-        return Verdict(f"{off:.0%} of the curve lies off the {body.noun} (at most {_MAX_OFF:.0%})", 0.0)
-    spread = _spread(curve, body) / max(body.breadth(curve.size * (1 - hidden)), 1e-9)
-    if spread > _MAX_SPREAD:
-        return Verdict(
-            f"the {body.noun} spreads {spread:.2f} widths about the curve (a ribbon {_IDEAL_SPREAD:.2f}, "
+        return FitQuality(f"{off:.0%} of the curve lies off the {observed.noun} (at most {_MAX_OFF:.0%})", 0.0)
+    rms = (spread + observed.hidden_variance) ** 0.5
+    ratio = rms / max(observed.ribbon_width(curve.size * (1 - hidden)), 1e-9)
+    if ratio > _MAX_SPREAD:
+        return FitQuality(
+            f"the {observed.noun} spreads {ratio:.2f} widths about the curve (a ribbon {_IDEAL_SPREAD:.2f}, "
             f"at most {_MAX_SPREAD:.2f}): it is no single rope",
             0.0,
         )
-    excess = (spread - _IDEAL_SPREAD) / (_MAX_SPREAD - _IDEAL_SPREAD)
-    return Verdict("", ((1 - max(off, 0.0) / _MAX_OFF) * min(max(1 - excess, 0.0), 1.0)) ** 0.5)
+    excess = (ratio - _IDEAL_SPREAD) / (_MAX_SPREAD - _IDEAL_SPREAD)
+    return FitQuality("", ((1 - max(off, 0.0) / _MAX_OFF) * min(max(1 - excess, 0.0), 1.0)) ** 0.5)
 
 
-def judge_outline(body: Body, miss: float) -> Verdict:
-    """Judge the outline of a body's largest piece.
+def validate_outline(observed: Observed, miss: float) -> FitQuality:
+    """Validate the outline of an object's largest piece.
 
-    Refused are a piece that is less than 60 % of the body, and a curve that the outline's samples miss by 0.75 of
+    Refused are a piece that is less than 60 % of the object, and a curve that the outline's samples miss by 0.75 of
     their distance on average.
 
     Args:
-        body: What it was fitted to.
+        observed: What it was fitted to.
         miss: Mean distance of the outline's samples from the curve, in units of their distance.
     """
-    piece = body.outlined
+    piece = observed.outlined_share
     if piece < _MIN_PIECE:
-        return Verdict(
-            f"the {body.noun} falls into {body.pieces} pieces, and the largest is {piece:.0%} of it "
+        return FitQuality(
+            f"the {observed.noun} falls into {observed.pieces} pieces, and the largest is {piece:.0%} of it "
             f"(at least {_MIN_PIECE:.0%})",
             0.0,
         )
     if miss > _MAX_MISS:
-        return Verdict(f"the outline misses the {body.noun}'s by {miss:.2f} samples (at most {_MAX_MISS:.2f})", 0.0)
+        return FitQuality(
+            f"the outline misses the {observed.noun}'s by {miss:.2f} samples (at most {_MAX_MISS:.2f})", 0.0
+        )
     excess = max(miss - _IDEAL_MISS, 0.0) / (_MAX_MISS - _IDEAL_MISS)
-    return Verdict("", ((1 - excess) * piece) ** 0.5)
+    return FitQuality("", ((1 - excess) * piece) ** 0.5)
 
 
-def judge_sheet(patch: Patch, body: Body, kink: float) -> Verdict:
-    """Judge a lattice over a sheet.
+def validate_sheet(form: FittedLattice, observed: Observed, kink: float) -> FitQuality:
+    """Validate a lattice over a sheet.
 
-    Refused are a lattice that leaves the body over 10 %, a corner more than 55 degrees off a right angle, a lattice
-    that folds, a side that turns by 60 degrees somewhere (a fifth corner, or a hand's) or is 20 % longer than the way
-    from corner to corner, and cells whose areas vary by 40 %. Of real towels no side turns by more than 36 degrees or
-    winds by more than 7 %, and no areas vary by more than 15 %; T-shirts and shorts begin there.
+    Refused are a lattice that leaves the object over 10 %, a corner more than 55 degrees off a right angle, a lattice
+    that folds, a side that turns by 60 degrees somewhere (a fifth corner, or a hand's) or is 20 % longer than its
+    chord, and cells whose areas vary by 40 %. Of real towels no side turns by more than 36 degrees or winds by more
+    than 7 %, and no areas vary by more than 15 %; T-shirts and shorts begin there.
 
     Args:
-        patch: The lattice.
-        body: What it was fitted to.
+        form: The lattice.
+        observed: What it was fitted to.
         kink: Degrees by which the outline turns at most, away from the corners.
     """
-    empty, (corner, folds, winding, uneven) = patch.empty, body.kernels.assessed(patch.lattice)
+    empty, (corner, folds, winding, uneven) = form.unsupported_fraction, assess_lattice(form.lattice)
     reason = ""
     if empty > _MAX_OFF:
-        reason = f"{empty:.0%} of the lattice lies off the {body.noun} (at most {_MAX_OFF:.0%})"
+        reason = f"{empty:.0%} of the lattice lies off the {observed.noun} (at most {_MAX_OFF:.0%})"
     elif abs(corner - 90) > _MAX_SKEW:
         reason = f"a corner of the lattice has {corner:.0f} degrees (90 and {_MAX_SKEW:.0f} more or less)"
     elif folds > _MAX_FOLDS:
         reason = f"the lattice folds at {folds:.0%} of its cells"
     elif kink > _MAX_KINK:
         reason = (
-            f"the outline turns by {kink:.0f} degrees between two corners (at most {_MAX_KINK:.0f}): the {body.noun} "
-            "is no sheet, or a part of it is hidden"
+            f"the outline turns by {kink:.0f} degrees between two corners (at most {_MAX_KINK:.0f}): the "
+            f"{observed.noun} is no sheet, or a part of it is hidden"
         )
     elif winding > _MAX_WINDING:
         reason = (
             f"a side is {winding:.0%} longer than the way from corner to corner (at most {_MAX_WINDING:.0%}): the "
-            f"{body.noun} is no sheet with four corners"
+            f"{observed.noun} is no sheet with four corners"
         )
     elif uneven > _MAX_UNEVEN:
         reason = f"the areas of the lattice's cells vary by {uneven:.0%} (at most {_MAX_UNEVEN:.0%})"
     if reason:
-        return Verdict(reason, 0.0)
+        return FitQuality(reason, 0.0)
     bent = max(kink - _IDEAL_KINK, 0.0) / (_MAX_KINK - _IDEAL_KINK)
     shares = (1 - empty / _MAX_OFF) * (1 - bent) * (1 - winding / _MAX_WINDING) * (1 - uneven / _MAX_UNEVEN)
-    return Verdict("", shares**0.5)
+    return FitQuality("", shares**0.5)
 
 
-def _spread(curve: Curve, body: Body) -> float:
-    """Root mean square distance of the body's samples from the curve, in the body's unit."""
-    square = curve.spread
-    if square is None:
-        square = body.kernels.spread(body.samples.points, body.samples.weight, curve.points)
-    return (square + body.within) ** 0.5
+@compiled
+def sample_spread(points: Array, weight: Array, curve: Array) -> float:
+    """Return the mean square distance of ``(M, D)`` weighted points from the tangents of a curve ``(P, D)``.
+
+    Of 150 or so of the points.
+    """
+    size, dimension = curve.shape
+    step = -(-len(points) // _JUDGED)
+    points, weight = points[::step].copy(), weight[::step]
+    nearest = best_matching_units(points, curve)
+    tangent, reach = np.empty((size, dimension)), np.empty(size)
+    for p in range(size):
+        before, after = max(p - 1, 0), min(p + 1, size - 1)
+        square = 0.0
+        for d in range(dimension):
+            tangent[p, d] = (curve[after, d] - curve[before, d]) / (after - before)
+            square += tangent[p, d] ** 2
+        reach[p] = np.sqrt(square)
+        tangent[p] /= max(reach[p], 1e-9)
+    total = whole = 0.0
+    for m in range(len(points)):
+        p = nearest[m]
+        along = square = 0.0
+        for d in range(dimension):
+            offset = points[m, d] - curve[p, d]
+            along += offset * tangent[p, d]
+            square += offset * offset
+        beyond = min(max(along, -reach[p]), reach[p])
+        total += weight[m] * max(square - 2 * along * beyond + beyond * beyond, 0.0)
+        whole += weight[m]
+    return total / whole
+
+
+@compiled
+def ring_miss(samples: Array, unit: Indices, curve: Array, pieces: int) -> float:
+    """Return the mean distance of ``(M, 2)`` samples from the tangents of a curve ``(P, 2)``, each near its node ``unit``.
+
+    Of 256 or so of the samples; there are ``pieces`` points of the curve to a node.
+    """
+    size = len(curve)
+    step = 0.0
+    for p in range(size):
+        after = p + 1 if p < size - 1 else 0
+        step += math.sqrt((curve[after, 0] - curve[p, 0]) ** 2 + (curve[after, 1] - curve[p, 1]) ** 2) / size
+    skip = (len(samples) + _JUDGED_AROUND - 1) // _JUDGED_AROUND
+    total, judged = 0.0, 0
+    for m in range(0, len(samples), skip):
+        u, v = samples[m, 0], samples[m, 1]
+        p = nearest_around(u, v, curve, unit[m] * pieces, _NEAR)
+        before, after = p - 1 if p else size - 1, p + 1 if p < size - 1 else 0
+        x, y = curve[after, 0] - curve[before, 0], curve[after, 1] - curve[before, 1]
+        reach = max(math.sqrt(x * x + y * y), 1e-9)
+        u, v = u - curve[p, 0], v - curve[p, 1]
+        across, beyond = (v * x - u * y) / reach, max(abs(u * x + v * y) / reach - step, 0.0)
+        total += math.sqrt(across * across + beyond * beyond)
+        judged += 1
+    return total / judged
+
+
+@compiled
+def outline_miss(points: Array, curve: Array, size: float) -> float:
+    """Return the mean distance of ``(M, D)`` points from the tangents of a closed curve ``(P, D)`` of length ``size``."""
+    points = points[:: (len(points) + _JUDGED_AROUND - 1) // _JUDGED_AROUND]
+    count, dimension = curve.shape
+    groups = (count + _GROUP - 1) // _GROUP
+    middle, radius = np.zeros((groups, dimension)), np.zeros(groups)
+    for g in range(groups):
+        first, last = g * _GROUP, min((g + 1) * _GROUP, count)
+        for d in range(dimension):
+            for p in range(first, last):
+                middle[g, d] += curve[p, d] / (last - first)
+        for p in range(first, last):
+            square = 0.0
+            for d in range(dimension):
+                square += (curve[p, d] - middle[g, d]) ** 2
+            radius[g] = max(radius[g], square)
+        radius[g] = math.sqrt(radius[g])
+    total, nearest, step = 0.0, 0, size / count
+    for m in range(len(points)):
+        # Points come in order around the curve, so the last one's nearest is near this one's: a bound for the rest.
+        least = np.inf
+        for i in range(-2, 7):
+            p = (nearest + i) % count
+            square = 0.0
+            for d in range(dimension):
+                square += (points[m, d] - curve[p, d]) ** 2
+            least = min(least, square)
+        bound = math.sqrt(least)
+        least = np.inf
+        for g in range(groups):
+            square = 0.0
+            for d in range(dimension):
+                square += (points[m, d] - middle[g, d]) ** 2
+            if square > (radius[g] + bound) ** 2 * (1 + 1e-12):
+                continue
+            for p in range(g * _GROUP, min((g + 1) * _GROUP, count)):
+                square = 0.0
+                for d in range(dimension):
+                    square += (points[m, d] - curve[p, d]) ** 2
+                if square < least:
+                    nearest, least = p, square
+        before, after = nearest - 1 if nearest else count - 1, nearest + 1 if nearest < count - 1 else 0
+        along = reach = 0.0
+        for d in range(dimension):
+            tangent = curve[after, d] - curve[before, d]
+            reach += tangent * tangent
+            along += (points[m, d] - curve[nearest, d]) * tangent
+        along /= max(math.sqrt(reach), 1e-9)
+        beyond = max(abs(along) - step, 0.0)
+        total += math.sqrt(max(least - along * along, 0.0) + beyond * beyond)
+    return total / len(points)

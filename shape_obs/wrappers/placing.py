@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
 from shape_obs.configurations import Configuration
-from shape_obs.geometry.form import Curve, Form, Patch
+from shape_obs.geometry.curve import FittedCurve, FittedForm
+from shape_obs.geometry.lattice import FittedLattice
 from shape_obs.geometry.outline import clockwise
 from shape_obs.geometry.polyline import catmull_rom
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
@@ -83,8 +84,8 @@ def placed(points: Array, spec: Configuration, topology: Topology, intrinsics: I
             )
         metric = form
     else:
-        metric = form.measured(_pixels(form.points, intrinsics))
-    return spec.place(form, metric).places
+        metric = form.with_points(_pixels(form.points, intrinsics))
+    return spec.resample(form, metric).places
 
 
 def shape_at(places: Array, spec: Configuration, intrinsics: Intrinsics | None) -> Shape:
@@ -106,7 +107,7 @@ def _pixels(points: Array, intrinsics: Intrinsics | None) -> Array:
     return pixels
 
 
-def _form(points: Array, seen: Array, topology: Topology) -> Form:
+def _form(points: Array, seen: Array, topology: Topology) -> FittedForm:
     """The smooth form through points (K,D), which the camera sees at (K,2) pixels."""
     if isinstance(topology, Grid):
         lattice, seen = topology.lattice(points), topology.lattice(seen)
@@ -115,12 +116,12 @@ def _form(points: Array, seen: Array, topology: Topology) -> Form:
             lattice = lattice.swapaxes(0, 1)
         fine = _finer(_finer(lattice).swapaxes(0, 1)).swapaxes(0, 1)
         drawn = np.ascontiguousarray(fine).reshape(-1, points.shape[1])
-        return Patch(drawn, np.zeros(len(drawn), bool), len(fine))
+        return FittedLattice(drawn, np.zeros(len(drawn), bool), len(fine))
     closed = isinstance(topology, Ring)
     if closed and not clockwise(seen):
         points = np.roll(points[::-1], 1, axis=0)
-    drawn = catmull_rom(np.ascontiguousarray(points), closed=closed)
-    return Curve(drawn, np.zeros(len(drawn), bool), closed)
+    drawn = catmull_rom(np.ascontiguousarray(points), 4, closed)
+    return FittedCurve(drawn, np.zeros(len(drawn), bool), closed)
 
 
 def _finer(lattice: Array) -> Array:
@@ -128,4 +129,4 @@ def _finer(lattice: Array) -> Array:
     if len(lattice) < _LEAST:
         return lattice
     rows = np.ascontiguousarray(lattice).reshape(len(lattice), -1)
-    return catmull_rom(rows).reshape(-1, *lattice.shape[1:])
+    return catmull_rom(rows, 4, False).reshape(-1, *lattice.shape[1:])

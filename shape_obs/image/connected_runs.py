@@ -1,21 +1,75 @@
-"""Masks as rows of pixels, on Numba: pieces that hang together, cells, look-ups."""
+"""Masks as runs, the rows of connected pixels: components, cells, look-ups.
+
+A run is one row of connected pixels: row, first column, column past the last one, in image coordinates.
+"""
 
 from __future__ import annotations
 
+from typing import Any, Final
+
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from shape_obs.compiled.interface import FAR_OFF, Array, Indices, Mask
+from shape_obs.compiled import compiled
 
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.uint8]
+
+_FAR_OFF: Final = 2.0**30  # pixels; no image reaches there, and integers hold it
 # (w - ones) & ~w & tops is not 0 where one of the bytes of a word w is 0.
 _ONES = np.uint64(0x0101010101010101)
 _TOPS = np.uint64(0x8080808080808080)
+# Where the one bit of a word stands, by the top six bits of the word times a de Bruijn sequence.
+_SEQUENCE: Final = np.uint64(0x03F79D71B4CB0A89)
+_PLACE: Final = np.zeros(64, np.int64)
+_PLACE[[(int(_SEQUENCE) << k & (2**64 - 1)) >> 58 for k in range(64)]] = np.arange(64)
+_U = np.uint64  # unsigned indices are not checked for being negative
 
 
-@njit(cache=True, nogil=True)
+@compiled
+def find_components(
+    mask: Mask, left: int, top: int, min_area: float, min_share: float
+) -> tuple[Indices, Indices, tuple[int, int, int, int], bool]:
+    """Find the plausible components of a mask, 8-connected.
+
+    Args:
+        mask: ``(h, w)`` uint8, C-contiguous, 0 = background.
+        left: Image column of its first pixel.
+        top: Image row of its first pixel.
+        min_area: Smaller components are dropped, pixels.
+        min_share: So are those smaller than this share of the largest.
+
+    Returns:
+        ``(R, 3)`` runs, top to bottom and left to right; ``(Q,)`` the components' pixels, largest first; left, top, width
+        and height of the box around them; whether any were dropped.
+    """
+    runs = _runs(mask, left, top)
+    label, count = label_runs(runs)
+    areas = np.zeros(count, np.int64)
+    for at in range(len(runs)):
+        areas[label[at]] += runs[at, 2] - runs[at, 1]
+    if count == 0:
+        return runs, areas, (left, top, 0, 0), False
+    floor = max(float(min_area), min_share * areas.max())
+    held, first, last = 0, runs[0, 1], 0
+    for at in range(len(runs)):
+        if areas[label[at]] >= floor:
+            for k in range(3):
+                runs[held, k] = runs[at, k]
+            first = min(first, runs[at, 1]) if held else runs[at, 1]
+            last = max(last, runs[at, 2])
+            held += 1
+    box = (left, top, 0, 0)
+    if held:
+        box = (first, runs[0, 0], last - first, runs[held - 1, 0] - runs[0, 0] + 1)
+    kept = -np.sort(-areas[areas >= floor])
+    return runs[:held], kept, box, len(kept) < count
+
+
+@compiled
 def _runs(mask: Mask, left: int, top: int) -> Indices:
-    """The rows of pixels of a mask."""
+    """Return the runs of a mask."""
     height, width = mask.shape
     found = np.empty((4 * height + 16, 3), np.int64)
     count = 0
@@ -60,17 +114,9 @@ def _runs(mask: Mask, left: int, top: int) -> Indices:
     return found[:count].copy()
 
 
-@njit(cache=True, nogil=True)
-def _root(parent: Indices, at: int) -> int:
-    while parent[at] != at:
-        parent[at] = parent[parent[at]]
-        at = parent[at]
-    return at
-
-
-@njit(cache=True, nogil=True)
-def _pieces(runs: Indices) -> tuple[Indices, int]:
-    """(R,) which component each run belongs to, and how many there are: union-find over neighbouring rows."""
+@compiled
+def label_runs(runs: Indices) -> tuple[Indices, int]:
+    """Return which component each run belongs to, ``(R,)``, and how many there are: union-find over neighbouring rows."""
     count = len(runs)
     parent = np.arange(count)
     above = 0  # the first run of the row above that can still touch
@@ -97,37 +143,22 @@ def _pieces(runs: Indices) -> tuple[Indices, int]:
     return label, known
 
 
-@njit(cache=True, nogil=True)
-def survey(
-    mask: Mask, left: int, top: int, min_area: float, min_share: float
-) -> tuple[Indices, Indices, tuple[int, int, int, int], bool]:
-    """See ``Kernels.survey``."""
-    runs = _runs(mask, left, top)
-    label, count = _pieces(runs)
-    areas = np.zeros(count, np.int64)
-    for at in range(len(runs)):
-        areas[label[at]] += runs[at, 2] - runs[at, 1]
-    if count == 0:
-        return runs, areas, (left, top, 0, 0), False
-    floor = max(float(min_area), min_share * areas.max())
-    held, first, last = 0, runs[0, 1], 0
-    for at in range(len(runs)):
-        if areas[label[at]] >= floor:
-            for k in range(3):
-                runs[held, k] = runs[at, k]
-            first = min(first, runs[at, 1]) if held else runs[at, 1]
-            last = max(last, runs[at, 2])
-            held += 1
-    box = (left, top, 0, 0)
-    if held:
-        box = (first, runs[0, 0], last - first, runs[held - 1, 0] - runs[0, 0] + 1)
-    kept = -np.sort(-areas[areas >= floor])
-    return runs[:held], kept, box, len(kept) < count
+@compiled
+def _root(parent: Indices, at: int) -> int:
+    """Return the root of a run's tree, shortening the path to it."""
+    while parent[at] != at:
+        parent[at] = parent[parent[at]]
+        at = parent[at]
+    return at
 
 
-@njit(cache=True, nogil=True)
-def cells(runs: Indices, size: int) -> tuple[Array, Array]:
-    """See ``Kernels.cells``."""
+@compiled
+def gather_cells(runs: Indices, size: int) -> tuple[Array, Array]:
+    """Gather the pixels of ``(R, 3)`` runs into squares of an edge: ``(M, 2)`` centroids, ``(M,)`` counts.
+
+    The centroid keeps what coarse cells would lose: 8 x 8 cells cost 0.5 % of the Calinski-Harabasz score of all
+    pixels, at a fiftieth of their number.
+    """
     if len(runs) == 0:
         return np.empty((0, 2)), np.empty(0)
     top, bottom = runs[0, 0] // size, runs[-1, 0] // size
@@ -166,15 +197,9 @@ def cells(runs: Indices, size: int) -> tuple[Array, Array]:
     return points, weight
 
 
-@njit(cache=True, nogil=True, inline="always")
-def nearest_pixel(at: float) -> int:
-    """Return the nearest pixel; one off every image for NaN and for what no integer can hold."""
-    return int(np.rint(at)) if -FAR_OFF < at < FAR_OFF else int(-FAR_OFF)
-
-
-@njit(cache=True, nogil=True)
-def carried(mask: Mask, left: int, top: int, points: Array, reach: int) -> npt.NDArray[np.bool_]:
-    """See ``Kernels.carried``."""
+@compiled
+def near_mask(mask: Mask, left: int, top: int, points: Array, reach: int) -> npt.NDArray[np.bool_]:
+    """Return whether a mask has a pixel at most ``reach`` from each of ``(N, 2)`` image points: ``(N,)``."""
     height, width = mask.shape
     out = np.zeros(len(points), np.bool_)
     for at in range(len(points)):
@@ -187,3 +212,40 @@ def carried(mask: Mask, left: int, top: int, points: Array, reach: int) -> npt.N
                 if mask[v, u] != 0:
                     out[at] = True
     return out
+
+
+@compiled(inline=True)
+def nearest_pixel(at: float) -> int:
+    """Return the nearest pixel; one off every image for NaN and for what no integer can hold."""
+    return int(np.rint(at)) if -_FAR_OFF < at < _FAR_OFF else int(-_FAR_OFF)
+
+
+@compiled
+def runs_of_bits(bits: Any, west: int, top: int) -> Indices:
+    """Return the ``(R, 3)`` runs of rows of bits: ``(h, w)`` uint64, the leftmost pixel the lowest bit."""
+    height, width = bits.shape
+    found = np.empty((4 * height + 16, 3), np.int64)
+    count = 0
+    for row in range(height):
+        if count + 32 * width + 1 > len(found):
+            larger = np.empty((2 * len(found) + 32 * width, 3), np.int64)
+            larger[:count] = found[:count]
+            found = larger
+        before = _U(0)
+        for column in range(width):
+            word = bits[row, column]
+            edges = word ^ ((word << _U(1)) | before)  # 1 where a run begins, and behind its end
+            before = word >> _U(63)
+            while edges:
+                lowest = edges & (~edges + _U(1))
+                at = west + 64 * column + _PLACE[(lowest * _SEQUENCE) >> _U(58)]
+                if word & lowest:
+                    found[count, 0], found[count, 1] = row + top, at
+                else:
+                    found[count, 2] = at
+                    count += 1
+                edges ^= lowest
+        if before:
+            found[count, 2] = west + 64 * width
+            count += 1
+    return found[:count]

@@ -1,0 +1,167 @@
+"""Fitted forms: ordered points laid over an observed object. A curve here; ``lattice`` holds the form of a sheet.
+
+A form gives order to what has none, and measures equal distances: along a curve by arc length, over a lattice by its two
+coordinates.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.geometry.polyline import arc_length, interpolate, straightened
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+_SMOOTHING: Final = 9  # points of a fine curve
+
+
+class TrackHints(NamedTuple):
+    """What a form passes on to the next frame in addition to its nodes.
+
+    Args:
+        hidden: Arc length at the start and at the end of an open curve that is known to exist but is hidden.
+        slack: Hidden ends shorter than this are within the measuring error.
+        size: The object's size as the track remembers it, if that is not the size found; else 0.
+        reference: ``(K, D)`` nodes of the past that a closed curve was numbered by; else None.
+    """
+
+    hidden: tuple[float, float] = (0.0, 0.0)
+    slack: float = 0.0
+    size: float = 0.0
+    reference: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FittedForm(ABC):
+    """Ordered points of a curve or a surface.
+
+    Args:
+        points: ``(P, D)`` pixels (D = 2) or metres (D = 3).
+        interpolated: ``(P,)`` bool: nothing of the object was seen there (a gap, or an end that is hidden).
+        hints: What the track stores in addition to the nodes.
+        ambiguity: Why an initial form may be wrong; empty if it is not in doubt.
+    """
+
+    points: Array
+    interpolated: Mask
+    hints: TrackHints = field(default=TrackHints(), kw_only=True)
+    ambiguity: str = field(default="", kw_only=True)
+
+    @property
+    @abstractmethod
+    def size(self) -> float:
+        """The object's own size, which must not jump from frame to frame, in the unit of ``points``."""
+
+    @cached_property
+    def whole(self) -> bool:
+        """Whether no point is interpolated."""
+        return not self.interpolated.any()
+
+    @property
+    def unsupported_fraction(self) -> float:
+        """The share of the form that is interpolated."""
+        return np.count_nonzero(self.interpolated) / len(self.interpolated)
+
+    @abstractmethod
+    def smoothed(self, values: Array, known: Mask) -> Array:
+        """Fill ``(P,)`` values at the points where they are unknown, and smooth them over a few points."""
+
+    @abstractmethod
+    def with_points(self, points: Array) -> Self:
+        """Return the same form with its points elsewhere, for example in metres instead of pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedCurve(FittedForm):
+    """A polyline; if closed, the last point is followed by the first, which is not repeated."""
+
+    closed: bool = False
+
+    @cached_property
+    def arc(self) -> Array:
+        """``(P,)`` arc length of the points; ``(P + 1,)`` if closed, the last entry the whole."""
+        return arc_length(self._polyline)
+
+    @property
+    def size(self) -> float:
+        """Arc length from end to end, or once around."""
+        return float(self.arc[-1])
+
+    @property
+    def unsupported_fraction(self) -> float:
+        """The share of the length that is interpolated."""
+        if self.whole:
+            return 0.0
+        step = np.diff(self.arc)
+        flags = np.append(self.interpolated, self.interpolated[0]) if self.closed else self.interpolated
+        return float(step @ (flags[:-1] / 2 + flags[1:] / 2) / max(self.size, 1e-9))
+
+    def cut(self, piece: slice) -> Self:
+        """Return a piece of an open curve."""
+        return replace(self, points=self.points[piece].copy(), interpolated=self.interpolated[piece])
+
+    def at(self, arc: npt.ArrayLike) -> Array:
+        """Return ``(N, D)`` points at ``(N,)`` arc positions; a closed curve wraps around."""
+        at = np.asarray(arc, dtype=np.float64)
+        return interpolate(self._polyline, self.arc, at % self.size if self.closed else at)
+
+    def even(self, count: int) -> Array:
+        """Return ``(count, D)`` places of equal arc length around a closed curve, from its first point on."""
+        return self.at(np.arange(count) * (self.size / count))
+
+    def interpolated_at(self, arc: npt.ArrayLike) -> Mask:
+        """Return ``(N,)`` whether the nearer of the two neighbouring points is interpolated."""
+        if self.whole:
+            return np.zeros(np.shape(arc), bool)
+        at = np.asarray(arc, dtype=np.float64)
+        at = at % self.size if self.closed else at
+        flags = np.append(self.interpolated, self.interpolated[0]) if self.closed else self.interpolated
+        after = np.clip(np.searchsorted(self.arc, at), 1, len(self.arc) - 1)
+        nearer = np.where(at - self.arc[after - 1] < self.arc[after] - at, after - 1, after)
+        return flags[nearer]
+
+    def starting_at(self, arc: float) -> FittedCurve:
+        """Return the same closed curve with its first point at an arc position."""
+        start, same = arc % self.size, 1e-9 * self.size
+        after = int(np.searchsorted(self.arc, start + same))
+        before = after - (start - self.arc[after - 1] <= same)  # the point that is there already
+        if after > len(self.points):
+            after, before = 1, 0
+        points = np.concatenate([self.at([start]), self.points[after:], self.points[:before]])
+        flags = np.concatenate([self.interpolated_at([start]), self.interpolated[after:], self.interpolated[:before]])
+        return replace(self, points=points, interpolated=flags)
+
+    def smoothed(self, values: Array, known: Mask) -> Array:
+        """Fill ``(P,)`` values by a straight line between the known ones, and smooth them over nine points."""
+        at, count = np.arange(len(values)), len(values)
+        filled = np.interp(at, at[known], values[known], period=count if self.closed else None)
+        if count <= _SMOOTHING:
+            return filled
+        return straightened(filled, _SMOOTHING, self.closed)
+
+    def with_points(self, points: Array) -> Self:
+        """Return the same curve with its points elsewhere: ``(P, D')`` for ``(P, D)``."""
+        return replace(self, points=points)
+
+    def reversed(self) -> FittedCurve:
+        """Return the same curve run through backwards; if closed, the first point stays the first."""
+        if not self.closed:
+            head, tail = self.hints.hidden
+            hints = self.hints._replace(hidden=(tail, head))
+            return replace(self, points=self.points[::-1].copy(), interpolated=self.interpolated[::-1], hints=hints)
+        back = -np.arange(len(self.points))
+        return replace(self, points=self.points[back], interpolated=self.interpolated[back])
+
+    @property
+    def _polyline(self) -> Array:
+        return np.concatenate([self.points, self.points[:1]]) if self.closed else self.points

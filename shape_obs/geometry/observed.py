@@ -1,0 +1,164 @@
+"""What shapes are fitted to: the protocol that a region of an image and a cloud of points share."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.outline import Outline
+from shape_obs.geometry.samples import Samples
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+
+class Observed(Protocol):
+    """One object as it was observed: the mask of a region in pixels, or a cloud of points in metres.
+
+    Attributes:
+        unit: ``"px"`` or ``"m"``.
+        noun: ``"mask"`` or ``"cloud"``, for messages.
+        sample_unit: ``"pixels"`` or ``"points"``, for messages.
+        thinnest: The least width that can be measured.
+    """
+
+    unit: ClassVar[str]
+    noun: ClassVar[str]
+    sample_unit: ClassVar[str]
+    thinnest: ClassVar[float]
+
+    @property
+    def dimension(self) -> int:
+        """2 for pixels, 3 for metres."""
+        ...
+
+    @property
+    def resolution(self) -> float:
+        """The least distance that is resolved."""
+        ...
+
+    @property
+    def pieces(self) -> int:
+        """How many connected pieces there are."""
+        ...
+
+    @property
+    def area(self) -> int:
+        """How many pixels or points there are."""
+        ...
+
+    @property
+    def width(self) -> float:
+        """Width of the object if it is rope-like."""
+        ...
+
+    @property
+    def length(self) -> float:
+        """Length of the object if it is rope-like."""
+        ...
+
+    @property
+    def box(self) -> Any:
+        """The window around all pixels; None for a cloud."""
+        ...
+
+    @property
+    def samples(self) -> Samples:
+        """Weighted points of the object, as coarse as its width allows."""
+        ...
+
+    @property
+    def hidden_variance(self) -> float:
+        """Variance across a strand that coarse samples hide."""
+        ...
+
+    @property
+    def outlined_share(self) -> float:
+        """The share of the object that its outline goes around."""
+        ...
+
+    @property
+    def holes(self) -> int:
+        """How many holes the largest piece has."""
+        ...
+
+    @property
+    def hollow_share(self) -> float:
+        """The share of what the outline encloses that is not the object's; 1 if unknown."""
+        ...
+
+    @property
+    def cut_share(self) -> float:
+        """The share of the outline that runs along the edge of the window."""
+        ...
+
+    @property
+    def parts(self) -> tuple[Observed, ...]:
+        """The observations that an initial axis is taken from."""
+        ...
+
+    def traced_outline(self, hole: int | None = None) -> Outline | None:
+        """Return the outline as it was traced pixel by pixel; None for a cloud."""
+        ...
+
+    def outline_curve(self, hole: int | None = None) -> FittedCurve:
+        """Return the outline of the largest piece, or of one of its holes, clockwise as seen."""
+        ...
+
+    def outline_samples(self, hole: int | None = None) -> Samples:
+        """Return the points of the outline before any smoothing, weighted by arc length."""
+        ...
+
+    def outline_points(self, hole: int | None = None) -> Samples:
+        """Return the points of the outline, each counting once."""
+        ...
+
+    def outline_width(self, hole: int | None = None) -> float:
+        """Return how far apart the sides of the outline lie; infinite if unknown."""
+        ...
+
+    def sheet_outline(self) -> tuple[Array, Array]:
+        """Return the outline of the object as a sheet, ``(P, D)``, and unrolled into a plane, ``(P, 2)``."""
+        ...
+
+    def to_space(self, flat: Array) -> Array:
+        """Return places ``(N, 2)`` on the unrolled sheet where they are observed: ``(N, D)``."""
+        ...
+
+    def with_width(self, width: float) -> Self:
+        """Return the same object with a width known from the past; 0 if it is unknown."""
+        ...
+
+    def ribbon_width(self, length: float) -> float:
+        """Return the width of a ribbon of this area and a length."""
+        ...
+
+    def gather(self, edge: float) -> Samples:
+        """Return weighted points in cells of an edge, pixels; a cloud keeps its voxels."""
+        ...
+
+    def all_samples(self) -> Samples:
+        """Return every pixel or point, each counting once."""
+        ...
+
+    def pixels_of(self, points: Array) -> Array | None:
+        """Return where ``(N, D)`` points are in the image: ``(N, 2)`` pixels; None if no image is known."""
+        ...
+
+    def seen(self, points: Array, target: Array | None) -> Array:
+        """Return points as numbering sees them: pixels if there is an image."""
+        ...
+
+    def carries(self, points: Array) -> Mask:
+        """Return whether there is a pixel or a point at each of ``(N, D)`` places: ``(N,)``."""
+        ...
+
+    def extend_to_tips(self, nodes: Array) -> Array:
+        """Cut a chain of nodes where it hangs over the object, and lengthen it to the rope's tips."""
+        ...

@@ -1,0 +1,268 @@
+"""Find objects by colour without reading every pixel: look up a colour table on a lattice, then read near the hits."""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.compiled import compiled
+from shape_obs.image.connected_runs import label_runs, runs_of_bits
+from shape_obs.image.roi import Window
+
+Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.uint8]
+
+# Eight pixels in a row are a byte, the leftmost its lowest bit; here is the byte as eight bytes of a mask.
+_BITS: Final = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1, bitorder="little")
+_SPREAD: Final = np.ascontiguousarray(_BITS * np.uint8(255)).view(np.uint64).ravel()
+_U = np.uint64  # unsigned indices are not checked for being negative
+
+
+class Found(NamedTuple):
+    """The result of a search by colour in a window.
+
+    Args:
+        mask: ``(h, w)`` uint8, 0 or 255, C-contiguous, the plausible components alone.
+        runs: ``(R, 3)`` its runs, see ``connected_runs``.
+        areas: ``(Q,)`` pixels of each component, largest first.
+        box: Left, top, width and height of the rectangle around them, image pixels.
+    """
+
+    mask: Mask
+    runs: Indices
+    areas: Indices
+    box: tuple[int, int, int, int]
+
+
+def find_by_colour(
+    rgb: npt.NDArray[np.uint8],
+    window: Window,
+    table: npt.NDArray[np.uint64],
+    step: int,
+    min_area: int,
+    min_share: float,
+) -> Found:
+    """Find the plausible components of a colour without reading every pixel.
+
+    One pixel in ``step * step`` is looked at, in a lattice that lies fast in the image with every other row shifted
+    by half a step. Components that hold none of these are left out, so whatever a disc of diameter
+    1.25 * step + 1 fits into is found, and what is found is complete to the pixel.
+
+    Args:
+        rgb: ``(H, W, 3)`` uint8.
+        window: Which of its pixels count.
+        table: See ``colour_table``.
+        step: 4 or 8 pixels.
+        min_area: Components with fewer pixels are dropped.
+        min_share: So are those smaller than this share of the largest.
+    """
+    flat, origin, pitch = _flat(rgb, window)
+    left, top, width, height = window
+    mask, runs, areas, box = find_on_lattice(
+        flat, origin, pitch, left, top, left + width, top + height, table, step, min_area, min_share
+    )
+    if mask.shape[1] != width:
+        mask = np.ascontiguousarray(mask[:, left % 8 : left % 8 + width])
+    return Found(mask, runs, areas, box)
+
+
+def table_mask(rgb: npt.NDArray[np.uint8], window: Window, table: npt.NDArray[np.uint64]) -> Mask:
+    """Return the pixels of a window whose colour is in a table: ``(h, w)`` uint8, 0 or 255.
+
+    Args:
+        rgb: ``(H, W, 3)`` uint8.
+        window: Which of its pixels to read.
+        table: See ``colour_table``.
+    """
+    flat, origin, pitch = _flat(rgb, window)
+    origin += window.top * pitch + 3 * window.left
+    return look_up(flat, origin, pitch, window.width, window.height, table)
+
+
+def _flat(rgb: npt.NDArray[np.uint8], window: Window) -> tuple[npt.NDArray[np.uint8], int, int]:
+    """Return the values of an image in a row, where its pixel (0, 0) stands, and the distance between its rows.
+
+    If an image is not stored row by row, the window is copied.
+    """
+    if rgb.flags.c_contiguous:
+        flat, origin, pitch = rgb.reshape(-1), 0, 3 * rgb.shape[1]
+    else:
+        flat, pitch = np.ascontiguousarray(rgb[window.slices]).reshape(-1), 3 * window.width
+        origin = -window.top * pitch - 3 * window.left
+    flat.flags.writeable = False  # one type for all images: compiled code distinguishes read-only arrays
+    return flat, origin, pitch
+
+
+@compiled
+def look_up(flat: Any, origin: int, pitch: int, width: int, height: int, table: Any) -> Mask:
+    """Look up the colours of a window whose first pixel stands at ``origin``."""
+    out = np.empty((height, width), np.uint8)
+    for row in range(height):
+        at = _U(origin + row * pitch)
+        for column in range(width):
+            out[row, column] = -np.uint8(_bit(flat, at, table))
+            at += _U(3)
+    return out
+
+
+@compiled
+def find_on_lattice(
+    flat: Any,
+    origin: int,
+    pitch: int,
+    left: int,
+    top: int,
+    right: int,
+    bottom: int,
+    table: Any,
+    step: int,
+    min_area: int,
+    min_share: float,
+) -> Any:
+    """Find components; the image's pixel (u, v) stands at ``origin + v * pitch + 3 * u``."""
+    west, height = left & ~7, bottom - top
+    across = (right - west + 7) >> 3
+    bits = np.zeros((height, (across + 7) // 8 * 8), np.uint8)
+    words = np.zeros((height, across), np.uint64)
+    _read_near_hits(flat, origin, pitch, left, top, right, bottom, table, step, bits, words)
+    mask = words.view(np.uint8)
+    runs = runs_of_bits(bits.view(np.uint64), west, top)
+    runs, areas, box = _plausible(runs, step, min_area, min_share, west, top, mask)
+    return mask, runs, areas, box
+
+
+@compiled
+def _read_near_hits(
+    flat: Any,
+    origin: int,
+    pitch: int,
+    left: int,
+    top: int,
+    right: int,
+    bottom: int,
+    table: Any,
+    step: int,
+    bits: Any,
+    words: Any,
+) -> None:
+    """Read cells of 8 x 8 pixels that hold a lattice pixel in the table, and from there on where pixels touch."""
+    west, north, across, down = left & ~7, top & ~7, words.shape[1], (bottom - (top & ~7) + 7) >> 3
+    stride = across + 2  # cells around the window count as seen
+    seen = np.ones((down + 2) * stride, np.uint8)
+    for row in range(1, down + 1):
+        seen[row * stride + 1 : row * stride + 1 + across] = 0
+    stack, rows = np.empty(across * down, np.int64), np.empty(8, np.uint64)
+    for v in range(top + (step // 2 - top) % step, bottom, step):
+        line, start = (((v - north) >> 3) + 1) * stride + 1, origin + v * pitch
+        for u in range(left + (_shift(v, step) - left) % step, right, step):
+            cell = line + ((u - west) >> 3)
+            if seen[_U(cell)] != 0 or _bit(flat, _U(start + 3 * u), table) == 0:
+                continue
+            waiting = _push(cell, seen, stack, 0)
+            while waiting > 0:
+                waiting -= 1
+                cell = stack[_U(waiting)]
+                row, column = cell // stride - 1, cell % stride - 1
+                u0, v0 = west + 8 * column, north + 8 * row
+                at = origin + v0 * pitch + 3 * u0
+                every = _U(0)
+                if u0 >= left and v0 >= top and u0 + 8 <= right and v0 + 8 <= bottom:
+                    for y in range(8):
+                        rows[y] = _eight(flat, _U(at + y * pitch), table)
+                        every |= rows[y]
+                else:
+                    for y in range(8):
+                        inside = top <= v0 + y < bottom
+                        stop = min(right - u0, 8) if inside else 0
+                        rows[y] = _few(flat, at + y * pitch, table, max(left - u0, 0), stop)
+                        every |= rows[y]
+                if every == 0:
+                    continue
+                for y in range(max(v0, top), min(v0 + 8, bottom)):
+                    bits[_U(y - top), _U(column)] = rows[y - v0]
+                    words[_U(y - top), _U(column)] = _SPREAD[rows[y - v0]]
+                for edge, beside in ((rows[0], cell - stride), (rows[7], cell + stride)):
+                    if edge:
+                        waiting = _push(beside, seen, stack, waiting)
+                        if edge & _U(1):
+                            waiting = _push(beside - 1, seen, stack, waiting)
+                        if edge >> _U(7):
+                            waiting = _push(beside + 1, seen, stack, waiting)
+                # Beside before below: what lies in one row of memory is read together.
+                if every & _U(1):
+                    waiting = _push(cell - 1, seen, stack, waiting)
+                if every >> _U(7):
+                    waiting = _push(cell + 1, seen, stack, waiting)
+
+
+@compiled
+def _plausible(runs: Indices, step: int, min_area: int, min_share: float, left: int, top: int, mask: Mask) -> Any:
+    """Return the runs of plausible components on the lattice, their areas and box; clear the others from the mask."""
+    label, count = label_runs(runs)
+    areas, met = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    for at in range(len(runs)):
+        row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
+        areas[label[at]] += stop - start
+        if row % step == step // 2 and start + (_shift(row, step) - start) % step < stop:
+            met[label[at]] = 1
+    areas *= met
+    largest = 0
+    for piece in range(count):
+        largest = max(largest, areas[piece])
+    floor = max(float(max(min_area, 1)), min_share * largest)
+    held, first, last = 0, 0, 0
+    for at in range(len(runs)):
+        row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
+        if areas[label[at]] >= floor:
+            runs[held, 0], runs[held, 1], runs[held, 2] = row, start, stop
+            first, last = min(first, start) if held else start, max(last, stop)
+            held += 1
+        else:
+            mask[row - top, start - left : stop - left] = 0
+    box = (left, top, 0, 0)
+    if held:
+        box = (first, runs[0, 0], last - first, runs[held - 1, 0] - runs[0, 0] + 1)
+    return runs[:held], -np.sort(-areas[areas >= floor]), box
+
+
+@compiled(inline=True)
+def _bit(flat: Any, at: Any, table: Any) -> Any:
+    """Return whether the table has the colour whose red value stands at ``at``: 0 or 1."""
+    red, green, blue = _U(flat[at]), _U(flat[at + _U(1)]), _U(flat[at + _U(2)])
+    return (table[(red << _U(10)) | (green << _U(2)) | (blue >> _U(6))] >> (blue & _U(63))) & _U(1)
+
+
+@compiled(inline=True)
+def _eight(flat: Any, at: Any, table: Any) -> Any:
+    """Return ``_bit`` of eight pixels in a row."""
+    bits = _bit(flat, at, table)
+    for k in range(1, 8):
+        bits |= _bit(flat, at + _U(3 * k), table) << _U(k)
+    return bits
+
+
+@compiled(inline=True)
+def _few(flat: Any, at: Any, table: Any, first: Any, stop: Any) -> Any:
+    """Return ``_bit`` of the pixels of eight that lie in the window."""
+    bits = _U(0)
+    for k in range(first, stop):
+        bits |= _bit(flat, _U(at + 3 * k), table) << _U(k)
+    return bits
+
+
+@compiled(inline=True)
+def _push(cell: Any, seen: Any, stack: Any, top: Any) -> Any:
+    """Push a cell on the stack if it has not been seen."""
+    if seen[_U(cell)] == 0:
+        seen[_U(cell)] = 1
+        stack[_U(top)] = cell
+        top += 1
+    return top
+
+
+@compiled(inline=True)
+def _shift(v: Any, step: Any) -> Any:
+    """Return where a row of the lattice begins: every other one half a step further."""
+    return step // 4 + (step // 2) * ((v // step) & 1)

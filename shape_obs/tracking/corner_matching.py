@@ -1,0 +1,116 @@
+"""Match the corners of a sheet to those of the last frame, and notice one that something hides.
+
+A hand over a corner leaves the outline with another one, some way inside. The three others are laid over where they
+were expected by a similarity transform (S. Umeyama, "Least-Squares Estimation of Transformation Parameters Between Two
+Point Patterns", 1991), and the fourth has to follow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.compiled import compiled
+from shape_obs.geometry.lattice import FittedLattice, outer_corners
+
+Array = npt.NDArray[np.float64]
+
+# Of half a diagonal. Cloths that bend and move by 30 px a frame stay below 0.025, a hand 12 px in radius makes 0.11.
+STRAYED: Final = 0.06
+
+
+def match_corners(form: FittedLattice, expected: Array, freedom: float) -> FittedLattice:
+    """Turn a lattice so that its corners lie nearest to the predicted ones; ambiguous if one of them is not the sheet's.
+
+    Args:
+        form: The lattice that was found.
+        expected: ``(R, C, D)`` the predicted nodes.
+        freedom: How far a corner may move on its own, as a share of half a diagonal.
+    """
+    if expected.shape[2] == 2:
+        quarters, corner, share = match_corners_plane(expected, form.lattice)
+    else:
+        quarters, corner, share = _match_corners_space(outer_corners(expected), form.corners)
+    turned, strays = form.turned(quarters), _strays(corner, share, freedom)
+    return replace(turned, ambiguity=form.ambiguity or strays) if strays else turned
+
+
+def _strays(corner: int, share: float, freedom: float) -> str:
+    """Return why a corner cannot be the sheet's that lies a share of half a diagonal from where the others put it."""
+    if share <= freedom:
+        return ""
+    return f"corner {corner} strays by {share:.0%} of half a diagonal from where the other three have moved"
+
+
+def _match_corners_space(expected: Array, corners: Array) -> tuple[int, int, float]:
+    """Return what ``match_corners_plane`` returns, for ``(4, 3)`` corners in space."""
+    away = [np.sum((np.roll(corners, -turn, axis=0) - expected) ** 2) for turn in range(4)]
+    quarters = int(np.argmin(away))
+    found = np.roll(corners, -quarters, axis=0)
+    reach = float(np.linalg.norm(found - found.mean(axis=0), axis=1).max())
+    astray = [_astray(expected, found, corner) / max(reach, 1e-9) for corner in range(4)]
+    worst = int(np.argmax(astray))
+    return quarters, worst, astray[worst]
+
+
+def _astray(expected: Array, found: Array, corner: int) -> float:
+    """Return how far a corner lies from where a similarity transform of the other three puts it."""
+    others = np.arange(4) != corner
+    before, after = expected[others].mean(axis=0), found[others].mean(axis=0)
+    source, target = expected[others] - before, found[others] - after
+    u, overlap, v = np.linalg.svd(source.T @ target)
+    sign = np.ones(len(overlap))
+    sign[-1] = np.sign(np.linalg.det(u @ v))
+    turn = (u * sign) @ v * (overlap @ sign / max(float(np.sum(source**2)), 1e-18))
+    return float(np.linalg.norm((expected[corner] - before) @ turn + after - found[corner]))
+
+
+@compiled
+def match_corners_plane(nodes: Array, lattice: Array) -> tuple[int, int, float]:
+    """Return how a sheet's corners are numbered, and which one lies farthest from where the other three put it.
+
+    The similarity transform of complex numbers is one product: the least squares of ``found = a expected + b``.
+
+    Args:
+        nodes: ``(R, C, 2)`` predicted.
+        lattice: ``(R', C', 2)`` found.
+
+    Returns:
+        By how many quarters the found lattice is to be turned, so that its corners lie nearest to the predicted
+        ones; then which of them strays most, and by which share of half a diagonal.
+    """
+    expected, corners = outer_corners(nodes), np.empty((4, 2))
+    for d in range(2):
+        corners[0, d], corners[1, d] = lattice[0, 0, d], lattice[0, -1, d]
+        corners[2, d], corners[3, d] = lattice[-1, -1, d], lattice[-1, 0, d]
+    quarters, least = 0, np.inf
+    for turn in range(4):
+        square = 0.0
+        for k in range(4):
+            for d in range(2):
+                square += (corners[(k + turn) % 4, d] - expected[k, d]) ** 2
+        if square < least:
+            quarters, least = turn, square
+    past, here = np.empty(4, np.complex128), np.empty(4, np.complex128)
+    for k in range(4):
+        past[k] = complex(expected[k, 0], expected[k, 1])
+        here[k] = complex(corners[(k + quarters) % 4, 0], corners[(k + quarters) % 4, 1])
+    middle, reach = here.sum() / 4, 1e-9
+    for k in range(4):
+        reach = max(reach, abs(here[k] - middle))
+    worst, most = 0, -1.0
+    for k in range(4):
+        before, after = (past.sum() - past[k]) / 3, (here.sum() - here[k]) / 3
+        product, spread = 0j, 0.0
+        for j in range(4):
+            if j != k:
+                source = past[j] - before
+                product += source.conjugate() * (here[j] - after)
+                spread += source.real**2 + source.imag**2
+        astray = abs((past[k] - before) * (product / max(spread, 1e-18)) + after - here[k])
+        if astray > most:
+            worst, most = k, astray
+    return quarters, worst, most / reach
