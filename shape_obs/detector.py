@@ -81,6 +81,7 @@ class ShapeDetector:
             given["segmentation"] = segmentation
         self.config = DetectorConfig.from_dict(given)
         self.shapes = self.config.resolved()
+        self._anchored = any(spec.anchor is not None for spec in self.shapes)
         functions = [*prepare(spec.segmentation for spec in self.shapes), median_depth]
         compile_now([*functions, *(function for spec in self.shapes for function in spec.compiled)])
         self.reset()
@@ -120,8 +121,9 @@ class ShapeDetector:
             ShapeLostError: A shape was not found and ``on_missing="raise"``.
         """
         begin = time.perf_counter()
-        frame = Frame(rgb, depth, as_camera_model(camera), stamp)
-        if frame.size is None:
+        camera = camera if isinstance(camera, CameraModel) else as_camera_model(camera)
+        frame = Frame(rgb, depth, camera, stamp)
+        if rgb is None and depth is None:
             raise ValueError("detect needs an rgb or a depth image, got neither.")
         for spec in self.shapes:
             if spec.segmentation is None:
@@ -193,7 +195,9 @@ class ShapeDetector:
             if asked and not with_depth:
                 instead = "lift='points'" if spec.lift == "cloud" else "spacing='px'"
                 raise ValueError(f"shape {spec.name!r}: {asked} needs depth and a camera; give both, or {instead}.")
-        targets = [anchor_pixel(spec, anchors, frame.camera) for spec in self.shapes]
+        targets: list[Array | None] = len(self.shapes) * [None]
+        if self._anchored:
+            targets = [anchor_pixel(spec, anchors, frame.camera) for spec in self.shapes]
         now = time.perf_counter()
         roi, self._roi_memory, reason = locate(self.config.roi, frame, self._roi_memory)
         if roi is not self.config.roi:
@@ -225,7 +229,7 @@ class ShapeDetector:
                 now = _lap(timings, "cloud", now)
             found = self._fit(spec, observed, target, stamp, frame.depth)  # -> form, matched and validated
             _lap(timings, "fit", now)
-            if found.ok or not search.widen(spec.segmentation):
+            if not found.reason or not search.widen(spec.segmentation):
                 return found
 
     def _fit(self, spec: Configuration, observed: Observed, target: Array | None, stamp: float, depth: Any) -> Fit:
@@ -241,7 +245,7 @@ class ShapeDetector:
             return Fit(reason=f"{have}, at least {_MIN_SAMPLES} are needed")
         track = self._tracks.get(spec.name)
         found = spec.fit(observed, predict(track, observed, stamp), target, depth)
-        if found.ok:
+        if not found.reason:
             self._tracks[spec.name] = advance(track, found, observed, stamp)
             if spec.order == "image":
                 seen = observed.seen(found.form.points, target)
@@ -264,7 +268,7 @@ class ShapeDetector:
         last, seen_at = self._last.get(spec.name, (None, self._begin))
         in_2d, in_3d = wanted
         shape, reason = None, found.reason
-        if found.ok:
+        if not found.reason:
             shape = shape_of(spec, found, frame, last, self.config.on_invalid)  # depth enters: form -> points in space
             in_sight = shape.points2d is None or np.isfinite(shape.points2d).all()
             if not in_sight or (in_3d and not shape.valid.any()):
@@ -290,7 +294,10 @@ class ShapeDetector:
         rules: dict[Segmentation | None, list[Track | None]] = {}
         for spec in self.shapes:
             rules.setdefault(spec.segmentation, []).append(self._tracks.get(spec.name))
-        return {rule: predict_search_window(tracks) for rule, tracks in rules.items()}
+        expected = {}
+        for rule, tracks in rules.items():
+            expected[rule] = predict_search_window(tracks)
+        return expected
 
     def _next_stamp(self, frame: Frame) -> float:
         """Return the frame's time; frames without stamps follow each other by ``dt``."""

@@ -44,27 +44,30 @@ class Frame:
     exposed: float | None = None
 
     def __post_init__(self) -> None:
-        if self.rgb is not None:
-            _check_rgb(self.rgb)
-        if self.depth is not None:
-            depth = _check_depth(self.depth)
+        rgb, depth, camera, stamp = self.rgb, self.depth, self.camera, self.stamp
+        if rgb is not None:
+            _check_rgb(rgb)
+        if depth is not None:
+            depth = _check_depth(depth)
             object.__setattr__(self, "depth", depth)
-            if self.rgb is not None and depth.shape != self.rgb.shape[:2]:
+            if rgb is not None and depth.shape != rgb.shape[:2]:
                 raise ValueError(
-                    f"depth has {_size(depth)}, rgb has {_size(self.rgb)}: "
+                    f"depth has {_size(depth)}, rgb has {_size(rgb)}: "
                     "give depth aligned to the colour image (rs.align, or render both with one camera)."
                 )
-        if self.camera is not None and self.size is not None:
-            intrinsics = self.camera.intrinsics
-            if intrinsics.size != self.size:
+        image = rgb if rgb is not None else depth
+        if camera is not None and image is not None:
+            width, height = camera.intrinsics.width, camera.intrinsics.height
+            if (height, width) != image.shape[:2]:
                 raise ValueError(
-                    f"the camera's intrinsics are for {intrinsics.width} x {intrinsics.height} pixels, "
-                    f"the image has {self.size[1]} x {self.size[0]}: give the intrinsics of this stream."
+                    f"the camera's intrinsics are for {width} x {height} pixels, "
+                    f"the image has {image.shape[1]} x {image.shape[0]}: "
+                    "give the intrinsics of this stream."
                 )
-        if self.stamp is not None and not isinstance(self.stamp, numbers.Real):
-            raise TypeError(f"stamp must be a number of seconds, got {self.stamp!r}.")
-        if self.stamp is not None and not math.isfinite(self.stamp):
-            raise ValueError(f"stamp must be a finite number of seconds, got {self.stamp}.")
+        if stamp is not None and not isinstance(stamp, numbers.Real):
+            raise TypeError(f"stamp must be a number of seconds, got {stamp!r}.")
+        if stamp is not None and not math.isfinite(stamp):
+            raise ValueError(f"stamp must be a finite number of seconds, got {stamp}.")
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -73,6 +76,15 @@ class Frame:
             if image is not None:
                 return image.shape[0], image.shape[1]
         return None
+
+
+def readable_depth(depth: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], float]:
+    """Return depth as compiled code reads it, uint16 or float32, read-only and C-contiguous, and its unit in metres."""
+    if depth.dtype != np.uint16 and depth.dtype != np.float32:
+        depth = depth.astype(np.float32)
+    depth = np.ascontiguousarray(depth).view()
+    depth.flags.writeable = False
+    return depth, MILLIMETRE if depth.dtype == np.uint16 else 1.0
 
 
 def depth_in_metres(depth: npt.NDArray[Any]) -> npt.NDArray[np.float64]:

@@ -56,8 +56,14 @@ class Shape:
     def __post_init__(self) -> None:
         fields = vars(self)
         for name, dtype in _ARRAYS:
-            if fields[name] is not None:
-                fields[name] = _read_only(fields[name], dtype)
+            values = fields[name]
+            if values is None:
+                continue
+            own = isinstance(values, np.ndarray) and values.base is None and values.dtype == dtype
+            if own and not values.flags.writeable:
+                continue  # such an array may be shared
+            fields[name] = values = np.array(values, dtype)
+            values.flags.writeable = False
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore a pickled or deep-copied shape, whose arrays NumPy returns writable."""
@@ -133,15 +139,6 @@ class Detection:
             "shapes": [shape.to_dict() for shape in self.shapes],
             "timings_ms": {stage: round(time, 3) for stage, time in self.timings.items()},
         }
-
-
-def _read_only(values: npt.ArrayLike, dtype: type[np.generic]) -> npt.NDArray[Any]:
-    """Return a read-only copy; an array that is one already is returned as it is."""
-    if isinstance(values, np.ndarray) and values.dtype == dtype and not values.flags.writeable and values.base is None:
-        return values
-    copy = np.array(values, dtype)
-    copy.flags.writeable = False
-    return copy
 
 
 def _listed(points: npt.NDArray[np.float32], digits: int) -> list[list[float | None]]:

@@ -29,7 +29,7 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.outline import SAMPLED, closed_arc, even_around
 from shape_obs.geometry.samples import Samples
-from shape_obs.geometry.topology import Topology
+from shape_obs.geometry.topology import Topology, neighbourhoods
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -54,7 +54,7 @@ def run_som(samples: Samples, start: Array, topology: Topology, sigmas: tuple[fl
     """
     if not sigmas:
         return start
-    nodes = batch_epochs(samples.points, samples.weight, start, *topology.neighbourhoods(sigmas))
+    nodes = batch_epochs(samples.points, samples.weight, start, *neighbourhoods(topology, sigmas))
     return topology.unshrink(nodes, sigmas[-1])
 
 

@@ -10,13 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.clustering.som import batch_epochs, run_som
+from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
-from shape_obs.geometry.polyline import arc_length, catmull_rom, equidistant_positions, interpolate
-from shape_obs.geometry.topology import Chain, Topology, undo_shrinkage
+from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equidistant, interpolate
+from shape_obs.geometry.topology import Chain, Topology, neighbourhoods, shrinkage, undo_shrinkage
+from shape_obs.image.connected_runs import gather_cells, near_mask
+from shape_obs.image.region import Region
 from shape_obs.image.rope_tip import extend_chain
-from shape_obs.initialization.folding import fold_outline, unexplained_share
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.tracking.occluders import uncover_ends
 from shape_obs.tracking.occlusion import match_chain, shown
@@ -24,6 +26,7 @@ from shape_obs.tracking.prediction import Fit, Prediction, size_jump
 from shape_obs.tracking.validation import MAX_HIDDEN, sample_spread, validate_ribbon
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
 
 # Nodes sit about this many widths apart: closer, and a chain starts to fold across the rope; farther, and it cuts
 # corners. N is sampled from the curve afterwards, so it does not matter here.
@@ -34,6 +37,7 @@ _NODES: Final = (6, 48)
 _SIGMAS_INITIAL: Final = (0.8, 0.4, 0.4)
 _SIGMAS_STEADY: Final = (0.8, 0.4)
 _SIGMAS_AREA_CHANGED: Final = (1.2, 0.6, 0.4, 0.4)
+_MAX_CELL: Final = 24  # pixels
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
 _MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no distinct axis, and a chain would fold up in it
@@ -62,22 +66,12 @@ class Centerline(Configuration, kind="centerline"):
         """A chain of n points."""
         return Chain(self.n)
 
-    def rejection_reason(self, observed: Observed) -> str:
-        """Return why an object cannot be a rope: too many pieces, or less than three times as long as wide."""
-        for part in observed.parts:
-            if part.pieces > _MAX_PIECES:
-                return f"the {part.noun} falls into {part.pieces} pieces, at most {_MAX_PIECES}"
-        length, width = observed.length, observed.width
-        if length < _MIN_ASPECT * width:
-            return f"the {observed.noun} is {length:.4g} x {width:.4g} {observed.unit}: too stout for a rope"
-        return ""
-
     def fit(
         self, observed: Observed, prediction: Prediction | None, target: Array | None, depth: npt.NDArray[Any] | None
     ) -> Fit:
         """Fit a chain of nodes: from where the track expects it, else along an initial axis."""
-        known = observed if prediction is None else observed.with_width(prediction.width)
-        reason = self.rejection_reason(known)
+        width = prediction.width if prediction is not None and prediction.width else observed.width
+        reason = _rejection_reason(observed, width)
         if reason:
             return Fit(reason=reason)
         occluders = depth if observed.dimension == 2 else None  # in a cloud a hidden end has no place in the image
@@ -85,16 +79,16 @@ class Centerline(Configuration, kind="centerline"):
             found = self._fit_initial(observed, None, occluders)
         else:
             sigmas = _SIGMAS_STEADY if prediction.steady else _SIGMAS_AREA_CHANGED
-            found = self._refine(
-                known, prediction.nodes, prediction.topology, sigmas, MAX_HIDDEN, prediction, occluders
-            )
-            if not found.ok or size_jump(prediction, found.form):
+            start = prediction.nodes, prediction.topology
+            found = self._refine(observed, *start, sigmas, width, MAX_HIDDEN, prediction, occluders)
+            hints = found.form.hints if found.form is not None else None
+            if found.reason or size_jump(prediction, found.form.arc[-1]):
                 found = self._fit_initial(observed, prediction, occluders)
-            elif _hidden(found) > sum(prediction.hints.hidden) + found.form.hints.slack:
+            elif hints is not None and sum(hints.hidden) > sum(prediction.hints.hidden) + hints.slack:
                 # Something came over an end, or the chain lost its way there: an initial axis decides.
                 again = self._fit_initial(observed, prediction, occluders)
-                found = again if again.ok and _hidden(again) < _hidden(found) else found
-        if not found.ok:
+                found = again if not again.reason and _hidden(again) < _hidden(found) else found
+        if found.reason:
             return found
         curve: FittedCurve = found.form
         if occluders is not None and _hidden(found) > curve.hints.slack:
@@ -102,10 +96,9 @@ class Centerline(Configuration, kind="centerline"):
         if prediction is None:
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
         assert found.topology is not None
-        nodes = interpolate(curve.points, curve.arc, _middles(found.topology.size) * curve.size)
-        seen_length = curve.size * (1 - curve.unsupported_fraction)
-        width = observed.ribbon_width(seen_length) if observed.dimension == 2 else 0.0
-        return found._replace(form=curve, nodes=nodes, width=width)
+        nodes = _at_shares(curve.points, curve.arc, _middles(found.topology))
+        seen_width = max(observed.area / max(_seen_length(curve), 1e-9), 1.0) if observed.dimension == 2 else 0.0
+        return found._replace(form=curve, nodes=nodes, width=seen_width)
 
     def _fit_initial(self, observed: Observed, prediction: Prediction | None, depth: npt.NDArray[Any] | None) -> Fit:
         """Fit from an initial axis, in the predicted rope's direction if there is one."""
@@ -117,9 +110,8 @@ class Centerline(Configuration, kind="centerline"):
             topology = Chain(int(np.clip(round(observed.length / (_NODE_SPACING * observed.width)), *_NODES)))
         else:
             axis, topology = match_chain(axis, prediction, depth), prediction.topology
-        start = axis.at(_middles(topology.size) * axis.size)
-        bridged = axis.unsupported_fraction
-        return self._refine(observed, start, topology, _SIGMAS_INITIAL, bridged, prediction, depth)
+        start, bridged = axis.at(_middles(topology) * axis.size), axis.unsupported_fraction
+        return self._refine(observed, start, topology, _SIGMAS_INITIAL, observed.width, bridged, prediction, depth)
 
     def _refine(
         self,
@@ -127,20 +119,31 @@ class Centerline(Configuration, kind="centerline"):
         start: Array,
         topology: Topology,
         sigmas: tuple[float, ...],
+        width: float,
         expected_off: float,
         prediction: Prediction | None,
         depth: npt.NDArray[Any] | None,
     ) -> Fit:
         """Run the self-organising map from a start, finish the curve, match it to the track, validate it."""
-        samples = observed.samples
-        nodes = observed.extend_to_tips(run_som(samples, start, topology, sigmas))
-        points = catmull_rom(nodes, 4, False)
-        curve = FittedCurve(points, ~observed.carries(points))
-        spread = sample_spread(samples.points, samples.weight, points)
+        if isinstance(observed, Region):
+            cell = max(int(min(width / 3, _MAX_CELL)), 1)  # thin ropes keep their pixels
+            moments, share = neighbourhoods(topology, sigmas), shrinkage(sigmas[-1])
+            left, top = observed.window[:2]
+            place = observed.mask, left, top, max(width, observed.thinnest), observed.thinnest
+            points, arc, on_object, spread = fit_chain_in_mask(observed.runs, cell, start, *moments, share, *place)
+            square, area = spread + min(cell, width) ** 2 / 12, observed.area
+        else:
+            samples = observed.samples
+            nodes = observed.extend_to_tips(run_som(samples, start, topology, sigmas))
+            points = catmull_rom(nodes, 4, False)
+            arc, on_object = arc_length(points), observed.carries(points)
+            square = sample_spread(samples.points, samples.weight, points) + observed.hidden_variance
+            width, area = observed.ribbon_width, 0
+        curve = FittedCurve(points, ~on_object, arc)
         if prediction is not None:
             curve = match_chain(curve, prediction, depth)  # an end under a hand is put back here
-        reason, quality = validate_ribbon(curve, observed, expected_off, spread)
-        return Fit(curve, quality, reason, topology=topology, observed=observed)
+        reason, quality = validate_ribbon(curve, observed.noun, expected_off, square, width, area)
+        return Fit(curve, quality, reason, None, topology, observed=observed, object_width=width)
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
         """Return the curve with point 0 at the end nearest the target, else nearest the top left."""
@@ -151,25 +154,90 @@ class Centerline(Configuration, kind="centerline"):
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
         """Return points with equal chords, from tip to tip or at the centres of N pieces."""
         if any(form.hints.hidden):
-            piece = shown(form)
-            same = metric is form
+            piece, same = shown(form), metric is form
             form = form.cut(piece)
             metric = form if same else metric.cut(piece)
-        at = equidistant_positions(metric.points, metric.arc, self.n, centers=self.ends != "tips")
-        along = at if metric is form else np.interp(at, metric.arc, form.arc)
-        return Points(interpolate(form.points, form.arc, along), metric.interpolated_at(at))
+        centers = self.ends != "tips"
+        places, at = _equal_chords(form.points, form.arc, metric.points, metric.arc, self.n, centers)
+        if not metric.interpolated.any():
+            return Points(places, np.zeros(self.n, bool))
+        return Points(places, metric.interpolated_at(at))
 
-    compiled: ClassVar[tuple[Any, ...]] = (
-        arc_length,
-        batch_epochs,
-        catmull_rom,
-        extend_chain,
-        fold_outline,
-        interpolate,
-        sample_spread,
-        undo_shrinkage,
-        unexplained_share,
-    )
+    compiled: ClassVar[tuple[Any, ...]] = ()
+
+
+def _rejection_reason(observed: Observed, width: float) -> str:
+    """Return why an object cannot be a rope: too many pieces, or less than three times as long as wide."""
+    for part in observed.parts if observed.dimension == 3 else (observed,):
+        if part.pieces > _MAX_PIECES:
+            return f"the {part.noun} falls into {part.pieces} pieces, at most {_MAX_PIECES}"
+    length = observed.area / width if observed.dimension == 2 else observed.length
+    if length < _MIN_ASPECT * width:
+        return f"the {observed.noun} is {length:.4g} x {width:.4g} {observed.unit}: too stout for a rope"
+    return ""
+
+
+@compiled
+def fit_chain_in_mask(
+    runs: Indices,
+    cell: int,
+    start: Array,
+    first: Array,
+    second: Array,
+    share: float,
+    mask: npt.NDArray[np.uint8],
+    left: int,
+    top: int,
+    width: float,
+    thinnest: float,
+) -> tuple[Array, Array, npt.NDArray[np.bool_], float]:
+    """Run the self-organising map of a chain in a mask and finish its curve, all in one call.
+
+    Args:
+        runs: ``(R, 3)`` the mask's runs.
+        cell: Edge of the squares that pixels are gathered into, pixels.
+        start: ``(K, 2)`` nodes.
+        first: Moments of the neighbourhood, see ``topology.Neighbourhoods``.
+        second: Moments of the neighbourhood.
+        share: How far averaging pulls the nodes, see ``topology.shrinkage``.
+        mask: ``(h, w)`` uint8, C-contiguous.
+        left: Image column of its first pixel.
+        top: Image row of its first pixel.
+        width: The rope's width, pixels.
+        thinnest: The least width that can be measured.
+
+    Returns:
+        ``(P, 2)`` the curve from tip to tip, pixels; its arc length ``(P,)``; whether the mask has a pixel there
+        ``(P,)``; the mean square distance of the pixels from it.
+    """
+    points, weight = gather_cells(runs, cell)
+    nodes = undo_shrinkage(batch_epochs(points, weight, start, first, second), share, False)
+    curve = catmull_rom(extend_chain(nodes, mask, left, top, width, thinnest), 4, False)
+    return curve, arc_length(curve), near_mask(mask, left, top, curve, 1), sample_spread(points, weight, curve)
+
+
+@compiled
+def _equal_chords(
+    points: Array, arc: Array, metric: Array, metric_arc: Array, count: int, centers: bool
+) -> tuple[Array, Array]:
+    """Return ``count`` points of a curve with equal chords in a metric, and their arc positions there."""
+    margin = metric_arc[-1] / (2 * count) if centers else 0.0
+    at = equidistant(metric, metric_arc, count, margin, MAX_SHIFT)
+    along = np.empty(count)
+    before = 0
+    for n in range(count):
+        while before < len(metric_arc) - 2 and metric_arc[before + 1] < at[n]:
+            before += 1
+        gap = metric_arc[before + 1] - metric_arc[before]
+        part = (at[n] - metric_arc[before]) / gap if gap > 0 else 0.0
+        along[n] = arc[before] + part * (arc[before + 1] - arc[before])
+    return interpolate(points, arc, along), at
+
+
+@compiled
+def _at_shares(points: Array, arc: Array, shares: Array) -> Array:
+    """Return the points of a curve at shares of its arc length."""
+    return interpolate(points, arc, shares * arc[-1])
 
 
 def _hidden(found: Fit) -> float:
@@ -177,7 +245,13 @@ def _hidden(found: Fit) -> float:
     return sum(found.form.hints.hidden)
 
 
+def _seen_length(curve: FittedCurve) -> float:
+    """Return the arc length of a curve without what is interpolated."""
+    missing = curve.unsupported_fraction if curve.interpolated.any() else 0.0
+    return float(curve.arc[-1]) * (1 - missing)
+
+
 @lru_cache
-def _middles(count: int) -> Array:
-    """Return the middles of ``count`` equal pieces of 1."""
-    return (np.arange(count) + 0.5) / count
+def _middles(topology: Topology) -> Array:
+    """Return the middles of K equal pieces of 1, for the K nodes of a chain."""
+    return (np.arange(topology.size) + 0.5) / topology.size

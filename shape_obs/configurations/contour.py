@@ -94,15 +94,15 @@ class Contour(Configuration, kind="contour"):
             )
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
             topology = self._topology(observed, outline)
-            return Fit(curve, quality, reason, curve.even(topology.size), topology, width, observed)
+            return Fit(curve, quality, reason, curve.even(topology.size), topology, width, observed, width)
         topology = prediction.topology
         curve, quality, reason = self._refine(observed, outline, prediction.nodes[0], topology)
         curve, nodes = match_outline(curve, prediction)
-        if reason or size_jump(prediction, curve):
+        if reason or size_jump(prediction, curve.size):
             start = match_outline(outline, prediction)[0].points[0]
             curve, quality, reason = self._refine(observed, outline, start, topology)
             curve, nodes = match_outline(curve, prediction)
-        return Fit(curve, quality, reason, nodes, topology, width, observed)
+        return Fit(curve, quality, reason, nodes, topology, width, observed, width)
 
     def _refine(
         self, observed: Observed, outline: FittedCurve, start: Array, topology: Topology
@@ -119,7 +119,7 @@ class Contour(Configuration, kind="contour"):
             points = catmull_rom(run_som(samples, begin, topology, (_SIGMA,)), _PIECES, True)
             size = float(arc_length(np.concatenate([points, points[:1]]))[-1])
             miss = outline_miss(samples.points, points, size)
-        curve = FittedCurve(points, np.zeros(len(points), bool), closed=True)
+        curve = FittedCurve.through(points, np.zeros(len(points), bool), closed=True)
         reason, quality = validate_outline(observed, miss / samples.scale)
         return curve, quality, reason
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.distance import cdist
 
+from shape_obs.camera import Intrinsics
+from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Points
-from shape_obs.frame import Frame
+from shape_obs.frame import Frame, readable_depth
 from shape_obs.geometry.curve import FittedCurve
+from shape_obs.image.connected_runs import near_mask
 from shape_obs.image.region import Region
 from shape_obs.point_cloud.cloud import Cloud
-from shape_obs.point_cloud.lifting import form_depth, lift, lift_form, local_depth
+from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, form_depth, lift_form, median_depth
 from shape_obs.shape import Shape
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
 from shape_obs.tracking.prediction import Fit
@@ -37,11 +40,9 @@ def shape_of(spec: Configuration, found: Fit, frame: Frame, last: Shape | None, 
         last: The shape when it was last found.
         policy: What becomes of points without depth.
     """
-    if isinstance(found.observed, Region):
-        points2d, points3d, visible, valid = _points_in_image(spec, found, found.observed, frame)
-    else:
-        points2d, points3d, visible, valid = _points_in_cloud(spec, found, found.observed)
-    if points3d is not None:
+    parts = _points_in_image if found.observed.dimension == 2 else _points_in_cloud
+    points2d, points3d, visible, valid = parts(spec, found, frame)
+    if points3d is not None and not valid.all():
         points3d = fill_invalid(points3d, valid, None if last is None else last.points3d, policy)
     quality = found.quality * (np.count_nonzero(valid) / len(valid))
     return Shape(spec.name, points2d, points3d, visible, valid, spec.layout, quality=quality)
@@ -51,55 +52,93 @@ def shape_of(spec: Configuration, found: Fit, frame: Frame, last: Shape | None, 
 _Parts = tuple[npt.NDArray[np.float32] | None, npt.NDArray[np.float32] | None, Mask, Mask]
 
 
-def _points_in_image(spec: Configuration, found: Fit, region: Region, frame: Frame) -> _Parts:
+def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     """Return points in pixels with the depth under them; where there is none, with their neighbours' depth."""
-    form = metric = found.form
-    depth, camera, under = frame.depth, frame.camera, None
-    in_pieces = isinstance(form, FittedCurve) and not form.whole
+    region: Region = found.observed
+    form, depth, camera, width = found.form, frame.depth, frame.camera, found.object_width
+    metric, under, in_pieces = form, None, bool(form.interpolated.any()) and isinstance(form, FittedCurve)
     if depth is not None and camera is not None and (spec.spacing == "m" or in_pieces):
-        under = form_depth(form, depth, region)
+        under = form_depth(form, depth, region, width)
         lifted = lift_form(form, under, camera.intrinsics) if spec.spacing == "m" else None
         metric = form if lifted is None else form.with_points(lifted)
-    points, interpolated = _placed(spec, found.centres, form, metric)
-    visible = region.carries(points) & ~interpolated
+    points, interpolated = spec.resample(form, metric) if found.centres is None else _without_gaps(found.centres)
     if depth is None or camera is None:
+        visible = region.carries(points) & ~interpolated
         return points.astype(np.float32), None, visible, visible.copy()
-    z = local_depth(points, depth, region)
+    readable, unit = readable_depth(depth)
+    left, top = region.window[:2]
+    reach = min(max(round(width / 4), 1), MAX_REACH)
+    visible, z = _visible_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE)
+    visible &= ~interpolated
     if in_pieces and under is not None:
         # Next to what hides a piece, depth that is not the form's is not the points' either.
         z[np.isnan(under)[np.argmin(cdist(points, form.points), axis=1)]] = np.nan
     valid = visible & np.isfinite(z)
-    if 0 < np.count_nonzero(valid) < len(valid):
+    if not valid.all() and valid.any():
         z = spec.layout.interpolate(z[:, None], valid)[:, 0]
-    points3d = lift(points, z, camera.intrinsics, spec.radius).astype(np.float32)
+    points3d = _lift(points, z, camera.intrinsics, spec.radius)
     valid &= np.isfinite(points3d).all(axis=1)  # the lens may have no ray there
-    return points.astype(np.float32), points3d, visible, valid
+    return points.astype(np.float32), points3d.astype(np.float32), visible, valid
 
 
-def _points_in_cloud(spec: Configuration, found: Fit, cloud: Cloud) -> _Parts:
+@compiled
+def _visible_depth(
+    depth: npt.NDArray[Any],
+    unit: float,
+    mask: npt.NDArray[np.uint8],
+    left: int,
+    top: int,
+    points: Array,
+    reach: int,
+    min_share: float,
+) -> tuple[Mask, Array]:
+    """Return whether the mask has a pixel at each point, and the median depth of the mask around it."""
+    z = median_depth(depth, unit, mask, left, top, points, reach, min_share)
+    return near_mask(mask, left, top, points, 1), z
+
+
+def _lift(points: Array, z: Array, intrinsics: Intrinsics, radius: float) -> Array:
+    """Return points on the object: the visible surface, or with ``radius`` the axis behind it.
+
+    Args:
+        points: ``(N, 2)`` pixels.
+        z: ``(N,)`` in metres, NaN where unknown.
+        intrinsics: The projection.
+        radius: Metres from the surface to the axis along the viewing ray; 0 stays on the surface.
+
+    Returns:
+        ``(N, 3)`` in metres, camera frame; NaN where unknown.
+    """
+    if intrinsics.model != "pinhole":
+        rays = intrinsics.rays(points)
+    else:
+        rays = np.ones((len(points), 3))
+        rays[:, 0] = (points[:, 0] - intrinsics.cx) / intrinsics.fx
+        rays[:, 1] = (points[:, 1] - intrinsics.cy) / intrinsics.fy
+    if radius:
+        z = z + radius / np.linalg.norm(rays, axis=1)
+    return rays * z[:, None]
+
+
+def _points_in_cloud(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     """Return the fitted points themselves, of a curve moved to the axis; pixels are their projection."""
+    cloud: Cloud = found.observed
     form, centres = found.form, found.centres
     if spec.radius and isinstance(form, FittedCurve):
         shift = _HALF_ROUND * spec.radius * _inwards(form)
         if centres is not None:
             centres = centres + shift[np.argmin(cdist(centres, form.points), axis=1)]
         form = form.with_points(form.points + shift)
-    points, interpolated = _placed(spec, centres, form, form)
+    points, interpolated = spec.resample(form, form) if centres is None else _without_gaps(centres)
     visible = cloud.carries(points) & ~interpolated
     pixels = cloud.pixels_of(points)
-    return (
-        None if pixels is None else pixels.astype(np.float32),
-        points.astype(np.float32),
-        visible,
-        visible & cloud.near(points),
-    )
+    points2d = None if pixels is None else pixels.astype(np.float32)
+    return points2d, points.astype(np.float32), visible, visible & cloud.near(points)
 
 
-def _placed(spec: Configuration, centres: Array | None, form: object, metric: object) -> Points:
-    """Return the points that a clusterer found, which does not know of gaps, or those spread evenly on the form."""
-    if centres is not None:
-        return Points(centres, np.zeros(len(centres), bool))
-    return spec.resample(form, metric)
+def _without_gaps(centres: Array) -> Points:
+    """Return the points that a clusterer found, which does not know of gaps."""
+    return Points(centres, np.zeros(len(centres), bool))
 
 
 def _inwards(curve: FittedCurve) -> Array:

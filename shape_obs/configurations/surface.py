@@ -102,7 +102,7 @@ class Surface(Configuration, kind="surface"):
             corners = rim.corners_near(outer_corners(_GRID.lattice(prediction.nodes)))
             if corners is not None:
                 found = self._refine(observed, rim, corners, prediction)
-        if not found.ok or (prediction is not None and size_jump(prediction, found.form)):
+        if not found.ok or (prediction is not None and size_jump(prediction, found.form.size)):
             corners = rim.corners()
             if corners is None:
                 return Fit(reason=f"the outline has {len(rim.candidates)} corners, a sheet has four")
@@ -114,7 +114,7 @@ class Surface(Configuration, kind="surface"):
             form = self.apply_index_order(form, observed.seen(form.points, target), target)
         nodes = form.evenly(_GRID.rows, _GRID.cols, centers=True)
         width = observed.width if observed.dimension == 2 else 0.0
-        return found._replace(form=form, nodes=nodes, topology=_GRID, width=width)
+        return found._replace(form=form, nodes=nodes, topology=_GRID, width=width, object_width=width)
 
     def _refine(self, observed: Observed, rim: Rim, corners: Indices, prediction: Prediction | None) -> Fit:
         """Lay the patch, move its inside with the map if that is asked for, match it to the track, validate it."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -83,14 +83,20 @@ class FittedForm(ABC):
 
 @dataclass(frozen=True, eq=False)
 class FittedCurve(FittedForm):
-    """A polyline; if closed, the last point is followed by the first, which is not repeated."""
+    """A polyline; if closed, the last point is followed by the first, which is not repeated.
 
+    Args:
+        arc: ``(P,)`` arc length of the points; ``(P + 1,)`` if closed, the last entry the whole.
+        closed: Whether it is closed.
+    """
+
+    arc: Array
     closed: bool = False
 
-    @cached_property
-    def arc(self) -> Array:
-        """``(P,)`` arc length of the points; ``(P + 1,)`` if closed, the last entry the whole."""
-        return arc_length(self._polyline)
+    @classmethod
+    def through(cls, points: Array, interpolated: Mask, closed: bool = False, **other: Any) -> Self:
+        """Build a curve through ``(P, D)`` points and measure its arc length."""
+        return cls(points, interpolated, arc_length(_polyline(points, closed)), closed, **other)
 
     @property
     def size(self) -> float:
@@ -108,12 +114,12 @@ class FittedCurve(FittedForm):
 
     def cut(self, piece: slice) -> Self:
         """Return a piece of an open curve."""
-        return replace(self, points=self.points[piece].copy(), interpolated=self.interpolated[piece])
+        return self.with_geometry(self.points[piece].copy(), self.interpolated[piece])
 
     def at(self, arc: npt.ArrayLike) -> Array:
         """Return ``(N, D)`` points at ``(N,)`` arc positions; a closed curve wraps around."""
         at = np.asarray(arc, dtype=np.float64)
-        return interpolate(self._polyline, self.arc, at % self.size if self.closed else at)
+        return interpolate(_polyline(self.points, self.closed), self.arc, at % self.size if self.closed else at)
 
     def even(self, count: int) -> Array:
         """Return ``(count, D)`` places of equal arc length around a closed curve, from its first point on."""
@@ -139,7 +145,7 @@ class FittedCurve(FittedForm):
             after, before = 1, 0
         points = np.concatenate([self.at([start]), self.points[after:], self.points[:before]])
         flags = np.concatenate([self.interpolated_at([start]), self.interpolated[after:], self.interpolated[:before]])
-        return replace(self, points=points, interpolated=flags)
+        return self.with_geometry(points, flags)
 
     def smoothed(self, values: Array, known: Mask) -> Array:
         """Fill ``(P,)`` values by a straight line between the known ones, and smooth them over nine points."""
@@ -151,17 +157,22 @@ class FittedCurve(FittedForm):
 
     def with_points(self, points: Array) -> Self:
         """Return the same curve with its points elsewhere: ``(P, D')`` for ``(P, D)``."""
-        return replace(self, points=points)
+        return self.with_geometry(points, self.interpolated)
 
     def reversed(self) -> FittedCurve:
         """Return the same curve run through backwards; if closed, the first point stays the first."""
         if not self.closed:
             head, tail = self.hints.hidden
             hints = self.hints._replace(hidden=(tail, head))
-            return replace(self, points=self.points[::-1].copy(), interpolated=self.interpolated[::-1], hints=hints)
+            return replace(self.with_geometry(self.points[::-1].copy(), self.interpolated[::-1]), hints=hints)
         back = -np.arange(len(self.points))
-        return replace(self, points=self.points[back], interpolated=self.interpolated[back])
+        return self.with_geometry(self.points[back], self.interpolated[back])
 
-    @property
-    def _polyline(self) -> Array:
-        return np.concatenate([self.points, self.points[:1]]) if self.closed else self.points
+    def with_geometry(self, points: Array, interpolated: Mask) -> Self:
+        """Return a curve of the same kind through other points."""
+        arc = arc_length(_polyline(points, self.closed))
+        return replace(self, points=points, interpolated=interpolated, arc=arc)
+
+
+def _polyline(points: Array, closed: bool) -> Array:
+    return np.concatenate([points, points[:1]]) if closed else points

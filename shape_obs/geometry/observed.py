@@ -12,7 +12,7 @@ from shape_obs.geometry.outline import Outline
 from shape_obs.geometry.samples import Samples
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    pass
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -74,11 +74,6 @@ class Observed(Protocol):
         ...
 
     @property
-    def hidden_variance(self) -> float:
-        """Variance across a strand that coarse samples hide."""
-        ...
-
-    @property
     def outlined_share(self) -> float:
         """The share of the object that its outline goes around."""
         ...
@@ -131,14 +126,6 @@ class Observed(Protocol):
         """Return places ``(N, 2)`` on the unrolled sheet where they are observed: ``(N, D)``."""
         ...
 
-    def with_width(self, width: float) -> Self:
-        """Return the same object with a width known from the past; 0 if it is unknown."""
-        ...
-
-    def ribbon_width(self, length: float) -> float:
-        """Return the width of a ribbon of this area and a length."""
-        ...
-
     def gather(self, edge: float) -> Samples:
         """Return weighted points in cells of an edge, pixels; a cloud keeps its voxels."""
         ...
@@ -157,8 +144,4 @@ class Observed(Protocol):
 
     def carries(self, points: Array) -> Mask:
         """Return whether there is a pixel or a point at each of ``(N, D)`` places: ``(N,)``."""
-        ...
-
-    def extend_to_tips(self, nodes: Array) -> Array:
-        """Cut a chain of nodes where it hangs over the object, and lengthen it to the rope's tips."""
         ...

@@ -50,7 +50,7 @@ class Outline:
     @cached_property
     def curve(self) -> FittedCurve:
         """The smoothed outline."""
-        return FittedCurve(self.smooth, np.zeros(len(self.smooth), bool), closed=True)
+        return FittedCurve.through(self.smooth, np.zeros(len(self.smooth), bool), closed=True)
 
     @cached_property
     def samples(self) -> Samples:

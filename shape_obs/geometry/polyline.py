@@ -17,7 +17,7 @@ _EQUALISING_PASSES: Final = 40
 _EQUAL: Final = 2e-3
 # When chords are equalised, no point leaves its arc position by more than this share of a gap: where a hairpin is
 # narrower than a gap, equal chords would move points off their material.
-_MAX_SHIFT: Final = 0.35
+MAX_SHIFT: Final = 0.35
 # Around an outline with many corners, each of which shortens a chord, equal chords need more room.
 _MAX_SHIFT_AROUND: Final = 1.5
 _BLOCK: Final = 250_000  # pairs of a point and a piece of a polyline in one pass: 4 MB in the plane
@@ -161,7 +161,7 @@ def equidistant_positions(curve: Array, arc: Array, count: int, *, centers: bool
         centers: Whether the points lie at the middle of ``count`` equal pieces; else the first and the last lie at the
             curve's ends.
     """
-    return _equidistant(curve, arc, count, arc[-1] / (2 * count) if centers else 0.0, _MAX_SHIFT)
+    return equidistant(curve, arc, count, arc[-1] / (2 * count) if centers else 0.0, MAX_SHIFT)
 
 
 def equidistant_around(curve: Array, arc: Array, count: int) -> Array:
@@ -173,11 +173,11 @@ def equidistant_around(curve: Array, arc: Array, count: int) -> Array:
         count: How many.
     """
     around = np.concatenate([curve, curve[:1]])
-    return _equidistant(around, arc, count + 1, 0.0, _MAX_SHIFT_AROUND)[:-1]
+    return equidistant(around, arc, count + 1, 0.0, _MAX_SHIFT_AROUND)[:-1]
 
 
 @compiled
-def _equidistant(curve: Array, arc: Array, count: int, margin: float, max_shift: float) -> Array:
+def equidistant(curve: Array, arc: Array, count: int, margin: float, max_shift: float) -> Array:
     """Return the arc positions of ``count`` points with equal chords, ``margin`` away from both ends.
 
     No point leaves its position by arc length by more than ``max_shift`` gaps.

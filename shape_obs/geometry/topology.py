@@ -58,10 +58,6 @@ class Topology(ABC):
     def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
         """(K,D) values with the unknown ones filled from their known neighbours; at least one must be known."""
 
-    def neighbourhoods(self, sigmas: tuple[float, ...]) -> Neighbourhoods:
-        """Return the moments of E neighbourhoods, from their widths in node units."""
-        return _neighbourhoods(self, sigmas)
-
 
 @dataclass(frozen=True)
 class _Line(Topology):
@@ -217,7 +213,8 @@ def _along_index(values: Values, known: npt.NDArray[np.bool_], period: int | Non
 
 
 @lru_cache(maxsize=64)
-def _neighbourhoods(topology: Any, sigmas: tuple[float, ...]) -> Neighbourhoods:
+def neighbourhoods(topology: Topology, sigmas: tuple[float, ...]) -> Neighbourhoods:
+    """Return the moments of E neighbourhoods, from their widths in node units."""
     offsets: Array = topology.offsets()
     width = np.array(sigmas)[:, None, None]
     weight = np.exp(-0.5 * np.sum(offsets**2, axis=0) / width**2)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Final, TypeGuard
 
 import cv2
@@ -20,14 +20,13 @@ from shape_obs.image.colour_table import colour_table
 from shape_obs.image.connected_runs import find_components, gather_cells, near_mask
 from shape_obs.image.outline_tracing import Component, follow_border, has_holes, trace_outline, trace_with_holes
 from shape_obs.image.roi import ROI, Window
-from shape_obs.image.rope_tip import extend_chain
 from shape_obs.image.segmentation import ColourRule, Segmentation, need
 
 Array = npt.NDArray[np.float64]
 
 _MAX_CELL: Final = 24
 # A strand at least so wide, pixels, is not missed where one pixel in step x step is looked at: see ``find_by_colour``.
-_STEPS: Final = ((12.0, 8), (7.0, 4))
+_WIDE, _FAR_STEP, _NARROW, _NEAR_STEP = 12.0, 8, 7.0, 4
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,8 @@ class Region:
         runs: ``(R, 3)`` its runs: row, first column, column past the last one, image coordinates.
         areas: Pixels of each component, largest first.
         box: The upright rectangle around them.
-        known_width: Pixels, if the track remembers it: nothing has to be traced for it. 0 if it does not.
+        area: Pixels of all components.
+        pieces: How many components there are.
     """
 
     window: Window
@@ -48,23 +48,14 @@ class Region:
     runs: npt.NDArray[np.int64]
     areas: tuple[int, ...]
     box: Window
-    known_width: float = 0.0
+    area: int
+    pieces: int
     unit: ClassVar[str] = "px"
     noun: ClassVar[str] = "mask"
     sample_unit: ClassVar[str] = "pixels"
     dimension: ClassVar[int] = 2
     resolution: ClassVar[float] = 1.0
     thinnest: ClassVar[float] = 3.0
-
-    @cached_property
-    def area(self) -> int:
-        """Pixels."""
-        return sum(self.areas)
-
-    @property
-    def pieces(self) -> int:
-        """How many components there are."""
-        return len(self.areas)
 
     @cached_property
     def components(self) -> tuple[Component, ...]:
@@ -88,7 +79,7 @@ class Region:
     @cached_property
     def width(self) -> float:
         """Width of the largest component as a ribbon, pixels."""
-        return self.known_width or self.components[0].width
+        return self.components[0].width
 
     @property
     def length(self) -> float:
@@ -192,19 +183,6 @@ class Region:
         points = self.pixels + np.array([self.window.left, self.window.top], dtype=np.float64)
         return Samples(points, np.ones(len(points)), 1.0)
 
-    @property
-    def hidden_variance(self) -> float:
-        """Variance across a strand that the samples hide, square pixels."""
-        return min(self.samples.scale, self.width) ** 2 / 12
-
-    def with_width(self, width: float) -> Region:
-        """Return the same region with a width known from the past, pixels; 0 if it is unknown."""
-        return replace(self, known_width=width) if width else self
-
-    def ribbon_width(self, length: float) -> float:
-        """Return the width of a ribbon of this area and a length, pixels."""
-        return max(self.area / max(length, 1e-9), 1.0)
-
     def pixels_of(self, points: Array) -> Array:
         """Return ``(N, 2)`` pixels as they are."""
         return points
@@ -220,10 +198,6 @@ class Region:
     def contains(self, points: Array) -> npt.NDArray[np.bool_]:
         """Return whether the mask has ``(N, 2)`` pixels: ``(N,)`` bool."""
         return near_mask(self.mask, self.window.left, self.window.top, points, 0)
-
-    def extend_to_tips(self, nodes: Array) -> Array:
-        """Cut a chain of nodes ``(K, 2)`` where it hangs over the mask, and lengthen it to the rope's tips."""
-        return extend_chain(nodes, self.mask, self.window.left, self.window.top, self.width, self.thinnest)
 
 
 def segment(frame: Frame, window: Window, rule: Segmentation, roi: ROI, width: float = 0.0) -> Region:
@@ -242,12 +216,13 @@ def segment(frame: Frame, window: Window, rule: Segmentation, roi: ROI, width: f
     if not is_tabulated(rule):
         mask = rule.apply(frame, window)
     else:
-        rgb, table = need(frame.rgb, "rgb", rule), colour_table(rule)
-        step = next((step for least, step in _STEPS if width >= least), 1)
+        rgb = frame.rgb if frame.rgb is not None else need(None, "rgb", rule)
+        table, step = colour_table(rule), _FAR_STEP if width >= _WIDE else _NEAR_STEP if width >= _NARROW else 1
         untouched = max(rule.open, rule.close) <= 1 and type(roi).blank is ROI.blank
         if step > 1 and untouched:
             mask, runs, areas, box = find_by_colour(rgb, window, table, step, rule.min_area, rule.min_share)
-            return Region(window, mask, runs, tuple(areas.tolist()), Window(*box))
+            sizes = areas.tolist()
+            return Region(window, mask, runs, tuple(sizes), Window(*box), sum(sizes), len(sizes))
         mask = rule.clean(table_mask(rgb, window, table))
     return find_region(roi.blank(mask, window), window, rule.min_area, rule.min_share)
 
@@ -271,9 +246,11 @@ def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_
         mask = np.zeros_like(mask)
         for row, start, stop in (runs - [window.top, window.left, window.left]).tolist():
             mask[row, start:stop] = 255
-    return Region(window, mask, runs, tuple(areas.tolist()), Window(*box))
+    sizes = areas.tolist()
+    return Region(window, mask, runs, tuple(sizes), Window(*box), sum(sizes), len(sizes))
 
 
+@lru_cache(maxsize=64)
 def is_tabulated(rule: Segmentation | None) -> TypeGuard[ColourRule]:
     """Return whether a table gives what a rule gives: a colour rule that overrides nothing but ``matches``."""
     return (

@@ -52,7 +52,7 @@ def medial_axis(observed: Observed) -> FittedCurve:
 @medial_axis.register
 def _(region: Region) -> FittedCurve:
     curve, bridged, doubt = trace(region)
-    return FittedCurve(curve, bridged, ambiguity=doubt)
+    return FittedCurve.through(curve, bridged, ambiguity=doubt)
 
 
 @medial_axis.register
@@ -61,7 +61,7 @@ def _(cloud: Cloud) -> FittedCurve:
     doubt = found.doubt
     if not doubt and found.bridged.mean() > _MAX_BRIDGED:
         doubt = f"{found.bridged.mean():.0%} of the curve would be gaps (at most {_MAX_BRIDGED:.0%})"
-    return FittedCurve(found.points, found.bridged, ambiguity=doubt)
+    return FittedCurve.through(found.points, found.bridged, ambiguity=doubt)
 
 
 @medial_axis.register

@@ -21,7 +21,7 @@ from shape_obs.point_cloud.unrolling import Chart, border, chart
 from shape_obs.point_cloud.voxels import Indices, Ribbon, gather, links, measure, pieces
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    pass
 
 Array = npt.NDArray[np.float64]
 
@@ -146,8 +146,9 @@ class Cloud:
         """What the cloud resolves: the edge of a voxel, metres."""
         return self.samples.scale
 
-    def ribbon_width(self, length: float) -> float:
-        """The width that a spread in both directions across is judged by, metres."""
+    @property
+    def ribbon_width(self) -> float:
+        """The width that a spread in both directions across is compared with, metres."""
         return max(self._ribbon.spread_width, self.samples.scale)
 
     @property
@@ -159,10 +160,6 @@ class Cloud:
     def holes(self) -> int:
         """0: the outline of a cloud has no holes."""
         return 0
-
-    def with_width(self, width: float) -> Self:
-        """Return the cloud itself, whose width is always measured."""
-        return self
 
     def gather(self, edge: float) -> Samples:
         """Return the cloud's samples: its voxels do not depend on an edge in pixels."""
@@ -220,7 +217,7 @@ class Cloud:
     def outline_curve(self, hole: int | None = None) -> FittedCurve:
         """Return the closed boundary, clockwise as seen along +z: a ring's axis, or the border of a sheet."""
         points = self.sheet().outline if self._ring is None else self._ring
-        return FittedCurve(points, np.zeros(len(points), bool), closed=True)
+        return FittedCurve.through(points, np.zeros(len(points), bool), closed=True)
 
     def outline_samples(self, hole: int | None = None) -> Samples:
         """Return the points of the boundary, weighted by arc length."""

@@ -112,7 +112,7 @@ class SeenCloud(Cloud):
 
     def lifted(self, curve: FittedCurve) -> FittedCurve:
         """A curve over the image, in pixels, in space."""
-        under = form_depth(curve, self.depth, self.region)
+        under = form_depth(curve, self.depth, self.region, self.region.width)
         points = lift_form(curve, under, self.intrinsics)
         if points is None:
             return replace(curve, ambiguity=curve.ambiguity or _UNKNOWN)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST, MILLIMETRE
+from shape_obs.frame import FARTHEST, readable_depth
 from shape_obs.geometry.curve import FittedCurve, FittedForm
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.image.region import Region
@@ -17,61 +17,39 @@ from shape_obs.image.region import Region
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
 
-_UNITS: Final = {"H": MILLIMETRE, "f": 1.0}  # metres, of uint16 and float32
-_MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry depth
+MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry depth
 _SMEARED: Final = 2.5  # widths beside a hidden piece, in which depth may be that of what hides it
 _COMPARED: Final = 6.0  # widths within which the rope's own depth is looked for
 _STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much within a few widths
-_MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
+MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
 
 
-def local_depth(points: Array, depth: npt.NDArray[Any], region: Region) -> Array:
-    """Median depth of the mask around each point.
+def local_depth(points: Array, depth: npt.NDArray[Any], region: Region, width: float) -> Array:
+    """Return the median depth of the mask around each point.
 
     Looks at the middle half of the object's width (13 pixels at most), so that a round rope's flanks do not pull the
     median down, and at mask pixels only, so that the table does not either.
 
     Args:
-        points: (N,2) pixels.
-        depth: (H,W) the frame's depth.
+        points: ``(N, 2)`` pixels.
+        depth: ``(H, W)`` the frame's depth.
         region: The mask.
+        width: The object's width, pixels.
 
     Returns:
-        (N,) metres; NaN where fewer than a quarter of the mask pixels carry depth: a hole stays a hole.
+        ``(N,)`` in metres; NaN where fewer than a quarter of the mask pixels carry depth: a hole stays a hole.
     """
-    reach = min(max(round(region.width / 4), 1), _MAX_REACH)
-    if depth.dtype.char not in _UNITS or not depth.dtype.isnative:
-        depth = depth.astype(np.float32)
-    unit = _UNITS[depth.dtype.char]
-    depth = np.ascontiguousarray(depth).view()
-    depth.flags.writeable = False  # one type for all: compiled code distinguishes read-only arrays
+    readable, unit = readable_depth(depth)
     left, top = region.window[:2]
-    return median_depth(depth, unit, region.mask, left, top, points, reach, _MIN_SHARE)
+    reach = min(max(round(width / 4), 1), MAX_REACH)
+    return median_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE)
 
 
-def lift(points: Array, z: Array, intrinsics: Intrinsics, radius: float) -> Array:
-    """Points on the object: the visible surface, or with ``radius`` the axis behind it.
-
-    Args:
-        points: (N,2) pixels.
-        z: (N,) metres, NaN where unknown.
-        intrinsics: The projection.
-        radius: Metres from the surface to the axis along the viewing ray; 0 stays on the surface.
-
-    Returns:
-        (N,3) metres, camera frame; NaN where unknown.
-    """
-    rays = intrinsics.rays(points)
-    if radius:
-        z = z + radius / np.linalg.norm(rays, axis=1)
-    return rays * z[:, None]
-
-
-def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region) -> Array:
+def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region, width: float) -> Array:
     """(P,) metres under a form, NaN where it is not known or belongs to something that lies over it."""
-    z = local_depth(form.points, depth, region)
+    z = local_depth(form.points, depth, region, width)
     if isinstance(form, FittedCurve) and not form.whole:
-        z[form.interpolated | overlaid(form, z, region.width)] = np.nan
+        z[form.interpolated | overlaid(form, z, width)] = np.nan
     return z
 
 

@@ -54,11 +54,11 @@ def match_chain(form: FittedCurve, prediction: Prediction, depth: npt.NDArray[An
         depth: ``(H, W)`` the frame's depth if there is one and the curve is in pixels: it shows what lies over a place.
     """
     slack = max(_SLACK[0] * prediction.size, _SLACK[1] * prediction.resolution)
-    size, found = prediction.size, form.size
+    size, found = prediction.size, float(form.arc[-1])
     close = size - slack < found
     if close and found < size:
         size = max((1 - _GIVING) * size, found)
-    if close and form.whole and _is_along(form, prediction.nodes):
+    if close and not form.interpolated.any() and _is_along(form, prediction.nodes):
         return replace(form, hints=TrackHints(size=min(max(found, size), (1 + _GAINING) * size)))
     prediction = prediction._replace(size=size)
     known = _Known(prediction)
@@ -181,7 +181,7 @@ class _Known:
         inside = np.ones(len(piece), bool)
         inside[[0, -1]] = False
         bridged = np.concatenate([curve.interpolated[:first], inside, curve.interpolated[last + 1 :]])
-        return replace(curve, points=points, interpolated=bridged)
+        return curve.with_geometry(points, bridged)
 
     def completed(self, curve: FittedCurve, start: float) -> FittedCurve:
         """The visible piece that begins at arc ``start``, with the hidden ends before and behind it.
@@ -202,9 +202,7 @@ class _Known:
         # Only what nobody sees counts as hidden.
         before = np.linspace(0, arc[0], len(head) + 1)[:-1] < start
         behind = np.linspace(arc[-1], self.size, len(tail) + 1)[1:] > end
-        return replace(
-            curve, points=np.concatenate([head, points, tail]), interpolated=np.concatenate([before, seen, behind])
-        )
+        return curve.with_geometry(np.concatenate([head, points, tail]), np.concatenate([before, seen, behind]))
 
     def _hidden(self, joint: Array, start: float = 0.0, end: float | None = None) -> Array:
         """The rope from arc ``start`` to ``end`` without its joint, moved to the joint and of exactly that length."""

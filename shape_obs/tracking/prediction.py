@@ -32,7 +32,8 @@ class Fit(NamedTuple):
         nodes: ``(K, D)`` the map's nodes on the form, for the track.
         topology: How the nodes are connected.
         width: Of the object, for the next frame; 0 if it is not known beforehand.
-        observed: What the form was fitted to, with its width if the track knows it.
+        observed: What the form was fitted to.
+        object_width: The width of the object that the fit assumed.
         centres: ``(N, D)`` the shape's points in order if a clusterer found them; None if the form gives them.
     """
 
@@ -43,6 +44,7 @@ class Fit(NamedTuple):
     topology: Topology | None = None
     width: float = 0.0
     observed: Any = None
+    object_width: float = 0.0
     centres: Array | None = None
 
     @property
@@ -132,14 +134,14 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
     velocity = np.zeros_like(nodes)
     if track is not None and interval > _LEAST_INTERVAL:
         velocity = (nodes - track.nodes) / interval
-    size, area = form.hints.size or form.size, observed.area if form.whole else 0
+    size, area = form.hints.size or form.size, 0 if form.interpolated.any() else observed.area
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
     return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area)
 
 
-def size_jump(prediction: Prediction, form: FittedForm) -> bool:
+def size_jump(prediction: Prediction, size: float) -> bool:
     """Return whether a form's size differs from the predicted one by more than an object's size can change."""
-    return abs(form.size / prediction.size - 1) > _MAX_SIZE_CHANGE
+    return abs(size / prediction.size - 1) > _MAX_SIZE_CHANGE
 
 
 def _believed(change: float) -> float:

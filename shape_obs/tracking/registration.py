@@ -57,7 +57,7 @@ def match_outline(curve: FittedCurve, prediction: Prediction) -> tuple[FittedCur
     if curve.points.shape[1] == 2:
         points, _, nodes, blended = renumber_outline(curve.points, reference, prediction.nodes, _FORGETTING)
         hints = TrackHints(reference=blended)
-        return FittedCurve(points, np.zeros(len(points), bool), closed=True, hints=hints), nodes
+        return FittedCurve.through(points, np.zeros(len(points), bool), closed=True, hints=hints), nodes
     shift = _index_shift_space(reference, prediction.nodes, curve.even(count))
     turned = curve.starting_at(shift * curve.size / count)
     nodes = turned.even(count)

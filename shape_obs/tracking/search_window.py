@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -35,17 +37,15 @@ def predict_search_window(tracks: list[Track | None]) -> SearchWindow | None:
 
     What a hand hides may come back anywhere.
     """
-    boxes = []
+    left = top = width = math.inf
+    right = bottom = -math.inf
     for track in tracks:
         if track is None or track.box is None or any(track.hints.hidden):
             return None
-        (left, top, width, height), spare = track.box, _SPARE + track.drift
-        boxes.append((left - spare, top - spare, left + width + spare, top + height + spare))
-    left, top = min(box[0] for box in boxes), min(box[1] for box in boxes)
-    right, bottom = max(box[2] for box in boxes), max(box[3] for box in boxes)
-    return SearchWindow(
-        Window(left, top, right - left, bottom - top), min(track.width for track in tracks if track is not None)
-    )
+        box, spare = track.box, _SPARE + track.drift
+        left, top, width = min(left, box.left - spare), min(top, box.top - spare), min(width, track.width)
+        right, bottom = max(right, box.left + box.width + spare), max(bottom, box.top + box.height + spare)
+    return SearchWindow(Window(int(left), int(top), int(right - left), int(bottom - top)), width)
 
 
 class RegionSearch:
@@ -65,9 +65,10 @@ class RegionSearch:
         roi: ROI,
         expected: Mapping[Segmentation | None, SearchWindow | None],
     ) -> None:
-        size: Any = frame.size if mask is None else mask.shape
+        image = mask if mask is not None else frame.rgb if frame.rgb is not None else frame.depth
+        assert image is not None
         self._frame, self._mask, self._roi, self._expected = frame, mask, roi, dict(expected)
-        self._whole = roi.window(size)
+        self._whole = _window(roi, image.shape[0], image.shape[1])
         self._regions: dict[Segmentation | None, Region] = {}
         self._clouds: dict[Segmentation | None, SeenCloud] = {}
 
@@ -107,6 +108,12 @@ class RegionSearch:
         self._regions.pop(rule, None)
         self._clouds.pop(rule, None)
         return True
+
+
+@lru_cache(maxsize=16)
+def _window(roi: ROI, height: int, width: int) -> Window:
+    """Return the pixels of an image that a region of interest reads."""
+    return roi.window((height, width))
 
 
 def locate(roi: ROI, frame: Frame, memory: Any) -> Place:

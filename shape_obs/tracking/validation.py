@@ -52,7 +52,9 @@ class FitQuality(NamedTuple):
     quality: float
 
 
-def validate_ribbon(curve: FittedCurve, observed: Observed, expected_off: float, spread: float) -> FitQuality:
+def validate_ribbon(
+    curve: FittedCurve, noun: str, expected_off: float, spread: float, width: float, area: float
+) -> FitQuality:
     """Validate the axis of a ribbon or a rope.
 
     Refused are a curve that leaves the object over 10 % more than ``expected_off`` explains, and an object that spreads
@@ -60,20 +62,23 @@ def validate_ribbon(curve: FittedCurve, observed: Observed, expected_off: float,
 
     Args:
         curve: From end to end; interpolated is what lies off the object.
-        observed: What it was fitted to.
+        noun: What it was fitted to: ``"mask"`` or ``"cloud"``.
         expected_off: The share of the curve that is known to be bridged or hidden.
-        spread: Mean square distance of the object's samples from the curve, see ``sample_spread``.
+        spread: Mean square distance of the object from the curve, see ``sample_spread``.
+        width: Of the object; for a mask its area over the length that is seen.
+        area: Of a mask, pixels; 0 for a cloud.
     """
-    unsupported = curve.unsupported_fraction
+    unsupported = curve.unsupported_fraction if curve.interpolated.any() else 0.0
     hidden = min(unsupported, expected_off)
     off = unsupported - hidden
     if off > _MAX_OFF:
-        return FitQuality(f"{off:.0%} of the curve lies off the {observed.noun} (at most {_MAX_OFF:.0%})", 0.0)
-    rms = (spread + observed.hidden_variance) ** 0.5
-    ratio = rms / max(observed.ribbon_width(curve.size * (1 - hidden)), 1e-9)
+        return FitQuality(f"{off:.0%} of the curve lies off the {noun} (at most {_MAX_OFF:.0%})", 0.0)
+    if area:
+        width = max(area / max(float(curve.arc[-1]) * (1 - hidden), 1e-9), 1.0)
+    ratio = spread**0.5 / max(width, 1e-9)
     if ratio > _MAX_SPREAD:
         return FitQuality(
-            f"the {observed.noun} spreads {ratio:.2f} widths about the curve (a ribbon {_IDEAL_SPREAD:.2f}, "
+            f"the {noun} spreads {ratio:.2f} widths about the curve (a ribbon {_IDEAL_SPREAD:.2f}, "
             f"at most {_MAX_SPREAD:.2f}): it is no single rope",
             0.0,
         )

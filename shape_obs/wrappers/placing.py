@@ -121,7 +121,7 @@ def _form(points: Array, seen: Array, topology: Topology) -> FittedForm:
     if closed and not clockwise(seen):
         points = np.roll(points[::-1], 1, axis=0)
     drawn = catmull_rom(np.ascontiguousarray(points), 4, closed)
-    return FittedCurve(drawn, np.zeros(len(drawn), bool), closed)
+    return FittedCurve.through(drawn, np.zeros(len(drawn), bool), closed)
 
 
 def _finer(lattice: Array) -> Array:
