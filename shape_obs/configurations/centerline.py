@@ -98,7 +98,8 @@ class Centerline(Configuration, kind="centerline"):
         assert found.topology is not None
         nodes = _at_shares(curve.points, curve.arc, _middles(found.topology))
         seen_width = max(observed.area / max(_seen_length(curve), 1e-9), 1.0) if observed.dimension == 2 else 0.0
-        return found._replace(form=curve, nodes=nodes, width=seen_width)
+        size = curve.hints.size or float(curve.arc[-1])
+        return found._replace(form=curve, nodes=nodes, size=size, width=seen_width)
 
     def _fit_initial(self, observed: Observed, prediction: Prediction | None, depth: npt.NDArray[Any] | None) -> Fit:
         """Fit from an initial axis, in the predicted rope's direction if there is one."""

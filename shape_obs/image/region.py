@@ -5,20 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, ClassVar, Final, TypeGuard
+from typing import Any, ClassVar, Final, NamedTuple, TypeGuard
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.compiled import compiled
 from shape_obs.frame import Frame
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.outline import Outline
+from shape_obs.geometry.outline import SAMPLED, Outline
 from shape_obs.geometry.samples import Samples
 from shape_obs.image.colour_search import find_by_colour, find_on_lattice, look_up, table_mask
 from shape_obs.image.colour_table import colour_table
 from shape_obs.image.connected_runs import find_components, gather_cells, near_mask
-from shape_obs.image.outline_tracing import Component, follow_border, has_holes, trace_outline, trace_with_holes
+from shape_obs.image.outline_tracing import trace_outline, trace_with_holes
 from shape_obs.image.roi import ROI, Window
 from shape_obs.image.segmentation import ColourRule, Segmentation, need
 
@@ -27,6 +28,24 @@ Array = npt.NDArray[np.float64]
 _MAX_CELL: Final = 24
 # A strand at least so wide, pixels, is not missed where one pixel in step x step is looked at: see ``find_by_colour``.
 _WIDE, _FAR_STEP, _NARROW, _NEAR_STEP = 12.0, 8, 7.0, 4
+
+
+class Component(NamedTuple):
+    """One connected piece of a region.
+
+    Args:
+        area: Pixels.
+        outline: ``(P, 2)`` pixels, image coordinates, closed, 8-connected, through the centres of the border pixels.
+        perimeter: Length of the outline, pixels.
+        holes: Length of the outlines of its holes, pixels; specks left out.
+        width: Of the ribbon of this area and perimeter, pixels.
+    """
+
+    area: int
+    outline: Array
+    perimeter: float
+    holes: float
+    width: float
 
 
 @dataclass(frozen=True)
@@ -63,8 +82,9 @@ class Region:
         if not self.areas:
             return ()
         if self.pieces == 1:
-            left, top = self.window.left, self.window.top
-            return (Component(self.area, *trace_outline(self.mask, self.runs, left, top, self.box)),)
+            outline, length = _trace(self.mask, self.runs, self.window.left, self.window.top)
+            if len(outline):
+                return (_component(self.area, outline, length, 0.0),)
         left, top = self.box.left - self.window.left, self.box.top - self.window.top
         crop = self.mask[top : top + self.box.height, left : left + self.box.width]
         count, found, table, _ = cv2.connectedComponentsWithStats(crop, connectivity=8)
@@ -73,7 +93,7 @@ class Region:
         for label in 1 + np.argsort(-stats[1:count, cv2.CC_STAT_AREA], kind="stable"):
             left, top, width, height, area = (int(value) for value in stats[label])
             piece = (labels[top : top + height, left : left + width] == label).view(np.uint8)
-            components.append(Component(area, *trace_with_holes(piece, self.box.left + left, self.box.top + top)))
+            components.append(_component(area, *trace_with_holes(piece, self.box.left + left, self.box.top + top)))
         return tuple(components)
 
     @cached_property
@@ -124,6 +144,10 @@ class Region:
     def outline_samples(self, hole: int | None = None) -> Samples:
         """Return the points of the outline before any smoothing, two by two."""
         return self.traced_outline(hole).samples
+
+    def outline_sampling(self, hole: int | None = None) -> tuple[int, float]:
+        """Return how many ``outline_samples`` there are, and how far apart they lie, pixels."""
+        return -(-len(self.traced_outline(hole).traced) // SAMPLED), float(SAMPLED)
 
     def outline_points(self, hole: int | None = None) -> Samples:
         """Return the points of the outline, each counting once."""
@@ -200,6 +224,23 @@ class Region:
         return near_mask(self.mask, self.window.left, self.window.top, points, 0)
 
 
+@compiled
+def _trace(mask: npt.NDArray[np.uint8], runs: npt.NDArray[np.int64], left: int, top: int) -> tuple[Array, float]:
+    """Return what ``trace_outline`` returns."""
+    return trace_outline(mask, runs, left, top)
+
+
+def _component(area: int, outline: Array, perimeter: float, holes: float) -> Component:
+    """Measure a component. Its width is the root w of ``w (s - w) = area``, s being half of what is around it.
+
+    The outline of an L x w ribbon runs through pixel centres, so it is 2 (L - 1) + 2 (w - 1) long. A ribbon that
+    lies in a loop has a part of it around the hole.
+    """
+    half = (perimeter + holes) / 2 + 2
+    width = max((half - max(half * half - 4 * area, 0.0) ** 0.5) / 2, 1.0)
+    return Component(area, outline, perimeter, holes, width)
+
+
 def segment(frame: Frame, window: Window, rule: Segmentation, roi: ROI, width: float = 0.0) -> Region:
     """Find the plausible components of a rule's mask in a window, the quickest way that gives the same pixels.
 
@@ -266,4 +307,4 @@ def prepare(rules: Iterable[Segmentation | None]) -> list[Callable[..., Any]]:
     for rule in rules:
         if is_tabulated(rule):
             colour_table(rule)
-    return [find_components, gather_cells, near_mask, follow_border, has_holes, look_up, find_on_lattice]
+    return [find_components, gather_cells, near_mask, _trace, look_up, find_on_lattice]

@@ -210,10 +210,6 @@ class Cloud:
         offset = self.kept - place
         return self.kept[np.einsum("md,md->m", offset, offset) <= reach**2]
 
-    def traced_outline(self, hole: int | None = None) -> None:
-        """Return None: the boundary of a cloud is not traced pixel by pixel."""
-        return None
-
     def outline_curve(self, hole: int | None = None) -> FittedCurve:
         """Return the closed boundary, clockwise as seen along +z: a ring's axis, or the border of a sheet."""
         points = self.sheet().outline if self._ring is None else self._ring
@@ -224,6 +220,11 @@ class Cloud:
         curve = self.outline_curve()
         step = np.diff(curve.arc)
         return Samples(curve.points, (step + np.roll(step, 1)) / 2, curve.size / len(curve.points))
+
+    def outline_sampling(self, hole: int | None = None) -> tuple[int, float]:
+        """Return how many ``outline_samples`` there are, and how far apart they lie, metres."""
+        samples = self.outline_samples()
+        return len(samples), samples.scale
 
     def outline_points(self, hole: int | None = None) -> Samples:
         """Return as many points at equal distances around the boundary, each counting once."""
