@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -18,7 +19,7 @@ from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_ro
 from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Ring, Topology
 from shape_obs.image.region import Region
-from shape_obs.tracking.prediction import Fit, Prediction, size_jump
+from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.registration import FORGETTING, match_outline, renumber_outline
 from shape_obs.tracking.validation import outline_miss, ring_miss, validate_outline
 
@@ -62,7 +63,7 @@ class Contour(Configuration, kind="contour"):
         if self.hole is not None and self.hole < 0:
             raise ValueError(f"contour: hole must be None or >= 0, got {self.hole}.")
 
-    @property
+    @cached_property
     def layout(self) -> Ring:
         """A ring of n points."""
         return Ring(self.n)
@@ -85,7 +86,7 @@ class Contour(Configuration, kind="contour"):
             topology = prediction.topology
             curve, nodes, miss = self._track(observed, prediction.nodes[0], prediction)
             reason, quality = validate_outline(observed, miss)
-            if reason or size_jump(prediction, curve.arc[-1]):
+            if reason or abs(curve.arc[-1] / prediction.size - 1) > MAX_SIZE_CHANGE:
                 outline = observed.outline_curve(self.hole)
                 start = self._match(outline, prediction)[0].points[0]
                 curve, nodes, miss = self._track(observed, start, prediction)
@@ -230,7 +231,7 @@ def _equal_chords_around(points: Array, arc: Array, metric: Array, metric_arc: A
 
 
 def _least(values: Array, form: FittedCurve) -> float:
-    """Return the arc position of the least of ``(P,)`` values on a form's points, by a parabola through its neighbours."""
+    """Return the arc position of the least of ``(P,)`` values, by a parabola through it and its neighbours."""
     at = int(np.argmin(values))
     before, after = form.arc[at] - form.arc[at - 1] if at else form.arc[-1] - form.arc[-2], np.diff(form.arc)[at]
     fall, rise = (values[at - 1] - values[at]) / before, (values[(at + 1) % len(values)] - values[at]) / after

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -21,8 +22,8 @@ from shape_obs.geometry.topology import Grid
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim, nearest_corners, rim_of
-from shape_obs.tracking.corner_matching import STRAYED, match_corners, match_corners_in_space, stray_reason
-from shape_obs.tracking.prediction import Fit, Prediction, size_jump
+from shape_obs.tracking.corner_matching import STRAYED, match_corners, match_corners_in_space
+from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.validation import validate_sheet
 
 Array = npt.NDArray[np.float64]
@@ -73,7 +74,7 @@ class Surface(Configuration, kind="surface"):
         if not 0 < self.freedom <= 1:
             raise ValueError(f"surface: freedom must lie above 0, up to 1, got {self.freedom}.")
 
-    @property
+    @cached_property
     def layout(self) -> Grid:
         """A lattice of rows x cols points."""
         return Grid(self.rows, self.cols)
@@ -89,7 +90,7 @@ class Surface(Configuration, kind="surface"):
         expected = None if prediction is None else prediction.nodes.reshape(_GRID.rows, _GRID.cols, -1)
         if expected is not None:
             found = self._lay_patch(observed, None, expected)
-        if found.reason or (prediction is not None and size_jump(prediction, found.size)):
+        if found.reason or (prediction is not None and abs(found.size / prediction.size - 1) > MAX_SIZE_CHANGE):
             rim = Rim.along(*observed.sheet_outline())
             corners = rim.corners()
             if corners is None:
@@ -138,10 +139,9 @@ class Surface(Configuration, kind="surface"):
             # A cloud is assessed as it lies unrolled, where a bent side does not wind.
             measures = assess_lattice((form.points if observed.dimension == 2 else flat).reshape(FINE, FINE, 2))
             nodes = form.evenly(_GRID.rows, _GRID.cols, centers=True)
-        reason, quality = stray_reason(stray, share, self.freedom), 0.0
-        if not reason:
-            off = np.count_nonzero(form.interpolated) / len(form.interpolated)
-            reason, quality = validate_sheet(off, measures, observed.noun, math.degrees(kink))
+        off = np.count_nonzero(form.interpolated) / len(form.interpolated)
+        degrees, strays = math.degrees(kink), (stray, share)
+        reason, quality = validate_sheet(off, measures, observed.noun, degrees, strays, self.freedom)
         size = float(form.gauges[0][-1] + form.gauges[1][-1])
         width = observed.width if observed.dimension == 2 else 0.0
         return Fit(form, quality, reason, nodes, _GRID, size, width, observed, width)
@@ -221,7 +221,7 @@ def fit_patch_in_mask(
         there; the kink, radians; the corner that strays most, and by which share of half a diagonal; see
         ``assess_lattice``; ``lattice_gauges``; ``(64, 2)`` the nodes.
     """
-    points, smooth = material_outline(traced, False)
+    _, smooth = material_outline(traced, False)
     rim, turn, candidates, step, grain = rim_of(smooth)
     if len(corners) == 0:
         corners = nearest_corners(rim, candidates, step, outer_corners(expected))

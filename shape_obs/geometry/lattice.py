@@ -187,7 +187,7 @@ def _equal_gaps(gauge: Array, count: int, centers: bool) -> tuple[Indices, Array
 
 @compiled
 def outer_corners(nodes: Array) -> Array:
-    """Return ``(4, D)`` where a sheet has its corners, clockwise, if its pieces have their centres at ``(R, C, D)`` nodes."""
+    """Return the corners ``(4, D)`` of a sheet, clockwise, whose pieces have their centres at ``(R, C, D)`` nodes."""
     rows, cols, dimension = nodes.shape
     out = np.empty((4, dimension))
     for k in range(4):

@@ -25,17 +25,14 @@ class Observed(Protocol):
         noun: ``"mask"`` or ``"cloud"``, for messages.
         sample_unit: ``"pixels"`` or ``"points"``, for messages.
         thinnest: The least width that can be measured.
+        dimension: 2 for pixels, 3 for metres.
     """
 
     unit: ClassVar[str]
     noun: ClassVar[str]
     sample_unit: ClassVar[str]
     thinnest: ClassVar[float]
-
-    @property
-    def dimension(self) -> int:
-        """2 for pixels, 3 for metres."""
-        ...
+    dimension: ClassVar[int]
 
     @property
     def resolution(self) -> float:

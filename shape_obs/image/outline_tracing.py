@@ -44,8 +44,8 @@ def trace_with_holes(mask: Mask, left: int, top: int) -> tuple[Array, float, flo
     """Trace the outline of a component that fills its mask, and measure its holes, with OpenCV.
 
     Returns:
-        The outline and its length as ``trace_outline`` returns them, and the length of the outlines of the holes, pixels,
-        specks left out.
+        The outline and its length as ``trace_outline`` returns them, and the length of the outlines of the holes,
+        pixels, specks left out.
     """
     contours, table = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     parents = np.asarray(table).reshape(-1, 4)[:, 3].tolist()
@@ -57,7 +57,7 @@ def trace_with_holes(mask: Mask, left: int, top: int) -> tuple[Array, float, flo
 
 @compiled
 def has_holes(runs: Indices) -> bool:
-    """Return whether a component of ``(R, 3)`` runs has holes: it has as many as runs touch more often than R - 1 times."""
+    """Return whether a component of ``(R, 3)`` runs has holes: then runs touch more often than R - 1 times."""
     touching, above = 0, 0
     for at in range(len(runs)):
         row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]

@@ -2,32 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Any, ClassVar, Final, NamedTuple, TypeGuard
+from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import Frame
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.outline import SAMPLED, Outline
 from shape_obs.geometry.samples import Samples
-from shape_obs.image.colour_search import find_by_colour, find_on_lattice, look_up, table_mask
-from shape_obs.image.colour_table import colour_table
-from shape_obs.image.connected_runs import find_components, gather_cells, near_mask
+from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.outline_tracing import trace_outline, trace_with_holes
-from shape_obs.image.roi import ROI, Window
-from shape_obs.image.segmentation import ColourRule, Segmentation, need
+from shape_obs.image.roi import Window
+
+if TYPE_CHECKING:  # a protocol's property accepts no other descriptor
+    cached_property = property
+else:
+    from functools import cached_property
 
 Array = npt.NDArray[np.float64]
 
 _MAX_CELL: Final = 24
-# A strand at least so wide, pixels, is not missed where one pixel in step x step is looked at: see ``find_by_colour``.
-_WIDE, _FAR_STEP, _NARROW, _NEAR_STEP = 12.0, 8, 7.0, 4
 
 
 class Component(NamedTuple):
@@ -60,6 +57,7 @@ class Region:
         box: The upright rectangle around them.
         area: Pixels of all components.
         pieces: How many components there are.
+        resolution: One pixel.
     """
 
     window: Window
@@ -69,11 +67,11 @@ class Region:
     box: Window
     area: int
     pieces: int
+    resolution: float = 1.0
     unit: ClassVar[str] = "px"
     noun: ClassVar[str] = "mask"
     sample_unit: ClassVar[str] = "pixels"
     dimension: ClassVar[int] = 2
-    resolution: ClassVar[float] = 1.0
     thinnest: ClassVar[float] = 3.0
 
     @cached_property
@@ -239,72 +237,3 @@ def _component(area: int, outline: Array, perimeter: float, holes: float) -> Com
     half = (perimeter + holes) / 2 + 2
     width = max((half - max(half * half - 4 * area, 0.0) ** 0.5) / 2, 1.0)
     return Component(area, outline, perimeter, holes, width)
-
-
-def segment(frame: Frame, window: Window, rule: Segmentation, roi: ROI, width: float = 0.0) -> Region:
-    """Find the plausible components of a rule's mask in a window, the quickest way that gives the same pixels.
-
-    A colour rule is looked up in its table. If the object is known to be wide, not every pixel has to be read:
-    components that hold no disc nearly as wide may then be overlooked, and all others are the same to the pixel.
-
-    Args:
-        frame: The images.
-        window: Where to look.
-        rule: Which pixels belong to the object.
-        roi: What to blank in the window.
-        width: Of the object where it is thinnest, pixels; 0 if it is unknown, and nothing is overlooked.
-    """
-    if not is_tabulated(rule):
-        mask = rule.apply(frame, window)
-    else:
-        rgb = frame.rgb if frame.rgb is not None else need(None, "rgb", rule)
-        table, step = colour_table(rule), _FAR_STEP if width >= _WIDE else _NEAR_STEP if width >= _NARROW else 1
-        untouched = max(rule.open, rule.close) <= 1 and type(roi).blank is ROI.blank
-        if step > 1 and untouched:
-            mask, runs, areas, box = find_by_colour(rgb, window, table, step, rule.min_area, rule.min_share)
-            sizes = areas.tolist()
-            return Region(window, mask, runs, tuple(sizes), Window(*box), sum(sizes), len(sizes))
-        mask = rule.clean(table_mask(rgb, window, table))
-    return find_region(roi.blank(mask, window), window, rule.min_area, rule.min_share)
-
-
-def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_share: float) -> Region:
-    """Keep the plausible components of a mask.
-
-    Args:
-        mask: ``(h, w)`` uint8, 0 = background.
-        window: Where the mask lies in the image.
-        min_area: Smaller components are dropped, pixels.
-        min_share: So are those smaller than this share of the largest.
-
-    Returns:
-        The region; without components when nothing is left.
-    """
-    if not (mask.flags.c_contiguous and mask.flags.writeable):
-        mask = mask.copy()  # compiled code distinguishes such arrays
-    runs, areas, box, dropped = find_components(mask, window.left, window.top, min_area, min_share)
-    if dropped:
-        mask = np.zeros_like(mask)
-        for row, start, stop in (runs - [window.top, window.left, window.left]).tolist():
-            mask[row, start:stop] = 255
-    sizes = areas.tolist()
-    return Region(window, mask, runs, tuple(sizes), Window(*box), sum(sizes), len(sizes))
-
-
-@lru_cache(maxsize=64)
-def is_tabulated(rule: Segmentation | None) -> TypeGuard[ColourRule]:
-    """Return whether a table gives what a rule gives: a colour rule that overrides nothing but ``matches``."""
-    return (
-        isinstance(rule, ColourRule)
-        and type(rule).threshold is ColourRule.threshold
-        and type(rule).apply is ColourRule.apply
-        and type(rule).clean is ColourRule.clean
-    )
-
-
-def prepare(rules: Iterable[Segmentation | None]) -> list[Callable[..., Any]]:
-    """Build the tables of colour rules, and return the compiled functions that any region needs."""
-    for rule in rules:
-        if is_tabulated(rule):
-            colour_table(rule)
-    return [find_components, gather_cells, near_mask, _trace, look_up, find_on_lattice]

@@ -20,19 +20,6 @@ Array = npt.NDArray[np.float64]
 STRAYED: Final = 0.06
 
 
-def stray_reason(corner: int, share: float, freedom: float) -> str:
-    """Return why a corner cannot be the sheet's that lies too far from where the other three have moved.
-
-    Args:
-        corner: Which one, 0 ... 3.
-        share: How far it lies from there, in units of half a diagonal.
-        freedom: How far it may lie.
-    """
-    if share <= freedom:
-        return ""
-    return f"corner {corner} strays by {share:.0%} of half a diagonal from where the other three have moved"
-
-
 def match_corners_in_space(expected: Array, corners: Array) -> tuple[int, int, float]:
     """Return what ``match_corners`` returns, for ``(4, 3)`` corners in space."""
     away = [np.sum((np.roll(corners, -turn, axis=0) - expected) ** 2) for turn in range(4)]

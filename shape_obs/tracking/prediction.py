@@ -15,7 +15,7 @@ from shape_obs.image.roi import Window
 Array = npt.NDArray[np.float64]
 
 _VELOCITY_SHARE: Final = 0.8
-_MAX_SIZE_CHANGE: Final = 0.06
+MAX_SIZE_CHANGE: Final = 0.06  # of the size, from one frame to the next
 _MAX_WIDTH_CHANGE: Final = 0.02
 _WIDTH_NOISE: Final = 0.03
 _STEADY: Final = 0.003  # of its area, by which an object that is seen as a whole changes from frame to frame
@@ -139,11 +139,6 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
     size, area = found.size, 0 if form.interpolated.any() else observed.area
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
     return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area)
-
-
-def size_jump(prediction: Prediction, size: float) -> bool:
-    """Return whether a form's size differs from the predicted one by more than an object's size can change."""
-    return abs(size / prediction.size - 1) > _MAX_SIZE_CHANGE
 
 
 def _believed(change: float) -> float:

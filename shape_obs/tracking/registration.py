@@ -203,7 +203,8 @@ def _spectrum(before: Array, after: Array) -> Array:
     """Return the correlation over cyclic shifts, ``(4, H)``: real cos, real sin, imaginary cos, imaginary sin.
 
     A wave of u + iv that runs forwards is (u_cos + v_sin) + i (v_cos - u_sin), and one that runs backwards has the
-    other signs; the correlation multiplies the conjugate of the one outline's with the other's. A perfect match gives 1.
+    other signs; the correlation multiplies the conjugate of the one outline's with the other's. A perfect match gives
+    1.
     """
     out = np.empty((4, _HARMONICS))
     first = second = 0.0

@@ -110,7 +110,14 @@ def validate_outline(observed: Observed, miss: float) -> FitQuality:
     return FitQuality("", ((1 - excess) * piece) ** 0.5)
 
 
-def validate_sheet(off: float, measures: tuple[float, float, float, float], noun: str, kink: float) -> FitQuality:
+def validate_sheet(
+    off: float,
+    measures: tuple[float, float, float, float],
+    noun: str,
+    kink: float,
+    stray: tuple[int, float],
+    freedom: float,
+) -> FitQuality:
     """Validate a lattice over a sheet.
 
     Refused are a lattice that leaves the object over 10 %, a corner more than 55 degrees off a right angle, a lattice
@@ -123,10 +130,14 @@ def validate_sheet(off: float, measures: tuple[float, float, float, float], noun
         measures: See ``assess_lattice``.
         noun: What it was fitted to: ``"mask"`` or ``"cloud"``.
         kink: Degrees by which the outline turns at most, away from the corners.
+        stray: The corner that lies farthest from where the other three have moved, and how far, in half diagonals.
+        freedom: How far it may lie.
     """
     corner, folds, winding, uneven = measures
     reason = ""
-    if off > _MAX_OFF:
+    if stray[1] > freedom:
+        reason = f"corner {stray[0]} strays by {stray[1]:.0%} of half a diagonal from where the other three have moved"
+    elif off > _MAX_OFF:
         reason = f"{off:.0%} of the lattice lies off the {noun} (at most {_MAX_OFF:.0%})"
     elif abs(corner - 90) > _MAX_SKEW:
         reason = f"a corner of the lattice has {corner:.0f} degrees (90 and {_MAX_SKEW:.0f} more or less)"
@@ -186,9 +197,10 @@ def sample_spread(points: Array, weight: Array, curve: Array) -> float:
 
 @compiled
 def ring_miss(samples: Array, unit: Indices, curve: Array, pieces: int) -> float:
-    """Return the mean distance of ``(M, 2)`` samples from the tangents of a curve ``(P, 2)``, each near its node ``unit``.
+    """Return the mean distance of ``(M, 2)`` samples from the tangents of a closed curve ``(P, 2)``.
 
-    Of 256 or so of the samples; there are ``pieces`` points of the curve to a node.
+    Each sample is near its node ``unit``; there are ``pieces`` points of the curve to a node. About 256 of the samples
+    are measured.
     """
     size = len(curve)
     step = 0.0
@@ -212,7 +224,7 @@ def ring_miss(samples: Array, unit: Indices, curve: Array, pieces: int) -> float
 
 @compiled
 def outline_miss(points: Array, curve: Array, size: float) -> float:
-    """Return the mean distance of ``(M, D)`` points from the tangents of a closed curve ``(P, D)`` of length ``size``."""
+    """Return the mean distance of ``(M, D)`` points from a closed curve's tangents: ``(P, D)``, ``size`` long."""
     points = points[:: (len(points) + _JUDGED_AROUND - 1) // _JUDGED_AROUND]
     count, dimension = curve.shape
     groups = (count + _GROUP - 1) // _GROUP
