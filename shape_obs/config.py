@@ -74,7 +74,7 @@ class DetectorConfig(Spec):
     dt: float = 1 / 30
 
     @classmethod
-    def from_dict(cls, value: Self | Mapping[str, Any] | str) -> Self:
+    def from_dict(cls, value: Any) -> Self:
         """Build the configuration as ``Spec.from_dict`` does; a ``backend`` of an older version is ignored.
 
         Warns:
