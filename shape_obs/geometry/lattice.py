@@ -114,7 +114,7 @@ def _between(at: Array, count: int) -> Array:
     return np.maximum(1 - np.abs(at[:, None] - np.arange(count)), 0.0)
 
 
-@compiled(reassociate=True)
+@compiled("(f8[:,:,::1],)", reassociate=True)
 def lattice_gauges(lattice: Array) -> tuple[Array, Array]:
     """Return how far down each row lies ``(R,)`` and how far right each column ``(C,)``: mean distances, summed."""
     rows, cols, dimension = lattice.shape
@@ -140,7 +140,7 @@ def lattice_gauges(lattice: Array) -> tuple[Array, Array]:
     return down, right
 
 
-@compiled
+@compiled("(f8[:,:,::1], f8[::1], f8[::1], i8, i8, b1)")
 def sample_lattice(lattice: Array, down: Array, right: Array, rows: int, cols: int, centers: bool) -> Array:
     """Return a smaller lattice with equal gaps on the mean, bilinear in between, ``(rows*cols, D)``.
 
@@ -179,7 +179,7 @@ def _equal_gaps(gauge: Array, count: int, centers: bool) -> tuple[Indices, Array
     return before, share
 
 
-@compiled
+@compiled("(f8[:,:,::1],)")
 def outer_corners(nodes: Array) -> Array:
     """Return ``(4, D)`` where a sheet has its corners, clockwise, if its pieces have their centres at ``(R, C, D)`` nodes."""
     rows, cols, dimension = nodes.shape
@@ -192,7 +192,7 @@ def outer_corners(nodes: Array) -> Array:
     return out
 
 
-@compiled
+@compiled("(f8[:,:,::1],)")
 def assess_lattice(lattice: Array) -> tuple[float, float, float, float]:
     """Return how much a lattice looks like a sheet.
 

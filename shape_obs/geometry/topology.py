@@ -190,7 +190,7 @@ def shrinkage(sigma: float) -> float:
     return 1 / 24 + h / (1 + 2 * h)
 
 
-@compiled
+@compiled("(f8[:,::1], f8, b1)")
 def undo_shrinkage(nodes: Array, share: float, closed: bool) -> Array:
     """Move the nodes ``(K, D)`` of a line, K >= 3, against their bend, by a share of their second difference.
 

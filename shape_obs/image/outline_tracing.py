@@ -83,7 +83,7 @@ def trace_with_holes(mask: Mask, left: int, top: int) -> tuple[Array, float, flo
     return outline, length, sum(cv2.arcLength(hole, closed=True) for hole in inner)
 
 
-@compiled
+@compiled("(i8[:,::1],)")
 def has_holes(runs: Indices) -> bool:
     """Return whether a component of ``(R, 3)`` runs has holes: it has as many as runs touch more often than R - 1 times."""
     touching, above = 0, 0
@@ -98,7 +98,7 @@ def has_holes(runs: Indices) -> bool:
     return touching > len(runs) - 1
 
 
-@compiled
+@compiled("(u1[:,::1], i8, i8, i8, i8)")
 def follow_border(mask: Mask, column: int, row: int, left: int, top: int) -> tuple[Array, float]:
     """Follow the outer border of the component whose first pixel is given; return its pixels and its length.
 
@@ -116,7 +116,7 @@ def follow_border(mask: Mask, column: int, row: int, left: int, top: int) -> tup
             break
         if way == 4:  # a pixel on its own
             found[0, 0], found[0, 1] = column + left, row + top
-            return found[:1].copy(), 0.0
+            return found[:1], 0.0
     while True:
         if count == len(found):
             larger = np.empty((2 * count, 2))
@@ -133,6 +133,6 @@ def follow_border(mask: Mask, column: int, row: int, left: int, top: int) -> tup
                 break
         length += math.sqrt(2.0) if way % 2 else 1.0
         if next_u == column and next_v == row and u == last_u and v == last_v:
-            return found[:count].copy(), length
+            return found[:count], length
         u, v = next_u, next_v
         way = (way + 4) % 8

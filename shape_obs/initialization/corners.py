@@ -108,7 +108,7 @@ def _fours(count: int) -> Indices:
     return np.array(list(combinations(range(count), 4)), dtype=np.int64)
 
 
-@compiled
+@compiled("(f8[:,::1],)")
 def rim_of(outline: Array) -> tuple[Array, Array, Indices, float, float]:
     """Return a clockwise outline ``(P, 2)`` as the rim of a sheet.
 
@@ -167,10 +167,10 @@ def _candidates(turn: Array) -> Indices:
         for q in range(least, count - 1):
             peaks[q] = peaks[q + 1]
         count -= 1
-    return peaks[:count].copy()
+    return peaks[:count]
 
 
-@compiled
+@compiled("(f8[:,::1], i8[::1], f8, f8[:,::1])")
 def nearest_corners(rim: Array, candidates: Indices, step: float, expected: Array) -> Indices:
     """Return the candidate nearest to each place, or the rim's nearest point if there is none.
 

@@ -124,7 +124,10 @@ def overlaid(curve: FittedCurve, metres: Array, width: float) -> npt.NDArray[np.
     return over
 
 
-@compiled
+@compiled(
+    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8)",
+    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8)",
+)
 def median_depth(
     depth: npt.NDArray[Any],
     unit: float,
@@ -138,7 +141,7 @@ def median_depth(
     """Return the median depth of the mask around each point.
 
     Args:
-        depth: ``(H, W)`` uint16, float32 or float64; 0, negative, non-finite or absurd = invalid.
+        depth: ``(H, W)`` read-only, uint16 or float32; 0, negative, non-finite or absurd = invalid.
         unit: Metres in a unit of depth.
         mask: ``(h, w)`` uint8, C-contiguous.
         left: Image column of its first pixel.
@@ -151,8 +154,9 @@ def median_depth(
         ``(N,)`` metres, NaN where too few have.
     """
     height, width = mask.shape
-    out, near = np.full(len(points), np.nan), np.empty((2 * reach + 1) ** 2)
+    out, near = np.empty(len(points)), np.empty((2 * reach + 1) ** 2)
     for n in range(len(points)):
+        out[n] = np.nan
         column, row = nearest_pixel(points[n, 0]) - left, nearest_pixel(points[n, 1]) - top
         inside = known = 0
         for v in range(max(row - reach, 0), min(row + reach + 1, height)):
