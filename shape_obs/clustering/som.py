@@ -54,7 +54,10 @@ def run_som(samples: Samples, start: Array, topology: Topology, sigmas: tuple[fl
     """
     if not sigmas:
         return start
-    nodes = batch_epochs(samples.points, samples.weight, start, *topology.neighbourhoods(sigmas))
+    points, weight, nodes = (
+        np.ascontiguousarray(values, dtype=np.float64) for values in (samples.points, samples.weight, start)
+    )
+    nodes = batch_epochs(points, weight, nodes, *topology.neighbourhoods(sigmas))
     return topology.unshrink(nodes, sigmas[-1])
 
 

@@ -13,7 +13,7 @@ from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
-from shape_obs.geometry.polyline import arc_length, catmull_rom, equidistant_positions, interpolate
+from shape_obs.geometry.polyline import arc_length, catmull_rom, equal_chords, equidistant_positions, interpolate
 from shape_obs.geometry.topology import Chain, Topology, undo_shrinkage
 from shape_obs.image.rope_tip import extend_chain
 from shape_obs.initialization.folding import fold_outline, unexplained_share
@@ -163,6 +163,7 @@ class Centerline(Configuration, kind="centerline"):
         arc_length,
         batch_epochs,
         catmull_rom,
+        equal_chords,
         extend_chain,
         fold_outline,
         interpolate,

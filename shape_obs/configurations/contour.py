@@ -13,11 +13,11 @@ from shape_obs.configurations.base import Configuration, Points
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import clockwise, material_outline, pairs
-from shape_obs.geometry.polyline import arc_length, catmull_rom, equidistant_around, interpolate
+from shape_obs.geometry.polyline import arc_length, catmull_rom, equal_chords, equidistant_around, interpolate
 from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.tracking.prediction import Fit, Prediction, size_jump
-from shape_obs.tracking.registration import blend, index_shift, match_outline, renumber_outline
+from shape_obs.tracking.registration import match_outline, renumber_outline
 from shape_obs.tracking.validation import outline_miss, ring_miss, validate_outline
 
 Array = npt.NDArray[np.float64]
@@ -150,9 +150,8 @@ class Contour(Configuration, kind="contour"):
     compiled: ClassVar[tuple[Any, ...]] = (
         arc_length,
         batch_epochs,
-        blend,
         catmull_rom,
-        index_shift,
+        equal_chords,
         interpolate,
         material_outline,
         outline_miss,

@@ -112,7 +112,7 @@ class FittedCurve(FittedForm):
 
     def at(self, arc: npt.ArrayLike) -> Array:
         """Return ``(N, D)`` points at ``(N,)`` arc positions; a closed curve wraps around."""
-        at = np.asarray(arc, dtype=np.float64)
+        at = np.ascontiguousarray(arc, dtype=np.float64)
         return interpolate(self._polyline, self.arc, at % self.size if self.closed else at)
 
     def even(self, count: int) -> Array:
@@ -164,4 +164,5 @@ class FittedCurve(FittedForm):
 
     @property
     def _polyline(self) -> Array:
-        return np.concatenate([self.points, self.points[:1]]) if self.closed else self.points
+        points = np.concatenate([self.points, self.points[:1]]) if self.closed else self.points
+        return np.ascontiguousarray(points, dtype=np.float64)

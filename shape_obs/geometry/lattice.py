@@ -38,7 +38,8 @@ class FittedLattice(FittedForm):
     @property
     def lattice(self) -> Array:
         """``(rows, cols, D)``."""
-        return self.points.reshape(self.rows, -1, self.points.shape[1])
+        lattice = self.points.reshape(self.rows, -1, self.points.shape[1])
+        return np.ascontiguousarray(lattice, dtype=np.float64)
 
     @property
     def size(self) -> float:

@@ -63,7 +63,7 @@ class Outline:
 
     @cached_property
     def _material(self) -> tuple[Array, Array]:
-        return material_outline(np.ascontiguousarray(self.traced), self.hole)
+        return material_outline(np.ascontiguousarray(self.traced, dtype=np.float64), self.hole)
 
 
 def clockwise(points: Array) -> bool:

@@ -171,7 +171,8 @@ def equidistant_positions(curve: Array, arc: Array, count: int, *, centers: bool
         centers: Whether the points lie at the middle of ``count`` equal pieces; else the first and the last lie at the
             curve's ends.
     """
-    return _equidistant(curve, arc, count, arc[-1] / (2 * count) if centers else 0.0, _MAX_SHIFT)
+    curve = np.ascontiguousarray(curve, dtype=np.float64)
+    return equal_chords(curve, arc, count, arc[-1] / (2 * count) if centers else 0.0, _MAX_SHIFT)
 
 
 def equidistant_around(curve: Array, arc: Array, count: int) -> Array:
@@ -182,12 +183,12 @@ def equidistant_around(curve: Array, arc: Array, count: int) -> Array:
         arc: ``(P + 1,)`` its arc length, the last entry the whole.
         count: How many.
     """
-    around = np.concatenate([curve, curve[:1]])
-    return _equidistant(around, arc, count + 1, 0.0, _MAX_SHIFT_AROUND)[:-1]
+    around = np.ascontiguousarray(np.concatenate([curve, curve[:1]]), dtype=np.float64)
+    return equal_chords(around, arc, count + 1, 0.0, _MAX_SHIFT_AROUND)[:-1]
 
 
 @compiled("(f8[:,::1], f8[::1], i8, f8, f8)")
-def _equidistant(curve: Array, arc: Array, count: int, margin: float, max_shift: float) -> Array:
+def equal_chords(curve: Array, arc: Array, count: int, margin: float, max_shift: float) -> Array:
     """Return the arc positions of ``count`` points with equal chords, ``margin`` away from both ends.
 
     No point leaves its position by arc length by more than ``max_shift`` gaps.

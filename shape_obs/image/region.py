@@ -215,10 +215,12 @@ class Region:
 
     def carries(self, points: Array) -> npt.NDArray[np.bool_]:
         """Return whether the mask has ``(N, 2)`` pixels, or a neighbour of theirs: ``(N,)`` bool."""
+        points = np.ascontiguousarray(points, dtype=np.float64)
         return near_mask(self.mask, self.window.left, self.window.top, points, 1)
 
     def contains(self, points: Array) -> npt.NDArray[np.bool_]:
         """Return whether the mask has ``(N, 2)`` pixels: ``(N,)`` bool."""
+        points = np.ascontiguousarray(points, dtype=np.float64)
         return near_mask(self.mask, self.window.left, self.window.top, points, 0)
 
     def extend_to_tips(self, nodes: Array) -> Array:
@@ -264,6 +266,8 @@ def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_
     Returns:
         The region; without components when nothing is left.
     """
+    if mask.dtype != np.uint8:
+        mask = (mask != 0).view(np.uint8)
     if not (mask.flags.c_contiguous and mask.flags.writeable):
         mask = mask.copy()  # compiled code distinguishes such arrays
     runs, areas, box, dropped = find_components(mask, window.left, window.top, min_area, min_share)
@@ -286,7 +290,6 @@ def is_tabulated(rule: Segmentation | None) -> TypeGuard[ColourRule]:
 
 def prepare(rules: Iterable[Segmentation | None]) -> list[Callable[..., Any]]:
     """Build the tables of colour rules, and return the compiled functions that any region needs."""
-    for rule in rules:
-        if is_tabulated(rule):
-            colour_table(rule)
-    return [find_components, gather_cells, near_mask, follow_border, has_holes, look_up, find_on_lattice]
+    tabulated = [colour_table(rule) for rule in rules if is_tabulated(rule)]
+    colours = [look_up, find_on_lattice] if tabulated else []
+    return [find_components, gather_cells, near_mask, follow_border, has_holes, *colours]

@@ -55,12 +55,12 @@ class Rim:
     @classmethod
     def along(cls, outline: Array, flat: Array) -> Rim:
         """Build the rim of a closed outline of ``(P, D)`` points and the same ``(P, 2)`` unrolled, no point repeated."""
-        even, turn, candidates, step, grain = rim_of(flat)
+        even, turn, candidates, step, grain = rim_of(np.ascontiguousarray(flat, dtype=np.float64))
         if outline is flat:
             return cls(even, even, turn, candidates, step, grain)
-        arc = arc_length(np.concatenate([flat, flat[:1]]))
+        arc = arc_length(np.ascontiguousarray(np.concatenate([flat, flat[:1]])))
         at = np.arange(RIM) * (arc[-1] / RIM)
-        points = interpolate(np.concatenate([outline, outline[:1]]), arc, at)
+        points = interpolate(np.ascontiguousarray(np.concatenate([outline, outline[:1]])), arc, at)
         return cls(points, even, turn, candidates, step, grain)
 
     def corners(self) -> Indices | None:

@@ -46,6 +46,7 @@ def local_depth(points: Array, depth: npt.NDArray[Any], region: Region) -> Array
     depth = np.ascontiguousarray(depth).view()
     depth.flags.writeable = False  # one type for all: compiled code distinguishes read-only arrays
     left, top = region.window[:2]
+    points = np.ascontiguousarray(points, dtype=np.float64)
     return median_depth(depth, unit, region.mask, left, top, points, reach, _MIN_SHARE)
 
 
