@@ -39,12 +39,7 @@ def cache_folder() -> Path | None:
         with tempfile.TemporaryFile(dir=folder):
             return folder
     except OSError as error:
-        warnings.warn(
-            f"Compiled functions cannot be kept ({error}), so every process compiles them again, for about half a "
-            "minute. Set NUMBA_CACHE_DIR to a folder that can be written to.",
-            RuntimeWarning,
-            stacklevel=2,
-        )
+        _warn(str(error), "Set NUMBA_CACHE_DIR to a folder that can be written to.")
         return None
 
 
@@ -105,16 +100,35 @@ class DiskCache:
         path = self._path(sig)
         if path is None or cres.library.has_dynamic_globals:
             return
-        module = cres.library._final_module
-        symbols = [f.name for f in module.functions if f.is_declaration and not f.name.startswith("llvm.")]
-        (name, kind, (code, bitcode)), *rest = cres._reduce()
-        stub = f'define void @"{cres.fndesc.llvm_cpython_wrapper_name}"() {{ ret void }}'  # what Python calls
-        stub = binding.parse_assembly(stub).as_bitcode()
-        data = dumps((symbols, bitcode, ((name, kind, (code, stub)), *rest)))
-        data = hashlib.blake2b(data, digest_size=_DIGEST).digest() + data
+        try:
+            data = _serialized(cres)
+        except Exception as error:  # noqa: BLE001 - internals of Numba: what is compiled works without a file
+            _warn(f"{type(error).__name__}: {error}", "Please report this together with the version of Numba.")
+            return
         with contextlib.suppress(OSError):  # a full disk, or a file that is open on Windows
-            _write(path, data)
+            _write(path, hashlib.blake2b(data, digest_size=_DIGEST).digest() + data)
             _delete_old(path, f"{self._name}-")
+
+
+def _serialized(result: CompileResult) -> bytes:
+    """Return a compiled function as bytes: the C symbols that it needs, its bitcode, and what Numba rebuilds."""
+    module = result.library._final_module
+    symbols = [f.name for f in module.functions if f.is_declaration and not f.name.startswith("llvm.")]
+    (name, kind, (code, bitcode)), *rest = result._reduce()
+    stub = f'define void @"{result.fndesc.llvm_cpython_wrapper_name}"() {{ ret void }}'  # what Python calls
+    stub = binding.parse_assembly(stub).as_bitcode()
+    return dumps((symbols, bitcode, ((name, kind, (code, stub)), *rest)))
+
+
+@lru_cache
+def _warn(reason: str, advice: str) -> None:
+    """Warn that every process compiles the functions again; once for each reason."""
+    warnings.warn(
+        f"Compiled functions cannot be kept ({reason}), so every process compiles them again, for about half a "
+        f"minute. {advice}",
+        RuntimeWarning,
+        stacklevel=2,
+    )
 
 
 def _write(path: Path, data: bytes) -> None:

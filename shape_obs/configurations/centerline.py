@@ -15,6 +15,7 @@ from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import arc_length, catmull_rom, equal_chords, equidistant_positions, interpolate
 from shape_obs.geometry.topology import Chain, Topology, undo_shrinkage
+from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.rope_tip import extend_chain
 from shape_obs.initialization.folding import fold_outline, unexplained_share
 from shape_obs.initialization.medial_axis import medial_axis
@@ -136,7 +137,7 @@ class Centerline(Configuration, kind="centerline"):
         nodes = observed.extend_to_tips(run_som(samples, start, topology, sigmas))
         points = catmull_rom(nodes, 4, False)
         curve = FittedCurve(points, ~observed.carries(points))
-        spread = sample_spread(samples.points, samples.weight, points)
+        spread = sample_spread(np.ascontiguousarray(samples.points), np.ascontiguousarray(samples.weight), points)
         if prediction is not None:
             curve = match_chain(curve, prediction, depth)  # an end under a hand is put back here
         reason, quality = validate_ribbon(curve, observed, expected_off, spread)
@@ -166,6 +167,7 @@ class Centerline(Configuration, kind="centerline"):
         equal_chords,
         extend_chain,
         fold_outline,
+        gather_cells,
         interpolate,
         sample_spread,
         undo_shrinkage,

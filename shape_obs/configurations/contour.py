@@ -118,7 +118,7 @@ class Contour(Configuration, kind="contour"):
             begin = outline.starting_at(float(outline.arc[nearest])).even(topology.size)
             points = catmull_rom(run_som(samples, begin, topology, (_SIGMA,)), _PIECES, True)
             size = float(arc_length(np.concatenate([points, points[:1]]))[-1])
-            miss = outline_miss(samples.points, points, size)
+            miss = outline_miss(np.ascontiguousarray(samples.points), points, size)
         curve = FittedCurve(points, np.zeros(len(points), bool), closed=True)
         reason, quality = validate_outline(observed, miss / samples.scale)
         return curve, quality, reason

@@ -15,9 +15,10 @@ from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.geometry.coons import FINE, coons_patch
 from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, outer_corners, sample_lattice
 from shape_obs.geometry.observed import Observed
-from shape_obs.geometry.outline import material_outline, pairs
+from shape_obs.geometry.outline import material_outline
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.topology import Grid, undo_shrinkage
+from shape_obs.image.connected_runs import gather_cells
 from shape_obs.initialization.corners import Indices, Rim, nearest_corners, rim_of
 from shape_obs.tracking.corner_matching import STRAYED, match_corners, match_corners_plane
 from shape_obs.tracking.prediction import Fit, Prediction, size_jump
@@ -171,13 +172,13 @@ class Surface(Configuration, kind="surface"):
         assess_lattice,
         batch_epochs,
         coons_patch,
+        gather_cells,
         interpolate,
         lattice_gauges,
         match_corners_plane,
         material_outline,
         nearest_corners,
         outer_corners,
-        pairs,
         rim_of,
         sample_lattice,
         undo_shrinkage,

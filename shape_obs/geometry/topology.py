@@ -223,4 +223,4 @@ def _neighbourhoods(topology: Any, sigmas: tuple[float, ...]) -> Neighbourhoods:
     weight = np.exp(-0.5 * np.sum(offsets**2, axis=0) / width**2)
     basis = np.concatenate([np.ones((1, *weight.shape[1:])), offsets])
     first = weight[:, None] * basis
-    return Neighbourhoods(first, first[:, :, None] * basis)
+    return Neighbourhoods(np.ascontiguousarray(first), np.ascontiguousarray(first[:, :, None] * basis))

@@ -292,4 +292,4 @@ def prepare(rules: Iterable[Segmentation | None]) -> list[Callable[..., Any]]:
     """Build the tables of colour rules, and return the compiled functions that any region needs."""
     tabulated = [colour_table(rule) for rule in rules if is_tabulated(rule)]
     colours = [look_up, find_on_lattice] if tabulated else []
-    return [find_components, gather_cells, near_mask, follow_border, has_holes, *colours]
+    return [find_components, near_mask, follow_border, has_holes, *colours]
