@@ -30,7 +30,7 @@ _preparing = threading.RLock()
 class _Dispatcher(CPUDispatcher):
     """A compiled function. It is pickled by name, so that another process loads the machine code from disk."""
 
-    def __reduce__(self) -> str:
+    def __reduce__(self) -> Any:
         return self.py_func.__qualname__
 
 

@@ -1,6 +1,6 @@
 """Run one configuration over drawn scenes, and print which compiled functions it called, and which too late.
 
-``python live_frames.py centerline`` prints a JSON object: ``called`` and ``listed`` (names of functions), ``late`` (those
+``python live_frames.py centerline`` prints a JSON object: ``called`` and ``listed`` (names), ``late`` (those
 that were compiled or loaded after the detector had been constructed), and ``ok`` (how many shapes were found).
 """
 
@@ -113,35 +113,27 @@ def main(kind: str) -> None:
     rng, ok = np.random.default_rng(0), 0
     masks = {"centerline": centerline_masks, "contour": contour_masks, "surface": surface_masks}[kind]()
     for spec, detector in zip(specs, detectors, strict=True):
-        metric = "cloud" in spec.lift or spec.spacing == "m"
-        for scene in masks if not metric else masks[:2]:
+        in_space = spec.lift == "cloud" or spec.spacing == "m"
+        for scene in [scene[:8] for scene in masks[:2]] if in_space else masks:
             detector.reset()
-            for mask in scene[:8] if metric else scene:
-                depth = rng.integers(695, 705, mask.shape, np.uint16)
-                arguments: list[Any] = [depth, CAMERA] if metric else []
-                ok += (
-                    detector.detect_mask(mask, *arguments).shapes[0].ok if mask.shape == (480, 640) or not metric else 0
-                )
+            for mask in scene:
+                depth: Any = rng.integers(695, 705, mask.shape, np.uint16)
+                ok += detector.detect_mask(mask, *([depth, CAMERA] if in_space else [])).shapes[0].ok
     for mask in masks[0][:5]:
         kmeans.detect_mask(mask)
     detector = detectors[0]
     detector.reset()
     for k, mask in enumerate(masks[0][:12]):
         image = photographed(rng, mask, 1.5, 4.0)
-        depth: Any = rng.integers(695, 705, mask.shape, np.uint16)
+        depth = rng.integers(695, 705, mask.shape, np.uint16)
         if k % 2:
             depth, image = depth.astype(np.float64) / 1000, image[:, ::-1][:, ::-1]
         ok += detector.detect(image, depth, CAMERA).shapes[0].ok
     clouds = [rope_cloud(rng).points, ring_cloud(rng).points, sheet_cloud(rng).points]
-    for cloud in [
-        *clouds,
-        *[frame.points for frame in moving_rope_cloud(rng, 0.01, frames=3)],
-        clouds[2] + 1e-4,
-        clouds[1] + 1e-4,
-    ]:
+    clouds += [frame.points for frame in moving_rope_cloud(rng, 0.01, frames=3)]
+    for cloud in [*clouds, clouds[2] + 1e-4, clouds[1] + 1e-4]:
         ok += detectors[0].detect_cloud(cloud).shapes[0].ok
-        if kind != "centerline":
-            ok += detectors[2].detect_cloud(cloud).shapes[0].ok if kind == "surface" else 0
+        ok += kind == "surface" and detectors[2].detect_cloud(cloud).shapes[0].ok
     listed = [*prepare(spec.segmentation for spec in detector.shapes), median_depth, *make.compiled]
     names = sorted(function.__name__ for function in listed)
     print(json.dumps({"called": sorted(called), "listed": names, "late": sorted(late), "ok": int(ok)}))
