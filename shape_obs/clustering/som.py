@@ -54,11 +54,14 @@ def run_som(samples: Samples, start: Array, topology: Topology, sigmas: tuple[fl
     """
     if not sigmas:
         return start
-    nodes = batch_epochs(samples.points, samples.weight, start, *neighbourhoods(topology, sigmas))
+    points, weight, start = (
+        np.ascontiguousarray(values, dtype=np.float64) for values in (samples.points, samples.weight, start)
+    )
+    nodes = batch_epochs(points, weight, start, *neighbourhoods(topology, sigmas))
     return topology.unshrink(nodes, sigmas[-1])
 
 
-@compiled(reassociate=True)
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,:,:,::1])", reassociate=True)
 def batch_epochs(points: Array, weight: Array, nodes: Array, first: Array, second: Array) -> Array:
     """Run batch epochs of a map with a local-linear neighbourhood.
 
@@ -77,23 +80,30 @@ def batch_epochs(points: Array, weight: Array, nodes: Array, first: Array, secon
     for m in range(len(points)):
         for d in range(dimension):
             middle[d] += points[m, d]
-    middle /= max(len(points), 1)
-    points, nodes = points - middle, nodes - middle
-    whole = weight.sum()
+    for d in range(dimension):
+        middle[d] /= max(len(points), 1)
+    moved, out, whole = np.empty_like(points), np.empty_like(nodes), 0.0
+    for m in range(len(points)):
+        whole += weight[m]
+        for d in range(dimension):
+            moved[m, d] = points[m, d] - middle[d]
+    for k in range(size):
+        for d in range(dimension):
+            out[k, d] = nodes[k, d] - middle[d]
     count, total = np.empty(size), np.empty((size, dimension))
     planes = first.shape[1]
     for epoch in range(len(first)):
-        unit = best_matching_units(points, nodes)
+        unit = best_matching_units(moved, out)
         trace = _TRACE * whole / size
         for k in range(size):
             count[k] = trace
             for d in range(dimension):
-                total[k, d] = trace * nodes[k, d]
+                total[k, d] = trace * out[k, d]
         for m in range(len(points)):
             k = unit[m]
             count[k] += weight[m]
             for d in range(dimension):
-                total[k, d] += weight[m] * points[m, d]
+                total[k, d] += weight[m] * moved[m, d]
         if planes == 2:
             for k in range(size):
                 s0 = s1 = s2 = 0.0
@@ -106,51 +116,81 @@ def batch_epochs(points: Array, weight: Array, nodes: Array, first: Array, secon
                     for j in range(size):
                         t0 += first[epoch, 0, k, j] * total[j, d]
                         t1 += first[epoch, 1, k, j] * total[j, d]
-                    nodes[k, d] = (s2 * t0 - s1 * t1) / (s0 * s2 - s1 * s1)
+                    out[k, d] = (s2 * t0 - s1 * t1) / (s0 * s2 - s1 * s1)
         else:
             moments, sums = np.empty((planes, planes)), np.empty((planes, dimension))
             for k in range(size):
                 for a in range(planes):
                     for b in range(planes):
-                        moments[a, b] = np.sum(second[epoch, a, b, k] * count)
+                        moments[a, b] = 0.0
+                        for j in range(size):
+                            moments[a, b] += second[epoch, a, b, k, j] * count[j]
                     for d in range(dimension):
-                        sums[a, d] = np.sum(first[epoch, a, k] * total[:, d])
-                nodes[k] = np.linalg.solve(moments, sums)[0]
-    return nodes + middle
+                        sums[a, d] = 0.0
+                        for j in range(size):
+                            sums[a, d] += first[epoch, a, k, j] * total[j, d]
+                _solve_first(moments, sums)
+                for d in range(dimension):
+                    out[k, d] = sums[0, d]
+    for k in range(size):
+        for d in range(dimension):
+            out[k, d] += middle[d]
+    return out
 
 
 @compiled(reassociate=True)
 def best_matching_units(points: Array, nodes: Array) -> Indices:
     """Return the best-matching unit of each point, argmax of x.c - |c|^2 / 2: ``(M, D)``, ``(K, D)`` -> ``(M,)``."""
+    dimension = points.shape[1]
     unit, most = np.zeros(len(points), np.int64), np.empty(len(points))
-    columns = points.T.copy()
+    columns, score = np.empty((dimension, len(points))), np.empty(len(points) if dimension != 2 else 0)
+    for m in range(len(points)):
+        for d in range(dimension):
+            columns[d, m] = points[m, d]
     for k in range(len(nodes)):
         half = 0.0
-        for d in range(nodes.shape[1]):
+        for d in range(dimension):
             half += 0.5 * nodes[k, d] ** 2
-        if len(columns) == 2:
-            _take(unit, most, columns[0], columns[1], nodes[k, 0], nodes[k, 1], half, k)
-        else:
-            score = np.full(len(points), -half)
-            for d in range(len(columns)):
-                score += columns[d] * nodes[k, d]
+        if dimension == 2:  # in one pass, which is compiled to vector instructions
+            x, y, u, v = columns[0], columns[1], nodes[k, 0], nodes[k, 1]
             for m in range(len(points)):
-                if k == 0 or score[m] > most[m]:
-                    most[m], unit[m] = score[m], k
+                near = x[m] * u + y[m] * v - half
+                nearer = near > most[m] or k == 0
+                most[m] = near if nearer else most[m]
+                unit[m] = k if nearer else unit[m]
+        else:
+            for m in range(len(points)):
+                score[m] = -half
+            for d in range(dimension):
+                for m in range(len(points)):
+                    score[m] += columns[d, m] * nodes[k, d]
+            for m in range(len(points)):
+                nearer = score[m] > most[m] or k == 0
+                most[m] = score[m] if nearer else most[m]
+                unit[m] = k if nearer else unit[m]
     return unit
 
 
-@compiled(inline=True)
-def _take(unit: Indices, most: Array, x: Array, y: Array, u: float, v: float, half: float, k: int) -> None:
-    """Assign the points in the plane to node k that are nearer to it than to the nodes before it."""
-    for m in range(len(x)):
-        score = x[m] * u + y[m] * v - half
-        nearer = score > most[m] or k == 0
-        most[m] = score if nearer else most[m]
-        unit[m] = k if nearer else unit[m]
-
-
 @compiled
+def _solve_first(moments: Array, sums: Array) -> None:
+    """Eliminate all unknowns but the first from a small symmetric positive definite system, which is overwritten.
+
+    Args:
+        moments: ``(P, P)``.
+        sums: ``(P, D)`` right-hand sides; ``sums[0]`` is the first unknown afterwards.
+    """
+    for pivot in range(len(moments) - 1, 0, -1):
+        for row in range(pivot):
+            share = moments[row, pivot] / moments[pivot, pivot]
+            for column in range(pivot):
+                moments[row, column] -= share * moments[pivot, column]
+            for d in range(sums.shape[1]):
+                sums[row, d] -= share * sums[pivot, d]
+    for d in range(sums.shape[1]):
+        sums[0, d] /= moments[0, 0]
+
+
+@compiled("(f8[:,::1], f8[:,::1], f8[::1], i8, f8)")
 def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma: float) -> tuple[Array, Indices]:
     """Fit a ring of nodes to an outline in one epoch.
 
@@ -176,11 +216,15 @@ def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma:
         if square < least:
             begin, least = arc[p], square
     nodes, gap = even_around(smooth, arc, begin, count), arc[size] / count
-    middle_u, middle_v = nodes[:, 0].sum() / count, nodes[:, 1].sum() / count
+    middle_u = middle_v = 0.0
+    for k in range(count):
+        middle_u += nodes[k, 0] / count
+        middle_v += nodes[k, 1] / count
     unit = np.empty(len(samples), np.int64)
     trace = _TRACE * size / count
-    held, total = np.full(count, trace), np.empty((count, 2))
+    held, total = np.empty(count), np.empty((count, 2))
     for k in range(count):
+        held[k] = trace
         nodes[k, 0] -= middle_u
         nodes[k, 1] -= middle_v
         total[k, 0], total[k, 1] = trace * nodes[k, 0], trace * nodes[k, 1]

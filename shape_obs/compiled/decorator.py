@@ -1,27 +1,185 @@
-"""The decorator of compiled functions."""
+"""The decorator of compiled functions, and their preparation before the first frame."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import gc
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any, Final, TypeVar, overload
 
-from numba import njit
+from numba.core import config, types
+from numba.core.registry import CPUDispatcher
+
+from shape_obs.compiled.cache import DiskCache, cache_folder
+from shape_obs.compiled.fingerprint import code_size, fingerprint
+from shape_obs.compiled.lock import exclusive
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-# Sums may be taken in any order, so that they run four abreast: the last digits of 16 differ.
+_OPTIONS: Final[dict[str, Any]] = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
+# Sums may be taken in any order, so that several terms are added at once: the last of 16 digits differ.
 _REASSOCIATE: Final = {"reassoc", "contract", "nsz"}
+# Compile time is proportional to the code of a function and of all that it calls, roughly.
+_SECONDS_PER_BYTE: Final = 0.4e-3
+_WORTH_SAYING: Final = 2.0  # seconds
+_preparing = threading.RLock()
+
+
+class _Dispatcher(CPUDispatcher):
+    """A compiled function. It is pickled by name, so that another process loads the machine code from disk."""
+
+    def __reduce__(self) -> Any:
+        return self.py_func.__qualname__
+
+
+class _EntryPoint(_Dispatcher):
+    """A compiled function before its first use, which loads or compiles it and makes it a plain ``_Dispatcher``.
+
+    The change of class leaves nothing of Python between a caller and the machine code in later calls.
+    """
+
+    signatures_declared: tuple[str, ...]
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        compile_now([self])
+        return self(*args, **kwargs)
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Return the type of a call by another compiled function, which needs this one compiled first."""
+        _prepare(self)
+        return self.get_call_template(args, kws)
+
+
+class _Helper(_Dispatcher):
+    """A function that compiled functions call: compiled with them for the types that they pass, without a wrapper."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        raise TypeError(
+            f"{self.py_func.__name__} was compiled to be called by compiled functions: give it a signature to call "
+            f"it from Python, or call {self.py_func.__name__}.py_func, which is not compiled."
+        )
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Return the type of a call; literal numbers are passed as numbers, or each would be compiled separately."""
+        return super().get_call_template(
+            tuple(types.unliteral(arg) for arg in args), {name: types.unliteral(arg) for name, arg in kws.items()}
+        )
 
 
 @overload
 def compiled(function: F, /) -> F: ...
 @overload
-def compiled(*, reassociate: bool = False, inline: bool = False) -> Callable[[F], F]: ...
-def compiled(function: Any = None, /, *, reassociate: bool = False, inline: bool = False) -> Any:
-    """Compile a function with Numba when it is first needed, and keep the machine code on disk."""
+def compiled(*signatures: str, reassociate: bool = False, inline: bool = False) -> Callable[[F], F]: ...
+def compiled(*signatures: Any, reassociate: bool = False, inline: bool = False) -> Any:
+    """Compile a function with Numba at its first use, not at import.
 
-    def decorate(plain: Any) -> Any:
-        fast = _REASSOCIATE if reassociate else False
-        return njit(cache=True, nogil=True, fastmath=fast, inline="always" if inline else "never")(plain)
+    Args:
+        signatures: The types of the arguments as Numba writes them, ``"(f8[:,::1], i8)"``. No signature for a function
+            that only compiled functions call.
+        reassociate: Whether sums may be taken in any order.
+        inline: Copy the function into its callers; for a few lines in an inner loop.
 
-    return decorate if function is None else decorate(function)
+    Returns:
+        The function; ``py_func`` is the Python function.
+    """
+    if signatures and callable(signatures[0]):
+        return _wrapped(signatures[0], (), {})
+    options: dict[str, Any] = {"fastmath": _REASSOCIATE} if reassociate else {}
+    if inline:
+        options["inline"] = "always"
+    return lambda function: _wrapped(function, signatures, options)
+
+
+def _wrapped(function: Callable[..., Any], signatures: tuple[str, ...], options: dict[str, Any]) -> Any:
+    if getattr(config, "DISABLE_JIT", False):
+        return function
+    if not signatures:
+        return _Helper(function, targetoptions=_OPTIONS | options | {"no_cpython_wrapper": True})
+    entry = _EntryPoint(function, targetoptions=_OPTIONS | options)
+    entry.signatures_declared = signatures
+    return entry
+
+
+def compile_now(functions: Iterable[Callable[..., Any]]) -> None:
+    """Load compiled functions from disk, and compile those that are not there.
+
+    Of several processes that start at once one compiles and the others wait and load; what is to come is announced on
+    stderr where it takes more than two seconds.
+
+    Args:
+        functions: Functions decorated with ``compiled`` and signatures; others are ignored.
+    """
+    with _preparing:
+        waiting = [function for function in functions if isinstance(function, _EntryPoint)]
+        missing = [function for function in waiting if not _load(function)]
+        if not missing:
+            return
+        with exclusive(lambda: _say("waiting for another process that compiles the same functions")):
+            # Another process may have compiled them while this one waited.
+            missing = [function for function in missing if not _load(function)]
+            _announce(missing)
+            with _no_garbage_collection():
+                for function in missing:
+                    _prepare(function)
+
+
+@contextmanager
+def _no_garbage_collection() -> Iterator[None]:
+    """Stop looking for cycles among the many objects of a compilation, which takes an eighth of the time."""
+    running = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if running:
+            gc.enable()
+
+
+def _load(entry: _EntryPoint) -> bool:
+    """Load a function from disk; return whether all of its signatures were there."""
+    if not isinstance(entry, _EntryPoint):
+        return True  # compiled since, because another function calls it
+    cache = _cache(entry)
+    for signature in entry.signatures_declared:
+        result = cache.load_overload(signature, entry.targetctx)
+        if result is None:
+            return False
+        if result.signature.args not in entry.overloads:
+            entry.targetctx.insert_user_function(result.entry_point, result.fndesc, [result.library])
+            entry.add_overload(result)
+    _finish(entry)
+    return True
+
+
+def _prepare(entry: _EntryPoint) -> None:
+    """Compile a function, or load it where it is on disk."""
+    if not isinstance(entry, _EntryPoint) or _load(entry):
+        return
+    setattr(entry, "_cache", _cache(entry))  # noqa: B010 - Numba's own attribute, which its stubs lack
+    for signature in entry.signatures_declared:
+        entry.compile(signature)
+    _finish(entry)
+
+
+def _finish(entry: _EntryPoint) -> None:
+    entry.disable_compile()
+    object.__setattr__(entry, "__class__", _Dispatcher)
+
+
+def _cache(entry: _EntryPoint) -> DiskCache:
+    return DiskCache(entry.py_func, fingerprint(entry, entry.signatures_declared))
+
+
+def _announce(missing: list[_EntryPoint]) -> None:
+    """Print what will be compiled and about how long it takes."""
+    seconds = _SECONDS_PER_BYTE * code_size(missing)
+    if seconds > _WORTH_SAYING:
+        folder = cache_folder()
+        kept = f"once, kept in {folder}" if folder else "in every process"
+        _say(f"compiling {len(missing)} functions for this processor: about {seconds:.0f} s, {kept}")
+
+
+def _say(text: str) -> None:
+    print(f"shape_obs: {text} ...", file=sys.stderr, flush=True)

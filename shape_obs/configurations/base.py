@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -51,9 +51,6 @@ class Configuration(Spec, family="configuration"):
             deprojected pixels, and gaps are equal in metres.
         spacing: Equal gaps in the image (``"px"``) or, with depth, in space (``"m"``); ignored for a cloud.
         radius: Metres from the visible surface to the axis; 0 reports the surface.
-
-    Attributes:
-        compiled: The compiled functions that a fit may call, so that they are ready before the first frame.
     """
 
     name: str = ""
@@ -63,7 +60,6 @@ class Configuration(Spec, family="configuration"):
     lift: Lift = "points"
     spacing: Spacing = "px"
     radius: float = 0.0
-    compiled: ClassVar[tuple[Any, ...]] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -97,6 +93,11 @@ class Configuration(Spec, family="configuration"):
         else:
             return
         raise ValueError(f"shape {self.name!r}: {asked} needs depth and a camera; give both, or {instead}.")
+
+    @property
+    def compiled_functions(self) -> tuple[Any, ...]:
+        """The compiled functions that a fit may call, so that they are ready before the first frame."""
+        return ()
 
     @abstractmethod
     def fit(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, ClassVar, Final, cast
+from typing import Any, Final, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from shape_obs.geometry.topology import Chain, Topology, neighbourhoods, shrinka
 from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.region import Region
 from shape_obs.image.rope_tip import extend_chain
+from shape_obs.initialization.folding import fold_outline, unexplained_share
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.point_cloud.cloud import Cloud
 from shape_obs.tracking.occluders import uncover_ends
@@ -139,7 +140,8 @@ class Centerline(Configuration, kind="centerline"):
             nodes = cloud.extend_to_tips(run_som(samples, start, topology, sigmas))
             points = catmull_rom(nodes, 4, False)
             arc, on_object = arc_length(points), cloud.carries(points)
-            square = sample_spread(samples.points, samples.weight, points) + cloud.hidden_variance
+            spread = sample_spread(*map(np.ascontiguousarray, (samples.points, samples.weight)), points)
+            square = spread + cloud.hidden_variance
             width, area = cloud.ribbon_width, 0
         curve = FittedCurve(points, ~on_object, arc)
         if prediction is not None:
@@ -165,7 +167,12 @@ class Centerline(Configuration, kind="centerline"):
             return Points(places, np.zeros(self.n, bool))
         return Points(places, metric.interpolated_at(at))
 
-    compiled: ClassVar[tuple[Any, ...]] = ()
+    @property
+    def compiled_functions(self) -> tuple[Any, ...]:
+        """The compiled functions that a fit may call."""
+        masks = fit_chain_in_mask, _equal_chords, _at_shares, fold_outline, unexplained_share
+        clouds = arc_length, batch_epochs, catmull_rom, gather_cells, interpolate, sample_spread, undo_shrinkage
+        return masks + clouds
 
 
 def _rejection_reason(observed: Observed, width: float) -> str:
@@ -179,7 +186,7 @@ def _rejection_reason(observed: Observed, width: float) -> str:
     return ""
 
 
-@compiled
+@compiled("(i8[:,::1], i8, f8[:,::1], f8[:,:,:,::1], f8[:,:,:,:,::1], f8, u1[:,::1], i8, i8, f8, f8)")
 def fit_chain_in_mask(
     runs: Indices,
     cell: int,
@@ -218,7 +225,7 @@ def fit_chain_in_mask(
     return curve, arc_length(curve), near_mask(mask, left, top, curve, 1), sample_spread(points, weight, curve)
 
 
-@compiled
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8, b1)")
 def _equal_chords(
     points: Array, arc: Array, metric: Array, metric_arc: Array, count: int, centers: bool
 ) -> tuple[Array, Array]:
@@ -236,10 +243,13 @@ def _equal_chords(
     return interpolate(points, arc, along), at
 
 
-@compiled
+@compiled("(f8[:,::1], f8[::1], f8[::1])")
 def _at_shares(points: Array, arc: Array, shares: Array) -> Array:
     """Return the points of a curve at shares of its arc length."""
-    return interpolate(points, arc, shares * arc[-1])
+    at = np.empty(len(shares))
+    for n in range(len(shares)):
+        at[n] = shares[n] * arc[-1]
+    return interpolate(points, arc, at)
 
 
 def _hidden(found: Fit) -> float:

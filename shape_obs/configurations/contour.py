@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.clustering.som import run_ring_som, run_som
+from shape_obs.clustering.som import batch_epochs, run_ring_som, run_som
 from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.geometry.curve import FittedCurve, TrackHints
@@ -17,7 +17,7 @@ from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import SAMPLED, clockwise, material_outline, pairs
 from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, equidistant, interpolate
 from shape_obs.geometry.samples import Samples
-from shape_obs.geometry.topology import Ring, Topology
+from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.region import Region
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.registration import FORGETTING, match_outline, renumber_outline
@@ -125,7 +125,7 @@ class Contour(Configuration, kind="contour"):
             begin = outline.starting_at(float(outline.arc[nearest])).even(topology.size)
             points = catmull_rom(run_som(samples, begin, topology, (_SIGMA,)), _PIECES, True)
             size = float(arc_length(np.concatenate([points, points[:1]]))[-1])
-            miss = outline_miss(samples.points, points, size) / samples.scale
+            miss = outline_miss(np.ascontiguousarray(samples.points), points, size) / samples.scale
         return FittedCurve.through(points, np.zeros(len(points), bool), True), miss
 
     def _topology(self, observed: Observed, outline: FittedCurve) -> Ring:
@@ -165,10 +165,15 @@ class Contour(Configuration, kind="contour"):
         """Return every pixel that the outline runs through; around a cloud, points at equal distances."""
         return observed.outline_points(self.hole)
 
-    compiled: ClassVar[tuple[Any, ...]] = ()
+    @property
+    def compiled_functions(self) -> tuple[Any, ...]:
+        """The compiled functions that a fit may call."""
+        masks = fit_ring_in_mask, track_ring_in_mask, _equal_chords_around, renumber_outline, material_outline, pairs
+        clouds = arc_length, batch_epochs, catmull_rom, interpolate, outline_miss, undo_shrinkage
+        return masks + clouds
 
 
-@compiled
+@compiled("(f8[:,::1], b1, f8[::1], i8, f8, i8)")
 def fit_ring_in_mask(
     traced: Array, hole: bool, start: Array, count: int, sigma: float, pieces: int
 ) -> tuple[Array, float]:
@@ -192,7 +197,7 @@ def fit_ring_in_mask(
     return curve, ring_miss(samples, unit, curve, pieces) / SAMPLED
 
 
-@compiled
+@compiled("(f8[:,::1], b1, f8[::1], f8[:,::1], f8[:,::1], f8, i8, f8)")
 def track_ring_in_mask(
     traced: Array,
     hole: bool,
@@ -209,7 +214,7 @@ def track_ring_in_mask(
     return points, arc, nodes, blended, miss
 
 
-@compiled
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8)")
 def _equal_chords_around(points: Array, arc: Array, metric: Array, metric_arc: Array, count: int) -> Array:
     """Return ``count`` points of a closed curve with equal chords in a metric, from its first point."""
     size = len(points)

@@ -68,7 +68,7 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     readable, unit = readable_depth(depth)
     left, top = region.window[:2]
     reach = min(max(round(width / 4), 1), MAX_REACH)
-    visible, z = _visible_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE)
+    visible, z = visible_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE)
     visible &= ~interpolated
     if in_pieces and under is not None:
         # Next to what hides a piece, depth that is not the form's is not the points' either.
@@ -81,8 +81,11 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     return points.astype(np.float32), points3d.astype(np.float32), visible, valid
 
 
-@compiled
-def _visible_depth(
+@compiled(
+    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8)",
+    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8)",
+)
+def visible_depth(
     depth: npt.NDArray[Any],
     unit: float,
     mask: npt.NDArray[np.uint8],

@@ -5,21 +5,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
-from shape_obs.clustering.som import run_som
+from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.geometry.coons import FINE, coons_patch
 from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, outer_corners, sample_lattice
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import material_outline
-from shape_obs.geometry.topology import Grid
-from shape_obs.image.connected_runs import near_mask
+from shape_obs.geometry.polyline import arc_length, interpolate
+from shape_obs.geometry.topology import Grid, undo_shrinkage
+from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim, nearest_corners, rim_of
 from shape_obs.tracking.corner_matching import STRAYED, match_corners, match_corners_in_space
@@ -199,10 +200,16 @@ class Surface(Configuration, kind="surface"):
         at = _equal_gaps(metric, self.rows, self.cols, ends)
         return Points(form.at(*at), form.interpolated_at(*at))
 
-    compiled: ClassVar[tuple[Any, ...]] = ()
+    @property
+    def compiled_functions(self) -> tuple[Any, ...]:
+        """The compiled functions that a fit may call."""
+        masks = fit_patch_in_mask, _evenly, rim_of, material_outline, coons_patch, nearest_corners, match_corners
+        lattices = assess_lattice, lattice_gauges, outer_corners, sample_lattice, arc_length, interpolate
+        maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
+        return masks + lattices + maps
 
 
-@compiled
+@compiled("(f8[:,::1], u1[:,::1], i8, i8, i8[::1], f8[:,:,::1])")
 def fit_patch_in_mask(
     traced: Array, mask: npt.NDArray[np.uint8], left: int, top: int, corners: Indices, expected: Array
 ) -> tuple[Array, npt.NDArray[np.bool_], float, int, float, tuple[float, float, float, float], Array, Array, Array]:
@@ -251,7 +258,7 @@ def fit_patch_in_mask(
     return patch, on_mask, kink, corner, share, assess_lattice(lattice), down, right, nodes
 
 
-@compiled
+@compiled("(f8[:,:,::1], f8[::1], f8[::1], i8, i8, b1)")
 def _evenly(lattice: Array, down: Array, right: Array, rows: int, cols: int, centers: bool) -> Array:
     """Return what ``sample_lattice`` returns."""
     return sample_lattice(lattice, down, right, rows, cols, centers)

@@ -31,7 +31,7 @@ _LINE: Final = 6
 _PARALLEL: Final = 0.1  # squared sine of the angle between two sides that meet in no corner
 
 
-@compiled
+@compiled("(f8[:,::1], f8[::1], i8[::1], f8, f8)")
 def coons_patch(rim: Array, turn: Array, corners: Indices, step: float, grain: float) -> tuple[Array, float]:
     """Return the Coons patch between four corners of a rim, and how much the rim turns between them.
 

@@ -118,7 +118,7 @@ class FittedCurve(FittedForm):
 
     def at(self, arc: npt.ArrayLike) -> Array:
         """Return ``(N, D)`` points at ``(N,)`` arc positions; a closed curve wraps around."""
-        at = np.asarray(arc, dtype=np.float64)
+        at = np.ascontiguousarray(arc, dtype=np.float64)
         return interpolate(_polyline(self.points, self.closed), self.arc, at % self.size if self.closed else at)
 
     def even(self, count: int) -> Array:
@@ -175,4 +175,4 @@ class FittedCurve(FittedForm):
 
 
 def _polyline(points: Array, closed: bool) -> Array:
-    return np.concatenate([points, points[:1]]) if closed else points
+    return np.ascontiguousarray(np.concatenate([points, points[:1]]) if closed else points, dtype=np.float64)

@@ -44,7 +44,8 @@ class FittedLattice(FittedForm):
     @property
     def lattice(self) -> Array:
         """``(rows, cols, D)``."""
-        return self.points.reshape(self.rows, -1, self.points.shape[1])
+        lattice = self.points.reshape(self.rows, -1, self.points.shape[1])
+        return np.ascontiguousarray(lattice, dtype=np.float64)
 
     @property
     def size(self) -> float:
@@ -120,7 +121,7 @@ def _between(at: Array, count: int) -> Array:
     return np.maximum(1 - np.abs(at[:, None] - np.arange(count)), 0.0)
 
 
-@compiled(reassociate=True)
+@compiled("(f8[:,:,::1],)", reassociate=True)
 def lattice_gauges(lattice: Array) -> tuple[Array, Array]:
     """Return how far down each row lies ``(R,)`` and how far right each column ``(C,)``: mean distances, summed."""
     rows, cols, dimension = lattice.shape
@@ -146,7 +147,7 @@ def lattice_gauges(lattice: Array) -> tuple[Array, Array]:
     return down, right
 
 
-@compiled
+@compiled("(f8[:,:,::1], f8[::1], f8[::1], i8, i8, b1)")
 def sample_lattice(lattice: Array, down: Array, right: Array, rows: int, cols: int, centers: bool) -> Array:
     """Return a smaller lattice with equal gaps on the mean, bilinear in between, ``(rows*cols, D)``.
 
@@ -185,7 +186,7 @@ def _equal_gaps(gauge: Array, count: int, centers: bool) -> tuple[Indices, Array
     return before, share
 
 
-@compiled
+@compiled("(f8[:,:,::1],)")
 def outer_corners(nodes: Array) -> Array:
     """Return the corners ``(4, D)`` of a sheet, clockwise, whose pieces have their centres at ``(R, C, D)`` nodes."""
     rows, cols, dimension = nodes.shape
@@ -198,7 +199,7 @@ def outer_corners(nodes: Array) -> Array:
     return out
 
 
-@compiled
+@compiled("(f8[:,:,::1],)")
 def assess_lattice(lattice: Array) -> tuple[float, float, float, float]:
     """Return how much a lattice looks like a sheet.
 

@@ -63,7 +63,7 @@ class Outline:
 
     @cached_property
     def _material(self) -> tuple[Array, Array]:
-        return material_outline(np.ascontiguousarray(self.traced), self.hole)
+        return material_outline(np.ascontiguousarray(self.traced, dtype=np.float64), self.hole)
 
 
 def clockwise(points: Array) -> bool:
@@ -72,7 +72,7 @@ def clockwise(points: Array) -> bool:
     return bool(u[:-1] @ v[1:] >= v[:-1] @ u[1:])
 
 
-@compiled
+@compiled("(f8[:,::1], b1)")
 def material_outline(traced: Array, hole: bool) -> tuple[Array, Array]:
     """Return where the material ends, clockwise as seen: with the staircase of pixels, and without.
 
@@ -141,7 +141,7 @@ def _wrap(padded: Array) -> None:
         padded[_PAD + size + i] = padded[_PAD + i % size]
 
 
-@compiled
+@compiled("(f8[:,::1],)")
 def pairs(points: Array) -> Array:
     """Return the mean of each two points, the last alone if they are odd: ``(P, D)`` -> ``(ceil(P / 2), D)``."""
     size, dimension = points.shape

@@ -23,7 +23,7 @@ MAX_SHIFT_AROUND: Final = 1.5
 _BLOCK: Final = 250_000  # pairs of a point and a piece of a polyline in one pass: 4 MB in the plane
 
 
-@compiled
+@compiled("(f8[:,::1],)")
 def arc_length(curve: Array) -> Array:
     """Return the arc length from the first point to each point: ``(P, D)`` -> ``(P,)``."""
     arc = np.zeros(len(curve))
@@ -35,7 +35,7 @@ def arc_length(curve: Array) -> Array:
     return arc
 
 
-@compiled
+@compiled("(f8[:,::1], f8[::1], f8[::1])")
 def interpolate(curve: Array, arc: Array, at: Array) -> Array:
     """Return the points of a polyline at arc positions: ``(P, D)``, ``(P,)``, ``(N,)`` -> ``(N, D)``."""
     last, dimension = len(curve) - 1, curve.shape[1]
@@ -43,12 +43,21 @@ def interpolate(curve: Array, arc: Array, at: Array) -> Array:
     before = 0
     for n in range(len(at)):
         if at[n] <= arc[0]:
-            out[n] = curve[0]
+            for d in range(dimension):
+                out[n, d] = curve[0, d]
         elif at[n] >= arc[last]:
-            out[n] = curve[last]
+            for d in range(dimension):
+                out[n, d] = curve[last, d]
         else:
             if arc[before] > at[n] or arc[min(before + 8, last)] < at[n]:
-                before = np.searchsorted(arc, at[n]) - 1
+                low, high = 0, last  # arc[low] < at[n] <= arc[high]
+                while high - low > 1:
+                    middle = (low + high) // 2
+                    if arc[middle] < at[n]:
+                        low = middle
+                    else:
+                        high = middle
+                before = low
             while arc[before + 1] < at[n]:
                 before += 1
             gap = arc[before + 1] - arc[before]
@@ -58,7 +67,7 @@ def interpolate(curve: Array, arc: Array, at: Array) -> Array:
     return out
 
 
-@compiled
+@compiled("(f8[:,::1], i8, b1)")
 def catmull_rom(nodes: Array, subdivisions: int, closed: bool) -> Array:
     """Return a smooth curve through nodes that may be unevenly spaced.
 
@@ -107,7 +116,8 @@ def catmull_rom(nodes: Array, subdivisions: int, closed: bool) -> Array:
                     + gap[k] * (leaving * tangent[k, d] - arriving * tangent[after, d])
                 )
     if not closed:
-        out[-1] = nodes[-1]
+        for d in range(dimension):
+            out[-1, d] = nodes[-1, d]
     return out
 
 
@@ -161,6 +171,7 @@ def equidistant_positions(curve: Array, arc: Array, count: int, *, centers: bool
         centers: Whether the points lie at the middle of ``count`` equal pieces; else the first and the last lie at the
             curve's ends.
     """
+    curve = np.ascontiguousarray(curve, dtype=np.float64)
     return equidistant(curve, arc, count, arc[-1] / (2 * count) if centers else 0.0, MAX_SHIFT)
 
 
@@ -172,11 +183,11 @@ def equidistant_around(curve: Array, arc: Array, count: int) -> Array:
         arc: ``(P + 1,)`` its arc length, the last entry the whole.
         count: How many.
     """
-    around = np.concatenate([curve, curve[:1]])
+    around = np.ascontiguousarray(np.concatenate([curve, curve[:1]]), dtype=np.float64)
     return equidistant(around, arc, count + 1, 0.0, MAX_SHIFT_AROUND)[:-1]
 
 
-@compiled
+@compiled("(f8[:,::1], f8[::1], i8, f8, f8)")
 def equidistant(curve: Array, arc: Array, count: int, margin: float, max_shift: float) -> Array:
     """Return the arc positions of ``count`` points with equal chords, ``margin`` away from both ends.
 
@@ -185,7 +196,9 @@ def equidistant(curve: Array, arc: Array, count: int, margin: float, max_shift: 
     even = np.empty(count)
     for n in range(count):
         even[n] = margin + (arc[-1] - 2 * margin) * (n / (count - 1))
-    at = even.copy()
+    at = np.empty(count)
+    for n in range(count):
+        at[n] = even[n]
     shift = max_shift * (even[1] - even[0])
     share = np.empty(count)
     for _ in range(_EQUALISING_PASSES):

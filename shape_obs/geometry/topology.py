@@ -186,7 +186,7 @@ def shrinkage(sigma: float) -> float:
     return 1 / 24 + h / (1 + 2 * h)
 
 
-@compiled
+@compiled("(f8[:,::1], f8, b1)")
 def undo_shrinkage(nodes: Array, share: float, closed: bool) -> Array:
     """Move the nodes ``(K, D)`` of a line, K >= 3, against their bend, by a share of their second difference.
 
@@ -220,4 +220,4 @@ def neighbourhoods(topology: Topology, sigmas: tuple[float, ...]) -> Neighbourho
     weight = np.exp(-0.5 * np.sum(offsets**2, axis=0) / width**2)
     basis = np.concatenate([np.ones((1, *weight.shape[1:])), offsets])
     first = weight[:, None] * basis
-    return Neighbourhoods(first, first[:, :, None] * basis)
+    return Neighbourhoods(np.ascontiguousarray(first), np.ascontiguousarray(first[:, :, None] * basis))

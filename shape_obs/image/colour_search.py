@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.image.connected_runs import label_runs, runs_of_bits
+from shape_obs.image.connected_runs import label_runs, largest_first, runs_of_bits
 from shape_obs.image.roi import Window
 
 Indices = npt.NDArray[np.int64]
@@ -95,7 +95,7 @@ def _flat(rgb: npt.NDArray[np.uint8], window: Window) -> tuple[npt.NDArray[np.ui
     return flat, origin, pitch
 
 
-@compiled
+@compiled("(Array(u1, 1, 'C', readonly=True), i8, i8, i8, i8, Array(u8, 1, 'C', readonly=True))")
 def look_up(flat: Any, origin: int, pitch: int, width: int, height: int, table: Any) -> Mask:
     """Look up the colours of a window whose first pixel stands at ``origin``."""
     out = np.empty((height, width), np.uint8)
@@ -107,7 +107,7 @@ def look_up(flat: Any, origin: int, pitch: int, width: int, height: int, table: 
     return out
 
 
-@compiled
+@compiled("(Array(u1, 1, 'C', readonly=True), i8, i8, i8, i8, i8, i8, Array(u8, 1, 'C', readonly=True), i8, i8, f8)")
 def find_on_lattice(
     flat: Any,
     origin: int,
@@ -150,9 +150,12 @@ def _read_near_hits(
     """Read cells of 8 x 8 pixels that hold a lattice pixel in the table, and from there on where pixels touch."""
     west, north, across, down = left & ~7, top & ~7, words.shape[1], (bottom - (top & ~7) + 7) >> 3
     stride = across + 2  # cells around the window count as seen
-    seen = np.ones((down + 2) * stride, np.uint8)
+    seen = np.empty((down + 2) * stride, np.uint8)
+    for cell in range(len(seen)):
+        seen[cell] = 1
     for row in range(1, down + 1):
-        seen[row * stride + 1 : row * stride + 1 + across] = 0
+        for cell in range(row * stride + 1, row * stride + 1 + across):
+            seen[cell] = 0
     stack, rows = np.empty(across * down, np.int64), np.empty(8, np.uint64)
     for v in range(top + (step // 2 - top) % step, bottom, step):
         line, start = (((v - north) >> 3) + 1) * stride + 1, origin + v * pitch
@@ -207,9 +210,9 @@ def _plausible(runs: Indices, step: int, min_area: int, min_share: float, left: 
         areas[label[at]] += stop - start
         if row % step == step // 2 and start + (_shift(row, step) - start) % step < stop:
             met[label[at]] = 1
-    areas *= met
     largest = 0
     for piece in range(count):
+        areas[piece] *= met[piece]
         largest = max(largest, areas[piece])
     floor = max(float(max(min_area, 1)), min_share * largest)
     held, first, last = 0, 0, 0
@@ -220,11 +223,12 @@ def _plausible(runs: Indices, step: int, min_area: int, min_share: float, left: 
             first, last = min(first, start) if held else start, max(last, stop)
             held += 1
         else:
-            mask[row - top, start - left : stop - left] = 0
+            for column in range(start - left, stop - left):
+                mask[row - top, column] = 0
     box = (left, top, 0, 0)
     if held:
         box = (first, runs[0, 0], last - first, runs[held - 1, 0] - runs[0, 0] + 1)
-    return runs[:held], -np.sort(-areas[areas >= floor]), box
+    return runs[:held], largest_first(areas, floor), box
 
 
 @compiled(inline=True)

@@ -27,7 +27,7 @@ _PLACE[[(int(_SEQUENCE) << k & (2**64 - 1)) >> 58 for k in range(64)]] = np.aran
 _U = np.uint64  # unsigned indices are not checked for being negative
 
 
-@compiled
+@compiled("(u1[:,::1], i8, i8, f8, f8)")
 def find_components(
     mask: Mask, left: int, top: int, min_area: float, min_share: float
 ) -> tuple[Indices, Indices, tuple[int, int, int, int], bool]:
@@ -51,7 +51,10 @@ def find_components(
         areas[label[at]] += runs[at, 2] - runs[at, 1]
     if count == 0:
         return runs, areas, (left, top, 0, 0), False
-    floor = max(float(min_area), min_share * areas.max())
+    largest = 0
+    for piece in range(count):
+        largest = max(largest, areas[piece])
+    floor = max(float(min_area), min_share * largest)
     held, first, last = 0, runs[0, 1], 0
     for at in range(len(runs)):
         if areas[label[at]] >= floor:
@@ -63,8 +66,23 @@ def find_components(
     box = (left, top, 0, 0)
     if held:
         box = (first, runs[0, 0], last - first, runs[held - 1, 0] - runs[0, 0] + 1)
-    kept = -np.sort(-areas[areas >= floor])
+    kept = largest_first(areas, floor)
     return runs[:held], kept, box, len(kept) < count
+
+
+@compiled
+def largest_first(areas: Indices, floor: float) -> Indices:
+    """Return the areas of at least ``floor``, the largest first."""
+    kept, count = np.empty(len(areas), np.int64), 0
+    for area in areas:
+        if area >= floor:
+            at = count
+            while at > 0 and kept[at - 1] < area:
+                kept[at] = kept[at - 1]
+                at -= 1
+            kept[at] = area
+            count += 1
+    return kept[:count]
 
 
 @compiled
@@ -82,7 +100,9 @@ def _runs(mask: Mask, left: int, top: int) -> Indices:
     for row in range(height):
         if count + width // 2 + 2 > len(found):
             larger = np.empty((2 * len(found) + width, 3), np.int64)
-            larger[:count] = found[:count]
+            for run in range(count):
+                for k in range(3):
+                    larger[run, k] = found[run, k]
             found = larger
         column, inside = 0, False
         while column < width:
@@ -111,14 +131,16 @@ def _runs(mask: Mask, left: int, top: int) -> Indices:
         if inside:
             found[count, 2] = width + left
             count += 1
-    return found[:count].copy()
+    return found[:count]
 
 
 @compiled
 def label_runs(runs: Indices) -> tuple[Indices, int]:
     """Return the component of each run, ``(R,)``, and how many there are: union-find over neighbouring rows."""
     count = len(runs)
-    parent = np.arange(count)
+    parent = np.empty(count, np.int64)
+    for at in range(count):
+        parent[at] = at
     above = 0  # the first run of the row above that can still touch
     for at in range(count):
         row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
@@ -152,7 +174,7 @@ def _root(parent: Indices, at: int) -> int:
     return at
 
 
-@compiled
+@compiled("(i8[:,::1], i8)")
 def gather_cells(runs: Indices, size: int) -> tuple[Array, Array]:
     """Gather the pixels of ``(R, 3)`` runs into squares of an edge: ``(M, 2)`` centroids, ``(M,)`` counts.
 
@@ -197,7 +219,7 @@ def gather_cells(runs: Indices, size: int) -> tuple[Array, Array]:
     return points, weight
 
 
-@compiled
+@compiled("(u1[:,::1], i8, i8, f8[:,::1], i8)")
 def near_mask(mask: Mask, left: int, top: int, points: Array, reach: int) -> npt.NDArray[np.bool_]:
     """Return whether a mask has a pixel at most ``reach`` from each of ``(N, 2)`` image points: ``(N,)``."""
     height, width = mask.shape
@@ -229,7 +251,9 @@ def runs_of_bits(bits: Any, west: int, top: int) -> Indices:
     for row in range(height):
         if count + 32 * width + 1 > len(found):
             larger = np.empty((2 * len(found) + 32 * width, 3), np.int64)
-            larger[:count] = found[:count]
+            for run in range(count):
+                for k in range(3):
+                    larger[run, k] = found[run, k]
             found = larger
         before = _U(0)
         for column in range(width):

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from shape_obs.frame import Frame
 from shape_obs.image.colour_search import find_by_colour, find_on_lattice, look_up, table_mask
 from shape_obs.image.colour_table import colour_table
-from shape_obs.image.connected_runs import find_components, gather_cells, near_mask
-from shape_obs.image.region import Region
+from shape_obs.image.connected_runs import find_components, near_mask
+from shape_obs.image.region import Region, trace_component
 from shape_obs.image.roi import ROI, Window
 from shape_obs.image.segmentation import ColourRule, Segmentation, need
 
@@ -60,6 +60,8 @@ def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_
     Returns:
         The region; without components when nothing is left.
     """
+    if mask.dtype != np.uint8:
+        mask = (mask != 0).view(np.uint8)
     if not (mask.flags.c_contiguous and mask.flags.writeable):
         mask = mask.copy()  # compiled code distinguishes such arrays
     runs, areas, box, dropped = find_components(mask, window.left, window.top, min_area, min_share)
@@ -84,7 +86,6 @@ def is_tabulated(rule: Segmentation | None) -> TypeGuard[ColourRule]:
 
 def prepare(rules: Iterable[Segmentation | None]) -> list[Callable[..., Any]]:
     """Build the tables of colour rules, and return the compiled functions that any region needs."""
-    for rule in rules:
-        if is_tabulated(rule):
-            colour_table(rule)
-    return [find_components, gather_cells, near_mask, look_up, find_on_lattice]
+    tabulated = [colour_table(rule) for rule in rules if is_tabulated(rule)]
+    colours = [look_up, find_on_lattice] if tabulated else []
+    return [find_components, near_mask, trace_component, *colours]

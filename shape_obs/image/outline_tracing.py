@@ -88,7 +88,7 @@ def follow_border(mask: Mask, column: int, row: int, left: int, top: int) -> tup
             break
         if way == 4:  # a pixel on its own
             found[0, 0], found[0, 1] = column + left, row + top
-            return found[:1].copy(), 0.0
+            return found[:1], 0.0
     while True:
         if count == len(found):
             larger = np.empty((2 * count, 2))
@@ -105,6 +105,6 @@ def follow_border(mask: Mask, column: int, row: int, left: int, top: int) -> tup
                 break
         length += math.sqrt(2.0) if way % 2 else 1.0
         if next_u == column and next_v == row and u == last_u and v == last_v:
-            return found[:count].copy(), length
+            return found[:count], length
         u, v = next_u, next_v
         way = (way + 4) % 8

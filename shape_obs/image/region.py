@@ -80,7 +80,7 @@ class Region:
         if not self.areas:
             return ()
         if self.pieces == 1:
-            outline, length = _trace(self.mask, self.runs, self.window.left, self.window.top)
+            outline, length = trace_component(self.mask, self.runs, self.window.left, self.window.top)
             if len(outline):
                 return (_component(self.area, outline, length, 0.0),)
         left, top = self.box.left - self.window.left, self.box.top - self.window.top
@@ -215,15 +215,19 @@ class Region:
 
     def carries(self, points: Array) -> npt.NDArray[np.bool_]:
         """Return whether the mask has ``(N, 2)`` pixels, or a neighbour of theirs: ``(N,)`` bool."""
+        points = np.ascontiguousarray(points, dtype=np.float64)
         return near_mask(self.mask, self.window.left, self.window.top, points, 1)
 
     def contains(self, points: Array) -> npt.NDArray[np.bool_]:
         """Return whether the mask has ``(N, 2)`` pixels: ``(N,)`` bool."""
+        points = np.ascontiguousarray(points, dtype=np.float64)
         return near_mask(self.mask, self.window.left, self.window.top, points, 0)
 
 
-@compiled
-def _trace(mask: npt.NDArray[np.uint8], runs: npt.NDArray[np.int64], left: int, top: int) -> tuple[Array, float]:
+@compiled("(u1[:,::1], i8[:,::1], i8, i8)")
+def trace_component(
+    mask: npt.NDArray[np.uint8], runs: npt.NDArray[np.int64], left: int, top: int
+) -> tuple[Array, float]:
     """Return what ``trace_outline`` returns."""
     return trace_outline(mask, runs, left, top)
 

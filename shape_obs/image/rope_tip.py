@@ -32,7 +32,7 @@ LAST_REST: Final = 0.5
 SHORTEST: Final = 1 / 12
 
 
-@compiled
+@compiled("(f8[:,::1], u1[:,::1], i8, i8, f8, f8)")
 def extend_chain(nodes: Array, mask: Mask, left: int, top: int, width: float, thinnest: float) -> Array:
     """Cut a chain of nodes where it hangs over the ends of a mask, and lengthen it to the tips of the rope.
 
@@ -52,24 +52,26 @@ def extend_chain(nodes: Array, mask: Mask, left: int, top: int, width: float, th
     """
     width = max(width, thinnest)
     on = near_mask(mask, left, top, nodes, 1)
-    first, last = 0, len(on) - 1
-    while first <= last and not on[first]:
-        first += 1
-    while last > first and not on[last]:
-        last -= 1
-    if last - first >= 2:
-        nodes = nodes[first : last + 1]
-    head = _march(mask, left, top, nodes[:3].copy(), width, thinnest)
-    tail = _march(mask, left, top, nodes[:-4:-1].copy(), width, thinnest)
-    size = len(head) + len(nodes) + len(tail)
-    out = np.empty((size, 2))
+    begin, end = 0, len(nodes)
+    while begin < end and not on[begin]:
+        begin += 1
+    while end > begin + 1 and not on[end - 1]:
+        end -= 1
+    if end - begin < 3:
+        begin, end = 0, len(nodes)
+    first, last = np.empty((3, 2)), np.empty((3, 2))
+    for k in range(3):
+        for d in range(2):
+            first[k, d], last[k, d] = nodes[begin + k, d], nodes[end - 1 - k, d]
+    head, tail = _march(mask, left, top, first, width, thinnest), _march(mask, left, top, last, width, thinnest)
+    out = np.empty((len(head) + end - begin + len(tail), 2))
     for d in range(2):
         for k in range(len(head)):
-            out[k, d] = head[len(head) - 1 - k, d]
-        for k in range(len(nodes)):
-            out[len(head) + k, d] = nodes[k, d]
+            out[len(head) - 1 - k, d] = head[k, d]
+        for k in range(begin, end):
+            out[len(head) + k - begin, d] = nodes[k, d]
         for k in range(len(tail)):
-            out[len(head) + len(nodes) + k, d] = tail[k, d]
+            out[len(head) + end - begin + k, d] = tail[k, d]
     return out
 
 
@@ -116,7 +118,7 @@ def _march(mask: Mask, left: int, top: int, start: Array, width: float, thinnest
         steps += 1
     rest = max(rest, SHORTEST * thinnest)
     path[steps, 0], path[steps, 1] = u + left + hx * rest, v + top + hy * rest
-    return path[: steps + 1].copy()
+    return path[: steps + 1]
 
 
 @compiled

@@ -55,12 +55,12 @@ class Rim:
     @classmethod
     def along(cls, outline: Array, flat: Array) -> Rim:
         """Build the rim of a closed outline ``(P, D)`` and of the same unrolled ``(P, 2)``, no point repeated."""
-        even, turn, candidates, step, grain = rim_of(flat)
+        even, turn, candidates, step, grain = rim_of(np.ascontiguousarray(flat, dtype=np.float64))
         if outline is flat:
             return cls(even, even, turn, candidates, step, grain)
-        arc = arc_length(np.concatenate([flat, flat[:1]]))
+        arc = arc_length(np.ascontiguousarray(np.concatenate([flat, flat[:1]])))
         at = np.arange(RIM) * (arc[-1] / RIM)
-        points = interpolate(np.concatenate([outline, outline[:1]]), arc, at)
+        points = interpolate(np.ascontiguousarray(np.concatenate([outline, outline[:1]])), arc, at)
         return cls(points, even, turn, candidates, step, grain)
 
     def corners(self) -> Indices | None:
@@ -108,7 +108,7 @@ def _fours(count: int) -> Indices:
     return np.array(list(combinations(range(count), 4)), dtype=np.int64)
 
 
-@compiled
+@compiled("(f8[:,::1],)")
 def rim_of(outline: Array) -> tuple[Array, Array, Indices, float, float]:
     """Return a clockwise outline ``(P, 2)`` as the rim of a sheet.
 
@@ -168,10 +168,10 @@ def _candidates(turn: Array) -> Indices:
         for q in range(least, count - 1):
             peaks[q] = peaks[q + 1]
         count -= 1
-    return peaks[:count].copy()
+    return peaks[:count]
 
 
-@compiled
+@compiled("(f8[:,::1], i8[::1], f8, f8[:,::1])")
 def nearest_corners(rim: Array, candidates: Indices, step: float, expected: Array) -> Indices:
     """Return the candidate nearest to each place, or the rim's nearest point if there is none.
 

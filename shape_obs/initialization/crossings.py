@@ -138,7 +138,7 @@ def _smooth(branch: Branch, width: float) -> Branch:
 
 def _trim(branch: Branch, free_start: bool, free_end: bool, width: float) -> Array:
     """The part of a branch that is clear of the zones at its ends: there the skeleton runs between strands."""
-    arc = arc_length(branch.points)
+    arc = arc_length(np.ascontiguousarray(branch.points))
     length = arc[-1]
     start = _CUT * width if free_start else float(branch.radius[0])
     end = _CUT * width if free_end else float(branch.radius[-1])

@@ -24,7 +24,7 @@ _SHARP_BENDS: Final = 8  # bends that are tried as tips
 _NEAR: Final = 3  # places
 
 
-@compiled
+@compiled("(f8[:,::1], f8)")
 def fold_outline(outline: Array, width: float) -> Array:
     """Return the centreline of a ribbon, by folding its outline about its tips.
 
@@ -36,19 +36,27 @@ def fold_outline(outline: Array, width: float) -> Array:
         ``(96, 2)`` centreline from tip to tip, equidistant along the outline, in no particular direction.
     """
     closed = np.empty((len(outline) + 1, 2))
-    closed[:-1], closed[-1] = outline, outline[0]
+    for p in range(len(closed)):
+        for d in range(2):
+            closed[p, d] = outline[p % len(outline), d]
     arc = arc_length(closed)
     perimeter = arc[-1]
     if perimeter == 0:  # a single pixel
-        return np.ones((_SIDE_POINTS, 1)) * outline[:1]
-    even = interpolate(closed, arc, np.arange(_N) * (perimeter / _N))
+        pixel = np.empty((_SIDE_POINTS, 2))
+        for s in range(_SIDE_POINTS):
+            pixel[s, 0], pixel[s, 1] = outline[0, 0], outline[0, 1]
+        return pixel
+    steps = np.empty(_N)
+    for i in range(_N):
+        steps[i] = i * (perimeter / _N)
+    even = interpolate(closed, arc, steps)
     tips = np.empty(2 + _SHARP_BENDS)
     tips[0] = _half_fold(even)
     tips[1] = tips[0] + _N / 2
-    tips = np.unique(tips[: _sharp_bends(even, width * _N / perimeter, tips, 2)] % _N)
+    known = _different(tips, _sharp_bends(even, width * _N / perimeter, tips, 2))
     best, least = (0, 1), np.inf
-    for i in range(len(tips)):
-        for j in range(i + 1, len(tips)):
+    for i in range(known):
+        for j in range(i + 1, known):
             apart = 0.0
             for s in range(_SIDE_PROBES):
                 share = s / (_SIDE_PROBES - 1)
@@ -63,10 +71,32 @@ def fold_outline(outline: Array, width: float) -> Array:
         share = s / (_SIDE_POINTS - 1)
         left[s] = (first + share * (second - first)) % _N * step
         right[s] = (first - share * (_N - second + first)) % _N * step
-    return (interpolate(closed, arc, left) + interpolate(closed, arc, right)) / 2
+    middle, other = interpolate(closed, arc, left), interpolate(closed, arc, right)
+    for s in range(_SIDE_POINTS):
+        for d in range(2):
+            middle[s, d] = (middle[s, d] + other[s, d]) / 2
+    return middle
 
 
 @compiled
+def _different(tips: Array, count: int) -> int:
+    """Sort ``count`` places around the outline in place, drop duplicates, and return how many are left."""
+    known = 0
+    for i in range(count):
+        tip = tips[i] % _N
+        at = known
+        while at > 0 and tips[at - 1] > tip:
+            at -= 1
+        if at > 0 and tips[at - 1] == tip:
+            continue
+        for j in range(known, at, -1):
+            tips[j] = tips[j - 1]
+        tips[at] = tip
+        known += 1
+    return known
+
+
+@compiled("(f8[:,::1], f8[:,::1], f8)")
 def unexplained_share(outline: Array, curve: Array, reach: float) -> float:
     """Return the share of every other point of a ribbon's outline ``(P, 2)`` that lies far from a curve ``(S, 2)``.
 
@@ -92,11 +122,20 @@ def unexplained_share(outline: Array, curve: Array, reach: float) -> float:
 @compiled
 def _half_fold(even: Array) -> float:
     """Return half of the best k of the fold i -> k - i, one of its fixed points. Every other place finds its region."""
-    x, y = even[:, 0] - even[:, 0].mean(), even[:, 1] - even[:, 1].mean()
+    x, y, mean_x, mean_y = np.empty(_N), np.empty(_N), 0.0, 0.0
+    for i in range(_N):
+        mean_x += even[i, 0] / _N
+        mean_y += even[i, 1] / _N
+    for i in range(_N):
+        x[i], y[i] = even[i, 0] - mean_x, even[i, 1] - mean_y
     back_x, back_y = np.empty(2 * _N), np.empty(2 * _N)
     for i in range(2 * _N):
         back_x[i], back_y[i] = x[-i % _N], y[-i % _N]
-    half_x, half_y, half_back_x, half_back_y = x[::2].copy(), y[::2].copy(), back_x[::2].copy(), back_y[::2].copy()
+    half_x, half_y, half_back_x, half_back_y = np.empty(_N // 2), np.empty(_N // 2), np.empty(_N), np.empty(_N)
+    for i in range(_N // 2):
+        half_x[i], half_y[i] = x[2 * i], y[2 * i]
+    for i in range(_N):
+        half_back_x[i], half_back_y[i] = back_x[2 * i], back_y[2 * i]
     near, most = 0, -np.inf
     for k in range(_N // 2):
         overlap = _overlap(half_x, half_y, half_back_x, half_back_y, k)
@@ -138,7 +177,9 @@ def _sharp_bends(even: Array, width: float, tips: Array, known: int) -> int:
         within[i] = abs(total)
         total += turn[(i + reach + 1) % _N] - turn[(i - reach) % _N]
     for _ in range(_SHARP_BENDS):
-        peak = np.argmax(within)
+        peak = 0
+        for i in range(1, _N):
+            peak = i if within[i] > within[peak] else peak
         if within[peak] <= 0:
             break
         tips[known] = peak

@@ -83,6 +83,7 @@ def bridge(pieces: list[Array], width: float) -> Bridged:
 
 def _cut(piece: Array, width: float, *, start: bool = True, end: bool = True) -> Array:
     """A piece without its ragged ends."""
+    piece = np.ascontiguousarray(piece)
     arc = arc_length(piece)
     cut = min(_RAGGED * width, 0.3 * float(arc[-1]))
     low, high = cut * start, arc[-1] - cut * end
@@ -172,7 +173,7 @@ def lead(curve: Array, reach: float) -> Lead:
     step = np.diff(curve, axis=0)
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
     reach = min(reach, arc[-1])
-    start, middle, end = interpolate(curve, arc, np.array([0.0, reach / 2, reach]))
+    start, middle, end = interpolate(np.ascontiguousarray(curve), arc, np.array([0.0, reach / 2, reach]))
     return Lead(middle, unit(end - start))
 
 

@@ -208,7 +208,7 @@ def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, 
     is_steep = branch.length < _NODE * width or (branch.length < _SHORT * width and _ONE <= thinnest < _TWO_FOR_SURE)
     if is_neck or is_steep:
         return None
-    arc = arc_length(branch.points)
+    arc = arc_length(np.ascontiguousarray(branch.points))
     near, far = np.searchsorted(arc, (min(width, arc[-1]), max(arc[-1] - width, 0.0)))
     behind = np.mean([leads[arm].point for arm in starts], axis=0)
     ahead = np.mean([leads[arm].point for arm in ends], axis=0)
@@ -235,7 +235,7 @@ def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], float, s
 
     With it the smallest radius over the width, and why the sides may be wrong, or nothing.
     """
-    arc = arc_length(branch.points)
+    arc = arc_length(np.ascontiguousarray(branch.points))
     steps = round(_JITTER * width * (len(arc) - 1) / max(float(arc[-1]), 1e-9))
     relative = maximum_filter1d(branch.radius, 2 * steps + 1) / width
     side = np.ones(len(arc), np.intp)

@@ -148,7 +148,7 @@ def _without(region: Region, ribbons: list[Component]) -> tuple[npt.NDArray[np.u
 
 def _explained(strands: Strands) -> list[int]:
     """The strands that are the rope: without the short ones that end on another, a tenth of all at most."""
-    length = [float(arc_length(curve)[-1]) for curve in strands.curves]
+    length = [float(arc_length(np.ascontiguousarray(curve))[-1]) for curve in strands.curves]
     spare = _UNEXPLAINED * sum(length)
     kept = list(range(len(length)))
     for i in sorted(kept, key=lambda i: length[i]):
@@ -183,6 +183,7 @@ def _doubted(curve: Array, doubt: str) -> Trace:
 
 def _even(curve: Array, bridged: npt.NDArray[np.bool_], width: float) -> tuple[Array, npt.NDArray[np.bool_]]:
     """The curve at even steps, and which of its points lie in gaps."""
+    curve = np.ascontiguousarray(curve)
     arc = arc_length(curve)
     at = np.linspace(0.0, arc[-1], int(np.clip(round(arc[-1] / (_SPACING * width)), *_POINTS)))
     nearest = np.clip(np.searchsorted(arc, at), 1, len(arc) - 1)

@@ -204,12 +204,12 @@ def _bridge(before: Array, after: Array, width: float) -> tuple[float, float]:
 
 def _inside(curve: Array, width: float) -> Array:
     """The point of a curve a few widths from its start."""
-    return curve[min(int(np.searchsorted(arc_length(curve), _REACH * width)), len(curve) - 1)]
+    return curve[min(int(np.searchsorted(arc_length(np.ascontiguousarray(curve)), _REACH * width)), len(curve) - 1)]
 
 
 def _within(axis: Array, gaps: Sequence[tuple[Array, Array]]) -> Mask:
     """Which of evenly spread points of an axis lie in a gap, given by the axis' points at both its sides."""
-    arc = arc_length(axis)
+    arc = arc_length(np.ascontiguousarray(axis))
     at = np.linspace(0, arc[-1], _POINTS)
     inside = np.zeros(_POINTS, bool)
     for ends in gaps:

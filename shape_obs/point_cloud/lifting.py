@@ -42,6 +42,7 @@ def local_depth(points: Array, depth: npt.NDArray[Any], region: Region, width: f
     readable, unit = readable_depth(depth)
     left, top = region.window[:2]
     reach = min(max(round(width / 4), 1), MAX_REACH)
+    points = np.ascontiguousarray(points, dtype=np.float64)
     return median_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE)
 
 
@@ -102,7 +103,10 @@ def overlaid(curve: FittedCurve, metres: Array, width: float) -> npt.NDArray[np.
     return over
 
 
-@compiled
+@compiled(
+    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8)",
+    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8)",
+)
 def median_depth(
     depth: npt.NDArray[Any],
     unit: float,
@@ -116,7 +120,7 @@ def median_depth(
     """Return the median depth of the mask around each point.
 
     Args:
-        depth: ``(H, W)`` uint16, float32 or float64; 0, negative, non-finite or absurd = invalid.
+        depth: ``(H, W)`` read-only, uint16 or float32; 0, negative, non-finite or absurd = invalid.
         unit: Metres in a unit of depth.
         mask: ``(h, w)`` uint8, C-contiguous.
         left: Image column of its first pixel.
@@ -129,8 +133,9 @@ def median_depth(
         ``(N,)`` metres, NaN where too few have.
     """
     height, width = mask.shape
-    out, near = np.full(len(points), np.nan), np.empty((2 * reach + 1) ** 2)
+    out, near = np.empty(len(points)), np.empty((2 * reach + 1) ** 2)
     for n in range(len(points)):
+        out[n] = np.nan
         column, row = nearest_pixel(points[n, 0]) - left, nearest_pixel(points[n, 1]) - top
         inside = known = 0
         for v in range(max(row - reach, 0), min(row + reach + 1, height)):

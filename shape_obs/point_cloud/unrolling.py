@@ -189,7 +189,7 @@ def border(flat: Array) -> Array:
     # Through the centres of the outermost pixels: half a fine pixel inside of the level.
     contour = max(found, key=cv2.contourArea).reshape(-1, 2).astype(np.float64)
     placed = ((contour + 0.5) / _FINER - margin) * pixel + low
-    closed = np.concatenate([placed, placed[:1]])
+    closed = np.ascontiguousarray(np.concatenate([placed, placed[:1]]))
     arc = arc_length(closed)
     even = interpolate(closed, arc, np.arange(_POINTS) * (arc[-1] / _POINTS))
     even = gaussian_filter1d(even, _SMOOTH, axis=0, mode="wrap")

@@ -43,7 +43,7 @@ def _astray(expected: Array, found: Array, corner: int) -> float:
     return float(np.linalg.norm((expected[corner] - before) @ turn + after - found[corner]))
 
 
-@compiled
+@compiled("(f8[:,::1], f8[:,::1])")
 def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
     """Return how a sheet's corners are numbered, and which one lies farthest from where the other three put it.
 
@@ -69,12 +69,13 @@ def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
     for k in range(4):
         past[k] = complex(expected[k, 0], expected[k, 1])
         here[k] = complex(corners[(k + quarters) % 4, 0], corners[(k + quarters) % 4, 1])
-    middle, reach = here.sum() / 4, 1e-9
+    past_sum, here_sum = past[0] + past[1] + past[2] + past[3], here[0] + here[1] + here[2] + here[3]
+    middle, reach = here_sum / 4, 1e-9
     for k in range(4):
         reach = max(reach, abs(here[k] - middle))
     worst, most = 0, -1.0
     for k in range(4):
-        before, after = (past.sum() - past[k]) / 3, (here.sum() - here[k]) / 3
+        before, after = (past_sum - past[k]) / 3, (here_sum - here[k]) / 3
         product, spread = 0j, 0.0
         for j in range(4):
             if j != k:

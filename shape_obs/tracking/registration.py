@@ -60,7 +60,7 @@ def match_outline(curve: FittedCurve, prediction: Prediction) -> tuple[FittedCur
     return replace(turned, hints=TrackHints(reference=_blend_space(reference, nodes, FORGETTING))), nodes
 
 
-@compiled
+@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8)")
 def renumber_outline(
     points: Array, reference: Array, predicted: Array, share: float
 ) -> tuple[Array, Array, Array, Array]:
@@ -83,7 +83,9 @@ def renumber_outline(
     same = 1e-9 * whole
     if start + same >= whole:
         start = 0.0
-    after = np.searchsorted(arc, start + same)
+    after = 1
+    while after < size and arc[after] < start + same:
+        after += 1
     here = start - arc[after - 1] <= same  # the point is there already
     turned = np.empty((size if here else size + 1, 2))
     gap = max(arc[after] - arc[after - 1], same)
@@ -122,10 +124,17 @@ def index_shift(reference: Array, predicted: Array, found: Array) -> float:
             real[s] += shape[0, h] * _COS[h, s] + shape[1, h] * _SIN[h, s]
             imaginary[s] += shape[2, h] * _COS[h, s] + shape[3, h] * _SIN[h, s]
             still[s] += place[0, h] * _COS[h, s] + place[1, h] * _SIN[h, s]
-    turned = np.sqrt(real * real + imaginary * imaginary)
-    flat = _FLAT / (1 + (turned.max() - turned.min()) / _FLAT)
-    score = turned + flat * still
-    at = np.argmax(turned + _TURNING * still)
+    turned, score, least, most = np.empty(_SHIFTS), np.empty(_SHIFTS), np.inf, 0.0
+    for s in range(_SHIFTS):
+        turned[s] = math.sqrt(real[s] * real[s] + imaginary[s] * imaginary[s])
+        least, most = min(least, turned[s]), max(most, turned[s])
+    flat = _FLAT / (1 + (most - least) / _FLAT)
+    at, best = 0, -np.inf
+    for s in range(_SHIFTS):
+        score[s] = turned[s] + flat * still[s]
+        match = turned[s] + _TURNING * still[s]
+        if match > best:
+            at, best = s, match
     while True:
         before, after = at - 1 if at else _SHIFTS - 1, at + 1 if at < _SHIFTS - 1 else 0
         if max(score[before], score[after]) <= score[at]:
@@ -180,8 +189,9 @@ def _waves(points: Array, base_cos: Array, base_sin: Array) -> Array:
         base_sin: ``(K,)`` its sine.
     """
     count = len(points)
-    u, v = points[:, 0].copy(), points[:, 1].copy()
-    cos, sin = base_cos.copy(), base_sin.copy()
+    u, v, cos, sin = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    for k in range(count):
+        u[k], v[k], cos[k], sin[k] = points[k, 0], points[k, 1], base_cos[k], base_sin[k]
     out = np.empty((4, _HARMONICS))
     for h in range(_HARMONICS):
         u_cos = u_sin = v_cos = v_sin = 0.0
@@ -217,7 +227,11 @@ def _spectrum(before: Array, after: Array) -> Array:
         second += 2 * (e * e + f * f + g * g + i * i)
         out[0, h], out[1, h] = ahead.real + back.real, back.imag - ahead.imag
         out[2, h], out[3, h] = ahead.imag + back.imag, ahead.real - back.real
-    return out / max(math.sqrt(first * second), 1e-12)
+    scale = max(math.sqrt(first * second), 1e-12)
+    for k in range(4):
+        for h in range(_HARMONICS):
+            out[k, h] /= scale
+    return out
 
 
 @compiled

@@ -162,7 +162,7 @@ def validate_sheet(
     return FitQuality("", shares**0.5)
 
 
-@compiled
+@compiled("(f8[:,::1], f8[::1], f8[:,::1])")
 def sample_spread(points: Array, weight: Array, curve: Array) -> float:
     """Return the mean square distance of ``(M, D)`` weighted points from the tangents of a curve ``(P, D)``.
 
@@ -170,8 +170,12 @@ def sample_spread(points: Array, weight: Array, curve: Array) -> float:
     """
     size, dimension = curve.shape
     step = -(-len(points) // _JUDGED)
-    points, weight = points[::step].copy(), weight[::step]
-    nearest = best_matching_units(points, curve)
+    count = (len(points) + step - 1) // step
+    some = np.empty((count, dimension))
+    for m in range(count):
+        for d in range(dimension):
+            some[m, d] = points[m * step, d]
+    nearest = best_matching_units(some, curve)
     tangent, reach = np.empty((size, dimension)), np.empty(size)
     for p in range(size):
         before, after = max(p - 1, 0), min(p + 1, size - 1)
@@ -180,22 +184,23 @@ def sample_spread(points: Array, weight: Array, curve: Array) -> float:
             tangent[p, d] = (curve[after, d] - curve[before, d]) / (after - before)
             square += tangent[p, d] ** 2
         reach[p] = np.sqrt(square)
-        tangent[p] /= max(reach[p], 1e-9)
+        for d in range(dimension):
+            tangent[p, d] /= max(reach[p], 1e-9)
     total = whole = 0.0
-    for m in range(len(points)):
+    for m in range(count):
         p = nearest[m]
         along = square = 0.0
         for d in range(dimension):
-            offset = points[m, d] - curve[p, d]
+            offset = some[m, d] - curve[p, d]
             along += offset * tangent[p, d]
             square += offset * offset
         beyond = min(max(along, -reach[p]), reach[p])
-        total += weight[m] * max(square - 2 * along * beyond + beyond * beyond, 0.0)
-        whole += weight[m]
+        total += weight[m * step] * max(square - 2 * along * beyond + beyond * beyond, 0.0)
+        whole += weight[m * step]
     return total / whole
 
 
-@compiled
+@compiled("(f8[:,::1], i8[::1], f8[:,::1], i8)")
 def ring_miss(samples: Array, unit: Indices, curve: Array, pieces: int) -> float:
     """Return the mean distance of ``(M, 2)`` samples from the tangents of a closed curve ``(P, 2)``.
 
@@ -222,10 +227,11 @@ def ring_miss(samples: Array, unit: Indices, curve: Array, pieces: int) -> float
     return total / judged
 
 
-@compiled
+@compiled("(f8[:,::1], f8[:,::1], f8)")
 def outline_miss(points: Array, curve: Array, size: float) -> float:
     """Return the mean distance of ``(M, D)`` points from a closed curve's tangents: ``(P, D)``, ``size`` long."""
-    points = points[:: (len(points) + _JUDGED_AROUND - 1) // _JUDGED_AROUND]
+    skip = (len(points) + _JUDGED_AROUND - 1) // _JUDGED_AROUND
+    judged = 0
     count, dimension = curve.shape
     groups = (count + _GROUP - 1) // _GROUP
     middle, radius = np.zeros((groups, dimension)), np.zeros(groups)
@@ -241,7 +247,8 @@ def outline_miss(points: Array, curve: Array, size: float) -> float:
             radius[g] = max(radius[g], square)
         radius[g] = math.sqrt(radius[g])
     total, nearest, step = 0.0, 0, size / count
-    for m in range(len(points)):
+    for m in range(0, len(points), skip):
+        judged += 1
         # Points come in order around the curve, so the last one's nearest is near this one's: a bound for the rest.
         least = np.inf
         for i in range(-2, 7):
@@ -273,4 +280,4 @@ def outline_miss(points: Array, curve: Array, size: float) -> float:
         along /= max(math.sqrt(reach), 1e-9)
         beyond = max(abs(along) - step, 0.0)
         total += math.sqrt(max(least - along * along, 0.0) + beyond * beyond)
-    return total / len(points)
+    return total / judged

@@ -1,0 +1,225 @@
+"""The cache of compiled functions, with three functions that compile in a second."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+
+HELPERS = """
+from shape_obs.compiled import compiled
+FACTOR = {factor}
+
+@compiled
+def scaled(x):
+    '''{doc}'''
+    return FACTOR * x
+"""
+FUNCTIONS = """
+import numpy as np
+from shape_obs.compiled import compiled
+from helpers import scaled
+
+@compiled("(f8[::1], f8)", "(f8[:,::1], f8)")
+def total(values, share):
+    whole = 0.0
+    for value in values.flat:
+        whole += scaled(value) * share
+    return whole
+
+@compiled("(f8[::1],)")
+def twice(values):
+    out = np.empty(len(values))
+    for i in range(len(values)):
+        out[i] = 2 * total(values, 1.0)
+    return out
+"""
+# Collects the names of the functions that a process compiles.
+COUNT = """
+import sys, numba.core.event as event
+class Count(event.Listener):
+    names = []
+    def on_start(self, ev):
+        f = ev.data["dispatcher"].py_func
+        if f.__module__ in ("functions", "helpers"): self.names.append(f.__name__)
+    def on_end(self, ev): pass
+event.register("numba:compile", Count())
+import numpy as np, functions
+from shape_obs.compiled import compile_now
+"""
+ALL = (
+    "compile_now([functions.total, functions.twice])\n"
+    "print(sorted(Count.names), functions.total(np.ones(2), 1), functions.twice(np.ones(2))[0])"
+)
+LAZY = "print(functions.total(np.ones(2), 1), functions.twice(np.ones(2))[0], sorted(Count.names))"
+EVERYTHING = "['scaled', 'total', 'total', 'twice'] 6.0 12.0"
+
+pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
+
+
+@pytest.fixture
+def work(tmp_path):
+    (tmp_path / "helpers.py").write_text(HELPERS.format(factor=3, doc="a"))
+    (tmp_path / "functions.py").write_text(FUNCTIONS)
+    return tmp_path
+
+
+def start(work, code, **variables):
+    environment = {**os.environ, "PYTHONPATH": str(work), "NUMBA_CACHE_DIR": str(work / "cache")}
+    environment |= {"PYTHONDONTWRITEBYTECODE": "1", "PYTHONWARNINGS": "default", **variables}
+    return subprocess.Popen(
+        [sys.executable, "-c", COUNT + textwrap.dedent(code)],
+        env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def run(work, code, **variables):
+    process = start(work, code, **variables)
+    out, err = process.communicate(timeout=200)
+    assert process.returncode == 0, err
+    return out.strip(), err
+
+
+def files(work, pattern):
+    return list((work / "cache" / "shape_obs").glob(pattern))
+
+
+def test_functions_are_compiled_once_and_then_loaded_without_a_word(work):
+    assert run(work, ALL)[0] == EVERYTHING
+    assert run(work, ALL) == ("[] 6.0 12.0", "")
+    assert run(work, LAZY)[0] == "6.0 12.0 []"
+
+
+def test_an_edit_of_a_called_function_in_another_file_is_noticed(work):
+    run(work, ALL)
+    (work / "helpers.py").write_text(HELPERS.format(factor=3, doc="a").replace("FACTOR * x", "FACTOR * x + 1"))
+    assert run(work, ALL)[0].endswith("8.0 16.0")
+
+
+def test_an_edit_of_a_constant_in_another_file_is_noticed(work):
+    run(work, ALL)
+    (work / "helpers.py").write_text(HELPERS.format(factor=5, doc="a"))
+    assert run(work, ALL)[0].endswith("10.0 20.0")
+
+
+def test_an_edit_of_comments_and_docstrings_compiles_nothing(work):
+    run(work, ALL)
+    (work / "helpers.py").write_text("# comment\n" + HELPERS.format(factor=3, doc="another"))
+    assert run(work, ALL)[0] == "[] 6.0 12.0"
+
+
+def test_another_setting_of_numba_compiles_again(work):
+    run(work, ALL)
+    assert run(work, ALL, NUMBA_OPT="1")[0] == EVERYTHING
+
+
+def test_a_caller_is_compiled_with_a_function_that_was_loaded(work):
+    run(work, ALL)
+    for path in files(work, "functions.twice*"):
+        path.unlink()
+    assert run(work, "functions.total(np.ones(2), 1)\n" + ALL)[0] == "['twice'] 6.0 12.0"
+    assert run(work, ALL)[0] == "[] 6.0 12.0"
+
+
+@pytest.mark.parametrize("damage", [lambda data: data[:-3000] + bytes(2000), lambda data: b"", lambda data: data[:100]])
+def test_a_damaged_file_is_written_again(work, damage):
+    run(work, ALL)
+    for path in files(work, "functions.t*"):
+        path.write_bytes(damage(path.read_bytes()))
+    assert run(work, ALL)[0] == EVERYTHING
+    assert run(work, ALL)[0] == "[] 6.0 12.0"
+
+
+def test_files_that_were_replaced_long_ago_are_deleted(work):
+    run(work, ALL)
+    long_ago = time.time() - 40 * 86400
+    for path in files(work, "functions.*"):
+        os.utime(path, (long_ago, long_ago))
+    before = set(files(work, "*.bin"))
+    (work / "helpers.py").write_text(HELPERS.format(factor=5, doc="a"))
+    run(work, ALL)
+    assert not before & set(files(work, "*.bin"))
+
+
+def test_a_cache_folder_that_cannot_be_written_gives_one_warning(work):
+    (work / "file").write_text("")
+    out, err = run(work, ALL, NUMBA_CACHE_DIR=str(work / "file"))
+    assert out == EVERYTHING
+    assert err.count("Compiled functions cannot be kept") == 1
+    assert "NUMBA_CACHE_DIR" in err
+
+
+def test_nothing_is_written_next_to_the_source(work):
+    """A package folder may be read-only or shared: the user's folder for caches is used."""
+    home = {"HOME": str(work / "home"), "XDG_CACHE_HOME": str(work / "home" / "cache"), "NUMBA_CACHE_DIR": ""}
+    home |= {"LOCALAPPDATA": str(work / "home" / "local")}
+    before = {path.name for path in work.iterdir()}
+    assert run(work, ALL, **home)[0] == EVERYTHING
+    assert {path.name for path in work.iterdir()} == before | {"home"}
+    assert run(work, ALL, **home)[0] == "[] 6.0 12.0"
+
+
+def test_internals_of_numba_that_changed_give_one_warning(work):
+    broken = "import shape_obs.compiled.cache as c\ndef fail(*a): raise AttributeError('moved')\nc.dumps = fail\n"
+    out, err = run(work, broken + ALL)
+    assert out == EVERYTHING
+    assert err.count("Compiled functions cannot be kept") == 1
+
+
+def test_of_eight_spawned_processes_one_compiles(work):
+    processes = [start(work, ALL) for _ in range(8)]
+    found = [process.communicate(timeout=250) for process in processes]
+    assert all(out.strip().endswith("6.0 12.0") for out, _ in found), found
+    assert sorted(len(out) for out, _ in found)[:7] == [len("[] 6.0 12.0\n")] * 7
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_of_eight_forked_processes_one_compiles(work):
+    code = f"""
+import os
+children = []
+for _ in range(8):
+    pid = os.fork()
+    if pid == 0:
+{textwrap.indent(ALL, "        ")}
+        sys.stdout.flush()
+        os._exit(0)
+    children.append(pid)
+for pid in children:
+    assert os.waitpid(pid, 0)[1] == 0
+"""
+    out, _ = run(work, code)
+    assert out.count("6.0 12.0") == 8
+    assert out.count("twice") == 1
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no SIGKILL on this system")
+def test_the_lock_of_a_killed_compiler_is_free(work):
+    slow = """
+import shape_obs.compiled.decorator as d, time
+prepare = d._prepare
+def slowly(entry):
+    prepare(entry)
+    print("one", flush=True)
+    time.sleep(60)
+d._prepare = slowly
+"""
+    first = start(work, slow + ALL)
+    assert first.stdout is not None
+    assert first.stdout.readline().strip() == "one"
+    others = [start(work, ALL) for _ in range(3)]
+    for other in others:
+        assert other.stderr is not None
+        assert "waiting for another process" in other.stderr.readline()
+    assert all(process.poll() is None for process in others)
+    first.send_signal(signal.SIGKILL)
+    first.communicate()
+    found = [process.communicate(timeout=200)[0] for process in others]
+    assert all(out.strip().endswith("6.0 12.0") for out in found), found
+    assert sum("'twice'" in out for out in found) == 1  # the next one goes on with what is left
+    assert not any("'total'" in out for out in found)

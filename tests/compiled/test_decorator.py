@@ -1,0 +1,83 @@
+"""The decorator: declared types, first calls, announcements, pickling."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from shape_obs.compiled import compile_now, compiled, decorator
+
+
+@compiled
+def scaled(x: float) -> float:
+    return 3 * x
+
+
+@compiled("(f8[::1], f8)", "(f8[:,::1], f8)")
+def total(values: np.ndarray, share: float) -> float:
+    """Return a sum."""
+    whole = 0.0
+    for value in values.flat:
+        whole += scaled(value) * share
+    return whole
+
+
+@compiled("(f8[::1],)", reassociate=True)
+def plain_sum(values: np.ndarray) -> float:
+    whole = 0.0
+    for value in values:
+        whole += value
+    return whole
+
+
+def test_a_function_is_compiled_at_its_first_call_for_its_declared_types():
+    assert total(np.ones(3), 0.5) == 4.5
+    assert total(np.ones((2, 2)), share=1) == 12  # numbers are converted, arrays are not
+    assert len(total.nopython_signatures) == 2  # pyright: ignore[reportFunctionMemberAccess]
+    assert total.__doc__ == "Return a sum."
+    assert plain_sum(np.arange(5.0)) == plain_sum.py_func(np.arange(5.0)) == 10  # pyright: ignore[reportFunctionMemberAccess]
+
+
+@pytest.mark.parametrize(
+    "values", [np.ones(2, np.float32), np.ones(4)[::2], np.ones((2, 2), order="F"), np.ones((2, 2, 2)), 3, None]
+)
+def test_arrays_of_another_type_or_layout_raise_type_error(values):
+    with pytest.raises(TypeError, match="No matching definition"):
+        total(values, 1.0)
+
+
+def test_a_missing_argument_raises_type_error():
+    with pytest.raises(TypeError):
+        total(np.ones(2))  # pyright: ignore[reportCallIssue]
+
+
+def test_a_function_without_signature_is_not_for_python():
+    with pytest.raises(TypeError, match="give it a signature"):
+        scaled(2.0)
+    assert scaled.py_func(2.0) == 6  # pyright: ignore[reportFunctionMemberAccess]
+
+
+@pytest.mark.parametrize("function", [scaled, total])
+def test_functions_are_pickled_by_name(function):
+    data = pickle.dumps(function)
+    assert len(data) < 200
+    assert function.py_func.__name__.encode() in data
+
+
+def test_what_is_ready_and_what_is_not_compiled_is_left_alone():
+    compile_now([total, scaled, len])
+    compile_now([])
+    assert type(total) is decorator._Dispatcher
+
+
+@pytest.mark.parametrize(("size", "words"), [(5_000, 0), (50_000, 1)])
+def test_only_what_takes_long_is_announced_on_stderr(size, words, monkeypatch, capsys):
+    monkeypatch.setattr(decorator, "code_size", lambda functions: size)
+    entry = decorator._wrapped(lambda x: x + 1, ("(f8,)",), {})
+    decorator._announce([entry])
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.splitlines()) == words
+    assert not words or "compiling 1 functions for this processor: about 20 s" in err

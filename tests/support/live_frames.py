@@ -1,0 +1,143 @@
+"""Run one configuration over drawn scenes, and print which compiled functions it called, and which too late.
+
+``python live_frames.py centerline`` prints a JSON object: ``called`` and ``listed`` (names), ``late`` (those
+that were compiled or loaded after the detector had been constructed), and ``ok`` (how many shapes were found).
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from functools import wraps
+from typing import Any
+
+import numpy as np
+from numba.core import event
+
+from shape_obs import Centerline, Contour, HSVRange, Intrinsics, ShapeDetector, Surface
+from shape_obs.bench.blobs import moving_blob, random_blob
+from shape_obs.bench.clouds import moving_rope_cloud, ring_cloud, rope_cloud, sheet_cloud
+from shape_obs.bench.disturbances import photographed
+from shape_obs.bench.hands import hidden_rope
+from shape_obs.bench.motion import moving_rope
+from shape_obs.bench.ropes import random_rope
+from shape_obs.bench.sheets import moving_sheet, random_sheet
+from shape_obs.bench.tangles import crossing_rope, cut_rope
+from shape_obs.compiled import decorator
+from shape_obs.image.region import prepare
+from shape_obs.point_cloud.lifting import median_depth
+
+BLUE = HSVRange(low=(100, 80, 25), high=(130, 255, 255))
+CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
+CLASSES: dict[str, type] = {"centerline": Centerline, "contour": Contour, "surface": Surface}
+
+
+class Late(event.Listener):
+    """Collects the names of functions that are compiled or loaded."""
+
+    def __init__(self) -> None:
+        self.names: set[str] = set()
+
+    def on_start(self, event: Any) -> None:
+        self.names.add(event.data["dispatcher"].py_func.__name__)
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+def counted(function: Any, called: set[str]) -> Callable[..., Any]:
+    @wraps(function.py_func)
+    def wrapper(*args: Any, **kwargs: Any) -> Any:
+        called.add(function.py_func.__name__)
+        return function(*args, **kwargs)
+
+    return wrapper
+
+
+def watch() -> tuple[set[str], set[str]]:
+    """Watch every compiled function; return the names of those that are called, and of those that were not ready."""
+    late, called = Late(), set[str]()
+    event.register("numba:compile", late)
+    first_call = decorator._EntryPoint.__call__
+
+    def too_late(entry: Any, *args: Any, **kwargs: Any) -> Any:
+        late.names.add(entry.py_func.__name__)
+        return first_call(entry, *args, **kwargs)
+
+    setattr(decorator._EntryPoint, "__call__", too_late)  # noqa: B010 - pyright does not allow a plain assignment
+    for name, module in list(sys.modules.items()):
+        if name.startswith("shape_obs."):
+            for attribute, value in list(vars(module).items()):
+                if isinstance(value, decorator._Dispatcher):
+                    setattr(module, attribute, counted(value, called))
+    return called, late.names
+
+
+def centerline_masks() -> list[list[np.ndarray]]:
+    rng = np.random.default_rng(3)
+    hidden = [[h.mask for h in hidden_rope(rng, 6, 0.25, where, frames=25)] for where in ("start", "middle")]
+    tangles = [crossing_rope(rng, 1), crossing_rope(rng, 2), cut_rope(rng, 1, 16)]
+    refused = [random_blob(rng).mask, random_sheet(rng, 1.5, 20.0).mask, rng.integers(0, 2, (480, 640), np.uint8)]
+    tracked = [rope.mask for rope in moving_rope(rng, 6, 20)]
+    cut = [np.where(np.arange(640) < 620 - 10 * k, mask, 0).astype(np.uint8) for k, mask in enumerate(tracked)]
+    return [*hidden, *[[t.mask] for t in tangles], tracked, cut, [tracked[0][:, ::-1], tracked[1] > 0], refused]
+
+
+def contour_masks() -> list[list[np.ndarray]]:
+    rng = np.random.default_rng(1)
+    blobs = [b.mask for b in moving_blob(rng, turn=0.1, speed=6, swell=0.3, frames=20)]
+    rope = random_rope(rng, "loop").mask
+    return [blobs, [random_blob(rng).mask], [blobs[0][:, ::-1]], [rope], [mask[:, :320] for mask in blobs]]
+
+
+def surface_masks() -> list[list[np.ndarray]]:
+    rng = np.random.default_rng(4)
+    sheets = [s.mask for s in moving_sheet(rng, 8, 20)]
+    return [
+        sheets,
+        [random_sheet(rng, 1.5, 70.0).mask],
+        [sheets[0][::-1]],
+        [random_blob(rng).mask],
+        [random_rope(rng).mask],
+    ]
+
+
+def main(kind: str) -> None:
+    make = CLASSES[kind]
+    holes = [make(hole=0)] if kind == "contour" else [make(epochs=1)] if kind == "surface" else [make(ends="centers")]
+    specs = [make(), make(order="image"), *holes, make(lift="cloud"), make(spacing="m")]
+    detectors = [ShapeDetector([spec], BLUE) for spec in specs]
+    kmeans = ShapeDetector([make()], BLUE, clustering="kmeans")
+    called, late = watch()
+    rng, ok = np.random.default_rng(0), 0
+    masks = {"centerline": centerline_masks, "contour": contour_masks, "surface": surface_masks}[kind]()
+    for spec, detector in zip(specs, detectors, strict=True):
+        in_space = spec.lift == "cloud" or spec.spacing == "m"
+        for scene in [scene[:8] for scene in masks[:2]] if in_space else masks:
+            detector.reset()
+            for mask in scene:
+                depth: Any = rng.integers(695, 705, mask.shape, np.uint16)
+                ok += detector.detect_mask(mask, *([depth, CAMERA] if in_space else [])).shapes[0].ok
+    for mask in masks[0][:5]:
+        kmeans.detect_mask(mask)
+    detector = detectors[0]
+    detector.reset()
+    for k, mask in enumerate(masks[0][:12]):
+        image = photographed(rng, mask, 1.5, 4.0)
+        depth = rng.integers(695, 705, mask.shape, np.uint16)
+        if k % 2:
+            depth, image = depth.astype(np.float64) / 1000, image[:, ::-1][:, ::-1]
+        ok += detector.detect(image, depth, CAMERA).shapes[0].ok
+    clouds = [rope_cloud(rng).points, ring_cloud(rng).points, sheet_cloud(rng).points]
+    clouds += [frame.points for frame in moving_rope_cloud(rng, 0.01, frames=3)]
+    for cloud in [*clouds, clouds[2] + 1e-4, clouds[1] + 1e-4]:
+        ok += detectors[0].detect_cloud(cloud).shapes[0].ok
+        ok += kind == "surface" and detectors[2].detect_cloud(cloud).shapes[0].ok
+    listed = [*prepare(spec.segmentation for spec in detector.shapes), median_depth, *make.compiled]
+    names = sorted(function.__name__ for function in listed)
+    print(json.dumps({"called": sorted(called), "listed": names, "late": sorted(late), "ok": int(ok)}))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
