@@ -218,8 +218,9 @@ def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma:
     nodes, gap = even_around(smooth, arc, begin, count), arc[size] / count
     middle_u = middle_v = 0.0
     for k in range(count):
-        middle_u += nodes[k, 0] / count
-        middle_v += nodes[k, 1] / count
+        middle_u += nodes[k, 0]
+        middle_v += nodes[k, 1]
+    middle_u, middle_v = middle_u / count, middle_v / count
     unit = np.empty(len(samples), np.int64)
     trace = _TRACE * size / count
     held, total = np.empty(count), np.empty((count, 2))

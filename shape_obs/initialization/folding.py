@@ -124,8 +124,9 @@ def _half_fold(even: Array) -> float:
     """Return half of the best k of the fold i -> k - i, one of its fixed points. Every other place finds its region."""
     x, y, mean_x, mean_y = np.empty(_N), np.empty(_N), 0.0, 0.0
     for i in range(_N):
-        mean_x += even[i, 0] / _N
-        mean_y += even[i, 1] / _N
+        mean_x += even[i, 0]
+        mean_y += even[i, 1]
+    mean_x, mean_y = mean_x / _N, mean_y / _N
     for i in range(_N):
         x[i], y[i] = even[i, 0] - mean_x, even[i, 1] - mean_y
     back_x, back_y = np.empty(2 * _N), np.empty(2 * _N)

@@ -1,0 +1,76 @@
+"""The batch map against a straight NumPy form of its equations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.distance import cdist
+
+from shape_obs.clustering.som import batch_epochs, best_matching_units, run_ring_som, run_som
+from shape_obs.geometry.outline import material_outline, pairs
+from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.topology import Chain, Grid, Ring
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def epoch(points, weight, nodes, offsets, sigma):
+    """Return the intercepts of the lines or planes fitted to the bins of each node's neighbours."""
+    size, unit = len(nodes), np.argmin(cdist(points, nodes), axis=1)
+    trace = 1e-3 * weight.sum() / size
+    count = np.bincount(unit, weight, size) + trace
+    mean = np.stack([np.bincount(unit, weight * x, size) for x in points.T], axis=1)
+    mean = (mean + trace * nodes) / count[:, None]
+    out = np.empty_like(nodes)
+    for k in range(size):
+        near = np.exp(-0.5 * np.sum(offsets[:, k] ** 2, axis=0) / sigma**2) * count
+        basis = np.column_stack([np.ones(size), *offsets[:, k]])
+        root = np.sqrt(near)[:, None]
+        out[k] = np.linalg.lstsq(root * basis, root * mean, rcond=None)[0][0]
+    return out
+
+
+@given(SEEDS, st.sampled_from([Chain(7), Ring(9), Grid(3, 4)]), st.integers(2, 3))
+def test_epochs_are_weighted_local_fits(seed, topology, dimension):
+    rng = np.random.default_rng(seed)
+    points, weight = rng.uniform(0, 100, (60, dimension)), rng.uniform(1, 5, 60)
+    nodes = rng.uniform(0, 100, (topology.size, dimension))
+    expected = nodes
+    for sigma in (0.8, 0.6):
+        expected = epoch(points, weight, expected, topology.offsets(), sigma)
+    found = batch_epochs(points, weight, nodes, *topology.neighbourhoods((0.8, 0.6)))
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+@given(SEEDS, st.integers(2, 3))
+def test_best_matching_units_are_the_nearest_nodes(seed, dimension):
+    rng = np.random.default_rng(seed)
+    points, nodes = rng.uniform(0, 100, (80, dimension)), rng.uniform(0, 100, (12, dimension))
+    units = best_matching_units.py_func(points, nodes)  # pyright: ignore[reportFunctionMemberAccess]
+    np.testing.assert_array_equal(units, np.argmin(cdist(points, nodes), axis=1))
+
+
+def test_a_ring_s_epoch_is_that_of_the_map():
+    angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    traced = np.stack([300 + 100 * np.cos(angle), 200 + 60 * np.sin(angle)], axis=1)
+    points, smooth = material_outline(traced, False)
+    samples = pairs(points)
+    nodes, unit = run_ring_som(samples, smooth, smooth[7] + 0.2, 60, 0.4)
+    start = nodes[(np.arange(60) + 30) % 60]  # any start near the ring: one more epoch hardly moves it
+    again = run_som(Samples(samples, np.full(len(samples), 2.0), 2.0), start, Ring(60), (0.4,))
+    np.testing.assert_allclose(again, start, atol=0.15)
+    np.testing.assert_allclose(nodes[0], smooth[7], atol=0.8)
+    nearest = np.argmin(cdist(samples, nodes), axis=1)
+    away = (unit - nearest + 30) % 60 - 30
+    assert np.abs(away).max() <= 1
+
+
+@pytest.mark.parametrize("view", [np.asfortranarray, lambda points: np.repeat(points, 2, axis=0)[::2]])
+def test_samples_of_any_layout(view):
+    rng = np.random.default_rng(0)
+    points, start = rng.uniform(0, 100, (60, 2)), rng.uniform(0, 100, (7, 2))
+    expected = run_som(Samples(points, np.ones(60), 1.0), start, Chain(7), (0.8,))
+    found = run_som(Samples(view(points), np.ones(120)[::2], 1.0), view(start), Chain(7), (0.8,))
+    np.testing.assert_allclose(found, expected)
