@@ -13,7 +13,6 @@ from hypothesis.extra import numpy as st_numpy
 from shape_obs.bench.blobs import random_blob
 from shape_obs.bench.ropes import random_rope
 from shape_obs.bench.sheets import draw_sheet, random_sheet
-from shape_obs.geometry.samples import mask_pixels
 from shape_obs.geometry.topology import Chain, Grid, Ring
 from shape_obs.metrics import (
     calinski_harabasz,
@@ -24,6 +23,12 @@ from shape_obs.metrics import (
     silhouette,
     spacing_cv,
 )
+
+
+def mask_pixels(mask: np.ndarray) -> np.ndarray:
+    """``(M, 2)`` pixels (u, v)."""
+    return np.argwhere(mask)[:, ::-1]
+
 
 sklearn_metrics = pytest.importorskip("sklearn.metrics")
 

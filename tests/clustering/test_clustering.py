@@ -19,13 +19,17 @@ from shape_obs.bench.scores import score
 from shape_obs.bench.sheets import Sheet, draw_sheet, moving_sheet, random_sheet
 from shape_obs.bench.surface_claims import score_sheet
 from shape_obs.clustering import Clusterer, FuzzyCMeans, GaussianMixture, KMeans, Kohonen
-from shape_obs.geometry.samples import Samples, mask_pixels
+from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Chain, Grid
 from shape_obs.metrics import calinski_harabasz, distance, nearest, spacing_cv
 
 NAMES = ("kmeans", "gmm", "fcm", "kohonen")
 ALL: tuple[Clusterer, ...] = (KMeans(), GaussianMixture(), FuzzyCMeans(), Kohonen())
 IDS: Any = lambda clusterer: clusterer.kind  # noqa: E731
+
+
+def mask_pixels(mask: np.ndarray) -> np.ndarray:
+    return np.argwhere(mask)[:, ::-1]
 
 
 def counted(points: np.ndarray) -> Samples:

@@ -7,12 +7,12 @@ from collections.abc import Iterable
 import cv2
 import numpy as np
 import pytest
+from shape_obs.geometry.form import Curve
 
 from shape_obs import Contour, ShapeDetector, Surface
 from shape_obs.bench.blobs import KINDS, moving_blob, random_blob
 from shape_obs.bench.sheets import moving_sheet, random_sheet, turning_sheet
 from shape_obs.compiled import NUMPY, choose
-from shape_obs.geometry.form import Curve
 from shape_obs.geometry.outline import Border
 from shape_obs.tracking.occlusion import strayed_corner, strays
 from shape_obs.tracking.registration import blend, lag

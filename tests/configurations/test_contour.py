@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 from shape_obs import Contour, ShapeDetector, SpecError
 from shape_obs.bench.blobs import KINDS, draw_blob, random_blob
 from shape_obs.bench.outline_scores import outline_score
-from shape_obs.geometry.form import Curve
-from shape_obs.geometry.outline import Border, clockwise
+from shape_obs.geometry.curve import FittedCurve, TrackHints
+from shape_obs.geometry.outline import Outline, clockwise
 from shape_obs.geometry.polyline import arc_length, catmull_rom, equidistant_around
 from shape_obs.geometry.topology import Ring
 from shape_obs.metrics import spacing_cv
-from shape_obs.tracking.registration import blend, lag
+from shape_obs.tracking.prediction import Prediction
+from shape_obs.tracking.registration import _blend_space, blend, index_shift, match_outline, renumber_outline
 
 
 def one(mask: np.ndarray, detector: ShapeDetector | None = None, **kwargs: Any) -> Any:
@@ -225,11 +226,18 @@ class TestPhase:
         rotation = np.eye(dimension)
         rotation[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
         moved = points @ rotation.T + rng.uniform(-3, 3, dimension)
-        before, after = (Curve(p, np.zeros(800, bool), closed=True) for p in (points, moved))
+        before, after = (FittedCurve.through(p, np.zeros(800, bool), closed=True) for p in (points, moved))
         at = np.arange(64) / 64
-        found = after.begun_at(-share * after.size).at(at * after.size)
-        behind = lag(before.at(at * before.size), before.at(at * before.size), found)
-        assert abs((behind - 64 * share + 32) % 64 - 32) < 0.05
+        nodes, found = before.at(at * before.size), after.starting_at(-share * after.size)
+        if dimension == 2:
+            behind = index_shift(nodes, nodes, found.at(at * after.size))
+            assert abs((behind - 64 * share + 32) % 64 - 32) < 0.05
+            renumbered = renumber_outline(found.points, nodes, nodes, 0.05)[2]
+        else:
+            prediction = Prediction(nodes, before.size, Ring(64), TrackHints(), 1.0, 0.0, True)
+            renumbered = match_outline(found, prediction)[1]
+        away = np.linalg.norm(renumbered - after.at(at * after.size), axis=1)
+        assert away.max() < 0.05 * after.size / 64
 
     def test_a_marked_shape_is_found_again_after_any_turn(self):
         """A slight one may then be taken for one that deformed: the shape must tell more than the turn costs."""
@@ -247,23 +255,25 @@ class TestPhase:
         circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         for slipped in (0.0, 3.25, 60.0):
             turned = np.stack([np.cos(angle - slipped * np.pi / 32), np.sin(angle - slipped * np.pi / 32)], axis=1)
-            assert abs((lag(circle, circle, turned) - slipped + 32) % 64 - 32) < 1e-3
+            assert abs((index_shift(circle, circle, turned) - slipped + 32) % 64 - 32) < 1e-3
 
     def test_a_blend_lies_over_what_was_found(self):
         rng = np.random.default_rng(0)
-        reference = rng.normal(size=(40, 3))
-        rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-        found = reference @ (rotation * np.linalg.det(rotation)).T + (1, 2, 3)
-        np.testing.assert_allclose(blend(reference, found, 0.05), found, atol=1e-9)
+        for dimension, blended in ((2, blend), (3, _blend_space)):
+            reference = rng.normal(size=(40, dimension))
+            rotation = np.linalg.qr(rng.normal(size=(dimension, dimension)))[0]
+            rotation[0] *= np.linalg.det(rotation)
+            found = reference @ rotation.T + np.arange(1, dimension + 1)
+            np.testing.assert_allclose(blended(reference, found, 0.05), found, atol=1e-9)
 
 
 class TestClosedCurves:
     def test_the_smooth_curve_closes_like_an_open_one_that_goes_on(self):
         nodes = np.random.default_rng(0).normal(size=(7, 3))
-        closed = catmull_rom(nodes, closed=True)
+        closed = catmull_rom(nodes, 4, True)
         assert closed.shape == (28, 3)
         np.testing.assert_allclose(closed[::4], nodes)
-        turned = catmull_rom(np.roll(nodes, -2, axis=0), closed=True)
+        turned = catmull_rom(np.roll(nodes, -2, axis=0), 4, True)
         np.testing.assert_allclose(turned, np.roll(closed, -8, axis=0))
 
     @given(n=st.integers(3, 100), seed=st.integers(0, 1000))
@@ -273,13 +283,13 @@ class TestClosedCurves:
         at = equidistant_around(blob, arc, n)
         assert at[0] == 0
         assert np.all(np.diff(at) > 0)
-        points = Curve(blob, np.zeros(len(blob), bool), closed=True).at(at)
+        points = FittedCurve.through(blob, np.zeros(len(blob), bool), closed=True).at(at)
         assert spacing_cv(points, Ring(n)) < (0.003 if n > 6 else 0.2)
 
     @given(begin=st.floats(-3, 3))
     def test_a_curve_begins_anywhere(self, begin):
-        square = Curve(np.array([[0.0, 0], [4, 0], [4, 4], [0, 4]]), np.zeros(4, bool), closed=True)
-        turned = square.begun_at(begin * 16)
+        square = FittedCurve.through(np.array([[0.0, 0], [4, 0], [4, 4], [0, 4]]), np.zeros(4, bool), closed=True)
+        turned = square.starting_at(begin * 16)
         assert turned.size == pytest.approx(16)
         np.testing.assert_allclose(turned.points[0], square.at([begin * 16])[0], atol=1e-9)
         np.testing.assert_allclose(turned.at([1, 5]), square.at([begin * 16 + 1, begin * 16 + 5]), atol=1e-6)
@@ -293,7 +303,7 @@ def test_a_straight_border_lies_where_the_mask_ends(angle):
     inside = (np.abs((u - 59.3) * normal[0] + (v - 60.1) * normal[1]) < 20) & (np.hypot(u - 60, v - 60) < 50)
     contours = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
     traced = max(contours, key=len).reshape(-1, 2).astype(np.float64)
-    border = Border(traced if clockwise(traced) else traced[::-1])
+    border = Outline(traced if clockwise(traced) else traced[::-1])
     off = np.abs((border.points - (59.3, 60.1)) @ normal)
     along = np.abs((border.points - (59.3, 60.1)) @ [-normal[1], normal[0]])
     assert off[along < 35].mean() == pytest.approx(20, abs=0.25)

@@ -1,4 +1,4 @@
-"""What surfaces are made of: corners of outlines, Coons patches, and lattices that can be sampled and judged."""
+"""Lattices over sheets: places between their points, turns, and what a lattice of a sheet looks like."""
 
 from __future__ import annotations
 
@@ -6,61 +6,55 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import RegularGridInterpolator
 
-from shape_obs.bench.sheets import rotation
-from shape_obs.compiled import NUMPY
-from shape_obs.compiled.numpy_plane import plane, points_of
-from shape_obs.compiled.numpy_sheet import coons
-from shape_obs.geometry.form import Patch
-from shape_obs.initialization.corners import Rim
+from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice
 
 
-class TestPatches:
-    @settings(max_examples=20)
-    @given(seed=st.integers(0, 2**32 - 1), quarters=st.integers(0, 3))
-    def test_a_coons_patch_runs_through_its_sides(self, seed, quarters):
-        rng = np.random.default_rng(seed)
-        corners = rng.normal(size=(4, 2))
-        t = np.linspace(0, 1, 9)[:, None]
-        bulge = np.sin(np.pi * t)
-        sides = np.stack(
-            [(1 - t) * corners[k] + t * corners[(k + 1) % 4] + bulge * rng.normal(size=2) * 0.3 for k in range(4)]
-        )
-        lattice = points_of(coons(plane(np.stack([sides[0], sides[2, ::-1], sides[3, ::-1], sides[1]])), 9).ravel())
-        patch = Patch(lattice, np.zeros(81, bool), 9)
-        for found, side in zip(patch.sides, sides, strict=True):
-            np.testing.assert_allclose(found, side, atol=1e-12)
-        turned = patch.turned(quarters)
-        np.testing.assert_allclose(turned.corners, np.roll(patch.corners, -quarters, axis=0))
-        np.testing.assert_allclose(turned.turned(4 - quarters).points, patch.points)
-        np.testing.assert_allclose(turned.size, patch.size)
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1), quarters=st.integers(0, 3), dimension=st.integers(2, 3))
+def test_a_turn_moves_the_corners_and_nothing_else(seed, quarters, dimension):
+    rng = np.random.default_rng(seed)
+    patch = FittedLattice.over(rng.normal(size=(63, dimension)), rng.random(63) < 0.3, 7)
+    turned = patch.turned(quarters)
+    np.testing.assert_allclose(turned.corners, np.roll(patch.corners, -quarters, axis=0))
+    for found, side in zip(turned.sides, (patch.sides * 2)[quarters : quarters + 4], strict=True):
+        np.testing.assert_allclose(found, side)
+    back = turned.turned((4 - quarters) % 4)
+    np.testing.assert_allclose(back.points, patch.points)
+    np.testing.assert_array_equal(back.interpolated, patch.interpolated)
+    np.testing.assert_allclose(turned.size, patch.size)
 
-    def test_places_between_the_points(self):
-        lattice = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1)
-        patch = Patch(lattice.reshape(-1, 2), np.arange(12) == 5, 3)
-        np.testing.assert_allclose(patch.at(np.array([0.5, 2]), np.array([0, 1.25, 3])), [
-            [0, 0.5], [1.25, 0.5], [3, 0.5], [0, 2], [1.25, 2], [3, 2]])  # fmt: skip
-        assert patch.bridged_at(np.array([1.0, 2.0]), np.array([1.0, 2.0])).tolist() == [True, False, False, False]
-        assert patch.size == 5
-        np.testing.assert_allclose(NUMPY.assessed(patch.lattice), [90, 0, 0, 0])
 
-    def test_folds_are_seen(self):
-        lattice = np.stack(np.meshgrid([0.0, 1, 2, 1.5, 1, 2, 3], np.arange(3.0)), axis=-1)
-        assert NUMPY.assessed(lattice)[1] == pytest.approx(0.4)
+def test_places_between_the_points():
+    lattice = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1)
+    patch = FittedLattice.over(lattice.reshape(-1, 2), np.arange(12) == 5, 3)
+    np.testing.assert_allclose(patch.at(np.array([0.5, 2]), np.array([0, 1.25, 3])), [
+        [0, 0.5], [1.25, 0.5], [3, 0.5], [0, 2], [1.25, 2], [3, 2]])  # fmt: skip
+    assert patch.interpolated_at(np.array([1.0, 2.0]), np.array([1.0, 2.0])).tolist() == [True, False, False, False]
+    assert patch.size == 5
+    np.testing.assert_allclose(assess_lattice(patch.lattice), [90, 0, 0, 0])
 
-    @settings(max_examples=20)
-    @given(shift=st.integers(0, 1000), degrees=st.floats(0, 360))
-    def test_corners_do_not_depend_on_where_the_outline_begins(self, shift, degrees):
-        square = np.array([[0.0, 0], [90, 0], [90, 60], [0, 60]]) @ rotation(degrees).T
-        t = np.linspace(0, 1, 60, endpoint=False)[:, None]
-        outline = np.concatenate([(1 - t) * square[k] + t * square[(k + 1) % 4] for k in range(4)])
-        outline = np.roll(outline, shift, axis=0)
-        rim = Rim.along(outline, outline)
-        corners = rim.corners()
-        assert corners is not None
-        points, kink = rim.laid(corners)
-        found = points.reshape(25, 25, 2)[[0, 0, -1, -1], [0, -1, -1, 0]]
-        away = np.linalg.norm(found[:, None] - square, axis=2)
-        assert away.min(axis=0).max() < 1.5
-        assert kink < 0.05
-        np.testing.assert_array_equal(rim.corners_near(np.roll(found, -1, axis=0)), np.roll(corners, -1))
+
+def test_folds_are_seen():
+    lattice = np.stack(np.meshgrid([0.0, 1, 2, 1.5, 1, 2, 3], np.arange(3.0)), axis=-1)
+    assert assess_lattice(lattice)[1] == pytest.approx(0.4)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1), rows=st.integers(2, 9), cols=st.integers(2, 9), centers=st.booleans())
+def test_samples_are_bilinear_between_equal_mean_gaps(seed, rows, cols, centers):
+    rng = np.random.default_rng(seed)
+    lattice = np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=-1) + rng.uniform(-0.3, 0.3, (5, 6, 2))
+    down, right = lattice_gauges(lattice)
+    steps = (np.linalg.norm(np.diff(lattice, axis=axis), axis=2).mean(axis=1 - axis) for axis in (0, 1))
+    for gauge, gaps in zip((down, right), steps, strict=True):
+        np.testing.assert_allclose(gauge, np.concatenate([[0], np.cumsum(gaps)]))
+    at = []
+    for gauge, count in ((down, rows), (right, cols)):
+        share = (np.arange(count) + 0.5) / count if centers else np.linspace(0, 1, count)
+        at.append(np.interp(share * gauge[-1], gauge, np.arange(len(gauge))))
+    expected = RegularGridInterpolator((np.arange(5), np.arange(6)), lattice)(
+        np.stack(np.meshgrid(*at, indexing="ij"), -1)
+    )
+    np.testing.assert_allclose(sample_lattice(lattice, down, right, rows, cols, centers), expected.reshape(-1, 2))
