@@ -115,7 +115,7 @@ class TestSpacing:
         assert spacing_cv(grid, Grid(3, 4)) == pytest.approx(0), "rows and columns have gaps of their own"
 
     @given(st.lists(st.floats(0.1, 10), min_size=2, max_size=20))
-    def test_gaps_along_a_line_are_told(self, gaps):
+    def test_gaps_along_a_line_are_reported(self, gaps):
         points = np.stack([np.append(0, np.cumsum(gaps)), np.zeros(len(gaps) + 1)], axis=1)
         assert spacing_cv(points, Chain(len(points))) == pytest.approx(np.std(gaps) / np.mean(gaps), abs=1e-9)
 

@@ -94,7 +94,7 @@ class TestCentres:
         assert 0.8 * scores[1] < scores[0] < 1.02 * scores[1]
 
     @pytest.mark.parametrize("clusterer", [GaussianMixture(max_iter=1), FuzzyCMeans(max_iter=1), KMeans(max_iter=1)])
-    def test_what_has_not_settled_says_so_and_warns_nobody(self, clusterer, wave):
+    def test_clusterers_that_have_not_settled_report_it_without_a_warning(self, clusterer, wave):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             assert not clusterer.centres(counted(mask_pixels(wave.mask)), Chain(20), 0).settled
@@ -186,7 +186,7 @@ class TestShapes:
             if spec.kind == "contour":
                 assert distance(shape.points3d, ring.curve, closed=True).max() < 0.02
 
-    def test_fewer_pixels_than_points_are_told(self, clustering):
+    def test_fewer_pixels_than_points_are_reported(self, clustering):
         mask = np.zeros((60, 120), np.uint8)
         mask[30:34, 10:110] = 255
         shape = ShapeDetector([Centerline(n=500)], clustering=clustering).detect_mask(mask).shapes[0]

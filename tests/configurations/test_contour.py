@@ -13,13 +13,11 @@ from hypothesis import strategies as st
 from shape_obs import Contour, ShapeDetector, SpecError
 from shape_obs.bench.blobs import KINDS, draw_blob, random_blob
 from shape_obs.bench.outline_scores import outline_score
-from shape_obs.geometry.curve import FittedCurve, TrackHints
+from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.outline import Outline, clockwise
 from shape_obs.geometry.polyline import arc_length, catmull_rom, equidistant_around
 from shape_obs.geometry.topology import Ring
 from shape_obs.metrics import spacing_cv
-from shape_obs.tracking.prediction import Prediction
-from shape_obs.tracking.registration import _blend_space, blend, index_shift, match_outline, renumber_outline
 
 
 def one(mask: np.ndarray, detector: ShapeDetector | None = None, **kwargs: Any) -> Any:
@@ -114,11 +112,11 @@ class TestHoles:
             assert away.mean() == pytest.approx(radius, abs=0.15 if hole == 0 else 0.6)
         assert np.linalg.norm(one(ring.mask).points2d - (160, 120), axis=1).mean() == pytest.approx(100, abs=0.1)
 
-    def test_one_that_is_not_there_is_told(self, ring):
+    def test_one_that_is_not_there_is_reported(self, ring):
         assert one(ring.mask, hole=3).reason == "hole 3 was asked for, the mask has 3"
         assert one(random_blob(np.random.default_rng(0)).mask, hole=0).reason == "hole 0 was asked for, the mask has 0"
 
-    def test_one_of_a_few_pixels_is_told(self, ring):
+    def test_one_of_a_few_pixels_is_reported(self, ring):
         shape = one(ring.mask, hole=2)
         assert not shape.ok
         assert shape.reason == "the outline is too small: 4 samples, at least 8 are needed"
@@ -171,7 +169,7 @@ class TestThinAndSmall:
         upper, lower = shape.points2d[2:28, 1], shape.points2d[32:58, 1]
         assert np.all(upper < lower.min())
 
-    def test_one_too_thin_is_told(self):
+    def test_one_too_thin_is_reported(self):
         mask = np.zeros((120, 160), np.uint8)
         mask[60:62, 20:140] = 255
         assert one(mask).reason == "the mask is 2 px wide: too thin for an outline (at least 2.5)"
@@ -195,7 +193,7 @@ class TestThinAndSmall:
         ({"hole": 0.5}, r"contour.hole: expected"),
     ],
 )
-def test_bad_arguments_are_told(arguments, message):
+def test_bad_arguments_are_reported(arguments, message):
     with pytest.raises((ValueError, SpecError), match=message):
         Contour(**arguments)
 
@@ -203,68 +201,6 @@ def test_bad_arguments_are_told(arguments, message):
 def test_it_is_built_from_a_mapping():
     assert ShapeDetector([{"kind": "contour", "n": 12, "hole": 1}]).shapes[0].to_dict()["hole"] == 1
     assert ShapeDetector("contour").shapes[0].count == 32
-
-
-class TestPhase:
-    @settings(max_examples=25)
-    @given(
-        seed=st.integers(0, 2**32 - 1),
-        turn=st.floats(-0.6, 0.6),
-        share=st.floats(0, 1),
-        dimension=st.sampled_from([2, 3]),
-    )
-    def test_a_turned_outline_is_found_again(self, seed, turn, share, dimension):
-        rng = np.random.default_rng(seed)
-        angle = np.linspace(0, 2 * np.pi, 800, endpoint=False)
-        radius = np.ones(800)
-        for k in (1, 2, 3):
-            radius += rng.uniform(0.05, 0.1) * np.cos(k * angle + rng.uniform(0, 6))
-        points = np.zeros((800, dimension))
-        points[:, :2] = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        if dimension == 3:
-            points[:, 2] = 0.3 * np.cos(2 * angle + rng.uniform(0, 6)) + 0.2 * np.sin(3 * angle)
-        rotation = np.eye(dimension)
-        rotation[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
-        moved = points @ rotation.T + rng.uniform(-3, 3, dimension)
-        before, after = (FittedCurve.through(p, np.zeros(800, bool), closed=True) for p in (points, moved))
-        at = np.arange(64) / 64
-        nodes, found = before.at(at * before.size), after.starting_at(-share * after.size)
-        if dimension == 2:
-            behind = index_shift(nodes, nodes, found.at(at * after.size))
-            assert abs((behind - 64 * share + 32) % 64 - 32) < 0.05
-            renumbered = renumber_outline(found.points, nodes, nodes, 0.05)[2]
-        else:
-            prediction = Prediction(nodes, before.size, Ring(64), TrackHints(), 1.0, 0.0, True)
-            renumbered = match_outline(found, prediction)[1]
-        away = np.linalg.norm(renumbered - after.at(at * after.size), axis=1)
-        assert away.max() < 0.05 * after.size / 64
-
-    def test_a_marked_shape_is_found_again_after_any_turn(self):
-        """A slight one may then be taken for one that deformed: the shape must tell more than the turn costs."""
-        blob = random_blob(np.random.default_rng(4), "c", size=(480, 480))
-        start = one(blob.mask).points2d[0]
-        for angle in np.linspace(-3, 3, 7):
-            detector = ShapeDetector([Contour()])
-            one(blob.mask, detector)
-            turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-            turned = draw_blob((blob.outline - 239.5) @ turn + 239.5, size=(480, 480))
-            np.testing.assert_allclose(one(turned.mask, detector).points2d[0], (start - 239.5) @ turn + 239.5, atol=1.5)
-
-    def test_a_circle_stays_where_it_is_expected(self):
-        angle = 2 * np.pi * np.arange(64) / 64
-        circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        for slipped in (0.0, 3.25, 60.0):
-            turned = np.stack([np.cos(angle - slipped * np.pi / 32), np.sin(angle - slipped * np.pi / 32)], axis=1)
-            assert abs((index_shift(circle, circle, turned) - slipped + 32) % 64 - 32) < 1e-3
-
-    def test_a_blend_lies_over_what_was_found(self):
-        rng = np.random.default_rng(0)
-        for dimension, blended in ((2, blend), (3, _blend_space)):
-            reference = rng.normal(size=(40, dimension))
-            rotation = np.linalg.qr(rng.normal(size=(dimension, dimension)))[0]
-            rotation[0] *= np.linalg.det(rotation)
-            found = reference @ rotation.T + np.arange(1, dimension + 1)
-            np.testing.assert_allclose(blended(reference, found, 0.05), found, atol=1e-9)
 
 
 class TestClosedCurves:

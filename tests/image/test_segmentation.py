@@ -140,7 +140,7 @@ class TestROI:
     @pytest.mark.parametrize(
         "roi", [Rectangle(320, 0, 10, 10), Rectangle(-20, 0, 20, 10), Polygon(((400, 0), (500, 0), (500, 50)))]
     )
-    def test_a_region_outside_the_image_is_told(self, roi, wave):
+    def test_a_region_outside_the_image_is_reported(self, roi, wave):
         with pytest.raises(ValueError, match=r"the region of interest .* lies outside the image of 320 x 240 pixels"):
             ShapeDetector(roi=roi).detect_mask(wave.mask)
 

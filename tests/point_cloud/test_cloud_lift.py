@@ -161,7 +161,7 @@ class TestCloud:
         np.testing.assert_allclose(centre, cloud.kept.mean(axis=0))
         assert len(samples) < 800
 
-    def test_near_knows_the_rope_from_its_surroundings(self):
+    def test_near_distinguishes_the_rope_from_its_surroundings(self):
         cloud = Cloud(straight())
         places = np.array([[0, 0, 1], [0.2, 0.003, 1], [0, 0.05, 1], [0.4, 0, 1]], dtype=float)
         np.testing.assert_array_equal(cloud.near(places), [True, True, False, False])

@@ -135,7 +135,7 @@ def test_the_table_under_a_rope_does_not_bleed_in(wave, intrinsics):
 
 
 @pytest.mark.parametrize("nothing", [0.0, np.nan, np.inf, -2.0])
-def test_a_hole_is_told_and_never_filled_unasked(wave, intrinsics, nothing):
+def test_a_hole_is_reported_and_never_filled_unasked(wave, intrinsics, nothing):
     depth = np.full(wave.mask.shape, 0.8)
     depth[:, 140:200] = nothing
     shape = one(ShapeDetector(Centerline(n=30)), wave.mask, depth, intrinsics)
