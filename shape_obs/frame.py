@@ -81,7 +81,8 @@ class Frame:
 def readable_depth(depth: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], float]:
     """Return depth as compiled code reads it, uint16 or float32, read-only and C-contiguous, and its unit in metres."""
     if depth.dtype != np.uint16 and depth.dtype != np.float32:
-        depth = depth.astype(np.float32)
+        with np.errstate(over="ignore"):  # what overflows becomes infinite, which is no depth
+            depth = depth.astype(np.float32)
     depth = np.ascontiguousarray(depth).view()
     depth.flags.writeable = False
     return depth, MILLIMETRE if depth.dtype == np.uint16 else 1.0

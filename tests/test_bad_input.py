@@ -56,7 +56,7 @@ def far(mask: np.ndarray, metres: float = 0.7) -> np.ndarray:
         ({"stamp": "now"}, TypeError, "stamp must be a number of seconds, got 'now'"),
     ],
 )  # fmt: skip
-def test_a_wrong_frame_is_told(blue, arguments, error, message):
+def test_a_wrong_frame_is_reported(blue, arguments, error, message):
     with pytest.raises(error, match=message):
         ShapeDetector(segmentation=BLUE).detect(**{"rgb": blue, **arguments})
 
@@ -71,7 +71,7 @@ def test_a_wrong_frame_is_told(blue, arguments, error, message):
         ({"camera": Intrinsics(9, 9, 1, 1, 0, 0)}, ValueError, "the camera's intrinsics 9 x 9: they must be equal"),
     ],
 )  # fmt: skip
-def test_a_wrong_mask_is_told(wave, arguments, error, message):
+def test_a_wrong_mask_is_reported(wave, arguments, error, message):
     with pytest.raises(error, match=message):
         ShapeDetector().detect_mask(**{"mask": wave.mask, **arguments})
 

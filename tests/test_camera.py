@@ -168,7 +168,7 @@ def test_the_pose_is_a_copy_that_cannot_be_written():
         ({"model": "brown_conradi"}, "unknown value 'brown_conradi'; did you mean 'brown_conrady'"),
     ],
 )
-def test_wrong_intrinsics_are_told(change, message):
+def test_wrong_intrinsics_are_reported(change, message):
     with pytest.raises(ValueError, match=message):
         Intrinsics(**{**D455, **change})
 
@@ -186,7 +186,7 @@ def test_what_needs_the_pose_says_so():
         CameraModel(Intrinsics(**D455)).to_base([0, 0, 1])
 
 
-def test_wrong_shapes_are_told():
+def test_wrong_shapes_are_reported():
     with pytest.raises(ValueError, match=r"points: expected shape \(..., 3\), got \(4, 2\)"):
         Intrinsics(**D455).project(np.zeros((4, 2)))
     with pytest.raises(ValueError, match=r"pixels: expected shape \(..., 2\), got \(\)"):

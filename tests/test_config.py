@@ -65,7 +65,7 @@ def test_the_file_has_a_version_and_three_sections(tmp_path):
         ("version: 1\nshape:\n  shapes: [{kind: centerline, n: 1}]\n", "centerline: n must lie in 2...1000, got 1."),
     ],
 )  # fmt: skip
-def test_a_wrong_file_is_told_with_its_name(tmp_path, text, message):
+def test_a_wrong_file_is_reported_with_its_name(tmp_path, text, message):
     path = tmp_path / "c.yaml"
     path.write_text(text)
     with pytest.raises(ValueError, match=r"c\.yaml") as error:
@@ -189,7 +189,7 @@ def test_the_hash_ignores_how_it_is_said_and_where_it_runs(same):
         {"features": [Points3D(frame="base")]},
     ],
 )
-def test_the_hash_tells_what_a_policy_reads(other):
+def test_the_hash_changes_with_what_a_policy_reads(other):
     assert schema_hash({**BASE, **other}) != schema_hash(BASE)
 
 

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from shape_obs import CameraModel, Centerline, Contour, Intrinsics, Shape, ShapeDetector, Surface
 from shape_obs.bench.robustness.inputs import broken_contracts, declared, inputs_table, run_case
-from shape_obs.compiled import choose
 from shape_obs.geometry.topology import Chain
+from shape_obs.image.connected_runs import near_mask
+from shape_obs.point_cloud.lifting import median_depth
 
-BACKENDS = ("numpy", "numba")
 EVERYTHING: dict[str, Any] = {"segmentation": {"kind": "gray", "min_area": 1, "min_share": 0}, "on_invalid": "nan"}
 
 
@@ -26,23 +26,21 @@ def _no_warnings():
         yield
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_random_inputs_break_no_promise(backend):
+def test_random_inputs_break_no_promise():
     """A slice; ``shape-obs bench claims --only robustness`` runs thousands."""
-    rows = inputs_table(200, seed=11, backend=backend)
+    rows = inputs_table(200, seed=11)
     assert [(row["what"], row["seen"], row["first"]) for row in rows if row["seen"]] == []
     assert len(rows) == 4
 
 
-@given(seed=st.integers(0, 2**31), case=st.integers(0, 2**20), backend=st.sampled_from(BACKENDS))
-def test_no_drawn_case_breaks_a_promise(seed, case, backend):
-    assert run_case(seed, case, backend)[1] == []
+@given(seed=st.integers(0, 2**31), case=st.integers(0, 2**20))
+def test_no_drawn_case_breaks_a_promise(seed, case):
+    assert run_case(seed, case)[1] == []
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_an_outline_without_extent_is_no_sheet(backend):
+def test_an_outline_without_extent_is_no_sheet():
     """Specks hundreds of metres apart, as a lens of 0.1 px sees them; found by the random inputs."""
-    assert run_case(5, 93, backend) == (8, [])
+    assert run_case(5, 93) == (8, [])
 
 
 def thin_masks() -> dict[str, np.ndarray]:
@@ -56,10 +54,9 @@ def thin_masks() -> dict[str, np.ndarray]:
     return masks
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("lift", ["points", "cloud"])
 @pytest.mark.parametrize("name", list(thin_masks()))
-def test_thin_masks_over_any_depth(name, lift, backend):
+def test_thin_masks_over_any_depth(name, lift):
     mask, rng = thin_masks()[name], np.random.default_rng(0)
     lenses: list[dict[str, Any]] = [
         {}, {"fx": 1e-3, "fy": 1e-3}, {"fx": 1e9, "fy": 1e9}, {"cx": 1e7, "cy": -1e7},
@@ -67,7 +64,7 @@ def test_thin_masks_over_any_depth(name, lift, backend):
         {"model": "inverse_brown_conrady", "coeffs": (-3.0, 40.0, 0.1, 0.1, 1e5)},
     ]  # fmt: skip
     specs = [Centerline(n=5, lift=lift), Contour(n=6, lift=lift), Surface(rows=2, cols=2, lift=lift)]
-    detector = ShapeDetector(specs, **EVERYTHING, backend=backend)
+    detector = ShapeDetector(specs, **EVERYTHING)
     for lens in lenses:
         camera = Intrinsics(**{"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5, **lens})
         for depth in (rng.uniform(0, 3, mask.shape), np.full(mask.shape, 0.7), np.full(mask.shape, 1e-300)):
@@ -86,20 +83,19 @@ def test_a_cloud_contour_over_random_depth_is_seen_whole_or_refused(seed):
     assert broken_contracts(shape, 32, in_2d=True, in_3d=True) == []
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_pixels_that_no_image_holds_lie_off_the_mask(backend):
+def test_pixels_that_no_image_holds_lie_off_the_mask():
     """In compiled code an integer made of NaN or 1e30 would read memory that is not the image's."""
-    kernels, mask, depth = choose(backend), np.ones((9, 12), np.uint8), np.full((9, 12), 0.5, np.float32)
+    mask, depth = np.ones((9, 12), np.uint8), np.full((9, 12), 0.5, np.float32)
     off = [np.nan, np.inf, -np.inf, 1e30, -1e30, 2.0**62, -(2.0**63)]
     points = np.array([[5.0, 4.0], *([x, 4.0] for x in off), *([5.0, x] for x in off), *([x, x] for x in off)])
     for left, top in ((0, 0), (100, 50)):
         at = points + (left, top)
-        on = kernels.carried(mask, left, top, at, 1)
+        on = near_mask(mask, left, top, at, 1)
         np.testing.assert_array_equal(on, np.arange(len(points)) == 0)
         image = np.zeros((80, 120), np.float32)
         image[top : top + 9, left : left + 12] = depth
         image.flags.writeable = False
-        z = kernels.median_depth(image, 1.0, mask, left, top, at, 1, 0.25)
+        z = median_depth(image, 1.0, mask, left, top, at, 1, 0.25)
         np.testing.assert_array_equal(np.isfinite(z), on)
 
 

@@ -126,11 +126,11 @@ class TestAnchors:
             ((1, 2, 3), None, r"anchor \(1.0, 2.0, 3.0\) in the base frame needs the camera's place"),
         ],
     )
-    def test_one_that_cannot_be_resolved_is_told(self, wave, anchor, anchors, message):
+    def test_one_that_cannot_be_resolved_is_reported(self, wave, anchor, anchors, message):
         with pytest.raises(ValueError, match=message):
             ShapeDetector(anchor=anchor).detect_mask(wave.mask, anchors=anchors)
 
-    def test_one_behind_the_camera_is_told(self, wave, overhead):
+    def test_one_behind_the_camera_is_reported(self, wave, overhead):
         with pytest.raises(ValueError, match="does not lie in front of the camera"):
             ShapeDetector(anchor=(0, 0, 2)).detect_mask(wave.mask, camera=overhead)
 
@@ -192,7 +192,7 @@ class TestOrder:
         np.testing.assert_allclose(detections[-1]["a"].points2d, detections[-1]["b"].points2d[::-1], atol=1)
 
 
-def test_a_gap_is_bridged_and_told(wave):
+def test_a_gap_is_bridged_and_reported(wave):
     """A gripper finger hides 14 px of the rope: the points under it are in place and invisible."""
     mask = wave.mask.copy()
     mask[:, 150:164] = 0

@@ -13,7 +13,6 @@ from hypothesis.extra import numpy as st_numpy
 from shape_obs.bench.blobs import random_blob
 from shape_obs.bench.ropes import random_rope
 from shape_obs.bench.sheets import draw_sheet, random_sheet
-from shape_obs.geometry.samples import mask_pixels
 from shape_obs.geometry.topology import Chain, Grid, Ring
 from shape_obs.metrics import (
     calinski_harabasz,
@@ -24,6 +23,12 @@ from shape_obs.metrics import (
     silhouette,
     spacing_cv,
 )
+
+
+def mask_pixels(mask: np.ndarray) -> np.ndarray:
+    """``(M, 2)`` pixels (u, v)."""
+    return np.argwhere(mask)[:, ::-1]
+
 
 sklearn_metrics = pytest.importorskip("sklearn.metrics")
 
@@ -110,7 +115,7 @@ class TestSpacing:
         assert spacing_cv(grid, Grid(3, 4)) == pytest.approx(0), "rows and columns have gaps of their own"
 
     @given(st.lists(st.floats(0.1, 10), min_size=2, max_size=20))
-    def test_gaps_along_a_line_are_told(self, gaps):
+    def test_gaps_along_a_line_are_reported(self, gaps):
         points = np.stack([np.append(0, np.cumsum(gaps)), np.zeros(len(gaps) + 1)], axis=1)
         assert spacing_cv(points, Chain(len(points))) == pytest.approx(np.std(gaps) / np.mean(gaps), abs=1e-9)
 

@@ -147,7 +147,7 @@ def test_errors_name_the_place_what_came_and_what_is_known(family, value, messag
     assert str(error.value).startswith(message)
 
 
-def test_a_nested_error_tells_the_way_there():
+def test_a_nested_error_names_the_path_to_the_field():
     config = {
         "shapes": ["centerline", {"kind": "centerline", "name": "b", "segmentation": {"kind": "gray", "low": "x"}}]
     }
@@ -188,7 +188,7 @@ def test_a_nested_error_tells_the_way_there():
         (lambda: ShapeDetector(on_mising="hold"), "unknown field 'on_mising'; did you mean 'on_missing'"),
     ],
 )
-def test_values_that_make_no_sense_are_told(make, message):
+def test_values_that_make_no_sense_are_reported(make, message):
     with pytest.raises(ValueError, match=message):
         make()
 

@@ -17,7 +17,7 @@ from shape_obs.bench.outline_scores import OutlineScore, outline_score
 from shape_obs.bench.ropes import resample
 from shape_obs.configurations import Contour
 from shape_obs.detector import ShapeDetector
-from shape_obs.geometry.form import Curve
+from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import equidistant_around
 
 COUNTS: Final = (16, 32, 64)
@@ -191,7 +191,7 @@ def _shift(outline: npt.NDArray[np.float64], start: npt.NDArray[np.float64], n: 
     """How far equal chords take N points on an outline from equal arc length, gaps."""
     fine = resample(np.concatenate([outline, outline[:1]]), 0.25)[:-1]
     begin = int(np.argmin(np.linalg.norm(fine - start, axis=1)))
-    curve = Curve(np.roll(fine, -begin, axis=0), np.zeros(len(fine), bool), closed=True)
+    curve = FittedCurve.through(np.roll(fine, -begin, axis=0), np.zeros(len(fine), bool), closed=True)
     return float(np.abs(equidistant_around(curve.points, curve.arc, n) * n / curve.size - np.arange(n)).max())
 
 

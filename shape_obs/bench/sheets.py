@@ -48,7 +48,7 @@ class Sheet:
 
     def lattice(self, rows: int, cols: int, ends: Ends) -> Array:
         """(rows, cols, D) where the points of a lattice belong, in the cloth's own frame."""
-        patch = FittedLattice(self.points.reshape(_FINE * _FINE, -1), np.zeros(_FINE * _FINE, bool), rows=_FINE)
+        patch = FittedLattice.over(self.points.reshape(_FINE * _FINE, -1), np.zeros(_FINE * _FINE, bool), _FINE)
         v, u = (places(count, ends) * (_FINE - 1) for count in (rows, cols))
         return patch.at(v, u).reshape(rows, cols, -1)
 

@@ -22,6 +22,7 @@ from shape_obs.geometry.polyline import arc_length
 from shape_obs.image.region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
+from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.shape import Shape
 
 Mask = npt.NDArray[np.uint8]
@@ -128,7 +129,7 @@ def _measured(name: str, tangles: list[Tangle]) -> TangleResult:
 
 def _cold(mask: Mask) -> object:
     window = Window(0, 0, mask.shape[1], mask.shape[0])
-    return Centerline(n=N).parameterise(find_region(mask, window, Segmentation.min_area, Segmentation.min_share))
+    return medial_axis(find_region(mask, window, Segmentation.min_area, Segmentation.min_share))
 
 
 def _peer() -> Callable[[Mask], object] | None:

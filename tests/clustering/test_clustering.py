@@ -19,13 +19,17 @@ from shape_obs.bench.scores import score
 from shape_obs.bench.sheets import Sheet, draw_sheet, moving_sheet, random_sheet
 from shape_obs.bench.surface_claims import score_sheet
 from shape_obs.clustering import Clusterer, FuzzyCMeans, GaussianMixture, KMeans, Kohonen
-from shape_obs.geometry.samples import Samples, mask_pixels
+from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Chain, Grid
 from shape_obs.metrics import calinski_harabasz, distance, nearest, spacing_cv
 
 NAMES = ("kmeans", "gmm", "fcm", "kohonen")
 ALL: tuple[Clusterer, ...] = (KMeans(), GaussianMixture(), FuzzyCMeans(), Kohonen())
 IDS: Any = lambda clusterer: clusterer.kind  # noqa: E731
+
+
+def mask_pixels(mask: np.ndarray) -> np.ndarray:
+    return np.argwhere(mask)[:, ::-1]
 
 
 def counted(points: np.ndarray) -> Samples:
@@ -90,7 +94,7 @@ class TestCentres:
         assert 0.8 * scores[1] < scores[0] < 1.02 * scores[1]
 
     @pytest.mark.parametrize("clusterer", [GaussianMixture(max_iter=1), FuzzyCMeans(max_iter=1), KMeans(max_iter=1)])
-    def test_what_has_not_settled_says_so_and_warns_nobody(self, clusterer, wave):
+    def test_clusterers_that_have_not_settled_report_it_without_a_warning(self, clusterer, wave):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             assert not clusterer.centres(counted(mask_pixels(wave.mask)), Chain(20), 0).settled
@@ -182,7 +186,7 @@ class TestShapes:
             if spec.kind == "contour":
                 assert distance(shape.points3d, ring.curve, closed=True).max() < 0.02
 
-    def test_fewer_pixels_than_points_are_told(self, clustering):
+    def test_fewer_pixels_than_points_are_reported(self, clustering):
         mask = np.zeros((60, 120), np.uint8)
         mask[30:34, 10:110] = 255
         shape = ShapeDetector([Centerline(n=500)], clustering=clustering).detect_mask(mask).shapes[0]

@@ -13,12 +13,11 @@ from hypothesis import strategies as st
 from shape_obs import Contour, ShapeDetector, SpecError
 from shape_obs.bench.blobs import KINDS, draw_blob, random_blob
 from shape_obs.bench.outline_scores import outline_score
-from shape_obs.geometry.form import Curve
-from shape_obs.geometry.outline import Border, clockwise
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.outline import Outline, clockwise
 from shape_obs.geometry.polyline import arc_length, catmull_rom, equidistant_around
 from shape_obs.geometry.topology import Ring
 from shape_obs.metrics import spacing_cv
-from shape_obs.tracking.registration import blend, lag
 
 
 def one(mask: np.ndarray, detector: ShapeDetector | None = None, **kwargs: Any) -> Any:
@@ -113,11 +112,11 @@ class TestHoles:
             assert away.mean() == pytest.approx(radius, abs=0.15 if hole == 0 else 0.6)
         assert np.linalg.norm(one(ring.mask).points2d - (160, 120), axis=1).mean() == pytest.approx(100, abs=0.1)
 
-    def test_one_that_is_not_there_is_told(self, ring):
+    def test_one_that_is_not_there_is_reported(self, ring):
         assert one(ring.mask, hole=3).reason == "hole 3 was asked for, the mask has 3"
         assert one(random_blob(np.random.default_rng(0)).mask, hole=0).reason == "hole 0 was asked for, the mask has 0"
 
-    def test_one_of_a_few_pixels_is_told(self, ring):
+    def test_one_of_a_few_pixels_is_reported(self, ring):
         shape = one(ring.mask, hole=2)
         assert not shape.ok
         assert shape.reason == "the outline is too small: 4 samples, at least 8 are needed"
@@ -170,7 +169,7 @@ class TestThinAndSmall:
         upper, lower = shape.points2d[2:28, 1], shape.points2d[32:58, 1]
         assert np.all(upper < lower.min())
 
-    def test_one_too_thin_is_told(self):
+    def test_one_too_thin_is_reported(self):
         mask = np.zeros((120, 160), np.uint8)
         mask[60:62, 20:140] = 255
         assert one(mask).reason == "the mask is 2 px wide: too thin for an outline (at least 2.5)"
@@ -194,7 +193,7 @@ class TestThinAndSmall:
         ({"hole": 0.5}, r"contour.hole: expected"),
     ],
 )
-def test_bad_arguments_are_told(arguments, message):
+def test_bad_arguments_are_reported(arguments, message):
     with pytest.raises((ValueError, SpecError), match=message):
         Contour(**arguments)
 
@@ -204,66 +203,13 @@ def test_it_is_built_from_a_mapping():
     assert ShapeDetector("contour").shapes[0].count == 32
 
 
-class TestPhase:
-    @settings(max_examples=25)
-    @given(
-        seed=st.integers(0, 2**32 - 1),
-        turn=st.floats(-0.6, 0.6),
-        share=st.floats(0, 1),
-        dimension=st.sampled_from([2, 3]),
-    )
-    def test_a_turned_outline_is_found_again(self, seed, turn, share, dimension):
-        rng = np.random.default_rng(seed)
-        angle = np.linspace(0, 2 * np.pi, 800, endpoint=False)
-        radius = np.ones(800)
-        for k in (1, 2, 3):
-            radius += rng.uniform(0.05, 0.1) * np.cos(k * angle + rng.uniform(0, 6))
-        points = np.zeros((800, dimension))
-        points[:, :2] = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        if dimension == 3:
-            points[:, 2] = 0.3 * np.cos(2 * angle + rng.uniform(0, 6)) + 0.2 * np.sin(3 * angle)
-        rotation = np.eye(dimension)
-        rotation[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
-        moved = points @ rotation.T + rng.uniform(-3, 3, dimension)
-        before, after = (Curve(p, np.zeros(800, bool), closed=True) for p in (points, moved))
-        at = np.arange(64) / 64
-        found = after.begun_at(-share * after.size).at(at * after.size)
-        behind = lag(before.at(at * before.size), before.at(at * before.size), found)
-        assert abs((behind - 64 * share + 32) % 64 - 32) < 0.05
-
-    def test_a_marked_shape_is_found_again_after_any_turn(self):
-        """A slight one may then be taken for one that deformed: the shape must tell more than the turn costs."""
-        blob = random_blob(np.random.default_rng(4), "c", size=(480, 480))
-        start = one(blob.mask).points2d[0]
-        for angle in np.linspace(-3, 3, 7):
-            detector = ShapeDetector([Contour()])
-            one(blob.mask, detector)
-            turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-            turned = draw_blob((blob.outline - 239.5) @ turn + 239.5, size=(480, 480))
-            np.testing.assert_allclose(one(turned.mask, detector).points2d[0], (start - 239.5) @ turn + 239.5, atol=1.5)
-
-    def test_a_circle_stays_where_it_is_expected(self):
-        angle = 2 * np.pi * np.arange(64) / 64
-        circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        for slipped in (0.0, 3.25, 60.0):
-            turned = np.stack([np.cos(angle - slipped * np.pi / 32), np.sin(angle - slipped * np.pi / 32)], axis=1)
-            assert abs((lag(circle, circle, turned) - slipped + 32) % 64 - 32) < 1e-3
-
-    def test_a_blend_lies_over_what_was_found(self):
-        rng = np.random.default_rng(0)
-        reference = rng.normal(size=(40, 3))
-        rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-        found = reference @ (rotation * np.linalg.det(rotation)).T + (1, 2, 3)
-        np.testing.assert_allclose(blend(reference, found, 0.05), found, atol=1e-9)
-
-
 class TestClosedCurves:
     def test_the_smooth_curve_closes_like_an_open_one_that_goes_on(self):
         nodes = np.random.default_rng(0).normal(size=(7, 3))
-        closed = catmull_rom(nodes, closed=True)
+        closed = catmull_rom(nodes, 4, True)
         assert closed.shape == (28, 3)
         np.testing.assert_allclose(closed[::4], nodes)
-        turned = catmull_rom(np.roll(nodes, -2, axis=0), closed=True)
+        turned = catmull_rom(np.roll(nodes, -2, axis=0), 4, True)
         np.testing.assert_allclose(turned, np.roll(closed, -8, axis=0))
 
     @given(n=st.integers(3, 100), seed=st.integers(0, 1000))
@@ -273,13 +219,13 @@ class TestClosedCurves:
         at = equidistant_around(blob, arc, n)
         assert at[0] == 0
         assert np.all(np.diff(at) > 0)
-        points = Curve(blob, np.zeros(len(blob), bool), closed=True).at(at)
+        points = FittedCurve.through(blob, np.zeros(len(blob), bool), closed=True).at(at)
         assert spacing_cv(points, Ring(n)) < (0.003 if n > 6 else 0.2)
 
     @given(begin=st.floats(-3, 3))
     def test_a_curve_begins_anywhere(self, begin):
-        square = Curve(np.array([[0.0, 0], [4, 0], [4, 4], [0, 4]]), np.zeros(4, bool), closed=True)
-        turned = square.begun_at(begin * 16)
+        square = FittedCurve.through(np.array([[0.0, 0], [4, 0], [4, 4], [0, 4]]), np.zeros(4, bool), closed=True)
+        turned = square.starting_at(begin * 16)
         assert turned.size == pytest.approx(16)
         np.testing.assert_allclose(turned.points[0], square.at([begin * 16])[0], atol=1e-9)
         np.testing.assert_allclose(turned.at([1, 5]), square.at([begin * 16 + 1, begin * 16 + 5]), atol=1e-6)
@@ -293,7 +239,7 @@ def test_a_straight_border_lies_where_the_mask_ends(angle):
     inside = (np.abs((u - 59.3) * normal[0] + (v - 60.1) * normal[1]) < 20) & (np.hypot(u - 60, v - 60) < 50)
     contours = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
     traced = max(contours, key=len).reshape(-1, 2).astype(np.float64)
-    border = Border(traced if clockwise(traced) else traced[::-1])
+    border = Outline(traced if clockwise(traced) else traced[::-1])
     off = np.abs((border.points - (59.3, 60.1)) @ normal)
     along = np.abs((border.points - (59.3, 60.1)) @ [-normal[1], normal[0]])
     assert off[along < 35].mean() == pytest.approx(20, abs=0.25)

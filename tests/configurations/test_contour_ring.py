@@ -26,7 +26,7 @@ class TestRing:
             cv2.ellipse(mask, (120, 100), (110, 90), 10, *covered, 0, -1)
         return mask
 
-    def test_a_closed_band_is_taken_and_a_covered_one_is_told(self):
+    def test_a_closed_band_is_taken_and_a_covered_one_is_reported(self):
         assert one(self.band(), ring=True).ok
         for covered in ((20, 40), (90, 91), (200, 290)):
             assert one(self.band(covered), ring=False).quality > 0.5  # for all that is known it may be open

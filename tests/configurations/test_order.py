@@ -13,7 +13,7 @@ from shape_obs import Centerline, Configuration, Contour, ShapeDetector, Surface
 from shape_obs.bench.blobs import moving_blob
 from shape_obs.bench.motion import moving_rope
 from shape_obs.bench.sheets import turning_sheet
-from shape_obs.geometry.form import Curve
+from shape_obs.geometry.curve import FittedCurve
 
 
 class Frame(NamedTuple):
@@ -109,9 +109,11 @@ def test_a_contour_is_numbered_clockwise_whichever_way_it_was_traced(target):
     turn = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     points = np.stack([120 + 50 * np.cos(turn), 100 + 40 * np.sin(turn)], axis=1)  # clockwise: v runs down
     at, spec = None if target is None else np.array(target), Contour(n=8)
-    forms = [Curve(way, np.zeros(64, bool), closed=True) for way in (points, points[::-1])]
+    forms = [FittedCurve.through(way, np.zeros(64, bool), closed=True) for way in (points, points[::-1])]
     one, other = (
-        spec.place(numbered, numbered).places for form in forms for numbered in [spec.numbered(form, form.points, at)]
+        spec.resample(ordered, ordered).places
+        for form in forms
+        for ordered in [spec.apply_index_order(form, form.points, at)]
     )
     np.testing.assert_allclose(one, other, atol=0.5)
     (u, v), (du, dv) = (one[:-1] - (120, 100)).T, np.diff(one, axis=0).T

@@ -189,7 +189,7 @@ class TestGate:
         cv2.line(mask, (0, 0), (639, 479), (0,), 12)
         assert "falls into 2 pieces" in one(mask).reason
 
-    def test_a_hand_over_a_side_is_told_and_survived(self, towel):
+    def test_a_hand_over_a_side_is_reported_and_survived(self, towel):
         detector = ShapeDetector([Surface()])
         before = detector.detect_mask(towel.mask).shapes[0]
         bitten = towel.mask.copy()

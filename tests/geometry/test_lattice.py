@@ -1,4 +1,4 @@
-"""What surfaces are made of: corners of outlines, Coons patches, and lattices that can be sampled and validated."""
+"""Lattices over sheets: places between their points, turns, and what a lattice of a sheet looks like."""
 
 from __future__ import annotations
 
@@ -8,103 +8,53 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from shape_obs.bench.sheets import rotation
-from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, outer_corners, sample_lattice
-from shape_obs.initialization.corners import Rim
+from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice
 
 
-def square_outline(degrees: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of a rectangle of 90 x 60, clockwise, and ``(240, 2)`` points around it."""
-    square = np.array([[0.0, 0], [90, 0], [90, 60], [0, 60]]) @ rotation(degrees).T
-    t = np.linspace(0, 1, 60, endpoint=False)[:, None]
-    return square, np.concatenate([(1 - t) * square[k] + t * square[(k + 1) % 4] for k in range(4)])
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1), quarters=st.integers(0, 3), dimension=st.integers(2, 3))
+def test_a_turn_moves_the_corners_and_nothing_else(seed, quarters, dimension):
+    rng = np.random.default_rng(seed)
+    patch = FittedLattice.over(rng.normal(size=(63, dimension)), rng.random(63) < 0.3, 7)
+    turned = patch.turned(quarters)
+    np.testing.assert_allclose(turned.corners, np.roll(patch.corners, -quarters, axis=0))
+    for found, side in zip(turned.sides, (patch.sides * 2)[quarters : quarters + 4], strict=True):
+        np.testing.assert_allclose(found, side)
+    back = turned.turned((4 - quarters) % 4)
+    np.testing.assert_allclose(back.points, patch.points)
+    np.testing.assert_array_equal(back.interpolated, patch.interpolated)
+    np.testing.assert_allclose(turned.size, patch.size)
 
 
-class TestPatches:
-    @settings(max_examples=20)
-    @given(seed=st.integers(0, 2**32 - 1), quarters=st.integers(0, 3))
-    def test_a_patch_blends_its_four_sides(self, seed, quarters):
-        """The formula of Coons in NumPy, from the sides of the patch itself."""
-        _, outline = square_outline(np.random.default_rng(seed).uniform(0, 360))
-        middle = outline.mean(axis=0)
-        outline = outline + 0.05 * (outline - middle) * np.sin(np.arange(240) * 2 * np.pi / 60)[:, None]
-        rim = Rim.along(outline, outline)
-        corners = rim.corners()
-        assert corners is not None
-        patch = FittedLattice(rim.patch(corners)[0], np.zeros(625, bool), 25)
-        top, right, bottom, left = (np.asarray(side) for side in patch.sides)
-        bottom, left = bottom[::-1], left[::-1]
-        v, u = (at[..., None] for at in np.meshgrid(*[np.linspace(0, 1, 25)] * 2, indexing="ij"))
-        ruled = (1 - u) * left[:, None] + u * right[:, None] + (1 - v) * top + v * bottom
-        bilinear = (1 - v) * ((1 - u) * top[0] + u * top[-1]) + v * ((1 - u) * bottom[0] + u * bottom[-1])
-        np.testing.assert_allclose(patch.lattice, ruled - bilinear, atol=1e-9)
-        turned = patch.turned(quarters)
-        np.testing.assert_allclose(turned.corners, np.roll(patch.corners, -quarters, axis=0))
-        np.testing.assert_allclose(turned.turned(4 - quarters).points, patch.points)
-        np.testing.assert_allclose(turned.size, patch.size)
-
-    def test_places_between_the_points(self):
-        lattice = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1)
-        patch = FittedLattice(lattice.reshape(-1, 2), np.arange(12) == 5, rows=3)
-        np.testing.assert_allclose(patch.at(np.array([0.5, 2]), np.array([0, 1.25, 3])), [
-            [0, 0.5], [1.25, 0.5], [3, 0.5], [0, 2], [1.25, 2], [3, 2]])  # fmt: skip
-        flags = patch.interpolated_at(np.array([1.0, 2.0]), np.array([1.0, 2.0]))
-        assert flags.tolist() == [True, False, False, False]
-        assert patch.size == 5
-        np.testing.assert_allclose(assess_lattice(patch.lattice), [90, 0, 0, 0])
-
-    def test_folds_are_seen(self):
-        lattice = np.stack(np.meshgrid([0.0, 1, 2, 1.5, 1, 2, 3], np.arange(3.0)), axis=-1)
-        assert assess_lattice(lattice)[1] == pytest.approx(0.4)
-
-    @settings(max_examples=20)
-    @given(seed=st.integers(0, 2**32 - 1), centers=st.booleans(), dimension=st.integers(2, 3))
-    def test_lattices_are_sampled_as_scipy_interpolates(self, seed, centers, dimension):
-        lattice = np.random.default_rng(seed).uniform(0, 9, (5, 7, dimension))
-        down, right = lattice_gauges(lattice)
-        gaps = (np.linalg.norm(np.diff(lattice, axis=axis), axis=2).mean(axis=1 - axis) for axis in (0, 1))
-        for gauge, gap in zip((down, right), gaps, strict=True):
-            np.testing.assert_allclose(gauge, np.concatenate([[0.0], np.cumsum(gap)]))
-        share = [(np.arange(n) + 0.5) / n if centers else np.linspace(0, 1, n) for n in (3, 4)]
-        at = np.stack(np.meshgrid(share[0] * down[-1], share[1] * right[-1], indexing="ij"), axis=-1)
-        expected = RegularGridInterpolator((down, right), lattice)(np.minimum(at, (down[-1], right[-1])))
-        found = sample_lattice(lattice, down, right, 3, 4, centers)
-        np.testing.assert_allclose(found, expected.reshape(12, -1), atol=1e-9)
-
-    def test_outer_corners_lie_half_a_cell_outside(self):
-        nodes = np.stack(np.meshgrid(np.arange(5.0), np.arange(4.0)), axis=-1)
-        expected = [[-0.5, -0.5], [4.5, -0.5], [4.5, 3.5], [-0.5, 3.5]]
-        np.testing.assert_allclose(outer_corners(nodes), expected)
+def test_places_between_the_points():
+    lattice = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1)
+    patch = FittedLattice.over(lattice.reshape(-1, 2), np.arange(12) == 5, 3)
+    np.testing.assert_allclose(patch.at(np.array([0.5, 2]), np.array([0, 1.25, 3])), [
+        [0, 0.5], [1.25, 0.5], [3, 0.5], [0, 2], [1.25, 2], [3, 2]])  # fmt: skip
+    assert patch.interpolated_at(np.array([1.0, 2.0]), np.array([1.0, 2.0])).tolist() == [True, False, False, False]
+    assert patch.size == 5
+    np.testing.assert_allclose(assess_lattice(patch.lattice), [90, 0, 0, 0])
 
 
-class TestCorners:
-    @settings(max_examples=20)
-    @given(shift=st.integers(0, 1000), degrees=st.floats(0, 360))
-    def test_corners_do_not_depend_on_where_the_outline_begins(self, shift, degrees):
-        square, outline = square_outline(degrees)
-        outline = np.roll(outline, shift, axis=0)
-        rim = Rim.along(outline, outline)
-        corners = rim.corners()
-        assert corners is not None
-        points, kink = rim.patch(corners)
-        found = points.reshape(25, 25, 2)[[0, 0, -1, -1], [0, -1, -1, 0]]
-        away = np.linalg.norm(found[:, None] - square, axis=2)
-        assert away.min(axis=0).max() < 1.5
-        assert kink < 0.05
-        np.testing.assert_array_equal(rim.corners_near(np.roll(found, -1, axis=0)), np.roll(corners, -1))
+def test_folds_are_seen():
+    lattice = np.stack(np.meshgrid([0.0, 1, 2, 1.5, 1, 2, 3], np.arange(3.0)), axis=-1)
+    assert assess_lattice(lattice)[1] == pytest.approx(0.4)
 
-    def test_corners_near_places_by_brute_force(self):
-        _, outline = square_outline(20.0)
-        rim = Rim.along(outline, outline)
-        for at in ([0, 100, 200, 300], [0, 300, 200, 100], [5, 5, 200, 300]):
-            expected = rim.points[at]
-            near = np.argmin(np.linalg.norm(rim.points[rim.candidates][:, None] - expected, axis=2), axis=0)
-            found = rim.corners_near(expected)
-            places = rim.candidates[near]
-            far = np.linalg.norm(rim.points[places] - expected, axis=1) >= 20 * rim.step
-            places = np.where(far, at, places)
-            gaps = (np.roll(places, -1) - places) % 400
-            in_order = (gaps > 1).all() and gaps.sum() == 400
-            assert (found is not None) == in_order
-            if found is not None:
-                np.testing.assert_array_equal(found, places)
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1), rows=st.integers(2, 9), cols=st.integers(2, 9), centers=st.booleans())
+def test_samples_are_bilinear_between_equal_mean_gaps(seed, rows, cols, centers):
+    rng = np.random.default_rng(seed)
+    lattice = np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=-1) + rng.uniform(-0.3, 0.3, (5, 6, 2))
+    down, right = lattice_gauges(lattice)
+    steps = (np.linalg.norm(np.diff(lattice, axis=axis), axis=2).mean(axis=1 - axis) for axis in (0, 1))
+    for gauge, gaps in zip((down, right), steps, strict=True):
+        np.testing.assert_allclose(gauge, np.concatenate([[0], np.cumsum(gaps)]))
+    at = []
+    for gauge, count in ((down, rows), (right, cols)):
+        share = (np.arange(count) + 0.5) / count if centers else np.linspace(0, 1, count)
+        at.append(np.interp(share * gauge[-1], gauge, np.arange(len(gauge))))
+    expected = RegularGridInterpolator((np.arange(5), np.arange(6)), lattice)(
+        np.stack(np.meshgrid(*at, indexing="ij"), -1)
+    )
+    np.testing.assert_allclose(sample_lattice(lattice, down, right, rows, cols, centers), expected.reshape(-1, 2))

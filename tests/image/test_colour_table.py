@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 
 import cv2
 import numpy as np
@@ -13,19 +12,12 @@ from hypothesis import strategies as st
 
 from shape_obs import ColourRule, DepthRange, Frame, GrayRange, HSVRange, Polygon, ShapeDetector, Whole
 from shape_obs.bench.ropes import KINDS, random_rope
-from shape_obs.compiled import choose
+from shape_obs.image.colour_search import find_by_colour, table_mask
 from shape_obs.image.colour_table import colour_table
 from shape_obs.image.region import find_region, prepare, segment
 from shape_obs.image.roi import Window
 
 BLUE = HSVRange((100, 120, 60), (125, 255, 255))
-
-
-@pytest.fixture(
-    params=["numpy", pytest.param("numba", marks=pytest.mark.skipif(not find_spec("numba"), reason="no Numba"))]
-)
-def kernels(request):
-    return choose(request.param)
 
 
 @dataclass(frozen=True)
@@ -68,6 +60,27 @@ def assert_same_region(found, expected):
     assert found.box == expected.box
 
 
+def runs_of(mask, left, top):
+    """(R,3) row, first column, column past the last one, image coordinates."""
+    found = []
+    for row, line in enumerate(mask):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], line, [0]]).astype(int)))
+        found += [(row + top, start + left, stop + left) for start, stop in edges.reshape(-1, 2)]
+    return np.array(found, np.int64).reshape(-1, 3)
+
+
+def met_by_lattice(blobs, window, step, min_area, min_share):
+    """OpenCV's components that hold a pixel of the lattice and are large enough: their mask, and their areas."""
+    v, u = np.mgrid[window.top : window.top + window.height, window.left : window.left + window.width]
+    shift = step // 4 + (step // 2) * ((v // step) & 1)
+    lattice = (v % step == step // 2) & ((u - shift) % step == 0)
+    labels = np.asarray(cv2.connectedComponents(blobs.astype(np.uint8), connectivity=8)[1])
+    met = np.unique(labels[lattice & blobs])
+    areas = np.array([np.count_nonzero(labels == label) for label in met], int)
+    kept = areas >= max(min_area, min_share * areas.max(initial=0))
+    return np.isin(labels, met[kept]), np.sort(areas[kept])[::-1]
+
+
 class TestTable:
     HUES = st.tuples(*[st.integers(0, 179)] * 2)  # one pair in two wraps around
     RANGES = st.builds(
@@ -89,45 +102,44 @@ class TestTable:
         left, top = int(rng.integers(size[1])), int(rng.integers(size[0]))
         window = Window(left, top, int(rng.integers(size[1] - left)) + 1, int(rng.integers(size[0] - top)) + 1)
         expected = rule.threshold(Frame(image), window)
-        for backend in ("numpy", "auto"):
-            np.testing.assert_array_equal(choose(backend).table_mask(image, window, colour_table(rule)), expected)
+        np.testing.assert_array_equal(table_mask(image, window, colour_table(rule)), expected)
 
-    def test_every_colour_of_a_wrapping_rule(self, kernels):
+    def test_every_colour_of_a_wrapping_rule(self):
         rule = HSVRange((170, 90, 90), (10, 255, 255))
         levels = np.arange(256, dtype=np.uint8)
         for red in (0, 90, 91, 128, 200, 255):
             image = np.stack(np.broadcast_arrays(np.uint8(red), levels[:, None], levels), axis=-1)
             window = Whole().window((256, 256))
             np.testing.assert_array_equal(
-                kernels.table_mask(image, window, colour_table(rule)), rule.threshold(Frame(image), window)
+                table_mask(image, window, colour_table(rule)), rule.threshold(Frame(image), window)
             )
 
-    def test_a_rule_of_ones_own_gets_a_table(self, kernels, wave):
+    def test_a_rule_of_ones_own_gets_a_table(self, wave):
         rng = np.random.default_rng(0)
         image = photograph(wave.mask, rng, noise=25, colour=(190, 60, 40))
         window, rule = Whole().window((240, 320)), MostlyRed()
         expected = rule.apply(Frame(image), window)
         assert set(np.unique(expected)) == {0, 255}
-        np.testing.assert_array_equal(kernels.table_mask(image, window, colour_table(rule)), expected)
+        np.testing.assert_array_equal(table_mask(image, window, colour_table(rule)), expected)
         shape = ShapeDetector(segmentation=rule).detect(image).shapes[0]
         assert shape.ok, shape.reason
 
-    def test_a_rule_as_fine_as_one_colour_is_kept(self, kernels):
+    def test_a_rule_as_fine_as_one_colour_is_kept(self):
         """Bins of eight values a channel would turn a whole drawn object over."""
         image = np.zeros((9, 9, 3), np.uint8) + np.array([30, 60, 200], np.uint8)
         image[4, 4] = (31, 60, 200)
-        mask = kernels.table_mask(image, Whole().window((9, 9)), colour_table(OneColour()))
+        mask = table_mask(image, Whole().window((9, 9)), colour_table(OneColour()))
         assert mask[4, 4] == 0
         assert (mask > 0).sum() == 80
 
-    def test_equal_rules_share_a_table_that_nobody_can_write(self):
+    def test_equal_rules_share_a_read_only_table(self):
         table = colour_table(HSVRange((1, 2, 3), (4, 5, 6)))
         assert table is colour_table(HSVRange([1, 2, 3], [4, 5, 6]))  # pyright: ignore[reportArgumentType]
         assert (table.shape, table.dtype) == ((2**18,), np.uint64)
         with pytest.raises(ValueError, match="read-only"):
             table[0] = 1
 
-    def test_a_rule_that_gives_no_mask_is_told(self):
+    def test_a_rule_that_gives_no_mask_is_an_error(self):
         @dataclass(frozen=True)
         class Flat(ColourRule, kind="test_flat"):
             def matches(self, rgb):
@@ -139,13 +151,11 @@ class TestTable:
             colour_table(Flat())
 
 
-class TestSeek:
+class TestSearch:
     @settings(max_examples=60)
     @given(st.integers(0, 2**32 - 1), st.sampled_from([4, 8]), st.floats(0.05, 0.6), st.integers(1, 9))
-    def test_both_backends_find_the_same(self, seed, step, share, grain):
+    def test_it_finds_the_components_of_opencv_that_the_lattice_meets(self, seed, step, share, grain):
         """Blobs of every grain in windows of every place: complete components, those alone that the lattice meets."""
-        if not find_spec("numba"):
-            pytest.skip("no Numba")
         rng = np.random.default_rng(seed)
         size = rng.integers(1, 90, 2)
         coarse = rng.uniform(size=-(-size // grain)) < share
@@ -153,37 +163,33 @@ class TestSeek:
         image = np.where(blobs[..., None], np.uint8(255), np.uint8(0)).repeat(3, axis=2)
         left, top = int(rng.integers(size[1])), int(rng.integers(size[0]))
         window = Window(left, top, int(rng.integers(size[1] - left)) + 1, int(rng.integers(size[0] - top)) + 1)
-        given_all = (
-            image,
-            window,
-            colour_table(GrayRange(low=128)),
-            step,
-            int(rng.integers(1, 30)),
-            float(rng.uniform()),
-        )
-        numpy, numba = (choose(backend).seek(*given_all) for backend in ("numpy", "numba"))
-        for a, b in zip(numpy[:3], numba[:3], strict=True):
-            np.testing.assert_array_equal(a, b)
-        if len(numpy.runs):
-            assert numpy.box == numba.box
-        assert numba.mask.flags.c_contiguous
+        min_area, min_share = int(rng.integers(1, 30)), float(rng.uniform())
+        found = find_by_colour(image, window, colour_table(GrayRange(low=128)), step, min_area, min_share)
+        expected, areas = met_by_lattice(blobs[window.slices], window, step, min_area, min_share)
+        np.testing.assert_array_equal(found.mask, np.where(expected, 255, 0))
+        np.testing.assert_array_equal(found.areas, areas)
+        np.testing.assert_array_equal(found.runs, runs_of(expected, left, top))
+        if len(areas):
+            v, u = np.nonzero(expected)
+            assert found.box == (left + u.min(), top + v.min(), np.ptp(u) + 1, np.ptp(v) + 1)
+        assert found.mask.flags.c_contiguous
 
     @pytest.mark.parametrize("step", [4, 8])
-    def test_a_disc_of_the_promised_size_is_found_wherever_it_lies(self, step, kernels):
+    def test_a_disc_of_the_promised_size_is_found_wherever_it_lies(self, step):
         v, u = np.mgrid[:40, :40]
         rng, radius = np.random.default_rng(step), (1.25 * step + 1) / 2
         for _ in range(300):
             centre = rng.uniform(12, 28, 2)
             disc = (u - centre[0]) ** 2 + (v - centre[1]) ** 2 <= radius**2
             image = np.where(disc[..., None], np.uint8(255), np.uint8(0)).repeat(3, axis=2)
-            found = kernels.seek(image, Window(0, 0, 40, 40), colour_table(GrayRange(low=128)), step, 1, 0.0)
+            found = find_by_colour(image, Window(0, 0, 40, 40), colour_table(GrayRange(low=128)), step, 1, 0.0)
             np.testing.assert_array_equal(found.mask > 0, disc)
 
     @pytest.mark.parametrize("layout", ["read-only", "reversed", "fortran", "strided", "crop"])
-    def test_the_memory_layout_does_not_matter_and_nothing_is_written(self, layout, kernels, wave):
+    def test_the_memory_layout_does_not_matter_and_nothing_is_written(self, layout, wave):
         image = photograph(wave.mask, np.random.default_rng(1))
         window, table = Window(43, 71, 231, 140), colour_table(BLUE)
-        expected, mask = kernels.seek(image, window, table, 4, 20, 0.05), kernels.table_mask(image, window, table)
+        expected, mask = find_by_colour(image, window, table, 4, 20, 0.05), table_mask(image, window, table)
         other = {
             "read-only": lambda: image.copy(),
             "reversed": lambda: np.ascontiguousarray(image[..., ::-1])[..., ::-1],
@@ -193,27 +199,27 @@ class TestSeek:
         }[layout]()
         other.setflags(write=layout != "read-only")
         before = other.copy()
-        found = kernels.seek(other, window, table, 4, 20, 0.05)
+        found = find_by_colour(other, window, table, 4, 20, 0.05)
         np.testing.assert_array_equal(found.mask, expected.mask)
-        np.testing.assert_array_equal(kernels.table_mask(other, window, table), mask)
+        np.testing.assert_array_equal(table_mask(other, window, table), mask)
         np.testing.assert_array_equal(other, before)
         assert other.flags.writeable is (layout != "read-only")
 
 
 class TestSegment:
     @pytest.mark.parametrize("kind", KINDS)
-    def test_ropes_give_the_plain_path_s_region_to_the_pixel(self, kind, kernels):
+    def test_ropes_give_the_plain_path_s_region_to_the_pixel(self, kind):
         for seed in range(3):
             rng = np.random.default_rng(seed)
             rope = random_rope(rng, kind)
             frame, whole = Frame(photograph(rope.mask, rng)), Whole().window(rope.mask.shape)
             mask = BLUE.apply(frame, whole)
-            expected = find_region(mask, whole, BLUE.min_area, BLUE.min_share, kernels)
+            expected = find_region(mask, whole, BLUE.min_area, BLUE.min_share)
             for width in (0.0, 8.0, 12.0):
                 if width <= rope.width:
-                    assert_same_region(segment(frame, whole, BLUE, Whole(), kernels, width), expected)
+                    assert_same_region(segment(frame, whole, BLUE, Whole(), width), expected)
 
-    def test_what_is_in_the_way_of_a_search_is_heeded(self, kernels, wave):
+    def test_what_is_in_the_way_of_a_search_is_heeded(self, wave):
         """Opening, closing and a polygon change the mask after the colours; the table still serves."""
         rng = np.random.default_rng(5)
         frame, window = Frame(photograph(wave.mask, rng, noise=30)), Window(41, 50, 239, 170)
@@ -221,57 +227,52 @@ class TestSegment:
         for rule in (BLUE, replace(BLUE, open=3), replace(BLUE, close=3), replace(BLUE, open=2, close=5)):
             for roi in (Whole(), polygon):
                 mask = roi.blank(rule.apply(frame, window), window)
-                expected = find_region(mask, window, rule.min_area, rule.min_share, kernels)
-                assert_same_region(segment(frame, window, rule, roi, kernels, 10.0), expected)
+                expected = find_region(mask, window, rule.min_area, rule.min_share)
+                assert_same_region(segment(frame, window, rule, roi, 10.0), expected)
 
-    def test_thin_objects_are_read_pixel_by_pixel(self, kernels):
+    def test_thin_objects_are_read_pixel_by_pixel(self):
         image = np.zeros((60, 90, 3), np.uint8)
         image[30, 5:85] = 255  # between the rows that are looked at
         rule, whole = GrayRange(low=128), Whole().window((60, 90))
-        region = segment(Frame(image), whole, rule, Whole(), kernels, 1.0)
+        region = segment(Frame(image), whole, rule, Whole(), 1.0)
         assert region.areas == (80,)
         image[29] = image[30]  # and its neighbour, where the lattice lies
         image[30] = 0
-        assert segment(Frame(image), whole, rule, Whole(), kernels, 0.0).areas == (80,)
+        assert segment(Frame(image), whole, rule, Whole(), 0.0).areas == (80,)
 
-    def test_a_rule_that_reads_more_than_the_colour_is_asked_itself(self, kernels, wave):
+    def test_a_rule_that_reads_more_than_the_colour_is_asked_itself(self, wave):
         image = photograph(wave.mask, np.random.default_rng(2))
         depth = np.full(wave.mask.shape, 0.3, np.float32)
         depth[:, 160:] = 0.9
         rule, whole = BlueAndNear(BLUE.low, BLUE.high), Whole().window(wave.mask.shape)
         for width in (0.0, 10.0):
-            region = segment(Frame(image, depth), whole, rule, Whole(), kernels, width)
-            assert region.amount
+            region = segment(Frame(image, depth), whole, rule, Whole(), width)
+            assert region.area
             assert region.box.left + region.box.width <= 160
 
-    def test_depth_has_no_table(self, kernels, wave):
+    def test_depth_has_no_table(self, wave):
         depth = np.where(wave.mask > 0, np.float32(0.3), np.float32(0.9))
         rule, whole = DepthRange(0.1, 0.5), Whole().window(wave.mask.shape)
-        prepare(rule, kernels)
-        region = segment(Frame(None, depth), whole, rule, Whole(), kernels, 10.0)
+        prepare([rule])
+        region = segment(Frame(None, depth), whole, rule, Whole(), 10.0)
         np.testing.assert_array_equal(region.mask > 0, wave.mask > 0)
 
-    def test_an_image_that_is_missing_is_told(self, kernels):
+    def test_a_missing_image_is_an_error(self):
         with pytest.raises(ValueError, match=r"segmentation 'hsv' needs rgb, but the frame has none."):
-            segment(Frame(None, np.zeros((9, 9), np.uint16)), Window(0, 0, 9, 9), BLUE, Whole(), kernels)
+            segment(Frame(None, np.zeros((9, 9), np.uint16)), Window(0, 0, 9, 9), BLUE, Whole())
 
-    def test_the_table_is_made_ahead_where_it_is_used(self, kernels):
+    def test_the_table_is_made_ahead_where_it_is_used(self):
         before = colour_table.cache_info().misses
         rule = HSVRange((3, 2, 1), (77, 250, 251))
-        prepare(rule, kernels)
-        prepare(None, kernels)
-        assert colour_table.cache_info().misses - before == int(kernels.reads_tables)
+        prepare([rule, None])
+        assert colour_table.cache_info().misses - before == 1
 
-    def test_points_from_the_search_are_those_of_the_rule(self, kernels):
+    def test_points_from_the_search_are_those_of_the_rule(self):
         """Through the detector, warm, over a moving rope: to 0.3 px on every point, and in fact to the last digit."""
         from shape_obs.bench.motion import moving_rope
 
         rng = np.random.default_rng(9)
-        backend = "numba" if kernels.reads_tables else "numpy"
-        by_colour, by_mask = (
-            ShapeDetector(segmentation=BLUE, backend=backend),
-            ShapeDetector(segmentation=BLUE, backend=backend),
-        )
+        by_colour, by_mask = ShapeDetector(segmentation=BLUE), ShapeDetector(segmentation=BLUE)
         for rope in moving_rope(np.random.default_rng(4), 6.0, 12, length=420.0, width=9.0):
             image = photograph(rope.mask, rng)
             found = by_colour.detect(image).shapes[0]

@@ -113,7 +113,7 @@ def test_small_components_go_by_area_and_by_share():
     for name, arguments in {"area": (20, 0.0), "share": (1, 0.05), "largest": (1, 1.0), "all": (1, 0.0)}.items():
         region = find_region(mask, Whole().window((40, 60)), *arguments)
         areas[name] = [component.area for component in region.components]
-        assert int((region.mask > 0).sum()) == region.amount == sum(areas[name])
+        assert int((region.mask > 0).sum()) == region.area == sum(areas[name])
     assert areas == {"area": [400, 20], "share": [400, 20], "largest": [400], "all": [400, 20, 19]}
 
 
@@ -140,7 +140,7 @@ class TestROI:
     @pytest.mark.parametrize(
         "roi", [Rectangle(320, 0, 10, 10), Rectangle(-20, 0, 20, 10), Polygon(((400, 0), (500, 0), (500, 50)))]
     )
-    def test_a_region_outside_the_image_is_told(self, roi, wave):
+    def test_a_region_outside_the_image_is_reported(self, roi, wave):
         with pytest.raises(ValueError, match=r"the region of interest .* lies outside the image of 320 x 240 pixels"):
             ShapeDetector(roi=roi).detect_mask(wave.mask)
 

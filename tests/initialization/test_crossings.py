@@ -8,13 +8,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.spatial import KDTree
 
 from shape_obs.bench.ropes import draw_rope, random_rope, resample
 from shape_obs.bench.tangle_claims import SETS, TangleResult, detected, tangled_ropes
 from shape_obs.bench.tangles import Tangle, crossing_rope, cut_rope, is_traversed
-from shape_obs.compiled.numpy_fold import fold
 from shape_obs.image.region import Region, find_region
 from shape_obs.image.roi import Window
+from shape_obs.initialization.folding import fold_outline
 from shape_obs.initialization.gaps import bridge
 from shape_obs.initialization.medial_axis import Trace, trace
 from shape_obs.initialization.skeleton import skeleton_graph
@@ -52,7 +53,7 @@ def test_a_tangle_is_found_as_it_runs_or_refused(claims, rope):
     assert result.silently_wrong <= (0.1 if rope == "cut, 50 px" else 0.0)
 
 
-def test_points_under_the_occluder_are_told(claims):
+def test_points_under_the_occluder_are_flagged(claims):
     hidden = sum(result.hidden for result in claims.values())
     assert hidden > 50
     assert sum(result.called_visible for result in claims.values()) <= 0.05 * hidden
@@ -90,11 +91,14 @@ def test_bridged_points_of_a_traced_curve_lie_off_the_mask_and_are_no_more_than_
 def test_a_simple_ribbon_is_folded():
     rng = np.random.default_rng(14)
     for kind in ("smooth", "hairpin", "loop", "spiral"):
-        region = region_of(random_rope(rng, kind).mask)
+        rope = random_rope(rng, kind)
+        region = region_of(rope.mask)
         result = trace(region)
-        assert np.array_equal(result.curve, fold(region.components[0].outline, region.components[0].width))
+        assert np.array_equal(result.curve, fold_outline(region.components[0].outline, region.components[0].width))
         assert not result.bridged.any()
         assert result.doubt == ""
+        away = KDTree(resample(rope.curve, 0.5)).query(result.curve)[0]
+        assert np.median(away) < 1
 
 
 def test_a_mask_that_branches_is_refused():
@@ -167,7 +171,7 @@ def test_sixteen_pieces_are_joined_quickly():
     assert np.all(np.diff(joined.curve[:, 0]) * np.sign(joined.curve[-1, 0] - joined.curve[0, 0]) > 0)
 
 
-def test_the_judge_tells_wrong_ways():
+def test_the_score_notices_wrong_ways():
     tangle = crossing_rope(np.random.default_rng(15), 1)
     even = resample(tangle.curve, 4.0)
     first, second = sorted(np.argsort(np.linalg.norm(even - tangle.crossings[0], axis=1))[[0, 1, 2, 3]])[::3]

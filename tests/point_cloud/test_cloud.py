@@ -71,7 +71,7 @@ class TestDetectCloud:
         shape = one(ShapeDetector(TIPS), np.concatenate([straight(), specks, far]))
         np.testing.assert_allclose(shape.points3d, np.linspace([-0.3, 0, 1], [0.3, 0, 1], 20), atol=5e-3)
 
-    def test_a_gap_is_bridged_and_told(self):
+    def test_a_gap_is_bridged_and_reported(self):
         points = np.concatenate([straight(2000, -0.3, -0.05), straight(2000, 0.07, 0.3)])
         shape = one(ShapeDetector(Centerline(n=31, ends="tips")), points)
         true = np.linspace([-0.3, 0, 1], [0.3, 0, 1], 31)
@@ -165,7 +165,7 @@ class TestAnchors:
             ((1, 2, 3), POSE.intrinsics, "in the base frame needs the camera's place there: give camera=CameraModel"),
         ],
     )
-    def test_one_that_cannot_be_resolved_is_told(self, anchor, camera, message):
+    def test_one_that_cannot_be_resolved_is_reported(self, anchor, camera, message):
         detector = ShapeDetector(anchor=anchor)
         with pytest.raises(ValueError, match=message):
             detector.detect_cloud(straight(), camera=camera, anchors={"hand": (1, 2, 3)})
@@ -227,7 +227,7 @@ class TestRefusals:
         (np.zeros((2, 2, 2, 3)), ValueError, r"got \(2, 2, 2, 3\)"),
     ],
 )
-def test_a_wrong_cloud_is_told(points, error, message):
+def test_a_wrong_cloud_is_reported(points, error, message):
     detector = ShapeDetector()
     with pytest.raises(error, match=message):
         detector.detect_cloud(points)

@@ -149,19 +149,19 @@ class TestCloud:
     def test_a_rope_is_measured(self):
         cloud = Cloud(straight())
         assert cloud.width == pytest.approx(0.004 * 12**0.5, rel=0.2)
-        assert cloud.breadth(0.6) == pytest.approx(0.004 * 24**0.5, rel=0.2)
-        assert cloud.stretch == pytest.approx(0.6, rel=0.15)
+        assert cloud.ribbon_width == pytest.approx(0.004 * 24**0.5, rel=0.2)
+        assert cloud.length == pytest.approx(0.6, rel=0.15)
         assert len(cloud.components) == 1
 
     def test_samples_keep_the_count_and_the_centre(self):
         cloud = Cloud(straight())
         samples = cloud.samples
-        assert samples.weight.sum() == cloud.amount == 3000
+        assert samples.weight.sum() == cloud.area == 3000
         centre = np.average(samples.points, axis=0, weights=samples.weight)
         np.testing.assert_allclose(centre, cloud.kept.mean(axis=0))
         assert len(samples) < 800
 
-    def test_near_knows_the_rope_from_its_surroundings(self):
+    def test_near_distinguishes_the_rope_from_its_surroundings(self):
         cloud = Cloud(straight())
         places = np.array([[0, 0, 1], [0.2, 0.003, 1], [0, 0.05, 1], [0.4, 0, 1]], dtype=float)
         np.testing.assert_array_equal(cloud.near(places), [True, True, False, False])

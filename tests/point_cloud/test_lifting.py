@@ -10,13 +10,13 @@ from scipy.signal import savgol_filter
 
 from shape_obs import CameraModel, Centerline, Frame, Intrinsics, ShapeDetector
 from shape_obs.bench.ropes import Rope, draw_rope
-from shape_obs.configurations.fitting import Fit
-from shape_obs.configurations.points import shape_of
-from shape_obs.geometry.form import Curve
+from shape_obs.configurations.shape_points import shape_of
+from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import straightened
 from shape_obs.image.region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.point_cloud.lifting import lift_form
+from shape_obs.tracking.prediction import Fit
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 
@@ -135,7 +135,7 @@ def test_the_table_under_a_rope_does_not_bleed_in(wave, intrinsics):
 
 
 @pytest.mark.parametrize("nothing", [0.0, np.nan, np.inf, -2.0])
-def test_a_hole_is_told_and_never_filled_unasked(wave, intrinsics, nothing):
+def test_a_hole_is_reported_and_never_filled_unasked(wave, intrinsics, nothing):
     depth = np.full(wave.mask.shape, 0.8)
     depth[:, 140:200] = nothing
     shape = one(ShapeDetector(Centerline(n=30)), wave.mask, depth, intrinsics)
@@ -241,7 +241,7 @@ def test_a_point_needs_depth_under_a_quarter_of_its_pixels(intrinsics, every, va
 
 @pytest.mark.parametrize(("known", "lifted"), [(0.45, False), (0.55, True)])
 def test_gaps_are_equal_in_metres_where_half_of_the_rope_has_depth(intrinsics, known, lifted):
-    curve = Curve(np.stack([np.linspace(20, 300, 100), np.full(100, 120.0)], axis=1), np.zeros(100, bool))
+    curve = FittedCurve.through(np.stack([np.linspace(20, 300, 100), np.full(100, 120.0)], axis=1), np.zeros(100, bool))
     z = np.where(np.arange(100) < 100 * known, 0.7, np.nan)
     assert (lift_form(curve, z, intrinsics) is not None) is lifted
 
@@ -253,10 +253,10 @@ def test_a_hidden_piece_is_not_visible_where_another_strand_lies_under_it(intrin
     mask[115:126, 10:310] = 1
     region = find_region(mask, Window(0, 0, 320, 240), 1, 0.0)
     points = np.stack([np.linspace(20, 300, 99), np.full(99, 120.0)], axis=1)
-    curve = Curve(points, np.arange(99) >= 66)
+    curve = FittedCurve.through(points, np.arange(99) >= 66)
     metres = None if depth is None else np.full(mask.shape, depth)
     frame = Frame(None, metres, None if depth is None else CameraModel(intrinsics))
-    shape = shape_of(Centerline(n=9), Fit(curve, 1.0), curve, region, frame, None, "nan")
+    shape = shape_of(Centerline(n=9), Fit(curve, 1.0, observed=region, object_width=region.width), frame, None, "nan")
     np.testing.assert_array_equal(shape.visible, np.arange(9) < 6)
     np.testing.assert_array_equal(shape.valid, shape.visible)
     assert (shape.points3d is None) == (depth is None)
@@ -267,9 +267,15 @@ def test_a_centre_beside_the_mask_is_not_valid_though_depth_lies_near_it(intrins
     mask = np.zeros((240, 320), np.uint8)
     mask[108:132, 10:310] = 1
     region = find_region(mask, Window(0, 0, 320, 240), 1, 0.0)
-    curve = Curve(np.stack([np.linspace(20, 300, 99), np.full(99, 120.0)], axis=1), np.zeros(99, bool))
+    curve = FittedCurve.through(np.stack([np.linspace(20, 300, 99), np.full(99, 120.0)], axis=1), np.zeros(99, bool))
     centres = np.array([[50.0, 120.0], [150.0, 134.5], [250.0, 120.0]])
     frame = Frame(None, np.full(mask.shape, 0.7), CameraModel(intrinsics))
-    shape = shape_of(Centerline(n=3), Fit(curve, 1.0, centres=centres), curve, region, frame, None, "nan")
+    shape = shape_of(
+        Centerline(n=3),
+        Fit(curve, 1.0, observed=region, object_width=region.width, centres=centres),
+        frame,
+        None,
+        "nan",
+    )
     assert shape.visible.tolist() == [True, False, True]
     assert shape.valid.tolist() == [True, False, True]

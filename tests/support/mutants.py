@@ -1,7 +1,7 @@
 """Check the tests by breaking the code: each mutant is one small fault that at least one test must notice.
 
     uv run python tests/support/mutants.py                 # all of them, a few minutes
-    uv run python tests/support/mutants.py --only gate     # those whose name contains the word
+    uv run python tests/support/mutants.py --only lift     # those whose name contains the word
     uv run python tests/support/mutants.py --list
 
 Each fault is put into a copy of the package in a temporary folder, never into the working tree, and the test files

@@ -2,49 +2,69 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from shape_obs import Centerline, ShapeDetector
-from shape_obs.geometry.form import Curve, Memory
+from shape_obs.configurations import centerline
+from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.topology import Chain
+from shape_obs.image.region import find_region
 from shape_obs.image.roi import Window
-from shape_obs.tracking.prediction import Track, advance, outlook, predict, size_jump
+from shape_obs.tracking.prediction import Fit, Prediction, Track, advance, predict, size_jump
+from shape_obs.tracking.search_window import predict_search_window
 
 NODES = np.stack([np.linspace(10, 90, 9), np.full(9, 50.0)], axis=1)
 
 
-def curve(length: float = 100.0, hidden: bool = False) -> Curve:
+def curve(length: float = 100.0, hidden: bool = False) -> FittedCurve:
     points = np.stack([np.linspace(0, length, 101), np.full(101, 50.0)], axis=1)
-    return Curve(points, np.arange(101) < (30 if hidden else 0))
+    return FittedCurve.through(points, np.arange(101) < (30 if hidden else 0))
+
+
+def observation(box: Window | None = None, area: int = 800, resolution: float = 1.0) -> Any:
+    """The part of an ``Observed`` that tracks read."""
+    return SimpleNamespace(box=box, area=area, resolution=resolution)
+
+
+def found(form: FittedCurve, nodes: np.ndarray = NODES, width: float = 8.0) -> Fit:
+    return Fit(form, 1.0, nodes=nodes, topology=Chain(9), size=form.size, width=width)
 
 
 def first(stamp: float = 0.0, **change) -> Track:
-    track = advance(None, NODES, curve(), stamp, Chain(9), 8.0, Window(0, 46, 100, 8), 800)
-    return track._replace(**change)
+    return advance(None, found(curve()), observation(Window(0, 46, 100, 8)), stamp)._replace(**change)
 
 
 def after(track: Track, shift: float, stamp: float, width: float = 8.0, box: Window | None = None, **form) -> Track:
-    return advance(track, NODES + (0, shift), curve(**form), stamp, Chain(9), width, box, 800)
+    return advance(track, found(curve(**form), NODES + (0, shift), width), observation(box), stamp)
+
+
+def predicted(track: Track, stamp: float, **seen: Any) -> Prediction:
+    prediction = predict(track, observation(**seen), stamp)
+    assert prediction is not None
+    return prediction
 
 
 class TestPrediction:
     def test_the_first_frame_has_no_velocity(self):
-        np.testing.assert_array_equal(predict(first(), 5.0, 1.0).nodes, NODES)
+        np.testing.assert_array_equal(predicted(first(), 5.0).nodes, NODES)
 
     def test_most_of_the_last_step_is_made_again(self):
         """Frames 0.1 s apart, 10 px a frame: 8 px are expected of the next."""
         track = after(first(), 10.0, 0.1)
-        np.testing.assert_allclose(predict(track, 0.2, 1.0).nodes, NODES + (0, 18))
-        np.testing.assert_allclose(predict(track, 0.15, 1.0).nodes, NODES + (0, 14))
+        np.testing.assert_allclose(predicted(track, 0.2).nodes, NODES + (0, 18))
+        np.testing.assert_allclose(predicted(track, 0.15).nodes, NODES + (0, 14))
 
     def test_nothing_is_extrapolated_beyond_the_last_interval(self):
         track = after(first(), 10.0, 0.1)
-        np.testing.assert_allclose(predict(track, 60.0, 1.0).nodes, NODES + (0, 18))
+        np.testing.assert_allclose(predicted(track, 60.0).nodes, NODES + (0, 18))
 
     def test_nothing_is_extrapolated_backwards(self):
         track = after(first(), 10.0, 0.1)
-        np.testing.assert_allclose(predict(track, -60.0, 1.0).nodes, NODES + (0, 10))
+        np.testing.assert_allclose(predicted(track, -60.0).nodes, NODES + (0, 10))
 
     def test_a_stamp_that_stands_still_gives_no_velocity(self):
         track = after(first(1.0), 10.0, 1.0)
@@ -52,10 +72,10 @@ class TestPrediction:
         assert after(first(1.0), 10.0, 0.5).interval == 0
 
     def test_what_is_known_is_passed_on(self):
-        track = first(memory=Memory(hidden=(3.0, 0.0)))
-        prediction = predict(track, 0.1, 0.7)
-        assert (prediction.size, prediction.width, prediction.amount, prediction.grain) == (100.0, 8.0, 800, 0.7)
-        assert prediction.memory.hidden == (3.0, 0.0)
+        track = first(hints=TrackHints(hidden=(3.0, 0.0)))
+        prediction = predicted(track, 0.1, resolution=0.7)
+        assert (prediction.size, prediction.width, prediction.resolution) == (100.0, 8.0, 0.7)
+        assert prediction.hints.hidden == (3.0, 0.0)
 
 
 class TestWidth:
@@ -75,27 +95,41 @@ class TestSize:
         ("size", "jumps"), [(100.0, False), (105.9, False), (94.1, False), (107, True), (93, True)]
     )
     def test_a_length_may_change_by_six_percent(self, size, jumps):
-        assert bool(size_jump(100.0, size, "px")) is jumps
+        assert size_jump(predicted(first(), 0.1), size) is jumps
 
-    def test_the_message_names_both_in_their_unit(self):
-        assert size_jump(100.0, 200.0, "px") == "the length jumped from 100 to 200 px"
-        assert size_jump(0.5, 0.25, "m") == "the length jumped from 0.500 to 0.250 m"
-
-    def test_a_remembered_size_wins_over_the_size_found(self):
-        form = curve(80.0).remembering(Memory(size=100.0))
-        assert advance(first(), NODES, form, 0.1, Chain(9), 8.0, None, 800).size == 100.0
+    def test_the_size_is_that_of_the_fit(self):
+        form = curve(80.0)
+        assert advance(first(), found(form)._replace(size=100.0), observation(), 0.1).size == 100.0
         assert after(first(), 0.0, 0.1, length=104.0).size == 104.0
 
-    def test_the_area_of_a_body_that_was_hidden_in_part_is_not_remembered(self):
-        assert after(first(), 0.0, 0.1).amount == 800
-        assert after(first(), 0.0, 0.1, hidden=True).amount == 0
+    def test_a_rope_that_is_seen_a_little_shorter_keeps_its_length(self):
+        """277 of 280 px may be noise: the length gives way by 0.3 %, or a hand that creeps in would shrink the rope."""
+        seen = []
+        for last in (300, 297):
+            mask = np.zeros((120, 400), np.uint8)
+            mask[56:64, 20:last] = 1
+            seen.append(find_region(mask, Window(0, 0, 400, 120), 1, 0.0))
+        spec = Centerline(n=9)
+        whole = spec.fit(seen[0], None, None, None)
+        prediction = predict(advance(None, whole, seen[0], 0.0), seen[1], 0.1)
+        shorter = spec.fit(seen[1], prediction, None, None)
+        assert shorter.form.size < 0.993 * whole.size
+        assert shorter.size == pytest.approx(0.997 * whole.size, rel=5e-4)
+
+    def test_the_area_of_an_object_that_was_hidden_in_part_is_not_remembered(self):
+        assert after(first(), 0.0, 0.1).area == 800
+        assert after(first(), 0.0, 0.1, hidden=True).area == 0
+
+    @pytest.mark.parametrize(("area", "steady"), [(800, True), (802, True), (798, True), (803, False), (797, False)])
+    def test_an_area_that_changes_by_three_thousandths_is_another_one(self, area, steady):
+        assert predicted(first(), 0.1, area=area).steady is steady
 
 
-class TestOutlook:
+class TestSearchWindow:
     def test_the_box_with_room_for_motion(self):
         track = after(first(), 0.0, 0.1, box=Window(3, 41, 100, 10))
         assert track.drift == 5
-        expected = outlook(track)
+        expected = predict_search_window([track])
         assert expected is not None
         assert expected.window == Window(3 - 13, 41 - 13, 126, 36)
         assert expected.width == 8.0
@@ -109,22 +143,23 @@ class TestOutlook:
         assert after(first(), 0.0, 0.1, box=Window(left, top, right - left, bottom - top)).drift == 7
 
     def test_what_a_hand_hides_may_come_back_anywhere(self):
-        assert outlook(first(memory=Memory(hidden=(0.0, 5.0)))) is None
-        assert outlook(first(box=None)) is None
+        assert predict_search_window([first(hints=TrackHints(hidden=(0.0, 5.0)))]) is None
+        assert predict_search_window([first(box=None)]) is None
+        assert predict_search_window([None]) is None
+        assert predict_search_window([first(), None]) is None
 
     def test_two_shapes_of_one_colour_are_expected_in_both_boxes(self):
-        one, other = outlook(first()), outlook(first(box=Window(200, 0, 10, 10), width=3.0))
-        assert one is not None
-        assert other is not None
-        assert one.united(other) == ((-8, -8, 226, 70), 3.0)
+        other = first(box=Window(200, 0, 10, 10), width=3.0)
+        assert predict_search_window([first(), other]) == ((-8, -8, 226, 70), 3.0)
+        assert predict_search_window([other, first()]) == ((-8, -8, 226, 70), 3.0)
 
 
 @pytest.mark.parametrize(("grown", "starts"), [(4, 0), (40, 1)])
 def test_a_rope_that_jumps_in_length_is_found_from_a_fresh_start(monkeypatch, grown, starts):
     """280 px: 1 % more is followed, 14 % more is not."""
     fresh = []
-    parameterise = Centerline.parameterise
-    monkeypatch.setattr(Centerline, "parameterise", lambda *given: fresh.append(given) or parameterise(*given))
+    medial_axis = centerline.medial_axis
+    monkeypatch.setattr(centerline, "medial_axis", lambda observed: fresh.append(observed) or medial_axis(observed))
     detector, mask = ShapeDetector(Centerline(n=9)), np.zeros((120, 400), np.uint8)
     mask[56:64, 20:300] = 1
     for _ in range(3):

@@ -1,30 +1,82 @@
-"""Numbering outlines in the plane agrees with numbering them in space, which NumPy's transforms do."""
+"""Contour registration: an outline that has turned is numbered from the place where it began before."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.outline import material_outline
-from shape_obs.tracking.registration import _blend_space, _index_shift_space, renumber_outline
+from shape_obs import Contour, ShapeDetector
+from shape_obs.bench.blobs import draw_blob, random_blob
+from shape_obs.geometry.curve import FittedCurve, TrackHints
+from shape_obs.geometry.topology import Ring
+from shape_obs.tracking.prediction import Prediction
+from shape_obs.tracking.registration import _blend_space, blend, index_shift, match_outline, renumber_outline
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.3, -1.0])
-def test_the_plane_is_a_plane_in_space(angle):
-    phase = np.linspace(0, 2 * np.pi, 700, endpoint=False)
-    radius = 100 + 20 * np.cos(2 * phase + 0.4) + 9 * np.sin(3 * phase) + 4 * np.cos(5 * phase + 2)
-    _, smooth = material_outline(300 + radius[:, None] * np.stack([np.cos(phase), np.sin(phase)], axis=1), False)
-    curve = FittedCurve(smooth, np.zeros(len(smooth), bool), closed=True)
-    reference = curve.starting_at(31.4).even(90)
-    predicted = reference + (3, -2)
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    points, arc, nodes, blended = renumber_outline(curve.points @ turn, reference, predicted, 0.05)
-    again = FittedCurve(points, np.zeros(len(points), bool), closed=True)
-    np.testing.assert_allclose(arc, again.arc)
-    np.testing.assert_allclose(nodes, again.even(90), atol=1e-6)
-    np.testing.assert_allclose(nodes, reference @ turn, atol=0.2)
-    before, expected, there = (np.pad(values, ((0, 0), (0, 1))) for values in (reference, predicted, nodes))
-    shift = _index_shift_space(before, expected, there)
-    assert (shift + 45) % 90 - 45 == pytest.approx(0, abs=0.02)
-    np.testing.assert_allclose(blended, _blend_space(before, there, 0.05)[:, :2], atol=1e-6)
+def one(mask: np.ndarray, detector: ShapeDetector | None = None) -> Any:
+    return (detector or ShapeDetector([Contour()])).detect_mask(mask).shapes[0]
+
+
+class TestRegistration:
+    @settings(max_examples=25)
+    @given(
+        seed=st.integers(0, 2**32 - 1),
+        turn=st.floats(-0.6, 0.6),
+        share=st.floats(0, 1),
+        dimension=st.sampled_from([2, 3]),
+    )
+    def test_a_turned_outline_is_found_again(self, seed, turn, share, dimension):
+        rng = np.random.default_rng(seed)
+        angle = np.linspace(0, 2 * np.pi, 800, endpoint=False)
+        radius = np.ones(800)
+        for k in (1, 2, 3):
+            radius += rng.uniform(0.05, 0.1) * np.cos(k * angle + rng.uniform(0, 6))
+        points = np.zeros((800, dimension))
+        points[:, :2] = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        if dimension == 3:
+            points[:, 2] = 0.3 * np.cos(2 * angle + rng.uniform(0, 6)) + 0.2 * np.sin(3 * angle)
+        rotation = np.eye(dimension)
+        rotation[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+        moved = points @ rotation.T + rng.uniform(-3, 3, dimension)
+        before, after = (FittedCurve.through(p, np.zeros(800, bool), closed=True) for p in (points, moved))
+        at = np.arange(64) / 64
+        nodes, found = before.at(at * before.size), after.starting_at(-share * after.size)
+        if dimension == 2:
+            behind = index_shift(nodes, nodes, found.at(at * after.size))
+            assert abs((behind - 64 * share + 32) % 64 - 32) < 0.05
+            renumbered = renumber_outline(found.points, nodes, nodes, 0.05)[2]
+        else:
+            prediction = Prediction(nodes, before.size, Ring(64), TrackHints(), 1.0, 0.0, True)
+            renumbered = match_outline(found, prediction)[1]
+        away = np.linalg.norm(renumbered - after.at(at * after.size), axis=1)
+        assert away.max() < 0.05 * after.size / 64
+
+    def test_a_marked_shape_is_found_again_after_any_turn(self):
+        """A slight one may then be taken for one that deformed: the shape must tell more than the turn costs."""
+        blob = random_blob(np.random.default_rng(4), "c", size=(480, 480))
+        start = one(blob.mask).points2d[0]
+        for angle in np.linspace(-3, 3, 7):
+            detector = ShapeDetector([Contour()])
+            one(blob.mask, detector)
+            turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+            turned = draw_blob((blob.outline - 239.5) @ turn + 239.5, size=(480, 480))
+            np.testing.assert_allclose(one(turned.mask, detector).points2d[0], (start - 239.5) @ turn + 239.5, atol=1.5)
+
+    def test_a_circle_stays_where_it_is_expected(self):
+        angle = 2 * np.pi * np.arange(64) / 64
+        circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        for slipped in (0.0, 3.25, 60.0):
+            turned = np.stack([np.cos(angle - slipped * np.pi / 32), np.sin(angle - slipped * np.pi / 32)], axis=1)
+            assert abs((index_shift(circle, circle, turned) - slipped + 32) % 64 - 32) < 1e-3
+
+    def test_a_blend_lies_over_what_was_found(self):
+        rng = np.random.default_rng(0)
+        for dimension, blended in ((2, blend), (3, _blend_space)):
+            reference = rng.normal(size=(40, dimension))
+            rotation = np.linalg.qr(rng.normal(size=(dimension, dimension)))[0]
+            rotation[0] *= np.linalg.det(rotation)
+            found = reference @ rotation.T + np.arange(1, dimension + 1)
+            np.testing.assert_allclose(blended(reference, found, 0.05), found, atol=1e-9)

@@ -11,6 +11,7 @@ from shape_obs import detector as detector_module
 from shape_obs.bench.disturbances import photographed
 from shape_obs.bench.motion import moving_rope
 from shape_obs.bench.sheets import moving_sheet
+from shape_obs.tracking import search_window
 
 BLUE = HSVRange(low=(100, 80, 25), high=(130, 255, 255), open=3, close=3)
 FRAMES = 25
@@ -19,7 +20,7 @@ FRAMES = 25
 @pytest.fixture
 def everywhere(monkeypatch):
     """Call it, and every frame is looked at as a whole."""
-    return lambda: monkeypatch.setattr(detector_module, "_LOOK_AROUND", 1)
+    return lambda: monkeypatch.setattr(detector_module, "_SEARCH_ALL", 1)
 
 
 def shifted(mask: np.ndarray, u: int, v: int) -> np.ndarray:
@@ -33,11 +34,10 @@ def rope(start: tuple[int, int] = (80, 100), length: int = 220) -> np.ndarray:
     return mask
 
 
-@pytest.mark.parametrize("backend", ["numpy", "auto"])
 @pytest.mark.parametrize("speed", [4, 30])
-def test_ropes_are_found_as_in_the_whole_image(everywhere, backend, speed):
+def test_ropes_are_found_as_in_the_whole_image(everywhere, speed):
     masks = [frame.mask for frame in moving_rope(np.random.default_rng(1), speed, FRAMES)]
-    detector = ShapeDetector(backend=backend)
+    detector = ShapeDetector()
     found = [detector.detect_mask(mask) for mask in masks]
     everywhere()
     detector.reset()
@@ -48,11 +48,10 @@ def test_ropes_are_found_as_in_the_whole_image(everywhere, backend, speed):
         np.testing.assert_allclose(detection.shapes[0].points2d, again.shapes[0].points2d, atol=1e-3)
 
 
-@pytest.mark.parametrize("backend", ["numpy", "auto"])
-def test_images_give_the_same_points_as_their_whole(everywhere, backend):
+def test_images_give_the_same_points_as_their_whole(everywhere):
     rng = np.random.default_rng(2)
     frames = [photographed(rng, sheet.mask, 1.5, 4.0) for sheet in moving_sheet(rng, 8, 12)]
-    detector = ShapeDetector([Contour(), Surface()], BLUE, backend=backend)
+    detector = ShapeDetector([Contour(), Surface()], BLUE)
     found = [detector.detect(frame) for frame in frames]
     everywhere()
     detector.reset()
@@ -112,13 +111,13 @@ def test_what_was_hidden_at_first_is_seen_before_long():
 def test_an_image_edge_is_no_reason_to_look_again(monkeypatch):
     """A rope at the image's edge stays tracked in its window: nothing lies beyond."""
     looked = []
-    original = detector_module.View._look
+    original = search_window.find_region
 
     def look(*given):
         looked.append(given)
-        original(*given)
+        return original(*given)
 
-    monkeypatch.setattr(detector_module.View, "_look", look)
+    monkeypatch.setattr(search_window, "find_region", look)
     mask = np.zeros((480, 640), np.uint8)
     mask[200:212, :200] = 255
     detector = ShapeDetector()

@@ -4,76 +4,84 @@ from __future__ import annotations
 
 from .mutant import Mutant
 
+_LIFTING = "tests/point_cloud/test_lifting.py"
+_DEGENERATE = "tests/test_degenerate_input.py"
+_OCCLUDERS = "tests/tracking/test_occluders.py"
+_ARRAYS = "tests/utils/test_arrays.py"
 
-def _gate(name: str, old: str, new: str, equivalent: str = "") -> Mutant:
-    return Mutant(
-        f"gate: {name}",
-        "shape_obs/tracking/validation.py",
-        old,
-        new,
-        ("tests/tracking/test_validation.py",),
-        equivalent,
-    )
+
+def _valid(name: str, old: str, new: str, module: str = "tracking/validation", equivalent: str = "") -> Mutant:
+    tests = ("tests/tracking/test_validation.py",)
+    return Mutant(f"validation: {name}", f"shape_obs/{module}.py", old, new, tests, equivalent)
 
 
 def _lift(name: str, module: str, old: str, new: str, *tests: str, equivalent: str = "") -> Mutant:
-    files = tuple(f"tests/test_{test}.py" for test in tests or ("lift",))
-    return Mutant(f"lift: {name}", f"shape_obs/{module}.py", old, new, files, equivalent)
+    return Mutant(f"lift: {name}", f"shape_obs/{module}.py", old, new, tests or (_LIFTING,), equivalent)
+
+
+def _points(name: str, old: str, new: str, *tests: str) -> Mutant:
+    return _lift(name, "configurations/shape_points", old, new, *tests)
 
 
 SHAPES: tuple[Mutant, ...] = (
-    _gate("a curve may lie off the mask", "    if off > _MAX_OFF:", "    if False:"),
-    _gate("a fifth may lie off the mask", "_MAX_OFF: Final = 0.10", "_MAX_OFF: Final = 0.20"),
-    _gate("all that is empty counts as hidden", "hidden = min(empty, bridged)", "hidden = empty"),
-    _gate("nothing counts as hidden", "hidden = min(empty, bridged)", "hidden = 0.0"),
-    _gate("a mask may spread", "    if spread > _MAX_SPREAD:", "    if False:"),
-    _gate("a mask may spread twice as far", "_MAX_SPREAD: Final = 0.40", "_MAX_SPREAD: Final = 0.80"),
-    _gate("spread within samples is ignored", "(square + body.within) ** 0.5", "square**0.5"),
-    _gate("spread is not weighed by area", "body.samples.weight, curve.points)",
-          "body.samples.weight**0, curve.points)"),
-    _gate("hidden pieces count as width", "body.breadth(curve.size * (1 - hidden))", "body.breadth(curve.size)"),
-    _gate("quality ignores what lies off", "(1 - max(off, 0.0) / _MAX_OFF)", "1.0"),
-    _gate("quality ignores the spread", "min(max(1 - excess, 0.0), 1.0)", "1.0"),
-    _gate("a piece may be small", "    if piece < _MIN_PIECE:", "    if False:"),
-    _gate("an outline may miss", "    if miss > _MAX_MISS:", "    if False:"),
-    _gate("quality of an outline ignores its miss", "((1 - excess) * piece) ** 0.5", "piece**0.5"),
-    _gate("a lattice may lie off", "    if empty > _MAX_OFF:", "    if False:"),
-    _gate("a corner may be acute", "    elif abs(corner - 90) > _MAX_SKEW:", "    elif False:"),
-    _gate("a lattice may fold", "    elif folds > _MAX_FOLDS:", "    elif False:"),
-    _gate("an outline may turn", "    elif kink > _MAX_KINK:", "    elif False:"),
-    _gate("a side may wind", "    elif winding > _MAX_WINDING:", "    elif False:"),
-    _gate("cells may vary", "    elif uneven > _MAX_UNEVEN:", "    elif False:"),
-    _gate("quality of a sheet ignores kinks", "* (1 - bent) *", "*"),
-    _lift("a bridged point is visible", "points", "region.carries(points) & ~bridged", "region.carries(points)"),
-    _lift("a point off the mask is valid", "points", "valid = visible & np.isfinite(z)", "valid = np.isfinite(z)"),
-    _lift("a point without depth is valid", "points", "valid = visible & np.isfinite(z)", "valid = visible.copy()"),
-    _lift("a point without a ray is valid", "points", "    valid &= np.isfinite(points3d).all(axis=1)", "    pass",
-          "degenerate_input"),
-    _lift("holes take no neighbour's depth", "points", "if 0 < np.count_nonzero(valid) < len(valid):", "if False:"),
-    _lift("depth beside what hides a piece is the points'", "points",
-          "z[np.isnan(under)[np.argmin(cdist(points, form.points), axis=1)]] = np.nan", "pass", "covered", "lift"),
-    _lift("depth of what hides a piece is the rope's", "lift", "form.bridged | overlaid(form, z, width)",
-          "form.bridged", "covered"),
-    _lift("half of a form suffices no more", "lift", "if known.mean() < 0.5:", "if False:", "lift"),
-    _lift("a form without rays is measured", "lift", "return points if np.isfinite(points).all() else None",
-          "return points", "degenerate_input"),
-    _lift("one pixel tells the depth", "lift", "reach = min(max(round(width / 4), 1), _MAX_REACH)", "reach = 0"),
-    _lift("one valid pixel suffices", "lift", "_MIN_SHARE: Final = 0.25", "_MIN_SHARE: Final = 0.0", "lift"),
-    _lift("the axis lies along z", "lift", "radius / np.linalg.norm(rays, axis=1)", "radius"),
-    _lift("the surface is the axis", "lift", "    if radius:", "    if False:"),
-    _lift("nan interpolates", "missing", 'if policy == "interpolate" or', "if True or"),
-    _lift("hold gives nan", "missing", 'np.nan if policy == "nan" or last is None else last[~valid]', "np.nan"),
-    _lift("clouds keep what flies in between", "deproject", "kept = off <= ", "kept = off <= np.inf * 1 + 0 * ",
-          "cloud_lift"),
-    _lift("clouds keep absurd points", "deproject", "points[plausible]", "points", "degenerate_input"),
-    _lift("compiled code reads beyond the image", "kernels/numba_mask", "if -FAR_OFF < at < FAR_OFF else int(-FAR_OFF)",
-          "if at == at else int(-FAR_OFF)", "degenerate_input"),
-    _lift("NumPy code reads beyond the image", "kernels/numpy_mask", "np.fmin(np.fmax(points, -FAR_OFF), FAR_OFF)",
-          "np.maximum(points, -FAR_OFF)", "degenerate_input"),
+    _valid("a curve may lie off the mask", "    if off > _MAX_OFF:\n        return", "    if False:\n        return"),
+    _valid("a fifth may lie off the mask", "_MAX_OFF: Final = 0.10", "_MAX_OFF: Final = 0.20"),
+    _valid("all that is empty counts as hidden", "hidden = min(unsupported, expected_off)", "hidden = unsupported"),
+    _valid("nothing counts as hidden", "hidden = min(unsupported, expected_off)", "hidden = 0.0"),
+    _valid("a mask may spread", "    if ratio > _MAX_SPREAD:", "    if False:"),
+    _valid("a mask may spread twice as far", "_MAX_SPREAD: Final = 0.40", "_MAX_SPREAD: Final = 0.80"),
+    _valid("spread within samples is ignored", "spread + min(cell, width) ** 2 / 12", "spread",
+           "configurations/centerline"),
+    _valid("spread is not weighed by area", "points[::step].copy(), weight[::step]",
+           "points[::step].copy(), weight[::step] ** 0"),
+    _valid("hidden pieces count as width", "float(curve.arc[-1]) * (1 - hidden)", "float(curve.arc[-1])"),
+    _valid("quality ignores what lies off", "(1 - max(off, 0.0) / _MAX_OFF)", "1.0"),
+    _valid("quality ignores the spread", "min(max(1 - excess, 0.0), 1.0)", "1.0"),
+    _valid("a piece may be small", "    if piece < _MIN_PIECE:", "    if False:"),
+    _valid("an outline may miss", "    if miss > _MAX_MISS:", "    if False:"),
+    _valid("quality of an outline ignores its miss", "((1 - excess) * piece) ** 0.5", "piece**0.5"),
+    _valid("a lattice may lie off", "    if off > _MAX_OFF:\n        reason", "    if False:\n        reason"),
+    _valid("a corner may be acute", "    elif abs(corner - 90) > _MAX_SKEW:", "    elif False:"),
+    _valid("a lattice may fold", "    elif folds > _MAX_FOLDS:", "    elif False:"),
+    _valid("an outline may turn", "    elif kink > _MAX_KINK:", "    elif False:"),
+    _valid("a side may wind", "    elif winding > _MAX_WINDING:", "    elif False:"),
+    _valid("cells may vary", "    elif uneven > _MAX_UNEVEN:", "    elif False:"),
+    _valid("quality of a sheet ignores kinks", "* (1 - bent) *", "*"),
+    _points("an interpolated point is visible", "region.carries(points) & ~interpolated", "region.carries(points)"),
+    _points("an interpolated point over depth is visible", "    visible &= ~interpolated", "    pass"),
+    _points("a point off the mask is valid", "valid = visible & np.isfinite(z)", "valid = np.isfinite(z)"),
+    _points("a point without depth is valid", "valid = visible & np.isfinite(z)", "valid = visible.copy()"),
+    _points("a point without a ray is valid", "    valid &= np.isfinite(points3d).all(axis=1)", "    pass",
+            _DEGENERATE),
+    _points("holes take no neighbour's depth", "if not valid.all() and valid.any():", "if False:"),
+    _points("depth beside what hides a piece is the points'",
+            "z[np.isnan(under)[np.argmin(cdist(points, form.points), axis=1)]] = np.nan", "pass", _OCCLUDERS, _LIFTING),
+    _points("one pixel gives the depth of a point", "reach = min(max(round(width / 4), 1), MAX_REACH)", "reach = 0"),
+    _points("the axis lies along z", "radius / np.linalg.norm(rays, axis=1)", "radius"),
+    _points("the surface is the axis", "    if radius:", "    if False:"),
+    _lift("depth of what hides a piece is the rope's", "point_cloud/lifting",
+          "form.interpolated | overlaid(form, z, width)", "form.interpolated", _OCCLUDERS),
+    _lift("half of a form suffices no more", "point_cloud/lifting", "if known.mean() < 0.5:", "if False:"),
+    _lift("a form without rays is measured", "point_cloud/lifting",
+          "return points if np.isfinite(points).all() else None", "return points", _DEGENERATE),
+    _lift("one pixel gives the depth of a form", "point_cloud/lifting",
+          "reach = min(max(round(width / 4), 1), MAX_REACH)", "reach = 0"),
+    _lift("one valid pixel suffices", "point_cloud/lifting", "MIN_SHARE: Final = 0.25", "MIN_SHARE: Final = 0.0"),
+    _lift("nan interpolates", "tracking/missing", 'if policy == "interpolate" or', "if True or"),
+    _lift("hold gives nan", "tracking/missing", 'np.nan if policy == "nan" or last is None else last[~valid]',
+          "np.nan"),
+    _lift("clouds keep what flies in between", "point_cloud/deprojection", "kept = off <= ",
+          "kept = off <= np.inf * 1 + 0 * ", "tests/point_cloud/test_cloud_lift.py"),
+    _lift("clouds keep absurd points", "point_cloud/deprojection", "points[plausible]", "points", _DEGENERATE),
+    _lift("compiled code reads beyond the image", "image/connected_runs",
+          "if -_FAR_OFF < at < _FAR_OFF else int(-_FAR_OFF)", "if at == at else int(-_FAR_OFF)", _DEGENERATE),
+    _lift("NaN becomes a pixel", "image/connected_runs", "if -_FAR_OFF < at < _FAR_OFF else int(-_FAR_OFF)",
+          "if not abs(at) >= _FAR_OFF else int(-_FAR_OFF)", _DEGENERATE),
     _lift("a lens has a ray everywhere", "camera", "found = change < _CONVERGED", "found = change < np.inf",
-          "degenerate_input"),
-    _lift("arrays of a shape can be written", "shape", "    copy.flags.writeable = False", "    pass", "arrays"),
-    _lift("arrays of a shape are the caller's", "shape", "copy = np.array(values, dtype)",
-          "copy = np.asarray(values, dtype).view()", "arrays"),
-    _lift("copied shapes can be written", "shape", "        self.__post_init__()\n", "", "arrays"),
+          _DEGENERATE),
+    _lift("arrays of a shape can be written", "shape", "            values.flags.writeable = False",
+          "            pass", _ARRAYS),
+    _lift("arrays of a shape are the caller's", "shape", "values = np.array(values, dtype)",
+          "values = np.asarray(values, dtype).view()", _ARRAYS),
+    _lift("copied shapes can be written", "shape", "        self.__post_init__()\n", "", _ARRAYS),
 )  # fmt: skip

@@ -4,18 +4,26 @@ from __future__ import annotations
 
 from .mutant import Mutant
 
+_DEGENERATE = "tests/test_degenerate_input.py"
+_DETECTOR = "tests/test_detector.py"
+_MISSING = "tests/tracking/test_missing.py"
+_OCCLUDERS = "tests/tracking/test_occluders.py"
+_ORDER = "tests/configurations/test_order.py"
+_PREDICTION = "tests/tracking/test_prediction.py"
+_SEARCH = "tests/tracking/test_search_window.py"
+
 
 def _mutant(part: str, name: str, module: str, old: str, new: str, *tests: str, equivalent: str = "") -> Mutant:
-    files = tuple(f"tests/test_{test}.py" for test in tests)
-    return Mutant(f"{part}: {name}", f"shape_obs/{module}.py", old, new, files, equivalent)
+    return Mutant(f"{part}: {name}", f"shape_obs/{module}.py", old, new, tests, equivalent)
 
 
-def _track(name: str, old: str, new: str, *tests: str, equivalent: str = "") -> Mutant:
-    return _mutant("tracking", name, "tracking", old, new, *(tests or ("tracking",)), equivalent=equivalent)
+def _track(name: str, old: str, new: str, *tests: str, module: str = "prediction", equivalent: str = "") -> Mutant:
+    return _mutant("tracking", name, f"tracking/{module}", old, new, *(tests or (_PREDICTION,)), equivalent=equivalent)
 
 
 def _order(name: str, module: str, old: str, new: str, *tests: str, equivalent: str = "") -> Mutant:
-    return _mutant("order", name, module, old, new, *(tests or ("detector", "order")), equivalent=equivalent)
+    files = tests or (_DETECTOR, _ORDER)
+    return _mutant("order", name, f"configurations/{module}", old, new, *files, equivalent=equivalent)
 
 
 TRACKS: tuple[Mutant, ...] = (
@@ -25,68 +33,73 @@ TRACKS: tuple[Mutant, ...] = (
     _track("all of the last step", "_VELOCITY_SHARE: Final = 0.8", "_VELOCITY_SHARE: Final = 1.0"),
     _track("motion is reversed", "track.nodes + _VELOCITY_SHARE", "track.nodes - _VELOCITY_SHARE"),
     _track("no motion is expected", "velocity = (nodes - track.nodes) / interval", "pass"),
-    _track("velocity of stamps that stand still", "interval > _LEAST_INTERVAL:", "interval > 0:", "degenerate_input"),
-    _track("a length may jump", "if abs(after / before - 1) <= _MAX_SIZE_CHANGE:", "if True:"),
+    _track("velocity of stamps that stand still", "interval > _LEAST_INTERVAL:", "interval > 0:", _DEGENERATE),
+    _track("a length may jump", "return abs(size / prediction.size - 1) > _MAX_SIZE_CHANGE", "return False"),
     _track("a length may change twice as much", "_MAX_SIZE_CHANGE: Final = 0.06", "_MAX_SIZE_CHANGE: Final = 0.12"),
-    _track("hidden pieces shrink the rope", "form.memory.size or form.size", "form.size"),
-    _track("a hidden piece shrinks the area", "amount if form.whole else 0", "amount"),
+    _mutant("tracking", "hidden pieces shrink the rope", "configurations/centerline",
+            "curve.hints.size or float(curve.arc[-1])", "float(curve.arc[-1])", _PREDICTION),
+    _track("a hidden piece shrinks the area", "0 if form.interpolated.any() else observed.area", "observed.area"),
     _track("noise moves the width", "    if abs(change) <= _WIDTH_NOISE:", "    if False:"),
     _track("a width changes at once", "return max(-_MAX_WIDTH_CHANGE, min(change, _MAX_WIDTH_CHANGE))",
            "return change"),
-    _track("hidden ends come back in the window", "if track.box is None or any(track.memory.hidden):",
-           "if track.box is None:"),
-    _track("a moving box has no more room", "spare = _SPARE + track.drift", "spare = _SPARE"),
+    _track("hidden ends come back in the window",
+           "if track is None or track.box is None or any(track.hints.hidden):",
+           "if track is None or track.box is None:", module="search_window"),
+    _track("a moving box has no more room", "spare = track.box, _SPARE + track.drift", "spare = track.box, _SPARE",
+           module="search_window"),
     _track("the lower edge does not move", "abs(a + c - e - g), abs(b + d - f - h))", "abs(a + c - e - g))"),
-    _track("two windows are one", "Expected(self.window.united(other.window), ", "Expected(self.window, "),
-    _mutant("tracking", "a jump is followed", "fitting", "reason=jump) if jump else found",
-            'reason="") if jump else found',
-            "tracking"),
-    _mutant("tracking", "the whole image is never looked at", "detector", "self._looked % _LOOK_AROUND == 0", "False",
-            "tracked_window"),
+    _track("two windows are one", "right, bottom = max(right, box.left + box.width + spare), max(bottom,",
+           "right, bottom = max(0, box.left + box.width + spare), max(0,", module="search_window"),
+    _mutant("tracking", "a jump is followed", "configurations/centerline",
+            "if found.reason or size_jump(prediction, found.form.arc[-1]):", "if found.reason:", _PREDICTION),
+    _mutant("tracking", "the whole image is never looked at", "detector", "self._frames % _SEARCH_ALL == 0", "False",
+            _SEARCH),
     _mutant("tracking", "lost shapes are not looked for elsewhere", "detector",
-            "if not found.ok and view.look_everywhere",
-            "if False and view.look_everywhere", "tracked_window"),
+            "if not found.reason or not search.widen(spec.segmentation):", "if True:", _SEARCH),
     _mutant("tracking", "a track never ends", "detector",
-            "            self._tracks.pop(spec.name, None)\n        return",
-            "            pass\n        return", "missing", "order"),
+            "                self._tracks.pop(spec.name, None)\n        _lap",
+            "                pass\n        _lap", _MISSING, _ORDER),
     _mutant("tracking", "pixels become metres", "detector",
             "self._tracks.pop(spec.name, None)  # pixels say nothing about metres\n"
-            "            self._last.pop(spec.name, None)", "pass", "cloud", "cloud_lift"),
+            "            self._last.pop(spec.name, None)", "pass",
+            "tests/point_cloud/test_cloud.py", "tests/point_cloud/test_cloud_lift.py"),
     _mutant("tracking", "an older clock makes ages negative", "detector", "elif stamp < self._stamp:", "elif False:",
-            "degenerate_input"),
+            _DEGENERATE),
     _mutant("tracking", "reset keeps the track", "detector", "self._tracks: dict[str, Track] = {}",
-            "self._tracks: dict[str, Track] = getattr(self, '_tracks', {})", "detector"),
-    _order("a centerline begins at its far end", "configurations/centerline", "return form if first <= last",
+            "self._tracks: dict[str, Track] = getattr(self, '_tracks', {})", _DETECTOR),
+    _order("a centerline begins at its far end", "centerline", "return form if first <= last",
            "return form if first > last"),
-    _order("an anchor is ignored", "configurations/centerline",
+    _order("an anchor is ignored", "centerline",
            "corner = np.zeros(seen.shape[1]) if target is None else target", "corner = np.zeros(seen.shape[1])"),
-    _order("a contour runs either way", "configurations/contour",
-           "        if not clockwise(seen):", "        if False:", "order"),
-    _order("a contour begins anywhere", "configurations/contour", "form.begun_at(_least(far, form))",
-           "form.begun_at(0.0)", "contour"),
-    _order("a surface begins at another corner", "configurations/surface",
-           "np.argmax([level, upright, -level, -upright])", "np.argmin([level, upright, -level, -upright])", "surface"),
-    _order("a surface ignores its anchor", "configurations/surface",
+    _order("a contour runs either way", "contour",
+           "        if not clockwise(seen):", "        if False:", _ORDER),
+    _order("a contour begins anywhere", "contour", "form.starting_at(_least(far, form))",
+           "form.starting_at(0.0)", "tests/configurations/test_contour.py"),
+    _order("a surface begins at another corner", "surface",
+           "np.argmax([level, upright, -level, -upright])", "np.argmin([level, upright, -level, -upright])",
+           "tests/configurations/test_surface.py"),
+    _order("a surface ignores its anchor", "surface",
            "np.argmin(np.sum((corners - target) ** 2, axis=1))", "np.argmax(np.sum((corners - target) ** 2, axis=1))",
-           "surface"),
-    _order("every frame is numbered afresh", "fitting", 'if spec.order == "image" else found', "if True else found"),
-    _order("no frame is numbered afresh", "fitting", 'if spec.order == "image" else found', "if False else found"),
-    _order("a fresh start forgets the direction", "fitting",
-           "    start = spec.nodes(form, topology)\n    return _settle(",
-           "    start = spec.nodes(form, topology)\n    prediction = None\n    return _settle(", "covered"),
-    _order("what is settled follows nothing", "fitting",
-           "        form = spec.follow(form, prediction)\n    verdict", "        pass\n    verdict"),
-    _mutant("missing", "held shapes are ok for ever", "missing", 'ok=policy == "hold" and age <= max_age',
-            'ok=policy == "hold"', "missing"),
-    _mutant("missing", "truncate holds", "missing", 'ok=policy == "hold" and age <= max_age', "ok=age <= max_age",
-            "missing"),
-    _mutant("missing", "held points count as seen", "missing", "nobody = np.zeros(layout.size, bool)",
-            "nobody = np.ones(layout.size, bool)", "missing"),
-    _mutant("missing", "raise holds", "missing", 'if policy == "raise":', "if False:", "missing"),
-    _mutant("missing", "nan holds", "missing", 'if last is None or policy == "nan":', "if last is None:", "missing"),
-    _mutant("missing", "a shape without depth is found", "detector", "(not in_3d or np.count_nonzero(shape.valid))",
-            "True", "lift"),
+           "tests/configurations/test_surface.py"),
+    _mutant("order", "every frame is numbered afresh", "detector", 'if spec.order == "image":', "if True:",
+            _DETECTOR, _ORDER),
+    _mutant("order", "no frame is numbered afresh", "detector", 'if spec.order == "image":', "if False:",
+            _DETECTOR, _ORDER),
+    _order("a fresh start forgets the direction", "centerline",
+           "bridged, prediction, depth)", "bridged, None, depth)", _OCCLUDERS),
+    _order("a fitted chain is not matched to the track", "centerline",
+           "            curve = match_chain(curve, prediction, depth)", "            pass"),
+    _mutant("missing", "held shapes are ok for ever", "tracking/missing", 'ok=policy == "hold" and age <= max_age',
+            'ok=policy == "hold"', _MISSING),
+    _mutant("missing", "truncate holds", "tracking/missing", 'ok=policy == "hold" and age <= max_age',
+            "ok=age <= max_age", _MISSING),
+    _mutant("missing", "held points count as seen", "tracking/missing", "nobody = np.zeros(layout.size, bool)",
+            "nobody = np.ones(layout.size, bool)", _MISSING),
+    _mutant("missing", "raise holds", "tracking/missing", 'if policy == "raise":', "if False:", _MISSING),
+    _mutant("missing", "nan holds", "tracking/missing", 'if last is None or policy == "nan":', "if last is None:",
+            _MISSING),
+    _mutant("missing", "a shape without depth is found", "detector", "(in_3d and not shape.valid.any())",
+            "False", "tests/point_cloud/test_lifting.py"),
     _mutant("missing", "pixels may be nan", "detector",
-            "shape.points2d is None or np.isfinite(shape.points2d).all()", "True",
-            "degenerate_input"),
+            "shape.points2d is None or np.isfinite(shape.points2d).all()", "True", _DEGENERATE),
 )  # fmt: skip
