@@ -11,8 +11,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from shape_obs.calibration.extrinsics import Extrinsics
 from shape_obs.camera import CameraModel, Intrinsics
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.calibration.extrinsics import Extrinsics
 from shape_obs.camera import Intrinsics
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import depth_in_metres
 
 Array = npt.NDArray[np.float64]

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.calibration.board import Board, BoardView
-from shape_obs.calibration.extrinsics import now
 from shape_obs.camera import Intrinsics
+from shape_obs.extrinsics import now
 from shape_obs.spec import Spec, SpecError
 from shape_obs.utils.documents import read_json
 from shape_obs.utils.files import write_text

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tqdm import tqdm
 
-from shape_obs.cli.source import warnings_as_lines
+from shape_obs.cli.options import warnings_as_lines
 from shape_obs.spec import did_you_mean
 from shape_obs.utils.files import make_folder
 

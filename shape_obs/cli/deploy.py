@@ -13,9 +13,8 @@ import tyro
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
-from shape_obs.cli.acting import Acting, ActingArguments, make_acting
-from shape_obs.cli.cell import RATE
-from shape_obs.cli.source import warnings_as_lines
+from shape_obs.cli.controller import Acting, ActingArguments, make_acting
+from shape_obs.cli.options import RATE, warnings_as_lines
 from shape_obs.config import schema_hash
 from shape_obs.robot import robot_name
 

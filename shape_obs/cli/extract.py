@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tqdm import tqdm
 
-from shape_obs.cli.source import open_named, warnings_as_lines
+from shape_obs.cli.options import open_named, warnings_as_lines
 from shape_obs.config import load_config
 from shape_obs.features import read_features
 from shape_obs.utils.documents import parse_yaml

@@ -14,11 +14,11 @@ import numpy.typing as npt
 import tyro
 from tqdm import tqdm
 
-from shape_obs.calibration.extrinsics import Extrinsics
-from shape_obs.cli.source import open_named, warnings_as_lines
+from shape_obs.cli.options import open_named, warnings_as_lines
 from shape_obs.config import config_hash, detector_arguments, load_config, schema_hash
 from shape_obs.configurations import Configuration
 from shape_obs.detector import ShapeDetector
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.features import PointDistribution, PrincipalComponents, View
 from shape_obs.features.coordinates import Coordinates, Frame
 from shape_obs.geometry.topology import Topology

@@ -13,9 +13,8 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from shape_obs.cli.cell import CellArguments, make_cell, make_robot
 from shape_obs.cli.files import write_image
-from shape_obs.cli.source import warnings_as_lines
+from shape_obs.cli.options import CellArguments, make_cell, make_robot, warnings_as_lines
 from shape_obs.drawing import draw_detection
 
 

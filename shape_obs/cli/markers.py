@@ -1,4 +1,7 @@
-"""``shape-obs markers``: a sheet of markers, or a calibration board, to print."""
+"""``shape-obs markers``: a sheet of markers, or a calibration board, to print.
+
+A board as the command line describes it.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,6 @@ from typing import Annotated, Literal
 import tyro
 
 from shape_obs.calibration import Board
-from shape_obs.cli.boards import board_from
 from shape_obs.markers import DICTIONARY
 from shape_obs.markers.sheet import PER_MM, board_page, marker_pages, write_pages
 
@@ -64,3 +66,11 @@ def board_words(board: Board) -> str:
         f"ChArUco board, {board.columns} x {board.rows} squares of {1000 * board.square:g} mm, "
         f"markers of {1000 * board.marker:g} mm, {board.dictionary}"
     )
+
+
+def board_from(given: tuple[int, int, float, float] | None, dictionary: str = DICTIONARY) -> Board:
+    """Columns, rows, side of a square and of a marker in mm; the default board where nothing is given."""
+    if given is None:
+        return Board(dictionary=dictionary)
+    columns, rows, square, marker = given
+    return Board(columns, rows, square / 1000, marker / 1000, dictionary)

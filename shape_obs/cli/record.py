@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import tyro
 from tqdm import tqdm
 
-from shape_obs.cli.source import open_named, warnings_as_lines
+from shape_obs.cli.options import open_named, warnings_as_lines
 from shape_obs.recording import Recorded, record
 from shape_obs.recording.format import read_moments
 from shape_obs.recording.recorder import Depth

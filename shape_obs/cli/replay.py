@@ -15,7 +15,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from shape_obs.cli.source import open_named, warnings_as_lines
+from shape_obs.cli.options import open_named, warnings_as_lines
 from shape_obs.config import detector_arguments, load_config
 from shape_obs.detector import ShapeDetector
 from shape_obs.recording import OverlayVideo, Recording, ShapeLog, replay

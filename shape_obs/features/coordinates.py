@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import CameraModel
-from shape_obs.features.base import Feature, View
+from shape_obs.features.feature import Feature, View
 from shape_obs.shape import Shape
 from shape_obs.spec import did_you_mean
 

@@ -15,8 +15,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.features.base import View
 from shape_obs.features.coordinates import Framed
+from shape_obs.features.feature import View
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.shape import Shape
 

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.features.base import View
 from shape_obs.features.coordinates import Geometric
 from shape_obs.features.curvature import closes, polyline
+from shape_obs.features.feature import View
 from shape_obs.geometry.topology import Grid, Ring, Topology
 from shape_obs.shape import Shape
 

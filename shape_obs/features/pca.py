@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.features.base import View
 from shape_obs.features.coordinates import Coordinates, Frame, Placed
 from shape_obs.features.distribution import PointDistribution, read_bytes
+from shape_obs.features.feature import View
 from shape_obs.geometry.topology import Topology
 from shape_obs.shape import Shape
 from shape_obs.spec import SpecError

@@ -1,4 +1,7 @@
-"""The points themselves: in pixels, normalised to the image's size, or in metres."""
+"""The points themselves: in pixels, normalised to the image's size, or in metres.
+
+How far a shape can be trusted, as numbers that a policy can see (it cannot read ``info``).
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.features.base import View
 from shape_obs.features.coordinates import Coordinates, Placed
+from shape_obs.features.feature import Feature, View
 from shape_obs.geometry.topology import Topology
 from shape_obs.shape import Shape
 from shape_obs.spec import SpecError
@@ -101,3 +104,47 @@ class Points3D(_Points, kind="points3d"):
     def coordinates(self) -> Coordinates:
         """Metres."""
         return self._coordinates  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True)
+class Ok(Feature, kind="ok"):
+    """1 where the shape is ok, else 0."""
+
+    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+        """0...1."""
+        return np.zeros(1), np.ones(1)
+
+    def compute(self, shape: Shape, view: View) -> Array:
+        """(1,)."""
+        return np.array([float(shape.ok)])
+
+
+@dataclass(frozen=True)
+class Age(Feature, kind="age"):
+    """Seconds since the points were seen, at most ``max_age`` (past that ``ok`` is 0 anyway)."""
+
+    @property
+    def unit(self) -> str:
+        """Seconds."""
+        return "s"
+
+    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+        """0...max_age."""
+        return np.zeros(1), np.full(1, view.max_age)
+
+    def compute(self, shape: Shape, view: View) -> Array:
+        """(1,) seconds."""
+        return np.array([min(shape.age, view.max_age)])
+
+
+@dataclass(frozen=True)
+class Valid(Feature, kind="valid"):
+    """For each point 1 where it was really measured, 0 where it was filled in."""
+
+    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+        """0...1."""
+        return np.zeros(layout.size), np.ones(layout.size)
+
+    def compute(self, shape: Shape, view: View) -> Array:
+        """(N,)."""
+        return shape.valid.astype(np.float64)

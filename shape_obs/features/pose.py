@@ -14,9 +14,9 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.features.base import View
 from shape_obs.features.coordinates import Framed, Geometric
 from shape_obs.features.curvature import closes, polyline
+from shape_obs.features.feature import View
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.shape import Shape
 

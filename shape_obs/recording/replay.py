@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from shape_obs.calibration.extrinsics import now
 from shape_obs.config import config_hash, dump_config, schema_hash
 from shape_obs.detector import ShapeDetector
+from shape_obs.extrinsics import now
 from shape_obs.features import read_features
 from shape_obs.image.segmentation import DepthRange
 from shape_obs.recording.format import Moment, camera_to_dict, read_moments

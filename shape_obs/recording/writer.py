@@ -15,8 +15,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from shape_obs import __version__
-from shape_obs.calibration.extrinsics import now
 from shape_obs.camera import CameraModel
+from shape_obs.extrinsics import now
 from shape_obs.recording.format import CAMERA_FILE, END, FORMAT, FRAMES_FILE, VERSION, Moment, camera_to_dict, store
 from shape_obs.source import RGBDSource
 from shape_obs.utils.files import make_folder, write_text

@@ -1,8 +1,12 @@
-"""ShapeServo: a law at work on the observations of a ``ShapeGoal``."""
+"""ShapeServo: a law at work on the observations of a ``ShapeGoal``.
+
+Small motions at the start, by which a Jacobian is first learnt.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, Literal
 
@@ -11,15 +15,18 @@ import numpy.typing as npt
 
 from shape_obs.robot import ActionSpec
 from shape_obs.servo.control_law import ServoLaw, make_law
-from shape_obs.servo.excitation import Excitation
 from shape_obs.servo.jacobian import share
 from shape_obs.servo.weights import geometric_weights, noise_weights
 from shape_obs.shape import Shape
+from shape_obs.spec import Spec, SpecError
 
 Array = npt.NDArray[np.float64]
+
 Mask = npt.NDArray[np.bool_]
 
+
 _LAW: Final = "rls"
+
 _STILL: Final = 8  # frames over which noise is measured
 
 
@@ -194,3 +201,28 @@ class ShapeServo:
         if self._by_noise and self.law.weights is None and not self._script:
             assert self.law.estimator.matrix is not None
             self.law.weights = noise_weights(self._still, self.law.estimator.matrix)
+
+
+@dataclass(frozen=True)
+class Excitation(Spec):
+    """Each coordinate by itself there and back, so that the robot ends where it began.
+
+    Args:
+        amplitude: Of the largest action, above 0, at most 1.
+        hold: Steps there, and as many back: more where the object follows slowly.
+    """
+
+    amplitude: float = 0.6
+    hold: int = 2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.amplitude <= 1 or self.hold < 1:
+            raise SpecError(
+                f"excitation: expected an amplitude above 0, at most 1, and hold of 1 step or more, got {self}."
+            )
+
+    def actions(self, size: int) -> Array:
+        """(2 size hold, size) one after the other."""
+        there_and_back = np.repeat([self.amplitude, -self.amplitude], self.hold)
+        return np.kron(np.eye(size), there_and_back[:, None]).astype(np.float64)

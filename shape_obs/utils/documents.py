@@ -4,6 +4,8 @@ Files come from other people and other programs. On damaged or hostile text Pyth
 are not their own: ``RecursionError`` when it is nested too deep, ``KeyError`` for a YAML tag, ``ValueError`` for a
 date that does not exist. YAML can repeat a part with an alias (``*name``): a few lines then stand for billions of
 values, or for a value that contains itself. Depth and number of values are therefore bounded here.
+
+Classes and functions by their names: ``module:Name``.
 """
 
 from __future__ import annotations
@@ -11,19 +13,23 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
 import yaml
 
-from shape_obs.spec import SpecError
+from shape_obs.spec import SpecError, did_you_mean
 
 #: Levels of lists and mappings in each other; the files of this package have at most a dozen.
 DEEPEST: Final = 64
+
 #: Values in a YAML document, aliases written out.
 MOST_VALUES: Final = 200_000
+
 #: Bytes of a YAML document: PyYAML reads about 100 kB a second.
 LONGEST_YAML: Final = 8 << 20
+
 
 # What ``yaml.safe_load`` raises besides ``YAMLError``: the constructors of tags such as ``!!int`` and ``!!timestamp``.
 _YAML_ERRORS: Final = (
@@ -152,3 +158,43 @@ def _containers(keys: Iterable[Any]) -> list[Any]:
 
 def _too_deep() -> str:
     return f"it is nested too deep; expected at most {DEEPEST} levels of lists and mappings."
+
+
+def load_named(text: str, what: str) -> Any:
+    """What ``module:Name`` names.
+
+    Args:
+        text: Such as ``"my_lab.arm:Arm"``; the module is looked for as ``import`` does.
+        what: What it is for, for messages: ``"--robot"``.
+
+    Raises:
+        ValueError: Not of this form, or the module has no such name.
+        ImportError: There is no such module, or importing it fails.
+    """
+    module_name, _, name = text.partition(":")
+    if not module_name or not name:
+        raise ValueError(f"{what}: expected module:Name, such as my_lab.arm:Arm, got {text!r}.")
+    try:
+        module = import_module(module_name)
+    except ImportError as error:
+        raise ImportError(f"{what}: cannot import {module_name!r}: {error}") from error
+    try:
+        return getattr(module, name)
+    except AttributeError:
+        names = [known for known in dir(module) if not known.startswith("_")]
+        raise ValueError(f"{what}: module {module_name!r} has no {name!r}{did_you_mean(name, names)}") from None
+
+
+def make_named(text: str, what: str, arguments: Mapping[str, Any] | None = None) -> Any:
+    """Call what ``module:Name`` names with keyword arguments.
+
+    Raises:
+        ValueError: It cannot be called so.
+    """
+    maker = load_named(text, what)
+    if not callable(maker):
+        raise ValueError(f"{what}: {text} is a {type(maker).__name__}, expected a class or a function.")
+    try:
+        return maker(**(arguments or {}))
+    except TypeError as error:
+        raise ValueError(f"{what}: {text} does not take {dict(arguments or {})}: {error}") from error

@@ -14,7 +14,7 @@ from shape_obs.configurations import Configuration
 from shape_obs.features import Age, Feature, FeatureVector, Ok, Points2D, Points2DNormalized, Points3D, Valid, View
 from shape_obs.shape import Shape
 from shape_obs.wrappers.env_protocol import has_goals
-from shape_obs.wrappers.placing import goal_topology, placed, shape_at
+from shape_obs.wrappers.goal_points import goal_topology, placed, shape_at
 
 Vector = npt.NDArray[np.float32]
 

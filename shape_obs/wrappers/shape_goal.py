@@ -17,9 +17,8 @@ from shape_obs.shape import Shape
 from shape_obs.spec import did_you_mean
 from shape_obs.wrappers.env_protocol import GOALS, has_goals
 from shape_obs.wrappers.goals import STATUS, GoalVector
-from shape_obs.wrappers.layout import Layout
-from shape_obs.wrappers.recording import plain
-from shape_obs.wrappers.shape_observation import ShapeObservation
+from shape_obs.wrappers.observation_layout import Layout
+from shape_obs.wrappers.shape_observation import ShapeObservation, plain
 from shape_obs.wrappers.target import GoalFrame, Target
 
 GoalLike = Target | Mapping[str, Any] | npt.ArrayLike

@@ -1,23 +1,30 @@
-"""ShapeObservation: RGB-D observations in, a shape vector out."""
+"""ShapeObservation: RGB-D observations in, a shape vector out.
+
+Constructor arguments as JSON values, so that ``gym.make(env.spec)`` rebuilds the wrapped env.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 import gymnasium as gym
+import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
-from shape_obs.camera import CameraModel, Intrinsics
+from shape_obs import spec
+from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
+from shape_obs.config import DetectorConfig
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import Feature, FeatureVector, View, read_features
 from shape_obs.shape import Detection, Shape
+from shape_obs.spec import SpecError, did_you_mean
 from shape_obs.wrappers import env_protocol
 from shape_obs.wrappers.env_protocol import Images
 from shape_obs.wrappers.goals import EnvGoal
-from shape_obs.wrappers.layout import Layout, scalars
-from shape_obs.wrappers.recording import OWN, check_names, plain, read_camera
+from shape_obs.wrappers.observation_layout import Layout, scalars
 
 Corners = tuple[tuple[float, float, float], tuple[float, float, float]]
 
@@ -148,3 +155,36 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         self.target = self._goal.target(observation["desired_goal"], camera)
         goals = self._goal.achieved(values), self._goal.vector.desired(self.target, self.views[0])
         return self._layout.compose(values, observation, goals)
+
+
+OWN: Final = ("features", "camera", "keep", "rgb_key", "depth_key", "workspace")
+
+
+def plain(value: Any) -> Any:
+    """Specs, cameras, arrays and iterables -> dicts, lists and scalars."""
+    if isinstance(value, CameraModel):
+        transform = value.transform_camera_to_base
+        return {"intrinsics": value.intrinsics.to_dict(), "transform_camera_to_base": spec.plain(transform)}
+    return spec.plain(value)
+
+
+def check_names(arguments: Iterable[str]) -> None:
+    """Refuse what is neither an argument of the wrapper nor of the detector.
+
+    Raises:
+        SpecError: The nearest known name is told.
+    """
+    known = [*(field.name for field in dataclasses.fields(DetectorConfig)), *OWN]
+    for name in arguments:
+        if name not in known:
+            raise SpecError(f"ShapeObservation: unknown argument {name!r}{did_you_mean(name, known)}")
+
+
+def read_camera(value: CameraModel | Intrinsics | Mapping[str, Any] | None) -> CameraModel | None:
+    """A camera from what ``plain`` made of it: a camera model's mapping, or bare intrinsics'."""
+    if not isinstance(value, Mapping):
+        return as_camera_model(value)
+    if "intrinsics" not in value:
+        return CameraModel(Intrinsics.from_dict(value))
+    transform = value.get("transform_camera_to_base")
+    return CameraModel(Intrinsics.from_dict(value["intrinsics"]), None if transform is None else np.asarray(transform))

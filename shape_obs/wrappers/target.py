@@ -21,7 +21,7 @@ from shape_obs.shape import Shape
 from shape_obs.spec import Spec, SpecError
 from shape_obs.utils.documents import read_yaml
 from shape_obs.utils.files import write_text
-from shape_obs.wrappers.placing import goal_topology, placed, shape_at
+from shape_obs.wrappers.goal_points import goal_topology, placed, shape_at
 
 GoalFrame = Literal["base", "camera", "pixels"]
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from shape_obs import Extrinsics, HSVRange, Intrinsics, ShapeDetector, SpecError
-from shape_obs.calibration.extrinsics import ExtrinsicsWarning
+from shape_obs.extrinsics import ExtrinsicsWarning
 
 INTRINSICS = Intrinsics(640, 480, 386.0, 385.0, 321.0, 243.0)
 

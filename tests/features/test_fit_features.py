@@ -11,8 +11,8 @@ from known_ropes import WORKSPACE, N, fit, ropes, seen
 from rope_env import BLUE
 
 from shape_obs import Shape, ShapeDetector, save_config
-from shape_obs.calibration.extrinsics import Extrinsics
 from shape_obs.cli import main
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.features import PointDistribution, PrincipalComponents, View
 from shape_obs.frame import Frame
 from shape_obs.geometry.topology import Chain

@@ -14,7 +14,7 @@ from shape_obs.ablation import load_study
 from shape_obs.bench.robustness.documents import damaged_documents
 from shape_obs.calibration.intrinsics import IntrinsicsFit
 from shape_obs.calibration.touch_points import read_touches
-from shape_obs.cli.source import read_settings
+from shape_obs.cli.options import read_settings
 from shape_obs.spec import SpecError
 from shape_obs.utils.documents import parse_json, parse_yaml, read_json, read_yaml
 from shape_obs.wrappers.target import Target

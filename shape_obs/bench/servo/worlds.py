@@ -16,8 +16,8 @@ from shape_obs.configurations import Configuration
 from shape_obs.features import Feature, View, read_features
 from shape_obs.shape import Shape
 from shape_obs.wrappers import ShapeGoal, ShapeObservation, env_protocol
+from shape_obs.wrappers.goal_points import shape_at
 from shape_obs.wrappers.goals import EnvGoal, GoalVector
-from shape_obs.wrappers.placing import shape_at
 from shape_obs.wrappers.shape_goal import record_goal
 
 #: Steps at rest after which an environment's goal is as it is recorded.

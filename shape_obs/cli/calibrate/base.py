@@ -1,4 +1,7 @@
-"""``shape-obs calibrate base``: a camera's place in the robot's base frame."""
+"""``shape-obs calibrate base``: a camera's place in the robot's base frame.
+
+Touches, asked for one by one.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,11 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from shape_obs.calibration import BaseFit, Touch, fit_base, read_touches
-from shape_obs.calibration.touch_points import Place, Sighting, sight
-from shape_obs.cli.calibrate.prompts import ask_touches
-from shape_obs.cli.source import open_named, warnings_as_lines
+from shape_obs.calibration import BaseFit, Touch, fit_base, read_touches, write_touches
+from shape_obs.calibration.touch_points import CORNERS, Place, Sighting, sight
+from shape_obs.cli.options import open_named, warnings_as_lines
 from shape_obs.markers import DICTIONARY
+from shape_obs.spec import SpecError
 
 
 @dataclass(frozen=True)
@@ -130,3 +133,46 @@ def _plain(fit: BaseFit, touches: Sequence[Touch], seen: Sighting) -> dict[str, 
             for i, (touch, off) in enumerate(zip(touches, np.asarray(fit.residuals), strict=True))
         ],
     }
+
+
+def ask_touches(markers: Sequence[int], keep: Path) -> list[Touch]:
+    """Ask where the tool tip is at each corner of each marker.
+
+    Args:
+        markers: Their ids.
+        keep: A CSV file that is written anew after each answer, so that none is lost.
+    """
+    print(
+        "Touch each corner with the tool tip and type x y z of the tip in the base frame, in metres.\n"
+        "Enter leaves a corner out; 'done' ends.",
+        file=sys.stderr,
+    )
+    touches: list[Touch] = []
+    for marker in markers:
+        for corner in range(4):
+            answer = _answer(marker, corner)
+            if answer is None:
+                return touches
+            if isinstance(answer, Touch):
+                touches.append(answer)
+                write_touches(keep, touches)
+    return touches
+
+
+def _answer(marker: int, corner: int) -> Touch | str | None:
+    """A touch, an empty string where the corner is left out, None where there are no more."""
+    while True:
+        print(f"marker {marker}, corner {corner} ({CORNERS[corner]}): ", end="", file=sys.stderr, flush=True)
+        line = sys.stdin.readline()
+        words = line.replace(",", " ").split()
+        if not line or words == ["done"]:
+            return None
+        if not words:
+            return ""
+        try:
+            x, y, z = (float(word) for word in words)
+            return Touch(marker, corner, x, y, z)
+        except SpecError as error:
+            print(error, file=sys.stderr)
+        except ValueError:
+            print(f"expected three numbers such as 0.412 -0.105 0.021, got {line.strip()!r}", file=sys.stderr)

@@ -14,8 +14,8 @@ import tyro
 from tqdm import tqdm
 
 from shape_obs.calibration import BoardViews, IntrinsicsFit, fit_intrinsics
-from shape_obs.cli.boards import board_from
-from shape_obs.cli.source import open_named, warnings_as_lines
+from shape_obs.cli.markers import board_from
+from shape_obs.cli.options import open_named, warnings_as_lines
 from shape_obs.markers import DICTIONARY
 from shape_obs.source import EndOfSource, RGBDSource
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from shape_obs.deploy.policy_bundle.errors import BundleError
 from shape_obs.deploy.policy_bundle.statistics import Statistics
 from shape_obs.utils.arrays import decode_npz
-from shape_obs.utils.imports import load_named
+from shape_obs.utils.documents import load_named
 
 if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec

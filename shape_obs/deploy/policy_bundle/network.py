@@ -12,7 +12,7 @@ from shape_obs.deploy.policy_bundle.archive import WEIGHTS
 from shape_obs.deploy.policy_bundle.errors import MALFORMED, BundleError, needs_trust
 from shape_obs.deploy.policy_bundle.spaces import space_from_dict, space_to_dict
 from shape_obs.deploy.policy_bundle.tensors import Layout, read_header, read_weights
-from shape_obs.utils.imports import load_named
+from shape_obs.utils.documents import load_named
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from shape_obs.deploy.policy_bundle.documents import is_number
 from shape_obs.deploy.policy_bundle.errors import BundleError, needs_trust
-from shape_obs.utils.imports import load_named
+from shape_obs.utils.documents import load_named
 
 #: Of ``torch.nn``.
 ACTIVATIONS: Final = (

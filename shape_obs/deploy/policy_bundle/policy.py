@@ -17,7 +17,7 @@ from shape_obs.deploy.policy_bundle.record import Record, Surroundings
 from shape_obs.deploy.policy_bundle.statistics import Statistics
 from shape_obs.features import Feature, Points3D, read_features
 from shape_obs.robot import ActionSpec
-from shape_obs.utils.imports import load_named
+from shape_obs.utils.documents import load_named
 from shape_obs.wrappers import ShapeGoal, ShapeObservation, env_protocol
 from shape_obs.wrappers.env_protocol import GOALS
 

@@ -9,10 +9,9 @@ from typing import Annotated, Any, Final
 
 import tyro
 
-from shape_obs.cli.cell import CellArguments, make_cell, make_robot, open_cell, read_config
-from shape_obs.cli.source import read_settings
+from shape_obs.cli.options import CellArguments, make_cell, make_robot, open_cell, read_config, read_settings
 from shape_obs.config import SECTIONS
-from shape_obs.utils.imports import make_named
+from shape_obs.utils.documents import make_named
 
 #: A goal that the robot tells, in each episode another.
 _ROBOT: Final = "robot"
