@@ -8,15 +8,16 @@ entry-point group ``shape_obs.<family>``.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
-from importlib import metadata
 from typing import TYPE_CHECKING, Any, ClassVar, Union
+
+from shape_obs.utils.documents import SpecError as SpecError
+from shape_obs.utils.documents import did_you_mean as did_you_mean
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -36,10 +37,6 @@ def without_plugins() -> Iterator[None]:
         yield
     finally:
         _PLUGINS.reset(before)
-
-
-class SpecError(ValueError):
-    """A configuration that cannot be understood; the message names the place, what came and what was expected."""
 
 
 class Spec:
@@ -73,6 +70,8 @@ class Spec:
     def kinds(cls) -> tuple[str, ...]:
         """Return the kinds of this family, after loading those that other packages add through entry points."""
         if _PLUGINS.get():
+            from importlib import metadata  # takes 20 ms, and most processes never ask
+
             for entry in metadata.entry_points(group=f"shape_obs.{cls.family}"):
                 if entry.name not in cls._members:
                     entry.load()
@@ -101,7 +100,7 @@ class Spec:
     def to_dict(self) -> dict[str, Any]:
         """The spec as JSON-able values, defaults filled in; ``from_dict`` gives an equal spec back."""
         head = {"kind": self.kind} if self.kind else {}
-        return {**head, **{name: plain(getattr(self, name)) for name in _field_types(type(self))}}
+        return {**head, **{name: to_plain(getattr(self, name)) for name in _field_types(type(self))}}
 
     @classmethod
     def _choose(cls, kind: Any) -> type[Self]:
@@ -132,26 +131,16 @@ class Spec:
         return cls(**values)
 
 
-def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """``"; did you mean 'x'? Known: ..."``: the end of an error message about a name that nobody knows."""
-    names = list(known)
-    if not names:
-        return "; there are none."
-    near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
-    hint = f"; did you mean {near[0]!r}?" if near else "."
-    return f"{hint} Known: {', '.join(names)}."
-
-
-def plain(value: Any) -> Any:
+def to_plain(value: Any) -> Any:
     """Specs, arrays, tuples and other iterables -> dicts, lists and scalars."""
     if isinstance(value, Spec):
         return value.to_dict()
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_plain(item) for key, item in value.items()}
     if hasattr(value, "tolist"):
         return value.tolist()
     if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
-        return [plain(item) for item in value]
+        return [to_plain(item) for item in value]
     return value
 
 

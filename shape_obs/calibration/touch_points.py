@@ -127,7 +127,7 @@ def _numbers(path: Path, line: int, row: Mapping[Any, Any]) -> dict[str, float]:
 
 Array = npt.NDArray[np.float64]
 
-Place = tuple[int, int]
+MarkerCorner = tuple[int, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,19 +135,19 @@ class Sighting:
     """Corners in space.
 
     Args:
-        places: (marker, corner) -> (3,) metres, camera frame: the median over the frames.
+        corners: (marker, corner) -> (3,) metres, camera frame: the median over the frames.
         intrinsics: Of the images.
         by_depth: Whether depth told the distance, of any of them, or the markers' size alone.
     """
 
-    places: dict[Place, Array]
+    corners: dict[MarkerCorner, Array]
     intrinsics: Intrinsics
     by_depth: bool
 
     @property
     def markers(self) -> list[int]:
         """Ids of the markers seen."""
-        return sorted({marker for marker, _ in self.places})
+        return sorted({marker for marker, _ in self.corners})
 
 
 def sight(source: RGBDSource, frames: int, dictionary: str, size: float | None = None) -> Sighting:
@@ -176,13 +176,13 @@ def sight(source: RGBDSource, frames: int, dictionary: str, size: float | None =
         looked += 1
         if frame.rgb is None:
             raise ValueError(f"{source.name} has no colour images: markers cannot be seen in depth.")
-        for marker, corners in find_markers(frame.rgb, dictionary).items():
-            depth = frame.depth if frame.depth is not None and has_depth(corners, frame.depth) else None
+        for marker, pixels in find_markers(frame.rgb, dictionary).items():
+            depth = frame.depth if frame.depth is not None and has_depth(pixels, frame.depth) else None
             if depth is None and size is None:
                 blind.add(marker)  # a marker in a hole of the depth does not stand in the way of the others
                 continue
             by_depth = by_depth or depth is not None
-            seen.setdefault(marker, []).append(marker_points(corners, intrinsics, depth, size))
+            seen.setdefault(marker, []).append(marker_points(pixels, intrinsics, depth, size))
     # What is seen in a frame or two is no marker, or one that something passes over.
     often = {marker: points for marker, points in seen.items() if 2 * len(points) >= looked}
     if not often and blind:
@@ -190,9 +190,9 @@ def sight(source: RGBDSource, frames: int, dictionary: str, size: float | None =
         raise ValueError(f"markers {told} are seen, but there is no depth on them: give the markers' size.")
     if not often:
         raise ValueError(f"no markers of {dictionary!r} in the {looked} frames of {source.name}.")
-    places = {
+    corners = {
         (marker, corner): np.asarray(np.median(np.stack(points), axis=0)[corner], np.float64)
         for marker, points in often.items()
         for corner in range(4)
     }
-    return Sighting(places, intrinsics, by_depth)
+    return Sighting(corners, intrinsics, by_depth)

@@ -1,4 +1,4 @@
-"""What acts in a deployment, a trained policy or another controller, and the environment that it reads."""
+"""Set up a deployment: the controller or trained policy, the robot, and the environment around it."""
 
 from __future__ import annotations
 
@@ -9,55 +9,54 @@ from typing import Annotated, Any, Final
 
 import tyro
 
-from shape_obs.cli.options import CellArguments, make_cell, make_robot, open_cell, read_config, read_settings
-from shape_obs.config import SECTIONS
+from shape_obs.cli.options import RobotArguments, make_bare_env, make_env, make_robot, read_config, read_settings
 from shape_obs.utils.documents import make_named
 
-#: A goal that the robot tells, in each episode another.
+#: The value of ``--goal`` for which a simulated robot provides a new goal in each episode.
 _ROBOT: Final = "robot"
 _CENTIMETRE: Final = 0.01
-#: Seconds from a D455's image to its frame, and some more: a policy was trained on images of motions that are over.
+#: Seconds from a D455's exposure to its frame, with a margin: policies are trained on images of completed motions.
 _SETTLE: Final = 0.05
 
 
 @dataclass(frozen=True)
-class ActingArguments(CellArguments):
-    """Options that name what acts, and what for."""
+class ControllerArguments(RobotArguments):
+    """Options that choose the policy or controller, and its goal."""
 
     bundle: Annotated[Path | None, tyro.conf.Positional] = None
     """A trained policy, as shape_obs.save_bundle writes it."""
     trust: bool = False
-    """Read a trained policy that runs code: one of an earlier version, or one with classes of its own. Only if you
-    trust who made the file."""
+    """Load a trained policy that contains code: one of an earlier version, or one with its own classes. Use this only
+    if you trust the author of the file."""
     controller: str | None = None
-    """What acts in place of a policy, as module:Class with act(observation); shape_obs.deploy has Still, Sway and
-    Script. Default Still."""
+    """A controller instead of a policy, as module:Class with act(observation); shape_obs.deploy has Still, Sway and
+    Script. Default: Still."""
     controller_set: tuple[str, ...] = ()
     """KEY=VALUE: arguments of the controller's class, such as share=0.2."""
     goal: str | None = None
-    """A goal, as `shape-obs goal` writes it; the observation then tells it to the controller. 'robot' takes one that a
-    simulated robot can reach from its start, another one in each episode."""
+    """A goal file, as `shape-obs goal` writes it; the goal becomes part of the observation. With 'robot', a simulated
+    robot provides a goal that it can reach, a new one for each episode."""
     episodes: int | None = None
-    """Play so many episodes, each from a new start, and tell how often the goal was reached."""
+    """Run this many episodes, each from a new start, and report how often the goal was reached."""
     settle: float | None = None
-    """Seconds between the end of a motion and the image that is looked at; default, of a trained policy, 0.05. Others
-    look at the deadline of the step, whether the motion is over or not."""
+    """Seconds between the end of a motion and the image to act on. Default: 0.05 for a trained policy; other
+    controllers take the image at the deadline of the step, even during a motion."""
     steps: int | None = None
-    """How many steps to run at most; default, of episodes with a trained policy, as many as in its training."""
+    """Largest number of steps; default for episodes with a trained policy: the length of its training episodes."""
     dry_run: bool = False
-    """Do everything but move: the robot is asked where it is and never sent anything."""
+    """Do everything except move: the robot's state is read, but no motion is sent."""
 
 
 @dataclass(frozen=True)
-class Acting:
-    """What acts, and in what.
+class Deployment:
+    """A controller, the environment it reads and the robot it moves.
 
     Attributes:
-        controller: With ``act``.
-        env: What it reads.
-        robot: What it moves.
-        arguments: As asked for, with the rate and the steps of a trained policy filled in.
-        threshold: Metres below which the true points are at the goal.
+        controller: An object with ``act(observation)``.
+        env: The environment.
+        robot: The robot.
+        arguments: The options of the user, completed with the rate and the episode length of a trained policy.
+        threshold: Mean distance in metres below which the true points count as at the goal.
     """
 
     controller: Any
@@ -67,17 +66,17 @@ class Acting:
     threshold: float
 
 
-def make_acting(args: ActingArguments, **options: Any) -> Acting:
-    """Make what acts, the robot, and the environment around it; nothing is connected yet.
+def make_deployment(args: ControllerArguments, **options: Any) -> Deployment:
+    """Make the controller, the robot and the environment; nothing is connected yet.
 
     Args:
-        args: What the user asked for.
+        args: The options of the user.
         options: Further arguments of the environment ``ShapeObs/D455-v0``.
 
     Raises:
-        ValueError: Something does not go together; the message says what.
+        ValueError: Some of the options do not go together; the message says which.
     """
-    from shape_obs.cli.episodes import RobotGoals, Starter
+    from shape_obs.cli.episodes import RobotGoals, StartFirst
     from shape_obs.deploy import DryRobot
     from shape_obs.wrappers import ShapeGoal, Target
 
@@ -86,7 +85,7 @@ def make_acting(args: ActingArguments, **options: Any) -> Acting:
         args = replace(args, settle=_SETTLE)
     options |= {"settle": args.settle}
     goal = None if args.goal in (None, _ROBOT) else Target.load(str(args.goal))
-    bundle = None if args.bundle is None else _read_bundle(args.bundle, args.trust)
+    bundle = None if args.bundle is None else _load(args.bundle, args.trust)
     if bundle is None:
         controller = make_named(
             args.controller or "shape_obs.deploy:Still",
@@ -95,41 +94,38 @@ def make_acting(args: ActingArguments, **options: Any) -> Acting:
         )
     else:
         controller = bundle.controller(same_rate=args.rate is None)
-        args = _as_trained(args, bundle)
+        args = _with_training_defaults(args, bundle)
     own = make_robot(args)
     robot: Any = DryRobot(own) if args.dry_run else own
     if args.goal == _ROBOT:
-        robot = Starter(robot)
+        robot = StartFirst(robot)
     if bundle is None:
-        env = make_cell(args, robot, **options)
+        env = make_env(args, robot, **options)
         if args.goal is not None:
             env = ShapeGoal(env, goal=goal)
     else:
-        config = read_config(args, robot)
-        scene = {name: config[name] for name in ("shapes", *SECTIONS["scene"], *SECTIONS["runtime"]) if name in config}
-        scene.pop("dt", None)  # the loop's
-        env = bundle.wrap(open_cell(args, robot, **options), goal, scene)
+        env = bundle.wrap(make_bare_env(args, robot, **options), goal, _scene(args, robot))
         bundle.check_env(env, same_rate=controller.same_rate)
     if args.goal == _ROBOT:
         env = RobotGoals(env, own)
-    return Acting(controller, env, robot, args, _CENTIMETRE if bundle is None else bundle.success_threshold)
+    return Deployment(controller, env, robot, args, _CENTIMETRE if bundle is None else bundle.success_threshold)
 
 
-def _check(args: ActingArguments) -> None:
-    """Refuse options that do not go together."""
+def _check(args: ControllerArguments) -> None:
+    """Reject options that do not go together."""
     if args.bundle is not None and args.controller is not None:
         raise ValueError(f"expected a trained policy or --controller, got both: {args.bundle} and {args.controller}.")
     if args.bundle is not None and args.controller_set:
         raise ValueError("--controller-set: a trained policy takes no arguments; leave it out.")
     if args.trust and args.bundle is None:
-        raise ValueError("--trust: it is for a trained policy, and none is given; leave it out.")
+        raise ValueError("--trust: only for a trained policy, and none is given; leave it out.")
     if args.episodes is not None and args.episodes < 1:
         raise ValueError(f"--episodes: expected 1 or more, got {args.episodes}.")
     if args.rate is not None and not 0 < args.rate <= 1000:
         raise ValueError(f"rate: expected hertz above 0, at most 1000, got {args.rate!r}.")
 
 
-def _read_bundle(path: Path, trust: bool) -> Any:
+def _load(path: Path, trust: bool) -> Any:
     from shape_obs.deploy.policy_bundle import load_bundle
 
     bundle = load_bundle(path, trust=trust)
@@ -137,17 +133,25 @@ def _read_bundle(path: Path, trust: bool) -> Any:
     return bundle
 
 
-def _as_trained(args: ActingArguments, bundle: Any) -> ActingArguments:
-    """With the policy's own rate and length of an episode, where nobody asks for others."""
+def _scene(args: ControllerArguments, robot: Any) -> dict[str, Any]:
+    """Return the entries of the config that differ between training and this site."""
+    from shape_obs.config import SECTIONS
+
+    config = read_config(args, robot)
+    scene = {name: config[name] for name in ("shapes", *SECTIONS["scene"], *SECTIONS["runtime"]) if name in config}
+    scene.pop("dt", None)  # set by the loop
+    return scene
+
+
+def _with_training_defaults(args: ControllerArguments, bundle: Any) -> ControllerArguments:
+    """Fill in the policy's own rate and episode length unless the user chose others."""
     if bundle.needs_goal and args.goal is None and not bundle.has_goal:
-        raise ValueError(
-            "the policy brings the object into a goal: give --goal FILE, or --goal robot where it is simulated."
-        )
+        raise ValueError("the policy needs a goal: give --goal FILE, or --goal robot if the robot is simulated.")
     if args.rate is None:
         args = replace(args, rate=1 / bundle.dt)
     elif abs(args.rate * bundle.dt - 1) > 1e-3:
         warnings.warn(
-            f"--rate {args.rate:g}: the policy was trained at {1 / bundle.dt:g} steps a second.",
+            f"--rate {args.rate:g}: the policy was trained at {1 / bundle.dt:g} steps per second.",
             UserWarning,
             stacklevel=2,
         )

@@ -1,7 +1,4 @@
-"""What commands with ``--source`` share.
-
-What commands before a camera and a robot have in common: their options, and the environment made of them.
-"""
+"""Options that several commands share: sources of frames, ``KEY=VALUE`` settings, the camera and the robot."""
 
 from __future__ import annotations
 
@@ -12,29 +9,33 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-import cv2
-
-from shape_obs.config import load_config
-from shape_obs.source import RGBDSource
 from shape_obs.utils.documents import make_named, parse_yaml
 
-_ERRORS_ALONE: Final = 2  # OpenCV's LOG_LEVEL_ERROR
+if TYPE_CHECKING:
+    from shape_obs.source import RGBDSource
+
+#: Steps per second of a real-robot environment unless the user gives a rate.
+RATE: Final = 30.0
+#: ``shape_obs.markers.DICTIONARY``, repeated here because ``--help`` must not import OpenCV.
+DICTIONARY: Final = "4x4_50"
+
+_LOG_LEVEL_ERROR: Final = 2  # of OpenCV
 
 
 def open_named(text: str, extrinsics: Path | None = None, settings: Sequence[str] = (), **options: Any) -> RGBDSource:
-    """The source that ``--source``, ``--extrinsics`` and ``--set`` name; not connected yet.
+    """Make the source that ``--source``, ``--extrinsics`` and ``--set`` describe; it is not connected yet.
 
     Args:
-        text: ``d455[:serial]``, a file, a folder or an environment's id.
-        extrinsics: A file that says where the camera stands.
-        settings: ``KEY=VALUE``, for arguments of the source's class; values are read as YAML.
-        options: Further arguments.
+        text: ``d455[:serial]``, a file, a folder or the id of an environment.
+        extrinsics: A file with the pose of the camera in the base frame.
+        settings: ``KEY=VALUE`` arguments of the source's class; values are read as YAML.
+        options: Further arguments of the source's class.
 
     Raises:
-        ValueError: Settings that are none, or that the source does not have.
-        SourceError: No such source.
+        ValueError: A setting is not ``KEY=VALUE``, or the source does not have it.
+        SourceError: There is no such source.
     """
     from shape_obs_envs.sources import open_source
 
@@ -42,14 +43,14 @@ def open_named(text: str, extrinsics: Path | None = None, settings: Sequence[str
 
 
 def read_settings(settings: Sequence[str], option: str = "--set") -> dict[str, Any]:
-    """``["exposure=0.01", "camera=d455"]`` -> a mapping, values read as YAML.
+    """Read ``["exposure=0.01", "camera=d455"]`` as a mapping whose values are YAML.
 
     Args:
-        settings: What was given.
-        option: Its name, for messages.
+        settings: The texts that the user gave.
+        option: The name of the option, for error messages.
 
     Raises:
-        ValueError: Not ``KEY=VALUE``, or a value that is no YAML.
+        ValueError: A text is not ``KEY=VALUE``, or its value is not YAML.
     """
     values: dict[str, Any] = {}
     for setting in settings:
@@ -62,10 +63,15 @@ def read_settings(settings: Sequence[str], option: str = "--set") -> dict[str, A
 
 @contextmanager
 def warnings_as_lines(prog: str) -> Iterator[None]:
-    """Warnings of the library become one line each on stderr; decoders say nothing, since errors say it better."""
+    """Print each warning of the library as one line on stderr, and silence the image and video decoders.
+
+    Decoder messages repeat what the library's own errors explain better.
+    """
+    import cv2
+
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    opencv: Any = cv2 if hasattr(cv2, "setLogLevel") else cv2.utils.logging  # of OpenCV 4 and 5
-    opencv.setLogLevel(_ERRORS_ALONE)
+    opencv: Any = cv2 if hasattr(cv2, "setLogLevel") else cv2.utils.logging  # OpenCV 5, OpenCV 4
+    opencv.setLogLevel(_LOG_LEVEL_ERROR)
 
     def show(message: Warning | str, *_: Any) -> None:
         print(f"{prog}: {' '.join(str(message).split())}", file=sys.stderr)
@@ -76,17 +82,13 @@ def warnings_as_lines(prog: str) -> Iterator[None]:
         yield
 
 
-#: Steps per second where nobody says another.
-RATE: Final = 30.0
-
-
 @dataclass(frozen=True)
-class CellArguments:
-    """Options that name a camera, a robot and what to look for."""
+class RobotArguments:
+    """Options that describe a camera, a robot and the object to look for."""
 
     source: str = "d455"
-    """Where images come from: d455, d455:SERIAL, FILE.db3, FILE.bag, a recorded folder, the id of an environment, or
-    'robot' for the camera that the robot brings itself."""
+    """Source of the images: d455, d455:SERIAL, FILE.db3, FILE.bag, a recorded folder, the id of an environment, or
+    'robot' for the robot's own camera."""
     robot: str | None = None
     """The robot, as module:Class."""
     set: tuple[str, ...] = ()
@@ -94,22 +96,22 @@ class CellArguments:
     robot_set: tuple[str, ...] = ()
     """KEY=VALUE: arguments of the robot's class, such as address=10.0.0.2."""
     config: Path | None = None
-    """A YAML config file, as `shape-obs detect` writes one for a picked pixel; default what suits the robot."""
+    """A YAML config file, as `shape-obs detect --pick` writes it; default: the robot's own config."""
     extrinsics: Path | None = None
-    """Where the camera stands in the base frame, as `shape-obs calibrate base` writes it."""
+    """The pose of the camera in the base frame, as `shape-obs calibrate base` writes it."""
     size: tuple[int, int] = (640, 480)
     """Width and height of the images in pixels."""
     rate: float | None = None
-    """Steps per second; default 30, and of a trained policy what it was trained at."""
+    """Steps per second; default 30, or the rate at which a trained policy was trained."""
     timeout: float = 1.0
     """Seconds without a frame after which the camera counts as failed."""
 
 
-def make_robot(args: CellArguments) -> Any:
-    """The robot that is asked for, not yet connected.
+def make_robot(args: RobotArguments) -> Any:
+    """Make the robot that ``--robot`` names; it is not connected yet.
 
     Raises:
-        ValueError: None is, or it cannot be made.
+        ValueError: No robot was given, or it cannot be made.
         ImportError: Its module cannot be imported.
     """
     if args.robot is None:
@@ -117,45 +119,28 @@ def make_robot(args: CellArguments) -> Any:
     return make_named(args.robot, "--robot", read_settings(args.robot_set, "--robot-set"))
 
 
-def make_cell(args: CellArguments, robot: Any, **options: Any) -> Any:
-    """The environment ``ShapeObs/D455-v0`` in a ``ShapeObservation``.
+def make_env(args: RobotArguments, robot: Any, **options: Any) -> Any:
+    """Make the environment ``ShapeObs/D455-v0`` wrapped in ``ShapeObservation``.
 
     Args:
-        args: What the user asked for.
+        args: The options of the user.
         robot: The robot, or None.
         options: Further arguments of the environment.
 
     Raises:
-        ValueError: There is no config and the robot knows none.
+        ValueError: There is no config, and the robot has none of its own.
     """
     from shape_obs.wrappers import ShapeObservation
 
     config = read_config(args, robot)
-    return ShapeObservation(open_cell(args, robot, **options), **config)
+    return ShapeObservation(make_bare_env(args, robot, **options), **config)
 
 
-def read_config(args: CellArguments, robot: Any) -> dict[str, Any]:
-    """Arguments of ``ShapeObservation`` in the config file that is asked for; none where the robot knows its own.
-
-    Raises:
-        ValueError: There is no config and the robot knows none.
-    """
-    if args.config is None and not getattr(robot, "shape_obs_defaults", None):
-        raise ValueError(
-            "--config FILE is needed: it says what the object looks like. `shape-obs detect IMAGE --pick u,v` writes "
-            "one."
-        )
-    config = {} if args.config is None else load_config(args.config)
-    if config.get("on_invalid") == "nan":  # a detector's way, which files have filled in; no policy reads NaN
-        del config["on_invalid"]
-    return config
-
-
-def open_cell(args: CellArguments, robot: Any, **options: Any) -> Any:
-    """The environment ``ShapeObs/D455-v0``, which gives images.
+def make_bare_env(args: RobotArguments, robot: Any, **options: Any) -> Any:
+    """Make the environment ``ShapeObs/D455-v0``, whose observations are images.
 
     Args:
-        args: What the user asked for.
+        args: The options of the user.
         robot: The robot, or None.
         options: Further arguments of the environment.
     """
@@ -164,7 +149,7 @@ def open_cell(args: CellArguments, robot: Any, **options: Any) -> Any:
     width, height = args.size
     source: Any = args.source
     if source != "robot":
-        # Only a camera has a choice.
+        # Only a camera can be asked for an image size.
         mode = {"width": width, "height": height} if source.split(":")[0] == "d455" else {}
         source = open_named(source, args.extrinsics, args.set, **mode)
     return gym.make(
@@ -177,3 +162,22 @@ def open_cell(args: CellArguments, robot: Any, **options: Any) -> Any:
         disable_env_checker=True,
         **options,
     )
+
+
+def read_config(args: RobotArguments, robot: Any) -> dict[str, Any]:
+    """Return the arguments of ``ShapeObservation`` in ``--config``; empty if the robot brings its own.
+
+    Raises:
+        ValueError: There is no config, and the robot has none of its own.
+    """
+    from shape_obs.config import load_config
+
+    if args.config is None and not getattr(robot, "shape_obs_defaults", None):
+        raise ValueError(
+            "--config FILE is needed: it describes how the object looks. `shape-obs detect IMAGE --pick u,v` writes "
+            "one."
+        )
+    config = {} if args.config is None else load_config(args.config)
+    if config.get("on_invalid") == "nan":  # the detector's default, which saved files contain; no policy reads NaN
+        del config["on_invalid"]
+    return config

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from shape_obs.configurations import Configuration
-from shape_obs.features import Block, Feature, FeatureVector, View
+from shape_obs.features import Block, Feature, FeatureVector
+from shape_obs.features import FeatureContext as View
 from shape_obs.recording import Moment
 from shape_obs.recording.table import Column
 from shape_obs.shape import Detection

@@ -2,7 +2,7 @@
 
 from shape_obs.features.curvature import Curvature, Tangents, TurningAngles
 from shape_obs.features.distribution import PointDistribution
-from shape_obs.features.feature import Block, Feature, FeatureVector, View, read_features
+from shape_obs.features.feature import Block, Feature, FeatureContext, FeatureVector, read_features
 from shape_obs.features.fourier import EllipticFourier, Fourier
 from shape_obs.features.moments import ContourMoments, RegionMoments
 from shape_obs.features.pca import PrincipalComponents
@@ -20,6 +20,7 @@ __all__ = [
     "Curvature",
     "EllipticFourier",
     "Feature",
+    "FeatureContext",
     "FeatureVector",
     "Fourier",
     "Length",
@@ -34,6 +35,5 @@ __all__ = [
     "Tangents",
     "TurningAngles",
     "Valid",
-    "View",
     "read_features",
 ]

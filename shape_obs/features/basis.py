@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.features.coordinates import Geometric
-from shape_obs.features.feature import View
+from shape_obs.features.feature import FeatureContext
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.shape import Shape
 
@@ -109,19 +109,19 @@ class LinearFit(Geometric):
         bends, steps = (differences @ basis for differences in _differences(layout))
         return Design.of(basis, self.penalty(layout), BEND * (bends.T @ bends + STEP * (steps.T @ steps)))
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
         """What points anywhere in their box can give: each coefficient is a weighted sum of them."""
-        low, high = self.coordinates.box(view)
+        low, high = self.coordinates.box(context)
         inverse = _design(self, layout).inverse
         up, down = np.maximum(inverse, 0.0).sum(axis=1), np.minimum(inverse, 0.0).sum(axis=1)
         return np.ravel(np.outer(up, low) + np.outer(down, high)), np.ravel(np.outer(up, high) + np.outer(down, low))
 
-    def compute(self, shape: Shape, view: View) -> Array:
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
         """(K D,) coefficients, function after function; points that were not measured hardly count."""
-        points = self.coordinates.points(shape, view)
+        points = self.coordinates.points(shape, context)
         return _design(self, shape.layout).fit(points, self.coordinates.weights(shape, points)).ravel()
 
-    def reconstruct(self, values: npt.ArrayLike, layout: Topology, view: View) -> Array:
+    def reconstruct(self, values: npt.ArrayLike, layout: Topology, context: FeatureContext) -> Array:
         """(N,2) or (N,3) the basis functions' sum at the points' places."""
         basis = _design(self, layout).basis
         return basis @ np.asarray(values, dtype=np.float64).reshape(basis.shape[1], -1)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.features.coordinates import Framed
-from shape_obs.features.feature import View
+from shape_obs.features.feature import FeatureContext
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.shape import Shape
 
@@ -45,17 +45,17 @@ class _Bending(Framed):
             steps: (K,) how many gaps between points both edges span: 2 where no neighbour is unknown.
         """
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
         """As far to one side as to the other."""
         count = self._count(layout)
         if count < 1:
             raise ValueError(f"feature {self.kind!r} needs at least three points, got {layout}.")
-        self.coordinates.box(view)  # says what the frame lacks
+        self.coordinates.box(context)  # says what the frame lacks
         return np.full(count, -self.limit()), np.full(count, self.limit())
 
-    def compute(self, shape: Shape, view: View) -> Array:
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
         """(N - 2,) of a chain, (N,) of a ring."""
-        places = self.coordinates.points(shape, view)[:, :2]
+        places = self.coordinates.points(shape, context)[:, :2]
         closed, size = closes(shape.layout, self.kind), len(places)
         known = np.flatnonzero(~np.isnan(places[:, 0]))
         if len(known) < 3:
@@ -170,15 +170,15 @@ class Tangents(Framed, kind="tangents"):
         """None."""
         return ""
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
         """-1...1."""
-        low, _ = self.coordinates.box(view)
+        low, _ = self.coordinates.box(context)
         count = len(_neighbours(layout)[0]) * len(low)
         return np.full(count, -1.0), np.ones(count)
 
-    def compute(self, shape: Shape, view: View) -> Array:
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
         """(2 N,) or (3 N,), of a lattice twice as many."""
-        points = self.complete(shape, view)
+        points = self.complete(shape, context)
         after, before = _neighbours(shape.layout)
         way = points[after] - points[before]
         length = np.sqrt(np.einsum("nd,nd->n", way, way))

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from shape_obs.features.alignment import Similarity, superimposed
 from shape_obs.features.basis import Design
-from shape_obs.features.coordinates import Coordinates, Frame
+from shape_obs.features.coordinates import CoordinateFrame, Coordinates
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.utils.arrays import decode_npz
 from shape_obs.utils.documents import parse_json
@@ -26,7 +26,7 @@ FORMAT: Final = "shape_obs point distribution"
 VERSION: Final = 1
 _ARRAYS: Final = ("mean", "components", "variance", "noise")
 _LAYOUTS: Final[Mapping[str, type[Any]]] = {"chain": Chain, "ring": Ring, "grid": Grid}
-_FRAMES: Final = get_args(Frame)
+_FRAMES: Final = get_args(CoordinateFrame)
 _MOST_BYTES: Final = 32 << 20  # of all arrays of a file; a hundred components of a large lattice have 3 MB
 _FLAT: Final = 1e-9  # of the first component's variance, and of the shapes' extent: what is below is rounding
 _FLOOR: Final = 1e-6  # of the last component's variance: the least that points are taken to scatter beside the model
@@ -66,7 +66,7 @@ class PointDistribution:
     variance: Array
     noise: float
     layout: Topology
-    frame: Frame
+    frame: CoordinateFrame
     origin: str | None = None
     aligned: bool = False
     about: Mapping[str, Any] = field(default_factory=dict)
@@ -78,7 +78,7 @@ class PointDistribution:
         components: int = 6,
         *,
         layout: Topology,
-        frame: Frame = "camera",
+        frame: CoordinateFrame = "camera",
         origin: str | None = None,
         aligned: bool = False,
         about: Mapping[str, Any] | None = None,

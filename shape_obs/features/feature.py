@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class View:
+class FeatureContext:
     """What surrounds a shape when a feature is computed.
 
     Args:
@@ -71,27 +71,26 @@ class Feature(Spec, family="feature"):
         return type(self).reconstruct is not Feature.reconstruct
 
     @abstractmethod
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
         """Finite lowest and highest values for a shape of this layout: (D,) each. Never taken from data.
 
         Raises:
-            ValueError: The view lacks what the feature needs, or there is no such feature of this layout; the message
-                says what.
+            ValueError: The context lacks what the feature needs, or the feature is not defined for this layout.
         """
 
     @abstractmethod
-    def compute(self, shape: Shape, view: View) -> Array:
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
         """(D,) values; NaN where the shape does not tell."""
 
     def measured(self, shape: Shape, size: int) -> npt.NDArray[np.bool_]:
         """(D,) which of its D = ``size`` values were measured; all of a feature that weighs the points itself."""
         return np.ones(size, bool)
 
-    def units(self, layout: Topology, view: View) -> tuple[str, ...]:
+    def units(self, layout: Topology, context: FeatureContext) -> tuple[str, ...]:
         """The unit of each of the D values."""
-        return len(self.bounds(layout, view)[0]) * (self.unit,)
+        return len(self.bounds(layout, context)[0]) * (self.unit,)
 
-    def reconstruct(self, values: npt.ArrayLike, layout: Topology, view: View) -> Array:
+    def reconstruct(self, values: npt.ArrayLike, layout: Topology, context: FeatureContext) -> Array:
         """The points that the values stand for: (D,) -> (N,2) or (N,3), in the feature's own frame and unit.
 
         Raises:
@@ -134,7 +133,7 @@ class FeatureVector:
     Args:
         features: In the order of the vector, for each shape.
         shapes: The configurations, in the order of the vector.
-        view: What the bounds are made from; later views may have another camera pose, the bounds stay.
+        context: What the bounds are made from; later contexts may have another camera pose, the bounds stay.
 
     Attributes:
         low: (D,) float32 lowest values.
@@ -142,13 +141,13 @@ class FeatureVector:
         blocks: What stands where.
     """
 
-    def __init__(self, features: Sequence[Feature], shapes: Sequence[Configuration], view: View) -> None:
+    def __init__(self, features: Sequence[Feature], shapes: Sequence[Configuration], context: FeatureContext) -> None:
         self.features = tuple(features)
         pairs = [(shape, feature) for shape in shapes for feature in self.features]
-        bounds = [feature.bounds(shape.layout, view) for shape, feature in pairs]
+        bounds = [feature.bounds(shape.layout, context) for shape, feature in pairs]
         ends = np.cumsum([len(low) for low, _ in bounds]).tolist()
         self.blocks = tuple(
-            Block(shape.name, feature, slice(end - len(low), end), feature.units(shape.layout, view))
+            Block(shape.name, feature, slice(end - len(low), end), feature.units(shape.layout, context))
             for (shape, feature), (low, _), end in zip(pairs, bounds, ends, strict=True)
         )
         self.low = np.concatenate([low for low, _ in bounds]).astype(np.float32)
@@ -159,13 +158,15 @@ class FeatureVector:
         # Noise may leave the bounds; an object that does not fit into them is a mistake.
         self._told_from, self._told = 0.02 * (self.high - self.low), False
 
-    def compute(self, shapes: Sequence[Shape], views: Sequence[View]) -> npt.NDArray[np.float32]:
+    def compute(self, shapes: Sequence[Shape], contexts: Sequence[FeatureContext]) -> npt.NDArray[np.float32]:
         """(D,) float32: unknown values sit at the centre of their bounds, the others are clipped to them.
 
         Warns once when values lie far outside of their bounds.
         """
         computed = [
-            feature.compute(shape, view) for shape, view in zip(shapes, views, strict=True) for feature in self.features
+            feature.compute(shape, context)
+            for shape, context in zip(shapes, contexts, strict=True)
+            for feature in self.features
         ]
         values = np.concatenate(computed).astype(np.float32)
         known = np.isfinite(values)

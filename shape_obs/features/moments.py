@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from shape_obs.features.coordinates import Geometric
 from shape_obs.features.curvature import closes, polyline
-from shape_obs.features.feature import View
+from shape_obs.features.feature import FeatureContext
 from shape_obs.geometry.topology import Grid, Ring, Topology
 from shape_obs.shape import Shape
 
@@ -46,11 +46,11 @@ class _Moments(Geometric):
         """Not all the same; see ``units``."""
         return ""
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
         """The centroid's are those of a point."""
-        low, high = replace(self.coordinates, origin=None).box(view)
+        low, high = replace(self.coordinates, origin=None).box(context)
         size = self.size(layout, (high - low)[:2])
-        low, high = self.coordinates.box(view)
+        low, high = self.coordinates.box(context)
         second, third = self.largest()
         lowest = [0.0, *low[:2], 0.0, -second / 2, 0.0, *4 * [-third]]
         highest = [size, *high[:2], second, second / 2, second, *4 * [third]]
@@ -92,13 +92,13 @@ class ContourMoments(_Moments, kind="contour_moments"):
         """A straight line's; half a length from the middle times that."""
         return 1 / 12, 1 / 24
 
-    def units(self, layout: Topology, view: View) -> tuple[str, ...]:
+    def units(self, layout: Topology, context: FeatureContext) -> tuple[str, ...]:
         """A length, a place, and none."""
         return self._units(self.coordinates.unit)
 
-    def compute(self, shape: Shape, view: View) -> Array:
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
         """(6,) or (10,)."""
-        line = polyline(self.complete(shape, view)[:, :2], closes(shape.layout, self.kind))
+        line = polyline(self.complete(shape, context)[:, :2], closes(shape.layout, self.kind))
         edge = line[1:] - line[:-1]
         length = np.sqrt(np.einsum("kd,kd->k", edge, edge))
         total = length.sum()
@@ -160,14 +160,14 @@ class RegionMoments(_Moments, kind="region_moments"):
         """Where they saturate."""
         return self.max_elongation / 12, (self.max_elongation / 12) ** 1.5
 
-    def units(self, layout: Topology, view: View) -> tuple[str, ...]:
+    def units(self, layout: Topology, context: FeatureContext) -> tuple[str, ...]:
         """An area, a place, and none."""
         unit = self.coordinates.unit
         return self._units(f"{unit}²" if unit else "")
 
-    def compute(self, shape: Shape, view: View) -> Array:
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
         """(6,) or (10,)."""
-        border = self.complete(shape, view)[_border(shape.layout), :2]
+        border = self.complete(shape, context)[_border(shape.layout), :2]
         low, high = border.min(axis=0), border.max(axis=0)
         middle, reach = (low + high) / 2, float((high - low).max()) / 2
         found = cv2.moments(((border - middle) / reach).astype(np.float32)) if reach > 0 else {"m00": 0.0}

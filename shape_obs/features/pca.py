@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.features.coordinates import Coordinates, Frame, Placed
+from shape_obs.features.coordinates import CoordinateFrame, Coordinates, Placed
 from shape_obs.features.distribution import PointDistribution, read_bytes
-from shape_obs.features.feature import View
+from shape_obs.features.feature import FeatureContext
 from shape_obs.geometry.topology import Topology
 from shape_obs.shape import Shape
 from shape_obs.spec import SpecError
@@ -43,7 +43,7 @@ class PrincipalComponents(Placed, kind="pca"):
     """
 
     file: str
-    frame: Frame | None = None
+    frame: CoordinateFrame | None = None
     origin: str | None = None
     max_depth: float = 2.0
 
@@ -78,41 +78,41 @@ class PrincipalComponents(Placed, kind="pca"):
         """That of the points; empty where the file was fitted with ``--align``, since a turn has none."""
         return "" if self.model.aligned else self.coordinates.unit
 
-    def units(self, layout: Topology, view: View) -> tuple[str, ...]:
+    def units(self, layout: Topology, context: FeatureContext) -> tuple[str, ...]:
         """That of the points, and none for a turn."""
         model, unit = self._fitted_to(layout), self.coordinates.unit
         shift = max(model.placed - 2, 0) * (unit,)
         return (*shift, *(model.aligned * ("", "")), *(len(model.components) * (unit,)))
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
         """What points anywhere in their box can give: each coefficient is a weighted sum of them.
 
         Raises:
             ValueError: The file was fitted to another layout.
         """
         model = self._fitted_to(layout)
-        low, high = self.coordinates.box(view)
+        low, high = self.coordinates.box(context)
         if model.aligned:
             return self._bounds_aligned(low, high)
         up, down = np.maximum(model.components, 0.0), np.minimum(model.components, 0.0)
         at = np.tensordot(model.components, model.mean, axes=2)
         return (up @ low + down @ high).sum(axis=1) - at, (up @ high + down @ low).sum(axis=1) - at
 
-    def compute(self, shape: Shape, view: View) -> Array:
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
         """(K,), or more where the file was fitted with ``--align``."""
         model = self._fitted_to(shape.layout)
-        points = self.coordinates.points(shape, view)
+        points = self.coordinates.points(shape, context)
         return model.values(points, self.coordinates.weights(shape, points))
 
-    def reconstruct(self, values: npt.ArrayLike, layout: Topology, view: View) -> Array:
+    def reconstruct(self, values: npt.ArrayLike, layout: Topology, context: FeatureContext) -> Array:
         """(N,2) or (N,3) the shape of these components."""
         return self._fitted_to(layout).points(values)
 
-    def error(self, shape: Shape, view: View) -> float:
+    def error(self, shape: Shape, context: FeatureContext) -> float:
         """As of any feature; relative to the centroid, that of the same points counts on both sides."""
-        points = self.coordinates.points(shape, view)
+        points = self.coordinates.points(shape, context)
         known = self.coordinates.weights(shape, points) == 1
-        off = (points - self.reconstruct(self.compute(shape, view), shape.layout, view))[known]
+        off = (points - self.reconstruct(self.compute(shape, context), shape.layout, context))[known]
         if self.coordinates.origin == "centroid":
             off = off - off.mean(axis=0)
         return float(np.linalg.norm(off, axis=1).mean())

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.features.coordinates import Coordinates, Placed
-from shape_obs.features.feature import Feature, View
+from shape_obs.features.feature import Feature, FeatureContext
 from shape_obs.geometry.topology import Topology
 from shape_obs.shape import Shape
 from shape_obs.spec import SpecError
@@ -24,20 +24,20 @@ Array = npt.NDArray[np.float64]
 class _Points(Placed):
     """All coordinates of all points, one point after the other."""
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
         """Those of a point, for each."""
-        low, high = self.coordinates.box(view)
+        low, high = self.coordinates.box(context)
         return np.tile(low, layout.size), np.tile(high, layout.size)
 
-    def compute(self, shape: Shape, view: View) -> Array:
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
         """All coordinates; those of unknown points are NaN."""
-        return self.coordinates.points(shape, view).ravel()
+        return self.coordinates.points(shape, context).ravel()
 
     def measured(self, shape: Shape, size: int) -> npt.NDArray[np.bool_]:
         """Those of points that were: visible in an image, with depth in space."""
         return np.repeat(shape.visible if self.coordinates.planar else shape.valid, size // len(shape))
 
-    def reconstruct(self, values: npt.ArrayLike, layout: Topology, view: View) -> Array:
+    def reconstruct(self, values: npt.ArrayLike, layout: Topology, context: FeatureContext) -> Array:
         """(N,2) or (N,3), exactly the points."""
         return np.asarray(values, dtype=np.float64).reshape(layout.size, -1)
 
@@ -110,11 +110,11 @@ class Points3D(_Points, kind="points3d"):
 class Ok(Feature, kind="ok"):
     """1 where the shape is ok, else 0."""
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
         """0...1."""
         return np.zeros(1), np.ones(1)
 
-    def compute(self, shape: Shape, view: View) -> Array:
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
         """(1,)."""
         return np.array([float(shape.ok)])
 
@@ -128,23 +128,23 @@ class Age(Feature, kind="age"):
         """Seconds."""
         return "s"
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
         """0...max_age."""
-        return np.zeros(1), np.full(1, view.max_age)
+        return np.zeros(1), np.full(1, context.max_age)
 
-    def compute(self, shape: Shape, view: View) -> Array:
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
         """(1,) seconds."""
-        return np.array([min(shape.age, view.max_age)])
+        return np.array([min(shape.age, context.max_age)])
 
 
 @dataclass(frozen=True)
 class Valid(Feature, kind="valid"):
     """For each point 1 where it was really measured, 0 where it was filled in."""
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
         """0...1."""
         return np.zeros(layout.size), np.ones(layout.size)
 
-    def compute(self, shape: Shape, view: View) -> Array:
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
         """(N,)."""
         return shape.valid.astype(np.float64)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from shape_obs.features.coordinates import Framed, Geometric
 from shape_obs.features.curvature import closes, polyline
-from shape_obs.features.feature import View
+from shape_obs.features.feature import FeatureContext
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.shape import Shape
 
@@ -30,13 +30,13 @@ class Centroid(Geometric, kind="centroid"):
     Unknown points are filled in along the layout first: the mean of the others would lie away from them.
     """
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
         """Those of a point."""
-        return self.coordinates.box(view)
+        return self.coordinates.box(context)
 
-    def compute(self, shape: Shape, view: View) -> Array:
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
         """(2,) or (3,)."""
-        return self.complete(shape, view).mean(axis=0)
+        return self.complete(shape, context).mean(axis=0)
 
 
 #: What float32 points leave of nothing, relative to them.
@@ -75,15 +75,15 @@ class Orientation(Framed, kind="orientation"):
         """None."""
         return ""
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
         """-1...1."""
         _weights(layout)
-        self.coordinates.box(view)  # says what the frame lacks
+        self.coordinates.box(context)  # says what the frame lacks
         return np.full(2, -1.0), np.ones(2)
 
-    def compute(self, shape: Shape, view: View) -> Array:
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
         """(2,) cosine and sine from the first axis towards the second."""
-        points = self.complete(shape, view)[:, :2]
+        points = self.complete(shape, context)[:, :2]
         heading = _weights(shape.layout) @ points
         length = np.sqrt(heading @ heading)
         if not length > _ROUNDING * np.abs(points).max():
@@ -129,16 +129,16 @@ class Length(Framed, kind="length"):
 
     max_depth: float = 2.0
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
         """0 to each edge as long as the diagonal of the points' box."""
         edges = layout.size if closes(layout, self.kind) else layout.size - 1
-        low, high = self.coordinates.box(view)
+        low, high = self.coordinates.box(context)
         return np.zeros(1), np.full(1, edges * np.linalg.norm(high - low))
 
-    def compute(self, shape: Shape, view: View) -> Array:
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
         """(1,)."""
         closed = closes(shape.layout, self.kind)
-        points = self.coordinates.points(shape, view)
+        points = self.coordinates.points(shape, context)
         weight = polyline(self.coordinates.weights(shape, points), closed)
         line = polyline(points, closed)
         edge, weight = line[1:] - line[:-1], weight[1:] * weight[:-1]

@@ -16,7 +16,14 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.servo.jacobian import Broyden, JacobianEstimator, Kalman, PseudoJacobian, RecursiveLeastSquares, share
+from shape_obs.servo.jacobian import (
+    Broyden,
+    JacobianEstimator,
+    Kalman,
+    PseudoJacobian,
+    RecursiveLeastSquares,
+    check_in_range,
+)
 from shape_obs.spec import did_you_mean
 
 Array = npt.NDArray[np.float64]
@@ -139,7 +146,10 @@ class DampedLeastSquares(ServoLaw):
 
     def __init__(self, estimator: JacobianEstimator, gain: float = 0.5, damping: float = 0.1) -> None:
         super().__init__(estimator)
-        self.gain, self.damping = share("DampedLeastSquares: gain", gain), share("DampedLeastSquares: damping", damping)
+        self.gain, self.damping = (
+            check_in_range("DampedLeastSquares: gain", gain),
+            check_in_range("DampedLeastSquares: damping", damping),
+        )
 
     def _step(self, jacobian: Array, error: Array) -> Array:
         normal = jacobian.T @ jacobian
@@ -162,8 +172,8 @@ class ModelFreeAdaptiveControl(ServoLaw):
 
     def __init__(self, estimator: JacobianEstimator, step: float = 1.0, penalty: float = 0.1) -> None:
         super().__init__(estimator)
-        self.step = share("ModelFreeAdaptiveControl: step", step, 2.0)
-        self.penalty = share("ModelFreeAdaptiveControl: penalty", penalty, 1e6)
+        self.step = check_in_range("ModelFreeAdaptiveControl: step", step, 2.0)
+        self.penalty = check_in_range("ModelFreeAdaptiveControl: penalty", penalty, 1e6)
 
     def _step(self, jacobian: Array, error: Array) -> Array:
         square = np.linalg.norm(jacobian, 2) ** 2

@@ -98,7 +98,7 @@ class JacobianEstimator(ABC):
         """(A,) how the residual of a motion is shared out among the columns: ``J += (df - J da) gain'``."""
 
 
-def share(name: str, value: float, most: float = 1.0) -> float:
+def check_in_range(name: str, value: float, most: float = 1.0) -> float:
     """A number above 0, at most ``most``.
 
     Raises:
@@ -124,7 +124,7 @@ class Broyden(JacobianEstimator):
 
     def __init__(self, gain: float = 0.5, floor: float = 0.02) -> None:
         super().__init__()
-        self.gain, self.floor = share("Broyden: gain", gain), share("Broyden: floor", floor, 1e6)
+        self.gain, self.floor = check_in_range("Broyden: gain", gain), check_in_range("Broyden: floor", floor, 1e6)
 
     def _gain(self, da: Array) -> Array:
         return self.gain * da / (da @ da + self.floor)
@@ -145,9 +145,9 @@ class Kalman(JacobianEstimator):
 
     def __init__(self, drift: float = 0.02, noise: float = 0.05, uncertainty: float = 10.0) -> None:
         super().__init__()
-        self.drift = share("Kalman: drift", drift, 1e6)
-        self.noise = share("Kalman: noise", noise, 1e6)
-        self.uncertainty = share("Kalman: uncertainty", uncertainty, 1e6)
+        self.drift = check_in_range("Kalman: drift", drift, 1e6)
+        self.noise = check_in_range("Kalman: noise", noise, 1e6)
+        self.uncertainty = check_in_range("Kalman: uncertainty", uncertainty, 1e6)
 
     def _begin(self, actions: int) -> None:
         self._covariance = self.uncertainty * np.eye(actions)
@@ -176,8 +176,8 @@ class RecursiveLeastSquares(JacobianEstimator):
 
     def __init__(self, forgetting: float = 0.95, uncertainty: float = 10.0) -> None:
         super().__init__()
-        self.forgetting = share("RecursiveLeastSquares: forgetting", forgetting)
-        self.uncertainty = share("RecursiveLeastSquares: uncertainty", uncertainty, 1e6)
+        self.forgetting = check_in_range("RecursiveLeastSquares: forgetting", forgetting)
+        self.uncertainty = check_in_range("RecursiveLeastSquares: uncertainty", uncertainty, 1e6)
 
     def _begin(self, actions: int) -> None:
         self._covariance = self.uncertainty * np.eye(actions)
@@ -207,7 +207,7 @@ class PseudoJacobian(JacobianEstimator):
 
     def __init__(self, eta: float = 0.5, mu: float = 0.2) -> None:
         super().__init__()
-        self.eta, self.mu = share("PseudoJacobian: eta", eta), share("PseudoJacobian: mu", mu, 1e6)
+        self.eta, self.mu = check_in_range("PseudoJacobian: eta", eta), check_in_range("PseudoJacobian: mu", mu, 1e6)
 
     def _gain(self, da: Array) -> Array:
         return self.eta * da / (self.mu + da @ da)

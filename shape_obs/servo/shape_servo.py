@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from shape_obs.robot import ActionSpec
 from shape_obs.servo.control_law import ServoLaw, make_law
-from shape_obs.servo.jacobian import share
+from shape_obs.servo.jacobian import check_in_range
 from shape_obs.servo.weights import geometric_weights, noise_weights
 from shape_obs.shape import Shape
 from shape_obs.spec import Spec, SpecError
@@ -78,13 +78,13 @@ class ShapeServo:
     ) -> None:
         self.law = make_law(law) if isinstance(law, str) else law
         self._excitation = Excitation() if excitation is None else excitation
-        self._least = share("ShapeServo: least_motion", least_motion, 100.0)
+        self._least = check_in_range("ShapeServo: least_motion", least_motion, 100.0)
         if isinstance(weights, str) and weights != "noise":
             raise ValueError(f"ShapeServo: weights are 'noise', a matrix (M,F) or None, got {weights!r}.")
         matrix = None if weights is None or isinstance(weights, str) else np.asarray(weights, dtype=np.float64)
         self._given = (actions, seen, measured, matrix, isinstance(weights, str))
         self._size, self._seen, self._measured, self._weights, self._by_noise = self._given
-        self._min_valid = share("ShapeServo: min_valid", min_valid)
+        self._min_valid = check_in_range("ShapeServo: min_valid", min_valid)
         self.reset()
 
     def attach(self, env: Any) -> None:
@@ -111,7 +111,7 @@ class ShapeServo:
         self._measured = measured or partial(env.get_wrapper_attr, "goal_measured")
         if self._weights is None and not self._by_noise:
             features, spec = env.get_wrapper_attr("goal_features"), env.get_wrapper_attr("goal_configuration")
-            self._weights = geometric_weights(features, spec.layout, env.get_wrapper_attr("goal_view"))
+            self._weights = geometric_weights(features, spec.layout, env.get_wrapper_attr("goal_context"))
             self._by_noise = self._weights is None
 
     def bind(self, spec: ActionSpec) -> None:

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.features import Feature, View
+from shape_obs.features import Feature, FeatureContext
 from shape_obs.geometry.topology import Topology
 
 Array = npt.NDArray[np.float64]
@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 _ANSWER: Final = 0.05  # to the largest action
 
 
-def geometric_weights(features: Sequence[Feature], layout: Topology, view: View) -> Array | None:
+def geometric_weights(features: Sequence[Feature], layout: Topology, context: FeatureContext) -> Array | None:
     """The matrix from changes of features to changes of the points that they stand for.
 
     Coefficients of a curve are not alike: one moves all points, another hardly any, and two may nearly cancel. Seen as
@@ -26,7 +26,7 @@ def geometric_weights(features: Sequence[Feature], layout: Topology, view: View)
     Args:
         features: In the order of the vector.
         layout: Of the shape.
-        view: As for the features' bounds.
+        context: As for the features' bounds.
 
     Returns:
         (M,F), M at most F; None where one of the features cannot be turned back into points, or does not depend on
@@ -36,8 +36,8 @@ def geometric_weights(features: Sequence[Feature], layout: Topology, view: View)
     for feature in features:
         if not feature.invertible:
             return None
-        count = len(feature.bounds(layout, view)[0])
-        back = partial(feature.reconstruct, layout=layout, view=view)
+        count = len(feature.bounds(layout, context)[0])
+        back = partial(feature.reconstruct, layout=layout, context=context)
         origin = back(np.zeros(count)).ravel()
         columns = np.column_stack([back(unit).ravel() - origin for unit in np.eye(count)])
         if not np.allclose(back(np.arange(count)).ravel() - origin, columns @ np.arange(count)):

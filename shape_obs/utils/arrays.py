@@ -7,12 +7,15 @@ import struct
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+
+from shape_obs.utils.files import write_whole
 
 #: Bytes of all arrays in a .npz file.
 MOST_BYTES: Final = 4 << 30
@@ -59,6 +62,27 @@ def read_depth(path: Path) -> npt.NDArray[Any]:
             f"got shape {depth.shape} of {depth.dtype}."
         )
     return depth
+
+
+def write_image(path: Path, rgb: npt.NDArray[np.uint8]) -> None:
+    """Write an RGB picture of shape (H, W, 3), completely or not at all."""
+    from PIL import Image
+
+    write_whole(path, lambda temporary: Image.fromarray(rgb).save(temporary))
+
+
+def write_gif(path: Path, frames: Sequence[npt.NDArray[np.uint8]], seconds_per_frame: float) -> None:
+    """Write RGB frames of shape (H, W, 3) as an animated GIF, completely or not at all."""
+    from PIL import Image
+
+    pictures = [Image.fromarray(frame).quantize(128, dither=Image.Dither.NONE) for frame in frames]
+    duration = max(round(1000 * seconds_per_frame), 20)
+    write_whole(
+        path,
+        lambda temporary: pictures[0].save(
+            temporary, save_all=True, append_images=pictures[1:], duration=duration, loop=0, optimize=True
+        ),
+    )
 
 
 def decode_image(data: bytes, mode: int, where: str) -> npt.NDArray[Any]:

@@ -1,11 +1,9 @@
-"""Read JSON and YAML: whatever a file holds, the result is plain values or one declared error.
+"""Read what users write, JSON, YAML and ``module:Name``, with one declared error and helpful messages.
 
 Files come from other people and other programs. On damaged or hostile text Python's parsers also raise errors that
-are not their own: ``RecursionError`` when it is nested too deep, ``KeyError`` for a YAML tag, ``ValueError`` for a
-date that does not exist. YAML can repeat a part with an alias (``*name``): a few lines then stand for billions of
-values, or for a value that contains itself. Depth and number of values are therefore bounded here.
-
-Classes and functions by their names: ``module:Name``.
+are not their own: ``RecursionError`` for deep nesting, ``KeyError`` for a YAML tag, ``ValueError`` for a date that does
+not exist. YAML can repeat a part with an alias (``*name``): a few lines can stand for billions of values, or for a
+value that contains itself. Depth and number of values are therefore bounded here.
 """
 
 from __future__ import annotations
@@ -17,24 +15,28 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
-import yaml
-
-from shape_obs.spec import SpecError, did_you_mean
-
-#: Levels of lists and mappings in each other; the files of this package have at most a dozen.
+#: Largest nesting of lists and mappings; the files of this package have at most a dozen levels.
 DEEPEST: Final = 64
-
-#: Values in a YAML document, aliases written out.
+#: Largest number of values in a YAML document, with aliases written out.
 MOST_VALUES: Final = 200_000
-
-#: Bytes of a YAML document: PyYAML reads about 100 kB a second.
+#: Largest YAML document in bytes: PyYAML reads about 100 kB a second.
 LONGEST_YAML: Final = 8 << 20
 
 
-# What ``yaml.safe_load`` raises besides ``YAMLError``: the constructors of tags such as ``!!int`` and ``!!timestamp``.
-_YAML_ERRORS: Final = (
-    yaml.YAMLError, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RecursionError,
-)  # fmt: skip
+class SpecError(ValueError):
+    """A configuration that cannot be understood; the message names the place, the value and what was expected."""
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """Return the end of an error message about an unknown name: ``"; did you mean 'x'? Known: ..."``."""
+    import difflib  # only errors need it
+
+    names = list(known)
+    if not names:
+        return "; there are none."
+    near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
+    hint = f"; did you mean {near[0]!r}?" if near else "."
+    return f"{hint} Known: {', '.join(names)}."
 
 
 def read_json(path: str | os.PathLike[str], what: str) -> Any:
@@ -42,12 +44,12 @@ def read_json(path: str | os.PathLike[str], what: str) -> Any:
 
     Args:
         path: The file, encoded in UTF-8.
-        what: Kind of file, for messages: ``"extrinsics"``.
+        what: The kind of file, for error messages, such as ``"extrinsics"``.
 
     Raises:
         FileNotFoundError: There is no such file.
         OSError: The file cannot be read.
-        SpecError: It is not JSON, or nested too deep.
+        SpecError: The file is not JSON, or is nested too deeply.
     """
     return parse_json(_read(path, what), str(path))
 
@@ -57,12 +59,12 @@ def read_yaml(path: str | os.PathLike[str], what: str) -> Any:
 
     Args:
         path: The file, encoded in UTF-8.
-        what: Kind of file, for messages: ``"config"``.
+        what: The kind of file, for error messages, such as ``"config"``.
 
     Raises:
         FileNotFoundError: There is no such file.
         OSError: The file cannot be read.
-        SpecError: It is not YAML, too long, nested too deep, or its aliases stand for too many values.
+        SpecError: The text is not YAML, too long, nested too deeply, or its aliases stand for too many values.
     """
     return parse_yaml(_read(path, what), str(path))
 
@@ -72,10 +74,10 @@ def parse_json(text: str | bytes, where: str) -> Any:
 
     Args:
         text: The text; bytes are UTF-8.
-        where: Begins messages: the file's name, or name and line.
+        where: The start of error messages: the name of the file, or name and line.
 
     Raises:
-        SpecError: It is not JSON, or nested too deep.
+        SpecError: The file is not JSON, or is nested too deeply.
     """
     try:
         value = json.loads(_decoded(text))
@@ -92,18 +94,24 @@ def parse_yaml(text: str | bytes, where: str) -> Any:
 
     Args:
         text: The text; bytes are UTF-8.
-        where: Begins messages: the file's name, or the option of a command.
+        where: The start of error messages: the name of the file, or a command-line option.
 
     Raises:
-        SpecError: It is not YAML, too long, nested too deep, or its aliases stand for too many values.
+        SpecError: The text is not YAML, too long, nested too deeply, or its aliases stand for too many values.
     """
+    import yaml  # takes 20 ms, which commands without a YAML file save
+
+    # What ``yaml.safe_load`` raises besides ``YAMLError``: constructors of tags such as ``!!int`` and ``!!timestamp``.
+    yaml_errors = (
+        yaml.YAMLError, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RecursionError,
+    )  # fmt: skip
     if len(text) > LONGEST_YAML:
         raise SpecError(f"{where}: expected at most {LONGEST_YAML} bytes of YAML, got {len(text)}.")
     try:
         value = yaml.safe_load(_decoded(text))
     except RecursionError as error:
         raise SpecError(f"{where}: {_too_deep()}") from error
-    except _YAML_ERRORS as error:
+    except yaml_errors as error:
         reason = str(error) if isinstance(error, (yaml.YAMLError, ValueError)) else repr(error)
         raise SpecError(f"{where}: not valid YAML: {reason}") from error
     _check_bounds(value, where, MOST_VALUES)
@@ -120,23 +128,23 @@ def _read(path: str | os.PathLike[str], what: str) -> bytes:
 
 
 def _decoded(text: str | bytes) -> str:
-    # ``-sig``: editors of Windows begin UTF-8 with a byte order mark.
+    # ``-sig``: editors on Windows start UTF-8 files with a byte order mark.
     return text if isinstance(text, str) else text.decode("utf-8-sig")
 
 
 def _check_bounds(value: Any, where: str, most: int | None) -> None:
-    """Refuse what is nested too deep, or too many values where ``most`` is given; without recursion."""
+    """Reject values that are nested too deeply or, if ``most`` is given, too many values. Works without recursion."""
     count, level = 0, [value]
     for _ in range(DEEPEST + 1):
         inner: list[Any] = []
         for item in level:
             inside = _inside(item)
             if most is not None:
-                # Before the next level is made: an alias can stand for billions of values.
+                # Count before the next level is built: an alias can stand for billions of values.
                 count += len(inside)
                 if count > most:
                     raise SpecError(
-                        f"{where}: it stands for more than {most} values: write out what its aliases repeat."
+                        f"{where}: it holds more than {most} values: write out the parts that its aliases repeat."
                     )
             inner.extend(inside)
         if not inner:
@@ -152,23 +160,23 @@ def _inside(item: Any) -> list[Any]:
 
 
 def _containers(keys: Iterable[Any]) -> list[Any]:
-    """Keys that contain values themselves, as tuples do in YAML."""
+    """Return the keys that contain values themselves, as tuples do in YAML."""
     return [key for key in keys if isinstance(key, tuple)]
 
 
 def _too_deep() -> str:
-    return f"it is nested too deep; expected at most {DEEPEST} levels of lists and mappings."
+    return f"it is nested too deeply; expected at most {DEEPEST} levels of lists and mappings."
 
 
 def load_named(text: str, what: str) -> Any:
-    """What ``module:Name`` names.
+    """Return the object that ``module:Name`` refers to.
 
     Args:
-        text: Such as ``"my_lab.arm:Arm"``; the module is looked for as ``import`` does.
-        what: What it is for, for messages: ``"--robot"``.
+        text: The name, such as ``"my_lab.arm:Arm"``; the module is found as by ``import``.
+        what: The setting that holds the name, for error messages, such as ``"--robot"``.
 
     Raises:
-        ValueError: Not of this form, or the module has no such name.
+        ValueError: The text does not have this form, or the module has no such name.
         ImportError: There is no such module, or importing it fails.
     """
     module_name, _, name = text.partition(":")
@@ -186,10 +194,10 @@ def load_named(text: str, what: str) -> Any:
 
 
 def make_named(text: str, what: str, arguments: Mapping[str, Any] | None = None) -> Any:
-    """Call what ``module:Name`` names with keyword arguments.
+    """Call the class or function that ``module:Name`` refers to, with keyword arguments.
 
     Raises:
-        ValueError: It cannot be called so.
+        ValueError: The object cannot be called, or does not take these arguments.
     """
     maker = load_named(text, what)
     if not callable(maker):

@@ -11,7 +11,17 @@ from gymnasium import spaces
 
 from shape_obs.camera import CameraModel
 from shape_obs.configurations import Configuration
-from shape_obs.features import Age, Feature, FeatureVector, Ok, Points2D, Points2DNormalized, Points3D, Valid, View
+from shape_obs.features import (
+    Age,
+    Feature,
+    FeatureContext,
+    FeatureVector,
+    Ok,
+    Points2D,
+    Points2DNormalized,
+    Points3D,
+    Valid,
+)
 from shape_obs.shape import Shape
 from shape_obs.wrappers.env_protocol import has_goals
 from shape_obs.wrappers.goal_points import goal_topology, placed, shape_at
@@ -33,7 +43,7 @@ class GoalVector:
     Args:
         features: In the order of the vector.
         spec: The configuration of the shape.
-        view: What the bounds are made from.
+        context: What the bounds are made from.
 
     Attributes:
         low: (D,) float32 lowest values.
@@ -42,8 +52,8 @@ class GoalVector:
         unit: Of ``distance``: ``"m"``, ``"px"``, ``"of half the image"`` or ``"of the range"``.
     """
 
-    def __init__(self, features: Sequence[Feature], spec: Configuration, view: View) -> None:
-        self._vector = FeatureVector(features, [spec], view)
+    def __init__(self, features: Sequence[Feature], spec: Configuration, context: FeatureContext) -> None:
+        self._vector = FeatureVector(features, [spec], context)
         self.features, self.low, self.high = self._vector.features, self._vector.low, self._vector.high
         kinds = {type(feature) for feature in self.features}
         self._coordinates, self.unit = _POINTS.get(kinds.pop(), (0, "")) if len(kinds) == 1 else (0, "")
@@ -53,21 +63,21 @@ class GoalVector:
         self._known: tuple[Any, ...] = (None, None, None)
         self._desired: Vector = self.low
 
-    def pair(self, seen: Shape, target: Shape, view: View) -> tuple[Vector, Vector]:
+    def pair(self, seen: Shape, target: Shape, context: FeatureContext) -> tuple[Vector, Vector]:
         """((D,), (D,)): what was achieved and what is desired, fresh arrays."""
-        return self._vector.compute([seen], [view]), self.desired(target, view)
+        return self._vector.compute([seen], [context]), self.desired(target, context)
 
     def measured(self, seen: Shape) -> npt.NDArray[np.bool_]:
         """(D,) which of the achieved values were measured in this frame, not filled in."""
         return self._vector.measured([seen])
 
-    def desired(self, target: Shape, view: View) -> Vector:
+    def desired(self, target: Shape, context: FeatureContext) -> Vector:
         """(D,) of the target, a fresh array."""
         shape, camera, before = self._known
-        anchor = (view.anchor, view.anchors) if self._anchored else None
-        if shape is not target or camera is not view.camera or before != anchor:
-            self._desired = self._vector.compute([target], [view])
-            self._known = (target, view.camera, anchor)
+        anchor = (context.anchor, context.anchors) if self._anchored else None
+        if shape is not target or camera is not context.camera or before != anchor:
+            self._desired = self._vector.compute([target], [context])
+            self._known = (target, context.camera, anchor)
         return self._desired.copy()
 
     def distance(self, achieved: Any, desired: Any) -> npt.NDArray[np.float64]:
@@ -99,7 +109,7 @@ class EnvGoal:
     Args:
         features: Of the wrapper.
         shapes: Of the wrapper.
-        view: What the bounds are made from.
+        context: What the bounds are made from.
         layout: What the env says of its goals' layout.
         count: How many numbers a goal of the env has.
 
@@ -114,7 +124,7 @@ class EnvGoal:
         self,
         features: Sequence[Feature],
         shapes: Sequence[Configuration],
-        view: View,
+        context: FeatureContext,
         layout: Mapping[str, Any],
         count: int,
     ) -> None:
@@ -129,7 +139,7 @@ class EnvGoal:
                 "this env has goals, which are scored in metres: add 'points3d' to features, "
                 f"got {[feature.kind for feature in features]}."
             )
-        if view.camera is None or view.camera.transform_camera_to_base is None:
+        if context.camera is None or context.camera.transform_camera_to_base is None:
             raise ValueError(
                 "this env has goals in the base frame: its camera_model (or camera=) needs transform_camera_to_base."
             )
@@ -137,9 +147,9 @@ class EnvGoal:
             raise ValueError(f"this env's goals must be flat (x, y, z) points, got {count} numbers.")
         self._topology = goal_topology(layout, spec, count // 3)
         self._spec = spec
-        self.vector = GoalVector(metric[:1], spec, view)
+        self.vector = GoalVector(metric[:1], spec, context)
         before = features[: features.index(metric[0])]
-        start = sum(len(feature.bounds(spec.layout, view)[0]) for feature in before)
+        start = sum(len(feature.bounds(spec.layout, context)[0]) for feature in before)
         self._here = slice(start, start + len(self.vector.low))
         self._known: tuple[Any, ...] = (None, None)
         self._target: Shape | None = None
@@ -150,13 +160,13 @@ class EnvGoal:
         space: spaces.Space[Any],
         features: Sequence[Feature],
         shapes: Sequence[Configuration],
-        view: View,
+        context: FeatureContext,
         layout: Mapping[str, Any],
     ) -> EnvGoal | None:
         """The goals of an env with this observation space; None where it has none."""
         if not isinstance(space, spaces.Dict) or not has_goals(space):
             return None
-        return cls(features, shapes, view, layout, int(np.prod(space["desired_goal"].shape or (0,))))
+        return cls(features, shapes, context, layout, int(np.prod(space["desired_goal"].shape or (0,))))
 
     def achieved(self, values: Vector) -> Vector:
         """(D,) what was achieved, a fresh array: of all the wrapper's features those that goals are given in."""

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 
 from shape_obs.configurations import Configuration
-from shape_obs.features import Feature, View, read_features
+from shape_obs.features import Feature, FeatureContext, read_features
 from shape_obs.shape import Shape
 from shape_obs.spec import did_you_mean
 from shape_obs.wrappers.env_protocol import GOALS, has_goals
@@ -84,7 +84,7 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             raise ValueError(f"reward_type: unknown value {reward_type!r}{did_you_mean(reward_type, _REWARDS)}")
         self.reward_type = reward_type
         chosen = _chosen(self._source.features, recorded.get("features"))
-        self._vector = GoalVector(chosen, self._spec, self.goal_view)
+        self._vector = GoalVector(chosen, self._spec, self.goal_context)
         self.unit = self._vector.unit
         self.threshold = _checked(threshold, self.unit)
         self._envs_goals = has_goals(self._source.observation_space)
@@ -156,9 +156,9 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return self._spec
 
     @property
-    def goal_view(self) -> View:
+    def goal_context(self) -> FeatureContext:
         """Camera and anchors by which the present goal's numbers were computed."""
-        return self._source.views[self._at]
+        return self._source.contexts[self._at]
 
     @property
     def goal_measured(self) -> npt.NDArray[np.bool_]:
@@ -177,7 +177,7 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def _as_seen(self, goal: Target) -> Shape:
         """The goal as the shape that the camera, where it is now, would see."""
-        target = goal.shape_for(self._spec, self.goal_view)
+        target = goal.shape_for(self._spec, self.goal_context)
         needing = [feature.kind for feature in self._vector.features if feature.needs_depth]
         if needing and target.points3d is None:
             raise ValueError(
@@ -193,7 +193,7 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         assert detection is not None
         assert target is not None
         self.target, shape = target, detection.shapes[self._at]
-        goals = self._vector.pair(shape, target, self.goal_view)
+        goals = self._vector.pair(shape, target, self.goal_context)
         distance = self._vector.distance(*goals)
         if "is_success" in info:
             info["truth/is_success"] = info["is_success"]
@@ -224,8 +224,8 @@ def record_goal(
     at = _index(source, shape)
     if source.detection is None:
         raise ValueError("record_goal: nothing has been seen yet; call reset first.")
-    spec, view = source.detector.shapes[at], source.views[at]
-    return Target.of(source.detection.shapes[at], spec, view, frame, unmeasured=unmeasured)
+    spec, context = source.detector.shapes[at], source.contexts[at]
+    return Target.of(source.detection.shapes[at], spec, context, frame, unmeasured=unmeasured)
 
 
 def _observing(env: gym.Env[Any, Any]) -> ShapeObservation:

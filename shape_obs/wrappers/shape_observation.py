@@ -18,7 +18,7 @@ from shape_obs import spec
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
 from shape_obs.config import DetectorConfig
 from shape_obs.detector import ShapeDetector
-from shape_obs.features import Feature, FeatureVector, View, read_features
+from shape_obs.features import Feature, FeatureContext, FeatureVector, read_features
 from shape_obs.shape import Detection, Shape
 from shape_obs.spec import SpecError, did_you_mean
 from shape_obs.wrappers import env_protocol
@@ -58,7 +58,7 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         detection: What it found in the last observation; None before the first.
         features: Of each shape, in the order of the vector.
         blocks: What stands where in the vector: a ``Block`` for each feature of each shape.
-        views: Camera and anchor of each shape in the last observation.
+        contexts: Camera and anchor of each shape in the last observation.
         target: The goal of a goal-conditioned env in the last observation, as a shape; else None.
 
     Example:
@@ -98,26 +98,26 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         self._given_camera = read_camera(own["camera"])
         camera = self._given_camera or env_protocol.camera_model(env)
         height, width = self._images.size
-        self._view = view = View(width, height, camera, own["workspace"], self.detector.config.max_age)
+        self._context = context = FeatureContext(width, height, camera, own["workspace"], self.detector.config.max_age)
         in_3d = self._images.depth_key is not None and camera is not None
         self.features = tuple(read_features(own["features"] or ("points3d" if in_3d else "points2d_normalized")))
         if self._images.depth_key is None and any(feature.needs_depth for feature in self.features):
             raise ValueError("features need depth, but the observation has no 'depth'; pass depth_key=.")
         space, shapes = env.observation_space, self.detector.shapes
-        self._vector = FeatureVector(self.features, shapes, view)
+        self._vector = FeatureVector(self.features, shapes, context)
         self.blocks = self._vector.blocks
-        self._goal = EnvGoal.find(space, self.features, shapes, view, env_protocol.goal_layout(env))
+        self._goal = EnvGoal.find(space, self.features, shapes, context, env_protocol.goal_layout(env))
         self._layout = Layout(space, own["keep"] or (), self._vector, self._goal and self._goal.vector)
         self.observation_space = self._layout.space
         self.detection: Detection | None = None
-        self.views = len(shapes) * [view]
+        self.contexts = len(shapes) * [context]
         self.target: Shape | None = None
         self._time = 0.0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the env and forget the track."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._view = replace(self._view, camera=self._given_camera or env_protocol.camera_model(self.env))
+        self._context = replace(self._context, camera=self._given_camera or env_protocol.camera_model(self.env))
         self.detector.reset()
         self._time = 0.0
         return self._observe(observation, info), info
@@ -143,17 +143,17 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
 
     def _observe(self, observation: Any, info: dict[str, Any]) -> Any:
         rgb, depth = self._images.read(observation)
-        named, camera = env_protocol.anchors(self.env), self._view.camera
+        named, camera = env_protocol.anchors(self.env), self._context.camera
         stamp = info.get("stamp", self._time)
         self.detection = detection = self.detector.detect(rgb, depth, camera, stamp=stamp, anchors=named)
         info.update(scalars(detection))
         points = [env_protocol.base_point(spec, named) for spec in self.detector.shapes]
-        self.views = [replace(self._view, anchor=point, anchors=named) for point in points]
-        values = self._vector.compute(detection.shapes, self.views)
+        self.contexts = [replace(self._context, anchor=point, anchors=named) for point in points]
+        values = self._vector.compute(detection.shapes, self.contexts)
         if self._goal is None or camera is None:
             return self._layout.compose(values, observation)
         self.target = self._goal.target(observation["desired_goal"], camera)
-        goals = self._goal.achieved(values), self._goal.vector.desired(self.target, self.views[0])
+        goals = self._goal.achieved(values), self._goal.vector.desired(self.target, self.contexts[0])
         return self._layout.compose(values, observation, goals)
 
 

@@ -15,7 +15,7 @@ import yaml
 from shape_obs.camera import CameraModel
 from shape_obs.config import VERSION
 from shape_obs.configurations import Configuration
-from shape_obs.features import View
+from shape_obs.features import FeatureContext
 from shape_obs.geometry.topology import Grid
 from shape_obs.shape import Shape
 from shape_obs.spec import Spec, SpecError
@@ -93,14 +93,20 @@ class Target(Spec):
 
     @classmethod
     def of(
-        cls, shape: Shape, spec: Configuration, view: View, frame: GoalFrame | None = None, *, unmeasured: bool = False
+        cls,
+        shape: Shape,
+        spec: Configuration,
+        context: FeatureContext,
+        frame: GoalFrame | None = None,
+        *,
+        unmeasured: bool = False,
     ) -> Target:
         """Record a shape that was found.
 
         Args:
             shape: What was found.
             spec: What it was found as.
-            view: Camera and size of the image.
+            context: Camera and size of the image.
             frame: Default: ``"base"`` where the camera's place is known, else ``"camera"`` with depth, else
                 ``"pixels"``.
             unmeasured: Record points that were hidden or had no depth too, where they were taken to be.
@@ -116,17 +122,17 @@ class Target(Spec):
                 f"shape {shape.name!r}: {missing} of {len(shape)} points were hidden or had no depth, so they are no "
                 "goal. Show all of it, or record them where they were taken to be with unmeasured=True."
             )
-        posed = view.camera is not None and view.camera.transform_camera_to_base is not None
+        posed = context.camera is not None and context.camera.transform_camera_to_base is not None
         if frame is None:
             frame = "pixels" if shape.points3d is None else "base" if posed else "camera"
         if frame == "pixels":
-            points, size = shape.pixels, (view.width, view.height)
+            points, size = shape.pixels, (context.width, context.height)
         elif shape.points3d is None:
             raise ValueError(f"shape {shape.name!r} was found without depth: its frame is 'pixels', not {frame!r}.")
         else:
             points, size = shape.points3d, None
         if frame == "base":
-            points = _posed(view.camera).to_base(points)
+            points = _posed(context.camera).to_base(points)
         rounded = np.asarray(points, dtype=np.float64).round(_DIGITS[frame])
         grid = spec.layout
         lattice = {"rows": grid.rows, "cols": grid.cols} if isinstance(grid, Grid) else {}
@@ -156,26 +162,26 @@ class Target(Spec):
         """Write a YAML file, whole or not at all."""
         write_text(Path(path), yaml.safe_dump({"version": VERSION, "goal": self.to_dict()}, sort_keys=False))
 
-    def shape_for(self, spec: Configuration, view: View) -> Shape:
+    def shape_for(self, spec: Configuration, context: FeatureContext) -> Shape:
         """The target as the shape that the detector would report of it.
 
         Args:
             spec: The configuration whose points are wanted.
-            view: Camera and size of the image.
+            context: Camera and size of the image.
 
         Raises:
             ValueError: The target is of another kind, was recorded as something else, is out of the camera's sight, or
-                the frame asks for what the view does not have; the message says what.
+                the frame asks for what the context does not have; the message says what.
         """
         topology = goal_topology(self.layout, spec, len(self.points))
         self._check_recorded(spec)
-        points, camera = np.asarray(self.points), view.camera
+        points, camera = np.asarray(self.points), context.camera
         intrinsics = None if camera is None else camera.intrinsics
         if self.frame == "pixels":
-            if self.size is not None and self.size != (view.width, view.height):
+            if self.size is not None and self.size != (context.width, context.height):
                 raise ValueError(
                     f"goal: its pixels are of an image of {self.size[0]} x {self.size[1]}, this one has "
-                    f"{view.width} x {view.height}; give the goal in metres, or record it with this camera."
+                    f"{context.width} x {context.height}; give the goal in metres, or record it with this camera."
                 )
         elif camera is None:
             raise ValueError(f"goal: frame {self.frame!r} needs a camera: let the env publish it, or pass camera=.")

@@ -15,13 +15,13 @@ from hypothesis.extra import numpy as hnp
 from shape_obs import CameraModel, Centerline, Feature, Shape
 from shape_obs.features import (
     Age,
+    FeatureContext,
     FeatureVector,
     Ok,
     Points2D,
     Points2DNormalized,
     Points3D,
     Valid,
-    View,
     read_features,
 )
 from shape_obs.geometry.topology import Chain, Topology
@@ -38,8 +38,8 @@ def shape(points2d: Any = ((0, 0), (10, 20)), points3d: Any = ((0, 0, 1), (0.1, 
 
 
 @pytest.fixture
-def view(overhead) -> View:
-    return View(320, 240, overhead, WORKSPACE, max_age=0.5, anchor=(0.1, 0.0, 0.2))
+def view(overhead) -> FeatureContext:
+    return FeatureContext(320, 240, overhead, WORKSPACE, max_age=0.5, anchor=(0.1, 0.0, 0.2))
 
 
 ALL = [
@@ -108,7 +108,7 @@ def test_bounds_in_the_camera_frame_are_what_it_sees(view):
 
 @given(st.floats(0, 319), st.floats(0, 239), st.floats(0.01, 2.0))
 def test_every_point_in_view_is_within_bounds(overhead, u, v, z):
-    view = View(320, 240, overhead)
+    view = FeatureContext(320, 240, overhead)
     point = overhead.intrinsics.deproject([[u, v]], [z])
     for frame in ("camera", "base"):
         low, high = Points3D(frame=frame).bounds(Chain(1), view)
@@ -199,7 +199,7 @@ class TestVector:
 
     @given(hnp.arrays(np.float32, (4, 2)), hnp.arrays(np.float32, (4, 3)), st.booleans(), st.floats(0, 1e9))
     def test_no_shape_leaves_the_bounds(self, overhead, points2d, points3d, ok, age):
-        view = View(320, 240, overhead, WORKSPACE, anchor=(0, 0, 0))
+        view = FeatureContext(320, 240, overhead, WORKSPACE, anchor=(0, 0, 0))
         vector = FeatureVector(ALL, [Centerline(n=4)], view)
         with np.errstate(over="ignore", invalid="ignore"):
             values = vector.compute([shape(points2d, points3d, ok=ok, age=age)], [view])
@@ -229,10 +229,10 @@ def test_a_feature_of_ones_own(view):
     class Length(Feature, kind="test-length"):
         longest: float = 100.0
 
-        def bounds(self, layout: Topology, view: View):
+        def bounds(self, layout: Topology, view: FeatureContext):
             return np.zeros(1), np.full(1, self.longest)
 
-        def compute(self, shape: Shape, view: View):
+        def compute(self, shape: Shape, view: FeatureContext):
             return np.array([np.linalg.norm(np.diff(shape.points2d, axis=0), axis=1).sum()])
 
     try:

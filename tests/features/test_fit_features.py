@@ -13,7 +13,7 @@ from rope_env import BLUE
 from shape_obs import Shape, ShapeDetector, save_config
 from shape_obs.cli import main
 from shape_obs.extrinsics import Extrinsics
-from shape_obs.features import PointDistribution, PrincipalComponents, View
+from shape_obs.features import FeatureContext, PointDistribution, PrincipalComponents
 from shape_obs.frame import Frame
 from shape_obs.geometry.topology import Chain
 from shape_obs.recording import Moment, ShapeLog, ShapeTable
@@ -21,8 +21,8 @@ from shape_obs.shape import Detection
 
 
 @pytest.fixture
-def view(overhead) -> View:
-    return View(320, 240, overhead, WORKSPACE)
+def view(overhead) -> FeatureContext:
+    return FeatureContext(320, 240, overhead, WORKSPACE)
 
 
 class TestCommand:

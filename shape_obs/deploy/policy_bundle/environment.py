@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from shape_obs.deploy.policy_bundle.errors import MALFORMED, BundleError, needs_trust
 from shape_obs.deploy.policy_bundle.limits import check_configuration, check_goal, check_numbers
-from shape_obs.spec import plain
+from shape_obs.spec import to_plain as plain
 
 if TYPE_CHECKING:
     import gymnasium as gym

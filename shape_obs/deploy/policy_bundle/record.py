@@ -64,7 +64,7 @@ class Surroundings(Spec):
         config, schema, image, camera = None, None, None, camera_model(env)
         shapes = shape_observation(env)
         if shapes is not None:
-            view = shapes.views[0]
+            view = shapes.contexts[0]
             config = {
                 **shapes.detector.config.to_dict(),
                 "features": [feature.to_dict() for feature in shapes.features],

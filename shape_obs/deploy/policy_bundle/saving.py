@@ -24,7 +24,7 @@ from shape_obs.deploy.policy_bundle.spaces import channels_first, layout_differe
 from shape_obs.deploy.policy_bundle.statistics import Statistics
 from shape_obs.deploy.policy_bundle.tensors import write_weights
 from shape_obs.robot import ActionSpec
-from shape_obs.spec import plain
+from shape_obs.spec import to_plain as plain
 
 if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec

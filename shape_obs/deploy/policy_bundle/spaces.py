@@ -12,7 +12,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from shape_obs.deploy.policy_bundle.errors import MALFORMED, BundleError
-from shape_obs.spec import plain
+from shape_obs.spec import to_plain as plain
 
 #: Of one observation or action that a bundle may describe.
 MOST_BYTES: Final = 16 * 2**20
