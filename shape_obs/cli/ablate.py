@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
     from shape_obs.ablation import Study
-    from shape_obs.ablation.engines import Engine
-    from shape_obs.ablation.work import Outcome
+    from shape_obs.ablation.executors import Engine
+    from shape_obs.ablation.executors import Outcome
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = tyro.cli(Arguments, args=list(argv), prog="shape-obs ablate")
     from shape_obs.ablation import load_study
-    from shape_obs.ablation.pictures import need_matplotlib
+    from shape_obs.ablation.report import need_matplotlib
     from shape_obs.utils.files import make_folder
 
     need_matplotlib()
@@ -80,7 +80,7 @@ def _run(args: Arguments, study: Study) -> list[Outcome]:
     """Run what is not finished yet, and return the failed runs."""
     from tqdm import tqdm
 
-    from shape_obs.ablation.check import check
+    from shape_obs.ablation.sweep import check
     from shape_obs.ablation.sweep import left, sweep
 
     folders = left(study, args.out, list(dict.fromkeys(args.only)), list(dict.fromkeys(args.seeds)))
@@ -95,7 +95,8 @@ def _run(args: Arguments, study: Study) -> list[Outcome]:
 
 
 def _engine(args: Arguments) -> Engine:
-    from shape_obs.ablation.engines import Local, Ray
+    from shape_obs.ablation.executors import Local
+    from shape_obs.ablation.executors import Ray
 
     if args.engine == "ray":
         return Ray(args.address, args.jobs)
@@ -113,10 +114,13 @@ def _progress(bar: tqdm, runs: int) -> Callable[[int, Sequence[Outcome]], None]:
 
 def _results(args: Arguments, study: Study) -> dict[str, Any]:
     """Write table and pictures of the finished runs; return the results and the files."""
-    from shape_obs.ablation.finished import finished, write_results
-    from shape_obs.ablation.pictures import draw
-    from shape_obs.ablation.summary import summarize
-    from shape_obs.ablation.tables import markdown, plain_summary, write_table
+    from shape_obs.ablation.results import finished
+    from shape_obs.ablation.results import write_results
+    from shape_obs.ablation.report import draw
+    from shape_obs.ablation.statistics import summarize
+    from shape_obs.ablation.report import markdown
+    from shape_obs.ablation.report import plain_summary
+    from shape_obs.ablation.report import write_table
 
     runs = finished(study, args.out)
     if not runs:

@@ -1,29 +1,108 @@
-"""Extraction: what all episodes of a dataset have in common, and the work on one of them."""
+"""FeatureLog: collects features frame by frame, as columns beside those of the shapes.
+
+Extraction: what all episodes of a dataset have in common, and the work on one of them.
+"""
 
 from __future__ import annotations
-
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+import numpy as np
+from shape_obs.configurations import Configuration
+from shape_obs.features import Block, Feature, FeatureVector
+from shape_obs.features import FeatureContext as View
+from shape_obs.recording import Moment
+from shape_obs.recording.table import Column
+from shape_obs.shape import Detection
 import hashlib
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
-
-import numpy as np
-
 from shape_obs import __version__
 from shape_obs.config import config_hash, detector_arguments, schema_hash
 from shape_obs.detector import ShapeDetector
-from shape_obs.extraction.features import FeatureLog
 from shape_obs.extraction.task import Outcome, Task
 from shape_obs.features import read_features
 from shape_obs.recording import ShapeLog, ShapeTable, replay
 from shape_obs.recording.replay import check_depth
-from shape_obs.recording.table import Column
 from shape_obs.source import RGBDSource
 from shape_obs.utils.threads import one_thread
 
+
+
+class FeatureLog:
+    """Collects the vector that ``ShapeObservation`` would have shown.
+
+    Args:
+        features: Of each shape.
+        shapes: As the detector resolved them.
+        workspace: (low, high) corners, metres, base frame, that bound points in the base frame.
+        max_age: Seconds at which ``age`` saturates.
+    """
+
+    def __init__(
+        self, features: Sequence[Feature], shapes: Sequence[Configuration], workspace: Any, max_age: float
+    ) -> None:
+        self._features, self._shapes = tuple(features), tuple(shapes)
+        self._workspace, self._max_age = workspace, max_age
+        self._vector: FeatureVector | None = None
+        self._values: list[Column] = []
+        self._measured: list[Column] = []
+
+    def add(self, moment: Moment, detection: Detection) -> None:
+        """Take a frame.
+
+        Raises:
+            ValueError: A feature lacks what it needs, such as depth or the camera's place.
+        """
+        # Inside, since it brings gymnasium.
+        from shape_obs.wrappers.env_protocol import base_point
+
+        if not self._features:
+            return
+        height, width = moment.frame.size or (1, 1)
+        view = View(width, height, moment.frame.camera, self._workspace, self._max_age, anchors=moment.anchors)
+        if self._vector is None:
+            self._vector = FeatureVector(self._features, self._shapes, view)
+        views = [replace(view, anchor=base_point(shape, moment.anchors)) for shape in self._shapes]
+        self._values.append(self._vector.compute(detection.shapes, views))
+        self._measured.append(self._vector.measured(detection.shapes))
+
+    def columns(self) -> dict[str, Column]:
+        """``<shape>/features/<kind>`` (F,D) float32 and, beside each, ``.../measured`` (F,D) bool."""
+        if self._vector is None:
+            return {}
+        values, measured = np.stack(self._values), np.stack(self._measured)
+        columns = {}
+        for name, block in _named(self._vector.blocks):
+            columns[name] = values[:, block.place]
+            columns[f"{name}/measured"] = measured[:, block.place]
+        return columns
+
+    def described(self) -> dict[str, Any]:
+        """Column -> ``feature``, the spec as a mapping, and ``units`` of each value; JSON-able."""
+        blocks = () if self._vector is None else self._vector.blocks
+        return {
+            name: {"feature": block.feature.to_dict(), "units": list(block.units)} for name, block in _named(blocks)
+        }
+
+
+
+def _named(blocks: Iterable[Block]) -> Iterable[tuple[str, Block]]:
+    """Blocks with the names of their columns; a second one of a kind is numbered."""
+    seen: Counter[str] = Counter()
+    for block in blocks:
+        name = f"{block.shape}/features/{block.feature.kind}"
+        seen[name] += 1
+        yield name if seen[name] == 1 else f"{name}_{seen[name]}", block
+
+
+
 _NOWHERE: Final = {"points2d": 2, "points3d": 3}
+
 
 
 @dataclass(frozen=True)
@@ -69,6 +148,7 @@ class Extraction:
         return ShapeDetector(**{**given, "on_missing": "nan"} if given.get("on_missing") == "raise" else given)
 
 
+
 def work(job: Extraction, made_with: Mapping[str, Any], task: Task) -> Outcome:
     """Find the shapes of an episode and write them, unless that was done before.
 
@@ -103,6 +183,7 @@ def work(job: Extraction, made_with: Mapping[str, Any], task: Task) -> Outcome:
     return Outcome(task, "done", len(table), table.metadata["ok"], warnings=tuple(dict.fromkeys(said)))
 
 
+
 def _kept(part: Path, made: Mapping[str, Any], task: Task) -> Outcome | None:
     """Return the outcome of an earlier run; None where its part is damaged, or made of something else."""
     if not part.exists():
@@ -112,6 +193,7 @@ def _kept(part: Path, made: Mapping[str, Any], task: Task) -> Outcome | None:
         return Outcome(task, "kept", known["frames"], known["ok"]) if known.get("made_with") == made else None
     except (KeyError, ValueError, OSError):
         return None
+
 
 
 def _table(job: Extraction, made: Mapping[str, Any], task: Task) -> ShapeTable:
@@ -135,6 +217,7 @@ def _table(job: Extraction, made: Mapping[str, Any], task: Task) -> ShapeTable:
     return ShapeTable({**columns, **collected.columns()}, told)
 
 
+
 def _whole(columns: Mapping[str, Column], sizes: Mapping[str, int]) -> dict[str, Column]:
     """The columns that every part has, whatever its recording lacks; without times of the machine that read it."""
     found = {name: column for name, column in columns.items() if name != "received"}
@@ -143,3 +226,4 @@ def _whole(columns: Mapping[str, Column], sizes: Mapping[str, int]) -> dict[str,
             found.setdefault(f"{name}/{kind}", np.full((len(columns["frame"]), size, axes), np.nan, np.float32))
     first = [name for name in found if "/" not in name]
     return {name: found[name] for name in [*first, *sorted(set(found) - set(first))]}
+

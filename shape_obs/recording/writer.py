@@ -1,7 +1,9 @@
-"""RecordingWriter: frames into a folder, as fast as they come, so that whatever happens what is written is whole."""
+"""RecordingWriter: frames into a folder, as fast as they come, so that whatever happens what is written is whole.
+
+record: from a source into a folder.
+"""
 
 from __future__ import annotations
-
 import json
 import platform
 import sys
@@ -13,16 +15,22 @@ from importlib import metadata
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
-
 from shape_obs import __version__
 from shape_obs.camera import CameraModel
 from shape_obs.extrinsics import now
 from shape_obs.recording.format import CAMERA_FILE, END, FORMAT, FRAMES_FILE, VERSION, Moment, camera_to_dict, store
 from shape_obs.source import RGBDSource
 from shape_obs.utils.files import make_folder, write_text
-
 if TYPE_CHECKING:
     from typing_extensions import Self
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from itertools import chain
+from typing import Any, Literal
+from shape_obs.frame import Frame
+from shape_obs.recording.format import read_moments
+from shape_obs.source import EndOfSource, RGBDSource, SourceError
+
 
 
 class RecordingWriter:
@@ -159,6 +167,7 @@ class RecordingWriter:
             raise OSError(f"{self._error}; {self.frames} whole frames are kept in {self.path}.") from self._error
 
 
+
 def check_new_folder(path: Path) -> None:
     """See that a recording can be written there, before a source is opened.
 
@@ -173,6 +182,7 @@ def check_new_folder(path: Path) -> None:
         path.rmdir()
 
 
+
 def software() -> dict[str, str]:
     """Versions of what made a file."""
     versions = {"shape_obs": __version__, "python": platform.python_version()}
@@ -183,6 +193,7 @@ def software() -> dict[str, str]:
             except metadata.PackageNotFoundError:  # another build of it
                 versions[name] = str(getattr(sys.modules[module], "__version__", "unknown"))
     return versions
+
 
 
 def _head(source: RGBDSource, depth: bool) -> dict[str, Any]:
@@ -198,3 +209,102 @@ def _head(source: RGBDSource, depth: bool) -> dict[str, Any]:
         "created": now(),
         "software": software(),
     }
+
+
+
+Depth = Literal["auto", "yes", "no"]
+
+
+
+@dataclass
+class Recorded:
+    """What became of a recording.
+
+    Attributes:
+        path: The folder or file.
+        frames: Written.
+        missed: By the source's own count: lost on the way, or because nobody read in time.
+        dropped: Frames that were read but found the encoders or the disk too slow.
+        seconds: From the first stamp to the last; 0 without stamps.
+        stopped: Why it ended: ``"done"`` (a limit, or the source's end), ``"interrupted"`` (Ctrl-C), or the message of
+            an error.
+    """
+
+    path: Path
+    frames: int = 0
+    missed: int = 0
+    dropped: int = 0
+    seconds: float = 0.0
+    stopped: str = "done"
+
+    def __post_init__(self) -> None:
+        self._last: Frame | None = None
+
+    def saw(self, frame: Frame) -> None:
+        """Count a frame that was read; a source that begins to count anew missed none."""
+        before, self._last = self._last, frame
+        if before is None:
+            return
+        if before.number is not None and frame.number is not None:
+            self.missed += max(frame.number - before.number - 1, 0)
+        if before.stamp is not None and frame.stamp is not None:
+            self.seconds += frame.stamp - before.stamp
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able values."""
+        return {**{field.name: getattr(self, field.name) for field in fields(self)}, "path": str(self.path)}
+
+
+
+def record(
+    source: RGBDSource,
+    path: str | Path,
+    *,
+    frames: int | None = None,
+    seconds: float | None = None,
+    depth: Depth = "auto",
+    workers: int = 2,
+    on_frame: Callable[[], Any] | None = None,
+) -> Recorded:
+    """Record a source until a limit, its end, or Ctrl-C. A camera that is lost ends it too: what is there is kept.
+
+    Args:
+        source: Is connected where it is not.
+        path: A folder that does not exist or is empty.
+        frames: How many at most.
+        seconds: By the stamps.
+        depth: ``"auto"`` records what there is, ``"yes"`` insists on it, ``"no"`` leaves it out.
+        workers: Threads that encode images.
+        on_frame: Called after each frame, for a progress bar.
+
+    Raises:
+        ValueError: A limit that is none, or no depth where it was insisted on.
+        FileExistsError: The folder is not empty.
+        OSError: A file cannot be written, as on a full disk; the message tells how many whole frames are kept.
+        SourceError: The source cannot be opened, or not even its first frame came.
+    """
+    check_new_folder(Path(path))
+    source.connect()
+    if depth == "yes" and not source.has_depth:
+        raise ValueError(f"{source.name} has no depth to record; a {source.kind} source gives colour alone.")
+    moments = read_moments(source, frames, seconds)
+    # Before the folder is made: a source that gives nothing leaves nothing behind.
+    first = next(moments, None)
+    if first is None:
+        raise EndOfSource(f"{source.name} has no frame.")
+    told = Recorded(Path(path))
+    with RecordingWriter(path, source, depth=source.has_depth and depth != "no", workers=workers) as writer:
+        try:
+            for moment in chain([first], moments):
+                told.saw(moment.frame)
+                told.dropped += not writer.add(moment, wait=not source.live)
+                if on_frame is not None:
+                    on_frame()
+        except KeyboardInterrupt:
+            told.stopped = "interrupted"
+        except SourceError as error:
+            told.stopped = str(error)
+        writer.close(missed=told.missed, dropped=told.dropped, stopped=told.stopped)
+    told.frames = writer.frames
+    return told
+

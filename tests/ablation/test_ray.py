@@ -12,7 +12,7 @@ pytest.importorskip("stable_baselines3")
 from ablation_study import STUDY, here, killing, numbers
 
 from shape_obs.ablation import Study
-from shape_obs.ablation.engines import Ray
+from shape_obs.ablation.executors import Ray
 from shape_obs.ablation.sweep import left, sweep
 
 

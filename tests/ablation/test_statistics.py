@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from shape_obs.ablation import Study
-from shape_obs.ablation.finished import Finished
-from shape_obs.ablation.run import Row
-from shape_obs.ablation.score import Score
+from shape_obs.ablation.results import Finished
+from shape_obs.ablation.training_run import Row
+from shape_obs.ablation.scores import Score
 from shape_obs.ablation.statistics import difference, improvement, interval, iqm
 from shape_obs.ablation.study import SpecError
-from shape_obs.ablation.summary import summarize
-from shape_obs.ablation.tables import markdown
+from shape_obs.ablation.statistics import summarize
+from shape_obs.ablation.report import markdown
 
 
 def test_a_quarter_is_left_out_at_either_end():

@@ -15,12 +15,14 @@ import numpy as np
 import pytest
 
 from shape_obs.ablation import Study, load_study
-from shape_obs.ablation.finished import finished
-from shape_obs.ablation.folder import RunFolder
-from shape_obs.ablation.run import Row
-from shape_obs.ablation.score import Score
-from shape_obs.ablation.scores_file import SCORES, scores_csv
-from shape_obs.ablation.work import Outcome, Task
+from shape_obs.ablation.results import finished
+from shape_obs.ablation.results import RunFolder
+from shape_obs.ablation.training_run import Row
+from shape_obs.ablation.scores import Score
+from shape_obs.ablation.scores import SCORES
+from shape_obs.ablation.scores import scores_csv
+from shape_obs.ablation.executors import Outcome
+from shape_obs.ablation.executors import Task
 from shape_obs.bench.robustness.recordings import damaged_recordings, record_some
 from shape_obs.bench.robustness.tables import a_table, flipped_tables, same
 from shape_obs.cli import main

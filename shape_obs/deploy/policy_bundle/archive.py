@@ -2,10 +2,11 @@
 
 Every size is checked before a member is read. Tensors are stored, not compressed, so that a small file cannot hold
 large ones.
+
+Files that features were fitted to: they travel within the bundle.
 """
 
 from __future__ import annotations
-
 import hashlib
 import os
 import re
@@ -16,25 +17,40 @@ import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple
-
 from shape_obs.deploy.policy_bundle.documents import read_json, write_json
-from shape_obs.deploy.policy_bundle.errors import BundleError, needs_trust
+from shape_obs.deploy.policy_bundle.documents import BundleError
+from shape_obs.deploy.policy_bundle.documents import needs_trust
 from shape_obs.utils.files import write_whole
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+from shape_obs.features import PrincipalComponents
+
 
 FORMAT: Final = "shape_obs policy"
+
 VERSION: Final = 2
+
 #: Written by earlier releases; it holds a pickled model.
 PICKLED: Final = 1
 
+
 WEIGHTS: Final = "weights.safetensors"
+
 STATISTICS: Final = "statistics.safetensors"
+
 ENV: Final = "env.json"
+
 CONFIG: Final = "config.yaml"
+
 RECORD: Final = "policy.json"
+
 _MANIFEST: Final = "manifest.json"
+
 _FITTED: Final = re.compile(r"files/[0-9a-f]{16}(\.[A-Za-z0-9]{1,8})?")
 
+
 _KIB, _MIB = 2**10, 2**20
+
 _SHARED: Final = {
     _MANIFEST: 64 * _KIB,
     RECORD: 2 * _MIB,
@@ -42,24 +58,34 @@ _SHARED: Final = {
     CONFIG: 32 * _KIB,
     "files/": 8 * _MIB,
 }
+
 #: Bytes that a member may have, by version.
 MOST_BYTES: Final = {
     VERSION: {**_SHARED, STATISTICS: 8 * _MIB, WEIGHTS: 1024 * _MIB},
     PICKLED: {**_SHARED, "statistics.npz": 8 * _MIB, "model.zip": 1024 * _MIB},
 }
+
 MOST_FITTED: Final = 8
+
 _STORED: Final = (WEIGHTS, STATISTICS)
+
 _MOST_DIRECTORY: Final = 16 * _KIB
+
 _END: Final = struct.Struct("<4s4H2LH")
+
 _ZIP64_LOCATOR: Final = 20
+
 #: Bytes before the name of a member.
 _LOCAL_HEADER: Final = 30
+
 #: What a damaged length, method or stream raises.
 _DAMAGED: Final = (
     zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError,
 )  # fmt: skip
+
 #: Equal content gives equal files.
 _DATE: Final = (1980, 1, 1, 0, 0, 0)
+
 
 
 class Archive(NamedTuple):
@@ -72,6 +98,7 @@ class Archive(NamedTuple):
 
     version: int
     members: dict[str, bytes]
+
 
 
 def write_archive(path: str | os.PathLike[str], members: Mapping[str, bytes], version: int = VERSION) -> None:
@@ -95,6 +122,7 @@ def write_archive(path: str | os.PathLike[str], members: Mapping[str, bytes], ve
     write_whole(Path(path), write)
 
 
+
 def read_archive(path: str | os.PathLike[str], *, trust: bool = False) -> Archive:
     """Read the members, each as it was written.
 
@@ -116,6 +144,7 @@ def read_archive(path: str | os.PathLike[str], *, trust: bool = False) -> Archiv
             raise
         except _DAMAGED as error:
             raise BundleError(f"not a bundle, or a truncated or damaged one: {error}. Copy it again.") from error
+
 
 
 def _read(file: IO[bytes], trust: bool) -> Archive:
@@ -150,6 +179,7 @@ def _read(file: IO[bytes], trust: bool) -> Archive:
         )
 
 
+
 def _directory(file: IO[bytes]) -> int:
     """Return where the zip's directory starts; refuse one that is large or not where ``write_archive`` puts it.
 
@@ -166,6 +196,7 @@ def _directory(file: IO[bytes]) -> int:
     if length > _MOST_DIRECTORY:
         raise BundleError(f"expected a directory of at most {_MOST_DIRECTORY} bytes, got {length} for {count} members.")
     return start
+
 
 
 def _check_entries(infos: list[zipfile.ZipInfo], directory: int) -> None:
@@ -194,6 +225,7 @@ def _check_entries(infos: list[zipfile.ZipInfo], directory: int) -> None:
         raise BundleError("something lies between the members and their directory.")
 
 
+
 def _check_size(name: str, size: int, version: int) -> None:
     kind, most = "files/" if _FITTED.fullmatch(name) else name, MOST_BYTES[version]
     if kind not in most or name == "files/":
@@ -202,10 +234,12 @@ def _check_size(name: str, size: int, version: int) -> None:
         raise BundleError(f"member {name!r}: expected at most {most[kind]} bytes, got {size}.")
 
 
+
 def _content(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
     """Read a member, and no more than it declares."""
     with archive.open(info) as member:
         return member.read(info.file_size)
+
 
 
 def _verified(data: bytes, name: str, listed: Mapping[str, Any]) -> bytes:
@@ -219,8 +253,66 @@ def _verified(data: bytes, name: str, listed: Mapping[str, Any]) -> bytes:
     return data
 
 
+
 def _manifest(data: bytes) -> dict[str, Any]:
     manifest = read_json(data, _MANIFEST)
     if manifest.get("format") != FORMAT or not isinstance(manifest.get("members"), Mapping):
         raise BundleError("expected a bundle as save_bundle writes it, got a zip file of something else.")
     return {"version": manifest.get("version"), "members": manifest["members"]}
+
+
+
+FOLDER: Final = "files/"
+
+
+
+def pack(value: Any, files: dict[str, bytes]) -> Any:
+    """Return JSON values in which features name members in place of their fitted files, which ``files`` gains.
+
+    Raises:
+        OSError: One of them cannot be read.
+    """
+
+    def name(path: str) -> str:
+        data = Path(path).read_bytes()
+        member = f"{FOLDER}{hashlib.sha256(data).hexdigest()[:16]}{Path(path).suffix}"
+        files[member] = data
+        return member
+
+    return _renamed(value, name)
+
+
+
+def unpack(value: Any, members: Mapping[str, bytes], folder: Path | None, *, trust: bool) -> Any:
+    """Return JSON values in which features name files in ``folder`` in place of members.
+
+    Raises:
+        BundleError: A feature names any other file, and the bundle is not trusted.
+    """
+
+    def path(member: str) -> str:
+        if folder is not None and member.startswith(FOLDER) and member in members:
+            return str(folder / member.removeprefix(FOLDER))
+        if trust:
+            return member
+        raise needs_trust(f"a feature reads the file {member!r:.100}, which the bundle does not hold")
+
+    return _renamed(value, path)
+
+
+
+def extract(members: Mapping[str, bytes], folder: Path) -> None:
+    """Write the fitted files into a folder; the archive has checked their names."""
+    for name, data in members.items():
+        if name.startswith(FOLDER):
+            (folder / name.removeprefix(FOLDER)).write_bytes(data)
+
+
+
+def _renamed(value: Any, rename: Callable[[str], str]) -> Any:
+    if isinstance(value, Mapping):
+        inner = {key: _renamed(item, rename) for key, item in value.items()}
+        fitted = inner.get("kind") == PrincipalComponents.kind and isinstance(inner.get("file"), str)
+        return {**inner, "file": rename(inner["file"])} if fitted else inner
+    return [_renamed(item, rename) for item in value] if isinstance(value, list) else value
+

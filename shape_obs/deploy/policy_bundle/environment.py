@@ -2,29 +2,37 @@
 
 Without trust, code comes from what is registered or installed here alone: the entry point of an id is that of the
 registry, and wrappers come from a closed list.
+
+The wrappers of a training env: which of them can be rebuilt, and which belong to the policy on a robot.
 """
 
 from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
-
-from shape_obs.deploy.policy_bundle.errors import MALFORMED, BundleError, needs_trust
+from shape_obs.deploy.policy_bundle.documents import MALFORMED
+from shape_obs.deploy.policy_bundle.documents import BundleError
+from shape_obs.deploy.policy_bundle.documents import needs_trust
 from shape_obs.deploy.policy_bundle.limits import check_configuration, check_goal, check_numbers
-from shape_obs.spec import to_plain as plain
-
+from shape_obs.spec import to_plain
 if TYPE_CHECKING:
     import gymnasium as gym
     from gymnasium.envs.registration import EnvSpec, WrapperSpec
+import json
+from collections.abc import Iterable
+if TYPE_CHECKING:
+    from gymnasium.envs.registration import EnvSpec, WrapperSpec
+
 
 _PACKAGE: Final = "shape_obs_envs"
+
 _SIMULATED: Final = (
     "camera", "renderer", "reward_type", "render_mode", "success_threshold", "difficulty", "render_observation",
     "render_size", "randomize",
 )  # fmt: skip
+
 #: This package's environments, and the arguments of each that name no code and no file.
 OWN_IDS: Final = {
     **dict.fromkeys(("ShapeObs/Cable-v0", "ShapeObs/CableShape-v0"), (*_SIMULATED, "grippers")),
@@ -35,21 +43,26 @@ OWN_IDS: Final = {
         "source", "rate", "size", "timeout", "settle", "max_age", "max_step", "workspace", "render_mode",
     ),
 }  # fmt: skip
+
 _CAMERA: Final = re.compile(r"robot|d455(:[\w-]+)?")
+
 _SIZES: Final = ("camera", "render_size", "size", "shape")
+
 #: Pixels of a side of an image.
 MOST_SIDE: Final = 640
+
 #: This library's wrappers: where each is.
 OWN_WRAPPERS: Final = {
     "ShapeObservation": "shape_obs.wrappers.shape_observation:ShapeObservation",
     "ShapeGoal": "shape_obs.wrappers.shape_goal:ShapeGoal",
     "Curriculum": "shape_obs.training.curriculum:Curriculum",
-    "Pixels": "shape_obs.training.pixels:Pixels",
+    "Pixels": "shape_obs.training.comparisons:Pixels",
     "PointReward": "shape_obs.training.point_reward:PointReward",
-    "Shuffled": "shape_obs.training.shuffled:Shuffled",
-    "TrueState": "shape_obs.training.true_state:TrueState",
+    "Shuffled": "shape_obs.training.comparisons:Shuffled",
+    "TrueState": "shape_obs.training.comparisons:TrueState",
     "D455Noise": "shape_obs_envs.d455.noise:D455Noise",
 }
+
 #: Gymnasium's wrappers that take no function and keep no statistics, and their arguments.
 GYMNASIUM_WRAPPERS: Final[Mapping[str, tuple[str, ...]]] = {
     "AddRenderObservation": ("render_only", "render_key", "obs_key"),
@@ -71,10 +84,15 @@ GYMNASIUM_WRAPPERS: Final[Mapping[str, tuple[str, ...]]] = {
     "TimeAwareObservation": ("flatten", "normalize_time", "dict_time_key"),
     "TimeLimit": ("max_episode_steps",),
 }
+
 MOST_WRAPPERS: Final = 16
+
 _FIELDS: Final = ("id", "entry_point", "max_episode_steps", "order_enforce", "kwargs", "wrappers")
+
 _ID: Final = re.compile(r"(?:[\w.-]+/)?[\w.-]+")
+
 _MOST_EPISODE: Final = 10**9
+
 
 
 def to_dict(spec: EnvSpec) -> dict[str, Any]:
@@ -90,6 +108,7 @@ def to_dict(spec: EnvSpec) -> dict[str, Any]:
             for wrapper in spec.additional_wrappers
         ],
     }
+
 
 
 def from_dict(value: Mapping[str, Any], *, trust: bool) -> EnvSpec:
@@ -130,6 +149,7 @@ def from_dict(value: Mapping[str, Any], *, trust: bool) -> EnvSpec:
     )
 
 
+
 def rebuild(spec: EnvSpec, *, trust: bool, arguments: Mapping[str, Any]) -> gym.Env[Any, Any]:
     """Make the environment.
 
@@ -160,6 +180,7 @@ def rebuild(spec: EnvSpec, *, trust: bool, arguments: Mapping[str, Any]) -> gym.
         raise BundleError(f"the environment {spec.id} cannot be rebuilt: {error}") from error
 
 
+
 def check_rebuildable(spec: EnvSpec) -> EnvSpec:
     """Return the registered spec of the same id; refuse what needs trust to be rebuilt.
 
@@ -186,6 +207,7 @@ def check_rebuildable(spec: EnvSpec) -> EnvSpec:
     return known
 
 
+
 def check_wrapper(wrapper: WrapperSpec) -> WrapperSpec:
     """Return a wrapper with the entry point of the closed list; refuse one that is not in it.
 
@@ -206,6 +228,7 @@ def check_wrapper(wrapper: WrapperSpec) -> WrapperSpec:
     return replace(wrapper, entry_point=own or f"gymnasium.wrappers:{name}")
 
 
+
 def _with_entry_point(spec: EnvSpec) -> EnvSpec:
     """The spec with the entry point of the file, else that of the registry, after importing the module of its id."""
     module, _, name = spec.id.rpartition(":")
@@ -217,6 +240,7 @@ def _with_entry_point(spec: EnvSpec) -> EnvSpec:
     return replace(spec, id=name)
 
 
+
 def _registered(name: str) -> EnvSpec | None:
     """The registered spec; this package registers its own when they are asked for."""
     from gymnasium.envs.registration import registry
@@ -224,6 +248,7 @@ def _registered(name: str) -> EnvSpec | None:
     if name not in registry and name in OWN_IDS:
         import_module(_PACKAGE)
     return registry.get(name)
+
 
 
 def _check_own(spec: EnvSpec) -> None:
@@ -238,11 +263,13 @@ def _check_own(spec: EnvSpec) -> None:
     _check_sizes(spec.kwargs, f"the environment {spec.id}")
 
 
+
 def _check_sizes(arguments: Mapping[str, Any], what: str) -> None:
     for name in _SIZES:
         sides = arguments.get(name)
         if isinstance(sides, list) and any(not isinstance(side, int) or side > MOST_SIDE for side in sides):
             raise needs_trust(f"{what}: {name} is {sides!r:.60}, expected sides of at most {MOST_SIDE} pixels")
+
 
 
 def _check_foreign(value: Any, what: str) -> None:
@@ -258,3 +285,95 @@ def _check_foreign(value: Any, what: str) -> None:
             raise needs_trust(f"{what} is {value!r:.100}, which may name code or a file")
     else:
         check_numbers(value, what)
+
+
+
+#: Look at a training and change nothing; some take functions, which no JSON tells.
+_WATCHERS: Final = ("Monitor", "RecordVideo", "RecordEpisodeStatistics", "PassiveEnvChecker", "HumanRendering")
+
+#: Between the policy and what it reads or what it moves only in training; actions are clipped by the robot's guard.
+_TRAINING: Final = ("TimeLimit", "OrderEnforcing", "Curriculum", "ClipAction", "Autoreset")
+
+#: Make what the policy reads of what the camera saw.
+_READING: Final = ("ShapeGoal", "PointReward", "FlattenObservation", "FilterObservation")
+
+_SHAPE: Final = "ShapeObservation"
+
+_OF_SIMULATION: Final = {
+    "TrueState": "it reads the simulator's state, which no camera tells",
+    "Pixels": "its goals come from the simulator's state, and it reads the images of one camera",
+    "Shuffled": "its points are shuffled for comparison",
+}
+
+#: Of vector environments: what leaves observations alone, but for what Stable-Baselines3 does to images by itself.
+_VECTOR: Final = ("VecNormalize", "VecTransposeImage", "VecMonitor", "VecCheckNan", "VecVideoRecorder")
+
+_CELL_KEYS: Final = ("rgb", "depth", "robot")
+
+
+
+def training_spec(env: Any) -> EnvSpec:
+    """Return the spec of an env, or of the first of a vector env, without what only watches a training.
+
+    Raises:
+        BundleError: It cannot be rebuilt from its spec; the message names the wrapper or argument.
+    """
+    from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+
+    while isinstance(env, VecEnvWrapper):
+        if type(env).__name__ not in _VECTOR:
+            raise BundleError(
+                f"a bundle cannot hold what {type(env).__name__} does to observations; it knows {', '.join(_VECTOR)}."
+            )
+        env = env.venv
+    spec = env.get_attr("spec")[0] if isinstance(env, VecEnv) else env.spec
+    if spec is None:
+        raise BundleError("the environment has no spec to be rebuilt from: make it with gymnasium.make.")
+    kept = tuple(wrapper for wrapper in spec.additional_wrappers if wrapper.name not in _WATCHERS)
+    unknown = [wrapper.name for wrapper in kept if wrapper.kwargs is None]
+    if unknown:
+        raise BundleError(
+            f"the wrapper {unknown[0]} does not record its arguments, so the environment cannot be rebuilt: derive it "
+            "from gymnasium.utils.RecordConstructorArgs too."
+        )
+    try:
+        described = json.loads(json.dumps(to_dict(replace(spec, additional_wrappers=kept))))
+    except (TypeError, ValueError) as error:
+        raise BundleError(f"the environment {spec.id} cannot be written as JSON: {error}") from error
+    return from_dict(described, trust=True)
+
+
+
+def reading_wrappers(spec: EnvSpec) -> list[WrapperSpec]:
+    """What belongs to the policy outside of its ``ShapeObservation``: from the inside out."""
+    names = [wrapper.name for wrapper in spec.additional_wrappers]
+    at = len(names) - 1 - names[::-1].index(_SHAPE)
+    return [wrapper for wrapper in spec.additional_wrappers[at + 1 :] if wrapper.name in _READING]
+
+
+
+def obstacle(spec: EnvSpec) -> str:
+    """Why a policy that was trained in such an env cannot run before a camera; empty where it can."""
+    names = [wrapper.name for wrapper in spec.additional_wrappers]
+    for name, reason in _OF_SIMULATION.items():
+        if name in names:
+            return f"{reason} ({name})"
+    if _SHAPE not in names:
+        return "it does not read shapes: there is no ShapeObservation in its environment"
+    at = len(names) - 1 - names[::-1].index(_SHAPE)
+    kept = (spec.additional_wrappers[at].kwargs or {}).get("keep") or ()
+    return _missing(kept) or _unknown(names[at + 1 :])
+
+
+
+def _missing(kept: Iterable[str]) -> str:
+    """What only a simulator gives."""
+    missing = [key for key in kept if key not in _CELL_KEYS]
+    return f"it reads {', '.join(missing)} beside the shape, which only its simulator gives (keep)" if missing else ""
+
+
+
+def _unknown(names: Iterable[str]) -> str:
+    unknown = [name for name in names if name not in (*_READING, *_TRAINING)]
+    return f"nobody here knows what the wrapper {unknown[0]} does on a robot" if unknown else ""
+

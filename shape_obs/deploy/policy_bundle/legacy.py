@@ -7,8 +7,8 @@ import pickle
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from shape_obs.deploy.policy_bundle.errors import BundleError
-from shape_obs.deploy.policy_bundle.statistics import Statistics
+from shape_obs.deploy.policy_bundle.documents import BundleError
+from shape_obs.deploy.policy_bundle.spaces import Statistics
 from shape_obs.utils.arrays import decode_npz
 from shape_obs.utils.documents import load_named
 

@@ -9,7 +9,8 @@ from typing import Any, Final
 from shape_obs.config import DetectorConfig
 from shape_obs.configurations import Configuration
 from shape_obs.deploy.policy_bundle.documents import is_number
-from shape_obs.deploy.policy_bundle.errors import BundleError, needs_trust
+from shape_obs.deploy.policy_bundle.documents import BundleError
+from shape_obs.deploy.policy_bundle.documents import needs_trust
 from shape_obs.features import Feature, read_features
 from shape_obs.geometry.topology import Grid
 from shape_obs.spec import did_you_mean, without_plugins

@@ -9,9 +9,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from shape_obs.deploy.policy_bundle import network_arguments
 from shape_obs.deploy.policy_bundle.archive import WEIGHTS
-from shape_obs.deploy.policy_bundle.errors import MALFORMED, BundleError, needs_trust
+from shape_obs.deploy.policy_bundle.documents import MALFORMED
+from shape_obs.deploy.policy_bundle.documents import BundleError
+from shape_obs.deploy.policy_bundle.documents import needs_trust
 from shape_obs.deploy.policy_bundle.spaces import space_from_dict, space_to_dict
-from shape_obs.deploy.policy_bundle.tensors import Layout, read_header, read_weights
+from shape_obs.deploy.policy_bundle.documents import Layout
+from shape_obs.deploy.policy_bundle.documents import read_header
+from shape_obs.deploy.policy_bundle.documents import read_weights
 from shape_obs.utils.documents import load_named
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ from importlib import import_module
 from typing import Any, Final
 
 from shape_obs.deploy.policy_bundle.documents import is_number
-from shape_obs.deploy.policy_bundle.errors import BundleError, needs_trust
+from shape_obs.deploy.policy_bundle.documents import BundleError
+from shape_obs.deploy.policy_bundle.documents import needs_trust
 from shape_obs.utils.documents import load_named
 
 #: Of ``torch.nn``.

@@ -1,32 +1,39 @@
-"""Bundle: a trained policy, ready to act, to be rebuilt, and to be held against where it is to run."""
+"""Bundle: a trained policy, ready to act, to be rebuilt, and to be held against where it is to run.
+
+PolicyController: a trained policy as a controller of the deployment loop.
+"""
 
 from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
-
 import numpy as np
 import numpy.typing as npt
-
 from shape_obs.config import SECTIONS
 from shape_obs.deploy.policy_bundle import environment
-from shape_obs.deploy.policy_bundle.chain import obstacle, reading_wrappers
-from shape_obs.deploy.policy_bundle.errors import MALFORMED, BundleError
-from shape_obs.deploy.policy_bundle.mismatch import Difference, differences, told
+from shape_obs.deploy.policy_bundle.environment import obstacle
+from shape_obs.deploy.policy_bundle.environment import reading_wrappers
+from shape_obs.deploy.policy_bundle.documents import MALFORMED
+from shape_obs.deploy.policy_bundle.documents import BundleError
+from shape_obs.deploy.policy_bundle.record import Difference
+from shape_obs.deploy.policy_bundle.record import differences
+from shape_obs.deploy.policy_bundle.record import told
 from shape_obs.deploy.policy_bundle.record import Record, Surroundings
-from shape_obs.deploy.policy_bundle.statistics import Statistics
+from shape_obs.deploy.policy_bundle.spaces import Statistics
 from shape_obs.features import Feature, Points3D, read_features
 from shape_obs.robot import ActionSpec
 from shape_obs.utils.documents import load_named
 from shape_obs.wrappers import ShapeGoal, ShapeObservation, env_protocol
 from shape_obs.wrappers.env_protocol import GOALS
-
 if TYPE_CHECKING:
     import gymnasium as gym
     from gymnasium.envs.registration import EnvSpec, WrapperSpec
     from stable_baselines3.common.policies import BasePolicy
 
-    from shape_obs.deploy.policy_bundle.controller import PolicyController
+    from shape_obs.deploy.policy_bundle.policy import PolicyController
+from shape_obs.deploy.policy_bundle.spaces import zeros
+if TYPE_CHECKING:
+    from shape_obs.deploy.policy_bundle.policy import Bundle
+
 
 
 class Bundle:
@@ -156,7 +163,7 @@ class Bundle:
         Raises:
             BundleError: It cannot run before a camera; the message says why.
         """
-        from shape_obs.deploy.policy_bundle.controller import PolicyController
+        from shape_obs.deploy.policy_bundle.policy import PolicyController
 
         self.check_deployable()
         return PolicyController(self, same_rate=same_rate)
@@ -216,9 +223,49 @@ class Bundle:
                 )
 
 
+
 def _site_colours(shape: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
     """The ``shape`` section; where a shape has colours of its own, this site's, by its name."""
     here = [item for item in scene.get("shapes") or () if isinstance(item, Mapping)]
     local = {item.get("name") or item.get("kind"): item.get("segmentation") for item in here}
     shapes = [{**item, "segmentation": local.get(item["name"])} for item in shape["shapes"]]
     return {**shape, "shapes": shapes}
+
+
+
+
+class PolicyController:
+    """Acts as the policy does, without exploring.
+
+    Args:
+        bundle: The policy.
+        same_rate: Whether it refuses a loop at another rate than it was trained at.
+
+    Attributes:
+        same_rate: As given.
+        action_spec: What its actions mean; ``shape_obs.deploy.deploy`` holds it against the robot's.
+    """
+
+    def __init__(self, bundle: Bundle, *, same_rate: bool = True) -> None:
+        self._bundle, self.same_rate = bundle, same_rate
+        self.action_spec: ActionSpec | None = bundle.action_spec
+
+    def attach(self, env: Any) -> None:
+        """Hold the environment against that of the training.
+
+        Raises:
+            BundleError: It is another one; the message names each difference.
+        """
+        self._bundle.check_env(env, same_rate=self.same_rate)
+        self._bundle.act(zeros(env.observation_space))  # the first time takes longer, and the loop has a deadline
+
+    def bind(self, spec: ActionSpec) -> None:
+        """Nothing to size: actions are those of the training."""
+
+    def reset(self) -> None:
+        """Nothing to forget: the policy has no memory."""
+
+    def act(self, observation: Any) -> npt.NDArray[Any]:
+        """The action (A,) in -1 ... 1."""
+        return self._bundle.act(observation)
+

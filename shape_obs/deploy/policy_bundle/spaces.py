@@ -1,28 +1,43 @@
-"""Spaces as JSON values, so that they can be written, compared and rebuilt."""
+"""Spaces as JSON values, so that they can be written, compared and rebuilt.
+
+Statistics: what ``VecNormalize`` has learnt of the observations, as plain arrays.
+"""
 
 from __future__ import annotations
-
 import math
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
-
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from shape_obs.deploy.policy_bundle.documents import MALFORMED
+from shape_obs.deploy.policy_bundle.documents import BundleError
+from shape_obs.spec import to_plain
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+from shape_obs.deploy.policy_bundle.archive import STATISTICS
+from shape_obs.deploy.policy_bundle.documents import read_arrays
+from shape_obs.deploy.policy_bundle.documents import write_arrays
+if TYPE_CHECKING:
+    from stable_baselines3.common.vec_env import VecNormalize
 
-from shape_obs.deploy.policy_bundle.errors import MALFORMED, BundleError
-from shape_obs.spec import to_plain as plain
 
 #: Of one observation or action that a bundle may describe.
 MOST_BYTES: Final = 16 * 2**20
+
 _MOST_COUNT: Final = 1_000_000
+
 _MOST_KEYS: Final = 64
+
 _MOST_SIDES: Final = 4
+
 _DTYPES: Final = (
     "float16", "float32", "float64",
     "uint8", "uint16", "uint32", "int8", "int16", "int32", "int64",
 )  # fmt: skip
+
 
 
 def space_to_dict(space: spaces.Space[Any]) -> dict[str, Any]:
@@ -44,6 +59,7 @@ def space_to_dict(space: spaces.Space[Any]) -> dict[str, Any]:
     raise ValueError(f"expected a space of Box, Discrete or Dict, got {space}.")
 
 
+
 def space_from_dict(value: Any, where: str) -> spaces.Space[Any]:
     """Rebuild the space that ``space_to_dict`` described, after checking how much it takes.
 
@@ -61,6 +77,7 @@ def space_from_dict(value: Any, where: str) -> spaces.Space[Any]:
     if size > MOST_BYTES:
         raise BundleError(f"{where}: expected at most {MOST_BYTES} bytes in an observation, got {size}.")
     return space
+
 
 
 def _rebuilt(value: Mapping[str, Any]) -> tuple[spaces.Space[Any], int]:
@@ -85,6 +102,7 @@ def _rebuilt(value: Mapping[str, Any]) -> tuple[spaces.Space[Any], int]:
     raise ValueError(f"unknown kind {kind!r}")
 
 
+
 def _box(value: Mapping[str, Any]) -> tuple[spaces.Space[Any], int]:
     dtype = str(value["dtype"])
     if dtype not in _DTYPES:
@@ -99,6 +117,7 @@ def _box(value: Mapping[str, Any]) -> tuple[spaces.Space[Any], int]:
     return spaces.Box(low, high, shape, np.dtype(dtype).type), size
 
 
+
 def _bounds(value: Any, shape: tuple[int, ...], dtype: str) -> npt.NDArray[Any]:
     bounds = np.asarray(value)
     if bounds.dtype.kind not in "iuf" or bounds.shape not in ((), shape):
@@ -111,10 +130,12 @@ def _bounds(value: Any, shape: tuple[int, ...], dtype: str) -> npt.NDArray[Any]:
     return np.full(shape, bounds, kind)
 
 
+
 def _count(value: Any) -> int:
     if type(value) is not int or not 1 <= value <= _MOST_COUNT:
         raise ValueError(f"expected whole numbers from 1 to {_MOST_COUNT}, got {value!r}")
     return value
+
 
 
 def layout_differences(trained: Any, here: Any, where: str) -> Iterator[tuple[str, Any, Any]]:
@@ -135,6 +156,7 @@ def layout_differences(trained: Any, here: Any, where: str) -> Iterator[tuple[st
             yield f"{where} {name}", trained.get(name), here.get(name)
 
 
+
 def channels_first(space: Mapping[str, Any]) -> dict[str, Any]:
     """The space as Stable-Baselines3 shows it to a network: images (H,W,C) as (C,H,W)."""
     if space["kind"] == "dict":
@@ -146,6 +168,7 @@ def channels_first(space: Mapping[str, Any]) -> dict[str, Any]:
     return {**space, "shape": [channels, height, width]}
 
 
+
 def zeros(space: spaces.Space[Any]) -> Any:
     """An observation of nothing."""
     if isinstance(space, spaces.Dict):
@@ -153,5 +176,115 @@ def zeros(space: spaces.Space[Any]) -> Any:
     return np.zeros(space.shape or (), space.dtype)
 
 
+
 def _bound(values: npt.NDArray[Any]) -> Any:
     return plain(values.flat[0]) if values.size and np.all(values == values.flat[0]) else plain(values)
+
+
+
+Array = npt.NDArray[np.float64]
+
+#: Stands for the observation itself where it is no Dict.
+WHOLE = ""
+
+_SCALARS = ("epsilon", "clip")
+
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Mean and variance of the observations, by key.
+
+    Args:
+        mean: Of each value; the key is ``""`` where an observation is one array.
+        variance: Of each value.
+        epsilon: Added to the variance.
+        clip: What a normalised value is clipped to, to either side.
+    """
+
+    mean: Mapping[str, Array]
+    variance: Mapping[str, Array]
+    epsilon: float
+    clip: float
+
+    @classmethod
+    def of(cls, normalize: VecNormalize | None) -> Statistics | None:
+        """Take what a ``VecNormalize`` has learnt; None where it leaves observations alone."""
+        if normalize is None or not normalize.norm_obs:
+            return None
+        if isinstance(normalize.obs_rms, dict):
+            known = {key: normalize.obs_rms[key] for key in normalize.norm_obs_keys or ()}
+        else:
+            known = {WHOLE: normalize.obs_rms}
+        mean = {key: np.array(rms.mean, np.float64) for key, rms in known.items()}
+        variance = {key: np.array(rms.var, np.float64) for key, rms in known.items()}
+        return cls(mean, variance, float(normalize.epsilon), float(normalize.clip_obs))
+
+    def normalize(self, observation: Any) -> Any:
+        """As ``VecNormalize.normalize_obs`` does, to the bit; keys without statistics pass through."""
+        if WHOLE in self.mean:
+            return self._scaled(observation, WHOLE)
+        return {key: self._scaled(value, key) if key in self.mean else value for key, value in observation.items()}
+
+    def to_bytes(self) -> bytes:
+        """Write them as tensors."""
+        arrays = {f"mean/{key}": value for key, value in self.mean.items()}
+        arrays |= {f"variance/{key}": value for key, value in self.variance.items()}
+        scalars = {"epsilon": np.array(self.epsilon), "clip": np.array(self.clip)}
+        return write_arrays({**arrays, **scalars})
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Statistics:
+        """Read what ``to_bytes`` wrote.
+
+        Raises:
+            BundleError: It is something else.
+        """
+        return cls.from_arrays(read_arrays(data, STATISTICS))
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, npt.NDArray[Any]]) -> Statistics:
+        """Take them from arrays by the names that ``to_bytes`` gives them.
+
+        Raises:
+            BundleError: An array is missing, has another name or type.
+        """
+        parts: dict[str, dict[str, Array]] = {"mean": {}, "variance": {}}
+        scalars: dict[str, float] = {}
+        for name, array in arrays.items():
+            part, slash, key = name.partition("/")
+            if array.dtype != np.float64 or (part not in parts if slash else name not in _SCALARS or array.shape != ()):
+                raise BundleError(f"the statistics: unexpected array {name[:80]!r}, {array.dtype} of {array.shape}.")
+            if slash:
+                parts[part][key] = array
+            else:
+                scalars[name] = float(array)
+        if parts["mean"].keys() != parts["variance"].keys() or scalars.keys() != set(_SCALARS):
+            raise BundleError("the statistics: expected a mean and a variance of each observation, epsilon and clip.")
+        return cls(parts["mean"], parts["variance"], scalars["epsilon"], scalars["clip"])
+
+    def check(self, observation: Mapping[str, Any]) -> None:
+        """Refuse statistics that do not fit the observations.
+
+        Args:
+            observation: The space, as ``space_to_dict`` describes it.
+
+        Raises:
+            BundleError: The message names the observation.
+        """
+        spaces = observation["spaces"] if observation["kind"] == "dict" else {WHOLE: observation}
+        for key, mean in self.mean.items():
+            shape = tuple(spaces[key].get("shape", ())) if key in spaces else None
+            variance = self.variance[key]
+            if shape is None or mean.shape != shape or variance.shape != shape:
+                raise BundleError(f"the statistics of observation {key[:80]!r} do not have its shape {shape}.")
+            if not (np.isfinite(mean).all() and np.isfinite(variance).all() and (variance >= 0).all()):
+                raise BundleError(f"the statistics of observation {key[:80]!r} are not finite, or negative.")
+        if not (0 < self.epsilon < np.inf and self.clip > 0):
+            raise BundleError(f"the statistics: expected epsilon and clip above 0, got {self.epsilon} and {self.clip}.")
+
+    def _scaled(self, values: npt.ArrayLike, key: str) -> npt.NDArray[np.float32]:
+        centred = np.asarray(values) - self.mean[key]
+        scaled = centred / np.sqrt(self.variance[key] + self.epsilon)
+        return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
+

@@ -1,28 +1,150 @@
-"""The pictures of a study: learning curves, where each arm ended, and what disturbances take away."""
+"""The tables of a study, as Markdown.
+
+The pictures of a study: learning curves, where each arm ended, and what disturbances take away.
+"""
 
 from __future__ import annotations
-
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
-
 import numpy as np
-
 from shape_obs.ablation.statistics import Interval
 from shape_obs.ablation.study import Study
-from shape_obs.ablation.summary import ArmSummary, groups
+from shape_obs.ablation.statistics import LEVELS
+from shape_obs.ablation.statistics import ArmSummary
+from shape_obs.ablation.statistics import groups
+from shape_obs.utils.files import write_text
+from collections.abc import Callable, Mapping, Sequence
 from shape_obs.utils.files import write_whole
+
+
+TABLE: Final = "table.md"
+
+_NONE: Final = "–"
+
+
+
+def write_table(study: Study, summary: Mapping[str, ArmSummary], root: Path) -> Path:
+    """Write ``table.md``; returns its path."""
+    text = markdown(study, summary) + "\n"
+    write_text(root / TABLE, text)
+    return root / TABLE
+
+
+
+def markdown(study: Study, summary: Mapping[str, ArmSummary]) -> str:
+    """All tables, each with a line that says what it shows."""
+    plan, parts = study.evaluation, list(groups(study))
+    reference = study.reference or next(iter(study.arms))
+    bracket = "in brackets its 95 % stratified bootstrap interval"
+    sheets = [
+        f"{study.algorithm} on {study.env}, {study.steps:,} steps; {plan.final_goals} held-out goals of each "
+        f"difficulty, scored by the true points. Interquartile mean over runs, {bracket}.",
+        _table(
+            "Goals reached in the end [%]",
+            ["arm", "runs", *parts],
+            [[arm, each.runs, *(_told(each.success[name], 1) for name in parts)] for arm, each in summary.items()],
+        ),
+        _table(
+            "Mean error in the end [mm]",
+            ["arm", *parts],
+            [[arm, *(_told(each.final_mm[name], 2) for name in parts)] for arm, each in summary.items()],
+        ),
+        _table(
+            f"Steps of training until {', '.join(map(str, LEVELS))} % are reached, as seen every {plan.every:,} steps",
+            ["arm", *parts],
+            [[arm, *(" / ".join(map(_steps, each.steps_to[name])) for name in parts)] for arm, each in summary.items()],
+        ),
+        _table(
+            "Goals reached on average over the training [%]",
+            ["arm", *parts],
+            [[arm, *(_told(each.area[name], 1) for name in parts)] for arm, each in summary.items()],
+        ),
+        _table(
+            "Milliseconds of a step, with the environment",
+            ["arm", "in training", "with the trained policy"],
+            [[arm, f"{each.ms_training:.1f}", f"{each.ms_acting:.1f}"] for arm, each in summary.items()],
+        ),
+    ]
+    if plan.disturbances:
+        sheets.append(
+            _table(
+                "Lost under disturbances that no training saw [points of a hundred]",
+                ["arm", *plan.disturbances],
+                [
+                    [arm, *(_told(each.lost.get(name), 1) for name in plan.disturbances)]
+                    for arm, each in summary.items()
+                ],
+            )
+        )
+    if any(each.difference for each in summary.values()):
+        sheets.append(
+            _table(
+                f"Against {reference}: goals reached [points of a hundred], and how probably a run reaches more",
+                ["arm", "difference", "probability"],
+                [
+                    [arm, _told(each.difference, 1, sign=True), _told(each.improvement, 2)]
+                    for arm, each in summary.items()
+                    if each.difference
+                ],
+            )
+        )
+    return "\n\n".join(sheets)
+
+
+
+def _table(title: str, head: Sequence[object], rows: Sequence[Sequence[object]]) -> str:
+    lines = [list(head), ["---", *["---:"] * (len(head) - 1)], *rows]
+    return "\n".join([f"**{title}**", "", *("| " + " | ".join(map(str, line)) + " |" for line in lines)])
+
+
+
+def _told(found: Interval | None, digits: int, sign: bool = False) -> str:
+    """``"91.3 [88.0, 94.7]"``."""
+    if found is None:
+        return _NONE
+    form = f"{'+' if sign else ''}.{digits}f"
+    bounds = "" if np.isnan(found.low) else f" [{found.low:{form}}, {found.high:{form}}]"
+    return f"{found.value:{form}}{bounds}"
+
+
+
+def _steps(steps: int | None) -> str:
+    return _NONE if steps is None else f"{steps:,}"
+
+
+
+def plain_summary(summary: Mapping[str, ArmSummary]) -> dict[str, Any]:
+    """For JSON: intervals as ``[value, low, high]``, with None where there is no bound."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Interval):
+            return [None if np.isnan(number) else round(number, 4) for number in value]
+        if isinstance(value, Mapping):
+            return {str(key): plain(item) for key, item in value.items()}
+        return list(value) if isinstance(value, tuple) else value
+
+    return {arm: {name: plain(value) for name, value in vars(each).items()} for arm, each in summary.items()}
+
+
 
 Summary = Mapping[str, ArmSummary]
 
+
 CURVES: Final = "curves.png"
+
 INTERVALS: Final = "intervals.png"
+
 DEGRADATION: Final = "degradation.png"
+
 _INK, _GRID = "#22313f", "#e4e4e0"
+
 _COLOURS: Final = (
     "#1f6fb4", "#d4541a", "#3a8f4d", "#8a56a8", "#b08a1e", "#2a9aa0", "#c0417c", "#6d6d6d", "#7a4a2b", "#4b5fd0",
 )  # fmt: skip
+
 _DPI: Final = 110
+
 
 
 def need_matplotlib() -> None:
@@ -31,6 +153,7 @@ def need_matplotlib() -> None:
         import matplotlib  # noqa: F401
     except ImportError as error:
         raise ImportError("the pictures need Matplotlib: pip install 'shape-obs[viz]'") from error
+
 
 
 def draw(study: Study, summary: Summary, root: Path) -> list[Path]:
@@ -47,6 +170,7 @@ def draw(study: Study, summary: Summary, root: Path) -> list[Path]:
         figure = sheet(study, summary)
         write_whole(root / name, lambda path, figure=figure: figure.savefig(path, dpi=_DPI))
     return [root / name for name in sheets]
+
 
 
 def _curves(study: Study, summary: Summary) -> Any:
@@ -83,6 +207,7 @@ def _curves(study: Study, summary: Summary) -> Any:
     return figure
 
 
+
 def _intervals(study: Study, summary: Summary) -> Any:
     """Goals reached in the end, a panel for each difficulty."""
     panels = {_title(name): {arm: each.success[name] for arm, each in summary.items()} for name in groups(study)}
@@ -94,6 +219,7 @@ def _intervals(study: Study, summary: Summary) -> Any:
     return figure
 
 
+
 def _degradation(study: Study, summary: Summary) -> Any:
     """Goals lost, a panel for each disturbance."""
     arms = [arm for arm, each in summary.items() if each.lost]
@@ -103,6 +229,7 @@ def _degradation(study: Study, summary: Summary) -> Any:
     for axis in axes:
         axis.axvline(0, color=_INK, linewidth=0.8, zorder=0.9)
     return figure
+
 
 
 def _bars(study: Study, arms: Sequence[str], panels: Mapping[str, Mapping[str, Interval]], label: str) -> Any:
@@ -129,8 +256,10 @@ def _bars(study: Study, arms: Sequence[str], panels: Mapping[str, Mapping[str, I
     return figure, axes
 
 
+
 def _title(name: str) -> str:
     return "all difficulties" if name == "all" else name
+
 
 
 def _colour(study: Study, arm: str) -> str:
@@ -140,9 +269,11 @@ def _colour(study: Study, arm: str) -> str:
     return _COLOURS[list(study.arms).index(arm) % len(_COLOURS)]
 
 
+
 def _style(study: Study, arm: str) -> Any:
     """Dashes for what no camera sees."""
     return (0, (4, 2)) if study.arms[arm].observation == "truth" else "-"
+
 
 
 def _plain(axis: Any) -> None:
@@ -150,3 +281,4 @@ def _plain(axis: Any) -> None:
     axis.grid(color=_GRID, linewidth=0.7)
     axis.set_axisbelow(True)
     axis.tick_params(labelsize=8)
+

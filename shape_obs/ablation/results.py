@@ -1,7 +1,9 @@
-"""RunFolder: where a run of an ablation is kept, and whether it is done."""
+"""RunFolder: where a run of an ablation is kept, and whether it is done.
+
+Finished: what the done runs of a study reached.
+"""
 
 from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -10,14 +12,28 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
-
 from shape_obs.ablation.study import Study
-from shape_obs.ablation.work import PROGRESS, Outcome
+from shape_obs.ablation.executors import PROGRESS
+from shape_obs.ablation.executors import Outcome
 from shape_obs.utils.documents import read_json
 from shape_obs.utils.files import make_folder, write_whole
+import csv
+from collections import defaultdict
+from collections.abc import Sequence
+import numpy as np
+from shape_obs.ablation.training_run import Row
+from shape_obs.ablation.scores import Score
+from shape_obs.ablation.scores import COLUMNS
+from shape_obs.ablation.scores import SCORES
+from shape_obs.ablation.scores import cells
+from shape_obs.ablation.scores import read_scores
+from shape_obs.utils.files import write_whole
+
 
 RUN: Final = "run.json"
+
 ERROR: Final = "error.txt"
+
 
 
 @dataclass(frozen=True)
@@ -119,6 +135,7 @@ class RunFolder:
         return True
 
 
+
 def done_runs(study: Study, root: Path) -> list[RunFolder]:
     """All runs of a study's arms that are done, of whatever seeds.
 
@@ -132,6 +149,7 @@ def done_runs(study: Study, root: Path) -> list[RunFolder]:
     return [folder for folder in found if folder.done(study)]
 
 
+
 def _differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
     """``"steps was 100, is now 200"`` for each leaf that differs."""
     if isinstance(old, Mapping) and isinstance(new, Mapping):
@@ -142,5 +160,82 @@ def _differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
         yield f"{where} was {json.dumps(old)}, is now {json.dumps(new)}"
 
 
+
 def _write(path: Path, data: bytes) -> None:
     write_whole(path, lambda temporary: temporary.write_bytes(data))
+
+
+
+RESULTS: Final = "results.csv"
+
+
+
+class Finished:
+    """A done run and its scores.
+
+    Args:
+        arm: Name of its arm.
+        seed: Of the training.
+        rows: Its scores.
+        about: What ``run.json`` tells.
+
+    Attributes:
+        steps: Steps of training before each evaluation without disturbance, ascending.
+        disturbances: In which it was tried out besides.
+    """
+
+    def __init__(self, arm: str, seed: int, rows: Sequence[Row], about: dict[str, Any]) -> None:
+        self.arm, self.seed, self.rows, self.about = arm, seed, tuple(rows), about
+        self._scores = defaultdict[tuple[str, int, str], list[Score]](list)
+        for row in rows:
+            self._scores[row.disturbance, row.steps, row.score.difficulty].append(row.score)
+        self.steps = sorted({row.steps for row in rows if not row.disturbance})
+        self.disturbances = tuple(dict.fromkeys(row.disturbance for row in rows if row.disturbance))
+
+    def scores(self, difficulty: str, steps: int | None = None, disturbance: str = "") -> list[Score]:
+        """Of one evaluation; of the last where no ``steps`` are given."""
+        return self._scores[disturbance, self.steps[-1] if steps is None else steps, difficulty]
+
+    def success(self, difficulty: str, steps: int | None = None, disturbance: str = "") -> float:
+        """Goals that were reached, in per cent."""
+        return 100.0 * float(np.mean([score.success for score in self.scores(difficulty, steps, disturbance)]))
+
+    def final_mm(self, difficulty: str) -> float:
+        """Mean distance of the true points from the true goal's in the end, over all goals, millimetres."""
+        return float(np.mean([score.final_mm for score in self.scores(difficulty)]))
+
+    def ms_acting(self) -> float:
+        """What a step took in the last evaluation, with environment and policy; median over its episodes."""
+        return float(
+            np.median([row.score.ms for row in self.rows if not row.disturbance and row.steps == self.steps[-1]])
+        )
+
+
+
+def finished(study: Study, root: Path) -> list[Finished]:
+    """The done runs in a study's folder, in the order of its arms and of seeds.
+
+    Raises:
+        ValueError: One was made with another configuration, or cannot be read.
+    """
+    runs = []
+    for folder in done_runs(study, root):
+        about = folder.about()
+        assert about is not None
+        runs.append(Finished(folder.arm, folder.seed, read_scores(folder.check(SCORES)), about))
+    return runs
+
+
+
+def write_results(runs: Sequence[Finished], root: Path) -> Path:
+    """Write the scores of all runs into one long table, ``results.csv``; returns its path."""
+
+    def write(path: Path) -> None:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(("arm", "seed", *COLUMNS))
+            table.writerows((run.arm, run.seed, *cells(row)) for run in runs for row in run.rows)
+
+    write_whole(root / RESULTS, write)
+    return root / RESULTS
+

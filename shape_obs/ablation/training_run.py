@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from shape_obs.ablation.arm import Arm, make_env
-from shape_obs.ablation.score import Score, play
+from shape_obs.ablation.study import Arm
+from shape_obs.ablation.study import make_env
+from shape_obs.ablation.scores import Score
+from shape_obs.ablation.scores import play
 from shape_obs.ablation.study import OFF_POLICY, Study
 
 if TYPE_CHECKING:
