@@ -6,8 +6,7 @@ from shape_obs.deploy.controller import Controller, Script, Still, Sway
 from shape_obs.deploy.loop import Step, deploy
 from shape_obs.deploy.run_log import Report, RunLog
 from shape_obs.deploy.safety import DryRobot, Gate, Limits
-from shape_obs.deploy.supervision import Interrupted
-from shape_obs.deploy.supervision import supervised
+from shape_obs.deploy.supervision import Interrupted, supervised
 
 __all__ = [
     "Controller",

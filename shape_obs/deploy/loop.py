@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from shape_obs.deploy.controller import check_controller, checked_action
 from shape_obs.deploy.run_log import Report, RunLog, Tally
 from shape_obs.deploy.safety import Gate, Judgement, Limits, Watchdog
-from shape_obs.deploy.supervision import Interrupted
-from shape_obs.deploy.supervision import SignalStop
-from shape_obs.deploy.supervision import supervised
+from shape_obs.deploy.supervision import Interrupted, SignalStop, supervised
 from shape_obs.frame import Frame
 from shape_obs.shape import Detection
 

@@ -20,7 +20,6 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final
 
 from shape_obs import __version__
-from shape_obs.spec import to_plain
 from shape_obs.utils.files import write_whole
 
 if TYPE_CHECKING:

@@ -4,6 +4,7 @@ Supervision: a robot is stopped, parked and disconnected however the work with i
 """
 
 from __future__ import annotations
+
 import signal
 import socket
 import threading
@@ -11,11 +12,13 @@ import time
 from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Final
+
 if TYPE_CHECKING:
     from typing_extensions import Self
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
 if TYPE_CHECKING:
     import gymnasium as gym
 
@@ -29,7 +32,6 @@ _END: Final = 0  # no signal has this number
 
 #: Seconds that the main thread waits at most for the robot to be stopped, before it goes on to end the run.
 _PATIENCE: Final = 1.0
-
 
 
 class Interrupted(KeyboardInterrupt):
@@ -47,7 +49,6 @@ class Interrupted(KeyboardInterrupt):
         super().__init__(f"interrupted by {signal.Signals(signum).name}")
         self.signum = signum
         self.report: Any = None
-
 
 
 class SignalStop:
@@ -130,8 +131,6 @@ class SignalStop:
             raise Interrupted(signum)
 
 
-
-
 @contextmanager
 def supervised(env: gym.Env[Any, Any], *, park: bool = True, close: bool = True) -> Iterator[SignalStop]:
     """Stop the robot at once on a signal; in the end stop it, park it and disconnect it, whatever happened.
@@ -163,7 +162,6 @@ def supervised(env: gym.Env[Any, Any], *, park: bool = True, close: bool = True)
         signals.check()
 
 
-
 def _park(cell: Any, signals: SignalStop) -> None:
     if len(signals.received) > 1:
         return
@@ -172,4 +170,3 @@ def _park(cell: Any, signals: SignalStop) -> None:
         cell.robot.park()
     finally:
         signals.raising = False
-

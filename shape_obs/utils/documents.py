@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
@@ -69,18 +69,20 @@ def read_yaml(path: str | os.PathLike[str], what: str) -> Any:
     return parse_yaml(_read(path, what), str(path))
 
 
-def parse_json(text: str | bytes, where: str) -> Any:
+def parse_json(text: str | bytes, where: str, make_object: Callable[[list[tuple[str, Any]]], Any] | None = None) -> Any:
     """Parse a JSON text.
 
     Args:
         text: The text; bytes are UTF-8.
         where: The start of error messages: the name of the file, or name and line.
+        make_object: Called with the names and values of each object to make it, as ``object_pairs_hook`` of the
+            standard library; raises ``ValueError`` to refuse one. Default: a dict.
 
     Raises:
         SpecError: The file is not JSON, or is nested too deeply.
     """
     try:
-        value = json.loads(_decoded(text))
+        value = json.loads(_decoded(text), object_pairs_hook=make_object)
     except RecursionError as error:
         raise SpecError(f"{where}: {_too_deep()}") from error
     except ValueError as error:
@@ -89,12 +91,13 @@ def parse_json(text: str | bytes, where: str) -> Any:
     return value
 
 
-def parse_yaml(text: str | bytes, where: str) -> Any:
+def parse_yaml(text: str | bytes, where: str, loader: Any = None) -> Any:
     """Parse a YAML text.
 
     Args:
         text: The text; bytes are UTF-8.
         where: The start of error messages: the name of the file, or a command-line option.
+        loader: A stricter subclass of ``yaml.SafeLoader``. Default: ``yaml.SafeLoader``.
 
     Raises:
         SpecError: The text is not YAML, too long, nested too deeply, or its aliases stand for too many values.
@@ -108,7 +111,7 @@ def parse_yaml(text: str | bytes, where: str) -> Any:
     if len(text) > LONGEST_YAML:
         raise SpecError(f"{where}: expected at most {LONGEST_YAML} bytes of YAML, got {len(text)}.")
     try:
-        value = yaml.safe_load(_decoded(text))
+        value = yaml.load(_decoded(text), Loader=loader or yaml.SafeLoader)
     except RecursionError as error:
         raise SpecError(f"{where}: {_too_deep()}") from error
     except yaml_errors as error:

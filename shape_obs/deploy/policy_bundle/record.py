@@ -1,63 +1,53 @@
-"""Record: what a bundle tells of a policy, beside its parameters.
-
-Where an environment is another one than a policy was trained in, place by place.
-"""
+"""Record what a policy was trained in, and compare that with the environment in which it is to run."""
 
 from __future__ import annotations
+
 import math
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
 from importlib.util import find_spec
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, Final
-from shape_obs.config import schema_hash
+
+from shape_obs.config import DetectorConfig, detector_arguments, schema_hash
 from shape_obs.deploy.policy_bundle.documents import BundleError
-from shape_obs.deploy.policy_bundle.spaces import space_from_dict, space_to_dict
+from shape_obs.deploy.policy_bundle.spaces import layout_differences, space_from_dict, space_to_dict
+from shape_obs.features import Feature, read_features
 from shape_obs.robot import ActionSpec
 from shape_obs.spec import Spec
 from shape_obs.wrappers import ShapeObservation
 from shape_obs.wrappers.env_protocol import camera_model, published, seconds_per_step
-from shape_obs.wrappers.shape_observation import plain
+from shape_obs.wrappers.shape_observation import to_recorded
+
 if TYPE_CHECKING:
     import gymnasium as gym
-from collections.abc import Iterator, Mapping
-from itertools import zip_longest
-from typing import Any, Final
-from shape_obs.config import DetectorConfig, detector_arguments
-from shape_obs.deploy.policy_bundle.spaces import layout_differences
-from shape_obs.features import Feature, read_features
 
-
-#: Distributions whose versions are told.
+#: Packages whose versions are recorded.
 _PACKAGES: Final = ("shape-obs", "stable-baselines3", "sb3-contrib", "torch", "gymnasium", "numpy", "mujoco")
-
-#: Seconds of a step.
+#: Shortest and longest step in seconds.
 _SHORTEST: Final = 1e-4
-
 _LONGEST: Final = 3600.0
-
 _MOST_SIDE: Final = 16_384
-
-#: Of these another major version cannot be trusted to read what was written.
+#: Packages whose next major version may read a bundle differently.
 _MAJOR: Final = ("stable-baselines3", "gymnasium", "torch")
-
 
 
 @dataclass(frozen=True)
 class Surroundings(Spec):
-    """What an environment tells of itself that matters to a policy.
+    """Describe the properties of an environment that matter to a policy.
 
     Args:
-        dt: Seconds of a step.
-        observation_space: As ``space_to_dict`` gives it.
-        action_space: So too.
-        config: Arguments of its ``ShapeObservation``, defaults filled in; None without one.
-        schema: Hash of the feature schema; None without one.
-        image: (width, height) of the images in pixels.
-        camera: Intrinsics and, where known, ``transform_camera_to_base``, as mappings.
-        action_spec: What an action of 1 means; None where it does not tell.
-        success_threshold: Metres below which a simulator counts a goal as reached.
+        dt: Duration of a step in seconds.
+        observation_space: Observation space, as ``space_to_dict`` returns it.
+        action_space: Action space, as ``space_to_dict`` returns it.
+        config: Arguments of its ``ShapeObservation`` with defaults filled in; None if it has none.
+        schema: Hash of the feature schema; None without a ``ShapeObservation``.
+        image: Width and height of the images in pixels.
+        camera: Intrinsics and, if known, ``transform_camera_to_base``, as mappings.
+        action_spec: Meaning of an action of 1; None if the environment does not publish it.
+        success_threshold: Distance in metres below which a simulator counts a goal as reached.
     """
 
     dt: float
@@ -72,7 +62,7 @@ class Surroundings(Spec):
 
     @classmethod
     def of(cls, env: gym.Env[Any, Any]) -> Surroundings:
-        """Look at an environment."""
+        """Collect the properties of an environment."""
         config, schema, image, camera = None, None, None, camera_model(env)
         shapes = shape_observation(env)
         if shapes is not None:
@@ -82,7 +72,7 @@ class Surroundings(Spec):
                 "features": [feature.to_dict() for feature in shapes.features],
             }
             if view.workspace is not None:
-                config["workspace"] = plain(view.workspace)
+                config["workspace"] = to_recorded(view.workspace)
             schema, image = schema_hash(config), (view.width, view.height)
             camera = view.camera or camera
         robot = getattr(env.unwrapped, "robot", None)
@@ -93,21 +83,20 @@ class Surroundings(Spec):
             config=config,
             schema=schema,
             image=image,
-            camera=None if camera is None else plain(camera),
+            camera=None if camera is None else to_recorded(camera),
             action_spec=published(env, "action_spec", getattr(robot, "action_spec", None)),
             success_threshold=published(env.unwrapped, "success_threshold"),
         )
 
 
-
 @dataclass(frozen=True)
 class Record(Surroundings):
-    """What a policy is, and what it was trained in.
+    """Describe a policy and the environment in which it was trained.
 
     Args:
-        algorithm: Its name, such as ``"SAC"``.
-        versions: Of Python and the packages, by name.
-        summary: Of the training: algorithm, steps, seed, and what was given.
+        algorithm: Name of the algorithm, such as ``"SAC"``.
+        versions: Versions of Python and the packages, by name.
+        summary: Summary of the training: algorithm, steps, seed, and what ``save_bundle`` was given.
     """
 
     algorithm: str = ""
@@ -115,7 +104,7 @@ class Record(Surroundings):
     summary: Mapping[str, Any] = field(default_factory=dict)
 
     def check(self) -> None:
-        """Refuse numbers that no environment has, and spaces that are none.
+        """Refuse numbers outside of their ranges, and invalid spaces.
 
         Raises:
             BundleError: The message names the field.
@@ -131,9 +120,8 @@ class Record(Surroundings):
         space_from_dict(self.action_space, "the action space")
 
 
-
 def shape_observation(env: gym.Env[Any, Any]) -> ShapeObservation | None:
-    """The outermost ``ShapeObservation`` of an env."""
+    """Return the outermost ``ShapeObservation`` of an environment; None if it has none."""
     inner: Any = env
     while not isinstance(inner, ShapeObservation):
         if inner is inner.unwrapped:
@@ -142,17 +130,15 @@ def shape_observation(env: gym.Env[Any, Any]) -> ShapeObservation | None:
     return inner
 
 
-
 def versions() -> dict[str, str]:
-    """Of Python and of the packages that are installed, by name."""
+    """Return the versions of Python and of the installed packages, by name."""
     installed = {name: find_spec(name.replace("-", "_")) for name in _PACKAGES}
     known = {name: metadata.version(name) for name, spec in installed.items() if spec is not None}
     return {"python": platform.python_version(), **known}
 
 
-
 def version_differences(trained: Mapping[str, str], here: Mapping[str, str]) -> tuple[list[str], list[str]]:
-    """What cannot work and what may not, one text for each package: another major version, another minor version."""
+    """Return two lists of differences: major versions, which are errors, and minor versions, which are warnings."""
     fatal, doubtful = [], []
     for name, before in trained.items():
         now = here.get(name)
@@ -164,28 +150,26 @@ def version_differences(trained: Mapping[str, str], here: Mapping[str, str]) -> 
     return fatal, doubtful
 
 
-
 def _parts(version: str) -> list[str]:
-    """Major and minor."""
+    """Return major and minor version."""
     return version.split("+")[0].split(".")[:2]
 
 
+# ---- Differences
 
 Difference = tuple[str, Any, Any]
-
 _ACTION: Final = ("names", "units", "scale", "mode", "frame")
 
 
-
 def differences(trained: Surroundings, here: Surroundings, *, same_rate: bool = True) -> list[Difference]:
-    """What a policy would read or do otherwise: (place, trained, here).
+    """Return where two environments differ for a policy, as (place, trained, here).
 
-    Colours, regions, workspaces and the camera's place may differ: those are each site's own.
+    Colours, regions of interest, workspaces and the pose of the camera may differ from site to site.
 
     Args:
-        trained: What the policy was trained in.
-        here: What it is to run in.
-        same_rate: Whether steps must take as long.
+        trained: The environment of the training.
+        here: The environment in which the policy is to run.
+        same_rate: Whether the duration of a step must be the same.
     """
     found = [*_of_schema(trained.config, here.config), *_of_camera(trained, here)]
     found += layout_differences(trained.observation_space, here.observation_space, "observation")
@@ -195,15 +179,13 @@ def differences(trained: Surroundings, here: Surroundings, *, same_rate: bool = 
     return found
 
 
-
-def told(found: list[Difference]) -> str:
-    """All of them in one line."""
+def format_differences(found: list[Difference]) -> str:
+    """Return all differences in one line."""
     return "; ".join(f"{place}: {one!r} in training, {other!r} here" for place, one, other in found)
 
 
-
 def _of_schema(trained: Mapping[str, Any] | None, here: Mapping[str, Any] | None) -> Iterator[Difference]:
-    """What of the ``shape`` sections differs."""
+    """Yield the differences of the ``shape`` sections."""
     if trained is None or here is None:
         if trained is not here:
             yield "ShapeObservation", trained is not None, here is not None
@@ -211,9 +193,8 @@ def _of_schema(trained: Mapping[str, Any] | None, here: Mapping[str, Any] | None
     yield from _walk(_schema(trained), _schema(here), "")
 
 
-
 def _schema(config: Mapping[str, Any]) -> dict[str, Any]:
-    """What ``schema_hash`` is made of."""
+    """Return the values from which ``schema_hash`` is computed."""
     detector = DetectorConfig.from_dict(detector_arguments(config))
     shapes = [shape.to_dict() for shape in detector.resolved()]
     return {
@@ -223,13 +204,11 @@ def _schema(config: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-
 def _of_camera(trained: Surroundings, here: Surroundings) -> Iterator[Difference]:
-    """What a camera must have for features in pixels: images of the same size."""
+    """Yield a different size of images, which matters for features in pixels."""
     features = [] if trained.config is None else _features(trained.config)
     if any(feature.unit == "px" for feature in features) and trained.image != here.image:
         yield "image size [px]", trained.image, here.image
-
 
 
 def _of_actions(trained: ActionSpec | None, here: ActionSpec | None) -> Iterator[Difference]:
@@ -243,14 +222,12 @@ def _of_actions(trained: ActionSpec | None, here: ActionSpec | None) -> Iterator
             yield f"action {name}", one[name], other[name]
 
 
-
 def _features(config: Mapping[str, Any]) -> list[Feature]:
     return read_features(config["features"])
 
 
-
 def _walk(trained: Any, here: Any, where: str) -> Iterator[Difference]:
-    """Leaves of JSON values that differ."""
+    """Yield the leaves in which two JSON values differ."""
     if isinstance(trained, Mapping) and isinstance(here, Mapping):
         if trained.get("kind") != here.get("kind"):
             yield f"{where} kind", trained.get("kind"), here.get("kind")
@@ -265,4 +242,3 @@ def _walk(trained: Any, here: Any, where: str) -> Iterator[Difference]:
             yield from _walk(one, other, f"{where}[{i}]")
     elif trained != here:
         yield where, trained, here
-

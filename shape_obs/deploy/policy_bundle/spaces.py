@@ -1,50 +1,42 @@
-"""Spaces as JSON values, so that they can be written, compared and rebuilt.
-
-Statistics: what ``VecNormalize`` has learnt of the observations, as plain arrays.
-"""
+"""Describe spaces as JSON values, and normalise observations as a training did."""
 
 from __future__ import annotations
+
 import math
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from shape_obs.deploy.policy_bundle.documents import MALFORMED
-from shape_obs.deploy.policy_bundle.documents import BundleError
-from shape_obs.spec import to_plain
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+
 from shape_obs.deploy.policy_bundle.archive import STATISTICS
-from shape_obs.deploy.policy_bundle.documents import read_arrays
-from shape_obs.deploy.policy_bundle.documents import write_arrays
+from shape_obs.deploy.policy_bundle.documents import MALFORMED, BundleError, read_arrays, write_arrays
+from shape_obs.spec import to_plain
+
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecNormalize
 
+Array = npt.NDArray[np.float64]
 
-#: Of one observation or action that a bundle may describe.
+#: Bytes of the largest observation or action that a bundle may describe.
 MOST_BYTES: Final = 16 * 2**20
-
 _MOST_COUNT: Final = 1_000_000
-
 _MOST_KEYS: Final = 64
-
-_MOST_SIDES: Final = 4
-
+_MOST_DIMENSIONS: Final = 4
 _DTYPES: Final = (
     "float16", "float32", "float64",
     "uint8", "uint16", "uint32", "int8", "int16", "int32", "int64",
 )  # fmt: skip
 
 
-
 def space_to_dict(space: spaces.Space[Any]) -> dict[str, Any]:
-    """Describe a space as JSON values; bounds that are all the same are one number.
+    """Describe a space as JSON values; bounds that are all equal become one number.
 
     Raises:
-        ValueError: Neither a Box, nor Discrete, MultiDiscrete or MultiBinary, nor a Dict of these.
+        ValueError: The space is not a Box, Discrete, MultiDiscrete, MultiBinary, or a Dict of these.
     """
     if isinstance(space, spaces.Dict):
         return {"kind": "dict", "spaces": {key: space_to_dict(inner) for key, inner in space.spaces.items()}}
@@ -55,20 +47,19 @@ def space_to_dict(space: spaces.Space[Any]) -> dict[str, Any]:
         return {"kind": "discrete", "n": int(space.n), "start": int(space.start)}
     if isinstance(space, (spaces.MultiDiscrete, spaces.MultiBinary)):
         name = "nvec" if isinstance(space, spaces.MultiDiscrete) else "n"
-        return {"kind": type(space).__name__.lower(), name: plain(getattr(space, name))}
+        return {"kind": type(space).__name__.lower(), name: to_plain(getattr(space, name))}
     raise ValueError(f"expected a space of Box, Discrete or Dict, got {space}.")
 
 
-
 def space_from_dict(value: Any, where: str) -> spaces.Space[Any]:
-    """Rebuild the space that ``space_to_dict`` described, after checking how much it takes.
+    """Rebuild the space that ``space_to_dict`` described, after checking its size.
 
     Args:
         value: The description, from a file.
-        where: What it is, for messages.
+        where: What the space is, for error messages.
 
     Raises:
-        BundleError: It is no such description, or the space takes more than ``MOST_BYTES``.
+        BundleError: It is not such a description, or a sample of the space is larger than ``MOST_BYTES``.
     """
     try:
         space, size = _rebuilt(value)
@@ -79,9 +70,8 @@ def space_from_dict(value: Any, where: str) -> spaces.Space[Any]:
     return space
 
 
-
 def _rebuilt(value: Mapping[str, Any]) -> tuple[spaces.Space[Any], int]:
-    """(the space, bytes of one of its samples)."""
+    """Return the space, and the size of one of its samples in bytes."""
     kind = value["kind"]
     if kind == "dict":
         parts = {str(key): _rebuilt(inner) for key, inner in value["spaces"].items() if inner["kind"] != "dict"}
@@ -93,7 +83,7 @@ def _rebuilt(value: Mapping[str, Any]) -> tuple[spaces.Space[Any], int]:
         return _box(value)
     if kind == "discrete":
         count = _count(value["n"])
-        return spaces.Discrete(count, start=int(value["start"])), 8 * count  # networks read it as one number for each
+        return spaces.Discrete(count, start=int(value["start"])), 8 * count  # networks read it one-hot
     if kind == "multidiscrete":
         counts = [_count(n) for n in value["nvec"]]
         return spaces.MultiDiscrete(counts), 8 * _count(sum(counts))
@@ -102,20 +92,18 @@ def _rebuilt(value: Mapping[str, Any]) -> tuple[spaces.Space[Any], int]:
     raise ValueError(f"unknown kind {kind!r}")
 
 
-
 def _box(value: Mapping[str, Any]) -> tuple[spaces.Space[Any], int]:
     dtype = str(value["dtype"])
     if dtype not in _DTYPES:
         raise ValueError(f"expected a dtype of {', '.join(_DTYPES)}, got {dtype!r}")
     shape = tuple(_count(side) for side in value["shape"])
     size = math.prod(shape) * np.dtype(dtype).itemsize
-    if len(shape) > _MOST_SIDES or size > MOST_BYTES:
+    if len(shape) > _MOST_DIMENSIONS or size > MOST_BYTES:
         raise ValueError(f"a box of shape {shape} is too large")
     low, high = (_bounds(value[name], shape, dtype) for name in ("low", "high"))
     if not np.all(low <= high):
-        raise ValueError("a lowest value is above the highest one")
+        raise ValueError("a lower bound is above the upper bound")
     return spaces.Box(low, high, shape, np.dtype(dtype).type), size
-
 
 
 def _bounds(value: Any, shape: tuple[int, ...], dtype: str) -> npt.NDArray[Any]:
@@ -126,9 +114,8 @@ def _bounds(value: Any, shape: tuple[int, ...], dtype: str) -> npt.NDArray[Any]:
     if kind.kind != "f":
         limits = np.iinfo(kind)
         if not np.all((bounds >= limits.min) & (bounds <= limits.max)):
-            raise ValueError(f"bounds outside of {dtype}")
+            raise ValueError(f"its bounds exceed the range of {dtype}")
     return np.full(shape, bounds, kind)
-
 
 
 def _count(value: Any) -> int:
@@ -137,11 +124,10 @@ def _count(value: Any) -> int:
     return value
 
 
-
 def layout_differences(trained: Any, here: Any, where: str) -> Iterator[tuple[str, Any, Any]]:
-    """Places where two spaces of ``space_to_dict`` have other keys, shapes or types: (place, trained, here).
+    """Yield the differences in keys, shapes and types of two spaces of ``space_to_dict``: (place, trained, here).
 
-    Bounds may differ: they come from a workspace, which is another one at each site.
+    Bounds may differ, since they come from the workspace, which is different at each site.
     """
     if trained["kind"] == here["kind"] == "dict":
         one, other = trained["spaces"], here["spaces"]
@@ -156,9 +142,8 @@ def layout_differences(trained: Any, here: Any, where: str) -> Iterator[tuple[st
             yield f"{where} {name}", trained.get(name), here.get(name)
 
 
-
 def channels_first(space: Mapping[str, Any]) -> dict[str, Any]:
-    """The space as Stable-Baselines3 shows it to a network: images (H,W,C) as (C,H,W)."""
+    """Return the space as a network of Stable-Baselines3 gets it: images ``(H, W, C)`` become ``(C, H, W)``."""
     if space["kind"] == "dict":
         return {**space, "spaces": {key: channels_first(inner) for key, inner in space["spaces"].items()}}
     image = space["kind"] == "box" and space["dtype"] == "uint8" and len(space["shape"]) == 3
@@ -168,38 +153,33 @@ def channels_first(space: Mapping[str, Any]) -> dict[str, Any]:
     return {**space, "shape": [channels, height, width]}
 
 
-
 def zeros(space: spaces.Space[Any]) -> Any:
-    """An observation of nothing."""
+    """Return an observation of zeros."""
     if isinstance(space, spaces.Dict):
         return {key: zeros(inner) for key, inner in space.spaces.items()}
     return np.zeros(space.shape or (), space.dtype)
 
 
-
 def _bound(values: npt.NDArray[Any]) -> Any:
-    return plain(values.flat[0]) if values.size and np.all(values == values.flat[0]) else plain(values)
+    return to_plain(values.flat[0]) if values.size and np.all(values == values.flat[0]) else to_plain(values)
 
 
+# ---- Statistics of observations
 
-Array = npt.NDArray[np.float64]
-
-#: Stands for the observation itself where it is no Dict.
+#: The key of an observation that is not a Dict.
 WHOLE = ""
-
 _SCALARS = ("epsilon", "clip")
-
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Mean and variance of the observations, by key.
+    """Mean and variance of the observations, which ``VecNormalize`` has estimated.
 
     Args:
-        mean: Of each value; the key is ``""`` where an observation is one array.
-        variance: Of each value.
-        epsilon: Added to the variance.
-        clip: What a normalised value is clipped to, to either side.
+        mean: Mean of each value, by key; the key is ``""`` if an observation is one array.
+        variance: Variance of each value, by key.
+        epsilon: Number that is added to the variance.
+        clip: Largest absolute value after normalisation.
     """
 
     mean: Mapping[str, Array]
@@ -209,7 +189,7 @@ class Statistics:
 
     @classmethod
     def of(cls, normalize: VecNormalize | None) -> Statistics | None:
-        """Take what a ``VecNormalize`` has learnt; None where it leaves observations alone."""
+        """Copy the statistics of a ``VecNormalize``; return None if it leaves observations alone."""
         if normalize is None or not normalize.norm_obs:
             return None
         if isinstance(normalize.obs_rms, dict):
@@ -221,13 +201,13 @@ class Statistics:
         return cls(mean, variance, float(normalize.epsilon), float(normalize.clip_obs))
 
     def normalize(self, observation: Any) -> Any:
-        """As ``VecNormalize.normalize_obs`` does, to the bit; keys without statistics pass through."""
+        """Normalise exactly as ``VecNormalize.normalize_obs``; keys without statistics are left alone."""
         if WHOLE in self.mean:
             return self._scaled(observation, WHOLE)
         return {key: self._scaled(value, key) if key in self.mean else value for key, value in observation.items()}
 
     def to_bytes(self) -> bytes:
-        """Write them as tensors."""
+        """Write the statistics as a safetensors member."""
         arrays = {f"mean/{key}": value for key, value in self.mean.items()}
         arrays |= {f"variance/{key}": value for key, value in self.variance.items()}
         scalars = {"epsilon": np.array(self.epsilon), "clip": np.array(self.clip)}
@@ -235,19 +215,19 @@ class Statistics:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Statistics:
-        """Read what ``to_bytes`` wrote.
+        """Read the statistics that ``to_bytes`` wrote.
 
         Raises:
-            BundleError: It is something else.
+            BundleError: The data is something else.
         """
         return cls.from_arrays(read_arrays(data, STATISTICS))
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, npt.NDArray[Any]]) -> Statistics:
-        """Take them from arrays by the names that ``to_bytes`` gives them.
+        """Create statistics from arrays with the names that ``to_bytes`` gives them.
 
         Raises:
-            BundleError: An array is missing, has another name or type.
+            BundleError: An array is missing, or has an unknown name or type.
         """
         parts: dict[str, dict[str, Array]] = {"mean": {}, "variance": {}}
         scalars: dict[str, float] = {}
@@ -267,10 +247,10 @@ class Statistics:
         """Refuse statistics that do not fit the observations.
 
         Args:
-            observation: The space, as ``space_to_dict`` describes it.
+            observation: The observation space, as ``space_to_dict`` describes it.
 
         Raises:
-            BundleError: The message names the observation.
+            BundleError: The message names the key of the observation.
         """
         spaces = observation["spaces"] if observation["kind"] == "dict" else {WHOLE: observation}
         for key, mean in self.mean.items():
@@ -287,4 +267,3 @@ class Statistics:
         centred = np.asarray(values) - self.mean[key]
         scaled = centred / np.sqrt(self.variance[key] + self.epsilon)
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
-
