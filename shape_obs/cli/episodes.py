@@ -62,9 +62,8 @@ class RobotGoals(gym.Wrapper[Any, Any, Any, Any]):
     def __init__(self, env: gym.Env[Any, Any], robot: Any) -> None:
         super().__init__(env)
         if not hasattr(type(robot), "goal"):
-            raise ValueError(
-                f"--goal robot: {type(robot).__name__} provides no goals; give --goal FILE, which `shape-obs goal` writes."
-            )
+            name = type(robot).__name__
+            raise ValueError(f"--goal robot: {name} provides no goals; give --goal FILE (see `shape-obs goal`).")
         self._goals_of = robot
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:

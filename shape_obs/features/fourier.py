@@ -51,7 +51,7 @@ class Fourier(LinearFit, kind="fourier"):
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
         origin: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
         harmonics: How many; 2 harmonics + 1 functions.
     """
 
@@ -113,7 +113,7 @@ class EllipticFourier(LinearFit, kind="elliptic_fourier"):
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
         origin: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
         harmonics: How many ellipses.
     """
 

@@ -76,7 +76,7 @@ class ContourMoments(_Moments, kind="contour_moments"):
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
         origin: Of the centroid: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
         order: Up to which; 2 makes six values, 3 ten.
 
     References:
@@ -134,7 +134,7 @@ class RegionMoments(_Moments, kind="region_moments"):
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
         origin: Of the centroid: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
         order: Up to which; 2 makes six values, 3 ten.
         max_elongation: Length by breadth at which moments saturate, for the thinner the region, the larger they are:
             those of second order at a twelfth of it, as of a rectangle, those of third at that to the power of 3/2.

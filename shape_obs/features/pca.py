@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.features.coordinates import CoordinateFrame, Coordinates, Placed
+from shape_obs.features.coordinates import CoordinateFrame, Coordinates, Positional
 from shape_obs.features.distribution import PointDistribution, read_bytes
 from shape_obs.features.feature import FeatureContext
 from shape_obs.geometry.topology import Topology
@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class PrincipalComponents(Placed, kind="pca"):
+class PrincipalComponents(Positional, kind="pca"):
     """Coefficients of the principal components of recorded shapes: ``shape-obs fit-features`` fits them.
 
     (c_1, ..., c_K) in the points' unit, with ``p = mean + sum_k c_k v_k``. Of a file that was fitted with ``--align``:
@@ -35,7 +35,7 @@ class PrincipalComponents(Placed, kind="pca"):
         file: The fitted file; a relative path is one from the working directory. It is read once, here.
         frame: None for that of the file; another one is refused.
         origin: None for that of the file; another one is refused.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -60,18 +60,13 @@ class PrincipalComponents(Placed, kind="pca"):
                     f"leave {name} out, or fit again with --{name} {given}."
                 )
         coordinates = Coordinates(model.frame, model.origin, self.max_depth, self.kind)
-        for name, value in (("_model", model), ("_sha256", digest), ("_coordinates", coordinates)):
+        for name, value in (("_model", model), ("_sha256", digest), ("coordinates", coordinates)):
             object.__setattr__(self, name, value)
 
     @property
     def model(self) -> PointDistribution:
         """What the file holds."""
         return self._model  # type: ignore[attr-defined]
-
-    @property
-    def coordinates(self) -> Coordinates:
-        """As fitted."""
-        return self._coordinates  # type: ignore[attr-defined]
 
     @property
     def unit(self) -> str:

@@ -124,7 +124,7 @@ class Length(Framed, kind="length"):
 
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
     """
 
     max_depth: float = 2.0

@@ -38,7 +38,7 @@ class BSpline(LinearFit, kind="bspline"):
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
         origin: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
         coefficients: How many control points; on a lattice in each direction.
         degree: Of the pieces; 3 is cubic: two continuous derivatives.
     """
@@ -106,7 +106,7 @@ class Bezier(LinearFit, kind="bezier"):
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
         origin: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
         degree: Of the polynomial, one less than there are control points.
     """
 

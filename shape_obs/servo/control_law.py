@@ -108,29 +108,6 @@ def saturated(action: Array) -> Array:
     return action / max(float(np.abs(action).max()), 1.0)
 
 
-_MADE: Final[Mapping[str, tuple[str, Callable[[], ServoLaw]]]] = {
-    "broyden": ("Broyden's update, damped least squares", lambda: DampedLeastSquares(Broyden())),
-    "rls": ("recursive least squares, damped least squares", lambda: DampedLeastSquares(RecursiveLeastSquares())),
-    "kalman": ("Kalman filter, damped least squares", lambda: DampedLeastSquares(Kalman())),
-    "mfac": ("pseudo-Jacobian, damped least squares", lambda: DampedLeastSquares(PseudoJacobian())),
-    "mfac-law": ("pseudo-Jacobian, model-free adaptive control", lambda: ModelFreeAdaptiveControl(PseudoJacobian())),
-}
-
-#: What each name stands for: an estimator, and the law that acts on its Jacobian.
-LAWS: Final[Mapping[str, str]] = {name: what for name, (what, _) in _MADE.items()}
-
-
-def make_law(name: str) -> ServoLaw:
-    """A law with the settings that stood the bench best.
-
-    Raises:
-        ValueError: An unknown name.
-    """
-    if name not in _MADE:
-        raise ValueError(f"servo law: unknown name {name!r}{did_you_mean(name, LAWS)}")
-    return _MADE[name][1]()
-
-
 class DampedLeastSquares(ServoLaw):
     """``a = (J'WJ + m I)^-1 J'W g e``, shortened to the largest action: Levenberg's step towards the goal.
 
@@ -178,3 +155,26 @@ class ModelFreeAdaptiveControl(ServoLaw):
     def _step(self, jacobian: Array, error: Array) -> Array:
         square = np.linalg.norm(jacobian, 2) ** 2
         return saturated(self.step * (jacobian.T @ error) / ((1 + self.penalty) * square))
+
+
+_MADE: Final[Mapping[str, tuple[str, Callable[[], ServoLaw]]]] = {
+    "broyden": ("Broyden's update, damped least squares", lambda: DampedLeastSquares(Broyden())),
+    "rls": ("recursive least squares, damped least squares", lambda: DampedLeastSquares(RecursiveLeastSquares())),
+    "kalman": ("Kalman filter, damped least squares", lambda: DampedLeastSquares(Kalman())),
+    "mfac": ("pseudo-Jacobian, damped least squares", lambda: DampedLeastSquares(PseudoJacobian())),
+    "mfac-law": ("pseudo-Jacobian, model-free adaptive control", lambda: ModelFreeAdaptiveControl(PseudoJacobian())),
+}
+
+#: What each name stands for: an estimator, and the law that acts on its Jacobian.
+LAWS: Final[Mapping[str, str]] = {name: what for name, (what, _) in _MADE.items()}
+
+
+def make_law(name: str) -> ServoLaw:
+    """A law with the settings that stood the bench best.
+
+    Raises:
+        ValueError: An unknown name.
+    """
+    if name not in _MADE:
+        raise ValueError(f"servo law: unknown name {name!r}{did_you_mean(name, LAWS)}")
+    return _MADE[name][1]()

@@ -17,8 +17,8 @@ from shape_obs.shape import Shape
 from shape_obs.spec import did_you_mean
 from shape_obs.wrappers.env_protocol import GOALS, has_goals
 from shape_obs.wrappers.goals import STATUS, GoalVector
-from shape_obs.wrappers.observation_layout import Layout
-from shape_obs.wrappers.shape_observation import ShapeObservation, plain
+from shape_obs.wrappers.observation_layout import ObservationLayout
+from shape_obs.wrappers.shape_observation import ShapeObservation, to_recorded
 from shape_obs.wrappers.target import GoalFrame, Target
 
 GoalLike = Target | Mapping[str, Any] | npt.ArrayLike
@@ -73,7 +73,7 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     ) -> None:
         self._goal = None if goal is None else Target.read(goal)
         given = {"goal": self._goal, "features": features, "shape": shape, "threshold": threshold}
-        recorded = {name: plain(value) for name, value in given.items() if value is not None}
+        recorded = {name: to_recorded(value) for name, value in given.items() if value is not None}
         RecordConstructorArgs.__init__(self, **recorded, reward_type=reward_type)
         gym.Wrapper.__init__(self, env)
 
@@ -94,7 +94,7 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             first = self._source.detector.shapes[0].name
             raise ValueError(f"the env's goals are those of shape {first!r}: pass a goal= for shape {shape!r}.")
         self._main, box, kept = _parts(env.observation_space, "observation" if self._envs_goals else "shape")
-        self._layout = Layout(env.observation_space, kept, box, self._vector)
+        self._layout = ObservationLayout(env.observation_space, kept, box, self._vector)
         self.observation_space = self._layout.space
         self.target: Shape | None = None
         self._given: Shape | None = None

@@ -88,7 +88,7 @@ class TestAnchors:
         [
             (Points2D(origin="griper1"), VIEW, "'points2d': no origin 'griper1'; did you mean 'gripper1'? Known: "),
             (Points3D(origin="anchr"), VIEW, "did you mean 'anchor'? Known: centroid, anchor, gripper1, mark"),
-            (Points3D("base", origin="mark"), VIEW, "origin 'mark' is a pixel, but its points are metres"),
+            (Points3D("base", origin="mark"), VIEW, "origin 'mark' is a pixel, but its points are in metres"),
             (
                 Points2D(origin="anchor"),
                 FeatureContext(320, 240),
@@ -112,7 +112,7 @@ class TestAnchors:
 
     def test_the_anchor_frame_has_an_origin_already(self):
         with pytest.raises(
-            SpecError, match="frame 'anchor' has an origin already; give frame='base' with origin='mark'"
+            SpecError, match="frame 'anchor' already has an origin; use frame='base' with origin='mark'"
         ):
             Points3D("anchor", origin="mark")
 

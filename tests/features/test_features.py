@@ -185,7 +185,7 @@ class TestVector:
     def test_what_is_out_of_bounds_is_clipped_and_told_once(self, view):
         vector = self.vector(view, "points2d")
         away = shape([[-9, 500], [1e9, -np.inf]])
-        with pytest.warns(UserWarning, match=r"3 of 4 values lie outside of their bounds .* give workspace="):
+        with pytest.warns(UserWarning, match=r"3 of 4 values lie outside their bounds .* set workspace="):
             values = vector.compute([away], [view])
         np.testing.assert_array_equal(values, [-0.5, 239.5, 319.5, 119.5])
         with warnings.catch_warnings():

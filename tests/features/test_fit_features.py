@@ -118,7 +118,7 @@ class TestCommand:
             (["t"], ("--components", 70), "components: expected 1 to 59"),
             (["blind"], base, "--frame base needs the camera's intrinsics, and the table has none"),
             (["flat"], base, "the shape has no points3d"),
-            (["few"], base, "only 3 shapes are whole, 0 are not: record more"),
+            (["few"], base, "only 3 shapes are complete, 0 are not: record more"),
             (["t", "other"], base, "is Chain(count=21), but Chain(count=20) came before"),
             (["bare"], base, "its metadata lack shapes or camera"),
             (["fitted"], base, "not a table of shapes"),

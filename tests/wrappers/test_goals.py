@@ -129,7 +129,8 @@ def test_no_truth_reaches_a_policy(episode):
             np.testing.assert_array_equal(a[0][key], b[0][key])
         assert a[1] == b[1]
     with pytest.raises(
-        ValueError, match="keep: 'achieved_goal' is the simulator's truth; this wrapper computes it from the c"
+        ValueError,
+        match="keep: 'achieved_goal' comes from the simulator's state; this wrapper computes it from the camera",
     ):
         ShapeObservation(bare(), keep=["achieved_goal"])
 
