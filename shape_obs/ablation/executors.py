@@ -1,54 +1,50 @@
-"""A run as a task that any process can do: it is given a study, and gives back what belongs into the run's folder.
+"""Do the runs of a study: in this process, in several processes of this machine, or on a Ray cluster.
 
-Engines: where the runs of a study are done. Whichever it is, equal runs give equal numbers.
-
-An engine takes tasks and yields their outcomes as they come; about twice a second meanwhile it calls ``poll``.
+Equal runs give equal results wherever they are done.
 """
 
 from __future__ import annotations
+
 import json
 import os
 import platform
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Final
-from shape_obs.ablation.training_run import Trained
-from shape_obs.ablation.training_run import run
-from shape_obs.ablation.scores import success
-from shape_obs.ablation.scores import SCORES
-from shape_obs.ablation.scores import scores_csv
-from shape_obs.ablation.study import Study
-from shape_obs.utils.threads import one_thread
-import logging
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, wait
-from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Final, Protocol
 
+from shape_obs.ablation.scores import SCORES, scores_csv, success
+from shape_obs.ablation.study import Study
+from shape_obs.ablation.training_run import Trained, run
+from shape_obs.utils.ray_cluster import RayCluster
+from shape_obs.utils.threads import one_thread
+
+Poll = Callable[[], object]
 
 PROGRESS: Final = "progress.json"
-
 POLICY: Final = "trained.policy"
-
 _PACKAGES: Final = ("shape-obs", "stable-baselines3", "torch", "gymnasium", "mujoco", "numpy")
-
+#: Seconds between two calls of ``poll``.
+_INTERVAL: Final = 0.5
+_ONE_THREAD: Final = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
 @dataclass(frozen=True)
 class Task:
-    """One run.
+    """A run to be done.
 
     Attributes:
-        study: What is compared.
+        study: The study.
         arm: Name of one of its arms.
-        seed: Of the training.
-        folder: Of the run; where it can be seen, the steps done are told there.
+        seed: Seed of the training.
+        folder: Folder of the run; where a worker has access to it, it writes its progress there.
     """
 
     study: Study
@@ -58,20 +54,19 @@ class Task:
 
     @property
     def name(self) -> str:
-        """``"points3d/seed0"``."""
+        """Name of the run, such as ``"points3d/seed0"``."""
         return f"{self.arm}/seed{self.seed}"
-
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a run.
+    """The outcome of a run.
 
     Attributes:
         task: The run.
-        files: Contents by name, for its folder; empty where it failed.
-        about: What is told of it beside: times and versions.
-        error: What was wrong; empty for nothing.
+        files: Contents of the files for its folder, by name; empty if it failed.
+        about: Times and versions, for ``run.json``.
+        error: Traceback of an error; empty if there was none.
     """
 
     task: Task
@@ -80,18 +75,17 @@ class Outcome:
     error: str = ""
 
 
-
 def work(task: Task) -> Outcome:
-    """Do a run in this process, on one thread; whatever it raises is told in the outcome."""
+    """Do a run in this process with one thread; exceptions become part of the outcome."""
     begin = time.perf_counter()
     try:
         with one_thread():
-            trained = run(task.study, task.arm, task.seed, _teller(task))
+            trained = run(task.study, task.arm, task.seed, _progress_writer(task))
             try:
                 files = {SCORES: scores_csv(trained.rows).encode(), **_policy(trained, task)}
             finally:
                 trained.env.close()
-    except Exception:  # noqa: BLE001  a run that fails must not take the others along; its traceback is kept
+    except Exception:  # noqa: BLE001  one failing run must not end the others; its traceback is kept
         return Outcome(task, error=traceback.format_exc())
     about = {
         "ms_per_step": round(trained.ms_per_step, 3),
@@ -102,18 +96,16 @@ def work(task: Task) -> Outcome:
     return Outcome(task, files, about)
 
 
-
 def versions() -> dict[str, str]:
-    """Of what numbers may depend on."""
+    """Return the versions of the packages on which the results may depend."""
     return {"python": platform.python_version(), **{name: metadata.version(name) for name in _PACKAGES}}
 
 
-
-def _teller(task: Task) -> Callable[[int], None]:
-    """Tells the steps done, at most once a second, and ends the process when nobody is left to take the result."""
+def _progress_writer(task: Task) -> Callable[[int], None]:
+    """Return a function that writes the progress once a second, and exits when the parent process has ended."""
     parent, last = os.getppid(), 0.0
 
-    def tell(steps: int) -> None:
+    def write(steps: int) -> None:
         nonlocal last
         if os.getppid() != parent:
             os._exit(1)
@@ -122,12 +114,11 @@ def _teller(task: Task) -> Callable[[int], None]:
             last = now
             (task.folder / PROGRESS).write_text(json.dumps({"steps": steps, "pid": os.getpid()}), encoding="ascii")
 
-    return tell
-
+    return write
 
 
 def _policy(trained: Trained, task: Task) -> dict[str, bytes]:
-    """The policy as a bundle."""
+    """Return the trained policy as a bundle."""
     from shape_obs.deploy.policy_bundle import save_bundle
 
     with tempfile.TemporaryDirectory() as folder:
@@ -136,9 +127,8 @@ def _policy(trained: Trained, task: Task) -> dict[str, bytes]:
         return {POLICY: path.read_bytes()}
 
 
-
 def _summary(trained: Trained, task: Task) -> dict[str, Any]:
-    """What the bundle tells of its training."""
+    """Return the summary of the training for the bundle."""
     last = [row.score for row in trained.rows if not row.disturbance and row.steps == trained.model.num_timesteps]
     return {
         "arm": task.arm,
@@ -152,36 +142,25 @@ def _summary(trained: Trained, task: Task) -> dict[str, Any]:
     }
 
 
-
-Poll = Callable[[], object]
-
-
-_SECONDS: Final = 0.5
-
-_ONE_THREAD: Final = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-
-
-
 class Engine(Protocol):
-    """Does runs."""
+    """Something that does runs."""
 
     def __call__(self, tasks: Sequence[Task], poll: Poll) -> Iterator[Outcome]:
-        """Yield the outcome of each task, the first that is done first."""
+        """Yield the outcome of each task as soon as it is finished; call ``poll`` about twice a second."""
         ...
 
 
-
 class Local:
-    """Processes of this machine (joblib's loky), of one thread each.
+    """Do runs in processes of this machine (joblib's loky) with one thread each.
 
-    Each has a pool of its own: what kills one takes no other along, and its pool is made anew. The run that it did is
-    tried once more after all others.
+    Each process has its own pool, so that the death of one process does not end the others. Its run is repeated once,
+    after all other runs, in a new pool.
 
     Args:
-        jobs: How many processes.
+        jobs: Number of processes.
 
     Raises:
-        ValueError: Fewer than one.
+        ValueError: The number is below 1.
     """
 
     def __init__(self, jobs: int = 1) -> None:
@@ -190,7 +169,7 @@ class Local:
         self._jobs = jobs
 
     def __call__(self, tasks: Sequence[Task], poll: Poll = lambda: None) -> Iterator[Outcome]:
-        """Yield outcomes as they come; whoever stops asking ends the runs that are under way."""
+        """Yield outcomes as runs finish; closing the generator ends the runs in progress."""
         waiting, running = deque(tasks), dict[Any, tuple[Any, Task]]()
         lost: list[Task] = []
         idle = [_pool() for _ in range(min(self._jobs, len(tasks)))]
@@ -200,11 +179,11 @@ class Local:
                     pool, task = idle.pop(), waiting.popleft()
                     try:
                         future = pool.submit(work, task)
-                    except BrokenProcessPool:  # its process was ended while it had nothing to do
+                    except BrokenProcessPool:  # its process was killed while it was idle
                         pool = _pool()
                         future = pool.submit(work, task)
                     running[future] = pool, task
-                done, _ = wait(running, timeout=_SECONDS, return_when=FIRST_COMPLETED)
+                done, _ = wait(running, timeout=_INTERVAL, return_when=FIRST_COMPLETED)
                 poll()
                 for future in done:
                     pool, task = running.pop(future)
@@ -226,17 +205,23 @@ class Local:
                 pool.shutdown(kill_workers=True)
 
 
+def _pool() -> Any:
+    # Not joblib.Parallel, which ends all runs when one process dies.
+    from joblib.externals.loky import ProcessPoolExecutor
+
+    return ProcessPoolExecutor(1, env=_ONE_THREAD)
+
 
 class Ray:
-    """Tasks of a Ray cluster, of one core each.
+    """Do runs as tasks of a Ray cluster with one core each.
 
-    A task whose worker or machine is lost is tried again elsewhere. The machines need no folder in common; those that
-    see the study's tell there how far they are.
+    A run whose worker or machine is lost is repeated elsewhere. The machines need no shared folder; workers with
+    access to the study's folder write their progress there.
 
     Args:
-        address: Of the cluster, ``"auto"`` or ``"ray://head:10001"``; None starts one on this machine, or joins the
-            one that this process has joined already.
-        jobs: How many cores such a new one has; None for all.
+        address: Address of the cluster, ``"auto"`` or ``"ray://head:10001"``; None starts one on this machine, or uses
+            the one that this process has already joined.
+        jobs: Number of cores of a cluster that is started here; None for all.
 
     Raises:
         ImportError: Ray is not installed.
@@ -244,42 +229,8 @@ class Ray:
     """
 
     def __init__(self, address: str | None = None, jobs: int | None = None) -> None:
-        try:
-            import ray
-        except ImportError as error:
-            raise ImportError("the engine 'ray' needs Ray: pip install 'shape-obs[ray]'") from error
-        if not ray.is_initialized():
-            own: dict[str, Any] = {"num_cpus": jobs, "include_dashboard": False} if address is None else {}
-            # "local": without it an address in the environment would be joined.
-            ray.init(address=address or "local", log_to_driver=False, logging_level=logging.WARNING, **own)
+        self._cluster = RayCluster(address, jobs)
 
     def __call__(self, tasks: Sequence[Task], poll: Poll = lambda: None) -> Iterator[Outcome]:
-        """Yield outcomes as they come; whoever stops asking ends the runs that are under way."""
-        import ray
-        from ray.exceptions import RayError
-
-        remote: Any = ray.remote(num_cpus=1, max_retries=2)(work)
-        running = {remote.options(name=task.name).remote(task): task for task in tasks}
-        try:
-            while running:
-                done, _ = ray.wait(list(running), timeout=_SECONDS)
-                poll()
-                for reference in done:
-                    task = running.pop(reference)
-                    try:
-                        outcome = ray.get(reference)
-                    except RayError as error:
-                        outcome = Outcome(task, error=f"Ray lost the run: {error}")
-                    yield outcome
-        finally:
-            for reference in running:
-                ray.cancel(reference, force=True)
-
-
-
-def _pool() -> Any:
-    # joblib's own door to it is shut: its Parallel ends all runs when one process dies.
-    from joblib.externals.loky import ProcessPoolExecutor
-
-    return ProcessPoolExecutor(1, env=_ONE_THREAD)
-
+        """Yield outcomes as runs finish; closing the generator ends the runs in progress."""
+        return self._cluster.run(work, tasks, lost=lambda task, reason: Outcome(task, error=reason), poll=poll)

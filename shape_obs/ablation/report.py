@@ -1,39 +1,43 @@
-"""The tables of a study, as Markdown.
-
-The pictures of a study: learning curves, where each arm ended, and what disturbances take away.
-"""
+"""Report a study: tables as Markdown and JSON, and pictures of learning curves, final scores and disturbances."""
 
 from __future__ import annotations
-from collections.abc import Mapping, Sequence
+
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
-import numpy as np
-from shape_obs.ablation.statistics import Interval
-from shape_obs.ablation.study import Study
-from shape_obs.ablation.statistics import LEVELS
-from shape_obs.ablation.statistics import ArmSummary
-from shape_obs.ablation.statistics import groups
-from shape_obs.utils.files import write_text
-from collections.abc import Callable, Mapping, Sequence
-from shape_obs.utils.files import write_whole
 
+import numpy as np
+
+from shape_obs.ablation.statistics import LEVELS, ArmSummary, Interval, groups
+from shape_obs.ablation.study import Study
+from shape_obs.utils.files import write_text, write_whole
+
+Summary = Mapping[str, ArmSummary]
 
 TABLE: Final = "table.md"
-
 _NONE: Final = "–"
+CURVES: Final = "curves.png"
+INTERVALS: Final = "intervals.png"
+DEGRADATION: Final = "degradation.png"
+_INK, _GRID = "#22313f", "#e4e4e0"
+_COLOURS: Final = (
+    "#1f6fb4", "#d4541a", "#3a8f4d", "#8a56a8", "#b08a1e", "#2a9aa0", "#c0417c", "#6d6d6d", "#7a4a2b", "#4b5fd0",
+)  # fmt: skip
+_DPI: Final = 110
 
+
+# ---- Tables
 
 
 def write_table(study: Study, summary: Mapping[str, ArmSummary], root: Path) -> Path:
-    """Write ``table.md``; returns its path."""
+    """Write ``table.md`` and return its path."""
     text = markdown(study, summary) + "\n"
     write_text(root / TABLE, text)
     return root / TABLE
 
 
-
 def markdown(study: Study, summary: Mapping[str, ArmSummary]) -> str:
-    """All tables, each with a line that says what it shows."""
+    """Return all tables as Markdown, each with a title."""
     plan, parts = study.evaluation, list(groups(study))
     reference = study.reference or next(iter(study.arms))
     bracket = "in brackets its 95 % stratified bootstrap interval"
@@ -41,14 +45,14 @@ def markdown(study: Study, summary: Mapping[str, ArmSummary]) -> str:
         f"{study.algorithm} on {study.env}, {study.steps:,} steps; {plan.final_goals} held-out goals of each "
         f"difficulty, scored by the true points. Interquartile mean over runs, {bracket}.",
         _table(
-            "Goals reached in the end [%]",
+            "Goals reached in the last evaluation [%]",
             ["arm", "runs", *parts],
-            [[arm, each.runs, *(_told(each.success[name], 1) for name in parts)] for arm, each in summary.items()],
+            [[arm, each.runs, *(_cell(each.success[name], 1) for name in parts)] for arm, each in summary.items()],
         ),
         _table(
-            "Mean error in the end [mm]",
+            "Mean final error [mm]",
             ["arm", *parts],
-            [[arm, *(_told(each.final_mm[name], 2) for name in parts)] for arm, each in summary.items()],
+            [[arm, *(_cell(each.final_mm[name], 2) for name in parts)] for arm, each in summary.items()],
         ),
         _table(
             f"Steps of training until {', '.join(map(str, LEVELS))} % are reached, as seen every {plan.every:,} steps",
@@ -58,10 +62,10 @@ def markdown(study: Study, summary: Mapping[str, ArmSummary]) -> str:
         _table(
             "Goals reached on average over the training [%]",
             ["arm", *parts],
-            [[arm, *(_told(each.area[name], 1) for name in parts)] for arm, each in summary.items()],
+            [[arm, *(_cell(each.area[name], 1) for name in parts)] for arm, each in summary.items()],
         ),
         _table(
-            "Milliseconds of a step, with the environment",
+            "Milliseconds per step, with the environment",
             ["arm", "in training", "with the trained policy"],
             [[arm, f"{each.ms_training:.1f}", f"{each.ms_acting:.1f}"] for arm, each in summary.items()],
         ),
@@ -69,10 +73,10 @@ def markdown(study: Study, summary: Mapping[str, ArmSummary]) -> str:
     if plan.disturbances:
         sheets.append(
             _table(
-                "Lost under disturbances that no training saw [points of a hundred]",
+                "Lost under disturbances that no training saw [percentage points]",
                 ["arm", *plan.disturbances],
                 [
-                    [arm, *(_told(each.lost.get(name), 1) for name in plan.disturbances)]
+                    [arm, *(_cell(each.lost.get(name), 1) for name in plan.disturbances)]
                     for arm, each in summary.items()
                 ],
             )
@@ -80,10 +84,10 @@ def markdown(study: Study, summary: Mapping[str, ArmSummary]) -> str:
     if any(each.difference for each in summary.values()):
         sheets.append(
             _table(
-                f"Against {reference}: goals reached [points of a hundred], and how probably a run reaches more",
+                f"Against {reference}: goals reached [percentage points], and the probability that a run reaches more",
                 ["arm", "difference", "probability"],
                 [
-                    [arm, _told(each.difference, 1, sign=True), _told(each.improvement, 2)]
+                    [arm, _cell(each.difference, 1, sign=True), _cell(each.improvement, 2)]
                     for arm, each in summary.items()
                     if each.difference
                 ],
@@ -92,15 +96,13 @@ def markdown(study: Study, summary: Mapping[str, ArmSummary]) -> str:
     return "\n\n".join(sheets)
 
 
-
 def _table(title: str, head: Sequence[object], rows: Sequence[Sequence[object]]) -> str:
     lines = [list(head), ["---", *["---:"] * (len(head) - 1)], *rows]
     return "\n".join([f"**{title}**", "", *("| " + " | ".join(map(str, line)) + " |" for line in lines)])
 
 
-
-def _told(found: Interval | None, digits: int, sign: bool = False) -> str:
-    """``"91.3 [88.0, 94.7]"``."""
+def _cell(found: Interval | None, digits: int, sign: bool = False) -> str:
+    """Return an interval as text, such as ``"91.3 [88.0, 94.7]"``."""
     if found is None:
         return _NONE
     form = f"{'+' if sign else ''}.{digits}f"
@@ -108,59 +110,39 @@ def _told(found: Interval | None, digits: int, sign: bool = False) -> str:
     return f"{found.value:{form}}{bounds}"
 
 
-
 def _steps(steps: int | None) -> str:
     return _NONE if steps is None else f"{steps:,}"
 
 
+def summary_to_dict(summary: Mapping[str, ArmSummary]) -> dict[str, Any]:
+    """Return the summary as JSON values, with intervals as ``[value, low, high]`` and None for missing bounds."""
 
-def plain_summary(summary: Mapping[str, ArmSummary]) -> dict[str, Any]:
-    """For JSON: intervals as ``[value, low, high]``, with None where there is no bound."""
-
-    def plain(value: Any) -> Any:
+    def to_json(value: Any) -> Any:
         if isinstance(value, Interval):
             return [None if np.isnan(number) else round(number, 4) for number in value]
         if isinstance(value, Mapping):
-            return {str(key): plain(item) for key, item in value.items()}
+            return {str(key): to_json(item) for key, item in value.items()}
         return list(value) if isinstance(value, tuple) else value
 
-    return {arm: {name: plain(value) for name, value in vars(each).items()} for arm, each in summary.items()}
+    return {arm: {name: to_json(value) for name, value in vars(each).items()} for arm, each in summary.items()}
 
 
-
-Summary = Mapping[str, ArmSummary]
-
-
-CURVES: Final = "curves.png"
-
-INTERVALS: Final = "intervals.png"
-
-DEGRADATION: Final = "degradation.png"
-
-_INK, _GRID = "#22313f", "#e4e4e0"
-
-_COLOURS: Final = (
-    "#1f6fb4", "#d4541a", "#3a8f4d", "#8a56a8", "#b08a1e", "#2a9aa0", "#c0417c", "#6d6d6d", "#7a4a2b", "#4b5fd0",
-)  # fmt: skip
-
-_DPI: Final = 110
-
+# ---- Pictures
 
 
 def need_matplotlib() -> None:
-    """Raises ImportError where there is no matplotlib, before any work is done."""
+    """Raise ``ImportError`` if Matplotlib is missing, before any work is done."""
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
         raise ImportError("the pictures need Matplotlib: pip install 'shape-obs[viz]'") from error
 
 
-
 def draw(study: Study, summary: Summary, root: Path) -> list[Path]:
-    """Draw ``curves.png``, ``intervals.png`` and, with disturbances, ``degradation.png``; returns their paths.
+    """Draw ``curves.png``, ``intervals.png`` and, with disturbances, ``degradation.png``; return their paths.
 
     Raises:
-        ImportError: There is no matplotlib.
+        ImportError: Matplotlib is missing.
     """
     need_matplotlib()
     sheets: dict[str, Callable[[Study, Summary], Any]] = {CURVES: _curves, INTERVALS: _intervals}
@@ -172,9 +154,8 @@ def draw(study: Study, summary: Summary, root: Path) -> list[Path]:
     return [root / name for name in sheets]
 
 
-
 def _curves(study: Study, summary: Summary) -> Any:
-    """Goals reached over the steps of training, a panel for each difficulty."""
+    """Draw goals reached over the steps of training, with a panel for each difficulty."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
@@ -194,7 +175,7 @@ def _curves(study: Study, summary: Summary) -> Any:
             axis.fill_between(steps, low, high, color=colour, alpha=0.14, linewidth=0)
         handles.append(axes[0].get_lines()[-1])
     for axis, name in zip(axes, panels, strict=True):
-        _plain(axis)
+        _style_axis(axis)
         axis.set_ylim(0, 100)
         axis.set_xlim(left=0)
         axis.set_title(_title(name), fontsize=9, color=_INK)
@@ -207,9 +188,8 @@ def _curves(study: Study, summary: Summary) -> Any:
     return figure
 
 
-
 def _intervals(study: Study, summary: Summary) -> Any:
-    """Goals reached in the end, a panel for each difficulty."""
+    """Draw goals reached in the last evaluation, with a panel for each difficulty."""
     panels = {_title(name): {arm: each.success[name] for arm, each in summary.items()} for name in groups(study)}
     figure, axes = _bars(study, list(summary), panels, "goals reached [%]")
     for axis in axes:
@@ -219,21 +199,19 @@ def _intervals(study: Study, summary: Summary) -> Any:
     return figure
 
 
-
 def _degradation(study: Study, summary: Summary) -> Any:
-    """Goals lost, a panel for each disturbance."""
+    """Draw the decrease of goals reached, with a panel for each disturbance."""
     arms = [arm for arm, each in summary.items() if each.lost]
     names = study.evaluation.disturbances
     panels = {name: {arm: summary[arm].lost[name] for arm in arms} for name in names}
-    figure, axes = _bars(study, arms, panels, "goals lost [points of a hundred]")
+    figure, axes = _bars(study, arms, panels, "goals lost [percentage points]")
     for axis in axes:
         axis.axvline(0, color=_INK, linewidth=0.8, zorder=0.9)
     return figure
 
 
-
 def _bars(study: Study, arms: Sequence[str], panels: Mapping[str, Mapping[str, Interval]], label: str) -> Any:
-    """A row for each arm: the interval as a bar, the value as a line in it."""
+    """Draw a row for each arm, with the interval as a bar and the value as a line in it."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(1.6 + 2.6 * len(panels), 0.9 + 0.34 * len(arms)), layout="constrained")
@@ -245,8 +223,8 @@ def _bars(study: Study, arms: Sequence[str], panels: Mapping[str, Mapping[str, I
             if not np.isnan(low):
                 axis.barh(row, high - low, left=low, height=0.56, color=colour, alpha=0.35, linewidth=0)
             axis.plot([value, value], [row - 0.34, row + 0.34], color=colour, linewidth=2.2, solid_capstyle="butt")
-        _plain(axis)
-        axis.use_sticky_edges = False  # a bar that begins at the axis looks cut off
+        _style_axis(axis)
+        axis.use_sticky_edges = False  # otherwise a bar that begins at the axis looks cut off
         axis.grid(visible=False, axis="y")
         axis.set_title(title, fontsize=9, color=_INK)
         axis.set_yticks(range(len(arms)), arms)
@@ -256,29 +234,24 @@ def _bars(study: Study, arms: Sequence[str], panels: Mapping[str, Mapping[str, I
     return figure, axes
 
 
-
 def _title(name: str) -> str:
     return "all difficulties" if name == "all" else name
 
 
-
 def _colour(study: Study, arm: str) -> str:
-    """The same in every picture, whichever arms are done."""
+    """Return the colour of an arm, which does not depend on the other finished arms."""
     if study.arms[arm].observation == "truth":
         return _INK
     return _COLOURS[list(study.arms).index(arm) % len(_COLOURS)]
 
 
-
 def _style(study: Study, arm: str) -> Any:
-    """Dashes for what no camera sees."""
+    """Return the line style of an arm: dashes for the simulator's points."""
     return (0, (4, 2)) if study.arms[arm].observation == "truth" else "-"
 
 
-
-def _plain(axis: Any) -> None:
+def _style_axis(axis: Any) -> None:
     axis.spines[["top", "right"]].set_visible(False)
     axis.grid(color=_GRID, linewidth=0.7)
     axis.set_axisbelow(True)
     axis.tick_params(labelsize=8)
-

@@ -1,36 +1,34 @@
-"""How near a policy brings the shape to its goal, in millimetres of the true points.
-
-Scores as CSV: a line for each episode.
-"""
+"""Score policies by the true distance of the shape from its goal, and store the scores as CSV."""
 
 from __future__ import annotations
-import time
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
-import gymnasium as gym
-import numpy as np
+
 import csv
 import io
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
-from shape_obs.ablation.training_run import Row
+from typing import Any, Final, NamedTuple
 
+import gymnasium as gym
+import numpy as np
 
 Act = Callable[[Any], Any]
 
+SCORES: Final = "scores.csv"
+COLUMNS: Final = ("steps", "disturbance", "difficulty", "goal", "start_mm", "final_mm", "success", "ms")
 
 
 class Score(NamedTuple):
-    """One episode.
+    """The score of one episode.
 
     Attributes:
-        difficulty: How far the goal was.
-        seed: Of start and goal.
-        start_mm: Mean distance of the true points from the true goal's, millimetres, in the beginning.
-        final_mm: After the last step.
-        success: Whether it is below the environment's ``success_threshold`` after the last step.
-        ms: What a step took with the policy, milliseconds.
+        difficulty: Difficulty of the goal.
+        seed: Seed of start and goal.
+        start_mm: Mean distance of the true points from those of the goal at the start, in millimetres.
+        final_mm: The same distance after the last step.
+        success: Whether ``final_mm`` is below the environment's ``success_threshold``.
+        ms: Duration of a step with the policy, in milliseconds.
     """
 
     difficulty: str
@@ -41,18 +39,32 @@ class Score(NamedTuple):
     ms: float
 
 
+@dataclass(frozen=True)
+class Row:
+    """The score of one episode at some time of a training.
+
+    Attributes:
+        steps: Steps of training before the evaluation.
+        disturbance: Name of the disturbance; empty for none.
+        score: Score of the episode.
+    """
+
+    steps: int
+    disturbance: str
+    score: Score
+
 
 def play(
     env: gym.Env[Any, Any], act: Act, difficulties: Sequence[str], seeds: Sequence[int], steps: int
 ) -> Iterator[Score]:
-    """Play episodes: every seed of every difficulty.
+    """Run one episode for every seed of every difficulty, and yield its score.
 
     Args:
-        env: A simulated environment as the policy knows it, with ``truth/mean_error`` in its ``info``.
-        act: An action for an observation.
-        difficulties: Of the environment.
-        seeds: Of starts and goals.
-        steps: Of an episode.
+        env: A simulated environment with the policy's wrappers, and ``truth/mean_error`` in its ``info``.
+        act: Returns the action for an observation.
+        difficulties: Difficulties of the environment.
+        seeds: Seeds of starts and goals.
+        steps: Steps of an episode.
     """
     simulator: Any = env.unwrapped
     for difficulty in difficulties:
@@ -69,21 +81,13 @@ def play(
             yield Score(difficulty, seed, 1e3 * first, 1e3 * last, bool(reached), ms)
 
 
-
 def success(scores: Sequence[Score]) -> float:
-    """Share of the goals that were reached."""
+    """Return the fraction of goals that were reached."""
     return float(np.mean([score.success for score in scores]))
 
 
-
-SCORES: Final = "scores.csv"
-
-COLUMNS: Final = ("steps", "disturbance", "difficulty", "goal", "start_mm", "final_mm", "success", "ms")
-
-
-
 def scores_csv(rows: Iterable[Row]) -> str:
-    """The file's text; ``goal`` is the seed of start and goal, millimetres have four digits behind the point."""
+    """Return scores as CSV with one line per episode; ``goal`` is the seed of start and goal."""
     out = io.StringIO()
     table = csv.writer(out, lineterminator="\n")
     table.writerow(COLUMNS)
@@ -91,9 +95,8 @@ def scores_csv(rows: Iterable[Row]) -> str:
     return out.getvalue()
 
 
-
 def cells(row: Row) -> tuple[object, ...]:
-    """A line of the file, in the order of ``COLUMNS``."""
+    """Return a line of the file, in the order of ``COLUMNS``."""
     score = row.score
     return (
         row.steps, row.disturbance, score.difficulty, score.seed,
@@ -101,13 +104,12 @@ def cells(row: Row) -> tuple[object, ...]:
     )  # fmt: skip
 
 
-
 def read_scores(path: Path) -> list[Row]:
-    """The scores of a file.
+    """Read the scores of a file.
 
     Raises:
-        FileNotFoundError: There is none.
-        ValueError: It is none.
+        FileNotFoundError: There is no such file.
+        ValueError: It is not a table of scores.
     """
     try:
         with path.open(encoding="utf-8", newline="") as file:
@@ -115,9 +117,8 @@ def read_scores(path: Path) -> list[Row]:
     except (KeyError, TypeError, ValueError, csv.Error) as error:
         raise ValueError(f"{path}: expected a table of {', '.join(COLUMNS)} ({error!r}).") from error
     if not rows:
-        raise ValueError(f"{path}: expected a score in each line, it has none.")
+        raise ValueError(f"{path}: expected a score in each line, got an empty table.")
     return rows
-
 
 
 def _row(line: dict[str, str]) -> Row:
@@ -126,4 +127,3 @@ def _row(line: dict[str, str]) -> Row:
         bool(int(line["success"])), float(line["ms"]),
     )  # fmt: skip
     return Row(int(line["steps"]), line["disturbance"], score)
-

@@ -1,41 +1,37 @@
-"""Statistics of few runs: interquartile means with stratified bootstrap intervals (Agarwal et al., NeurIPS 2021).
+"""Summarize few runs: interquartile means with stratified bootstrap intervals (Agarwal et al., NeurIPS 2021).
 
-Runs are what is drawn anew: episodes of one run share its policy. A stratum holds a value of each run of an arm, on
-goals of one difficulty; each stratum is drawn by itself.
-
-Summary: the figures of a study's arms.
+The bootstrap resamples runs, since the episodes of one run share its policy. A stratum holds one value per run of an
+arm, for goals of one difficulty; each stratum is resampled separately.
 """
 
 from __future__ import annotations
-from collections.abc import Callable, Sequence
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
+
 import numpy as np
 import numpy.typing as npt
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final
-from shape_obs.ablation.results import Finished
+
+from shape_obs.ablation.results import FinishedRun
 from shape_obs.ablation.study import Study
 
-
+ALL: Final = "all"
+LEVELS: Final = (50, 80, 90)
 Array = npt.NDArray[np.float64]
-
 Statistic = Callable[..., Any]
 
-
 LEVEL: Final = 0.95
-
 _RESAMPLES: Final = 2000
 
 
-
 class Interval(NamedTuple):
-    """A statistic and where it lies.
+    """A statistic with its confidence interval.
 
     Attributes:
-        value: Of the runs.
-        low: Lower bound; NaN where there is but one run.
-        high: Upper bound.
+        value: The statistic.
+        low: Lower bound; NaN if there is only one run.
+        high: Upper bound; NaN if there is only one run.
     """
 
     value: float
@@ -43,26 +39,23 @@ class Interval(NamedTuple):
     high: float
 
 
-
 def iqm(*strata: Array, axis: int = -1) -> Any:
-    """Interquartile mean of all strata together: a quarter of the values is left out at either end."""
+    """Return the interquartile mean of all strata together, which omits a quarter of the values at either end."""
     from scipy.stats import trim_mean
 
     return trim_mean(np.concatenate(strata, axis=axis), 0.25, axis=axis)
 
 
-
 def difference(*strata: Array, axis: int = -1) -> Any:
-    """IQM of the first half of the strata, less that of the second."""
+    """Return the interquartile mean of the first half of the strata minus that of the second."""
     half = len(strata) // 2
     return iqm(*strata[:half], axis=axis) - iqm(*strata[half:], axis=axis)
 
 
-
 def improvement(*strata: Array, axis: int = -1) -> Any:
-    """Probability that a run of the first half is above one of the second, on goals of the same difficulty.
+    """Return the probability that a run of the first half exceeds one of the second, for the same difficulty.
 
-    Half of the ties count: Mann and Whitney's statistic over the number of pairs, the mean over the difficulties.
+    Ties count one half: this is the Mann-Whitney statistic over the number of pairs, averaged over the difficulties.
     """
     half = len(strata) // 2
     shares = []
@@ -72,13 +65,12 @@ def improvement(*strata: Array, axis: int = -1) -> Any:
     return np.mean(shares, axis=0)
 
 
-
 def interval(strata: Sequence[Sequence[float]], statistic: Statistic = iqm) -> Interval:
-    """A statistic with its 95 % interval: percentiles of the stratified bootstrap.
+    """Return a statistic with its 95 % interval, from percentiles of the stratified bootstrap.
 
     Args:
-        strata: Values of runs; of two arms those of the one, then those of the other.
-        statistic: Of the strata, along ``axis``.
+        strata: Values of runs; to compare two arms, the strata of the first and then those of the second.
+        statistic: Computes the statistic of the strata along ``axis``.
 
     Raises:
         ValueError: A stratum is empty.
@@ -91,8 +83,8 @@ def interval(strata: Sequence[Sequence[float]], statistic: Statistic = iqm) -> I
     found = float(statistic(*values, axis=-1))
     if min(stratum.size for stratum in values) < 2:
         return Interval(found, np.nan, np.nan)
-    # The same draws each time: a table made twice is the same table.
-    draws: dict[str, Any] = {"random_state": np.random.default_rng(0)}  # before SciPy 1.15 not yet "rng"
+    # The same draws every time, so that equal results give equal tables.
+    draws: dict[str, Any] = {"random_state": np.random.default_rng(0)}  # called "rng" from SciPy 1.15 on
     bounds = bootstrap(
         values, statistic, n_resamples=_RESAMPLES, method="percentile", confidence_level=LEVEL, vectorized=True,
         **draws,
@@ -100,29 +92,22 @@ def interval(strata: Sequence[Sequence[float]], statistic: Statistic = iqm) -> I
     return Interval(found, float(bounds.low), float(bounds.high))
 
 
-
-ALL: Final = "all"
-
-LEVELS: Final = (50, 80, 90)
-
-
-
 @dataclass(frozen=True)
 class ArmSummary:
-    """Figures of an arm. What is told by difficulty is told for ``"all"`` of them too, where there are several.
+    """The results of an arm. Values by difficulty include ``"all"`` if there are several difficulties.
 
     Attributes:
-        runs: How many were done.
-        success: By difficulty: goals reached in the end, per cent.
-        final_mm: By difficulty: mean error in the end, millimetres of the true points.
+        runs: Number of finished runs.
+        success: By difficulty: goals reached in the last evaluation, in percent.
+        final_mm: By difficulty: mean final error of the true points, in millimetres.
         curve: By difficulty: goals reached at each evaluation, by steps of training.
-        steps_to: By difficulty: steps of training at the first evaluation where ``LEVELS`` per cent were reached; None
-            for never.
-        area: By difficulty: goals reached on average from the first evaluation to the last, per cent.
-        lost: By disturbance: goals no longer reached under it, points of a hundred; of all difficulties.
-        ms_training: Of a step in training, milliseconds, without evaluations; mean over the runs.
-        ms_acting: Of a step with the trained policy; mean over the runs.
-        difference: Success less that of the reference, points of a hundred; None for the reference itself.
+        steps_to: By difficulty: steps of training before the first evaluation that reached each of ``LEVELS``
+            percent; None for never.
+        area: By difficulty: goals reached, averaged from the first evaluation to the last, in percent.
+        lost: By disturbance: decrease of goals reached, in percentage points, for all difficulties.
+        ms_training: Duration of a step in training in milliseconds, without evaluations; mean over the runs.
+        ms_acting: Duration of a step with the trained policy in milliseconds; mean over the runs.
+        difference: Success minus that of the reference, in percentage points; None for the reference itself.
         improvement: Probability that a run of the arm reaches more goals than one of the reference.
     """
 
@@ -139,11 +124,10 @@ class ArmSummary:
     improvement: Interval | None
 
 
+def summarize(study: Study, runs: Sequence[FinishedRun]) -> dict[str, ArmSummary]:
+    """Return the results of all arms with a finished run.
 
-def summarize(study: Study, runs: Sequence[Finished]) -> dict[str, ArmSummary]:
-    """The figures of all arms of which a run is done.
-
-    Success is the interquartile mean over runs, as are error and area, with a 95 % stratified bootstrap interval.
+    Success, error and area are interquartile means over runs, with 95 % stratified bootstrap intervals.
     """
     by_arm = {arm: [run for run in runs if run.arm == arm] for arm in study.arms}
     reference = study.reference or next(iter(study.arms))
@@ -154,15 +138,13 @@ def summarize(study: Study, runs: Sequence[Finished]) -> dict[str, ArmSummary]:
     }
 
 
-
 def groups(study: Study) -> dict[str, tuple[str, ...]]:
-    """The difficulties of each figure: each by itself, and all."""
+    """Return the groups of difficulties: each difficulty, and all of them if there are several."""
     names = study.evaluation.difficulties
     return {**{name: (name,) for name in names}, **({ALL: names} if len(names) > 1 else {})}
 
 
-
-def _summary(study: Study, runs: Sequence[Finished], reference: Sequence[Finished] | None) -> ArmSummary:
+def _summary(study: Study, runs: Sequence[FinishedRun], reference: Sequence[FinishedRun] | None) -> ArmSummary:
     parts = groups(study)
     whole = study.evaluation.difficulties
     success = {name: interval(_success(runs, some)) for name, some in parts.items()}
@@ -187,28 +169,23 @@ def _summary(study: Study, runs: Sequence[Finished], reference: Sequence[Finishe
     )
 
 
-
-def _success(runs: Sequence[Finished], difficulties: Sequence[str], steps: int | None = None) -> list[list[float]]:
-    """Strata: a list for each difficulty, with a value of each run."""
+def _success(runs: Sequence[FinishedRun], difficulties: Sequence[str], steps: int | None = None) -> list[list[float]]:
+    """Return a stratum for each difficulty, with one value per run."""
     return [[run.success(each, steps) for run in runs] for each in difficulties]
 
 
-
-def _lost(runs: Sequence[Finished], difficulties: Sequence[str], disturbance: str) -> list[list[float]]:
+def _lost(runs: Sequence[FinishedRun], difficulties: Sequence[str], disturbance: str) -> list[list[float]]:
     return [[run.success(each) - run.success(each, disturbance=disturbance) for run in runs] for each in difficulties]
-
 
 
 def _first(curve: Mapping[int, Interval], level: float) -> int | None:
     return next((steps for steps, found in curve.items() if found.value >= level), None)
 
 
-
-def _area(run: Finished, difficulty: str) -> float:
+def _area(run: FinishedRun, difficulty: str) -> float:
     from scipy.integrate import trapezoid
 
     reached = [run.success(difficulty, steps) for steps in run.steps]
     if len(reached) == 1:
         return reached[0]
     return float(trapezoid(reached, run.steps) / (run.steps[-1] - run.steps[0]))
-

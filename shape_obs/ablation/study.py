@@ -1,32 +1,29 @@
-"""Arm: what one of the compared policies sees, and the environment that shows it.
-
-Study: what an ablation compares, as its YAML file says it.
-"""
+"""Define a study, as its YAML file describes it: the arms to compare, how to train them and how to evaluate them."""
 
 from __future__ import annotations
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, Literal
-from shape_obs.features import Feature
-from shape_obs.spec import Spec, SpecError
-if TYPE_CHECKING:
-    import gymnasium as gym
+
 import hashlib
 import json
 import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
+
+from shape_obs.features import Feature
 from shape_obs.spec import Spec, SpecError, did_you_mean
 from shape_obs.utils.documents import read_yaml
 
+VERSION: Final = 1
+_NAME: Final = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-")
 
-_POINTS: Final = {"kind": "points3d", "frame": "base"}
-
+Algorithm = Literal["SAC", "TD3", "DDPG", "PPO", "A2C"]
+OFF_POLICY: Final = ("SAC", "TD3", "DDPG")
 
 
 @dataclass(frozen=True)
 class Disturbance(Spec):
-    """What goes wrong in the images in which a policy is tried out.
+    """Disturb the images in which a trained policy is evaluated.
 
     Args:
         env: Arguments of the environment, such as ``{"randomize": {"hand": {}}}``.
@@ -37,24 +34,24 @@ class Disturbance(Spec):
     noise: Mapping[str, Any] | None = None
 
 
-
 @dataclass(frozen=True)
 class Arm(Spec):
-    """What a policy sees. Whatever that is, its reward is of the points in metres, and so is its score.
+    """Define the observation of a policy. Reward and score are always distances of points in metres.
 
     Args:
-        observation: ``"shape"``: what the camera sees of the shape; ``"truth"``: the simulator's points;
-            ``"pixels"``: the image, through a convolutional network, whose reward comes from the simulator.
-        features: Of the shape, seen and desired; None for its points.
-        shapes: Configurations for ``ShapeObservation``, such as one of another number of points; None for the env's.
-        shuffle: Show the points in another order in every frame.
-        keep: Keys of vectors of the env's observation to show beside.
-        noise: Fields of ``D455Model``, in whose images to train and to be tried; None for clean images.
+        observation: ``"shape"``: the shape in the camera's images; ``"truth"``: the points of the simulator;
+            ``"pixels"``: the image, through a convolutional network, with the simulator's reward.
+        features: Features of the shape and of the goal; None for points.
+        shapes: Configurations for ``ShapeObservation``, for example with another number of points; None for those of
+            the environment.
+        shuffle: Whether to shuffle the points in every frame.
+        keep: Keys of vectors in the environment's observation that are appended.
+        noise: Fields of ``D455Model`` for the images of training and evaluation; None for clean images.
         env: Arguments of the environment.
-        hyperparameters: Of the algorithm, beside and over those of the study.
+        hyperparameters: Hyperparameters of the algorithm; they replace those of the study.
 
     Raises:
-        SpecError: Things that do not go together.
+        SpecError: Some values do not fit together.
     """
 
     observation: Literal["shape", "truth", "pixels"] = "shape"
@@ -71,95 +68,27 @@ class Arm(Spec):
         if self.observation != "shape":
             wrong = [name for name in ("features", "shapes") if getattr(self, name) is not None]
             if wrong:
-                raise SpecError(f"{wrong[0]}: only observation='shape' has them, got observation={self.observation!r}.")
+                raise SpecError(f"{wrong[0]}: only for observation='shape', got observation={self.observation!r}.")
         if self.shuffle and (self.features is not None or self.keep or self.observation == "pixels"):
             raise SpecError("shuffle: only points can be shuffled: leave out features, keep and observation='pixels'.")
         if self.keep and (self.features is not None or self.observation == "pixels"):
-            raise SpecError("keep: only points are shown with something beside: leave out features and pixels.")
+            raise SpecError("keep: vectors are appended only to points: leave out features and observation='pixels'.")
         if self.noise is not None and self.observation == "truth":
-            raise SpecError("noise: the simulator's points have none: leave it out, or observation='truth'.")
-
-
-
-def make_env(
-    arm: Arm, name: str, arguments: Mapping[str, Any], steps: int, disturbance: Disturbance | None = None
-) -> gym.Env[Any, Any]:
-    """The environment as an arm shows it.
-
-    Args:
-        arm: What is shown.
-        name: A simulated environment with goals, ``"ShapeObs/Cable-v0"``.
-        arguments: Of the environment; those of the arm, then of the disturbance, come over them.
-        steps: Of an episode.
-        disturbance: Of the images.
-
-    Returns:
-        A goal-conditioned environment; where it has ``visible``, no more numbers of a goal may be read.
-
-    Raises:
-        ValueError: Something of it is not understood.
-    """
-    import gymnasium as gym
-
-    from shape_obs.training import Pixels, PointReward, Shuffled, TrueState
-    from shape_obs.wrappers import ShapeGoal, ShapeObservation
-
-    wrong = disturbance or Disturbance()
-    options = {**arguments, **arm.env, **wrong.env}
-    env: Any
-    if arm.observation == "truth":
-        options |= {"render_observation": False}
-    env = gym.make(_qualified(name), max_episode_steps=steps, disable_env_checker=True, **options)
-    noise = None if arm.noise is None and wrong.noise is None else {**(arm.noise or {}), **(wrong.noise or {})}
-    if noise is not None and arm.observation != "truth":
-        from shape_obs_envs.d455 import D455Noise
-
-        env = D455Noise(env, noise)
-    if arm.observation == "truth":
-        env = TrueState(env, arm.keep)
-    elif arm.observation == "pixels":
-        env = Pixels(env)
-    elif arm.features is None:
-        env = ShapeObservation(env, arm.shapes, features=[_POINTS], keep=list(arm.keep) or None)
-    else:
-        features = [*(feature.to_dict() for feature in arm.features), _POINTS]
-        env = ShapeObservation(env, arm.shapes, features=features)
-        # Nothing reads ShapeGoal's threshold: PointReward has its own, in metres.
-        simulator: Any = env.unwrapped
-        env = ShapeGoal(env, features=features, threshold=1.0)
-        env = PointReward(env, simulator.reward_type, simulator.success_threshold)
-    return Shuffled(env) if arm.shuffle else env
-
-
-
-def _qualified(name: str) -> str:
-    """With the module that registers it, where the name tells none."""
-    return f"shape_obs_envs:{name}" if name.startswith("ShapeObs/") else name
-
-
-
-VERSION: Final = 1
-
-_NAME: Final = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-")
-
-
-Algorithm = Literal["SAC", "TD3", "DDPG", "PPO", "A2C"]
-
-OFF_POLICY: Final = ("SAC", "TD3", "DDPG")
-
+            raise SpecError("noise: the simulator's points have no noise: leave out noise, or observation='truth'.")
 
 
 @dataclass(frozen=True)
 class Evaluation(Spec):
-    """How policies are tried out: on goals that no training sees, the same for all.
+    """Define how policies are evaluated: on held-out goals, the same for all policies.
 
     Args:
         every: Steps of training between two evaluations.
-        goals: Of each difficulty, in each evaluation but the last.
-        final_goals: Of each difficulty, in the last.
-        difficulties: How far goals are from the start.
-        seed: Of the first goal; the others count on. Trainings have seeds far below.
-        disturbances: In which the last policy is tried out besides, by name; an arm that sees no images is not.
+        goals: Number of goals of each difficulty, in each evaluation except the last.
+        final_goals: Number of goals of each difficulty in the last evaluation.
+        difficulties: Distances of the goals from the start.
+        seed: Seed of the first goal; the other goals have the following seeds. Seeds of trainings are smaller.
+        disturbances: Disturbances, by name, under which the final policy is evaluated again; not for arms without
+            images.
     """
 
     every: int = 2500
@@ -178,29 +107,28 @@ class Evaluation(Spec):
             raise SpecError("evaluation.difficulties: expected at least one.")
 
 
-
 @dataclass(frozen=True)
 class Study(Spec):
-    """Arms × seeds: trainings that differ in what the policy sees, and in nothing else.
+    """Define trainings for every arm and every seed, which differ only in the observation of the policy.
 
     Args:
-        arms: What is compared, by name.
-        env: A goal-conditioned simulated environment, its reward in metres.
-        env_arguments: Of the environment; ``reward_type`` is ``"sparse"`` unless they say otherwise.
+        arms: The arms to compare, by name.
+        env: A goal-conditioned simulated environment whose reward is in metres.
+        env_arguments: Arguments of the environment; the default of ``reward_type`` is ``"sparse"``.
         episode: Steps of an episode.
-        difficulties: Drawn from in training; a name that stands twice is drawn twice as often.
-        after: Episodes after which one more of these joins the first; 0 draws from all of them at once.
-        seeds: Of the trainings of each arm.
-        steps: Of a training.
-        algorithm: Of Stable-Baselines3.
-        hyperparameters: Of the algorithm, as Stable-Baselines3 names them; ``net_arch`` too.
-        her: Arguments of ``HerReplayBuffer``; None for no hindsight, and always with PPO and A2C.
-        normalize: Arguments of ``VecNormalize``; None for none.
-        evaluation: How policies are tried out.
-        reference: The arm that the others are compared with; None for the first.
+        difficulties: Difficulties drawn in training; a name that occurs twice is drawn twice as often.
+        after: Number of episodes after which the next difficulty is added to the first; 0 draws from all at once.
+        seeds: Seeds of the trainings of each arm.
+        steps: Steps of a training.
+        algorithm: Algorithm of Stable-Baselines3.
+        hyperparameters: Hyperparameters of the algorithm, with the names of Stable-Baselines3, and ``net_arch``.
+        her: Arguments of ``HerReplayBuffer``; None for no hindsight, as required by PPO and A2C.
+        normalize: Arguments of ``VecNormalize``; None for no normalisation.
+        evaluation: How policies are evaluated.
+        reference: The arm with which the others are compared; None for the first.
 
     Raises:
-        SpecError: Something is missing, out of range, or does not fit together.
+        SpecError: A value is missing or out of range, or values do not fit together.
     """
 
     arms: Mapping[str, Arm]
@@ -224,9 +152,11 @@ class Study(Spec):
             raise SpecError("arms: expected at least one, got none.")
         for name in self.arms:
             if not name or not set(name) <= _NAME or name.startswith("."):
-                raise SpecError(f"arms: a name is a folder's too: letters, digits and '._-', got {name!r}.")
+                raise SpecError(
+                    f"arms: a name is also the name of a folder: expected letters, digits and '._-', got {name!r}."
+                )
         if not self.seeds or len(set(self.seeds)) != len(self.seeds):
-            raise SpecError(f"seeds: expected different ones, at least one, got {list(self.seeds)}.")
+            raise SpecError(f"seeds: expected at least one seed, all different, got {list(self.seeds)}.")
         if min(self.seeds) < 0 or max(self.seeds) >= self.evaluation.seed:
             raise SpecError(f"seeds: expected 0 ... evaluation.seed - 1, got {list(self.seeds)}.")
         for name in ("steps", "episode"):
@@ -240,7 +170,7 @@ class Study(Spec):
             raise SpecError(f"reference: no arm {self.reference!r}{did_you_mean(self.reference, self.arms)}")
 
     def made_with(self, arm: str) -> dict[str, Any]:
-        """All that the numbers of a run depend on, but its seed."""
+        """Return everything on which the results of a run depend, except its seed."""
         whole = self.to_dict()
         return {
             **{name: value for name, value in whole.items() if name not in ("arms", "seeds", "reference")},
@@ -248,10 +178,9 @@ class Study(Spec):
         }
 
     def hash(self, arm: str) -> str:
-        """SHA-256 of ``made_with``."""
+        """Return the SHA-256 hash of ``made_with``."""
         text = json.dumps(self.made_with(arm), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
-
 
 
 def load_study(path: str | os.PathLike[str]) -> Study:
@@ -259,7 +188,7 @@ def load_study(path: str | os.PathLike[str]) -> Study:
 
     Raises:
         FileNotFoundError: There is no such file.
-        SpecError: It is no YAML, of another version, or not understood; the message names the place.
+        SpecError: The file is not YAML, has another version, or is invalid; the message names the place.
     """
     data = read_yaml(Path(path), "study")
     if not isinstance(data, Mapping) or data.get("version") != VERSION:
@@ -269,4 +198,3 @@ def load_study(path: str | os.PathLike[str]) -> Study:
         return Study.from_dict({name: value for name, value in data.items() if name != "version"})
     except SpecError as error:
         raise SpecError(f"{path}: {error}") from error
-

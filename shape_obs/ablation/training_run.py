@@ -1,4 +1,4 @@
-"""One training of an ablation, from its seed to its scores."""
+"""Train one policy of a study from its seed, and evaluate it."""
 
 from __future__ import annotations
 
@@ -7,46 +7,29 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from shape_obs.ablation.study import Arm
-from shape_obs.ablation.study import make_env
-from shape_obs.ablation.scores import Score
-from shape_obs.ablation.scores import play
-from shape_obs.ablation.study import OFF_POLICY, Study
+from shape_obs.ablation.scores import Row, play
+from shape_obs.ablation.study import OFF_POLICY, Arm, Disturbance, Study
 
 if TYPE_CHECKING:
     import gymnasium as gym
     from stable_baselines3.common.base_class import BaseAlgorithm
 
-#: Arguments that go to the policy, not to the algorithm.
+_POINTS: Final = {"kind": "points3d", "frame": "base"}
+#: Hyperparameters of the policy, not of the algorithm.
 _POLICY: Final = ("net_arch", "activation_fn", "optimizer_kwargs")
 
 Tick = Callable[[int], object]
 
 
 @dataclass(frozen=True)
-class Row:
-    """Scores at one time of a training.
-
-    Attributes:
-        steps: Steps of training before.
-        disturbance: In which the policy was tried out; empty for none.
-        score: Of one episode.
-    """
-
-    steps: int
-    disturbance: str
-    score: Score
-
-
-@dataclass(frozen=True)
 class Trained:
-    """What came out of a run.
+    """The result of a training run.
 
     Attributes:
         rows: Scores of all evaluations.
-        ms_per_step: Wall time of training for each step of the env, milliseconds, without evaluations.
-        model: The policy.
-        env: The vector environment that it was trained in.
+        ms_per_step: Wall time of training per step of the environment in milliseconds, without evaluations.
+        model: The trained model.
+        env: The vector environment of the training.
     """
 
     rows: tuple[Row, ...]
@@ -56,22 +39,22 @@ class Trained:
 
 
 def run(study: Study, arm: str, seed: int, tick: Tick = lambda steps: None) -> Trained:
-    """Train one policy and try it out; equal arguments give equal scores.
+    """Train one policy and evaluate it. Equal arguments give equal scores.
 
     Args:
-        study: What is compared.
+        study: The study.
         arm: Name of one of its arms.
-        seed: Of the training.
-        tick: Called with the number of steps after each of them.
+        seed: Seed of the training.
+        tick: Called after each step with the number of steps so far.
 
     Raises:
-        ValueError: Something of the study is not understood.
+        ValueError: A value in the study is invalid.
         ImportError: The extra ``sb3`` or ``sim`` is missing.
     """
     import torch
     from stable_baselines3.common.callbacks import BaseCallback
 
-    # One run a core; and sums in threads come out differently.
+    # Each run has one core, and sums of several threads are not reproducible.
     torch.set_num_threads(1)
     spec, plan = study.arms[arm], study.evaluation
     env = training_env(study, spec, seed)
@@ -81,7 +64,7 @@ def run(study: Study, arm: str, seed: int, tick: Tick = lambda steps: None) -> T
     rows: list[Row] = []
 
     class Evaluate(BaseCallback):
-        """Tries the policy out now and then."""
+        """Evaluate the policy every ``plan.every`` steps."""
 
         seconds = 0.0
 
@@ -104,12 +87,12 @@ def run(study: Study, arm: str, seed: int, tick: Tick = lambda steps: None) -> T
         rows.extend(Row(steps, "", score) for score in scores)
     finally:
         trial.close()
-    rows.extend(_disturbed(study, spec, model, seeds, steps))
+    rows.extend(_evaluate_disturbed(study, spec, model, seeds, steps))
     return Trained(tuple(rows), 1e3 * taken / steps, model, env)
 
 
 def training_env(study: Study, arm: Arm, seed: int) -> Any:
-    """The vector environment that an arm is trained in, of one environment."""
+    """Make the vector environment, with one environment, in which an arm is trained."""
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize, VecTransposeImage
 
@@ -122,7 +105,9 @@ def training_env(study: Study, arm: Arm, seed: int) -> Any:
     vector: Any = DummyVecEnv([make])
     vector.seed(seed)
     if arm.observation == "pixels":
-        vector = VecTransposeImage(vector)  # before it is normalised: the replay buffer asks for what came before that
+        vector = VecTransposeImage(
+            vector
+        )  # inside VecNormalize, since the replay buffer reads unnormalised observations
     if study.normalize is None:
         return vector
     # Images are scaled by the network.
@@ -131,7 +116,7 @@ def training_env(study: Study, arm: Arm, seed: int) -> Any:
 
 
 def make_model(study: Study, arm: Arm, env: Any, seed: int) -> BaseAlgorithm:
-    """The algorithm that is to learn."""
+    """Make the model of an arm."""
     import stable_baselines3 as sb3
 
     from shape_obs.training import GoalDifference, ImageAndGoal, PixelPolicy
@@ -146,18 +131,18 @@ def make_model(study: Study, arm: Arm, env: Any, seed: int) -> BaseAlgorithm:
     if study.her is not None:
         given |= {"replay_buffer_class": sb3.HerReplayBuffer, "replay_buffer_kwargs": dict(study.her)}
     if study.algorithm in OFF_POLICY:
-        given.setdefault("buffer_size", study.steps)  # nothing is ever forgotten
+        given.setdefault("buffer_size", study.steps)  # keeps every step
     kind = getattr(sb3, study.algorithm)
     network = PixelPolicy if arm.observation == "pixels" and study.algorithm == "SAC" else "MultiInputPolicy"
     return kind(network, env, policy_kwargs=policy, seed=seed, device="cpu", **given)
 
 
 def act_of(model: BaseAlgorithm) -> Callable[[Any], Any]:
-    """What the policy does, without exploring, for an observation of the environment itself."""
+    """Return a function for the deterministic action of a model, given an observation of a single environment."""
     normalize = model.get_vec_normalize_env()
 
     def act(observation: Mapping[str, Any]) -> Any:
-        # A batch of one: normalisation and policy take a vector environment's observations.
+        # A batch of one, since normalisation and policy expect observations of a vector environment.
         batch: Any = {key: value[None] for key, value in observation.items()}
         if normalize is not None:
             batch = normalize.normalize_obs(batch)
@@ -166,10 +151,10 @@ def act_of(model: BaseAlgorithm) -> Callable[[Any], Any]:
     return act
 
 
-def _disturbed(study: Study, arm: Arm, model: BaseAlgorithm, seeds: range, steps: int) -> Iterable[Row]:
+def _evaluate_disturbed(study: Study, arm: Arm, model: BaseAlgorithm, seeds: range, steps: int) -> Iterable[Row]:
     plan = study.evaluation
     if arm.observation == "truth":
-        return  # sees no images
+        return  # it does not read images
     for name, disturbance in plan.disturbances.items():
         env = make_env(arm, study.env, _arguments(study), study.episode, disturbance)
         try:
@@ -185,3 +170,61 @@ def _arguments(study: Study) -> dict[str, Any]:
 
 def _has_visible(env: Any) -> bool:
     return bool(env.env_method("has_wrapper_attr", "visible")[0])
+
+
+def make_env(
+    arm: Arm, name: str, arguments: Mapping[str, Any], steps: int, disturbance: Disturbance | None = None
+) -> gym.Env[Any, Any]:
+    """Make the environment with the observation of an arm.
+
+    Args:
+        arm: The arm.
+        name: A simulated environment with goals, such as ``"ShapeObs/Cable-v0"``.
+        arguments: Arguments of the environment; those of the arm and then of the disturbance replace them.
+        steps: Steps of an episode.
+        disturbance: Disturbance of the images.
+
+    Returns:
+        A goal-conditioned environment. If it has the attribute ``visible``, a policy may read only so many numbers
+        of a goal.
+
+    Raises:
+        ValueError: An argument is invalid.
+    """
+    import gymnasium as gym
+
+    from shape_obs.training import Pixels, PointReward, Shuffled, TrueState
+    from shape_obs.wrappers import ShapeGoal, ShapeObservation
+
+    disturbance = disturbance or Disturbance()
+    options = {**arguments, **arm.env, **disturbance.env}
+    env: Any
+    if arm.observation == "truth":
+        options |= {"render_observation": False}
+    env = gym.make(_qualified(name), max_episode_steps=steps, disable_env_checker=True, **options)
+    noise = (
+        None if arm.noise is None and disturbance.noise is None else {**(arm.noise or {}), **(disturbance.noise or {})}
+    )
+    if noise is not None and arm.observation != "truth":
+        from shape_obs_envs.d455 import D455Noise
+
+        env = D455Noise(env, noise)
+    if arm.observation == "truth":
+        env = TrueState(env, arm.keep)
+    elif arm.observation == "pixels":
+        env = Pixels(env)
+    elif arm.features is None:
+        env = ShapeObservation(env, arm.shapes, features=[_POINTS], keep=list(arm.keep) or None)
+    else:
+        features = [*(feature.to_dict() for feature in arm.features), _POINTS]
+        env = ShapeObservation(env, arm.shapes, features=features)
+        # The threshold of ShapeGoal has no effect: PointReward has its own, in metres.
+        simulator: Any = env.unwrapped
+        env = ShapeGoal(env, features=features, threshold=1.0)
+        env = PointReward(env, simulator.reward_type, simulator.success_threshold)
+    return Shuffled(env) if arm.shuffle else env
+
+
+def _qualified(name: str) -> str:
+    """Add the module that registers this package's environments, if the name is one of them."""
+    return f"shape_obs_envs:{name}" if name.startswith("ShapeObs/") else name

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
     from shape_obs.ablation import Study
-    from shape_obs.ablation.executors import Engine
-    from shape_obs.ablation.executors import Outcome
+    from shape_obs.ablation.executors import Engine, Outcome
 
 
 @dataclass(frozen=True)
@@ -80,8 +79,7 @@ def _run(args: Arguments, study: Study) -> list[Outcome]:
     """Run what is not finished yet, and return the failed runs."""
     from tqdm import tqdm
 
-    from shape_obs.ablation.sweep import check
-    from shape_obs.ablation.sweep import left, sweep
+    from shape_obs.ablation.sweep import check, left, sweep
 
     folders = left(study, args.out, list(dict.fromkeys(args.only)), list(dict.fromkeys(args.seeds)))
     if not folders:
@@ -95,8 +93,7 @@ def _run(args: Arguments, study: Study) -> list[Outcome]:
 
 
 def _engine(args: Arguments) -> Engine:
-    from shape_obs.ablation.executors import Local
-    from shape_obs.ablation.executors import Ray
+    from shape_obs.ablation.executors import Local, Ray
 
     if args.engine == "ray":
         return Ray(args.address, args.jobs)
@@ -114,20 +111,16 @@ def _progress(bar: tqdm, runs: int) -> Callable[[int, Sequence[Outcome]], None]:
 
 def _results(args: Arguments, study: Study) -> dict[str, Any]:
     """Write table and pictures of the finished runs; return the results and the files."""
-    from shape_obs.ablation.results import finished
-    from shape_obs.ablation.results import write_results
-    from shape_obs.ablation.report import draw
+    from shape_obs.ablation.report import draw, markdown, summary_to_dict, write_table
+    from shape_obs.ablation.results import finished_runs, write_results
     from shape_obs.ablation.statistics import summarize
-    from shape_obs.ablation.report import markdown
-    from shape_obs.ablation.report import plain_summary
-    from shape_obs.ablation.report import write_table
 
-    runs = finished(study, args.out)
+    runs = finished_runs(study, args.out)
     if not runs:
         raise ValueError(f"{args.out}: no run of this study is finished.")
     summary = summarize(study, runs)
     files = [write_results(runs, args.out), write_table(study, summary, args.out), *draw(study, summary, args.out)]
-    return {"arms": plain_summary(summary), "table": markdown(study, summary), "files": [str(path) for path in files]}
+    return {"arms": summary_to_dict(summary), "table": markdown(study, summary), "files": [str(path) for path in files]}
 
 
 def _text(result: dict[str, Any]) -> str:

@@ -20,6 +20,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final
 
 from shape_obs import __version__
+from shape_obs.spec import to_plain
 from shape_obs.utils.files import write_whole
 
 if TYPE_CHECKING:
@@ -86,11 +87,11 @@ class RunLog:
     def _write_step(self, record: Mapping[str, Any]) -> None:
         # Shapes become JSON here: in the loop that would delay the robot.
         shapes = [shape.to_dict() for shape in record.get("shapes", ())]
-        self._steps.write(json.dumps(plain({**record, "shapes": shapes}), separators=(",", ":")) + "\n")
+        self._steps.write(json.dumps(to_plain({**record, "shapes": shapes}), separators=(",", ":")) + "\n")
         self._steps.flush()
 
     def _write(self, name: str, content: Mapping[str, Any]) -> None:
-        text = json.dumps(plain(content), indent=2) + "\n"
+        text = json.dumps(to_plain(content), indent=2) + "\n"
         write_whole(self.folder / name, lambda path: path.write_text(text, encoding="utf-8"))
 
     def _work(self) -> None:

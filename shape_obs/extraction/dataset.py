@@ -4,22 +4,19 @@ Where the work on episodes is done: in this process, in several of this machine,
 """
 
 from __future__ import annotations
+
 import json
-from collections.abc import Generator, Mapping, Sequence
+import logging
+import os
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
-from shape_obs.extraction.extraction import Extraction
+
+from shape_obs.extraction.extraction import Extraction, work
 from shape_obs.extraction.task import Outcome, Task, stem
 from shape_obs.recording.table import check_table_path
 from shape_obs.utils.documents import read_json
 from shape_obs.utils.files import make_folder, write_text
-import logging
-import os
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
-from shape_obs.extraction.extraction import Extraction, work
-from shape_obs.extraction.task import Outcome, Task
-
 
 Engine = Literal["local", "ray"]
 
@@ -28,7 +25,6 @@ Engine = Literal["local", "ray"]
 DATASET_FILE: Final = "_extraction.json"
 
 FAILURES_FILE: Final = "_failures.json"
-
 
 
 def extract(
@@ -87,7 +83,6 @@ def extract(
         path.unlink(missing_ok=True)
 
 
-
 def _claim(folder: Path, made_with: Mapping[str, Any]) -> None:
     """Say what the dataset is made with, or see that it is made with the same."""
     path = make_folder(folder) / DATASET_FILE
@@ -108,7 +103,6 @@ def _claim(folder: Path, made_with: Mapping[str, Any]) -> None:
             )
 
 
-
 def _remove_what_is_gone(folder: Path, tasks: Sequence[Task]) -> None:
     """Remove parts of episodes that these recordings had once."""
     wanted = {task.part for task in tasks}
@@ -119,11 +113,8 @@ def _remove_what_is_gone(folder: Path, tasks: Sequence[Task]) -> None:
                 part.unlink()
 
 
-
 def _write(path: Path, content: Any) -> None:
     write_text(path, json.dumps(content, indent=1) + "\n")
-
-
 
 
 def local(job: Extraction, tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
@@ -147,7 +138,6 @@ def local(job: Extraction, tasks: Sequence[Task], jobs: int) -> Iterator[Outcome
         raise ChildProcessError(
             "a process was killed, perhaps for want of memory: run again with fewer --jobs; what is done is kept."
         ) from error
-
 
 
 def on_ray(job: Extraction, tasks: Sequence[Task], jobs: int | None, address: str | None) -> Iterator[Outcome]:
@@ -195,14 +185,12 @@ def on_ray(job: Extraction, tasks: Sequence[Task], jobs: int | None, address: st
             ray.shutdown()
 
 
-
 def _at_most(ray: Any, jobs: int | None) -> dict[str, Any]:
     """The arguments of ``map`` that hold it to so many tasks; the older of them is deprecated in Ray 2.5x."""
     if jobs is None:
         return {}
     strategy = getattr(ray.data, "TaskPoolStrategy", None)
     return {"concurrency": jobs} if strategy is None else {"compute": strategy(jobs)}
-
 
 
 def _elsewhere(folder: Path, job: Extraction, made_with: Mapping[str, Any], task: Task) -> Outcome:
@@ -212,4 +200,3 @@ def _elsewhere(folder: Path, job: Extraction, made_with: Mapping[str, Any], task
     except OSError as error:
         return Outcome(task, "failed", reason=f"{folder} is not there on this machine: {error.strerror}.")
     return work(job, made_with, task)
-

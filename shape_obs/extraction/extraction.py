@@ -4,33 +4,30 @@ Extraction: what all episodes of a dataset have in common, and the work on one o
 """
 
 from __future__ import annotations
-from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
-from typing import Any
-import numpy as np
-from shape_obs.configurations import Configuration
-from shape_obs.features import Block, Feature, FeatureVector
-from shape_obs.features import FeatureContext as View
-from shape_obs.recording import Moment
-from shape_obs.recording.table import Column
-from shape_obs.shape import Detection
+
 import hashlib
 import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
+
 from shape_obs import __version__
 from shape_obs.config import config_hash, detector_arguments, schema_hash
+from shape_obs.configurations import Configuration
 from shape_obs.detector import ShapeDetector
 from shape_obs.extraction.task import Outcome, Task
-from shape_obs.features import read_features
-from shape_obs.recording import ShapeLog, ShapeTable, replay
+from shape_obs.features import Block, Feature, FeatureVector, read_features
+from shape_obs.features import FeatureContext as View
+from shape_obs.recording import Moment, ShapeLog, ShapeTable, replay
 from shape_obs.recording.replay import check_depth
+from shape_obs.recording.table import Column
+from shape_obs.shape import Detection
 from shape_obs.source import RGBDSource
 from shape_obs.utils.threads import one_thread
-
 
 
 class FeatureLog:
@@ -90,7 +87,6 @@ class FeatureLog:
         }
 
 
-
 def _named(blocks: Iterable[Block]) -> Iterable[tuple[str, Block]]:
     """Blocks with the names of their columns; a second one of a kind is numbered."""
     seen: Counter[str] = Counter()
@@ -100,9 +96,7 @@ def _named(blocks: Iterable[Block]) -> Iterable[tuple[str, Block]]:
         yield name if seen[name] == 1 else f"{name}_{seen[name]}", block
 
 
-
 _NOWHERE: Final = {"points2d": 2, "points3d": 3}
-
 
 
 @dataclass(frozen=True)
@@ -148,7 +142,6 @@ class Extraction:
         return ShapeDetector(**{**given, "on_missing": "nan"} if given.get("on_missing") == "raise" else given)
 
 
-
 def work(job: Extraction, made_with: Mapping[str, Any], task: Task) -> Outcome:
     """Find the shapes of an episode and write them, unless that was done before.
 
@@ -183,7 +176,6 @@ def work(job: Extraction, made_with: Mapping[str, Any], task: Task) -> Outcome:
     return Outcome(task, "done", len(table), table.metadata["ok"], warnings=tuple(dict.fromkeys(said)))
 
 
-
 def _kept(part: Path, made: Mapping[str, Any], task: Task) -> Outcome | None:
     """Return the outcome of an earlier run; None where its part is damaged, or made of something else."""
     if not part.exists():
@@ -193,7 +185,6 @@ def _kept(part: Path, made: Mapping[str, Any], task: Task) -> Outcome | None:
         return Outcome(task, "kept", known["frames"], known["ok"]) if known.get("made_with") == made else None
     except (KeyError, ValueError, OSError):
         return None
-
 
 
 def _table(job: Extraction, made: Mapping[str, Any], task: Task) -> ShapeTable:
@@ -217,7 +208,6 @@ def _table(job: Extraction, made: Mapping[str, Any], task: Task) -> ShapeTable:
     return ShapeTable({**columns, **collected.columns()}, told)
 
 
-
 def _whole(columns: Mapping[str, Column], sizes: Mapping[str, int]) -> dict[str, Column]:
     """The columns that every part has, whatever its recording lacks; without times of the machine that read it."""
     found = {name: column for name, column in columns.items() if name != "received"}
@@ -226,4 +216,3 @@ def _whole(columns: Mapping[str, Column], sizes: Mapping[str, int]) -> dict[str,
             found.setdefault(f"{name}/{kind}", np.full((len(columns["frame"]), size, axes), np.nan, np.float32))
     first = [name for name in found if "/" not in name]
     return {name: found[name] for name in [*first, *sorted(set(found) - set(first))]}
-

@@ -4,6 +4,7 @@ record: from a source into a folder.
 """
 
 from __future__ import annotations
+
 import json
 import platform
 import sys
@@ -15,22 +16,24 @@ from importlib import metadata
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
+
 from shape_obs import __version__
 from shape_obs.camera import CameraModel
 from shape_obs.extrinsics import now
 from shape_obs.recording.format import CAMERA_FILE, END, FORMAT, FRAMES_FILE, VERSION, Moment, camera_to_dict, store
 from shape_obs.source import RGBDSource
 from shape_obs.utils.files import make_folder, write_text
+
 if TYPE_CHECKING:
     from typing_extensions import Self
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from itertools import chain
-from typing import Any, Literal
+from typing import Literal
+
 from shape_obs.frame import Frame
 from shape_obs.recording.format import read_moments
-from shape_obs.source import EndOfSource, RGBDSource, SourceError
-
+from shape_obs.source import EndOfSource, SourceError
 
 
 class RecordingWriter:
@@ -167,7 +170,6 @@ class RecordingWriter:
             raise OSError(f"{self._error}; {self.frames} whole frames are kept in {self.path}.") from self._error
 
 
-
 def check_new_folder(path: Path) -> None:
     """See that a recording can be written there, before a source is opened.
 
@@ -182,7 +184,6 @@ def check_new_folder(path: Path) -> None:
         path.rmdir()
 
 
-
 def software() -> dict[str, str]:
     """Versions of what made a file."""
     versions = {"shape_obs": __version__, "python": platform.python_version()}
@@ -193,7 +194,6 @@ def software() -> dict[str, str]:
             except metadata.PackageNotFoundError:  # another build of it
                 versions[name] = str(getattr(sys.modules[module], "__version__", "unknown"))
     return versions
-
 
 
 def _head(source: RGBDSource, depth: bool) -> dict[str, Any]:
@@ -211,9 +211,7 @@ def _head(source: RGBDSource, depth: bool) -> dict[str, Any]:
     }
 
 
-
 Depth = Literal["auto", "yes", "no"]
-
 
 
 @dataclass
@@ -253,7 +251,6 @@ class Recorded:
     def to_dict(self) -> dict[str, Any]:
         """JSON-able values."""
         return {**{field.name: getattr(self, field.name) for field in fields(self)}, "path": str(self.path)}
-
 
 
 def record(
@@ -307,4 +304,3 @@ def record(
         writer.close(missed=told.missed, dropped=told.dropped, stopped=told.stopped)
     told.frames = writer.frames
     return told
-

@@ -8,11 +8,9 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
+from shape_obs.training.comparisons import Pixels, Shuffled, TrueState
 from shape_obs.training.curriculum import Curriculum
-from shape_obs.training.comparisons import Pixels
 from shape_obs.training.point_reward import PointReward
-from shape_obs.training.comparisons import Shuffled
-from shape_obs.training.comparisons import TrueState
 
 if TYPE_CHECKING:
     from shape_obs.training.extractors import GoalDifference as GoalDifference

@@ -6,16 +6,17 @@ TrueState: what the simulator knows in place of what a camera sees, for comparis
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 from typing import Any
+
 import gymnasium as gym
 import numpy as np
+import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
-from shape_obs.wrappers.env_protocol import GOALS, has_goals
-import numpy.typing as npt
-from shape_obs.wrappers.env_protocol import GOALS
-from collections.abc import Sequence
 
+from shape_obs.wrappers.env_protocol import GOALS, has_goals
 
 
 class Pixels(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
@@ -53,9 +54,7 @@ class Pixels(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
         return self.env.get_wrapper_attr("compute_reward")(achieved_goal, desired_goal, info)
 
 
-
 Vector = npt.NDArray[np.float32]
-
 
 
 class Shuffled(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
@@ -119,8 +118,6 @@ class Shuffled(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
         return self._rng.permutation(points.reshape(-1, 3)).ravel()
 
 
-
-
 class TrueState(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
     """The privileged state of a goal-conditioned simulated env, in the layout that ``ShapeObservation`` gives.
 
@@ -168,4 +165,3 @@ class TrueState(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
         """The env's own."""
         return self.env.get_wrapper_attr("compute_reward")(achieved_goal, desired_goal, info)
-

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from shape_obs.ablation import Study
-from shape_obs.ablation.results import Finished
-from shape_obs.ablation.training_run import Row
-from shape_obs.ablation.scores import Score
-from shape_obs.ablation.statistics import difference, improvement, interval, iqm
-from shape_obs.ablation.study import SpecError
-from shape_obs.ablation.statistics import summarize
 from shape_obs.ablation.report import markdown
+from shape_obs.ablation.results import FinishedRun
+from shape_obs.ablation.scores import Row, Score
+from shape_obs.ablation.statistics import difference, improvement, interval, iqm, summarize
+from shape_obs.spec import SpecError
 
 
 def test_a_quarter_is_left_out_at_either_end():
@@ -64,7 +62,9 @@ def study():
     )
 
 
-def finished(arm: str, seed: int, shares: dict[int, tuple[int, int]], hand: tuple[int, int] | None = None) -> Finished:
+def finished(
+    arm: str, seed: int, shares: dict[int, tuple[int, int]], hand: tuple[int, int] | None = None
+) -> FinishedRun:
     """A run that reached so many of ten near and of ten far goals after so many steps."""
     told = [(steps, "", reached) for steps, reached in shares.items()]
     if hand is not None:
@@ -75,7 +75,7 @@ def finished(arm: str, seed: int, shares: dict[int, tuple[int, int]], hand: tupl
         for difficulty, count in zip(("near", "far"), reached, strict=True)
         for goal in range(10)
     ]
-    return Finished(arm, seed, rows, {"ms_per_step": 17.0})
+    return FinishedRun(arm, seed, rows, {"ms_per_step": 17.0})
 
 
 def test_the_figures_of_an_arm(study):

@@ -20,9 +20,8 @@ import yaml
 from ablation_study import STUDY, here, killing, numbers, worker_of
 
 from shape_obs.ablation import load_study
-from shape_obs.ablation.sweep import check
 from shape_obs.ablation.executors import Local
-from shape_obs.ablation.sweep import left, sweep
+from shape_obs.ablation.sweep import check, left, sweep
 from shape_obs.cli import main
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "ablations"

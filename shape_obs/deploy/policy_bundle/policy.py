@@ -14,7 +14,7 @@ from shape_obs.deploy.policy_bundle.documents import MALFORMED, BundleError
 from shape_obs.deploy.policy_bundle.environment import obstacle, reading_wrappers
 from shape_obs.deploy.policy_bundle.limits import check_wrapper
 from shape_obs.deploy.policy_bundle.record import Difference, Record, Surroundings, differences, format_differences
-from shape_obs.deploy.policy_bundle.spaces import Statistics, zeros
+from shape_obs.deploy.policy_bundle.spaces import Statistics, space_from_dict, zeros
 from shape_obs.features import Feature, Points3D, read_features
 from shape_obs.robot import ActionSpec
 from shape_obs.utils.documents import load_named
@@ -55,6 +55,17 @@ class Bundle:
         """Return the deterministic action for an observation, of shape ``(A,)``, usually in -1 ... 1."""
         normalized = observation if self.statistics is None else self.statistics.normalize(observation)
         return np.asarray(self.policy.predict(normalized, deterministic=True)[0])
+
+    def check_action(self) -> None:
+        """Refuse a policy that returns no valid action for an observation of zeros.
+
+        Raises:
+            BundleError: The action has another shape, or is not finite.
+        """
+        action = self.act(zeros(space_from_dict(self.record.observation_space, "the observation space")))
+        shape = self.policy.action_space.shape
+        if action.shape != shape or not np.isfinite(action).all():
+            raise BundleError(f"the policy returns no finite action of shape {shape}: {action!r:.100}.")
 
     def make_env(self, **arguments: Any) -> gym.Env[Any, Any]:
         """Rebuild the environment of the training, without wrappers that only observe it, such as ``Monitor``.
@@ -142,9 +153,7 @@ class Bundle:
         """
         reason = obstacle(self.spec)
         if not reason and self.action_spec is None:
-            reason = (
-                "it was saved without action_spec, so the meaning of its actions is unknown: save it with action_spec="
-            )
+            reason = "it was saved without action_spec, the meaning of its actions: save it with action_spec="
         if reason:
             raise BundleError(f"the policy cannot be deployed: {reason}.")
 

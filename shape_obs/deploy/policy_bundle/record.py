@@ -119,6 +119,30 @@ class Record(Surroundings):
         space_from_dict(self.observation_space, "the observation space")
         space_from_dict(self.action_space, "the action space")
 
+    def check_versions(self) -> None:
+        """Refuse packages of another major version than in training.
+
+        Raises:
+            BundleError: The message names the packages.
+        """
+        fatal = version_differences(self.versions, versions())[0]
+        if fatal:
+            raise BundleError(f"it may not run correctly with other major versions: {', '.join(fatal)}.")
+
+    def check_schema(self) -> None:
+        """Refuse features that have another meaning in this version of the library.
+
+        Raises:
+            BundleError: The hashes of the feature schema differ.
+        """
+        here = None if self.config is None else schema_hash(self.config)
+        if here != self.schema:
+            raise BundleError(
+                f"its features mean something else here: the hash of their schema is {str(here)[:12]}..., recorded was "
+                f"{str(self.schema)[:12]}... Use the version of shape-obs that saved it: "
+                f"{self.versions.get('shape-obs')}"
+            )
+
 
 def shape_observation(env: gym.Env[Any, Any]) -> ShapeObservation | None:
     """Return the outermost ``ShapeObservation`` of an environment; None if it has none."""

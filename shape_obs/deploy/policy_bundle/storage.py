@@ -13,10 +13,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import yaml
 
-from shape_obs.config import SECTIONS, DetectorConfig, detector_arguments, dump_config, schema_hash
+from shape_obs.config import SECTIONS, DetectorConfig, detector_arguments, dump_config
 from shape_obs.deploy.policy_bundle import environment
 from shape_obs.deploy.policy_bundle.archive import (
     CONFIG,
@@ -53,9 +52,7 @@ from shape_obs.deploy.policy_bundle.spaces import (
     Statistics,
     channels_first,
     layout_differences,
-    space_from_dict,
     space_to_dict,
-    zeros,
 )  # fmt: skip
 from shape_obs.robot import ActionSpec
 from shape_obs.spec import to_plain
@@ -195,7 +192,9 @@ def load_bundle(path: str | os.PathLike[str], *, device: str = "cpu", trust: boo
                 weakref.finalize(bundle, shutil.rmtree, folder, ignore_errors=True)
     except BundleError as error:
         raise BundleError(f"{path}: {error}") from error
-    _warn_of_versions(path, bundle.record)
+    doubtful = version_differences(bundle.record.versions, versions())[1]
+    if doubtful:
+        warnings.warn(f"{path}: saved with other versions: {', '.join(doubtful)}.", UserWarning, stacklevel=2)
     return bundle
 
 
@@ -230,8 +229,8 @@ def _assemble(archive: Archive, folder: Path | None, device: str, trust: bool) -
         config = _config(members, folder, trust)
         record = Record.from_dict({**described, "config": config})
         record.check()
-        _check_versions(record)
-        _check_schema(record)
+        record.check_versions()
+        record.check_schema()
         env = unpack(read_json(members[ENV], ENV), members, folder, trust=trust)
         spec = environment.from_gymnasium(env) if old else environment.from_dict(env, trust=trust)
         if network is None:
@@ -240,7 +239,7 @@ def _assemble(archive: Archive, folder: Path | None, device: str, trust: bool) -
             policy = network.build(members.pop(WEIGHTS), device)
         _check_spaces(policy, record)
         bundle = Bundle(record, spec, policy, _statistics(members, record), trusted=trust)
-        _check_acting(bundle)
+        bundle.check_action()
         return bundle
     except BundleError:
         raise
@@ -272,29 +271,6 @@ def _statistics(members: Mapping[str, bytes], record: Record) -> Statistics | No
     return statistics
 
 
-def _check_versions(record: Record) -> None:
-    fatal = version_differences(record.versions, versions())[0]
-    if fatal:
-        raise BundleError(f"it may not run correctly with other major versions: {', '.join(fatal)}.")
-
-
-def _warn_of_versions(path: str | os.PathLike[str], record: Record) -> None:
-    doubtful = version_differences(record.versions, versions())[1]
-    if doubtful:
-        warnings.warn(f"{path}: saved with other versions: {', '.join(doubtful)}.", UserWarning, stacklevel=3)
-
-
-def _check_schema(record: Record) -> None:
-    """Refuse features that have another meaning in this version of the library."""
-    here = None if record.config is None else schema_hash(record.config)
-    if here != record.schema:
-        raise BundleError(
-            f"its features mean something else here: the hash of their schema is {str(here)[:12]}..., recorded was "
-            f"{str(record.schema)[:12]}... Use the version of shape-obs that saved it: "
-            f"{record.versions.get('shape-obs')}"
-        )
-
-
 def _check_spaces(policy: Any, record: Record) -> None:
     """Refuse a network whose spaces are not the recorded ones."""
     for what, own, recorded in (
@@ -306,14 +282,6 @@ def _check_spaces(policy: Any, record: Record) -> None:
                 f"its network has another {what} space than was recorded: {space_to_dict(own)}, recorded is "
                 f"{dict(recorded)}. Save the policy again."
             )
-
-
-def _check_acting(bundle: Bundle) -> None:
-    """Refuse a policy that returns no valid action for an observation of zeros."""
-    action = bundle.act(zeros(space_from_dict(bundle.record.observation_space, "the observation space")))
-    shape = bundle.policy.action_space.shape
-    if action.shape != shape or not np.isfinite(action).all():
-        raise BundleError(f"the policy returns no finite action of shape {shape}: {action!r:.100}.")
 
 
 @contextmanager

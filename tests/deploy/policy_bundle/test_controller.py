@@ -69,7 +69,7 @@ def test_a_policy_plays_episodes_with_goals_of_the_robot(capsys, path, tmp_path)
     [
         (["--controller", "shape_obs.deploy:Still"], "expected a trained policy or --controller, got both"),
         (["--controller-set", "share=1"], "--controller-set: a trained policy takes no arguments"),
-        ([], "give --goal FILE, or --goal robot where it is simulated"),
+        ([], "give --goal FILE, or --goal robot if the robot is simulated"),
         (["--goal", "robot", "--episodes", "0"], "--episodes: expected 1 or more, got 0"),
         (["--goal", "robot", "--rate", "0"], "rate: expected hertz above 0"),
         (["--goal", "robot", "--settle", "-1"], "settle: expected seconds from 0 to below 10"),
@@ -95,7 +95,7 @@ def test_another_rate_is_a_warning_and_a_robot_without_goals_is_told(capsys, pat
     robot += ["--robot", "shape_obs_envs.robots:NullRobot", "--robot-set", f"spec={json.dumps(spec)}"]
     code, _, err = run(capsys, path, *robot, "--goal", "robot", "--rate", "10")
     assert code == 1
-    assert "--rate 10: the policy was trained at 20 steps a second" in err
+    assert "--rate 10: the policy was trained at 20 steps per second" in err
     assert "in the base frame, and nobody knows where this camera stands" in err or "NullRobot knows no goal" in err
 
 
@@ -158,6 +158,6 @@ def test_a_bundle_that_runs_code_needs_trust(capsys, path, tmp_path):
     assert "Load it with trust=True (--trust on the command line) only if you trust who made the file" in err
     code, _, err = run(capsys, tmp_path / "own.policy", "--trust", *CELL)
     assert code == 1
-    assert "give --goal FILE, or --goal robot where it is simulated" in err
+    assert "give --goal FILE, or --goal robot if the robot is simulated" in err
     code, _, err = run(capsys, "--trust", *CELL)
     assert "--trust: it is for a trained policy, and none is given" in err

@@ -103,7 +103,7 @@ class TestDeployable:
         ("make", "reason"),
         [
             (lambda: TrueState(gym.make("ShapeObs/Cable-v0", render_observation=False)), "simulator's state"),
-            (lambda: cable(keep=["gripper"]), "it reads gripper beside the shape, which only its simulator gives"),
+            (lambda: cable(keep=["gripper"]), "it also reads gripper, which only its simulator provides"),
             (rescaled, "the wrapper RescaleAction does on a robot"),
         ],
     )
