@@ -1,4 +1,4 @@
-"""Extraction: shapes and features of many recorded episodes, as a dataset; needs the extra ``parquet``."""
+"""Extract shapes and features of many recorded episodes into a dataset. Needs the extra ``parquet``."""
 
 from shape_obs.extraction.dataset import extract
 from shape_obs.extraction.extraction import Extraction

@@ -1,4 +1,4 @@
-"""Recordings: frames of any source in a folder, and what a detector says about them, as a table and a video."""
+"""Record frames of any source in a folder, and replay them through a detector into a table and a video."""
 
 from __future__ import annotations
 

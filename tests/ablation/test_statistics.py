@@ -104,9 +104,9 @@ def test_the_tables_say_what_is_not_there(study):
 def test_a_study_that_cannot_be_meant_is_refused():
     for wrong, told in (
         ({"arms": {}}, "arms: expected at least one"),
-        ({"arms": {"a/b": {}}}, "a name is a folder's too"),
+        ({"arms": {"a/b": {}}}, "a name is also the name of a folder"),
         ({"arms": {"a": {}}, "reference": "b"}, "no arm 'b'"),
-        ({"arms": {"a": {"observation": "truth", "noise": {}}}}, "the simulator's points have none"),
+        ({"arms": {"a": {"observation": "truth", "noise": {}}}}, "the simulator's points have no noise"),
         ({"arms": {"a": {}}, "her": {}, "algorithm": "PPO"}, "hindsight replay needs one of SAC"),
     ):
         with pytest.raises(SpecError, match=told):

@@ -148,7 +148,7 @@ def test_mistakes_are_told_before_anything_runs(tmp_path, study_file, capsys):
     assert run(study_file, "--out", tmp_path, "--address", "auto") == 1
     assert "--engine ray" in capsys.readouterr().err
     assert run(study_file, "--out", tmp_path, "--table-only") == 1
-    assert "no run of this study is done" in capsys.readouterr().err
+    assert "no run of this study is finished" in capsys.readouterr().err
 
 
 def wait_for(condition: Callable[[], object]) -> bool:

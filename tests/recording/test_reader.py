@@ -208,7 +208,7 @@ def test_a_recording_needs_a_folder_of_its_own(recorded):
         ("camera.json", "cut", r"camera\.json: cannot be read"),
         ("frames.jsonl", "remove", r"frames\.jsonl: cannot be read"),
         ("frames.jsonl", "line", r"frames\.jsonl, line 4: damaged"),
-        ("frames.jsonl", "fewer", r"frames\.jsonl: 19 frames, but its end speaks of 20"),
+        ("frames.jsonl", "fewer", r"frames\.jsonl: 19 frames, but its last line counts 20"),
     ],
 )
 def test_damaged_files_are_named(recorded, tmp_path, name, damage, message):
