@@ -1,4 +1,4 @@
-"""Run a controller on a robot at a fixed rate, and keep it safe."""
+"""Run a controller on a robot at a fixed rate, safely."""
 
 from __future__ import annotations
 
