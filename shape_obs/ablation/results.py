@@ -122,7 +122,7 @@ class RunFolder:
         if about["hash"] != study.hash(self.arm):
             differing = "; ".join(_differences(about["made_with"], study.made_with(self.arm)))
             raise ValueError(
-                f"{self.path} was made with another configuration: {differing}. Choose another folder, or remove this one."
+                f"{self.path} was made with another configuration: {differing}. Choose another folder, or remove it."
             )
         return True
 

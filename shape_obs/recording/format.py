@@ -285,9 +285,7 @@ def read_moments(
         stamp = moment.frame.stamp
         if seconds is not None:
             if stamp is None:
-                raise ValueError(
-                    f"{source.name}: its frames have no stamps: give frames in place of seconds."
-                )
+                raise ValueError(f"{source.name}: its frames have no stamps: give frames in place of seconds.")
             begin = stamp if begin is None else begin
             # Half a millisecond of tolerance, so that rounding errors do not add a frame.
             if stamp - begin > seconds - 5e-4:

@@ -59,9 +59,7 @@ class OverlayVideo:
         size = picture.shape[1], picture.shape[0]
         self._size = self._size or size
         if size != self._size:
-            raise ValueError(
-                f"frame {moment.frame.number} has another size than the first; a video has only one size."
-            )
+            raise ValueError(f"frame {moment.frame.number} has another size than the first; a video has only one size.")
         self._stamps.append(detection.stamp)
         if self._writer is None and len(self._early) < _ENOUGH and self._fps is None:
             self._early.append(picture)

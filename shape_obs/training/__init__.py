@@ -1,6 +1,6 @@
-"""What trainings need beside an env: a curriculum, and other observations to compare a shape's with.
+"""Wrappers and networks for training: a curriculum, a reward of points, and observations for comparison.
 
-``GoalDifference``, ``ImageAndGoal`` and ``PixelPolicy`` need the extra ``sb3``, and are loaded on first use.
+``GoalDifference``, ``ImageAndGoal`` and ``PixelPolicy`` need the extra ``sb3`` and are imported on first use.
 """
 
 from __future__ import annotations

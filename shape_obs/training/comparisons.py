@@ -1,9 +1,4 @@
-"""Pixels: the raw image in place of a shape, for comparison.
-
-Shuffled: points without their order, as a control.
-
-TrueState: what the simulator knows in place of what a camera sees, for comparison.
-"""
+"""Replace the shape in an observation, for comparison: by the image, by the true state, or by unordered points."""
 
 from __future__ import annotations
 
@@ -18,20 +13,22 @@ from gymnasium.utils import RecordConstructorArgs
 
 from shape_obs.wrappers.env_protocol import GOALS, has_goals
 
+Vector = npt.NDArray[np.float32]
+
 
 class Pixels(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
-    """The camera's image as ``observation``, beside the goals of a goal-conditioned simulated env.
+    """Observe the camera's image and the goals of a goal-conditioned simulated environment.
 
-    ``achieved_goal`` is the simulator's, since an image tells no points: it is there for the reward and for hindsight
-    replay, and a policy that is to be compared must not read it (``ImageAndGoal`` does not). ``desired_goal`` are the
-    points of the goal, which such a policy is told.
+    ``achieved_goal`` comes from the simulator, since an image has no points. It is needed for the reward and for
+    hindsight replay, and a policy for a fair comparison must not read it (``ImageAndGoal`` does not). ``desired_goal``
+    holds the points of the goal, which such a policy reads.
 
     Args:
-        env: Goal-conditioned, with an RGB image.
-        key: Of the image, (H, W, 3) uint8.
+        env: A goal-conditioned environment with an RGB image.
+        key: Key of the image, of shape ``(H, W, 3)`` uint8.
 
     Raises:
-        ValueError: The env has no goals, or no such image.
+        ValueError: The environment has no goals, or no such image.
     """
 
     def __init__(self, env: gym.Env[Any, Any], key: str = "rgb") -> None:
@@ -46,91 +43,27 @@ class Pixels(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
         self._key = key
 
     def observation(self, observation: Any) -> dict[str, Any]:
-        """Image and goals."""
+        """Return image and goals."""
         return {"observation": observation[self._key], **{name: observation[name] for name in GOALS}}
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """The env's own."""
+        """Return the environment's own reward."""
         return self.env.get_wrapper_attr("compute_reward")(achieved_goal, desired_goal, info)
 
 
-Vector = npt.NDArray[np.float32]
-
-
-class Shuffled(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
-    """Shows the points of a goal-conditioned env in another order in every frame, as an unordered clustering would.
-
-    ``observation`` and the first ``visible`` numbers of the two goals, all that a policy may read of them, are the
-    points, seen and desired, shuffled apart; the points in their order follow them for the reward.
-
-    Args:
-        env: Goal-conditioned, goals of flat points (x, y, z).
-
-    Attributes:
-        visible: How many numbers of a goal a policy may read.
-
-    Raises:
-        ValueError: The env has no such goals.
-    """
-
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        RecordConstructorArgs.__init__(self)
-        gym.ObservationWrapper.__init__(self, env)
-        space = env.observation_space
-        if not isinstance(space, spaces.Dict) or not all(key in space.spaces for key in GOALS):
-            raise ValueError(f"Shuffled needs an environment with goals, got the observation space {space}.")
-        points = space["desired_goal"]
-        if not isinstance(points, spaces.Box) or len(points.shape) != 1 or points.shape[0] % 3:
-            raise ValueError(f"Shuffled needs goals of flat points (x, y, z), got {points}.")
-        # One box for all points: each of them may stand anywhere.
-        low, high = points.low.reshape(-1, 3), points.high.reshape(-1, 3)
-        anywhere = np.tile(low.min(axis=0), len(low)), np.tile(high.max(axis=0), len(high))
-        self.visible = points.shape[0]
-        goal = spaces.Box(
-            np.concatenate([anywhere[0], points.low]), np.concatenate([anywhere[1], points.high]), dtype=np.float32
-        )
-        seen = spaces.Box(*anywhere, dtype=np.float32)
-        self.observation_space = spaces.Dict({"observation": seen, **dict.fromkeys(GOALS, goal)})
-        self._rng = np.random.default_rng()
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the env; a seed starts the shuffling anew."""
-        if seed is not None:
-            self._rng = np.random.default_rng(seed)
-        return super().reset(seed=seed, options=options)
-
-    def observation(self, observation: Any) -> dict[str, Any]:
-        """Points in another order, then in theirs."""
-        achieved, desired = (np.asarray(observation[key], np.float32) for key in GOALS)
-        seen, wanted = self._shuffle(achieved), self._shuffle(desired)
-        return {
-            "observation": seen,
-            "achieved_goal": np.concatenate([seen, achieved]),
-            "desired_goal": np.concatenate([wanted, desired]),
-        }
-
-    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """The env's own, of the points in their order."""
-        achieved, desired = (np.asarray(goal)[..., self.visible :] for goal in (achieved_goal, desired_goal))
-        return self.env.get_wrapper_attr("compute_reward")(achieved, desired, info)
-
-    def _shuffle(self, points: Vector) -> Vector:
-        return self._rng.permutation(points.reshape(-1, 3)).ravel()
-
-
 class TrueState(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
-    """The privileged state of a goal-conditioned simulated env, in the layout that ``ShapeObservation`` gives.
+    """Observe the true state of a goal-conditioned simulated environment, in the layout of ``ShapeObservation``.
 
-    A Dict of ``observation`` (the env's own ``achieved_goal``, then the vectors it keeps), ``achieved_goal`` and
-    ``desired_goal``, flat points in metres, base frame. Make the env with ``render_observation=False``: nobody looks at
-    its images.
+    A Dict of ``observation`` (the environment's ``achieved_goal``, then the vectors in ``keep``), ``achieved_goal`` and
+    ``desired_goal``: flat points in metres in the base frame. Make the environment with ``render_observation=False``,
+    since its images are not used.
 
     Args:
-        env: Goal-conditioned; its goals are the simulator's.
-        keep: Keys of vectors of the env's observation to append, such as ``["gripper"]``.
+        env: A goal-conditioned environment with the simulator's goals.
+        keep: Keys of vectors in the environment's observation to append, such as ``["gripper"]``.
 
     Raises:
-        ValueError: The env has no goals, or no such vector.
+        ValueError: The environment has no goals, or no such vector.
     """
 
     def __init__(self, env: gym.Env[Any, Any], keep: Sequence[str] = ()) -> None:
@@ -152,10 +85,10 @@ class TrueState(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
         self._keep = list(keep)
 
     def observation(self, observation: Any) -> dict[str, Any]:
-        """The privileged state and the goals, fresh arrays."""
+        """Return the true state and the goals, as new arrays."""
         parts = [observation["achieved_goal"], *(observation[key] for key in self._keep)]
         state = np.concatenate(parts, dtype=np.float32)
-        # What is filtered or measured a little out of its bounds is no reason to leave the space.
+        # Clipped, since values may exceed their bounds slightly.
         box = self.observation_space["observation"]  # type: ignore[index]
         return {
             "observation": np.clip(state, box.low, box.high),
@@ -163,5 +96,66 @@ class TrueState(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
         }
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """The env's own."""
+        """Return the environment's own reward."""
         return self.env.get_wrapper_attr("compute_reward")(achieved_goal, desired_goal, info)
+
+
+class Shuffled(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
+    """Shuffle the points of a goal-conditioned environment in every frame, like a clustering without order.
+
+    ``observation`` and the first ``visible`` numbers of the goals, which are all that a policy may read, hold the
+    detected and the desired points, shuffled separately. The points in their original order follow, for the reward.
+
+    Args:
+        env: A goal-conditioned environment whose goals are flat points (x, y, z).
+
+    Attributes:
+        visible: How many numbers of a goal a policy may read.
+
+    Raises:
+        ValueError: The environment has no such goals.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        RecordConstructorArgs.__init__(self)
+        gym.ObservationWrapper.__init__(self, env)
+        space = env.observation_space
+        if not isinstance(space, spaces.Dict) or not all(key in space.spaces for key in GOALS):
+            raise ValueError(f"Shuffled needs an environment with goals, got the observation space {space}.")
+        points = space["desired_goal"]
+        if not isinstance(points, spaces.Box) or len(points.shape) != 1 or points.shape[0] % 3:
+            raise ValueError(f"Shuffled needs goals of flat points (x, y, z), got {points}.")
+        # The same bounds for all points, since each may be at any index.
+        low, high = points.low.reshape(-1, 3), points.high.reshape(-1, 3)
+        anywhere = np.tile(low.min(axis=0), len(low)), np.tile(high.max(axis=0), len(high))
+        self.visible = points.shape[0]
+        goal = spaces.Box(
+            np.concatenate([anywhere[0], points.low]), np.concatenate([anywhere[1], points.high]), dtype=np.float32
+        )
+        detected = spaces.Box(*anywhere, dtype=np.float32)
+        self.observation_space = spaces.Dict({"observation": detected, **dict.fromkeys(GOALS, goal)})
+        self._rng = np.random.default_rng()
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Reset the environment; a seed restarts the shuffling."""
+        if seed is not None:
+            self._rng = np.random.default_rng(seed)
+        return super().reset(seed=seed, options=options)
+
+    def observation(self, observation: Any) -> dict[str, Any]:
+        """Return the points shuffled, followed in the goals by the points in order."""
+        achieved, desired = (np.asarray(observation[key], np.float32) for key in GOALS)
+        detected, desired_shuffled = self._shuffle(achieved), self._shuffle(desired)
+        return {
+            "observation": detected,
+            "achieved_goal": np.concatenate([detected, achieved]),
+            "desired_goal": np.concatenate([desired_shuffled, desired]),
+        }
+
+    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
+        """Return the environment's own reward, of the points in order."""
+        achieved, desired = (np.asarray(goal)[..., self.visible :] for goal in (achieved_goal, desired_goal))
+        return self.env.get_wrapper_attr("compute_reward")(achieved, desired, info)
+
+    def _shuffle(self, points: Vector) -> Vector:
+        return self._rng.permutation(points.reshape(-1, 3)).ravel()

@@ -78,9 +78,7 @@ def test_without_normalisation_and_goals_from_a_plain_env(tmp_path):
     observation, _ = bundle.make_env().reset(seed=0)
     np.testing.assert_array_equal(bundle.act(observation), model.predict(observation, deterministic=True)[0])
     assert not bundle.needs_goal
-    with pytest.raises(
-        BundleError, match="saved without action_spec, .*: save it with action_spec="
-    ):
+    with pytest.raises(BundleError, match=r"saved without action_spec, .*: save it with action_spec="):
         bundle.controller()
     save_bundle(model, env, tmp_path / "rope.policy", action_spec=NullRobot(1).action_spec)
     assert load_bundle(tmp_path / "rope.policy").controller().action_spec == NullRobot(1).action_spec
