@@ -257,7 +257,8 @@ def _config(members: Mapping[str, bytes], folder: Path | None, trust: bool) -> d
         raise BundleError(f"{CONFIG}: the section 'shape' has no features.")
     if not trust:
         check_configuration(config, CONFIG)
-    return {**config, **DetectorConfig.from_dict(detector_arguments(config)).to_dict()}
+    rest = {name: config[name] for name in ("features", "workspace") if name in config}
+    return {**rest, **DetectorConfig.from_dict(detector_arguments(config)).to_dict()}
 
 
 def _statistics(members: Mapping[str, bytes], record: Record) -> Statistics | None:

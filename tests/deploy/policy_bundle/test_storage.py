@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+import yaml
 from bundles import cable, learner, registered, rope, train
 from known_ropes import fit, ropes
 from rope_env import wrapped
@@ -20,6 +22,7 @@ import shape_obs_envs  # noqa: F401
 from shape_obs import load_bundle, save_bundle, schema_hash
 from shape_obs.deploy.policy_bundle import BundleError
 from shape_obs.deploy.policy_bundle.archive import read_archive, write_archive
+from shape_obs.training import Shuffled
 from shape_obs_envs.robots import NullRobot
 
 
@@ -101,6 +104,24 @@ def test_fitted_features_travel_along(tmp_path):
     assert folder.is_dir()
     del bundle
     assert not folder.exists()
+
+
+@pytest.mark.parametrize("trust", [False, True])
+def test_wrappers_that_have_moved_since_are_found_and_a_backend_is_no_error(tmp_path, trust):
+    """Entry points and configuration as earlier releases wrote them."""
+    env = Shuffled(cable())
+    save_bundle(learner(env), env, tmp_path / "a.policy")
+    members = read_archive(tmp_path / "a.policy").members
+    described, config = json.loads(members["env.json"]), yaml.safe_load(members["config.yaml"])
+    described["wrappers"][-1]["entry_point"] = "shape_obs.training.shuffled:Shuffled"
+    config["runtime"]["backend"] = "numpy"
+    old = {"env.json": json.dumps(described).encode(), "config.yaml": yaml.safe_dump(config).encode()}
+    write_archive(tmp_path / "old.policy", {**members, **old})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the backend
+        bundle = load_bundle(tmp_path / "old.policy", trust=trust)
+    again = bundle.make_env()
+    assert again.action_space.contains(bundle.act(again.reset(seed=0)[0]))
 
 
 class TestFile:
