@@ -1,7 +1,4 @@
-"""B-spline: control points of a piecewise polynomial curve, closed curve or sheet.
-
-Bezier: control points of one polynomial curve or sheet.
-"""
+"""Control points of B-spline and Bezier curves, closed curves and sheets."""
 
 from __future__ import annotations
 
@@ -9,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import interpolate
 
 from shape_obs.features.basis import LinearFit, open_counts, products
 from shape_obs.geometry.topology import Ring, Topology
@@ -68,27 +64,6 @@ class BSpline(LinearFit, kind="bspline"):
         return products(clamped(n, min(self.coefficients, n), min(self.degree, n - 1)) for n in counts)
 
 
-def clamped(points: int, coefficients: int, degree: int) -> Array:
-    """(points, coefficients) the B-splines on 0...1, knots at the ends repeated, at equidistant places.
-
-    Those within are averages of equidistant sites. With degree + 1 coefficients there are none, and the B-splines are
-    Bernstein's polynomials.
-    """
-    within = (np.arange(1, coefficients - degree) + 0.5 * (degree - 1)) / (coefficients - 1)
-    knots = np.pad(within, degree + 1, constant_values=(0.0, 1.0))
-    return interpolate.BSpline.design_matrix(np.linspace(0.0, 1.0, points), knots, degree).toarray()
-
-
-def periodic(points: int, coefficients: int, degree: int) -> Array:
-    """(points, coefficients) the periodic B-splines over uniform knots, at equidistant places, the first at a knot."""
-    knots = np.arange(-degree, coefficients + degree + 1, dtype=np.float64)
-    places = np.arange(points) * coefficients / points
-    unrolled = interpolate.BSpline.design_matrix(places, knots, degree).toarray()
-    rolled = unrolled[:, :coefficients].copy()
-    rolled[:, :degree] += unrolled[:, coefficients:]
-    return rolled
-
-
 @dataclass(frozen=True)
 class Bezier(LinearFit, kind="bezier"):
     """Control points c_j of the curve p(s) = sum_j c_j B_j(s), by least squares at s_i = i / (N - 1).
@@ -126,3 +101,48 @@ class Bezier(LinearFit, kind="bezier"):
         counts = open_counts(layout, self.kind, "'elliptic_fourier' or 'bspline'")
         degrees = [self.degree if len(counts) == 1 else min(self.degree, n - 1) for n in counts]
         return products(clamped(n, degree + 1, degree) for n, degree in zip(counts, degrees, strict=True))
+
+
+def clamped(points: int, coefficients: int, degree: int) -> Array:
+    """Return the B-splines on 0...1 with repeated end knots at equidistant places, of shape (points, coefficients).
+
+    The inner knots are averages of equidistant sites. With degree + 1 coefficients there are none, and the B-splines
+    are Bernstein polynomials.
+    """
+    within = (np.arange(1, coefficients - degree) + 0.5 * (degree - 1)) / (coefficients - 1)
+    knots = np.pad(within, degree + 1, constant_values=(0.0, 1.0))
+    return b_splines(np.linspace(0.0, 1.0, points), knots, degree)
+
+
+def periodic(points: int, coefficients: int, degree: int) -> Array:
+    """Return the periodic B-splines with uniform knots, of shape (points, coefficients).
+
+    They are evaluated at equidistant places, the first of which is a knot.
+    """
+    knots = np.arange(-degree, coefficients + degree + 1, dtype=np.float64)
+    unrolled = b_splines(np.arange(points) * coefficients / points, knots, degree)
+    rolled = unrolled[:, :coefficients].copy()
+    rolled[:, :degree] += unrolled[:, coefficients:]
+    return rolled
+
+
+def b_splines(places: Array, knots: Array, degree: int) -> Array:
+    """Return the values of all B-splines over the knots, of shape (places, len(knots) - degree - 1).
+
+    The recursion of Cox and de Boor (de Boor, 'A practical guide to splines', ch. IX), from indicator functions of the
+    knot spans to splines of the degree. The last span that is not empty includes its right end.
+
+    Args:
+        places: (P,) where the splines are evaluated, between ``knots[degree]`` and ``knots[-degree - 1]``.
+        knots: Non-decreasing knots.
+        degree: The degree of the splines.
+    """
+    last = np.searchsorted(knots, knots[-degree - 1]) - 1
+    span = np.minimum(np.searchsorted(knots, places, side="right") - 1, last)
+    values = (span[:, None] == np.arange(len(knots) - 1)).astype(np.float64)
+    for order in range(1, degree + 1):
+        widths = knots[order:] - knots[:-order]
+        ramp = (places[:, None] - knots[:-order]) / np.where(widths > 0, widths, 1.0)
+        # Over an empty span the spline of the lower order is zero, whatever the ramp.
+        values = ramp[:, :-1] * values[:, :-1] + (1 - ramp[:, 1:]) * values[:, 1:]
+    return values
