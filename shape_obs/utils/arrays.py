@@ -1,4 +1,4 @@
-"""Read and write images and arrays; sizes are checked before memory is allocated, and damaged files raise ValueError."""
+"""Read and write images and arrays, with limits on their size and one declared error for damaged files."""
 
 from __future__ import annotations
 
