@@ -16,27 +16,27 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BSpline(LinearFit, kind="bspline"):
-    """Control points c_j of the curve p(s) = sum_j c_j N_j(s), by least squares at s_i = i / (N - 1).
+    """Control points c_j of the B-spline p(s) = sum_j c_j N_j(s), by least squares at s_i = i / (N - 1).
 
-    N_j are the B-splines of degree d (de Boor, 'A practical guide to splines', ch. IX). The ends' knots are repeated,
-    so that the curve runs from the first control point to the last; the others are averages of d neighbours among as
-    many equidistant sites as there are coefficients (Piegl & Tiller, 'The NURBS book', eq. 9.8; for cubics those of
-    a not-a-knot spline): uniform, but for longer spans at the ends. Equal spans crowd the functions there, and leave
-    1.3 to 1.9 times the error on bent cables. A ring has the periodic B-splines over uniform knots, at s_i = i / N.
+    N_j are the B-splines of degree d (de Boor, 'A practical guide to splines', ch. IX). The end knots are repeated, so
+    that the curve runs from the first control point to the last. The inner knots are averages of d neighbours among as
+    many equidistant sites as there are coefficients (Piegl & Tiller, 'The NURBS book', eq. 9.8; for cubics those of a
+    not-a-knot spline): they are uniform except for longer spans at the ends. With equal spans the error on bent cables
+    is 1.3 to 1.9 times as large. A ring has periodic B-splines with uniform knots, at s_i = i / N.
 
     A lattice has products, p(s, t) = sum_jk c_jk N_j(s) N_k(t) with s down the rows and t along the columns, c_jk row
-    by row; in each direction at most as many, and of at most as high a degree, as it has points for. Points are
-    equidistant, so s is the place along the curve. A control point moves only the part of the curve near it.
+    by row. The number and the degree of the functions in each direction are limited by its number of points. Points
+    are equidistant, so s is the position along the curve. A control point affects only the part of the curve near it.
 
-    Translation and rotation move control points like points; reversing the points reverses the control points. A curve
-    that is such a spline gives its own control points back, a straight line the points at its Greville abscissae.
+    Translation and rotation transform control points like points; reversing the points reverses the control points. The
+    fit to such a spline returns its own control points, that to a straight line its points at the Greville abscissae.
 
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
         origin: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
         max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
-        coefficients: How many control points; on a lattice in each direction.
-        degree: Of the pieces; 3 is cubic: two continuous derivatives.
+        coefficients: Number of control points; on a lattice in each direction.
+        degree: Degree of the pieces; 3 is cubic, with two continuous derivatives.
     """
 
     coefficients: int = 8
@@ -51,10 +51,10 @@ class BSpline(LinearFit, kind="bspline"):
             )
 
     def basis(self, layout: Topology) -> Array:
-        """(N, coefficients); (N, rows' x columns') of a lattice.
+        """Return the functions, of shape (N, coefficients); for a lattice their products.
 
         Raises:
-            ValueError: More coefficients than points.
+            ValueError: There are more coefficients than points.
         """
         if isinstance(layout, Ring):
             return periodic(layout.count, self.coefficients, self.degree)
@@ -66,23 +66,23 @@ class BSpline(LinearFit, kind="bspline"):
 
 @dataclass(frozen=True)
 class Bezier(LinearFit, kind="bezier"):
-    """Control points c_j of the curve p(s) = sum_j c_j B_j(s), by least squares at s_i = i / (N - 1).
+    """Control points c_j of the Bezier curve p(s) = sum_j c_j B_j(s), by least squares at s_i = i / (N - 1).
 
-    B_j(s) = binom(n, j) s^j (1 - s)^(n - j) are Bernstein's polynomials of degree n (Farin, 'Curves and surfaces for
+    B_j(s) = binom(n, j) s^j (1 - s)^(n - j) are the Bernstein polynomials of degree n (Farin, 'Curves and surfaces for
     CAGD', ch. 5-6). A lattice has their products, p(s, t) = sum_jk c_jk B_j(s) B_k(t) with s down the rows and t along
-    the columns, c_jk row by row; in each direction the degree is at most one less than there are points. Points are
-    equidistant, so s is the place along the curve.
+    the columns, c_jk row by row; in each direction the degree is less than the number of points. Points are
+    equidistant, so s is the position along the curve.
 
-    Translation and rotation move control points like points; reversing the points reverses the control points. Every
-    control point moves the whole curve, and the more of them, the further they swing from it: each degree more about
-    doubles how strongly the noise of the points shows in them, and where an end is missing it swings. ``bspline`` has
-    neither.
+    Translation and rotation transform control points like points; reversing the points reverses the control points.
+    Every control point affects the whole curve. The higher the degree, the further control points lie from the curve:
+    each additional degree about doubles their noise, and a missing end makes them oscillate. ``bspline`` has neither
+    problem.
 
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
         origin: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
         max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
-        degree: Of the polynomial, one less than there are control points.
+        degree: Degree of the polynomial, one less than the number of control points.
     """
 
     degree: int = 5
@@ -93,10 +93,10 @@ class Bezier(LinearFit, kind="bezier"):
             raise SpecError(f"bezier: needs a degree of at least 1, got {self.degree}.")
 
     def basis(self, layout: Topology) -> Array:
-        """(N, degree + 1); (N, rows' x columns') of a lattice.
+        """Return the functions, of shape (N, degree + 1); for a lattice their products.
 
         Raises:
-            ValueError: A ring, or more control points than points.
+            ValueError: The layout is a ring, or has fewer points than control points.
         """
         counts = open_counts(layout, self.kind, "'elliptic_fourier' or 'bspline'")
         degrees = [self.degree if len(counts) == 1 else min(self.degree, n - 1) for n in counts]
