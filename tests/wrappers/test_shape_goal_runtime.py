@@ -24,7 +24,10 @@ GOALS = ("achieved_goal", "desired_goal")
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"goal": {"points": [[0, 0, 0]] * 5, "layout": {"kind": "surface"}}}, "a goal of kind 'surface' does not fit shape 'con"),
+        (
+            {"goal": {"points": [[0, 0, 0]] * 5, "layout": {"kind": "surface"}}},
+            "kind 'surface' does not fit shape 'con",
+        ),
         ({"goal": [[0, 0, 0.0]] * 2}, "goal of a 'contour': expected at least 3 points, got 2"),
         ({"goal": [[0, 0, 0], [1, 0, np.inf]]}, r"expected 3 finite numbers a point in frame 'base', point 1 is"),
         (

@@ -142,7 +142,7 @@ def test_a_goal_that_does_not_fit_is_refused():
     assert view.camera is not None
     nowhere = FeatureContext(160, 120, type(view.camera)(view.camera.intrinsics))
     with pytest.raises(
-        ValueError, match=r"'base' needs the camera's place there: give camera=CameraModel\(intrinsics, t"
+        ValueError, match=r"'base' needs the pose of the camera: give camera=CameraModel\(intrinsics, t"
     ):
         Target.read(LINE).shape_for(spec, nowhere)
     with pytest.raises(ValueError, match=r"equal gaps in metres: give its goal in metres too, not in pixels"):
