@@ -96,7 +96,7 @@ class RobotArguments:
     robot_set: tuple[str, ...] = ()
     """KEY=VALUE: arguments of the robot's class, such as address=10.0.0.2."""
     config: Path | None = None
-    """A YAML config file, as `shape-obs detect --pick` writes it; default: the robot's own config."""
+    """A YAML config file, as `shape-obs detect` writes it for a picked pixel; default: the robot's own config."""
     extrinsics: Path | None = None
     """The pose of the camera in the base frame, as `shape-obs calibrate base` writes it."""
     size: tuple[int, int] = (640, 480)

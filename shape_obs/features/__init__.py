@@ -1,4 +1,4 @@
-"""Features: a shape as numbers with units, a frame and finite bounds, one feature a file."""
+"""Features: numbers computed from a shape, with units, a frame and finite bounds."""
 
 from shape_obs.features.curvature import Curvature, Tangents, TurningAngles
 from shape_obs.features.distribution import PointDistribution

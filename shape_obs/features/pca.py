@@ -1,4 +1,4 @@
-"""Principal components of recorded shapes."""
+"""The feature ``pca``: coefficients of the principal components of recorded shapes."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PrincipalComponents(Positional, kind="pca"):
-    """Coefficients of the principal components of recorded shapes: ``shape-obs fit-features`` fits them.
+    """Coefficients of the principal components of recorded shapes, which ``shape-obs fit-features`` fits.
 
-    (c_1, ..., c_K) in the points' unit, with ``p = mean + sum_k c_k v_k``. Of a file that was fitted with ``--align``:
-    (t, s cos a, s sin a, s c_1, ..., s c_K) with ``p = t + s R(a) (mean + sum_k c_k v_k)``, where the shift t is left
-    out if the origin is the centroid. Points that were not measured hardly count. Formulas and sources stand at
-    ``PointDistribution``.
+    The values are (c_1, ..., c_K) in the unit of the points, with ``p = mean + sum_k c_k v_k``. For a file that was
+    fitted with ``--align`` they are (t, s cos a, s sin a, s c_1, ..., s c_K) with ``p = t + s R(a) (mean + sum_k c_k
+    v_k)``, without the shift t if the origin is the centroid. Points that were not measured have a small weight. For
+    formulas and sources see ``PointDistribution``.
 
     Args:
-        file: The fitted file; a relative path is one from the working directory. It is read once, here.
-        frame: None for that of the file; another one is refused.
-        origin: None for that of the file; another one is refused.
+        file: The fitted file, absolute or relative to the working directory. It is read once, in the constructor.
+        frame: None, or the frame of the file.
+        origin: None, or the origin of the file.
         max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It holds something else, is damaged, or was fitted in another frame or to another origin.
+        ValueError: The file contains something else, is damaged, or was fitted in another frame or to another origin.
     """
 
     file: str
@@ -56,7 +56,7 @@ class PrincipalComponents(Positional, kind="pca"):
             given, fitted = getattr(self, name), getattr(model, name)
             if given not in (None, fitted):
                 raise SpecError(
-                    f"pca: {self.file} was fitted with {name} {fitted!r}, but {name}={given!r} is asked for: "
+                    f"pca: {self.file} was fitted with {name} {fitted!r}, but {name}={given!r} was requested: "
                     f"leave {name} out, or fit again with --{name} {given}."
                 )
         coordinates = Coordinates(model.frame, model.origin, self.max_depth, self.kind)
@@ -65,22 +65,22 @@ class PrincipalComponents(Positional, kind="pca"):
 
     @property
     def model(self) -> PointDistribution:
-        """What the file holds."""
+        """The content of the file."""
         return self._model  # type: ignore[attr-defined]
 
     @property
     def unit(self) -> str:
-        """That of the points; empty where the file was fitted with ``--align``, since a turn has none."""
+        """The unit of the points; empty if the file was fitted with ``--align``, since a rotation has none."""
         return "" if self.model.aligned else self.coordinates.unit
 
     def units(self, layout: Topology, context: FeatureContext) -> tuple[str, ...]:
-        """That of the points, and none for a turn."""
+        """Return the unit of the points for each value, and none for a rotation."""
         model, unit = self._fitted_to(layout), self.coordinates.unit
         shift = max(model.placed - 2, 0) * (unit,)
         return (*shift, *(model.aligned * ("", "")), *(len(model.components) * (unit,)))
 
     def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
-        """What points anywhere in their box can give: each coefficient is a weighted sum of them.
+        """Return the bounds for points anywhere in their box; each coefficient is a weighted sum of the points.
 
         Raises:
             ValueError: The file was fitted to another layout.
@@ -94,17 +94,20 @@ class PrincipalComponents(Positional, kind="pca"):
         return (up @ low + down @ high).sum(axis=1) - at, (up @ high + down @ low).sum(axis=1) - at
 
     def compute(self, shape: Shape, context: FeatureContext) -> Array:
-        """(K,), or more where the file was fitted with ``--align``."""
+        """Return the values, of shape (K,); more if the file was fitted with ``--align``."""
         model = self._fitted_to(shape.layout)
         points = self.coordinates.points(shape, context)
         return model.values(points, self.coordinates.weights(shape, points))
 
     def reconstruct(self, values: npt.ArrayLike, layout: Topology, context: FeatureContext) -> Array:
-        """(N,2) or (N,3) the shape of these components."""
+        """Return the points with these components, of shape (N, 2) or (N, 3)."""
         return self._fitted_to(layout).points(values)
 
     def error(self, shape: Shape, context: FeatureContext) -> float:
-        """As of any feature; relative to the centroid, that of the same points counts on both sides."""
+        """Return the mean distance of the measured points from the reconstructed ones, in the points' unit.
+
+        If the origin is the centroid, both sets of points are taken relative to their own centroid.
+        """
         points = self.coordinates.points(shape, context)
         known = self.coordinates.weights(shape, points) == 1
         off = (points - self.reconstruct(self.compute(shape, context), shape.layout, context))[known]
@@ -113,7 +116,7 @@ class PrincipalComponents(Positional, kind="pca"):
         return float(np.linalg.norm(off, axis=1).mean())
 
     def identity(self) -> dict[str, Any]:
-        """The file's content, wherever it lies."""
+        """Return what determines the values: the content of the file, not its path."""
         return {"kind": self.kind, "sha256": self._sha256, "max_depth": self.max_depth}  # type: ignore[attr-defined]
 
     def _fitted_to(self, layout: Topology) -> PointDistribution:
@@ -123,7 +126,7 @@ class PrincipalComponents(Positional, kind="pca"):
         return model
 
     def _bounds_aligned(self, low: Array, high: Array) -> tuple[Array, Array]:
-        """Whatever the heading: N points of a box lie, together, within sqrt(N) / 2 diagonals of their centroid."""
+        """Return the bounds for any heading: N points of a box lie within sqrt(N) / 2 diagonals of their centroid."""
         model = self.model
         span = (high - low) / (1 if model.origin is None else 2)  # relative to an origin the box is twice as wide
         plane, rest = np.sqrt(len(model.mean)) / 2 * np.array([np.linalg.norm(span[:2]), np.linalg.norm(span[2:])])
@@ -136,11 +139,11 @@ class PrincipalComponents(Positional, kind="pca"):
 
 
 def read_fitted(path: Path) -> tuple[PointDistribution, str]:
-    """A fitted file and the SHA-256 of its content; parsed anew only where it has changed.
+    """Return the content of a fitted file and its SHA-256; an unchanged file is parsed once.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It holds something else, or is damaged.
+        ValueError: The file contains something else, or is damaged.
     """
     content = read_bytes(path)
     return _parsed(content, str(path)), hashlib.sha256(content).hexdigest()

@@ -26,6 +26,8 @@ LONGEST_YAML: Final = 8 << 20
 class SpecError(ValueError):
     """A configuration that cannot be understood; the message names the place, the value and what was expected."""
 
+    __module__ = "shape_obs.spec"  # its public path, which tracebacks show
+
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return the end of an error message about an unknown name: ``"; did you mean 'x'? Known: ..."``."""

@@ -1,4 +1,4 @@
-"""Goal points of any number as the points that a configuration would put on such a shape, index for index."""
+"""Resample goal points to the points of a configuration, index for index."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from shape_obs.spec import did_you_mean
 
 Array = npt.NDArray[np.float64]
 
-_LEAST: Final = 3  # points of a curve
+_LEAST: Final = 3  # smallest number of points of a curve
 
 
-def goal_topology(told: Mapping[str, Any], spec: Configuration, count: int) -> Topology:
-    """How the points of a goal hang together.
+def goal_topology(layout: Mapping[str, Any], spec: Configuration, count: int) -> Topology:
+    """Return the topology of the points of a goal.
 
     Args:
-        told: What is known of it: ``{"kind": "centerline"}``, ``{"kind": "contour"}`` or ``{"kind": "surface",
-            "rows": 5, "cols": 7}``; what is missing is as the configuration's own.
-        spec: The configuration whose points the goal is for.
-        count: How many points the goal has.
+        layout: ``{"kind": "centerline"}``, ``{"kind": "contour"}`` or ``{"kind": "surface", "rows": 5, "cols": 7}``;
+            missing entries are those of the configuration.
+        spec: The configuration of the shape that has the goal.
+        count: Number of points of the goal.
 
     Raises:
-        ValueError: The goal is of another kind than the configuration, or has too few or too many points for it.
+        ValueError: The goal is of another kind than the configuration, or has the wrong number of points.
     """
-    kind, own, told = told.get("kind", spec.kind), spec.layout, dict(told)
+    kind, own = layout.get("kind", spec.kind), spec.layout
     if kind != spec.kind:
-        raise ValueError(f"a goal laid out as a {kind!r} is no goal for shape {spec.name!r}, which is a {spec.kind!r}.")
+        raise ValueError(f"a goal of kind {kind!r} does not fit shape {spec.name!r}, which is a {spec.kind!r}.")
     known = ("kind", "rows", "cols") if isinstance(own, Grid) else ("kind",)
-    for name in told:
+    for name in layout:
         if name not in known:
             raise ValueError(f"goal_layout of a {kind!r}: unknown entry {name!r}{did_you_mean(name, known)}")
     if isinstance(own, Grid):
-        grid = Grid(int(told.get("rows", own.rows)), int(told.get("cols", own.cols)))
+        grid = Grid(int(layout.get("rows", own.rows)), int(layout.get("cols", own.cols)))
         if grid.size != count or min(grid.rows, grid.cols) < 2:
             raise ValueError(
                 f"goal of a {kind!r}: expected {grid.rows} x {grid.cols} points, at least 2 x 2, got {count} points; "
-                f'say how they are laid out: {{"kind": {kind!r}, "rows": ..., "cols": ...}}.'
+                f'give their layout: {{"kind": {kind!r}, "rows": ..., "cols": ...}}.'
             )
         return grid
     if not isinstance(own, (Chain, Ring)):
@@ -56,24 +56,24 @@ def goal_topology(told: Mapping[str, Any], spec: Configuration, count: int) -> T
     return type(own)(count)
 
 
-def placed(points: Array, spec: Configuration, topology: Topology, intrinsics: Intrinsics | None) -> Array:
-    """Goal points placed anew by the code that places a detector's points.
+def resample(points: Array, spec: Configuration, topology: Topology, intrinsics: Intrinsics | None) -> Array:
+    """Resample goal points with the code that resamples the points of a detection.
 
-    A curve goes from end to end, a lattice from border to border, whatever ``ends`` the configuration has. Point 0
-    keeps its place; outlines and lattices that run counterclockwise as seen are turned over, since a detector numbers
-    all of them clockwise.
+    A curve extends from end to end and a lattice from border to border, for any ``ends`` of the configuration. Point 0
+    keeps its position; outlines and lattices that run counterclockwise in the image are reversed, since detections
+    always run clockwise.
 
     Args:
-        points: (K,3) metres, camera frame, or (K,2) pixels.
-        spec: The configuration whose points are wanted.
-        topology: How the K points hang together.
-        intrinsics: The projection; not needed for pixels.
+        points: (K, 3) metres, camera frame, or (K, 2) pixels.
+        spec: The configuration that the points are resampled for.
+        topology: The topology of the K points.
+        intrinsics: The intrinsics of the camera; not needed for pixels.
 
     Returns:
-        (N,3) metres, camera frame, or (N,2) pixels.
+        Points of shape (N, 3) in metres, camera frame, or (N, 2) in pixels.
 
     Raises:
-        ValueError: A point that is not in front of the camera, or pixels for gaps that are to be equal in metres.
+        ValueError: A point is not in front of the camera, or the gaps must be equal in metres but points are pixels.
     """
     form = _form(points, _pixels(points, intrinsics), topology)
     if spec.spacing == "m" or spec.lift == "cloud":
@@ -88,7 +88,7 @@ def placed(points: Array, spec: Configuration, topology: Topology, intrinsics: I
 
 
 def shape_at(places: Array, spec: Configuration, intrinsics: Intrinsics | None) -> Shape:
-    """A shape whose points are known: (N,3) metres, camera frame, or (N,2) pixels."""
+    """Return a shape with all points known: (N, 3) metres, camera frame, or (N, 2) pixels."""
     pixels = _pixels(places, intrinsics).astype(np.float32)
     points3d = places.astype(np.float32) if places.shape[1] == 3 else None
     known = np.ones(spec.count, bool)
@@ -107,7 +107,7 @@ def _pixels(points: Array, intrinsics: Intrinsics | None) -> Array:
 
 
 def _form(points: Array, seen: Array, topology: Topology) -> Form:
-    """The smooth form through points (K,D), which the camera sees at (K,2) pixels."""
+    """Return the smooth curve or lattice through points (K, D) that the camera sees at pixels (K, 2)."""
     if isinstance(topology, Grid):
         lattice, seen = topology.lattice(points), topology.lattice(seen)
         border = np.concatenate([seen[0, :-1], seen[:-1, -1], seen[-1, :0:-1], seen[:0:-1, 0]])
@@ -124,7 +124,7 @@ def _form(points: Array, seen: Array, topology: Topology) -> Form:
 
 
 def _finer(lattice: Array) -> Array:
-    """(R,C,D) -> (R',C,D): more rows, on smooth curves down the columns."""
+    """Add rows to a lattice on smooth curves down its columns: (R, C, D) -> (R', C, D)."""
     if len(lattice) < _LEAST:
         return lattice
     rows = np.ascontiguousarray(lattice).reshape(len(lattice), -1)

@@ -173,8 +173,7 @@ class TestBase:
         words = ["calibrate", "base", "--source", tmp_path / "recording", "--touches", tmp_path / "t.csv"]
         assert run(*words, "-o", tmp_path / "e.json") == 1
         assert (
-            "markers 0, 1, 2, 3 are seen, but there is no depth on them: give the markers' size"
-            in capsys.readouterr().err
+            "markers 0, 1, 2, 3 are visible, but have no depth: give the size of the markers" in capsys.readouterr().err
         )
         assert run(*words, "-o", tmp_path / "e.json", "--size", 60) == 0
         assert "by the size of the markers" in capsys.readouterr().out

@@ -272,13 +272,13 @@ def test_a_name_and_a_number_are_all_that_a_config_needs(feature, layout):
 @pytest.mark.parametrize(
     ("feature", "layout", "message"),
     [
-        (Fourier(), OUTLINE, "'fourier' is of open curves, but the shape is a ring: use 'elliptic_fourier'"),
-        (Bezier(), OUTLINE, "is of open curves, but the shape is a ring: use 'elliptic_fourier' or 'bspline'"),
-        (EllipticFourier(), ROPE, r"'elliptic_fourier' is of rings, got Chain\(count=20\): use 'fourier'"),
+        (Fourier(), OUTLINE, "'fourier' is for open curves, but the shape is a ring: use 'elliptic_fourier'"),
+        (Bezier(), OUTLINE, "is for open curves, but the shape is a ring: use 'elliptic_fourier' or 'bspline'"),
+        (EllipticFourier(), ROPE, r"'elliptic_fourier' is for rings, got Chain\(count=20\): use 'fourier'"),
         (Fourier(harmonics=4), Chain(8), "'fourier' has 9 functions here, but the shape has 8 points: use fewer"),
         (EllipticFourier(harmonics=4), Ring(8), "has 9 functions here, but the shape has 8 points: use fewer"),
         (BSpline(), Chain(7), "has 8 functions here, but the shape has 7 points: use fewer"),
-        (Fourier(), Grid(2, 3), r"at least 9 functions on a lattice, got Grid\(rows=2, cols=3\): use more points"),
+        (Fourier(), Grid(2, 3), r"at least 9 points on a lattice, got Grid\(rows=2, cols=3\): use more points"),
     ],
 )
 def test_what_a_layout_does_not_have_is_told(feature, layout, message):

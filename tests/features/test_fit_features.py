@@ -120,7 +120,7 @@ class TestCommand:
             (["flat"], base, "the shape has no points3d"),
             (["few"], base, "only 3 shapes are complete, 0 are not: record more"),
             (["t", "other"], base, "is Chain(count=21), but Chain(count=20) came before"),
-            (["bare"], base, "its metadata lack shapes or camera"),
+            (["bare"], base, "its metadata have no shapes or no camera"),
             (["fitted"], base, "not a table of shapes"),
             (["none"], base, "no such file"),
         ):
@@ -134,7 +134,7 @@ class TestCommand:
             assert not (tmp_path / "o.npz").exists()
         for arguments, message in (
             ((tmp_path / "t.npz", "-o", "o.txt"), "--out: expected a file named *.npz"),
-            ((tmp_path, "-o", tmp_path / "o.npz"), "is no table (.npz, .parquet, .csv): give --config FILE"),
+            ((tmp_path, "-o", tmp_path / "o.npz"), "is not a table (.npz, .parquet, .csv): give --config FILE"),
             ((tmp_path, "-o", tmp_path / "o.npz", "--config", tmp_path / "c.yaml"), "found neither"),
         ):
             code, _, err = self.command(capsys, *arguments)

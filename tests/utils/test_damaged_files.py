@@ -217,7 +217,7 @@ def test_images_that_would_take_all_memory(folder):
     shape = b"(12, 16)"
     replace(other, 2, "depth", data.replace(shape + b", }" + b" " * 12, b"(1200000, 160000), }   "))
     change(other, 1, rgb=entry(other, 0))
-    with pytest.raises(BadRecording, match="its header speaks of 768000000000 bytes"):
+    with pytest.raises(BadRecording, match="its header announces 768000000000 bytes"):
         read(other)
 
 

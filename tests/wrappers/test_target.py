@@ -122,7 +122,7 @@ def test_a_goal_that_does_not_fit_is_refused():
     env = observing(KINDS[0])
     view, spec = view_of(env), env.detector.shapes[0]
     cases: list[tuple[Any, Any, str]] = [
-        ({"points": LINE, "layout": {"kind": "contour"}}, view, r"laid out as a 'contour' is no goal for shape 'cent"),
+        ({"points": LINE, "layout": {"kind": "contour"}}, view, r"a goal of kind 'contour' does not fit shape 'cent"),
         ({"points": LINE[:2]}, view, r"goal of a 'centerline': expected at least 3 points, got 2"),
         ({"points": LINE - [0, 0, 9], "frame": "camera"}, view, r"in front of the camera, got \[-0.1, 0.0, -9.0\]"),
         (
@@ -142,7 +142,7 @@ def test_a_goal_that_does_not_fit_is_refused():
     assert view.camera is not None
     nowhere = FeatureContext(160, 120, type(view.camera)(view.camera.intrinsics))
     with pytest.raises(
-        ValueError, match=r"'base' needs the camera's place there: give camera=CameraModel\(intrinsics, t"
+        ValueError, match=r"'base' needs the pose of the camera: give camera=CameraModel\(intrinsics, t"
     ):
         Target.read(LINE).shape_for(spec, nowhere)
     with pytest.raises(ValueError, match=r"equal gaps in metres: give its goal in metres too, not in pixels"):
@@ -156,7 +156,7 @@ def test_a_record_of_another_configuration_is_refused():
     other = observing({"kind": "centerline", "n": 15}, ends="tips")
     with pytest.raises(
         ValueError,
-        match=r"recorded with {'n': 12, 'ends': 'centers'}, shape 'centerline' has {'n': 15, 'ends': 'tips'}: its po",
+        match=r"recorded with {'n': 12, 'ends': 'centers'}, but shape 'centerline' has {'n': 15, 'ends': 'tips'}. Rec",
     ):
         target.shape_for(other.detector.shapes[0], view_of(env))
     named = observing({"kind": "centerline", "n": 12, "name": "rope", "order": "image"})
@@ -187,7 +187,7 @@ def test_only_what_was_seen_is_recorded():
 
     with pytest.raises(ValueError, match="nothing has been seen yet; call reset first"):
         record_goal(observing(KINDS[0]))
-    with pytest.raises(ValueError, match="shape 'contour' was not found, so it is no goal: the mask is empty"):
+    with pytest.raises(ValueError, match="shape 'contour' was not found and cannot be a goal: the mask is empty"):
         record_goal(look("thing"))
     half = look("depth")
     with pytest.raises(
