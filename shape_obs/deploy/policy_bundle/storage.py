@@ -164,7 +164,7 @@ def _normalize(env: Any) -> Any:
 def load_bundle(path: str | os.PathLike[str], *, device: str = "cpu", trust: bool = False) -> Bundle:
     """Read a policy that ``save_bundle`` wrote. Without ``trust``, no code from the file runs, now or later.
 
-    The documentation lists what a file may hold and how large it may be, under "Deploy what you trained".
+    The documentation lists what a file may hold and how large it may be, under "Deploy a trained policy".
 
     Args:
         path: The file.
