@@ -58,11 +58,11 @@ def improvement(*strata: Array, axis: int = -1) -> Any:
     Ties count one half: this is the Mann-Whitney statistic over the number of pairs, averaged over the difficulties.
     """
     half = len(strata) // 2
-    shares = []
+    probabilities = []
     for ours, theirs in zip(strata[:half], strata[half:], strict=True):
-        apart = np.moveaxis(ours, axis, -1)[..., :, None] - np.moveaxis(theirs, axis, -1)[..., None, :]
-        shares.append(((apart > 0) + 0.5 * (apart == 0)).mean(axis=(-2, -1)))
-    return np.mean(shares, axis=0)
+        gap = np.moveaxis(ours, axis, -1)[..., :, None] - np.moveaxis(theirs, axis, -1)[..., None, :]
+        probabilities.append(((gap > 0) + 0.5 * (gap == 0)).mean(axis=(-2, -1)))
+    return np.mean(probabilities, axis=0)
 
 
 def interval(strata: Sequence[Sequence[float]], statistic: Statistic = iqm) -> Interval:

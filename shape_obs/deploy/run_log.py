@@ -149,9 +149,9 @@ class Quantiles:
         """Return the quantiles of all values, of which there must be at least one."""
         return Section(self._quantile(0.5), self._quantile(0.95), round(self._most, 3))
 
-    def _quantile(self, share: float) -> float:
+    def _quantile(self, fraction: float) -> float:
         reached = np.cumsum(self._counts)
-        bin_ = int(np.searchsorted(reached, share * reached[-1]))
+        bin_ = int(np.searchsorted(reached, fraction * reached[-1]))
         if bin_ == 0:
             return 0.0
         return round(min(_LEAST * math.exp((bin_ - 0.5) * _GROWTH), self._most), 3)

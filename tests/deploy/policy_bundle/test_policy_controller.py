@@ -96,7 +96,7 @@ def test_another_rate_is_a_warning_and_a_robot_without_goals_is_told(capsys, pat
     code, _, err = run(capsys, path, *robot, "--goal", "robot", "--rate", "10")
     assert code == 1
     assert "--rate 10: the policy was trained at 20 steps per second" in err
-    assert "in the base frame, and nobody knows where this camera stands" in err or "NullRobot knows no goal" in err
+    assert "in the base frame, but this camera has no extrinsics" in err or "NullRobot provides no goals" in err
 
 
 class TestSettle:
@@ -160,4 +160,4 @@ def test_a_bundle_that_runs_code_needs_trust(capsys, path, tmp_path):
     assert code == 1
     assert "give --goal FILE, or --goal robot if the robot is simulated" in err
     code, _, err = run(capsys, "--trust", *CELL)
-    assert "--trust: it is for a trained policy, and none is given" in err
+    assert "--trust: only for a trained policy, and none is given" in err
