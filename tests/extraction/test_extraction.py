@@ -74,7 +74,7 @@ def content(folder):
 def place(tmp_path_factory):
     """Twenty recordings of a simulated cable in ``recorded``, the last with two episodes, and a config."""
     folder = tmp_path_factory.mktemp("place")
-    save_config(folder / "c.yaml", {"shapes": [ROPE], "segmentation": BLUE, "features": FEATURES, "backend": "numpy"})
+    save_config(folder / "c.yaml", {"shapes": [ROPE], "segmentation": BLUE, "features": FEATURES})
     with open_source(
         "ShapeObs/Cable-v0", seed=0, actions="random", renderer="rays", camera=(96, 72), max_episode_steps=FRAMES - 1
     ) as source:
