@@ -107,7 +107,7 @@ class TestTopView:
             MarkerLayout.rectangle(marker=0.3, width=0.5, height=0.7)
         with pytest.raises(ValueError, match="unknown marker dictionary '4x4'; did you mean '4x4_50'"):
             MarkerLayout.rectangle(0.05, 0.5, 0.5, dictionary="4x4")
-        with pytest.raises(ValueError, match=r"an id of its own, got \[0, 1, 1, 3\]"):
+        with pytest.raises(ValueError, match=r"its own id, got \[0, 1, 1, 3\]"):
             MarkerLayout.rectangle(0.05, 0.5, 0.5, ids=(0, 1, 1, 3))
 
     def test_layout_travels_as_a_mapping(self):
