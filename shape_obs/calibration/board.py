@@ -91,9 +91,6 @@ def _detector(board: Board, thread: int) -> Any:
     return cv2.aruco.CharucoDetector(_board(board))
 
 
-_LEAST_CORNERS: Final = 8
-
-
 class BoardView(NamedTuple):
     """The corners of a board that one image shows.
 
