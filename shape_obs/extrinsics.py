@@ -1,4 +1,4 @@
-"""Extrinsics: where a camera stands in the robot's base frame, and the file that says so."""
+"""Extrinsics: the pose of a camera in the robot's base frame, and its file."""
 
 from __future__ import annotations
 
@@ -19,37 +19,39 @@ from shape_obs.utils.documents import read_json
 from shape_obs.utils.files import write_text
 
 CONVENTION: Final = "p_base = T p_camera; T row-major, metres; camera: optical frame, x right, y down, z forward"
-_SAME: Final = 0.01  # of a focal length, and of the image's width for the principal point: other intrinsics than these
+# Largest change of intrinsics that count as the same, relative to the focal length, and to the image width for the
+# principal point.
+_SAME: Final = 0.01
 _SECONDS_A_DAY: Final = 86400.0
 _LAST_ROW: Final = (0.0, 0.0, 0.0, 1.0)
 
 
 class ExtrinsicsWarning(UserWarning):
-    """A camera's place may no longer be what its file says."""
+    """The pose of a camera may differ from the one in its file."""
 
 
 def now() -> str:
-    """The time as files hold it: ISO 8601, UTC."""
+    """Return the current time in UTC, ISO 8601."""
     return datetime.now(timezone.utc).isoformat(timespec="seconds")
 
 
 @dataclass(frozen=True)
 class Extrinsics(Spec):
-    """A camera's place in the base frame. ``shape-obs calibrate base`` measures it.
+    """The pose of a camera in the base frame, as ``shape-obs calibrate base`` measures it.
 
     Args:
-        T: (4,4) rigid transform, row-major, metres: ``p_base = T p_camera``.
-        intrinsics: Of the camera, when it was measured; None where nobody noted them.
-        serial: Of the camera; None where nobody noted it.
-        rms: By how much the measured points lie off, metres; None where it was not measured so.
-        created: When it was measured, ISO 8601 with the time zone.
-        max_age_days: After so many days it is not trusted any more.
-        parent: The frame that it leads to.
-        child: The frame that it starts from.
-        convention: The same in words, for whoever reads the file.
+        T: (4, 4) rigid transform, row-major, metres: ``p_base = T p_camera``.
+        intrinsics: Intrinsics of the camera at the time of the measurement; None if unknown.
+        serial: Serial number of the camera; None if unknown.
+        rms: Root mean square residual of the measured points in metres; None if unknown.
+        created: Time of the measurement, ISO 8601 with a time zone.
+        max_age_days: Number of days after which the pose counts as old.
+        parent: The frame that T leads to.
+        child: The frame that T starts from.
+        convention: The convention in words, for readers of the file.
 
     Raises:
-        SpecError: T is no rigid transform, or the time is no ISO 8601.
+        SpecError: T is not a rigid transform, or the time is not ISO 8601.
     """
 
     T: tuple[tuple[float, ...], ...]
@@ -68,7 +70,7 @@ class Extrinsics(Spec):
             raise SpecError(f"Extrinsics.T: expected 4 rows of 4 numbers, got rows of {[len(row) for row in self.T]}.")
         matrix = self.matrix
         turn = matrix[:3, :3]
-        # The size first: products of huge numbers overflow.
+        # Check the size first: products of huge numbers overflow.
         rigid = np.all(np.isfinite(matrix)) and np.all(np.abs(turn) < 2)
         rigid = rigid and np.allclose(turn @ turn.T, np.eye(3), atol=1e-4)
         if not rigid or np.linalg.det(turn) < 0 or not np.allclose(matrix[3], _LAST_ROW):
@@ -87,12 +89,12 @@ class Extrinsics(Spec):
 
     @property
     def matrix(self) -> npt.NDArray[np.float64]:
-        """(4,4) ``T`` as an array."""
+        """``T`` as an array (4, 4)."""
         return np.array(self.T, np.float64)
 
     @property
     def age_days(self) -> float:
-        """Days since it was measured."""
+        """Days since the measurement."""
         return (datetime.now(timezone.utc) - self._when()).total_seconds() / _SECONDS_A_DAY
 
     @classmethod
@@ -101,7 +103,7 @@ class Extrinsics(Spec):
 
         Raises:
             FileNotFoundError: There is no such file.
-            SpecError: It is no JSON, lacks something, or holds no rigid transform.
+            SpecError: The file is not JSON, an entry is missing, or ``T`` is not a rigid transform.
         """
         data = read_json(path, "extrinsics")
         try:
@@ -114,47 +116,47 @@ class Extrinsics(Spec):
             raise SpecError(f"{path}: {error}") from error
 
     def save(self, path: str | Path) -> None:
-        """Write it as JSON, whole or not at all.
+        """Write the pose as JSON, completely or not at all.
 
         Raises:
-            OSError: It cannot be written.
+            OSError: The file cannot be written.
         """
         write_text(Path(path), json.dumps(self.to_dict(), indent=2) + "\n")
 
     def doubts(self, intrinsics: Intrinsics | None = None, serial: str | None = None) -> list[str]:
-        """Why this may not be the place of a camera, one sentence each; empty where nothing speaks against it.
+        """Return the reasons, one sentence each, why this may not be the pose of a camera; empty if there are none.
 
         Args:
-            intrinsics: Of the stream; None does not compare them.
-            serial: Of the camera; None does not compare it.
+            intrinsics: Intrinsics of the stream; None skips the comparison.
+            serial: Serial number of the camera; None skips the comparison.
         """
         found = []
         if self.age_days > self.max_age_days:
             found.append(
-                f"the camera's place was measured {self.age_days:.0f} days ago, which is more than "
+                f"the pose of the camera was measured {self.age_days:.0f} days ago, which is more than "
                 f"{self.max_age_days:g}: measure it again with `shape-obs calibrate base`."
             )
         if serial is not None and self.serial is not None and serial != self.serial:
-            found.append(f"the place is that of camera {self.serial}, and this is camera {serial}.")
+            found.append(f"the pose is that of camera {self.serial}, but this is camera {serial}.")
         if intrinsics is not None and self.intrinsics is not None:
             difference = _difference(intrinsics, self.intrinsics)
             if difference > _SAME:
                 found.append(
-                    f"the place was measured with other intrinsics ({_told(self.intrinsics)}) than those of this "
-                    f"stream ({_told(intrinsics)}): they differ by {100 * difference:.1f} %."
+                    f"the pose was measured with other intrinsics ({_describe(self.intrinsics)}) than those of this "
+                    f"stream ({_describe(intrinsics)}): they differ by {100 * difference:.1f} %."
                 )
         return found
 
     def camera(self, intrinsics: Intrinsics, serial: str | None = None) -> CameraModel:
-        """The camera model of a stream.
-
-        Warns:
-            ExtrinsicsWarning: The place is old, another camera's, or was measured with other intrinsics; once for each
-                stream.
+        """Return the camera model of a stream.
 
         Args:
-            intrinsics: Of the stream.
-            serial: Of the camera; None where it has none.
+            intrinsics: Intrinsics of the stream.
+            serial: Serial number of the camera; None if it has none.
+
+        Warns:
+            ExtrinsicsWarning: The pose is old, belongs to another camera, or was measured with other intrinsics. It is
+                shown once for each stream.
         """
         made: dict[tuple[Intrinsics, str | None], CameraModel] = self.__dict__.setdefault("_made", {})
         if (intrinsics, serial) not in made:
@@ -165,14 +167,14 @@ class Extrinsics(Spec):
 
     def _when(self) -> datetime:
         try:
-            when = datetime.fromisoformat(self.created.replace("Z", "+00:00"))  # Python 3.10 knows no Z
+            when = datetime.fromisoformat(self.created.replace("Z", "+00:00"))  # Python 3.10 does not parse Z
         except ValueError as error:
             raise SpecError(f"Extrinsics.created: expected a time such as {now()}, got {self.created!r}.") from error
         return when if when.tzinfo else when.replace(tzinfo=timezone.utc)
 
 
 def _difference(one: Intrinsics, other: Intrinsics) -> float:
-    """The largest change of the view, as a share; images of one camera at two sizes are the same view."""
+    """Return the largest relative change of the view; images of one camera in two sizes have the same view."""
     scale = one.width / other.width
     if not math.isclose(one.height / other.height, scale, rel_tol=0.01):
         return abs(one.height / other.height / scale - 1)
@@ -184,6 +186,6 @@ def _difference(one: Intrinsics, other: Intrinsics) -> float:
     )
 
 
-def _told(intrinsics: Intrinsics) -> str:
+def _describe(intrinsics: Intrinsics) -> str:
     focal = f"fx {intrinsics.fx:.1f}, fy {intrinsics.fy:.1f}, cx {intrinsics.cx:.1f}, cy {intrinsics.cy:.1f}"
     return f"{intrinsics.width} x {intrinsics.height}, {focal}"

@@ -18,6 +18,7 @@ from shape_obs.spec import Spec, SpecError
 Array = npt.NDArray[np.float64]
 
 FIRST_ID: Final = 20  # first id of the board's markers, which differ from those on the table
+_LEAST_CORNERS: Final = 8
 _APART: Final = 0.05  # mean difference of the corners of two distinct views, as a share of the image width
 _STILL: Final = 0.004  # largest motion between frames of a board that is held still, as a share of the image width
 _CELLS: Final = (8, 6)  # cells of the image in which corners are counted
@@ -88,9 +89,6 @@ def _board(board: Board) -> Any:
 def _detector(board: Board, thread: int) -> Any:
     """Return OpenCV's detector, one for each thread because it is not documented as thread-safe."""
     return cv2.aruco.CharucoDetector(_board(board))
-
-
-_LEAST_CORNERS: Final = 8
 
 
 class BoardView(NamedTuple):

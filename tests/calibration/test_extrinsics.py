@@ -117,7 +117,7 @@ class TestDoubts:
         assert not self.warned(extrinsics(created=then[:19] + "Z", max_age_days=60))
 
     def test_another_camera_is_told_once(self):
-        assert self.warned(extrinsics(), serial="456") == ["the place is that of camera 123, and this is camera 456."]
+        assert self.warned(extrinsics(), serial="456") == ["the pose is that of camera 123, but this is camera 456."]
         assert not self.warned(extrinsics(), serial=None)
         assert not self.warned(extrinsics(serial=None), serial="456")
 

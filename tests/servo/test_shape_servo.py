@@ -169,7 +169,7 @@ def test_lost_from_the_start_it_waits():
 
 def test_it_says_what_it_expects():
     plant = Plant()
-    with pytest.raises(ValueError, match="how many numbers has an action"):
+    with pytest.raises(ValueError, match="the size of actions is unknown"):
         ShapeServo().act(plant.observation())
     with pytest.raises(ValueError, match="did you mean 'kalman'"):
         ShapeServo("kalmann")

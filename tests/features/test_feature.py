@@ -229,10 +229,10 @@ def test_a_feature_of_ones_own(view):
     class Length(Feature, kind="test-length"):
         longest: float = 100.0
 
-        def bounds(self, layout: Topology, view: FeatureContext):
+        def bounds(self, layout: Topology, context: FeatureContext):
             return np.zeros(1), np.full(1, self.longest)
 
-        def compute(self, shape: Shape, view: FeatureContext):
+        def compute(self, shape: Shape, context: FeatureContext):
             return np.array([np.linalg.norm(np.diff(shape.points2d, axis=0), axis=1).sum()])
 
     try:
