@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from shape_obs import Shape, ShapeDetector
-from shape_obs.features import Feature, PointDistribution, Points3D, PrincipalComponents, View, read_features
+from shape_obs.features import Feature, FeatureContext, PointDistribution, Points3D, PrincipalComponents, read_features
 from shape_obs.recording import record, replay
 from shape_obs_envs.sources import open_source
 
@@ -36,7 +36,7 @@ def recording() -> Path:
     return folder
 
 
-def shapes_of(folder: Path) -> tuple[list[Shape], list[View], np.ndarray]:
+def shapes_of(folder: Path) -> tuple[list[Shape], list[FeatureContext], np.ndarray]:
     """Every whole shape, what it was seen in, and its episode."""
     detector = ShapeDetector(
         [{"kind": "centerline", "name": "rope", "n": 20, "anchor": "gripper0", "ends": "tips", "spacing": "m"}],  # type: ignore[list-item]
@@ -48,12 +48,12 @@ def shapes_of(folder: Path) -> tuple[list[Shape], list[View], np.ndarray]:
             shape, camera = detection["rope"], moment.frame.camera
             if camera is not None and shape.ok and shape.valid.all():
                 shapes.append(shape)
-                views.append(View(camera.intrinsics.width, camera.intrinsics.height, camera))
+                views.append(FeatureContext(camera.intrinsics.width, camera.intrinsics.height, camera))
                 episodes.append(moment.episode)
     return shapes, views, np.array(episodes)
 
 
-def tell(name: str, feature: Feature, shapes: Sequence[Shape], views: Sequence[View]) -> None:
+def tell(name: str, feature: Feature, shapes: Sequence[Shape], views: Sequence[FeatureContext]) -> None:
     """How many values a feature has, and the error of the points that it gives back."""
     values = [feature.compute(shape, view) for shape, view in zip(shapes, views, strict=True)]
     text = f"{name:<14} {len(values[0]):3d} values"

@@ -9,7 +9,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from shape_obs.calibration.extrinsics import Extrinsics as Extrinsics
     from shape_obs.camera import CameraModel as CameraModel
     from shape_obs.camera import Intrinsics as Intrinsics
     from shape_obs.config import load_config as load_config
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from shape_obs.deploy.policy_bundle import load_bundle as load_bundle
     from shape_obs.deploy.policy_bundle import save_bundle as save_bundle
     from shape_obs.detector import ShapeDetector as ShapeDetector
+    from shape_obs.extrinsics import Extrinsics as Extrinsics
     from shape_obs.features import Feature as Feature
     from shape_obs.frame import Frame as Frame
     from shape_obs.image.marker_roi import Markers as Markers
@@ -55,7 +55,7 @@ _HOME = {
     "shape_obs.config": ("load_config", "save_config", "schema_hash"),
     "shape_obs.configurations": ("Centerline", "Configuration", "Contour", "Surface"),
     "shape_obs.detector": ("ShapeDetector",),
-    "shape_obs.calibration.extrinsics": ("Extrinsics",),
+    "shape_obs.extrinsics": ("Extrinsics",),
     "shape_obs.features": ("Feature",),
     "shape_obs.frame": ("Frame",),
     "shape_obs.markers": ("MarkerLayout", "TopView", "find_markers"),

@@ -24,7 +24,7 @@ from shape_obs.configurations import Anchor, Centerline, Configuration, Ends, Or
 from shape_obs.features import read_features
 from shape_obs.image.roi import ROI, Whole
 from shape_obs.image.segmentation import Segmentation
-from shape_obs.spec import Spec, SpecError, did_you_mean, plain
+from shape_obs.spec import Spec, SpecError, did_you_mean, to_plain
 from shape_obs.tracking.missing import OnInvalid, OnMissing
 from shape_obs.utils.documents import read_yaml
 from shape_obs.utils.files import write_text
@@ -202,7 +202,7 @@ def _sha256(content: Any) -> str:
 
 
 def _filled(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    extra = {"features": _features(arguments), "workspace": plain(arguments.get("workspace"))}
+    extra = {"features": _features(arguments), "workspace": to_plain(arguments.get("workspace"))}
     given = {name: value for name, value in extra.items() if value is not None}
     return DetectorConfig.from_dict(detector_arguments(arguments)).to_dict() | given
 

@@ -19,26 +19,26 @@ UNITS: Final = ("m", "rad", "1")
 
 
 class RobotError(OSError):
-    """A robot does not do what it was told; the message says what it was, and what to try."""
+    """A robot cannot carry out a command; the message contains the command and what to try."""
 
 
 @dataclass(frozen=True)
 class ActionSpec(Spec):
-    """What a robot's action means: A coordinates, in physical units.
+    """The meaning of a robot's action: A coordinates in physical units.
 
-    A policy or controller acts in -1 ... 1 for each coordinate; ``scale`` says how much 1 is.
+    Policies and controllers use -1 ... 1 for each coordinate; ``scale`` is the physical value of 1.
 
     Args:
-        names: Of the coordinates, such as ``("gripper0/x", "gripper0/y", "gripper0/yaw")``.
-        units: Of each coordinate: ``"m"``, ``"rad"`` or ``"1"`` (a share, as of a gripper's opening).
-        scale: What 1 means, in these units; per step for displacements, per second for velocities.
-        low: The least that a coordinate of the state may become: the workspace, in these units.
-        high: The most.
-        mode: ``"displacement"`` is added to the state, ``"velocity"`` too, by the second, ``"position"`` replaces it.
-        frame: What the coordinates are told in: the robot's ``"base"``, its ``"gripper"``, or its ``"joint"`` angles.
+        names: Names of the coordinates, such as ``("gripper0/x", "gripper0/y", "gripper0/yaw")``.
+        units: Unit of each coordinate: ``"m"``, ``"rad"`` or ``"1"`` (a ratio, such as the opening of a gripper).
+        scale: The value of 1 in these units; per step for displacements, per second for velocities.
+        low: Lower limits of the state, that is of the workspace, in these units.
+        high: Upper limits of the state.
+        mode: ``"displacement"`` is added to the state, ``"velocity"`` is added per second, ``"position"`` replaces it.
+        frame: The frame of the coordinates: the robot's ``"base"``, its ``"gripper"``, or its ``"joint"`` angles.
 
     Raises:
-        SpecError: Lengths that differ, or numbers that are none.
+        SpecError: The lengths differ, or a number is out of range.
     """
 
     names: tuple[str, ...]
@@ -54,7 +54,7 @@ class ActionSpec(Spec):
         for name in ("units", "scale", "low", "high"):
             if len(getattr(self, name)) != len(self.names):
                 raise SpecError(
-                    f"ActionSpec.{name}: expected {len(self.names)} values, one for each of the coordinates "
+                    f"ActionSpec.{name}: expected {len(self.names)} values, one per coordinate of "
                     f"{list(self.names)}, got {len(getattr(self, name))}."
                 )
         if not self.names or len(set(self.names)) != len(self.names):
@@ -73,84 +73,84 @@ class ActionSpec(Spec):
         return len(self.names)
 
     def physical(self, action: npt.ArrayLike) -> Array:
-        """An action of -1 ... 1 in physical units: (A,) -> (A,)."""
+        """Convert an action (A,) from -1 ... 1 to physical units."""
         return np.asarray(action, np.float64) * self.scale
 
     def following(self, state: npt.ArrayLike, motion: npt.ArrayLike, dt: float) -> Array:
-        """The state (A,) that ``motion`` (A,), in physical units, leads to from ``state`` within ``dt`` seconds."""
+        """Return the state (A,) after a motion (A,) in physical units from ``state`` within ``dt`` seconds."""
         state, motion = np.asarray(state, np.float64), np.asarray(motion, np.float64)
         return motion if self.mode == "position" else state + motion * (dt if self.mode == "velocity" else 1.0)
 
     def leading(self, state: npt.ArrayLike, target: npt.ArrayLike, dt: float) -> Array:
-        """The motion (A,), in physical units, that leads from ``state`` (A,) to ``target`` (A,) in ``dt`` seconds."""
+        """Return the motion (A,) in physical units from ``state`` (A,) to ``target`` (A,) in ``dt`` seconds."""
         state, target = np.asarray(state, np.float64), np.asarray(target, np.float64)
         return target if self.mode == "position" else (target - state) / (dt if self.mode == "velocity" else 1.0)
 
     def check_same(self, other: ActionSpec, who: str) -> None:
-        """Refuse actions that mean something else.
+        """Reject actions with another meaning.
 
         Args:
-            other: What ``who`` acts in.
-            who: The policy's or controller's name, for the message.
+            other: The meaning of the actions of ``who``.
+            who: The name of the policy or controller, for the error message.
 
         Raises:
-            ValueError: Names, units, scale, mode or frame differ; the message says which. Workspaces may differ.
+            ValueError: Names, units, scale, mode or frame differ; the message lists them. Workspaces may differ.
         """
         wanted, given = self.to_dict(), other.to_dict()
         different = [key for key in ("names", "units", "scale", "mode", "frame") if wanted[key] != given[key]]
         if different:
-            told = "; ".join(f"{key}: {given[key]} against {wanted[key]}" for key in different)
-            raise ValueError(f"{who} acts in other coordinates than the robot ({told}): convert its actions.")
+            differences = "; ".join(f"{key}: {given[key]} against {wanted[key]}" for key in different)
+            raise ValueError(f"{who} acts in other coordinates than the robot ({differences}): convert its actions.")
 
 
 @runtime_checkable
 class Robot(Protocol):
-    """Move the object. States and actions have the coordinates of ``action_spec``, in physical units.
+    """A robot that moves the object. States and actions have the coordinates of ``action_spec``, in physical units.
 
-    A robot keeps two promises on which the safety of a deployment rests:
+    The safety of a deployment depends on two guarantees of a robot:
 
-    - Every motion ends by itself at its ``until``, by the clock of whatever controls the motors, even if the process
-      that sent it has been killed. A driver for a controller on another machine sends the time that is left,
-      ``until - time.monotonic()``, as the controller's own command timeout. Motions of ``reset`` and ``park`` end soon
-      after the process is gone, too.
-    - ``stop`` works at any time and from any thread, also while another thread is blocked in ``send``, ``reset`` or
-      ``park``. It ends the motion that these have begun and cancels one that they have not begun yet.
+    - Every motion ends by itself at its ``until``, by the clock of the motor controller, even if the process that sent
+      it has been killed. A driver for a controller on another machine sends the remaining time,
+      ``until - time.monotonic()``, as the controller's own command timeout. Motions of ``reset`` and ``park`` also end
+      soon after the process is gone.
+    - ``stop`` works at any time and from any thread, even while another thread is blocked in ``send``, ``reset`` or
+      ``park``. It ends the motion that these have started and cancels one that they have not started yet.
 
-    May also have ``anchors``, a mapping of names to base-frame points (x, y, z) where it holds the object now, and
-    ``name`` for logs.
+    A robot may also have ``anchors``, a mapping of names to base-frame points (x, y, z) where it holds the object now,
+    and ``name`` for logs.
     """
 
     @property
     def action_spec(self) -> ActionSpec:
-        """What actions mean."""
+        """The meaning of actions."""
         ...
 
     def connect(self) -> None:
-        """Open the connection, without any motion; nothing happens when it is open already.
+        """Open the connection, without any motion, unless it is already open.
 
         Raises:
-            RobotError: It cannot.
+            RobotError: The connection cannot be opened.
         """
         ...
 
     def reset(self) -> None:
-        """Go to the start of an episode; returns when it is there.
+        """Go to the start of an episode, and return when the robot is there.
 
         Raises:
-            RobotError: It cannot, or it is not connected.
+            RobotError: The robot cannot go there, or is not connected.
         """
         ...
 
     def send(self, action: Array, until: float) -> None:
-        """Begin a motion and return at once. The next motion replaces it.
+        """Start a motion and return at once. The next motion replaces it.
 
         Args:
             action: (A,) in physical units, inside the workspace.
-            until: ``time.monotonic()`` in seconds at which the robot must stand still again, wherever it is then,
-                unless another motion has replaced this one. A motion whose time is over is not begun.
+            until: ``time.monotonic()`` in seconds at which the robot must stand still again, wherever it is, unless
+                another motion has replaced this one. A motion whose time is over is not started.
 
         Raises:
-            RobotError: The motion cannot be begun.
+            RobotError: The motion cannot be started.
         """
         ...
 
@@ -159,9 +159,9 @@ class Robot(Protocol):
         ...
 
     def stop(self) -> None:
-        """Stand still now. May be called at any time, from any thread, and more than once.
+        """Stop now. May be called at any time, from any thread, and more than once.
 
-        While it is not connected nothing happens.
+        Does nothing while the robot is not connected.
 
         Raises:
             RobotError: The robot cannot be reached.
@@ -169,15 +169,15 @@ class Robot(Protocol):
         ...
 
     def park(self) -> None:
-        """Go to a pose where the robot may be left alone, and return when it is there.
+        """Go to a safe pose, and return when the robot is there.
 
         Raises:
-            RobotError: It cannot, or it was stopped on the way.
+            RobotError: The robot cannot go there, or was stopped on the way.
         """
         ...
 
     def disconnect(self) -> None:
-        """Close the connection, without any motion; nothing happens when it is closed already."""
+        """Close the connection, without any motion, unless it is already closed."""
         ...
 
 
@@ -186,10 +186,10 @@ _METHODS: Final = ("connect", "reset", "send", "state", "stop", "park", "disconn
 
 
 def check_robot(robot: Any) -> None:
-    """Check that an object keeps the ``Robot`` protocol, as far as that shows before it moves.
+    """Check that an object has the interface of ``Robot``, as far as this is possible without a motion.
 
     Raises:
-        TypeError: A method is missing, or ``send`` does not take an action and its end.
+        TypeError: A method is missing, or ``send`` does not accept an action and its end.
     """
     name = type(robot).__name__
     missing = [method for method in _METHODS if not callable(getattr(robot, method, None))]
@@ -213,10 +213,10 @@ def check_robot(robot: Any) -> None:
 
 
 def robot_anchors(robot: Any) -> Anchors:
-    """Where the robot holds the object: name -> (x, y, z) metres, base frame; empty for a robot that does not say."""
+    """Return the points (x, y, z) in metres, base frame, where the robot holds the object, by name; possibly empty."""
     return getattr(robot, "anchors", {})
 
 
 def robot_name(robot: Any) -> str:
-    """What to call the robot in logs."""
+    """Return the name of the robot for logs."""
     return str(getattr(robot, "name", type(robot).__name__))

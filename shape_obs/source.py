@@ -1,7 +1,7 @@
-"""RGBDSource: where frames come from, and what can go wrong there.
+"""RGBDSource: the interface of everything that provides frames, and its errors.
 
-A camera, a recording, a folder of images, a video and an environment are read in one way. Implementations live in
-``shape_obs_envs.sources``; ``shape_obs_envs.sources.open_source`` makes one from a word such as ``"d455"``.
+Cameras, recordings, folders of images, videos and environments share this interface. Implementations are in
+``shape_obs_envs.sources``; ``shape_obs_envs.sources.open_source`` makes one from a string such as ``"d455"``.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from shape_obs.calibration.extrinsics import Extrinsics
 from shape_obs.camera import CameraModel, Intrinsics
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 
 if TYPE_CHECKING:
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 
 class SourceError(OSError):
-    """A source cannot give a frame.
+    """A source cannot provide a frame.
 
     Args:
-        message: What was expected, what came, and what to try.
-        serial: The camera's serial number, where there is one.
-        usb: The USB type of its connection, ``"3.2"`` or ``"2.1"``, where it is known.
+        message: What was expected, what happened, and what to try.
+        serial: The serial number of the camera, if there is one.
+        usb: The USB type of the connection, such as ``"3.2"`` or ``"2.1"``, if known.
     """
 
     def __init__(self, message: str, *, serial: str | None = None, usb: str | None = None) -> None:
@@ -34,23 +34,23 @@ class SourceError(OSError):
 
 
 class CameraNotFound(SourceError):  # noqa: N818 - names of the public API
-    """No camera is there, or not the one that was asked for."""
+    """There is no camera, or not the requested one."""
 
 
 class SeveralCameras(SourceError):  # noqa: N818
-    """More than one camera is there and no serial number says which."""
+    """There is more than one camera, and no serial number was given."""
 
 
 class CameraLost(SourceError):  # noqa: N818
-    """A camera that was there is gone, and starting it anew did not bring it back."""
+    """The connection to a camera was lost, and restarting it failed."""
 
 
 class FrameTimeout(SourceError, TimeoutError):  # noqa: N818
-    """No whole, new frame came in the time given."""
+    """No complete new frame arrived in time."""
 
 
 class StaleFrame(SourceError):  # noqa: N818
-    """The newest frame is older than was allowed."""
+    """The newest frame is older than allowed."""
 
 
 class NotConnected(SourceError):  # noqa: N818
@@ -58,7 +58,7 @@ class NotConnected(SourceError):  # noqa: N818
 
 
 class BadRecording(SourceError):  # noqa: N818
-    """A file or folder is not a recording that can be read, or only a part of one."""
+    """A file or folder is not a readable recording, or is incomplete."""
 
 
 class EndOfSource(SourceError):  # noqa: N818
@@ -67,16 +67,16 @@ class EndOfSource(SourceError):  # noqa: N818
 
 @runtime_checkable
 class RGBDSource(Protocol):
-    """Where frames come from. A context manager: it connects on entry and disconnects on exit.
+    """A source of frames, and a context manager that connects on entry and disconnects on exit.
 
-    Every frame is pinhole: colour is rectified, depth is aligned to it pixel by pixel, and ``frame.camera`` tells the
-    intrinsics with all distortion coefficients zero. Arrays belong to the caller; a source never writes to them again.
+    Every frame is that of a pinhole camera: colour is rectified, depth is aligned to it pixel by pixel, and
+    ``frame.camera`` holds the intrinsics with all distortion coefficients zero. Arrays belong to the caller; a source
+    never writes to them again.
 
-    Python before 3.12 reads the properties when it is asked ``isinstance(source, RGBDSource)``: ask when it is
-    connected.
+    Python before 3.12 evaluates the properties in ``isinstance(source, RGBDSource)``: connect the source first.
 
-    May also have ``anchors``, a mapping of names to places where the object was held in the last frame, and
-    ``episode``, the number of the stretch without jumps that this frame belongs to; recordings keep both.
+    A source may also have ``anchors``, a mapping of names to points where the object was held in the last frame, and
+    ``episode``, the number of the uninterrupted sequence that the frame belongs to; recordings store both.
     """
 
     @property
@@ -86,12 +86,12 @@ class RGBDSource(Protocol):
 
     @property
     def name(self) -> str:
-        """What the source is called in messages and files: ``"d455:123456"``, a path, an environment's id."""
+        """The name of the source in messages and files: ``"d455:123456"``, a path, or the id of an environment."""
         ...
 
     @property
     def live(self) -> bool:
-        """Whether frames come at their own pace and are missed when nobody reads; a recording waits."""
+        """Whether frames arrive at their own rate and are lost unless they are read; a recording waits."""
         ...
 
     @property
@@ -101,23 +101,23 @@ class RGBDSource(Protocol):
 
     @property
     def intrinsics(self) -> Intrinsics | None:
-        """Of every frame, without distortion; None where nobody knows them (photos, a video).
+        """The intrinsics of every frame, without distortion; None if unknown, as for photos and videos.
 
         Raises:
-            NotConnected: Before ``connect``.
+            NotConnected: The source is not connected.
         """
         ...
 
     @property
     def camera(self) -> CameraModel | None:
-        """The intrinsics, with the camera's place in the base frame where it is known."""
+        """The intrinsics, with the pose of the camera in the base frame if known."""
         ...
 
     def connect(self) -> None:
-        """Open it; nothing happens when it is open already.
+        """Open the source unless it is already open.
 
         Raises:
-            SourceError: It cannot be opened; the subclass and the message say why.
+            SourceError: The source cannot be opened; the subclass and the message give the reason.
         """
         ...
 
@@ -125,34 +125,34 @@ class RGBDSource(Protocol):
         """Wait for the next frame.
 
         Args:
-            timeout: Seconds to wait at most.
-            fresh: Take none that was exposed before this call, so that it shows what was done before the call. Of a
-                recording it is the next one.
+            timeout: Longest time to wait, in seconds.
+            fresh: Skip frames that were exposed before this call, so that the frame shows the effect of earlier
+                actions. A recording returns its next frame.
 
         Raises:
-            FrameTimeout: None came in time.
-            EndOfSource: A recording is over.
-            CameraLost: The camera is gone.
-            NotConnected: Before ``connect``.
+            FrameTimeout: No frame arrived in time.
+            EndOfSource: The recording has ended.
+            CameraLost: The connection to the camera was lost.
+            NotConnected: The source is not connected.
         """
         ...
 
     def read_latest(self, max_age: float = 0.1) -> Frame:
-        """The newest frame that is there, without waiting; the same one again until a newer one comes.
+        """Return the newest frame without waiting; the same one again until a newer one arrives.
 
         Args:
-            max_age: Seconds since it arrived, at most. A recording gives its next frame, whatever its age.
+            max_age: Largest time since its arrival, in seconds. A recording returns its next frame at any age.
 
         Raises:
-            StaleFrame: The newest is older, or there is none yet.
-            EndOfSource: A recording is over.
-            CameraLost: The camera is gone.
-            NotConnected: Before ``connect``.
+            StaleFrame: The newest frame is older, or there is none yet.
+            EndOfSource: The recording has ended.
+            CameraLost: The connection to the camera was lost.
+            NotConnected: The source is not connected.
         """
         ...
 
     def disconnect(self) -> None:
-        """Close it; nothing happens when it is closed already. ``connect`` opens it anew."""
+        """Close the source unless it is already closed; ``connect`` opens it again."""
         ...
 
     def __enter__(self) -> Self:
@@ -167,13 +167,13 @@ class RGBDSource(Protocol):
 
 
 class Source(ABC):
-    """What implementations share: the context manager, and the camera's place.
+    """Base class of sources: the context manager, and the pose of the camera.
 
     Args:
-        extrinsics: Where the camera stands in the base frame, or the file that says so; None where nobody knows.
+        extrinsics: The pose of the camera in the base frame, or its file; None if unknown.
 
     Raises:
-        ValueError: The file is none of extrinsics.
+        ValueError: The file does not contain extrinsics.
         FileNotFoundError: There is no such file.
     """
 
@@ -182,17 +182,17 @@ class Source(ABC):
 
     @property
     def serial(self) -> str | None:
-        """The camera's serial number, where there is one."""
+        """The serial number of the camera, if there is one."""
         return None
 
     @property
     @abstractmethod
     def intrinsics(self) -> Intrinsics | None:
-        """Of every frame, without distortion; None where nobody knows them."""
+        """The intrinsics of every frame, without distortion; None if unknown."""
 
     @property
     def camera(self) -> CameraModel | None:
-        """The intrinsics, with the camera's place in the base frame where it is known."""
+        """The intrinsics, with the pose of the camera in the base frame if known."""
         intrinsics = self.intrinsics
         if intrinsics is None or self.extrinsics is None:
             return None if intrinsics is None else CameraModel(intrinsics)
@@ -200,11 +200,11 @@ class Source(ABC):
 
     @abstractmethod
     def connect(self) -> None:
-        """Open it."""
+        """Open the source."""
 
     @abstractmethod
     def disconnect(self) -> None:
-        """Close it."""
+        """Close the source."""
 
     def __enter__(self) -> Self:
         self.connect()

@@ -1,22 +1,23 @@
-"""Specs: frozen dataclasses that configure a stage and travel as plain dicts and YAML.
+"""Specs: frozen dataclasses that configure a stage and convert to and from plain dicts and YAML.
 
 A family of interchangeable stages (segmentations, regions of interest, features, ...) is a subclass of ``Spec``
-declared with ``family=``; its members name themselves with ``kind=``. Other packages add members through the
-entry-point group ``shape_obs.<family>``.
+declared with ``family=``; its members are declared with ``kind=``. Other packages add members through the entry-point
+group ``shape_obs.<family>``.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
-from importlib import metadata
 from typing import TYPE_CHECKING, Any, ClassVar, Union
+
+from shape_obs.utils.documents import SpecError as SpecError
+from shape_obs.utils.documents import did_you_mean as did_you_mean
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -27,9 +28,9 @@ _PLUGINS: ContextVar[bool] = ContextVar("plugins", default=True)
 
 @contextmanager
 def without_plugins() -> Iterator[None]:
-    """Load no plugin while specs are read: a kind of another package is known only where that package is imported.
+    """Load no plugins while specs are read: kinds of other packages are known only if these are already imported.
 
-    For values that come from somebody else, whose names must not choose which code is loaded.
+    For values from untrusted files, whose names must not choose which code is loaded.
     """
     before = _PLUGINS.set(False)
     try:
@@ -38,15 +39,11 @@ def without_plugins() -> Iterator[None]:
         _PLUGINS.reset(before)
 
 
-class SpecError(ValueError):
-    """A configuration that cannot be understood; the message names the place, what came and what was expected."""
-
-
 class Spec:
-    """Base of all configuration dataclasses: ``from_dict``, ``to_dict`` and ``kind`` registries.
+    """Base class of all configuration dataclasses: ``from_dict``, ``to_dict`` and registries of kinds.
 
-    Fields are checked against their annotations and converted (lists to tuples, NumPy values to plain ones) however a
-    spec is made; a member's own ``__post_init__`` calls ``super().__post_init__()`` first.
+    Fields are always checked against their annotations and converted (lists to tuples, NumPy values to plain ones). The
+    ``__post_init__`` of a subclass must call ``super().__post_init__()`` first.
     """
 
     family: ClassVar[str] = ""
@@ -71,8 +68,10 @@ class Spec:
 
     @classmethod
     def kinds(cls) -> tuple[str, ...]:
-        """Return the kinds of this family, after loading those that other packages add through entry points."""
+        """Return the kinds of this family, including those that other packages add through entry points."""
         if _PLUGINS.get():
+            from importlib import metadata  # takes 20 ms, and most processes never ask
+
             for entry in metadata.entry_points(group=f"shape_obs.{cls.family}"):
                 if entry.name not in cls._members:
                     entry.load()
@@ -83,10 +82,10 @@ class Spec:
         """Build a spec from a mapping; a spec passes through, and a bare string is read as ``{"kind": string}``.
 
         Args:
-            value: The fields by name. In a family, ``kind`` chooses the member.
+            value: The fields by name. In a family, ``kind`` selects the member.
 
         Raises:
-            SpecError: An unknown field or kind (the nearest known name is told), or a value of the wrong type.
+            SpecError: A field or kind is unknown (the message suggests the nearest name), or a value has a wrong type.
         """
         if isinstance(value, cls):
             return value
@@ -99,15 +98,15 @@ class Spec:
         return member._build(fields)
 
     def to_dict(self) -> dict[str, Any]:
-        """The spec as JSON-able values, defaults filled in; ``from_dict`` gives an equal spec back."""
+        """Return the spec as JSON values, including defaults; ``from_dict`` returns an equal spec."""
         head = {"kind": self.kind} if self.kind else {}
-        return {**head, **{name: plain(getattr(self, name)) for name in _field_types(type(self))}}
+        return {**head, **{name: to_plain(getattr(self, name)) for name in _field_types(type(self))}}
 
     @classmethod
     def _choose(cls, kind: Any) -> type[Self]:
         if kind is None:
             raise SpecError(f"{cls.family}: 'kind' is missing; known kinds: {', '.join(cls.kinds())}.")
-        # Other packages are asked only for what this one does not have: the look-up takes milliseconds.
+        # Entry points are looked up only for kinds that this package does not have: it takes milliseconds.
         if not isinstance(kind, str) or (kind not in cls._members and kind not in cls.kinds()):
             raise SpecError(f"{cls.family}: unknown kind {kind!r}{did_you_mean(kind, cls.kinds())}")
         member = cls._members[kind]
@@ -132,38 +131,28 @@ class Spec:
         return cls(**values)
 
 
-def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """``"; did you mean 'x'? Known: ..."``: the end of an error message about a name that nobody knows."""
-    names = list(known)
-    if not names:
-        return "; there are none."
-    near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
-    hint = f"; did you mean {near[0]!r}?" if near else "."
-    return f"{hint} Known: {', '.join(names)}."
-
-
-def plain(value: Any) -> Any:
-    """Specs, arrays, tuples and other iterables -> dicts, lists and scalars."""
+def to_plain(value: Any) -> Any:
+    """Convert specs, arrays, tuples and other iterables to dicts, lists and scalars."""
     if isinstance(value, Spec):
         return value.to_dict()
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_plain(item) for key, item in value.items()}
     if hasattr(value, "tolist"):
         return value.tolist()
     if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
-        return [plain(item) for item in value]
+        return [to_plain(item) for item in value]
     return value
 
 
 @cache
 def _field_types(cls: type[Spec]) -> dict[str, Any]:
-    """The fields of a spec and their annotations, evaluated."""
+    """Return the fields of a spec with their evaluated annotations."""
     hints = typing.get_type_hints(cls)
     return {f.name: hints[f.name] for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
 
 
 def _convert(value: Any, hint: Any, where: str) -> Any:
-    """Turn a JSON, YAML or NumPy value into what a field's annotation asks for."""
+    """Convert a JSON, YAML or NumPy value to the type of a field's annotation."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)

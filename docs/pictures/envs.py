@@ -11,8 +11,8 @@ import numpy as np
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import ShapeObservation
-from shape_obs.cli.files import write_gif, write_image
 from shape_obs.drawing import HIDDEN, VALID, draw_curve, draw_text
+from shape_obs.utils.arrays import write_gif, write_image
 
 IMAGES = Path(__file__).parent.parent / "images"
 GOAL, FIRST, PAPER = (125, 35, 150), (20, 20, 20), 6

@@ -8,7 +8,7 @@ import numpy as np
 from stages import write
 
 from shape_obs import Shape, ShapeObservation
-from shape_obs.features import View, read_features
+from shape_obs.features import FeatureContext, read_features
 from shape_obs.geometry.topology import Chain, Ring
 
 ORANGE, GREEN, GRAY = (235, 130, 40), (30, 130, 60), (120, 120, 120)
@@ -26,7 +26,7 @@ def main() -> None:
     write("features.jpg", np.concatenate(panels, axis=1))
 
 
-def seen(name: str, seed: int) -> tuple[np.ndarray, Shape, View]:
+def seen(name: str, seed: int) -> tuple[np.ndarray, Shape, FeatureContext]:
     """An image of a shape that its demonstration has bent, what was found in it, and what surrounds it."""
     env = gym.make(f"shape_obs_envs:ShapeObs/{name}-v0", camera=(640, 480), difficulty="far", render_mode="rgb_array")
     observing = ShapeObservation(env)
@@ -35,13 +35,13 @@ def seen(name: str, seed: int) -> tuple[np.ndarray, Shape, View]:
         observing.step(action)
     image = np.asarray(env.render())
     assert observing.detection is not None
-    found = image, observing.detection.shapes[0], observing.views[0]
+    found = image, observing.detection.shapes[0], observing.contexts[0]
     observing.close()
     return found
 
 
 def picture(
-    image: np.ndarray, shape: Shape, view: View, kind: str, setting: str, values: tuple[int, int]
+    image: np.ndarray, shape: Shape, view: FeatureContext, kind: str, setting: str, values: tuple[int, int]
 ) -> np.ndarray:
     """The points, and the curves of a feature with few functions and with more of them."""
     out = cv2.resize(255 - (0.45 * (255.0 - image)).astype(np.uint8), None, fx=ZOOM, fy=ZOOM)

@@ -1,6 +1,5 @@
-"""Ablations: the same training with other things to see; needs the extras ``sim`` and ``sb3``."""
+"""Ablation studies: repeat a training with different observations. Needs the extras ``sim`` and ``sb3``."""
 
-from shape_obs.ablation.arm import Arm, Disturbance
-from shape_obs.ablation.study import Evaluation, Study, load_study
+from shape_obs.ablation.study import Arm, Disturbance, Evaluation, Study, load_study
 
 __all__ = ["Arm", "Disturbance", "Evaluation", "Study", "load_study"]

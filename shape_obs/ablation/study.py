@@ -1,4 +1,4 @@
-"""Study: what an ablation compares, as its YAML file says it."""
+"""Define a study, as its YAML file describes it: the arms to compare, how to train them and how to evaluate them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from shape_obs.ablation.arm import Arm, Disturbance
+from shape_obs.features import Feature
 from shape_obs.spec import Spec, SpecError, did_you_mean
 from shape_obs.utils.documents import read_yaml
 
@@ -22,16 +22,73 @@ OFF_POLICY: Final = ("SAC", "TD3", "DDPG")
 
 
 @dataclass(frozen=True)
+class Disturbance(Spec):
+    """Disturb the images in which a trained policy is evaluated.
+
+    Args:
+        env: Arguments of the environment, such as ``{"randomize": {"hand": {}}}``.
+        noise: Fields of ``D455Model``; None for clean images.
+    """
+
+    env: Mapping[str, Any] = field(default_factory=dict)
+    noise: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class Arm(Spec):
+    """Define the observation of a policy. Reward and score are always distances of points in metres.
+
+    Args:
+        observation: ``"shape"``: the shape in the camera's images; ``"truth"``: the points of the simulator;
+            ``"pixels"``: the image, through a convolutional network, with the simulator's reward.
+        features: Features of the shape and of the goal; None for points.
+        shapes: Configurations for ``ShapeObservation``, for example with another number of points; None for those of
+            the environment.
+        shuffle: Whether to shuffle the points in every frame.
+        keep: Keys of vectors in the environment's observation that are appended.
+        noise: Fields of ``D455Model`` for the images of training and evaluation; None for clean images.
+        env: Arguments of the environment.
+        hyperparameters: Hyperparameters of the algorithm; they replace those of the study.
+
+    Raises:
+        SpecError: Some values do not fit together.
+    """
+
+    observation: Literal["shape", "truth", "pixels"] = "shape"
+    features: tuple[Feature, ...] | None = None
+    shapes: tuple[Mapping[str, Any], ...] | None = None
+    shuffle: bool = False
+    keep: tuple[str, ...] = ()
+    noise: Mapping[str, Any] | None = None
+    env: Mapping[str, Any] = field(default_factory=dict)
+    hyperparameters: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.observation != "shape":
+            wrong = [name for name in ("features", "shapes") if getattr(self, name) is not None]
+            if wrong:
+                raise SpecError(f"{wrong[0]}: only for observation='shape', got observation={self.observation!r}.")
+        if self.shuffle and (self.features is not None or self.keep or self.observation == "pixels"):
+            raise SpecError("shuffle: only points can be shuffled: leave out features, keep and observation='pixels'.")
+        if self.keep and (self.features is not None or self.observation == "pixels"):
+            raise SpecError("keep: vectors are appended only to points: leave out features and observation='pixels'.")
+        if self.noise is not None and self.observation == "truth":
+            raise SpecError("noise: the simulator's points have no noise: leave out noise, or observation='truth'.")
+
+
+@dataclass(frozen=True)
 class Evaluation(Spec):
-    """How policies are tried out: on goals that no training sees, the same for all.
+    """Define how policies are evaluated: on held-out goals, the same for all policies.
 
     Args:
         every: Steps of training between two evaluations.
-        goals: Of each difficulty, in each evaluation but the last.
-        final_goals: Of each difficulty, in the last.
-        difficulties: How far goals are from the start.
-        seed: Of the first goal; the others count on. Trainings have seeds far below.
-        disturbances: In which the last policy is tried out besides, by name; an arm that sees no images is not.
+        goals: Number of goals of each difficulty, in each evaluation except the last.
+        final_goals: Number of goals of each difficulty in the last evaluation.
+        difficulties: Distances of the goals from the start.
+        seed: Seed of the first goal; the other goals have the following seeds. Seeds of trainings are smaller.
+        disturbances: Disturbances, by name, under which the final policy is evaluated again; not for arms without
+            images.
     """
 
     every: int = 2500
@@ -52,26 +109,26 @@ class Evaluation(Spec):
 
 @dataclass(frozen=True)
 class Study(Spec):
-    """Arms × seeds: trainings that differ in what the policy sees, and in nothing else.
+    """Define trainings for every arm and every seed, which differ only in the observation of the policy.
 
     Args:
-        arms: What is compared, by name.
-        env: A goal-conditioned simulated environment, its reward in metres.
-        env_arguments: Of the environment; ``reward_type`` is ``"sparse"`` unless they say otherwise.
+        arms: The arms to compare, by name.
+        env: A goal-conditioned simulated environment whose reward is in metres.
+        env_arguments: Arguments of the environment; the default of ``reward_type`` is ``"sparse"``.
         episode: Steps of an episode.
-        difficulties: Drawn from in training; a name that stands twice is drawn twice as often.
-        after: Episodes after which one more of these joins the first; 0 draws from all of them at once.
-        seeds: Of the trainings of each arm.
-        steps: Of a training.
-        algorithm: Of Stable-Baselines3.
-        hyperparameters: Of the algorithm, as Stable-Baselines3 names them; ``net_arch`` too.
-        her: Arguments of ``HerReplayBuffer``; None for no hindsight, and always with PPO and A2C.
-        normalize: Arguments of ``VecNormalize``; None for none.
-        evaluation: How policies are tried out.
-        reference: The arm that the others are compared with; None for the first.
+        difficulties: Difficulties drawn in training; a name that occurs twice is drawn twice as often.
+        after: Number of episodes after which the next difficulty is added to the first; 0 draws from all at once.
+        seeds: Seeds of the trainings of each arm.
+        steps: Steps of a training.
+        algorithm: Algorithm of Stable-Baselines3.
+        hyperparameters: Hyperparameters of the algorithm, with the names of Stable-Baselines3, and ``net_arch``.
+        her: Arguments of ``HerReplayBuffer``; None for no hindsight, as required by PPO and A2C.
+        normalize: Arguments of ``VecNormalize``; None for no normalisation.
+        evaluation: How policies are evaluated.
+        reference: The arm with which the others are compared; None for the first.
 
     Raises:
-        SpecError: Something is missing, out of range, or does not fit together.
+        SpecError: A value is missing or out of range, or values do not fit together.
     """
 
     arms: Mapping[str, Arm]
@@ -95,9 +152,11 @@ class Study(Spec):
             raise SpecError("arms: expected at least one, got none.")
         for name in self.arms:
             if not name or not set(name) <= _NAME or name.startswith("."):
-                raise SpecError(f"arms: a name is a folder's too: letters, digits and '._-', got {name!r}.")
+                raise SpecError(
+                    f"arms: a name is also the name of a folder: expected letters, digits and '._-', got {name!r}."
+                )
         if not self.seeds or len(set(self.seeds)) != len(self.seeds):
-            raise SpecError(f"seeds: expected different ones, at least one, got {list(self.seeds)}.")
+            raise SpecError(f"seeds: expected at least one seed, all different, got {list(self.seeds)}.")
         if min(self.seeds) < 0 or max(self.seeds) >= self.evaluation.seed:
             raise SpecError(f"seeds: expected 0 ... evaluation.seed - 1, got {list(self.seeds)}.")
         for name in ("steps", "episode"):
@@ -111,7 +170,7 @@ class Study(Spec):
             raise SpecError(f"reference: no arm {self.reference!r}{did_you_mean(self.reference, self.arms)}")
 
     def made_with(self, arm: str) -> dict[str, Any]:
-        """All that the numbers of a run depend on, but its seed."""
+        """Return everything on which the results of a run depend, except its seed."""
         whole = self.to_dict()
         return {
             **{name: value for name, value in whole.items() if name not in ("arms", "seeds", "reference")},
@@ -119,7 +178,7 @@ class Study(Spec):
         }
 
     def hash(self, arm: str) -> str:
-        """SHA-256 of ``made_with``."""
+        """Return the SHA-256 hash of ``made_with``."""
         text = json.dumps(self.made_with(arm), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -129,7 +188,7 @@ def load_study(path: str | os.PathLike[str]) -> Study:
 
     Raises:
         FileNotFoundError: There is no such file.
-        SpecError: It is no YAML, of another version, or not understood; the message names the place.
+        SpecError: The file is not YAML, has another version, or is invalid; the message names the place.
     """
     data = read_yaml(Path(path), "study")
     if not isinstance(data, Mapping) or data.get("version") != VERSION:

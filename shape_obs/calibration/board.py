@@ -1,7 +1,4 @@
-"""Board: a ChArUco board, a chessboard with markers in its white squares.
-
-Views of a board that differ enough to calibrate a camera with.
-"""
+"""A ChArUco board, which is a chessboard with markers in its white squares, and views of it for a calibration."""
 
 from __future__ import annotations
 
@@ -20,8 +17,11 @@ from shape_obs.spec import Spec, SpecError
 
 Array = npt.NDArray[np.float64]
 
-
-FIRST_ID: Final = 20  # of the board's markers, so that they are none of those that lie on the table
+FIRST_ID: Final = 20  # first id of the board's markers, which differ from those on the table
+_LEAST_CORNERS: Final = 8
+_APART: Final = 0.05  # mean difference of the corners of two distinct views, as a share of the image width
+_STILL: Final = 0.004  # largest motion between frames of a board that is held still, as a share of the image width
+_CELLS: Final = (8, 6)  # cells of the image in which corners are counted
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class Board(Spec):
     """A ChArUco board, as ``shape-obs markers --charuco`` prints it.
 
     Args:
-        columns: Squares from left to right.
-        rows: Squares from top to bottom.
-        square: Side of a square, metres.
-        marker: Side of a marker's black square, metres.
-        dictionary: Which markers they are; their ids start at 20.
+        columns: Number of squares from left to right.
+        rows: Number of squares from top to bottom.
+        square: Side of a square in metres.
+        marker: Side of a marker's black square in metres.
+        dictionary: The marker dictionary; ids start at 20.
     """
 
     columns: int = 7
@@ -55,17 +55,17 @@ class Board(Spec):
 
     @property
     def corners(self) -> Array:
-        """(K,3) metres, z = 0: where four squares meet, by their ids."""
+        """The points where four squares meet, in the order of their ids, of shape (K, 3), metres, z = 0."""
         return np.asarray(_board(self).getChessboardCorners(), np.float64)
 
     def find(self, image: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.intp], Array]:
-        """The corners that are seen in an image.
+        """Find the visible corners in an image.
 
         Args:
-            image: (H,W,3) RGB or (H,W) gray, uint8.
+            image: RGB image (H, W, 3) or gray image (H, W), uint8.
 
         Returns:
-            (K,) their ids, and (K,2) their pixels; K = 0 where no board is seen.
+            The ids (K,) and the pixels (K, 2) of the corners; K is 0 if no board is visible.
         """
         corners, ids, _, _ = _detector(self, threading.get_ident()).detectBoard(as_gray(image))
         if ids is None or corners is None:
@@ -73,7 +73,7 @@ class Board(Spec):
         return np.ravel(ids).astype(np.intp), np.asarray(corners, np.float64).reshape(-1, 2)
 
     def picture(self, pixels_per_metre: float) -> npt.NDArray[np.uint8]:
-        """(h,w) uint8: the board without a margin."""
+        """Return a picture of the board without a margin, (h, w), uint8."""
         size = (round(self.columns * self.square * pixels_per_metre), round(self.rows * self.square * pixels_per_metre))
         return np.asarray(_board(self).generateImage(size, marginSize=0, borderBits=1), np.uint8)
 
@@ -87,25 +87,16 @@ def _board(board: Board) -> Any:
 
 @lru_cache(maxsize=8)
 def _detector(board: Board, thread: int) -> Any:
-    """OpenCV's detector; one a thread, since nobody promises that it may be shared."""
+    """Return OpenCV's detector, one for each thread because it is not documented as thread-safe."""
     return cv2.aruco.CharucoDetector(_board(board))
-
-
-_LEAST_CORNERS: Final = 8
-
-_APART: Final = 0.05  # of the image's width, by which corners of two views differ on the mean
-
-_STILL: Final = 0.004  # of it, by which a board that is held still moves from one frame to the next
-
-_CELLS: Final = (8, 6)  # of the image, in which corners are counted
 
 
 class BoardView(NamedTuple):
     """The corners of a board that one image shows.
 
     Args:
-        ids: (K,) of the corners.
-        pixels: (K,2).
+        ids: (K,) ids of the corners.
+        pixels: (K, 2) pixels of the corners.
     """
 
     ids: npt.NDArray[np.intp]
@@ -113,15 +104,16 @@ class BoardView(NamedTuple):
 
 
 class BoardViews:
-    """Collects views, one image after another, and takes those that differ from all before.
+    """Collect views from a sequence of images, and keep those that differ from all previous ones.
 
     Args:
-        board: What to look for.
+        board: The board.
         size: (H, W) of the images.
-        still: Take only what is held still: a moving board is blurred, and a camera that reads line by line bends it.
+        still: Accept only views in which the board is held still. A moving board is blurred, and a rolling shutter
+            distorts it.
 
     Attributes:
-        taken: The views.
+        taken: The accepted views.
     """
 
     def __init__(self, board: Board, size: tuple[int, int], still: bool = False) -> None:
@@ -131,13 +123,13 @@ class BoardViews:
         self._last: BoardView | None = None
 
     def offer(self, image: npt.NDArray[np.uint8]) -> str:
-        """Look at an image; returns why it is not taken, empty if it is.
+        """Process an image, and return why its view is rejected; empty if it is accepted.
 
         Args:
-            image: (H,W,3) RGB or (H,W) gray, uint8.
+            image: RGB image (H, W, 3) or gray image (H, W), uint8.
 
         Raises:
-            ValueError: Of another size than the images before.
+            ValueError: The size differs from that of the other images.
         """
         if image.shape[:2] != self.size:
             raise ValueError(
@@ -146,21 +138,21 @@ class BoardViews:
         view = BoardView(*self._board.find(image))
         before, self._last = self._last, view
         if len(view.ids) < _LEAST_CORNERS:
-            return f"{len(view.ids)} corners of the board are seen, at least {_LEAST_CORNERS} are needed"
+            return f"{len(view.ids)} corners of the board are visible, at least {_LEAST_CORNERS} are needed"
         if self._still and (before is None or self._moved(before, view) > _STILL):
             return "the board moves: hold it still for a moment"
         if any(self._moved(other, view) < _APART for other in self.taken):
-            return "much like a view before: move or tilt the board"
+            return "similar to an earlier view: move or tilt the board"
         self.taken.append(view)
         return ""
 
     @property
     def coverage(self) -> float:
-        """Share of the image's 8 x 6 cells in which a corner was seen, 0...1."""
+        """Share of the 8 x 6 cells of the image in which a corner was visible, 0...1."""
         return float(self._seen().mean())
 
     def missing(self) -> str:
-        """Where in the image few corners were seen, in words; empty where they are everywhere."""
+        """Return the parts of the image with few corners, in words; empty if there are none."""
         seen = self._seen()
         parts = {
             f"{vertical} {horizontal}": seen[rows, columns].mean()
@@ -178,7 +170,7 @@ class BoardViews:
         return seen
 
     def _moved(self, before: BoardView, now: BoardView) -> float:
-        """Mean distance of the corners in both, as a share of the image's width; 1 where they share none."""
+        """Return the mean distance of the common corners, as a share of the image width; 1 if there are none."""
         both, first, second = np.intersect1d(before.ids, now.ids, return_indices=True)
         if not len(both):
             return 1.0

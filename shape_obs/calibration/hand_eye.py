@@ -1,7 +1,4 @@
-"""Where a camera stands in the base frame: the rigid motion that lays what it saw on what was touched.
-
-Where a marker's corners are in space, as a camera sees them.
-"""
+"""Fit the pose of a camera in the base frame to points that it sees and a robot touches; locate markers in space."""
 
 from __future__ import annotations
 
@@ -12,32 +9,35 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.calibration.extrinsics import Extrinsics
 from shape_obs.camera import Intrinsics
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import depth_in_metres
 
 Array = npt.NDArray[np.float64]
 
-
 LEAST_TOUCHES: Final = 4
+_SPREAD: Final = 0.01  # smallest rms distance in metres of the points from the line that fits them best
+# A touch is an outlier if it lies farther off than both of these.
+_OUTLYING: Final = 4.0  # in units of the rms residual of the others
+_OUTLYING_METRES: Final = 0.0015
 
-_SPREAD: Final = 0.01  # metres by which the points must spread across the line that fits them best, rms
-
-_OUTLYING: Final = 4.0  # times the others' rms, and
-
-_OUTLYING_METRES: Final = 0.0015  # so far off, at least: a touch that does not fit to the others
+_INSIDE: Final = 0.85  # part of the marker whose depth is used, so that none beside it is read
+_ENOUGH: Final = 0.3  # smallest share of these pixels with depth
+_LEAST: Final = 12  # smallest number of these pixels
+_STRAY: Final = 3.0  # robust standard deviations from the marker's plane beyond which a pixel is ignored
+_NORMAL: Final = 1.4826  # ratio of standard deviation to median absolute deviation
 
 
 @dataclass(frozen=True, eq=False)
 class BaseFit:
-    """A camera's place, and how well the touches agree with it.
+    """The pose of a camera, and how well the touches agree with it.
 
     Args:
-        extrinsics: The place.
-        residuals: (K,) metres, by how much each touch lies off.
-        rms: Of the residuals, metres.
-        suspect: The touch that fits to none of the others; None if they agree.
-        suspect_off: By how much it lies off where the others put it, metres.
+        extrinsics: The pose.
+        residuals: (K,) distances in metres of the touches from their fitted positions.
+        rms: Root mean square of the residuals in metres.
+        suspect: Index of the touch that does not agree with the others; None if they agree.
+        suspect_off: Distance in metres of the suspect from where the others put it.
     """
 
     extrinsics: Extrinsics
@@ -54,17 +54,17 @@ def fit_base(
     serial: str | None = None,
     max_age_days: float = 30.0,
 ) -> BaseFit:
-    """The rigid transform with the least squares of ``p_base - T p_camera``.
+    """Fit the rigid transform that minimises the squares of ``p_base - T p_camera``.
 
     Args:
-        points_camera: (K,3) metres, camera frame.
-        points_base: (K,3) metres, base frame: the same points, touched.
-        intrinsics: For the file.
-        serial: For the file.
-        max_age_days: For the file.
+        points_camera: (K, 3) metres, camera frame.
+        points_base: (K, 3) metres, base frame: the same points, touched by the robot.
+        intrinsics: The intrinsics to store in the file.
+        serial: The serial number to store in the file.
+        max_age_days: The maximum age to store in the file.
 
     Raises:
-        ValueError: Fewer than 4 points, points on a line, or numbers that are none.
+        ValueError: There are fewer than 4 points, all points lie on a line, or some are not finite.
 
     References:
         W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Crystallographica A32, 1976.
@@ -80,8 +80,8 @@ def fit_base(
         across = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(points))
         if across < _SPREAD:
             raise ValueError(
-                f"the {name} lie within {1000 * across:.0f} mm of one line, so nothing tells how the camera is turned "
-                "about it: touch corners of markers all around the table."
+                f"the {name} lie within {1000 * across:.0f} mm of one line, which leaves the rotation about it "
+                "undetermined: touch corners of markers all around the table."
             )
     transform = _rigid(seen, touched)
     residuals = _off(transform, seen, touched)
@@ -93,7 +93,7 @@ def fit_base(
 
 
 def _rigid(seen: Array, touched: Array) -> Array:
-    """(4,4) the motion that lays one set of points on the other."""
+    """Return the rigid transform (4, 4) from one set of points to the other."""
     middle, target = seen.mean(axis=0), touched.mean(axis=0)
     left, _, right = np.linalg.svd((touched - target).T @ (seen - middle))
     proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
@@ -109,7 +109,7 @@ def _off(transform: Array, seen: Array, touched: Array) -> Array:
 
 
 def _suspect(seen: Array, touched: Array) -> tuple[int | None, float]:
-    """The touch without which the others agree best, if it lies far off where they put it, and how far."""
+    """Return the touch that is an outlier of the others, if any, and its distance from where they put it."""
     if len(seen) <= LEAST_TOUCHES:
         return None, 0.0
     tried = []
@@ -121,43 +121,32 @@ def _suspect(seen: Array, touched: Array) -> tuple[int | None, float]:
     return (i, off) if off > max(_OUTLYING * rms, _OUTLYING_METRES) else (None, 0.0)
 
 
-_INSIDE: Final = 0.85  # of the marker, so that no depth of what lies beside it is read
-
-_ENOUGH: Final = 0.3  # of these pixels have depth, at least
-
-_LEAST: Final = 12  # pixels
-
-_STRAY: Final = 3.0  # robust deviations of the depth from the marker's plane, beyond which a pixel is left out
-
-_NORMAL: Final = 1.4826  # standard deviations in a median deviation
-
-
 def marker_points(
     corners: Array, intrinsics: Intrinsics, depth: npt.NDArray[Any] | None = None, size: float | None = None
 ) -> Array:
-    """Lift a marker's corners to space.
+    """Return the positions of a marker's corners in space.
 
-    With depth, each corner's ray is cut with the plane through the depth of the whole marker: the depth at a corner
-    itself belongs half to the table, and hundreds of pixels are less noisy than one. Without it, the marker's size
-    tells the distance, less well.
+    With depth, the ray of each corner is intersected with the plane through the depth of the whole marker, because half
+    of the depth at a corner belongs to the table, and hundreds of pixels are less noisy than one. Without depth, the
+    distance follows from the size of the marker, less accurately.
 
     Args:
-        corners: (4,2) pixels, see ``find_markers``.
-        intrinsics: Of the image.
-        depth: (H,W) uint16 millimetres or floating metres; None where there is none.
-        size: Side of the marker's black square, metres; None where it is not known.
+        corners: (4, 2) pixels, see ``find_markers``.
+        intrinsics: The intrinsics of the image.
+        depth: (H, W) uint16 millimetres or float metres; None without depth.
+        size: Side of the marker's black square in metres; None if unknown.
 
     Returns:
-        (4,3) metres, camera frame.
+        Positions of shape (4, 3) in metres, camera frame.
 
     Raises:
-        ValueError: There is not enough depth on the marker, and its size is not known.
+        ValueError: There is not enough depth on the marker, and its size is unknown.
     """
     plane = None if depth is None else _plane(corners, depth)
     if plane is not None:
         return intrinsics.deproject(corners, 1 / (corners @ plane[:2] + plane[2]))
     if size is None:
-        raise ValueError("there is no depth that tells where the marker is: give the marker's size.")
+        raise ValueError("there is not enough depth on the marker: give the marker's size.")
     half = size / 2
     square = np.array([(-half, half, 0), (half, half, 0), (half, -half, 0), (-half, -half, 0)])
     rays = np.ascontiguousarray(intrinsics.rays(corners)[:, :2])
@@ -166,12 +155,12 @@ def marker_points(
 
 
 def has_depth(corners: Array, depth: npt.NDArray[Any]) -> bool:
-    """Whether there is enough depth on a marker to tell where it is."""
+    """Return whether there is enough depth on a marker to locate it."""
     return _plane(corners, depth) is not None
 
 
 def _plane(corners: Array, depth: npt.NDArray[Any]) -> Array | None:
-    """(3,) a, b, c with 1/z = a u + b v + c: a plane in space is one in the inverse depth too."""
+    """Return (a, b, c) with 1/z = a u + b v + c, since a plane in space is also one in inverse depth."""
     inside = np.zeros(depth.shape, np.uint8)
     middle = corners.mean(axis=0)
     cv2.fillConvexPoly(inside, np.round(middle + _INSIDE * (corners - middle)).astype(np.int32), 1)

@@ -1,4 +1,4 @@
-"""A camera's projection, fitted to views of a board, beside the one that the factory has stored."""
+"""Fit the intrinsics of a camera to views of a board, and compare them with those of the factory."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.calibration.board import Board, BoardView
-from shape_obs.calibration.extrinsics import now
 from shape_obs.camera import Intrinsics
+from shape_obs.extrinsics import now
 from shape_obs.spec import Spec, SpecError
 from shape_obs.utils.documents import read_json
 from shape_obs.utils.files import write_text
@@ -22,30 +22,30 @@ from shape_obs.utils.files import write_text
 Array = npt.NDArray[np.float64]
 
 LEAST_VIEWS: Final = 6
-# The factory's projection is good while its rays lie near the fitted ones (a pixel is 1.8 mm at 0.7 m) and it explains
-# the board hardly worse; a fit that does not know its focal length so well cannot judge it.
+# The factory's intrinsics are accepted if their rays are close to the fitted ones (a pixel is 1.8 mm at 0.7 m) and
+# their residuals hardly larger. A fit with a larger uncertainty of the focal length cannot decide this.
 GOOD_RAYS: Final = 0.7  # pixels rms
 GOOD_RMS: Final = 0.2  # pixels more than the fitted rms
-KNOWN_FOCAL: Final = 0.0025  # of it: the standard deviation of the fit
+KNOWN_FOCAL: Final = 0.0025  # relative standard deviation of the focal length
 
 
 @dataclass(frozen=True)
 class IntrinsicsFit(Spec):
-    """What a board has told about a camera.
+    """Fitted intrinsics of a camera, and a check of those of the factory.
 
     Args:
-        intrinsics: Fitted: Brown-Conrady without k3.
-        rms: By how much the corners lie off under it, pixels.
-        deviation: Standard deviation of fx and fy, as a share of them.
-        views: How many.
-        coverage: Share of the image's cells in which corners were seen.
-        factory: The projection that the camera told; None where it told none.
-        factory_rms: By how much the corners lie off under that one, pixels.
-        factory_apart: By how much its rays lie beside the fitted ones where corners were seen, pixels rms; a turn of
-            the camera is not counted, it belongs to its place.
-        doubts: What speaks against the factory's projection, or against the fit; empty if nothing does.
-        serial: Of the camera.
-        created: When, ISO 8601.
+        intrinsics: The fitted intrinsics, Brown-Conrady without k3.
+        rms: Root mean square residual of the corners in pixels.
+        deviation: Relative standard deviation of fx and fy.
+        views: Number of views.
+        coverage: Share of the image's cells in which corners were visible.
+        factory: The intrinsics that the camera reports; None if it reports none.
+        factory_rms: Root mean square residual of the corners in pixels with the factory's intrinsics.
+        factory_apart: Root mean square difference in pixels between the rays of both intrinsics at the corners, after
+            the best rotation, which belongs to the pose of the camera.
+        doubts: Reasons against the factory's intrinsics or against the fit; empty if there are none.
+        serial: Serial number of the camera.
+        created: Time of the fit, ISO 8601.
     """
 
     intrinsics: Intrinsics
@@ -62,14 +62,14 @@ class IntrinsicsFit(Spec):
 
     @property
     def good(self) -> bool:
-        """Whether nothing speaks against the camera's own projection, or the fitted one where it has none."""
+        """Whether there are no doubts about the camera's own intrinsics, or about the fitted ones if it has none."""
         return not self.doubts
 
     def save(self, path: str | Path) -> None:
-        """Write it as JSON, whole or not at all.
+        """Write the result as JSON, completely or not at all.
 
         Raises:
-            OSError: It cannot be written.
+            OSError: The file cannot be written.
         """
         write_text(Path(path), json.dumps(self.to_dict(), indent=2) + "\n")
 
@@ -79,7 +79,7 @@ class IntrinsicsFit(Spec):
 
         Raises:
             FileNotFoundError: There is no such file.
-            SpecError: It is no JSON, or lacks something.
+            SpecError: The file is not JSON, or an entry is missing.
         """
         data = read_json(path, "intrinsics")
         try:
@@ -96,18 +96,19 @@ def fit_intrinsics(
     coverage: float = 0.0,
     serial: str | None = None,
 ) -> IntrinsicsFit:
-    """Fit a camera's projection, and judge the factory's.
+    """Fit the intrinsics of a camera, and check those of the factory.
 
     Args:
-        views: Of the board, as ``BoardViews`` collects them.
+        views: Views of the board, as ``BoardViews`` collects them.
         size: (H, W) of the images.
-        board: What was looked at.
-        factory: The projection that the camera tells.
+        board: The board.
+        factory: The intrinsics that the camera reports.
         coverage: See ``IntrinsicsFit``.
-        serial: Of the camera.
+        serial: Serial number of the camera.
 
     Raises:
-        ValueError: Fewer than 6 views, or views that do not tell the focal length: the board was never tilted.
+        ValueError: There are fewer than 6 views, or the board was never tilted, which leaves the focal length
+            undetermined.
 
     References:
         Z. Zhang, "A flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000.
@@ -129,7 +130,7 @@ def fit_intrinsics(
     deviation = float(max(np.ravel(deviations)[:2] / (fitted.fx, fitted.fy)))
     if not np.isfinite(deviation) or deviation > 20 * KNOWN_FOCAL:
         raise ValueError(
-            "the views do not tell the focal length: tilt the board, by up to 45 degrees, in all directions."
+            "the views do not determine the focal length: tilt the board, by up to 45 degrees, in all directions."
         )
     factory_rms = apart = None
     if factory is not None:
@@ -144,26 +145,26 @@ def fit_intrinsics(
 def _doubts(rms: float, deviation: float, apart: float | None, factory_rms: float | None) -> tuple[str, ...]:
     found = []
     if rms > 1:
-        found.append(f"the corners lie {rms:.2f} px off even under the fitted projection: is the board flat?")
+        found.append(f"the corner residual is {rms:.2f} px even with the fitted intrinsics: is the board flat?")
     if deviation > KNOWN_FOCAL:
         found.append(
-            f"the focal length is known to {100 * deviation:.2f} % only: show more views, tilted by up to 45 degrees."
+            f"the focal length is only known to {100 * deviation:.2f} %: show more views, tilted by up to 45 degrees."
         )
     elif apart is not None and apart > GOOD_RAYS:
         found.append(
-            f"the factory's rays lie {apart:.1f} px rms beside the fitted ones: the focal lengths are wrong, or the "
+            f"the factory's rays differ from the fitted ones by {apart:.1f} px rms: the focal lengths are wrong, the "
             "image is not rectified, or the lens was moved."
         )
     if factory_rms is not None and factory_rms > rms + GOOD_RMS:
         found.append(
-            f"the corners lie {factory_rms:.2f} px off under the factory's projection, {rms:.2f} px under the fitted "
-            "one."
+            f"the corner residual is {factory_rms:.2f} px with the factory's intrinsics and {rms:.2f} px with the "
+            "fitted ones."
         )
     return tuple(found)
 
 
 def _apart(one: Intrinsics, other: Intrinsics, pixels: Array) -> float:
-    """By how much the rays of two projections through the same pixels differ, pixels rms, after the best turn."""
+    """Return the rms difference in pixels between the rays of two intrinsics, after the best rotation."""
     first, second = (_unit(each.rays(pixels)) for each in (one, other))
     left, _, right = np.linalg.svd(first.T @ second)
     turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
@@ -175,11 +176,12 @@ def _unit(rays: Array) -> Array:
 
 
 def _off(views: Sequence[BoardView], board: Board, intrinsics: Intrinsics) -> list[Array]:
-    """Of each view, by how much its corners lie off where the best pose of the board puts them, pixels."""
+    """Return for each view the distances in pixels of its corners from those of the best pose of the board."""
     off = []
     for view in views:
         solid = board.corners[view.ids]
-        # The pose is fitted to rays, so that every lens model is judged alike.
+        # The pose is fitted to rays, so that all lens models are treated alike.
+
         rays = np.ascontiguousarray(intrinsics.rays(view.pixels)[:, :2])
         _, turn, shift = cv2.solvePnP(solid, rays, np.eye(3), np.zeros(0), flags=cv2.SOLVEPNP_ITERATIVE)
         placed = solid @ cv2.Rodrigues(turn)[0].T + np.ravel(shift)

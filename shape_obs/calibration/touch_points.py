@@ -1,7 +1,4 @@
-"""Touches: where a robot's tool tip was when it touched a marker's corner, and the files that hold them.
-
-Where a source sees the corners of markers, over several frames.
-"""
+"""Corners of markers that a robot touches and a camera sees, and the files of touches."""
 
 from __future__ import annotations
 
@@ -23,21 +20,24 @@ from shape_obs.spec import Spec, SpecError
 from shape_obs.utils.documents import parse_json
 from shape_obs.utils.files import write_text
 
-FIELDS: Final = ("marker", "corner", "x", "y", "z")
+Array = npt.NDArray[np.float64]
+#: The id of a marker, and the index of its corner.
+MarkerCorner = tuple[int, int]
 
+FIELDS: Final = ("marker", "corner", "x", "y", "z")
 CORNERS: Final = ("top left", "top right", "bottom right", "bottom left")
 
 
 @dataclass(frozen=True)
 class Touch(Spec):
-    """One touch.
+    """The position of a robot's tool tip when it touched the corner of a marker.
 
     Args:
-        marker: Its id.
+        marker: The id of the marker.
         corner: 0...3: the marker's own top left, top right, bottom right, bottom left.
-        x: Of the tool tip in the base frame, metres.
-        y: The same.
-        z: The same.
+        x: x of the tool tip in metres, base frame.
+        y: y of the tool tip in metres, base frame.
+        z: z of the tool tip in metres, base frame.
     """
 
     marker: int
@@ -57,7 +57,7 @@ class Touch(Spec):
 
     @property
     def name(self) -> str:
-        """In words."""
+        """Description of the corner, for messages."""
         return f"marker {self.marker}, corner {self.corner} ({CORNERS[self.corner]})"
 
 
@@ -72,7 +72,7 @@ def read_touches(path: str | Path) -> list[Touch]:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:
-        raise FileNotFoundError(f"{path}: no such file of touches") from error
+        raise FileNotFoundError(f"{path}: no such touches file") from error
     except UnicodeDecodeError as error:
         raise SpecError(f"{path}: expected a CSV or JSON file of touches: {error}") from error
     rows = _json_rows(path, text) if path.suffix == ".json" else _csv_rows(path, text)
@@ -82,7 +82,7 @@ def read_touches(path: str | Path) -> list[Touch]:
 
 
 def write_touches(path: str | Path, touches: Iterable[Touch]) -> None:
-    """Write them as CSV, whole or not at all."""
+    """Write touches as CSV, completely or not at all."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(FIELDS)
@@ -125,49 +125,45 @@ def _numbers(path: Path, line: int, row: Mapping[Any, Any]) -> dict[str, float]:
         raise SpecError(f"{path}: line {line}: expected five numbers ({','.join(FIELDS)}), got {given}.") from error
 
 
-Array = npt.NDArray[np.float64]
-
-Place = tuple[int, int]
-
-
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """Corners in space.
+    """The corners of markers as a camera sees them.
 
     Args:
-        places: (marker, corner) -> (3,) metres, camera frame: the median over the frames.
-        intrinsics: Of the images.
-        by_depth: Whether depth told the distance, of any of them, or the markers' size alone.
+        corners: Position of each corner in metres, camera frame: the median over the frames.
+        intrinsics: The intrinsics of the images.
+        by_depth: Whether depth was used for any corner, not only the size of the markers.
     """
 
-    places: dict[Place, Array]
+    corners: dict[MarkerCorner, Array]
     intrinsics: Intrinsics
     by_depth: bool
 
     @property
     def markers(self) -> list[int]:
-        """Ids of the markers seen."""
-        return sorted({marker for marker, _ in self.places})
+        """Ids of the visible markers."""
+        return sorted({marker for marker, _ in self.corners})
 
 
 def sight(source: RGBDSource, frames: int, dictionary: str, size: float | None = None) -> Sighting:
-    """Look at the markers that lie still before a camera.
+    """Locate the corners of markers that lie still in front of a camera.
 
     Args:
-        source: Connected.
-        frames: To look at, at most; a recording may have fewer.
-        dictionary: Which markers to look for.
-        size: Side of a marker's black square, metres; needed without depth.
+        source: A connected source.
+        frames: Largest number of frames; a recording may have fewer.
+        dictionary: The marker dictionary.
+        size: Side of a marker's black square in metres; needed without depth.
 
     Raises:
-        ValueError: No intrinsics, no markers in half of the frames, or neither depth nor size.
+        ValueError: There are no intrinsics, no marker is visible in half of the frames, or there is neither depth nor a
+            size.
         SourceError: The source fails.
     """
     seen: dict[int, list[Array]] = {}
     blind: set[int] = set()
     intrinsics, by_depth, looked = source.intrinsics, False, 0
     if intrinsics is None:
-        raise ValueError(f"{source.name} does not know its intrinsics: take a camera, or a recording of one.")
+        raise ValueError(f"{source.name} has no intrinsics: use a camera, or a recording of one.")
     while looked < frames:
         try:
             frame = source.read(timeout=5.0)
@@ -175,24 +171,24 @@ def sight(source: RGBDSource, frames: int, dictionary: str, size: float | None =
             break
         looked += 1
         if frame.rgb is None:
-            raise ValueError(f"{source.name} has no colour images: markers cannot be seen in depth.")
-        for marker, corners in find_markers(frame.rgb, dictionary).items():
-            depth = frame.depth if frame.depth is not None and has_depth(corners, frame.depth) else None
+            raise ValueError(f"{source.name} has no colour images, which markers need.")
+        for marker, pixels in find_markers(frame.rgb, dictionary).items():
+            depth = frame.depth if frame.depth is not None and has_depth(pixels, frame.depth) else None
             if depth is None and size is None:
-                blind.add(marker)  # a marker in a hole of the depth does not stand in the way of the others
+                blind.add(marker)  # other markers may have depth
                 continue
             by_depth = by_depth or depth is not None
-            seen.setdefault(marker, []).append(marker_points(corners, intrinsics, depth, size))
-    # What is seen in a frame or two is no marker, or one that something passes over.
+            seen.setdefault(marker, []).append(marker_points(pixels, intrinsics, depth, size))
+    # A marker in a few frames only is a false detection, or something passed over it.
     often = {marker: points for marker, points in seen.items() if 2 * len(points) >= looked}
     if not often and blind:
-        told = ", ".join(map(str, sorted(blind)))
-        raise ValueError(f"markers {told} are seen, but there is no depth on them: give the markers' size.")
+        markers = ", ".join(map(str, sorted(blind)))
+        raise ValueError(f"markers {markers} are visible, but have no depth: give the size of the markers.")
     if not often:
         raise ValueError(f"no markers of {dictionary!r} in the {looked} frames of {source.name}.")
-    places = {
+    corners = {
         (marker, corner): np.asarray(np.median(np.stack(points), axis=0)[corner], np.float64)
         for marker, points in often.items()
         for corner in range(4)
     }
-    return Sighting(places, intrinsics, by_depth)
+    return Sighting(corners, intrinsics, by_depth)

@@ -1,37 +1,42 @@
-"""The command line: ``shape-obs COMMAND``. Only the command that runs is imported."""
+"""The command line, ``shape-obs COMMAND``.
+
+Only the module of the chosen command is imported, and it imports libraries only once its arguments are read: so every
+``--help`` is quick.
+"""
 
 from __future__ import annotations
 
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Final
 
 from shape_obs import __version__
-from shape_obs.spec import did_you_mean
+from shape_obs.utils.documents import did_you_mean
 
 COMMANDS: Final = {
-    "demo": "run an episode of the simulated cable and draw what is seen",
+    "demo": "run an episode of the simulated cable and draw what the camera sees",
     "detect": "find the shape in image files",
-    "record": "record what a camera, a file or an environment shows",
+    "record": "record frames from a camera, a file or an environment",
     "replay": "find the shape in every frame of a recording, and export it",
     "extract": "find the shapes in many recordings, as a Parquet dataset",
     "fit-features": "fit principal components to recorded shapes",
-    "goal": "record the shape that is seen now as a goal",
-    "ablate": "train with other things to see, and compare what is reached",
-    "deploy": "run a controller on a robot, from the camera alone",
+    "goal": "record the shape that the camera sees now as a goal",
+    "ablate": "train with different observations, and compare the results",
+    "deploy": "run a policy or a controller on a robot, from the camera alone",
     "markers": "draw markers or a calibration board to print",
-    "calibrate": "measure a camera's projection, and its place in the robot's base frame",
+    "calibrate": "measure a camera's intrinsics, and its pose in the robot's base frame",
     "bench": "measure accuracy, time and quality",
 }
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Run a command. Exits with 0; with 1 and one line on stderr if something is wrong; with 2 on wrong usage.
+    """Run a command and exit.
 
-    After a signal it exits with 128 plus the signal's number, as shells expect.
+    The exit code is 0 on success, 1 with one line on stderr after an error, 2 after wrong usage, and 128 plus the
+    signal's number after a signal, as shells expect.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if not arguments or arguments[0] in ("-h", "--help"):
@@ -48,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         status = import_module(f"shape_obs.cli.{command.replace('-', '_')}").main(rest)
         sys.stdout.flush()
     except BrokenPipeError:
-        # Nobody reads the output any more; without this the interpreter fails again when it flushes it.
+        # The reader of the output is gone; without this the interpreter fails again when it flushes stdout.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except (ValueError, TypeError, OSError, ImportError) as error:
@@ -61,8 +66,31 @@ def main(argv: Sequence[str] | None = None) -> None:
     sys.exit(status)
 
 
+def run_part(command: str, noun: str, parts: Mapping[str, str], argv: Sequence[str]) -> int:
+    """Run the subcommand that ``argv`` starts with, or list all of them; return the exit code.
+
+    Args:
+        command: The command, such as ``"bench"``; its subcommands are modules of ``shape_obs.cli.bench``.
+        noun: What error messages call a subcommand.
+        parts: Each subcommand and what it does.
+        argv: The subcommand and its arguments.
+
+    Raises:
+        ValueError: There is no such subcommand.
+    """
+    if not argv or argv[0] in ("-h", "--help"):
+        width = max(map(len, parts))
+        print(f"usage: shape-obs {command} {{{','.join(parts)}}} [OPTIONS]\n")
+        print("\n".join(f"  {name:<{width}} {what}" for name, what in parts.items()))
+        return 0
+    name, *rest = argv
+    if name not in parts:
+        raise ValueError(f"unknown {noun} {name!r}{did_you_mean(name, parts)}")
+    return int(import_module(f"shape_obs.cli.{command}.{name}").main(rest))
+
+
 def _usage() -> str:
     lines = [f"  {name:<12} {what}" for name, what in COMMANDS.items()]
     return "\n".join(
-        ["usage: shape-obs COMMAND [OPTIONS]", "", *lines, "", "`shape-obs COMMAND --help` tells a command's options."]
+        ["usage: shape-obs COMMAND [OPTIONS]", "", *lines, "", "`shape-obs COMMAND --help` lists a command's options."]
     )

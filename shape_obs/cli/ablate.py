@@ -1,4 +1,4 @@
-"""``shape-obs ablate``: the same training with other things to see, and what comes of each."""
+"""``shape-obs ablate``: repeat a training with different observations, and compare the results."""
 
 from __future__ import annotations
 
@@ -10,51 +10,51 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from tqdm import tqdm
 
-from shape_obs.cli.source import warnings_as_lines
-from shape_obs.spec import did_you_mean
-from shape_obs.utils.files import make_folder
+from shape_obs.cli.options import warnings_as_lines
+from shape_obs.utils.documents import did_you_mean
 
 if TYPE_CHECKING:
+    from tqdm import tqdm
+
     from shape_obs.ablation import Study
-    from shape_obs.ablation.engines import Engine
-    from shape_obs.ablation.work import Outcome
+    from shape_obs.ablation.executors import Engine, Outcome
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Train every arm of a study from every seed, and compare what they reach, in millimetres of the true points.
+    """Train every arm of a study with every seed, and compare their errors in millimetres of the true points.
 
-    What is done is left alone when the command runs again; what was interrupted begins anew from its seed. Exit code 1
+    When the command runs again, finished runs are kept and interrupted ones restart from their seed. The exit code is 1
     if a run failed.
     """
 
     config: Annotated[Path, tyro.conf.Positional]
-    """A YAML file that says what is compared."""
+    """A YAML file that describes the study."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder of the runs and of what is made of them."""
+    """Folder for the runs and the results."""
     jobs: int | None = None
-    """Runs side by side: processes, 1 by default; of Ray, the cores of the cluster that it starts here."""
+    """Number of parallel runs: processes, default 1; with Ray, cores of the cluster that is started here."""
     engine: Literal["local", "ray"] = "local"
-    """Where runs are done: processes of this machine, or a Ray cluster."""
+    """Run in processes of this machine, or on a Ray cluster."""
     address: str | None = None
-    """Of a Ray cluster: auto, ray://HOST:10001; without it one is started on this machine."""
+    """Address of a Ray cluster: auto or ray://HOST:10001; default: start one on this machine."""
     only: tuple[str, ...] = ()
-    """Arms: only these are run."""
+    """Run only these arms."""
     seeds: tuple[int, ...] = ()
-    """These instead of the config's."""
+    """Seeds; replaces those of the config."""
     table_only: bool = False
-    """Run nothing: make table and pictures of what is done."""
+    """Run nothing; make the table and the pictures from finished runs."""
     json: bool = False
     """Print the summary as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command and return the exit code."""
     args = tyro.cli(Arguments, args=list(argv), prog="shape-obs ablate")
     from shape_obs.ablation import load_study
-    from shape_obs.ablation.pictures import need_matplotlib
+    from shape_obs.ablation.report import need_matplotlib
+    from shape_obs.utils.files import make_folder
 
     need_matplotlib()
     study = load_study(args.config)
@@ -62,13 +62,13 @@ def main(argv: Sequence[str]) -> int:
         if name not in study.arms:
             raise ValueError(f"--only: {args.config} has no arm {name!r}{did_you_mean(name, study.arms)}")
     if args.address is not None and args.engine != "ray":
-        raise ValueError("--address: of a Ray cluster: give --engine ray too.")
+        raise ValueError("--address: only for a Ray cluster; give --engine ray too.")
     if min(args.seeds, default=0) < 0 or max(args.seeds, default=0) >= study.evaluation.seed:
         raise ValueError(f"--seeds: expected 0 ... {study.evaluation.seed - 1}, got {list(args.seeds)}.")
     make_folder(args.out)
     failed = [] if args.table_only else _run(args, study)
     result = _results(args, study)
-    print(json.dumps(result) if args.json else _told(result))
+    print(json.dumps(result) if args.json else _text(result))
     for outcome in failed:
         last = outcome.error.strip().splitlines()[-1]
         print(f"shape-obs ablate: {outcome.task.name} failed: {last}", file=sys.stderr)
@@ -76,9 +76,10 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _run(args: Arguments, study: Study) -> list[Outcome]:
-    """Do the runs that are not done; those that failed."""
-    from shape_obs.ablation.check import check
-    from shape_obs.ablation.sweep import left, sweep
+    """Run what is not finished yet, and return the failed runs."""
+    from tqdm import tqdm
+
+    from shape_obs.ablation.sweep import check, left, sweep
 
     folders = left(study, args.out, list(dict.fromkeys(args.only)), list(dict.fromkeys(args.seeds)))
     if not folders:
@@ -87,41 +88,40 @@ def _run(args: Arguments, study: Study) -> list[Outcome]:
         check(study, list(dict.fromkeys(folder.arm for folder in folders)))
         engine = _engine(args)
         with tqdm(total=len(folders) * study.steps, unit="step", unit_scale=True, desc="training") as bar:
-            outcomes = sweep(study, folders, engine, _teller(bar, len(folders)))
+            outcomes = sweep(study, folders, engine, _progress(bar, len(folders)))
     return [outcome for outcome in outcomes if outcome.error]
 
 
 def _engine(args: Arguments) -> Engine:
-    from shape_obs.ablation.engines import Local, Ray
+    from shape_obs.ablation.executors import Local, Ray
 
     if args.engine == "ray":
         return Ray(args.address, args.jobs)
     return Local(1 if args.jobs is None else args.jobs)
 
 
-def _teller(bar: tqdm, runs: int) -> Callable[[int, Sequence[Outcome]], None]:
-    def told(steps: int, ended: Sequence[Outcome]) -> None:
+def _progress(bar: tqdm, runs: int) -> Callable[[int, Sequence[Outcome]], None]:
+    def show(steps: int, ended: Sequence[Outcome]) -> None:
         failed = sum(bool(outcome.error) for outcome in ended)
         bar.set_postfix_str(f"{len(ended)} of {runs} runs" + (f", {failed} failed" if failed else ""), refresh=False)
         bar.update(steps - bar.n)
 
-    return told
+    return show
 
 
 def _results(args: Arguments, study: Study) -> dict[str, Any]:
-    """Write table and pictures of what is done; what was found, and where it lies."""
-    from shape_obs.ablation.finished import finished, write_results
-    from shape_obs.ablation.pictures import draw
-    from shape_obs.ablation.summary import summarize
-    from shape_obs.ablation.tables import markdown, plain_summary, write_table
+    """Write table and pictures of the finished runs; return the results and the files."""
+    from shape_obs.ablation.report import draw, markdown, summary_to_dict, write_table
+    from shape_obs.ablation.results import finished_runs, write_results
+    from shape_obs.ablation.statistics import summarize
 
-    runs = finished(study, args.out)
+    runs = finished_runs(study, args.out)
     if not runs:
-        raise ValueError(f"{args.out}: no run of this study is done.")
+        raise ValueError(f"{args.out}: no run of this study is finished.")
     summary = summarize(study, runs)
     files = [write_results(runs, args.out), write_table(study, summary, args.out), *draw(study, summary, args.out)]
-    return {"arms": plain_summary(summary), "table": markdown(study, summary), "files": [str(path) for path in files]}
+    return {"arms": summary_to_dict(summary), "table": markdown(study, summary), "files": [str(path) for path in files]}
 
 
-def _told(result: dict[str, Any]) -> str:
+def _text(result: dict[str, Any]) -> str:
     return "\n".join([result["table"], "", *(f"wrote {path}" for path in result["files"])])

@@ -1,43 +1,42 @@
-"""``shape-obs demo``: an episode of the simulated cable, seen through the wrapper."""
+"""``shape-obs demo``: run an episode of the simulated cable through the wrapper."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-import numpy.typing as npt
 import tyro
-from tqdm import tqdm
 
-from shape_obs.cli.files import make_folder, write_gif, write_image
-from shape_obs.drawing import draw_detection, draw_text
-from shape_obs.shape import Detection
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
 
-GOAL = (235, 130, 40)
+    from shape_obs.shape import Detection
+
+_ORANGE = (235, 130, 40)  # the goal
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Run an episode of the simulated cable through the shape wrapper and draw what it sees."""
+    """Run an episode of the simulated cable through the shape wrapper and draw the detected points."""
 
     out: Path = Path("demo")
     """Folder for the picture and the animation."""
     steps: int = 50
-    """Steps of the episode, at most 50."""
+    """Number of steps, at most 50."""
     seed: int = 0
-    """Of start, goal and motion."""
+    """Seed of the start, the goal and the motion."""
     camera: Literal["d455", "rl"] = "d455"
     """The simulated camera: 640 x 480 or 160 x 120."""
     renderer: Literal["auto", "gl", "rays"] = "auto"
-    """OpenGL, ray casting, or whichever there is."""
+    """OpenGL, ray casting, or the first of them that is available."""
 
 
 @dataclass
 class Record:
-    """What an episode leaves behind."""
+    """Frames and measurements of an episode."""
 
     frames: list[npt.NDArray[np.uint8]]
     vectors: list[npt.NDArray[np.float32]]
@@ -50,10 +49,15 @@ class Record:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command and return the exit code."""
     args = tyro.cli(Arguments, args=list(argv), prog="shape-obs demo")
     if not 1 <= args.steps <= 50:
         raise ValueError(f"--steps: expected 1...50, got {args.steps}.")
+    import numpy as np
+
+    from shape_obs.utils.arrays import write_gif, write_image
+    from shape_obs.utils.files import make_folder
+
     out = make_folder(args.out)
     record = run_episode(args)
     write_image(out / "demo.png", np.concatenate([record.frames[0], record.frames[-1]], axis=1))
@@ -64,8 +68,10 @@ def main(argv: Sequence[str]) -> int:
 
 
 def run_episode(args: Arguments) -> Record:
-    """Play the motion that leads to the episode's goal, and look at it through the wrapper."""
+    """Play the motion that leads to the goal of the episode, and detect the cable in every frame."""
     import gymnasium as gym
+    import numpy as np
+    from tqdm import tqdm
 
     from shape_obs.wrappers import ShapeObservation
 
@@ -86,7 +92,9 @@ def run_episode(args: Arguments) -> Record:
 
 
 def summary(record: Record) -> str:
-    """The lines that the demo prints."""
+    """Return the lines that the demo prints."""
+    import numpy as np
+
     first = record.vectors[0].reshape(-1, 3)
     rows = [f"  point {i:2d}        x {x:+.4f}  y {y:+.4f}  z {z:+.4f} m" for i, (x, y, z) in enumerate(first[:4])]
     return "\n".join(
@@ -94,18 +102,23 @@ def summary(record: Record) -> str:
             f"observation     {len(record.vectors[0])} numbers: {len(first)} points on the cable's axis, base frame",
             *rows,
             "  ...",
-            f"frames          {len(record.vectors)}, of which not ok: {record.lost}, order reversed: {record.flips}",
+            f"frames          {len(record.vectors)}, not ok: {record.lost}, order reversed: {record.flips}",
             f"ms per frame    {np.median(record.latencies_ms):.2f} median, "
             f"{np.percentile(record.latencies_ms, 95):.2f} 95th percentile (image to vector)",
             f"error           {np.mean(record.errors_mm):.2f} mm mean, {np.max(record.errors_mm):.2f} mm worst frame; "
-            f"{np.mean(record.errors_px):.2f} px mean (against the simulator's truth)",
-            f"goal            {record.goal_distances_mm[0]:.1f} mm away at first, "
-            f"{record.goal_distances_mm[-1]:.1f} mm at the end (as the camera sees it)",
+            f"{np.mean(record.errors_px):.2f} px mean (against the simulator)",
+            f"goal            {record.goal_distances_mm[0]:.1f} mm away at the start, "
+            f"{record.goal_distances_mm[-1]:.1f} mm at the end (measured by the camera)",
         ]
     )
 
 
 def _remember(record: Record, env: Any, observation: dict[str, Any], info: dict[str, Any]) -> None:
+    """Add one frame and its measurements to the record."""
+    import numpy as np
+
+    from shape_obs.drawing import draw_detection, draw_text
+
     detection: Detection = env.detection
     shape = detection.shapes[0]
     simulator = env.unwrapped
@@ -124,7 +137,7 @@ def _remember(record: Record, env: Any, observation: dict[str, Any], info: dict[
     picture = env.render()
     scale = max(1, 480 // picture.shape[0])
     goal_pixels = simulator.camera_model.project_from_base(goal)
-    canvas = draw_detection(picture, detection, scale=scale, under=[(goal_pixels, GOAL)])
+    canvas = draw_detection(picture, detection, scale=scale, under=[(goal_pixels, _ORANGE)])
     away = record.goal_distances_mm[-1]
     draw_text(canvas, f"step {len(record.frames) + 1}: {away:.1f} mm from the goal (orange)", (12, 24))
     record.frames.append(canvas)

@@ -1,4 +1,4 @@
-"""``shape-obs deploy``: run a controller on a robot, from the camera alone."""
+"""``shape-obs deploy``: run a policy or a controller on a robot, from the camera alone."""
 
 from __future__ import annotations
 
@@ -10,47 +10,42 @@ from pathlib import Path
 from typing import Any
 
 import tyro
-from threadpoolctl import threadpool_limits
-from tqdm import tqdm
 
-from shape_obs.cli.acting import Acting, ActingArguments, make_acting
-from shape_obs.cli.cell import RATE
-from shape_obs.cli.source import warnings_as_lines
-from shape_obs.config import schema_hash
-from shape_obs.robot import robot_name
+from shape_obs.cli.controller import ControllerArguments, Deployment, make_deployment
+from shape_obs.cli.options import RATE, warnings_as_lines
 
 
 @dataclass(frozen=True)
-class Arguments(ActingArguments):
+class Arguments(ControllerArguments):
     """Run a trained policy, or another controller, on a robot at a fixed rate, from the camera alone.
 
-    However it ends, the robot is stopped, sent to its safe pose and disconnected: also on Ctrl-C, SIGTERM, SIGHUP and
-    SIGQUIT. Exit code 1 if the camera or the robot failed, the shape stayed lost, or the loop hung; 128 plus its number
-    after a signal.
+    However the run ends, the robot is stopped, sent to its safe pose and disconnected, also on Ctrl-C, SIGTERM, SIGHUP
+    and SIGQUIT. The exit code is 1 if the camera or the robot failed, the shape stayed lost, or the loop hung, and 128
+    plus the signal's number after a signal.
     """
 
     seconds: float | None = 60.0
-    """How long to run at most."""
+    """Longest duration of the run."""
     until_reached: int = 0
-    """End when the goal has been reached in so many frames one after the other; 0 goes on."""
+    """End the run when the goal has been reached in this many consecutive frames; 0 never ends it for that reason."""
     hold: float = 0.5
-    """Seconds that a lost or old shape is waited for, without moving, before the run ends."""
+    """Seconds to wait without moving for a lost or old shape before the run ends."""
     min_valid: float = 0.5
     """Share of the points that must be measured."""
     max_age: float = 0.2
-    """Seconds after its exposure within which an image may be acted on, and after which the motion ends."""
+    """Largest age in seconds, since its exposure, of an image to act on; motions end after that time."""
     watchdog: float = 2.0
     """Seconds after which a loop that hangs is ended; its motion has ended after --max-age."""
     max_step: tuple[float, ...] | None = None
-    """How far each coordinate may move in a step, in the robot's units."""
+    """Largest change of each coordinate in one step, in the robot's units."""
     workspace_low: tuple[float, ...] | None = None
-    """The least that each coordinate may become, in the robot's units."""
+    """Lower limit of each coordinate, in the robot's units."""
     workspace_high: tuple[float, ...] | None = None
-    """The most."""
+    """Upper limit of each coordinate, in the robot's units."""
     park: bool = True
-    """In the end send the robot to its safe pose; --no-park leaves it where it is."""
+    """Send the robot to its safe pose at the end; --no-park leaves it where it is."""
     log: Path | None = None
-    """Folder for the log: what ran, a line for each step, the report."""
+    """Folder for the log: the setup, one line per step, and the report."""
     view: int | None = None
     """Port of a web page that shows what the camera sees; needs the extra 'view'."""
     json: bool = False
@@ -58,9 +53,11 @@ class Arguments(ActingArguments):
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command and return the exit code."""
     args = tyro.cli(Arguments, args=list(argv), prog="shape-obs deploy")
-    with warnings_as_lines("shape-obs deploy"), threadpool_limits(1):  # a small network is slower in many threads
+    from threadpoolctl import threadpool_limits
+
+    with warnings_as_lines("shape-obs deploy"), threadpool_limits(1):  # small networks are slower on many threads
         return _run(args)
 
 
@@ -69,17 +66,17 @@ def _run(args: Arguments) -> int:
     from shape_obs.deploy import Interrupted, Limits, RunLog, deploy
 
     limits = Limits(args.hold, args.min_valid, args.max_age, args.watchdog)
-    acting = make_acting(args, max_step=args.max_step, workspace=_box(args))
-    header = _header(acting, limits)
+    setup = make_deployment(args, max_step=args.max_step, workspace=_box(args))
+    header = _header(setup, limits)
 
     def run(number: int | None = None) -> Any:
-        """Run once; one of several episodes gets its own log, and the robot stays connected after it."""
+        """Run once. Each of several episodes gets its own log, and the robot stays connected after it."""
         folder = args.log if args.log is None or number is None else args.log / f"episode-{number:03}"
         return deploy(
-            acting.env,
-            acting.controller,
+            setup.env,
+            setup.controller,
             limits,
-            steps=acting.arguments.steps,
+            steps=setup.arguments.steps,
             seconds=args.seconds,
             until_reached=args.until_reached,
             log=None if folder is None else RunLog(folder, header),
@@ -92,12 +89,12 @@ def _run(args: Arguments) -> int:
         print(json.dumps(report.to_dict()) if args.json else report)
 
     try:
-        with _Progress(acting.arguments, acting.env) as shown:
+        with _Progress(setup.arguments, setup.env) as shown:
             if args.episodes is None:
                 report = run()
                 failed = report.failed
             else:
-                report = play(acting.env, run, args.episodes, acting.threshold, args.park)
+                report = play(setup.env, run, args.episodes, setup.threshold, args.park)
                 failed = any(one.failed for one in report.reports)
     except Interrupted as interrupted:
         if interrupted.report is not None:
@@ -107,24 +104,29 @@ def _run(args: Arguments) -> int:
     return 1 if failed else 0
 
 
-def _header(acting: Acting, limits: Any) -> dict[str, Any]:
-    """What ran, for the log."""
-    detector = acting.env.get_wrapper_attr("detector")
-    told = {"shapes": detector.shapes, "clustering": detector.config.clustering}
+def _header(setup: Deployment, limits: Any) -> dict[str, Any]:
+    """Return the header of the log: options, robot, limits and detector."""
+    from shape_obs.config import schema_hash
+    from shape_obs.robot import robot_name
+
+    detector = setup.env.get_wrapper_attr("detector")
+    schema = {"shapes": detector.shapes, "clustering": detector.config.clustering}
     return {
-        "options": {name: str(value) for name, value in vars(acting.arguments).items() if value is not None},
-        "robot": robot_name(acting.robot),
-        "action_spec": acting.robot.action_spec,
+        "options": {name: str(value) for name, value in vars(setup.arguments).items() if value is not None},
+        "robot": robot_name(setup.robot),
+        "action_spec": setup.robot.action_spec,
         "limits": limits,
-        "schema": schema_hash({**told, "features": acting.env.get_wrapper_attr("features")}),
+        "schema": schema_hash({**schema, "features": setup.env.get_wrapper_attr("features")}),
         "detector": detector.config,
     }
 
 
 class _Progress:
-    """The bar, and the web page where one is asked for."""
+    """Show the steps in a progress bar and, with ``--view``, on a web page."""
 
     def __init__(self, args: Arguments, env: Any) -> None:
+        from tqdm import tqdm
+
         self._view = None
         if args.view is not None:
             from shape_obs.deploy.view import LiveView
@@ -137,7 +139,7 @@ class _Progress:
         self._bar = tqdm(total=total, unit="step", leave=False, file=sys.stderr)
 
     def step(self, moment: Any) -> None:
-        """Show a step."""
+        """Show one step."""
         self._bar.update()
         self._bar.set_postfix_str(moment.judgement.cause, refresh=False)
         if self._view is not None:
@@ -157,5 +159,5 @@ def _box(args: Arguments) -> Any:
     if low is None and high is None:
         return None
     if low is None or high is None:
-        raise ValueError("--workspace-low and --workspace-high: give both, one number for each coordinate.")
+        raise ValueError("--workspace-low and --workspace-high: give both, one number per coordinate.")
     return low, high

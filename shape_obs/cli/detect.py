@@ -1,4 +1,4 @@
-"""``shape-obs detect``: the shape in image files."""
+"""``shape-obs detect``: find the shape in image files."""
 
 from __future__ import annotations
 
@@ -7,63 +7,61 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
-from tqdm import tqdm
 
-from shape_obs.camera import Intrinsics
-from shape_obs.cli.files import make_folder, read_depth, read_image, write_image
-from shape_obs.config import detector_arguments, load_config, save_config
-from shape_obs.configurations import Configuration
-from shape_obs.detector import ShapeDetector
-from shape_obs.drawing import draw_detection
-from shape_obs.image.colour_picker import propose_hsv
-from shape_obs.image.segmentation import HSVRange
+if TYPE_CHECKING:
+    from shape_obs.detector import ShapeDetector
 
 
 @dataclass(frozen=True)
 class Arguments:
     """Find the shape in image files.
 
-    Prints one JSON object per image and line to stdout, and draws the points over each image into a folder. Exit code
-    1 if any file could not be read or any shape was not found.
+    Prints one line of JSON per image to stdout, and writes each image with the points drawn over it to a folder. The
+    exit code is 1 if a file could not be read or a shape was not found.
 
-    Say how the object looks in one of three ways: --config, --hsv or --pick.
+    Describe how the object looks with one of --config, --hsv and --pick.
     """
 
     images: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Image files."""
     depth: tuple[Path, ...] = ()
-    """Depth files, one for each image and aligned to it: 16-bit PNG in millimetres, or .npy (uint16 mm, float m)."""
+    """Depth files, one per image and aligned to it: 16-bit PNG in millimetres, or .npy (uint16 mm, float m)."""
     intrinsics: tuple[float, float, float, float] | None = None
-    """fx fy cx cy of the images in pixels; with --depth it gives 3D points."""
+    """fx fy cx cy of the images in pixels; needed with --depth, for 3D points."""
     config: Path | None = None
-    """A YAML config file, as --pick writes one."""
+    """A YAML config file, as --pick writes it."""
     hsv: tuple[int, int, int, int, int, int] | None = None
     """The object's colour: low h s v, high h s v (h 0...179, s and v 0...255; red wraps around: 170 ... 10 ...)."""
     pick: str | None = None
-    """u,v: a pixel on the object in the first image; proposes the HSV range and writes it to --save-config."""
+    """u,v: a pixel on the object in the first image. Proposes an HSV range and writes it to --save-config."""
     save_config: Path = Path("shape.yaml")
-    """Where --pick writes the config."""
+    """The file that --pick writes."""
     n: int | None = None
-    """How many points; default the config's, or 20."""
+    """Number of points; default: as in the config, or 20."""
     ends: str | None = None
-    """'centers' of equal pieces, or 'tips': first and last point on the object's ends."""
+    """'centers': points at the centres of equal pieces; 'tips': first and last point on the ends of the object."""
     out: Path = Path("overlays")
     """Folder for the pictures."""
     track: bool = False
-    """The images are one sequence: keep the index from one to the next."""
+    """Treat the images as one sequence: each point keeps its index from image to image."""
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command and return the exit code."""
     args = tyro.cli(Arguments, args=list(argv), prog="shape-obs detect")
     if args.depth and len(args.depth) != len(args.images):
-        raise ValueError(f"got {len(args.images)} images but {len(args.depth)} depth files; give one for each.")
+        raise ValueError(f"got {len(args.images)} images but {len(args.depth)} depth files; give one per image.")
     if args.depth and args.intrinsics is None:
-        raise ValueError("--depth needs --intrinsics FX FY CX CY, or it cannot become metres.")
+        raise ValueError("--depth needs --intrinsics FX FY CX CY, which turn depth into 3D points.")
     _check_unique_names(args.images)
+    from tqdm import tqdm
+
+    from shape_obs.detector import ShapeDetector
+    from shape_obs.utils.files import make_folder
+
     detector = ShapeDetector(**_detector_arguments(args))
     out = make_folder(args.out)
     failed = 0
@@ -77,7 +75,11 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _detect(detector: ShapeDetector, args: Arguments, i: int, out: Path) -> dict[str, Any]:
-    """One image; what is wrong with it becomes part of the result, so that the others are still looked at."""
+    """Detect the shape in one image; an error becomes part of the result, so that the other images are processed."""
+    from shape_obs.camera import Intrinsics
+    from shape_obs.drawing import draw_detection
+    from shape_obs.utils.arrays import read_depth, read_image, write_image
+
     path = args.images[i]
     try:
         rgb = read_image(path)
@@ -96,7 +98,13 @@ def _detect(detector: ShapeDetector, args: Arguments, i: int, out: Path) -> dict
 
 
 def _detector_arguments(args: Arguments) -> dict[str, Any]:
-    """The detector that the options ask for."""
+    """Return the arguments of the detector that the options describe."""
+    from shape_obs.config import detector_arguments, load_config, save_config
+    from shape_obs.configurations import Configuration
+    from shape_obs.image.colour_picker import propose_hsv
+    from shape_obs.image.segmentation import HSVRange
+    from shape_obs.utils.arrays import read_image
+
     ways = [name for name in ("config", "hsv", "pick") if getattr(args, name) is not None]
     if len(ways) != 1:
         raise ValueError(f"give exactly one of --config FILE, --hsv ... or --pick u,v; got {ways or 'none'}.")
@@ -128,7 +136,7 @@ def _pixel(text: str) -> tuple[float, float]:
 
 
 def _check_unique_names(images: Sequence[Path]) -> None:
-    """Two images of one name would overwrite each other's picture."""
+    """Reject images of the same name, which would overwrite each other's picture."""
     names = [path.stem for path in images]
     twice = {name for name in names if names.count(name) > 1}
     if twice:

@@ -1,4 +1,4 @@
-"""Episodes of a deployment: goals that a robot tells for each of its starts, and how often they were reached."""
+"""Episodes of a deployment: a new start and goal for each, and how often the goals were reached."""
 
 from __future__ import annotations
 
@@ -13,75 +13,77 @@ from shape_obs.deploy import Interrupted, Report, supervised
 from shape_obs.wrappers import Target
 
 
-class Starter:
-    """Stands before a robot that goes to its start before an episode begins: only then is known what can be reached.
+class StartFirst:
+    """Wrap a robot so that it goes to its start before the episode's goal is chosen.
 
-    All else is the robot's own.
+    Which goals can be reached depends on the start. All other attributes are those of the robot.
 
     Args:
         robot: The robot.
     """
 
     def __init__(self, robot: Any) -> None:
-        self._robot, self._there = robot, False
+        self._robot, self._at_start = robot, False
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._robot, name)
 
     def go(self) -> None:
-        """Go to the start of the next episode; the next ``reset`` finds the robot there.
+        """Go to the start of the next episode; the next ``reset`` stays there.
 
         Raises:
-            RobotError: It cannot.
+            RobotError: The robot cannot go there.
         """
         self._robot.connect()
         self._robot.reset()
-        self._there = True
+        self._at_start = True
 
     def reset(self) -> None:
-        """Go to the start of an episode, or stay there."""
-        if not self._there:
+        """Go to the start of an episode unless the robot is already there."""
+        if not self._at_start:
             self._robot.reset()
-        self._there = False
+        self._at_start = False
 
 
 class RobotGoals(gym.Wrapper[Any, Any, Any, Any]):
-    """Tells each episode the goal that the robot knows for its start: ``robot.goal``, points (K,3) [m], base frame.
+    """Give each episode the goal that a simulated robot provides for its start.
+
+    The goal is ``robot.goal``, points of shape (K, 3) in metres in the base frame, laid out as ``robot.goal_layout``
+    says if the robot has it.
 
     Args:
-        env: With a ``ShapeGoal`` and a robot that is a ``Starter``.
-        told: Who knows the goals; laid out as its ``goal_layout`` says, where it does.
+        env: An environment with a ``ShapeGoal`` and a ``StartFirst`` robot.
+        robot: The robot that provides the goals.
 
     Raises:
-        ValueError: It knows none.
+        ValueError: The robot provides no goals.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], told: Any) -> None:
+    def __init__(self, env: gym.Env[Any, Any], robot: Any) -> None:
         super().__init__(env)
-        if not hasattr(type(told), "goal"):
-            raise ValueError(
-                f"--goal robot: {type(told).__name__} knows no goal; give --goal FILE, as `shape-obs goal` writes it."
-            )
-        self._told = told
+        if not hasattr(type(robot), "goal"):
+            name = type(robot).__name__
+            raise ValueError(f"--goal robot: {name} provides no goals; give --goal FILE (see `shape-obs goal`).")
+        self._goals_of = robot
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Go to a start, ask for a goal, and look."""
-        cell: Any = self.env.unwrapped
-        cell.robot.go()
-        points = np.asarray(self._told.goal, np.float64).reshape(-1, 3)
-        self.goal = Target(tuple(map(tuple, points.tolist())), layout=getattr(self._told, "goal_layout", {}))
+        """Go to a start, take its goal, and reset the environment with it."""
+        inner: Any = self.env.unwrapped
+        inner.robot.go()
+        points = np.asarray(self._goals_of.goal, np.float64).reshape(-1, 3)
+        self.goal = Target(tuple(map(tuple, points.tolist())), layout=getattr(self._goals_of, "goal_layout", {}))
         return self.env.reset(seed=seed, options={**(options or {}), "goal": self.goal})
 
 
 @dataclass(frozen=True)
 class Episodes:
-    """How episodes went.
+    """Results of several episodes.
 
     Args:
-        reports: Of each of them.
-        true_mm: Mean distance of the object's true points from the goal's in the last frame of each, millimetres; None
-            where nobody knows it.
-        threshold_mm: Below which that counts as reached.
+        reports: The report of each episode.
+        true_mm: For each episode, the mean distance in millimetres of the object's true points from the goal in the
+            last frame; None if the true points are unknown.
+        threshold_mm: The distance below which the goal counts as reached.
     """
 
     reports: Sequence[Report]
@@ -89,7 +91,7 @@ class Episodes:
     threshold_mm: float
 
     def to_dict(self) -> dict[str, Any]:
-        """The episodes as JSON-able values."""
+        """Return the episodes as JSON values."""
         known = self._known()
         return {
             "episodes": [
@@ -131,25 +133,25 @@ class Episodes:
 
 
 def play(env: Any, run: Callable[[int], Report], count: int, threshold: float, park: bool) -> Episodes:
-    """Play episodes one after the other, then stop and park the robot and disconnect, whatever happened.
+    """Run episodes one after another, then stop, park and disconnect the robot, even after an error.
 
     Args:
-        env: With a ``ShapeGoal`` or not.
-        run: Plays the episode of a number, without parking or disconnecting.
-        count: How many at most; the first in which the camera or the robot fails or the loop hangs is the last.
-        threshold: Metres below which a goal is reached in truth.
-        park: Whether to park in the end.
+        env: The environment, with or without a ``ShapeGoal``.
+        run: Runs the episode with a given number, without parking or disconnecting.
+        count: Largest number of episodes; none follows one in which the camera or the robot failed or the loop hung.
+        threshold: Mean distance of the true points in metres below which a goal counts as reached.
+        park: Whether to park the robot at the end.
 
     Raises:
-        Interrupted: A signal asked the process to end; ``report`` holds the episodes that were played.
+        Interrupted: A signal ended the process; ``report`` holds the episodes so far.
     """
-    cell, reports, true_mm = env.unwrapped, [], []
+    inner, reports, true_mm = env.unwrapped, [], []
     try:
         with supervised(env, park=park):
             for number in range(count):
                 reports.append(run(number))
                 true_mm.append(_true_distance(env))
-                if reports[-1].failed and (cell.frame is None or "watchdog" in reports[-1].ended):
+                if reports[-1].failed and (inner.frame is None or "watchdog" in reports[-1].ended):
                     break
     except Interrupted as interrupted:
         interrupted.report = Episodes(reports, true_mm, 1e3 * threshold) if reports else interrupted.report
@@ -158,9 +160,9 @@ def play(env: Any, run: Callable[[int], Report], count: int, threshold: float, p
 
 
 def _true_distance(env: Any) -> float | None:
-    """Millimetres of the true points from the goal's, in the last frame; None where nobody knows."""
-    cell = env.unwrapped
-    frame, truth = cell.frame, getattr(cell.robot, "truth", None)
+    """Return the mean distance of the true points from the goal in the last frame, in millimetres, if known."""
+    inner = env.unwrapped
+    frame, truth = inner.frame, getattr(inner.robot, "truth", None)
     goal = env.get_wrapper_attr("goal") if env.has_wrapper_attr("goal") else None
     if frame is None or frame.number is None or truth is None or goal is None:
         return None

@@ -1,4 +1,4 @@
-"""``shape-obs extract``: shapes and features of many recorded episodes, as Parquet."""
+"""``shape-obs extract``: write the shapes and features of many recorded episodes as Parquet."""
 
 from __future__ import annotations
 
@@ -13,11 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from tqdm import tqdm
 
-from shape_obs.cli.source import open_named, warnings_as_lines
-from shape_obs.config import load_config
-from shape_obs.features import read_features
+from shape_obs.cli.options import open_named, warnings_as_lines
 from shape_obs.utils.documents import parse_yaml
 
 if TYPE_CHECKING:
@@ -26,39 +23,43 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Arguments:
-    """Find the shapes in every recorded episode, and write a Parquet file for each into one dataset.
+    """Find the shapes in every recorded episode, and write one Parquet file per episode into a dataset.
 
-    What is there already is left alone, so a run that was stopped goes on where it was. Exit code 0 if every episode is
-    in the dataset, 1 if some failed: those are listed, and in _failures.json too.
+    Existing files are kept, so an interrupted run continues where it stopped. The exit code is 0 if every episode is in
+    the dataset, and 1 if some failed: these are listed, and written to _failures.json.
     """
 
     source: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """Recorded folders, folders of images, .db3, .bag and video files, folders with any of these in them, patterns."""
+    """Recorded folders, folders of images, .db3, .bag and video files, folders that contain these, or patterns."""
     config: Path
     """A YAML config file."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The dataset's folder."""
     features: tuple[str, ...] = ()
-    """Features, each a name or a mapping as YAML; instead of the config's."""
+    """Features, each a name or a YAML mapping; replaces those of the config."""
     frames: int | None = None
-    """How many at most, of each episode."""
+    """Largest number of frames of each episode."""
     extrinsics: Path | None = None
-    """A file that says where the camera stands in the base frame; wins over the recorded places."""
+    """A file with the pose of the camera in the base frame; replaces the recorded poses."""
     jobs: int | None = None
-    """How many episodes at once; default 1, on Ray as many as there are processors."""
+    """Number of episodes processed at once; default: 1, or on Ray the number of processors."""
     engine: Literal["local", "ray"] = "local"
     """Processes of this machine, or a Ray cluster (needs the extra 'ray')."""
     address: str | None = None
-    """Of the Ray cluster, 'auto' for the one that this machine belongs to; default one of this machine alone."""
+    """Address of the Ray cluster, 'auto' for the one this machine belongs to; default: start one on this machine."""
     json: bool = False
     """Print the summary as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command; returns the exit code."""
-    from shape_obs.extraction import Extraction, all_tasks, extract
-
+    """Run the command and return the exit code."""
     args = tyro.cli(Arguments, args=list(argv), prog="shape-obs extract")
+    from tqdm import tqdm
+
+    from shape_obs.config import load_config
+    from shape_obs.extraction import Extraction, all_tasks, extract
+    from shape_obs.features import read_features
+
     config = load_config(args.config)
     if args.features:
         config["features"] = [feature.to_dict() for feature in read_features(map(_feature, args.features))]
@@ -86,10 +87,10 @@ def main(argv: Sequence[str]) -> int:
 
 
 def recordings(texts: Sequence[str]) -> list[str]:
-    """The recordings that are named, with those in folders and those that patterns fit, in the order of their paths.
+    """Return all recordings that paths, folders and patterns refer to, each once.
 
     Raises:
-        ValueError: No text, a camera or an environment, or a folder or pattern with no recording in it.
+        ValueError: There is no text, no such path, or no recording in a folder or pattern.
     """
     if not texts:
         raise ValueError("give at least one recording, or a folder of them.")
@@ -109,7 +110,7 @@ def recordings(texts: Sequence[str]) -> list[str]:
 
 
 def summary(result: dict[str, Any]) -> str:
-    """The lines that the command prints."""
+    """Return the lines that the command prints."""
     lines = [
         f"episodes        {result['done']} done, {result['kept']} kept, {len(result['failed'])} failed",
         f"frames          {result['frames']}",
@@ -139,7 +140,7 @@ def _result(args: Arguments, found: Sequence[Outcome]) -> dict[str, Any]:
 
 
 def _inside(folder: Path) -> Iterator[Path]:
-    """The recordings in a folder, which may be one itself."""
+    """Yield the recordings in a folder, which may itself be a recording."""
     from shape_obs.recording.format import CAMERA_FILE, FRAMES_FILE
     from shape_obs_envs.sources.folder import PHOTOS
     from shape_obs_envs.sources.opening import RECORDINGS
@@ -158,5 +159,5 @@ def _inside(folder: Path) -> Iterator[Path]:
 
 
 def _feature(text: str) -> Any:
-    """``fourier`` or ``{kind: fourier, harmonics: 4}``."""
+    """Read one feature, such as ``fourier`` or ``{kind: fourier, harmonics: 4}``."""
     return parse_yaml(text, f"--features {text[:60]}")

@@ -1,4 +1,4 @@
-"""``shape-obs fit-features``: principal components of recorded shapes."""
+"""``shape-obs fit-features``: fit principal components to recorded shapes."""
 
 from __future__ import annotations
 
@@ -7,108 +7,103 @@ from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
 import tyro
-from tqdm import tqdm
 
-from shape_obs.calibration.extrinsics import Extrinsics
-from shape_obs.cli.source import open_named, warnings_as_lines
-from shape_obs.config import config_hash, detector_arguments, load_config, schema_hash
-from shape_obs.configurations import Configuration
-from shape_obs.detector import ShapeDetector
-from shape_obs.features import PointDistribution, PrincipalComponents, View
-from shape_obs.features.coordinates import Coordinates, Frame
-from shape_obs.geometry.topology import Topology
-from shape_obs.recording import ShapeTable, replay
-from shape_obs.recording.format import camera_from_dict
-from shape_obs.recording.replay import check_depth
-from shape_obs.shape import Shape
-from shape_obs.spec import did_you_mean
-from shape_obs.utils.documents import parse_yaml
+from shape_obs.cli.options import open_named, warnings_as_lines
+from shape_obs.utils.documents import did_you_mean, parse_yaml
 
-Array = npt.NDArray[np.float64]
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+    from tqdm import tqdm
+
+    from shape_obs.features import FeatureContext
+    from shape_obs.features.coordinates import Coordinates
+    from shape_obs.geometry.topology import Topology
+    from shape_obs.shape import Shape
 
 _TABLES: Final = (".npz", ".parquet", ".csv")
-_HELD_OUT: Final = 5  # every fifth
+_HELD_OUT: Final = 5  # every fifth episode or shape
 
 
 @dataclass(frozen=True)
 class Arguments:
     """Fit principal components to recorded shapes, for the feature 'pca'.
 
-    Shapes that are not ok, or have a point that was not measured, are left out. Every fifth episode, or with fewer
-    than five of them every fifth shape, is held out: the error is that of the held-out shapes.
+    Shapes that are not ok, or have a point that was not measured, are skipped. Every fifth episode is held out, or
+    every fifth shape if there are fewer than five episodes; the reported error is that of the held-out shapes.
     """
 
     source: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """Tables that `shape-obs replay` wrote (.npz, .parquet, .csv); with --config also what else it replays."""
+    """Tables that `shape-obs replay` wrote (.npz, .parquet, .csv); with --config also any recording it can replay."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Where the components go, a file *.npz."""
+    """The file for the components, *.npz."""
     components: int = 6
-    """How many."""
-    frame: Frame = "camera"
-    """Where the points are measured; 'base' needs the camera's place."""
+    """Number of components."""
+    frame: Literal["pixels", "normalized", "camera", "base"] = "camera"
+    """Coordinate frame of the points; 'base' needs the pose of the camera."""
     origin: str | None = None
-    """What they are relative to: 'centroid', or of recordings 'anchor' or an anchor's name; default the frame's own."""
+    """Origin of the points: 'centroid'; for recordings also 'anchor' or an anchor's name; default: the frame's own."""
     align: bool = False
-    """Take place, heading and size out first, and keep them as values of their own: fewer components do then."""
+    """Remove position, heading and size first and keep them as separate values, so that fewer components suffice."""
     name: str | None = None
-    """Which shape; default the first."""
+    """Name of the shape; default: the first."""
     config: Path | None = None
-    """A YAML config file, to detect with."""
+    """A YAML config file, to find shapes in recordings."""
     extrinsics: Path | None = None
-    """A file that says where the camera stands in the base frame; wins over the recorded place."""
+    """A file with the pose of the camera in the base frame; replaces the recorded pose."""
     frames: int | None = None
-    """How many at most, of each source."""
+    """Largest number of frames from each source."""
     set: tuple[str, ...] = ()
     """KEY=VALUE ...: arguments of the sources."""
     json: bool = False
     """Print the summary as JSON."""
 
 
-class Seen(NamedTuple):
-    """A shape and what it was seen in."""
+class Sample(NamedTuple):
+    """A recorded shape, its context and its episode."""
 
     shape: Shape
-    view: View
+    context: FeatureContext
     episode: tuple[str, int]
 
 
 @dataclass
-class Collected:
-    """What was read."""
+class Samples:
+    """The shapes that are complete enough for a fit."""
 
-    points: list[Array] = field(default_factory=list)
+    points: list[npt.NDArray[np.float64]] = field(default_factory=list)
     episodes: list[tuple[str, int]] = field(default_factory=list)
-    left_out: int = 0
+    skipped: int = 0
     layout: Topology | None = None
 
-    def add(self, seen: Seen, coordinates: Coordinates) -> None:
-        """Take a shape, or leave it out.
+    def add(self, sample: Sample, coordinates: Coordinates) -> None:
+        """Add a shape, or skip it if some of its points were not measured.
 
         Raises:
-            ValueError: Its layout is not that of the others, or it cannot be had in these coordinates.
+            ValueError: Its layout differs from that of the other shapes, or it has no such coordinates.
         """
-        shape = seen.shape
+        import numpy as np
+
+        shape = sample.shape
         self.layout = self.layout or shape.layout
         if shape.layout != self.layout:
-            raise ValueError(f"{seen.episode[0]}: {shape.name!r} is {shape.layout}, but {self.layout} came before.")
+            raise ValueError(f"{sample.episode[0]}: {shape.name!r} is {shape.layout}, but {self.layout} came before.")
         if not shape.ok or not (shape.visible if coordinates.planar else shape.valid).all():
-            self.left_out += 1
+            self.skipped += 1
             return
-        points = coordinates.points(shape, seen.view)
+        points = coordinates.points(shape, sample.context)
         if not np.isfinite(points).all():
-            self.left_out += 1
+            self.skipped += 1
             return
         self.points.append(points)
-        self.episodes.append(seen.episode)
+        self.episodes.append(sample.episode)
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command and return the exit code."""
     args = tyro.cli(Arguments, args=list(argv), prog="shape-obs fit-features")
     if args.out.suffix != ".npz":
         raise ValueError(f"--out: expected a file named *.npz, got {args.out}.")
@@ -116,27 +111,31 @@ def main(argv: Sequence[str]) -> int:
         raise ValueError(f"--frames: expected 1 or more, got {args.frames}.")
     if not args.source:
         raise ValueError("give at least one table or recording.")
-    coordinates, collected = Coordinates(args.frame, args.origin, kind="pca"), Collected()
-    made: dict[str, Any] = {"schema_hashes": [], "config_hashes": []}
+    from shape_obs.features.coordinates import Coordinates
+
+    coordinates, samples = Coordinates(args.frame, args.origin, kind="pca"), Samples()
+    hashes: dict[str, Any] = {"schema_hashes": [], "config_hashes": []}
     with warnings_as_lines("shape-obs fit-features"):
         for source in args.source:
-            shapes = _of_table(args, source, made) if Path(source).suffix in _TABLES else _of_source(args, source, made)
-            with closing(shapes):  # the bar is gone before an error is told
-                for seen in shapes:
-                    collected.add(seen, coordinates)
-    result = _fit(args, collected, made)
+            read = _read_table if Path(source).suffix in _TABLES else _read_recording
+            with closing(read(args, source, hashes)) as found:  # closes the progress bar before an error is printed
+                for sample in found:
+                    samples.add(sample, coordinates)
+    result = _fit(args, samples, hashes)
     print(json.dumps(result) if args.json else summary(result))
     return 0
 
 
 def summary(result: dict[str, Any]) -> str:
-    """The lines that the command prints."""
+    """Return the lines that the command prints."""
+    import numpy as np
+
     error, digits = result["error"], 4 if not result["unit"] else 2
     explained = [f"{100 * part:.2f}" for part in np.cumsum(result["explained"])]
     return "\n".join(
         [
-            f"shapes          {result['shapes']} fitted, {result['held_out']} held out, {result['left_out']} left out",
-            f"components      {len(explained)}, which explain {', '.join(explained)} %",
+            f"shapes          {result['shapes']} fitted, {result['held_out']} held out, {result['left_out']} skipped",
+            f"components      {len(explained)}, together explaining {', '.join(explained)} %",
             f"error           mean {error['mean']:.{digits}f}, 95th percentile {error['p95']:.{digits}f}, "
             f"largest {error['max']:.{digits}f} {result['unit']}".rstrip(),
             f"wrote           {result['file']}",
@@ -144,16 +143,20 @@ def summary(result: dict[str, Any]) -> str:
     )
 
 
-def _fit(args: Arguments, collected: Collected, made: dict[str, Any]) -> dict[str, Any]:
-    if len(collected.points) < _HELD_OUT:
+def _fit(args: Arguments, samples: Samples, hashes: dict[str, Any]) -> dict[str, Any]:
+    import numpy as np
+
+    from shape_obs.features import PointDistribution, PrincipalComponents
+
+    if len(samples.points) < _HELD_OUT:
         raise ValueError(
-            f"only {len(collected.points)} shapes are whole, {collected.left_out} are not: record more of them."
+            f"only {len(samples.points)} shapes are complete, {samples.skipped} are not: record more shapes."
         )
-    assert collected.layout is not None
-    points, held = np.stack(collected.points), _held_out(collected.episodes)
+    assert samples.layout is not None
+    points, held = np.stack(samples.points), _held_out(samples.episodes)
     model = PointDistribution.fit(
-        points[~held], args.components, layout=collected.layout, frame=args.frame, origin=args.origin,
-        aligned=args.align, about=made,
+        points[~held], args.components, layout=samples.layout, frame=args.frame, origin=args.origin,
+        aligned=args.align, about=hashes,
     )  # fmt: skip
     scale, unit = (1e3, "mm") if model.unit == "m" else (1.0, model.unit)
     everywhere = np.ones(len(model.mean))
@@ -163,7 +166,7 @@ def _fit(args: Arguments, collected: Collected, made: dict[str, Any]) -> dict[st
     return {
         "shapes": int(np.count_nonzero(~held)),
         "held_out": int(np.count_nonzero(held)),
-        "left_out": collected.left_out,
+        "left_out": samples.skipped,
         "explained": model.about["explained"],
         "error": {name: round(scale * float(value), 5) for name, value in error.items()},
         "unit": unit,
@@ -173,45 +176,64 @@ def _fit(args: Arguments, collected: Collected, made: dict[str, Any]) -> dict[st
 
 
 def _held_out(episodes: Sequence[tuple[str, int]]) -> npt.NDArray[np.bool_]:
-    """(F,) which shapes are held out. Neighbouring frames are alike, so whole episodes are, where there are enough."""
+    """Return which shapes are held out, of shape (F,).
+
+    Neighbouring frames are similar, so whole episodes are held out if there are enough of them.
+    """
+    import numpy as np
+
     index = {episode: i for i, episode in enumerate(dict.fromkeys(episodes))}
     places = [index[episode] for episode in episodes] if len(index) >= _HELD_OUT else range(len(episodes))
     return np.array(places) % _HELD_OUT == _HELD_OUT - 1
 
 
-def _of_table(args: Arguments, source: str, made: dict[str, Any]) -> Generator[Seen, None, None]:
+def _read_table(args: Arguments, source: str, hashes: dict[str, Any]) -> Generator[Sample, None, None]:
+    """Yield the shapes of a table that ``shape-obs replay`` wrote."""
+    from shape_obs.configurations import Configuration
+    from shape_obs.extrinsics import Extrinsics
+    from shape_obs.features import FeatureContext
+    from shape_obs.recording import ShapeTable
+    from shape_obs.recording.format import camera_from_dict
+    from shape_obs.shape import Shape
+
     table = ShapeTable.load(source)
     try:
         shapes = parse_yaml(table.metadata["config"], "config")["shape"]["shapes"]
         layouts = {spec.name: spec.layout for spec in map(Configuration.from_dict, shapes)}
         camera = camera_from_dict(table.metadata["camera"] or {"intrinsics": None, "transform_camera_to_base": None})
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{source}: its metadata lack shapes or camera ({error}): replay it again.") from error
-    _note(made, table.metadata.get("schema_hash"), table.metadata.get("config_hash"))
+        raise ValueError(f"{source}: its metadata have no shapes or no camera ({error}): replay it again.") from error
+    _note(hashes, table.metadata.get("schema_hash"), table.metadata.get("config_hash"))
     name = _chosen(args.name, list(layouts), source)
     if args.extrinsics is not None and camera is not None:
         camera = Extrinsics.load(args.extrinsics).camera(camera.intrinsics)
     if camera is None and args.frame in ("normalized", "base"):
         raise ValueError(f"{source}: --frame {args.frame} needs the camera's intrinsics, and the table has none.")
     height, width = (1, 1) if camera is None else camera.intrinsics.size
-    view, columns = View(width, height, camera), table.columns
+    context, columns = FeatureContext(width, height, camera), table.columns
     for i in _bar(range(min(args.frames or len(table), len(table))), source):
         row = {key: columns[f"{name}/{key}"][i] for key in ("points2d", "points3d") if f"{name}/{key}" in columns}
         shape = Shape(
             name, row.get("points2d"), row.get("points3d"), columns[f"{name}/visible"][i], columns[f"{name}/valid"][i],
             layouts[name], ok=bool(columns[f"{name}/ok"][i]),
         )  # fmt: skip
-        yield Seen(shape, view, (source, int(columns["episode"][i])))
+        yield Sample(shape, context, (source, int(columns["episode"][i])))
 
 
-def _of_source(args: Arguments, source: str, made: dict[str, Any]) -> Generator[Seen, None, None]:
+def _read_recording(args: Arguments, source: str, hashes: dict[str, Any]) -> Generator[Sample, None, None]:
+    """Yield the shapes that the detector finds in a recording."""
+    from shape_obs.config import config_hash, detector_arguments, load_config, schema_hash
+    from shape_obs.detector import ShapeDetector
+    from shape_obs.features import FeatureContext
+    from shape_obs.recording import replay
+    from shape_obs.recording.replay import check_depth
     from shape_obs.wrappers.env_protocol import base_point
 
     if args.config is None:
-        raise ValueError(f"{source} is no table (.npz, .parquet, .csv): give --config FILE to find shapes in it.")
+        raise ValueError(f"{source} is not a table (.npz, .parquet, .csv): give --config FILE to find shapes in it.")
     arguments = load_config(args.config)
     detector = ShapeDetector(**{**detector_arguments(arguments), "on_missing": "nan"})
-    _note(made, schema_hash(arguments), config_hash(arguments))
+    _note(hashes, schema_hash(arguments), config_hash(arguments))
     name = _chosen(args.name, [spec.name for spec in detector.shapes], str(args.config))
     spec = next(spec for spec in detector.shapes if spec.name == name)
     with open_named(source, args.extrinsics, args.set) as opened:
@@ -222,19 +244,21 @@ def _of_source(args: Arguments, source: str, made: dict[str, Any]) -> Generator[
         for moment, detection in _bar(replay(opened, detector, args.frames), source, length):
             height, width = moment.frame.size or (1, 1)
             anchor = base_point(spec, moment.anchors)
-            view = View(width, height, moment.frame.camera, anchor=anchor, anchors=moment.anchors)
-            yield Seen(detection[name], view, (source, moment.episode))
+            context = FeatureContext(width, height, moment.frame.camera, anchor=anchor, anchors=moment.anchors)
+            yield Sample(detection[name], context, (source, moment.episode))
 
 
 def _bar(what: Iterable[Any], source: str, length: int | None = None) -> tqdm:
+    from tqdm import tqdm
+
     return tqdm(what, total=length, unit="frame", leave=False, desc=f"reading {source}")
 
 
-def _note(made: dict[str, Any], *hashes: str | None) -> None:
-    """What the shapes were detected with; not where they lie, so that equal shapes make equal files anywhere."""
-    for told, new in zip(made.values(), hashes, strict=True):
-        if new not in told:
-            told.append(new)
+def _note(hashes: dict[str, Any], *new: str | None) -> None:
+    """Store the hashes of the detector's config; no paths, so that equal shapes give equal files everywhere."""
+    for known, each in zip(hashes.values(), new, strict=True):
+        if each not in known:
+            known.append(each)
 
 
 def _chosen(name: str | None, known: Sequence[str], where: str) -> str:

@@ -1,4 +1,4 @@
-"""``shape-obs record``: frames of any source, into a folder."""
+"""``shape-obs record``: record frames of any source into a folder."""
 
 from __future__ import annotations
 
@@ -7,46 +7,47 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from tqdm import tqdm
 
-from shape_obs.cli.source import open_named, warnings_as_lines
-from shape_obs.recording import Recorded, record
-from shape_obs.recording.format import read_moments
-from shape_obs.recording.recorder import Depth
-from shape_obs.source import RGBDSource, SourceError
+from shape_obs.cli.options import open_named, warnings_as_lines
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+    from shape_obs.recording import Recorded
+    from shape_obs.source import RGBDSource
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Record what a camera, a file or an environment shows.
+    """Record frames from a camera, a file or an environment.
 
-    Ctrl-C ends a recording cleanly, and whatever else ends it, the frames that were written are kept. Exit code 1 if
-    the source broke off.
+    Ctrl-C ends a recording cleanly. After an error the frames that were written are kept. The exit code is 1 if the
+    source failed.
     """
 
     source: str
-    """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or an environment's id."""
+    """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """A new or empty folder; or FILE.db3 for librealsense's own format, of a camera alone."""
+    """A new or empty folder, or FILE.db3 for librealsense's own format (cameras only)."""
     frames: int | None = None
-    """How many; default until the source ends, or Ctrl-C."""
+    """Number of frames; default: until the source ends or Ctrl-C."""
     seconds: float | None = None
-    """How long, by the frames' stamps."""
+    """Length of the recording, by the stamps of the frames."""
     extrinsics: Path | None = None
-    """A file that says where the camera stands in the base frame; it is kept in the recording."""
-    depth: Depth = "auto"
-    """'auto' records it where there is any, 'yes' insists on it, 'no' leaves it out."""
+    """A file with the pose of the camera in the base frame; it is stored in the recording."""
+    depth: Literal["auto", "yes", "no"] = "auto"
+    """'auto' records depth if the source has it, 'yes' requires it, 'no' leaves it out."""
     set: tuple[str, ...] = ()
-    """KEY=VALUE ...: arguments of the source, such as exposure=0.01, or seed=1 actions=random of an environment."""
+    """KEY=VALUE ...: arguments of the source, such as exposure=0.01, or seed=1 actions=random for an environment."""
     json: bool = False
     """Print the summary as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command and return the exit code."""
     args = tyro.cli(Arguments, args=list(argv), prog="shape-obs record")
     with warnings_as_lines("shape-obs record"):
         recorded = _raw(args) if args.out.suffix in (".db3", ".bag") else _folder(args)
@@ -58,20 +59,23 @@ def main(argv: Sequence[str]) -> int:
 
 
 def summary(recorded: Recorded) -> str:
-    """The lines that the command prints."""
+    """Return the lines that the command prints."""
     lines = [f"{recorded.path}: {recorded.frames} frames, {recorded.seconds:.2f} s"]
     if recorded.missed:
         lines.append(
-            f"missed          {recorded.missed} frames never came, by the camera's count (USB, or a busy machine)"
+            f"missed          {recorded.missed} frames are missing from the camera's count (USB, or a busy machine)"
         )
     if recorded.dropped:
-        lines.append(f"dropped         {recorded.dropped} frames: this machine did not encode and write them in time")
+        lines.append(f"dropped         {recorded.dropped} frames, which this machine could not write in time")
     if recorded.stopped == "interrupted":
-        lines.append("interrupted     what was written is whole")
+        lines.append("interrupted     the recording is complete up to here")
     return "\n".join(lines)
 
 
 def _folder(args: Arguments) -> Recorded:
+    """Record to a folder."""
+    from shape_obs.recording import record
+
     source = open_named(args.source, args.extrinsics, args.set)
     limits: dict[str, Any] = {"frames": args.frames, "seconds": args.seconds, "depth": args.depth}
     try:
@@ -82,26 +86,28 @@ def _folder(args: Arguments) -> Recorded:
 
 
 def _raw(args: Arguments) -> Recorded:
-    """What the camera sent, before rectification: librealsense writes it while frames are read."""
+    """Record the camera's own streams, before rectification; librealsense writes them while frames are read."""
+    from shape_obs.recording import Recorded
+    from shape_obs.recording.format import read_moments
+    from shape_obs.source import SourceError
+
     if args.depth == "no":
-        raise ValueError(
-            f"{args.out}: librealsense's own format holds what the camera sends; --depth no needs a folder."
-        )
+        raise ValueError(f"{args.out}: librealsense's own format always contains depth; use a folder with --depth no.")
     source = _camera(args)
-    told = Recorded(args.out)
+    recorded = Recorded(args.out)
     with source, _bar(args) as bar:
         try:
             for moment in read_moments(source, args.frames, args.seconds):
-                told.saw(moment.frame)
-                told.frames += 1
+                recorded.saw(moment.frame)
+                recorded.frames += 1
                 bar.update()
         except KeyboardInterrupt:
-            told.stopped = "interrupted"
+            recorded.stopped = "interrupted"
         except SourceError as error:
-            if not told.frames:
+            if not recorded.frames:
                 raise
-            told.stopped = str(error)
-    return told
+            recorded.stopped = str(error)
+    return recorded
 
 
 def _camera(args: Arguments) -> RGBDSource:
@@ -113,4 +119,6 @@ def _camera(args: Arguments) -> RGBDSource:
 
 
 def _bar(args: Arguments) -> tqdm:
+    from tqdm import tqdm
+
     return tqdm(total=args.frames, unit="frame", leave=False, desc="recording")

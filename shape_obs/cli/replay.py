@@ -1,4 +1,4 @@
-"""``shape-obs replay``: a recording through the detector."""
+"""``shape-obs replay``: run the detector over a recording."""
 
 from __future__ import annotations
 
@@ -9,35 +9,29 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import tyro
-from tqdm import tqdm
 
-from shape_obs.cli.source import open_named, warnings_as_lines
-from shape_obs.config import detector_arguments, load_config
-from shape_obs.detector import ShapeDetector
-from shape_obs.recording import OverlayVideo, Recording, ShapeLog, replay
-from shape_obs.recording.format import read_moments
-from shape_obs.recording.replay import check_depth
-from shape_obs.recording.table import check_table_path
-from shape_obs.source import BadRecording, RGBDSource
+from shape_obs.cli.options import open_named, warnings_as_lines
+
+if TYPE_CHECKING:
+    from shape_obs.source import RGBDSource
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Run the detector over a recording; the shapes are those that the camera's frames gave, to the bit.
+    """Run the detector over a recording; the shapes equal those of the live frames bit for bit.
 
-    Exit code 0 if every frame was looked at, whether its shape was found or not.
+    The exit code is 0 if every frame was processed, even if its shape was not found.
     """
 
     recording: Annotated[str, tyro.conf.Positional]
-    """A folder, FILE.db3, FILE.bag or a video file; or, with --frames, d455[:serial] or an environment's id."""
+    """A folder, FILE.db3, FILE.bag or a video file; or, with --frames, d455[:serial] or the id of an environment."""
     config: Path | None = None
-    """A YAML config file; without one --verify is all that is done."""
+    """A YAML config file; needed unless --verify is given."""
     csv: Path | None = None
-    """Write the shapes as a CSV table, and FILE.meta.json beside it."""
+    """Write the shapes as a CSV table, and FILE.meta.json next to it."""
     npz: Path | None = None
     """Write the shapes as NumPy arrays."""
     parquet: Path | None = None
@@ -45,22 +39,24 @@ class Arguments:
     video: Path | None = None
     """Write the frames with the shapes drawn over them: .mp4 or .avi."""
     frames: int | None = None
-    """How many at most."""
+    """Largest number of frames."""
     extrinsics: Path | None = None
-    """A file that says where the camera stands in the base frame; wins over the recorded place."""
+    """A file with the pose of the camera in the base frame; replaces the recorded pose."""
     set: tuple[str, ...] = ()
     """KEY=VALUE ...: arguments of the source."""
     verify: bool = False
-    """Read every frame first and check it against its checksums; all damaged ones are told."""
+    """First check every frame against its checksum, and list all damaged frames."""
     json: bool = False
     """Print the summary as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command and return the exit code."""
     args = tyro.cli(Arguments, args=list(argv), prog="shape-obs replay")
     if args.config is None and not args.verify:
         raise ValueError("give --config FILE to detect with, or --verify to check the recording.")
+    from shape_obs.config import load_config
+
     arguments = None if args.config is None else load_config(args.config)
     tables = _tables(args)
     with warnings_as_lines("shape-obs replay"), open_named(args.recording, args.extrinsics, args.set) as source:
@@ -76,14 +72,14 @@ def main(argv: Sequence[str]) -> int:
 
 
 def summary(result: dict[str, Any]) -> str:
-    """The lines that the command prints."""
+    """Return the lines that the command prints."""
     lines = [f"source          {result['source']}"]
     if "verified" in result:
-        lines.append(f"verified        {result['verified']} frames, all whole")
+        lines.append(f"verified        {result['verified']} frames, none damaged")
     if "frames" in result:
         lines.append(f"frames          {result['frames']}")
     for name, shape in result.get("shapes", {}).items():
-        lines.append(f"{name:<15} ok in {shape['ok']}, {shape['valid_fraction']:.1%} of the points valid then")
+        lines.append(f"{name:<15} ok in {shape['ok']}, {shape['valid_fraction']:.1%} of their points valid")
         lines += [f"  {count:>6} x      {reason}" for reason, count in shape["reasons"].items()]
     if "ms" in result:
         lines.append(f"ms per frame    {result['ms']['median']:.2f} median, {result['ms']['p95']:.2f} 95th percentile")
@@ -92,7 +88,9 @@ def summary(result: dict[str, Any]) -> str:
 
 
 def _tables(args: Arguments) -> list[Path]:
-    """The tables to write; what is wrong with them is told before the work begins."""
+    """Return the tables to write, after checking their names before the work begins."""
+    from shape_obs.recording.table import check_table_path
+
     tables = []
     for suffix, path in ((".csv", args.csv), (".npz", args.npz), (".parquet", args.parquet)):
         if path is None:
@@ -105,12 +103,18 @@ def _tables(args: Arguments) -> list[Path]:
 
 
 def _verify(source: RGBDSource, frames: int | None) -> int:
-    """Read all; how many frames there are."""
+    """Read all frames and return their number."""
+    from tqdm import tqdm
+
+    from shape_obs.recording import Recording
+    from shape_obs.recording.format import read_moments
+    from shape_obs.source import BadRecording
+
     recording = getattr(source, "recording", None)
     bar = partial(tqdm, unit="frame", leave=False, desc="checking")
     if not isinstance(recording, Recording):
         count = sum(1 for _ in bar(read_moments(source, frames)))
-        source.disconnect()  # for the detector it begins again
+        source.disconnect()  # the detector starts from the first frame again
         source.connect()
         return count
     damaged = [wrong for wrong in bar(recording.check(), total=len(recording)) if wrong]
@@ -120,6 +124,14 @@ def _verify(source: RGBDSource, frames: int | None) -> int:
 
 
 def _replay(args: Arguments, arguments: dict[str, Any], source: RGBDSource, tables: list[Path]) -> dict[str, Any]:
+    import numpy as np
+    from tqdm import tqdm
+
+    from shape_obs.config import detector_arguments
+    from shape_obs.detector import ShapeDetector
+    from shape_obs.recording import OverlayVideo, ShapeLog, replay
+    from shape_obs.recording.replay import check_depth
+
     detector = ShapeDetector(**_lenient(detector_arguments(arguments)))
     check_depth(source, detector, arguments)
     log = ShapeLog(detector, arguments, source)
@@ -138,18 +150,18 @@ def _replay(args: Arguments, arguments: dict[str, Any], source: RGBDSource, tabl
     for path in tables:
         table.save(path)
     files = [str(path) for path in (*tables, args.video) if path is not None]
-    shapes = {spec.name: _told(table, spec.name) for spec in detector.shapes}
+    shapes = {spec.name: _summary_of(table, spec.name) for spec in detector.shapes}
     ms = {"median": round(float(np.median(times)), 3), "p95": round(float(np.percentile(times, 95)), 3)}
     hashes = {name: log.metadata[name] for name in ("schema_hash", "config_hash")}
     return {"frames": len(table), "shapes": shapes, "ms": ms, "files": files, **hashes}
 
 
 def _lenient(arguments: dict[str, Any]) -> dict[str, Any]:
-    """A replay goes on where a policy would be stopped: a lost shape is a row that is not ok."""
+    """Replace ``on_missing="raise"``: a replay continues after a lost shape, whose row is not ok."""
     return {**arguments, "on_missing": "nan"} if arguments.get("on_missing") == "raise" else arguments
 
 
-def _told(table: Any, name: str) -> dict[str, Any]:
+def _summary_of(table: Any, name: str) -> dict[str, Any]:
     ok, valid = table[f"{name}/ok"], table[f"{name}/valid"]
     return {
         "ok": int(ok.sum()),

@@ -1,4 +1,4 @@
-"""Run a controller on a robot at a fixed rate, and keep it safe."""
+"""Run a controller on a robot at a fixed rate, safely."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from shape_obs.deploy.controller import Controller, Script, Still, Sway
 from shape_obs.deploy.loop import Step, deploy
 from shape_obs.deploy.run_log import Report, RunLog
 from shape_obs.deploy.safety import DryRobot, Gate, Limits
-from shape_obs.deploy.signals import Interrupted
-from shape_obs.deploy.supervision import supervised
+from shape_obs.deploy.supervision import Interrupted, supervised
 
 __all__ = [
     "Controller",

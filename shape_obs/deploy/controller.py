@@ -1,4 +1,4 @@
-"""Controllers: what turns an observation into an action; here those that follow a script."""
+"""Define controllers, which turn observations into actions, and three ready-made ones."""
 
 from __future__ import annotations
 
@@ -15,37 +15,40 @@ from shape_obs.utils.arrays import decode_npy
 
 @runtime_checkable
 class Controller(Protocol):
-    """Anything with ``act``.
+    """An object with ``act``.
 
-    It may also have ``action_spec``, what its actions mean, which is then held against the robot's; ``reset()``, called
-    before an episode; ``attach(env)``, called with the wrapped environment; ``bind(spec)``, called with the robot's
-    ``ActionSpec`` by which it can size its actions; and ``withheld()``, called where its last action was not sent,
-    because the image had grown too old meanwhile.
+    Optional members: ``action_spec``, the meaning of its actions, which is compared with the robot's; ``reset()``,
+    called before an episode; ``attach(env)``, called with the wrapped environment; ``bind(spec)``, called with the
+    robot's ``ActionSpec``; and ``withheld()``, called if its last action was not sent because the image had become too
+    old.
     """
 
     def act(self, observation: Any) -> npt.ArrayLike:
-        """The action (A,) in -1 ... 1 for an observation of the wrapped environment."""
+        """Return the action, of shape ``(A,)`` in -1 ... 1, for an observation of the wrapped environment."""
         ...
 
 
 class Still:
-    """Does nothing: to look at what the camera sees, and at how fast."""
+    """Stand still, for example to check the camera and the rate."""
 
     def bind(self, spec: ActionSpec) -> None:
-        """Take the number of coordinates."""
+        """Store the number of coordinates."""
         self._size = len(spec)
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
-        """Zeros."""
+        """Return zeros."""
         return np.zeros(self._size, np.float32)
 
 
 class Sway:
-    """Moves every coordinate to and fro, each with its own period: a displacement that comes back to where it began.
+    """Move every coordinate back and forth with its own period, and return to the start.
 
     Args:
-        share: Of the largest action, 0 to 1.
-        period: Of the slowest coordinate, in steps.
+        share: Amplitude as a fraction of the largest action, 0 to 1.
+        period: Period of the slowest coordinate in steps.
+
+    Raises:
+        ValueError: An argument is out of its range.
     """
 
     def __init__(self, share: float = 0.3, period: int = 120) -> None:
@@ -54,32 +57,32 @@ class Sway:
         self._share, self._period, self._step = share, period, 0
 
     def bind(self, spec: ActionSpec) -> None:
-        """Take the number of coordinates."""
-        # No two in step, and whole turns for all in the same time.
+        """Store the number of coordinates."""
+        # Neighbouring coordinates have different periods, and all complete whole periods at the same time.
         self._turns = 1 + np.arange(len(spec)) % 3
         self._signs = np.where(np.arange(len(spec)) % 2, -1.0, 1.0)
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Restart."""
         self._step = 0
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
-        """The next action."""
-        # Cosines: their sum, where the robot is, is a sine about the start.
+        """Return the next action."""
+        # Cosines, since their sum, the position of the robot, is a sine around the start.
         phase = 2 * np.pi * self._turns * self._step / self._period
         self._step += 1
         return (self._share * self._signs * np.cos(phase)).astype(np.float32)
 
 
 class Script:
-    """Plays actions from a file, then stands still.
+    """Replay actions from an array or a file, then stand still.
 
     Args:
-        actions: (T, A) in -1 ... 1, or a file of them: .npy, or .csv with a row for each step.
+        actions: Actions of shape ``(T, A)`` in -1 ... 1, or a file of them: .npy, or .csv with a row for each step.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It holds something else.
+        ValueError: The file or array holds something else.
     """
 
     def __init__(self, actions: npt.ArrayLike | str | Path) -> None:
@@ -92,27 +95,27 @@ class Script:
         """Check the number of coordinates.
 
         Raises:
-            ValueError: It is another.
+            ValueError: The actions have another number of coordinates.
         """
         if self._actions.shape[1] != len(spec):
             raise ValueError(f"Script: its rows have {self._actions.shape[1]} numbers, the robot takes {len(spec)}.")
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Restart."""
         self._step = 0
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
-        """The next row; zeros after the last."""
+        """Return the next row, or zeros after the last one."""
         step, self._step = self._step, self._step + 1
         return self._actions[step] if step < len(self._actions) else np.zeros(self._actions.shape[1], np.float32)
 
 
 def check_controller(controller: Any, spec: ActionSpec, env: Any) -> None:
-    """Refuse what is no controller, or one that acts in other coordinates; then attach, bind and reset it.
+    """Check that an object is a controller for the robot's coordinates; then attach, bind and reset it.
 
     Raises:
-        TypeError: It has no ``act``.
-        ValueError: Its ``action_spec`` is not the robot's.
+        TypeError: The object has no ``act``.
+        ValueError: Its ``action_spec`` differs from the robot's.
     """
     name = type(controller).__name__
     if not callable(getattr(controller, "act", None)):
@@ -127,10 +130,10 @@ def check_controller(controller: Any, spec: ActionSpec, env: Any) -> None:
 
 
 def checked_action(action: npt.ArrayLike, spec: ActionSpec, controller: Any) -> npt.NDArray[np.float64]:
-    """An action as (A,) floats.
+    """Return an action as floats of shape ``(A,)``.
 
     Raises:
-        ValueError: A wrong shape, or numbers that are not finite.
+        ValueError: The action has another shape, or is not finite.
     """
     array = np.asarray(action, np.float64)
     if array.shape != (len(spec),) or not np.isfinite(array).all():
@@ -150,5 +153,7 @@ def _read(path: str | Path) -> npt.NDArray[np.float32]:
         npy = path.suffix == ".npy"
         loaded = decode_npy(path.read_bytes(), path.name) if npy else np.loadtxt(path, delimiter=",", ndmin=2)
     except ValueError as error:
-        raise ValueError(f"{path}: expected actions as .npy (T, A), or .csv with a row a step: {error}") from error
+        raise ValueError(
+            f"{path}: expected actions as .npy (T, A), or .csv with a row for each step: {error}"
+        ) from error
     return np.asarray(loaded, np.float32)

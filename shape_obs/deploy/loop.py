@@ -1,4 +1,4 @@
-"""The deployment loop: observe, judge, act, at the environment's fixed rate, and stop whatever happens."""
+"""Run the deployment loop: observe, check and act at the environment's fixed rate, and always stop at the end."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from shape_obs.deploy.controller import check_controller, checked_action
 from shape_obs.deploy.run_log import Report, RunLog, Tally
 from shape_obs.deploy.safety import Gate, Judgement, Limits, Watchdog
-from shape_obs.deploy.signals import Interrupted, SignalStop
-from shape_obs.deploy.supervision import supervised
+from shape_obs.deploy.supervision import Interrupted, SignalStop, supervised
 from shape_obs.frame import Frame
 from shape_obs.shape import Detection
 
@@ -21,14 +20,14 @@ if TYPE_CHECKING:
 
 
 class Step(NamedTuple):
-    """Show what a step was decided on.
+    """A step of the loop.
 
     Attributes:
-        step: Its number.
-        frame: What the camera saw; None where it failed.
-        detection: What was found in it.
-        judgement: What was made of that.
-        action: (A,) what the controller did; None where nothing was sent.
+        step: Number of the step.
+        frame: Frame of the camera; None if the camera failed.
+        detection: Shapes that were found in the frame.
+        judgement: Decision that was based on them.
+        action: Action of the controller, of shape ``(A,)``; None if nothing was sent.
     """
 
     step: int
@@ -54,33 +53,34 @@ def deploy(
     park: bool = True,
     close: bool = True,
 ) -> Report:
-    """Run a controller on a robot until it is done; then stop, park and disconnect the robot, whatever happened.
+    """Run a controller on a robot, and stop, park and disconnect the robot at the end, whatever happens.
 
-    The rate and its absolute deadlines are the environment's; so are the guard's action clip, step cap and workspace.
-    SIGINT, SIGTERM, SIGHUP and SIGQUIT stop the robot at once, from a thread, if this is called in the main thread.
+    The environment keeps the rate with absolute deadlines, and its action limiter clips actions, limits steps and keeps
+    the robot in the workspace. SIGINT, SIGTERM, SIGHUP and SIGQUIT stop the robot at once, from a thread, if this
+    function is called in the main thread.
 
     Args:
-        env: ``ShapeObs/D455-v0`` with a robot, in a ``ShapeObservation`` and, with a goal, a ``ShapeGoal``.
+        env: ``ShapeObs/D455-v0`` with a robot, in a ``ShapeObservation`` and, if there is a goal, a ``ShapeGoal``.
         controller: A ``Controller``.
-        limits: When to hold and to stop; ``limits.max_age`` becomes the environment's.
-        steps: How many at most; None for no limit.
-        seconds: How long at most; None for no limit.
-        until_reached: End when the goal has been reached in so many frames one after the other; 0 goes on.
-        log: Where steps and the report are written, by a thread.
+        limits: When to hold and when to stop; ``limits.max_age`` replaces that of the environment.
+        steps: Largest number of steps; None for no limit.
+        seconds: Largest duration; None for no limit.
+        until_reached: Number of consecutive frames with the goal reached after which the run ends; 0 to continue.
+        log: Log of steps and report, which a thread writes.
         on_step: Called after each step.
-        park: Whether to send the robot to its safe pose in the end.
-        close: Whether to disconnect camera and robot in the end.
+        park: Whether to send the robot to its safe pose at the end.
+        close: Whether to disconnect camera and robot at the end.
 
     Raises:
-        Interrupted: A signal asked the process to end. The robot was stopped and parked, and ``report`` is the report.
-        ValueError: The controller acts in other coordinates than the robot, or gave something else than an action; the
-            environment has no robot or finds no shapes.
-        SourceError: The camera was not there to begin with.
-        RobotError: The robot was not there to begin with, or cannot stop or park.
+        Interrupted: A signal asked the process to end. The robot was stopped and parked; ``report`` has the report.
+        ValueError: The controller acts in other coordinates than the robot, or returned an invalid action; or the
+            environment has no robot or no ``ShapeObservation``.
+        SourceError: The camera was not available at the start.
+        RobotError: The robot was not available at the start, or cannot stop or park.
         OSError: The log cannot be written.
     """
-    cell: Any = env.unwrapped
-    if getattr(cell, "robot", None) is None:
+    robot_env: Any = env.unwrapped
+    if getattr(robot_env, "robot", None) is None:
         raise ValueError("deploy needs an environment with a robot: gym.make('ShapeObs/D455-v0', robot=...).")
     try:
         env.get_wrapper_attr("detection")
@@ -97,7 +97,7 @@ def deploy(
 
 
 class _Run:
-    """Run the loop once, from reset to its report."""
+    """A single run of the loop, from reset to report."""
 
     def __init__(
         self,
@@ -109,16 +109,17 @@ class _Run:
         signals: SignalStop,
     ) -> None:
         self._env, self._controller, self._log, self._on_step = env, controller, log, on_step
-        self._cell: Any = env.unwrapped
-        self._cell.max_age = limits.max_age
-        if self._cell.rate.dt >= limits.max_age:
+        self._robot_env: Any = env.unwrapped
+        self._robot_env.max_age = limits.max_age
+        dt = self._robot_env.rate.dt
+        if dt >= limits.max_age:
             warnings.warn(
-                f"a step takes {self._cell.rate.dt:g} s and a motion ends {limits.max_age:g} s after the exposure of "
+                f"a step takes {dt:g} s and a motion ends {limits.max_age:g} s after the exposure of "
                 "its image, so motions end before the next step: raise the rate, or max_age.",
                 UserWarning,
                 stacklevel=3,
             )
-        self._spec = self._cell.robot.action_spec
+        self._spec = self._robot_env.robot.action_spec
         self._limits, self._gate, self._tally = limits, Gate(limits), Tally()
         self._signals = signals
         self._info: dict[str, Any] = {}
@@ -126,8 +127,8 @@ class _Run:
         self.report: Report | None = None
 
     def go(self, steps: int | None, seconds: float | None, until_reached: int) -> Report:
-        """Run it; the robot stands still before anything is reported."""
-        interlock = self._cell.interlock
+        """Run the loop, and stop the robot before the report is made."""
+        interlock = self._robot_env.interlock
         expired, ended, failed = interlock.expired, "", True
         try:
             check_controller(self._controller, self._spec, self._env)
@@ -146,7 +147,7 @@ class _Run:
                 self.report = self._tally.report(
                     steps=self._count,
                     seconds=time.monotonic() - self._begin,
-                    overruns=self._cell.rate.overruns,
+                    overruns=self._robot_env.rate.overruns,
                     expired=interlock.expired - expired,
                     ended=ended,
                     failed=failed,
@@ -157,10 +158,10 @@ class _Run:
         return self.report
 
     def _loop(self, steps: int | None, seconds: float | None, until_reached: int) -> tuple[str, bool]:
-        """Step until something ends the run: why, and whether that is an error."""
+        """Step until the run ends; return the reason, and whether it is an error."""
         observation, self._info = self._env.reset()
         self._begin, reached = time.monotonic(), 0
-        interlock, limits = self._cell.interlock, self._limits
+        interlock, limits = self._robot_env.interlock, self._limits
         with Watchdog(lambda: interlock.trip("watchdog"), limits.watchdog) as watchdog:
             while True:
                 watchdog.feed()
@@ -179,23 +180,23 @@ class _Run:
                 if over:
                     return "the episode was over", False
                 if until_reached and reached >= until_reached:
-                    return f"the goal was reached in {reached} frames one after the other", False
+                    return f"the goal was reached in {reached} consecutive frames", False
                 if self._count == steps or (seconds is not None and time.monotonic() - self._begin >= seconds):
                     return "time limit reached", False
 
     def _step(self, observation: Any, judgement: Judgement) -> tuple[Any, bool]:
-        """Act or hold, and look again: the next observation, and whether the episode is over."""
-        cell, tally, info = self._cell, self._tally, self._info
-        frame, seen_at, begin = cell.frame, cell.seen_at, time.monotonic()
+        """Act or hold; return the next observation, and whether the episode is over."""
+        robot_env, tally, info = self._robot_env, self._tally, self._info
+        frame, seen_at, begin = robot_env.frame, robot_env.seen_at, time.monotonic()
         detection: Detection = self._env.get_wrapper_attr("detection")
-        source, state = sum(getattr(cell.source, "timings", {}).values()), cell.robot.state()
+        source, state = sum(getattr(robot_env.source, "timings", {}).values()), robot_env.robot.state()
         action = None
         if judgement.move == "act":
             action = checked_action(self._controller.act(observation), self._spec, self._controller)
         acted = time.monotonic()
         following, _, terminated, truncated, self._info = self._env.step(action)
-        if cell.withheld:  # the image grew too old before the motion was sent
-            action, judgement = None, Judgement("hold", cell.withheld, f"not sent: {cell.withheld}")
+        if robot_env.withheld:  # the image became too old before the motion was sent
+            action, judgement = None, Judgement("hold", robot_env.withheld, f"not sent: {robot_env.withheld}")
             withheld = getattr(self._controller, "withheld", None)
             if callable(withheld):
                 withheld()
@@ -209,13 +210,13 @@ class _Run:
             "detect": detection.timings["total"],
             "between": 1e3 * (begin - seen_at) - detection.timings["total"],
             "act": 1e3 * (acted - begin),
-            "send": 1e3 * (cell.sent_at - acted),
+            "send": 1e3 * (robot_env.sent_at - acted),
         }
         times["own"] = sum(times.values())
         if frame is not None and frame.received is not None:
             times["age"] = 1e3 * (seen_at - frame.received) - source
         tally.time(times)
-        guarded = cell.guarded if action is not None else None
+        guarded = robot_env.guarded if action is not None else None
         if guarded is not None:
             tally.guarded.update(clipped=guarded.clipped, capped=guarded.capped, boxed=guarded.boxed)
         if self._log is not None:
@@ -231,7 +232,7 @@ class _Run:
                     "state": state,
                     "action": action,
                     "motion": None if guarded is None else guarded.motion,
-                    "late_ms": max(0.0, -1e3 * cell.slack),
+                    "late_ms": max(0.0, -1e3 * robot_env.slack),
                     "ms": {name: round(value, 3) for name, value in times.items()},
                 }
             )

@@ -1,68 +1,62 @@
-"""RunLog: a run on disk, step by step, written by a thread so that no disk delays the robot.
-
-Report: summarize a run, section by section, in memory that does not grow with it.
-
-Quantiles: median, 95th percentile and maximum of a stream of numbers, in constant memory.
-"""
+"""Log a run to disk, in a thread so that the disk never delays the robot, and report on it in constant memory."""
 
 from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import platform
 import queue
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
 
 from shape_obs import __version__
-from shape_obs.spec import plain
+from shape_obs.spec import to_plain
 from shape_obs.utils.files import write_whole
 
 if TYPE_CHECKING:
     from typing_extensions import Self
-import math
-from collections import Counter
-from dataclasses import asdict, dataclass, field
-from typing import NamedTuple
-
-import numpy as np
-
 STEPS: Final = "steps.jsonl"
-
 HEADER: Final = "run.json"
-
 REPORT: Final = "report.json"
-
-#: Steps that may wait for the disk: five minutes at 30 Hz.
+#: Largest number of steps that wait for the disk: five minutes at 30 Hz.
 _WAITING: Final = 9000
+#: Bins grow by 1 % each, from a microsecond to an hour; in milliseconds.
+_LEAST: Final = 1e-3
+_GROWTH: Final = math.log(1.01)
+_BINS: Final = int(math.log(3.6e6 / _LEAST) / _GROWTH) + 2
 
 _LOG: Final = logging.getLogger(__name__)
 
 
 class RunLog:
-    """Write a folder with ``run.json`` (what ran), ``steps.jsonl`` (a line for each step) and ``report.json``.
+    """Write a folder with ``run.json`` (what ran), ``steps.jsonl`` (one line per step) and ``report.json``.
 
-    A context manager. Within, a thread writes what it is given; each line is handed to the operating system as soon as
-    it is written. On exit it waits until all is written.
+    Use it as a context manager. Inside, a thread writes the steps and flushes each line. On exit it waits until
+    everything is written.
 
     Args:
-        folder: Made where it is missing.
-        header: What ran: configuration, schema hash, source, robot, controller, limits.
+        folder: Folder; it is made if necessary.
+        header: What runs: configuration, schema hash, source, robot, controller, limits.
 
     Raises:
-        FileExistsError: The folder holds a run already.
-        OSError: It cannot be written to.
+        FileExistsError: The folder already holds a run.
+        OSError: The folder cannot be written to.
     """
 
     def __init__(self, folder: str | os.PathLike[str], header: Mapping[str, Any]) -> None:
         self.folder = Path(folder)
         if (self.folder / STEPS).exists():
-            raise FileExistsError(f"{self.folder} holds a run already: name another folder for the log.")
+            raise FileExistsError(f"{self.folder} holds a run already: choose another folder for the log.")
         self.folder.mkdir(parents=True, exist_ok=True)
         started = {"shape_obs": __version__, "python": platform.python_version(), "started": time.time()}
         self._write(HEADER, {**started, **header})
@@ -70,28 +64,28 @@ class RunLog:
         self._failure: Exception | None = None
 
     def step(self, record: Mapping[str, Any]) -> None:
-        """Add a step, without waiting for the disk. The record must not be changed afterwards.
+        """Add a step without waiting for the disk. The record must not be changed afterwards.
 
         Raises:
-            OSError: An earlier step could not be written, or the disk is behind by 9000 steps.
+            OSError: An earlier step could not be written, or 9000 steps are waiting for the disk.
         """
         self._raise_failure()
         if self._tasks.qsize() >= _WAITING:
-            raise OSError(f"{self.folder / STEPS}: the disk is {_WAITING} steps behind: log to a faster one.")
+            raise OSError(f"{self.folder / STEPS}: the disk is {_WAITING} steps behind: log to a faster disk.")
         self._tasks.put(lambda: self._write_step(record))
 
     def report(self, report: Mapping[str, Any]) -> None:
-        """Write how the run went, after its steps, without waiting for the disk."""
+        """Add the report, after all steps, without waiting for the disk."""
         self._tasks.put(lambda: self._write(REPORT, report))
 
     def _write_step(self, record: Mapping[str, Any]) -> None:
-        # Shapes become JSON here: in the loop that would delay the robot.
+        # Shapes are converted to JSON here, since in the loop that would delay the robot.
         shapes = [shape.to_dict() for shape in record.get("shapes", ())]
-        self._steps.write(json.dumps(plain({**record, "shapes": shapes}), separators=(",", ":")) + "\n")
+        self._steps.write(json.dumps(to_plain({**record, "shapes": shapes}), separators=(",", ":")) + "\n")
         self._steps.flush()
 
     def _write(self, name: str, content: Mapping[str, Any]) -> None:
-        text = json.dumps(plain(content), indent=2) + "\n"
+        text = json.dumps(to_plain(content), indent=2) + "\n"
         write_whole(self.folder / name, lambda path: path.write_text(text, encoding="utf-8"))
 
     def _work(self) -> None:
@@ -124,30 +118,66 @@ class RunLog:
         if error is None:
             self._raise_failure()
         elif self._failure is not None:
-            _LOG.error("The log is not whole: %s", self._failure)
+            _LOG.error("The log is incomplete: %s", self._failure)
+
+
+class Section(NamedTuple):
+    """Median, 95th percentile and maximum of the milliseconds of a part of the loop."""
+
+    median: float
+    p95: float
+    most: float
+
+
+class Quantiles:
+    """Estimate quantiles of milliseconds in constant memory, accurate to 0.5 %.
+
+    Values are counted in bins that grow by 1 %; values below a microsecond count as 0.
+    """
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(_BINS, np.int64)
+        self._most = 0.0
+
+    def add(self, value: float) -> None:
+        """Add a value in milliseconds."""
+        bin_ = 0 if value < _LEAST else min(1 + int(math.log(value / _LEAST) / _GROWTH), _BINS - 1)
+        self._counts[bin_] += 1
+        self._most = max(self._most, value)
+
+    def section(self) -> Section:
+        """Return the quantiles of all values, of which there must be at least one."""
+        return Section(self._quantile(0.5), self._quantile(0.95), round(self._most, 3))
+
+    def _quantile(self, fraction: float) -> float:
+        reached = np.cumsum(self._counts)
+        bin_ = int(np.searchsorted(reached, fraction * reached[-1]))
+        if bin_ == 0:
+            return 0.0
+        return round(min(_LEAST * math.exp((bin_ - 0.5) * _GROWTH), self._most), 3)
 
 
 @dataclass(frozen=True)
 class Report:
-    """Summarize a run.
+    """A summary of a run.
 
     Args:
-        steps: How many there were.
-        seconds: How long they took.
-        overruns: Steps whose deadline had passed before it was waited for.
-        acted: Steps with an action.
-        held: Steps without one, since the shape was lost or late.
-        expired: Motions that ended because no new one replaced them in time.
-        guarded: How many actions the guard changed: ``clipped``, ``capped``, ``boxed``.
-        reasons: Why steps were held, and how often.
-        ended: Why the run ended.
-        failed: Whether that is an error: an exception, the camera or the robot failed, the shape stayed lost, or the
-            watchdog stopped the robot.
+        steps: Number of steps.
+        seconds: Duration of the run.
+        overruns: Number of steps that missed their deadline.
+        acted: Number of steps with an action.
+        held: Number of steps without an action, since the shape was lost or late.
+        expired: Number of motions that ended because no new one replaced them in time.
+        guarded: Number of actions that the action limiter changed: ``clipped``, ``capped``, ``boxed``.
+        reasons: Number of held steps by reason.
+        ended: Reason of the end.
+        failed: Whether the reason is an error: an exception, a failure of camera or robot, a lost shape, or the
+            watchdog.
         success: Whether the goal was reached in the last frame; None without a goal.
-        sections: Milliseconds by part of the loop, right to 0.5 %. ``source`` rectifies and aligns, ``detect`` finds
-            the shapes, ``between`` makes features of them and judges, ``act`` is the controller's, ``send`` the guard's
-            and the robot's; ``own`` is all of these together, from raw images to an action sent; ``age`` is how long
-            the images had been there before.
+        sections: Milliseconds per part of the loop, accurate to 0.5 %. ``source`` is rectification and alignment,
+            ``detect`` the detector, ``between`` features and checks, ``act`` the controller, ``send`` the action
+            limiter and the robot; ``own`` is their sum, from raw images to the action sent; ``age`` is the age of the
+            images before that.
     """
 
     steps: int
@@ -164,7 +194,7 @@ class Report:
     sections: dict[str, Section]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the report as JSON-able values."""
+        """Return the report as JSON values."""
         sections = {name: section._asdict() for name, section in self.sections.items()}
         return {**asdict(self), "sections": sections}
 
@@ -181,7 +211,7 @@ class Report:
         if self.success is not None:
             lines.append(f"goal            {'reached' if self.success else 'not reached'}")
         if self.sections:
-            lines.append("milliseconds    median     p95    most")
+            lines.append("milliseconds    median     p95     max")
             lines += [
                 f"  {name:<12} {section.median:8.2f}{section.p95:8.2f}{section.most:8.2f}"
                 for name, section in self.sections.items()
@@ -191,7 +221,7 @@ class Report:
 
 @dataclass
 class Tally:
-    """Count what happens while a run goes on."""
+    """Collect the counts and times of a run in progress."""
 
     acted: int = 0
     held: int = 0
@@ -200,7 +230,7 @@ class Tally:
     sections: dict[str, Quantiles] = field(default_factory=dict)
 
     def time(self, milliseconds: dict[str, float]) -> None:
-        """Add a step's times."""
+        """Add the times of a step."""
         for name, value in milliseconds.items():
             self.sections.setdefault(name, Quantiles()).add(value)
 
@@ -214,47 +244,3 @@ class Tally:
             sections={name: times.section() for name, times in self.sections.items()},
             **rest,
         )
-
-
-#: Bins grow by 1 % each, from a microsecond to an hour, in milliseconds.
-_LEAST: Final = 1e-3
-
-_GROWTH: Final = math.log(1.01)
-
-_BINS: Final = int(math.log(3.6e6 / _LEAST) / _GROWTH) + 2
-
-
-class Section(NamedTuple):
-    """Milliseconds that a part of the loop took: median, 95th percentile and most."""
-
-    median: float
-    p95: float
-    most: float
-
-
-class Quantiles:
-    """Count milliseconds in bins that grow by 1 %, so that quantiles are right to 0.5 % however many there are.
-
-    Values below a microsecond count as 0.
-    """
-
-    def __init__(self) -> None:
-        self._counts = np.zeros(_BINS, np.int64)
-        self._most = 0.0
-
-    def add(self, value: float) -> None:
-        """Add a value in milliseconds."""
-        bin_ = 0 if value < _LEAST else min(1 + int(math.log(value / _LEAST) / _GROWTH), _BINS - 1)
-        self._counts[bin_] += 1
-        self._most = max(self._most, value)
-
-    def section(self) -> Section:
-        """Return the quantiles of all values; there must be one."""
-        return Section(self._quantile(0.5), self._quantile(0.95), round(self._most, 3))
-
-    def _quantile(self, share: float) -> float:
-        reached = np.cumsum(self._counts)
-        bin_ = int(np.searchsorted(reached, share * reached[-1]))
-        if bin_ == 0:
-            return 0.0
-        return round(min(_LEAST * math.exp((bin_ - 0.5) * _GROWTH), self._most), 3)

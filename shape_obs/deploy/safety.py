@@ -1,9 +1,4 @@
-"""Gate: decide whether what was seen is good enough to act on.
-
-Watchdog: act from another thread when a loop hangs.
-
-DryRobot: a robot that is asked where it is and never moved.
-"""
+"""Decide whether a detection is good enough to act on, stop a loop that hangs, and replace a robot in a dry run."""
 
 from __future__ import annotations
 
@@ -15,31 +10,31 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from shape_obs.robot import ActionSpec, Anchors, Array, Robot, robot_anchors, robot_name
 from shape_obs.spec import Spec, SpecError
 
 if TYPE_CHECKING:
     from typing_extensions import Self
-from shape_obs.robot import ActionSpec, Anchors, Array, Robot, robot_anchors, robot_name
 
 Move = Literal["act", "hold", "stop"]
 
 
 @dataclass(frozen=True)
 class Limits(Spec):
-    """Set when to act, to hold and to stop.
+    """Limits that decide when to act, to hold and to stop.
 
-    A shape that was not found in the present frame is never acted on, though an observation may still hold an older
-    one. While it is lost, or late, the robot stands still; when that has lasted for ``hold`` seconds, the run ends.
+    The robot acts only on shapes found in the present frame, even if the observation still holds an older shape. While
+    a shape is lost or late, the robot stands still; after ``hold`` seconds the run ends.
 
     Args:
-        hold: Seconds that a lost or old shape is waited for.
-        min_valid: Share of a shape's points that must be measured, 0 to 1.
-        max_age: Seconds after the exposure of an image within which it may be acted on, and after which the motion that
-            was chosen on it ends unless a new one replaces it.
-        watchdog: Seconds after which a loop that does not come round is ended; its motion ended after ``max_age``.
+        hold: Seconds to wait for a lost or late shape.
+        min_valid: Fraction of a shape's points that must be measured, 0 to 1.
+        max_age: Seconds after the exposure of an image during which the robot may act on it. A motion that was chosen
+            from the image ends then, unless a new motion has replaced it.
+        watchdog: Seconds after which a loop that hangs is ended; its last motion has already ended after ``max_age``.
 
     Raises:
-        SpecError: A value out of its range.
+        SpecError: A value is out of its range.
     """
 
     hold: float = 0.5
@@ -53,18 +48,18 @@ class Limits(Spec):
             if not 0 <= getattr(self, name) < math.inf:
                 raise SpecError(f"Limits.{name}: expected seconds, 0 or more, got {getattr(self, name)!r}.")
         if not 0 <= self.min_valid <= 1:
-            raise SpecError(f"Limits.min_valid: expected a share from 0 to 1, got {self.min_valid!r}.")
+            raise SpecError(f"Limits.min_valid: expected a fraction from 0 to 1, got {self.min_valid!r}.")
         if not 0 < self.watchdog < math.inf:
             raise SpecError(f"Limits.watchdog: expected seconds above 0, got {self.watchdog!r}.")
 
 
 class Judgement(NamedTuple):
-    """Say what to do now, and why if it is not to act.
+    """A decision, and its reason.
 
     Attributes:
-        move: What to do.
-        cause: ``"shape lost"``, ``"points missing"`` or ``"image old"``; empty when there is none.
-        reason: The same with its numbers.
+        move: ``"act"``, ``"hold"`` or ``"stop"``.
+        cause: ``"shape lost"``, ``"points missing"`` or ``"image old"``; empty for ``"act"``.
+        reason: The cause with its numbers.
     """
 
     move: Move
@@ -73,10 +68,10 @@ class Judgement(NamedTuple):
 
 
 class Gate:
-    """Decides frame by frame.
+    """Decide for each frame whether to act, to hold or to stop.
 
     Args:
-        limits: What is allowed.
+        limits: The limits.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -84,11 +79,11 @@ class Gate:
         self._since: float | None = None
 
     def judge(self, info: Mapping[str, Any], now: float) -> Judgement:
-        """Look at what is known of the last observation.
+        """Return the decision for the last observation.
 
         Args:
-            info: Of the environment: ``shape/ok``, ``shape/age``, ``shape/<name>/valid_fraction``, ``exposed``.
-            now: ``time.monotonic()``.
+            info: The environment's info: ``shape/ok``, ``shape/age``, ``shape/<name>/valid_fraction``, ``exposed``.
+            now: Present value of ``time.monotonic()``.
         """
         cause, reason = self._fault(info, now)
         if not cause:
@@ -104,27 +99,27 @@ class Gate:
     def _fault(self, info: Mapping[str, Any], now: float) -> tuple[str, str]:
         limits = self._limits
         age = info.get("shape/age", math.nan)
-        if not info.get("shape/ok", False) or not age <= 0:  # an age that is unknown is NaN
+        if not info.get("shape/ok", False) or not age <= 0:  # an unknown age is NaN
             return "shape lost", f"no shape in the present frame (the last is {age:.2f} s old)"
-        shares = [value for name, value in info.items() if name.endswith("/valid_fraction")]
-        if shares and min(shares) < limits.min_valid:
-            few = f"only {min(shares):.0%} of the points were measured (at least {limits.min_valid:.0%} wanted)"
+        fractions = [value for name, value in info.items() if name.endswith("/valid_fraction")]
+        if fractions and min(fractions) < limits.min_valid:
+            few = f"only {min(fractions):.0%} of the points were measured (limit: {limits.min_valid:.0%})"
             return "points missing", few
         age = now - info.get("exposed", now)
         if not age <= limits.max_age:
-            return "image old", f"the image was {1e3 * age:.0f} ms old (at most {1e3 * limits.max_age:.0f} ms wanted)"
+            return "image old", f"the image was {1e3 * age:.0f} ms old (limit: {1e3 * limits.max_age:.0f} ms)"
         return "", ""
 
 
 class Watchdog:
-    """Call a function once when ``feed`` was not called for ``seconds``. A context manager; it watches within.
+    """Call a function, once, if ``feed`` was not called for ``seconds``. Use it as a context manager.
 
     Args:
-        act: Called from a thread when the time is over.
-        seconds: How long it waits.
+        act: Called from a thread when the time limit is reached.
+        seconds: Time limit.
 
     Attributes:
-        expired: Whether the time was over.
+        expired: Whether the time limit was reached.
     """
 
     def __init__(self, act: Callable[[], None], seconds: float) -> None:
@@ -135,7 +130,7 @@ class Watchdog:
         self.expired = False
 
     def feed(self) -> None:
-        """Report that the loop has come round."""
+        """Restart the time limit."""
         self._fed = time.monotonic()
 
     def _watch(self) -> None:
@@ -159,13 +154,13 @@ class Watchdog:
 
 
 class DryRobot:
-    """Stands before a robot and lets no motion through; connecting, its state and ``stop`` are the robot's own.
+    """Wrap a robot and discard all motions; connecting, reading its state and ``stop`` are passed on.
 
     Args:
         robot: The robot.
 
     Attributes:
-        sent: How many motions were swallowed.
+        sent: Number of discarded motions.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -174,33 +169,33 @@ class DryRobot:
 
     @property
     def name(self) -> str:
-        """Of the robot, marked."""
+        """Name of the robot, marked as a dry run."""
         return f"{robot_name(self._robot)} (dry run)"
 
     @property
     def action_spec(self) -> ActionSpec:
-        """The robot's."""
+        """Action spec of the robot."""
         return self._robot.action_spec
 
     @property
     def anchors(self) -> Anchors:
-        """The robot's."""
+        """Anchors of the robot."""
         return robot_anchors(self._robot)
 
     @property
     def shape_obs_defaults(self) -> Any:
-        """The robot's."""
+        """Defaults of the robot for ``ShapeObservation``."""
         return getattr(self._robot, "shape_obs_defaults", {})
 
     def source(self) -> Any:
-        """The camera that the robot brings.
+        """Return the robot's own camera.
 
         Raises:
-            ValueError: It brings none.
+            ValueError: The robot has no camera.
         """
         own = getattr(self._robot, "source", None)
         if own is None:
-            raise ValueError(f"source 'robot': {robot_name(self._robot)} brings no camera; name one, such as 'd455'.")
+            raise ValueError(f"source 'robot': {robot_name(self._robot)} has no camera; name one, such as 'd455'.")
         return own()
 
     def connect(self) -> None:
@@ -208,22 +203,22 @@ class DryRobot:
         self._robot.connect()
 
     def reset(self) -> None:
-        """Stay where it is."""
+        """Do nothing."""
 
     def send(self, action: Array, until: float) -> None:
-        """Count the motion and drop it."""
+        """Count the motion and discard it."""
         self.sent += 1
 
     def state(self) -> Array:
-        """The robot's."""
+        """Return the state of the robot."""
         return self._robot.state()
 
     def stop(self) -> None:
-        """Stop the robot: somebody else may have moved it."""
+        """Stop the robot, since another program may have moved it."""
         self._robot.stop()
 
     def park(self) -> None:
-        """Stay where it is."""
+        """Do nothing."""
 
     def disconnect(self) -> None:
         """Disconnect the robot."""

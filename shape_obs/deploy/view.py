@@ -1,4 +1,4 @@
-"""LiveView: a web page that shows what the camera sees while a robot runs."""
+"""Show the camera's image and the detected shapes on a web page while a robot runs."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ GOAL = (235, 130, 40)
 
 
 class LiveView:
-    """The camera's image with the points drawn over it, the goal in orange, and what the loop decides.
+    """A web page with the camera's image, the points drawn over it, the goal in orange, and the loop's decision.
 
-    Drawing happens in a thread of its own and takes the newest frame only, so that the loop does not wait for it.
+    A thread draws only the newest frame, so that the loop never waits.
 
     Args:
-        port: Of the page, on this machine: ``http://localhost:PORT``. 0 takes any that is free.
-        env: The environment that runs; with a goal, its ``target`` is drawn too.
+        port: Port of the page on this machine, ``http://localhost:PORT``; 0 for any free port.
+        env: The running environment; if it has a goal, its ``target`` is drawn too.
 
     Raises:
         ImportError: viser is not installed; ``pip install 'shape-obs[view]'``.
-        OSError: The port is taken.
+        OSError: The port is in use.
 
     Attributes:
-        url: Of the page.
+        url: URL of the page.
     """
 
     def __init__(self, port: int, env: Any) -> None:
@@ -40,7 +40,7 @@ class LiveView:
             raise ImportError("a live view needs viser: pip install 'shape-obs[view]'") from error
         self._env = env
         port = port or _free_port()
-        with redirect_stdout(sys.stderr):  # stdout belongs to the report
+        with redirect_stdout(sys.stderr):  # stdout is for the report
             self._server = viser.ViserServer("127.0.0.1", port, verbose=False)
         self.url = f"http://localhost:{self._server.get_port()}"
         self._text = self._server.gui.add_markdown("waiting for a frame")
@@ -50,14 +50,14 @@ class LiveView:
         self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
         self._thread.start()
 
-    def show(self, moment: Step) -> None:
-        """Show this next; what has not been drawn yet is left out."""
+    def show(self, step: Step) -> None:
+        """Draw a step next, in place of one that has not been drawn yet."""
         with self._wake:
-            self._newest = moment
+            self._newest = step
             self._wake.notify()
 
     def close(self) -> None:
-        """Shut the page."""
+        """Close the page."""
         with self._wake:
             self._over = True
             self._wake.notify()
@@ -75,14 +75,14 @@ class LiveView:
             if newest is not None:
                 self._draw(newest)
 
-    def _draw(self, moment: Step) -> None:
-        judgement, frame = moment.judgement, moment.frame
-        self._text.content = f"**{judgement.move}** {judgement.reason}  \nstep {moment.step}"
+    def _draw(self, step: Step) -> None:
+        judgement, frame = step.judgement, step.frame
+        self._text.content = f"**{judgement.move}** {judgement.reason}  \nstep {step.step}"
         if frame is None or frame.rgb is None:
             return
         target = getattr(self._env, "target", None)
         under = [] if target is None or target.points2d is None else [(target.points2d, GOAL)]
-        self._image.image = draw_detection(frame.rgb, moment.detection, under=under)
+        self._image.image = draw_detection(frame.rgb, step.detection, under=under)
 
 
 def _free_port() -> int:

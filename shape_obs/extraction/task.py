@@ -1,4 +1,4 @@
-"""Task: one recorded episode, its part of the dataset, and what became of it."""
+"""Describe the work of an extraction: one task per recorded episode, and its outcome."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _CHUNK: Final = 1 << 20  # bytes
 
 @dataclass(frozen=True)
 class Task(Spec):
-    """One recorded episode.
+    """A recorded episode.
 
     Args:
         source: The recording: a recorded folder, a folder of images, or a file.
-        index: Which of its episodes, counted from 0; files and folders of images have one.
-        frames: (first, count) of a recorded folder's frames; None for all that there are.
+        index: Index of the episode in it, from 0; files and folders of images have one episode.
+        frames: First frame and number of frames in a recorded folder; None for all frames.
     """
 
     source: str
@@ -35,14 +35,17 @@ class Task(Spec):
 
     @property
     def part(self) -> str:
-        """Name of its file in the dataset."""
+        """Name of the episode's file in the dataset."""
         return f"{stem(self.source)}-{self.index:04d}.parquet"
 
     def fingerprint(self) -> str:
-        """SHA-256 of what was recorded, wherever it lies. A recorded folder's lines hold the checksums of its images.
+        """Return a SHA-256 hash of the recorded content, which does not depend on its path.
+
+        For recorded folders, only ``camera.json`` and the lines of the frames are read, which hold the checksums of the
+        images.
 
         Raises:
-            OSError: It cannot be read.
+            OSError: The recording cannot be read.
         """
         path, digest = Path(self.source), hashlib.sha256()
         if self.frames is not None:
@@ -63,16 +66,16 @@ class Task(Spec):
 
 @dataclass(frozen=True)
 class Outcome(Spec):
-    """What became of a task.
+    """The outcome of a task.
 
     Args:
-        task: Which one.
-        status: ``"done"`` now, ``"kept"`` from before, or ``"failed"``: whatever it was before, it is not in
-            the dataset then, unless the recording cannot be reached.
-        frames: How many there are.
-        ok: Name of a shape -> in how many of them it is ok.
-        reason: Why it failed, in one line.
-        warnings: What was said meanwhile.
+        task: The task.
+        status: ``"done"`` in this run, ``"kept"`` from an earlier run, or ``"failed"``. The dataset has no part of a
+            failed episode, unless its recording cannot be reached.
+        frames: Number of frames.
+        ok: Number of frames in which each shape is ok, by its name.
+        reason: Reason of a failure, in one line.
+        warnings: Messages of warnings.
     """
 
     task: Task
@@ -84,7 +87,7 @@ class Outcome(Spec):
 
 
 def tasks_of(source: str) -> list[Task]:
-    """Return the episodes of a recording. One that cannot be read is one task, whose outcome names the reason."""
+    """Return the episodes of a recording. A recording that cannot be read is one task, which will fail."""
     path = Path(source)
     if not (path.is_dir() and ((path / CAMERA_FILE).exists() or (path / FRAMES_FILE).exists())):
         return [Task(source)]
@@ -101,9 +104,9 @@ def tasks_of(source: str) -> list[Task]:
 
 
 def all_tasks(sources: Iterable[str]) -> list[Task]:
-    """The episodes of all recordings, each recording once.
+    """Return the episodes of all recordings, each recording once.
 
-    Warnings about a recording are left to those who read its episodes.
+    Warnings about a recording are not issued here but when its episodes are read.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -111,7 +114,7 @@ def all_tasks(sources: Iterable[str]) -> list[Task]:
 
 
 def stem(source: str) -> str:
-    """With what the parts of a recording begin: readers of datasets pass over names that begin with '_' or '.'."""
+    """Return the start of the names of a recording's parts; readers of datasets ignore names that begin with '_'."""
     readable = re.sub(r"[^\w.-]+", "_", Path(source).name)
     return f"part-{readable}-{hashlib.sha256(Path(source).as_posix().encode()).hexdigest()[:8]}"
 

@@ -1,16 +1,14 @@
-"""Features: a shape as numbers with units, a frame and finite bounds, one feature a file."""
+"""Features: numbers computed from a shape, with units, a frame and finite bounds."""
 
-from shape_obs.features.base import Feature, View, read_features
 from shape_obs.features.curvature import Curvature, Tangents, TurningAngles
 from shape_obs.features.distribution import PointDistribution
+from shape_obs.features.feature import Block, Feature, FeatureContext, FeatureVector, read_features
 from shape_obs.features.fourier import EllipticFourier, Fourier
 from shape_obs.features.moments import ContourMoments, RegionMoments
 from shape_obs.features.pca import PrincipalComponents
-from shape_obs.features.points import Points2D, Points2DNormalized, Points3D
+from shape_obs.features.points import Age, Ok, Points2D, Points2DNormalized, Points3D, Valid
 from shape_obs.features.pose import Centroid, Length, Orientation
 from shape_obs.features.splines import Bezier, BSpline
-from shape_obs.features.status import Age, Ok, Valid
-from shape_obs.features.vector import Block, FeatureVector
 
 __all__ = [
     "Age",
@@ -22,6 +20,7 @@ __all__ = [
     "Curvature",
     "EllipticFourier",
     "Feature",
+    "FeatureContext",
     "FeatureVector",
     "Fourier",
     "Length",
@@ -36,6 +35,5 @@ __all__ = [
     "Tangents",
     "TurningAngles",
     "Valid",
-    "View",
     "read_features",
 ]

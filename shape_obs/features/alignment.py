@@ -1,4 +1,4 @@
-"""Similarities: how a shape lies, as a shift, a turn about the third axis and a scale, apart from what shape it is."""
+"""Similarity transforms, which separate the position, heading and size of a shape from its form."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ Array = npt.NDArray[np.float64]
 
 _ROUNDS: Final = 200
 _CONVERGED: Final = 1e-12
-_UNLIKE: Final = 0.05  # of the usual size of a shape: below, dividing by its scale tells nothing
+_UNLIKE: Final = 0.05  # smallest scale of an aligned shape; below it the heading is arbitrary
 
 
 class Similarity(NamedTuple):
-    """``p = shift + turn * q``: the first two coordinates as complex numbers, the third only shifted and scaled.
+    """Represent ``p = shift + turn * q`` with the first two coordinates as a complex number.
+
+    The third coordinate is only shifted and scaled.
 
     Args:
-        shift: (2,) or (3,).
-        turn: Scale times exp(i angle).
+        shift: The translation, of shape (2,) or (3,).
+        turn: The scale times exp(i angle).
     """
 
     shift: Array
@@ -27,11 +29,16 @@ class Similarity(NamedTuple):
 
     @classmethod
     def of(cls, points: Array, mean: Array, weight: Array) -> Similarity:
-        """What brings the (N,D) mean shape nearest to points, in the first two coordinates; weighted least squares.
+        """Return the transform that brings the mean shape closest to the points, by weighted least squares.
 
         With complex p and m, relative to their weighted means: ``turn = sum w conj(m) p / sum w |m|^2``. Source: T. F.
         Cootes et al., "Active Shape Models: Their Training and Application", Computer Vision and Image Understanding
         61(1), 1995, appendix A.
+
+        Args:
+            points: (N, D) points; only the first two coordinates are fitted.
+            mean: (N, D) mean shape.
+            weight: (N,) weights.
         """
         share = weight / weight.sum()
         middle, centre = share @ points, share @ mean
@@ -40,23 +47,23 @@ class Similarity(NamedTuple):
         return cls(middle - _turned(centre, turn), turn)
 
     def apply(self, points: Array) -> Array:
-        """(N,D) from the mean shape's place to where the points lie."""
+        """Transform points (N, D) of the mean shape."""
         return self.shift + _turned(points, self.turn)
 
     def undo(self, points: Array) -> Array:
-        """(N,D) from where the points lie to the mean shape's place; NaN and infinite where the scale is zero."""
+        """Apply the inverse transform to points (N, D); the result is not finite if the scale is zero."""
         return _turned(points - self.shift, 1 / self.turn if self.turn else complex(np.nan))
 
 
 def superimposed(points: Array) -> Array:
-    """Shapes without their place, heading and size: (F,N,D) -> (F,N,D), about one another's mean.
+    """Remove position, heading and size from shapes by generalised Procrustes analysis: (F, N, D) -> (F, N, D).
 
-    Generalised Procrustes analysis: each is brought to the mean by the similarity that does it best, which gives the
-    next mean. The mean has the root mean square size of the shapes and their mean heading. Source: J. C. Gower,
-    "Generalized Procrustes analysis", Psychometrika 40(1), 1975.
+    Each shape is transformed to the mean by its best similarity, which gives the next mean. The mean has the root mean
+    square size of the shapes and their mean heading. Source: J. C. Gower, "Generalized Procrustes analysis",
+    Psychometrika 40(1), 1975.
 
     Raises:
-        ValueError: A shape has so little in common with the others that its heading is arbitrary.
+        ValueError: A shape differs so much from the others that its heading is arbitrary.
     """
     centred = points - points.mean(axis=1, keepdims=True)
     plane = centred[..., 0] + 1j * centred[..., 1]
@@ -69,13 +76,13 @@ def superimposed(points: Array) -> Array:
         unlike = np.flatnonzero(np.abs(turn) < _UNLIKE)
         if unlike.size:
             raise ValueError(
-                f"shape {unlike[0]} of {len(points)} is too unlike the others to be aligned with them: leave it out, "
+                f"shape {unlike[0]} of {len(points)} is too unlike the others to be aligned: leave it out, "
                 "or fit without alignment."
             )
         before, mean = mean, (plane / turn[:, None]).mean(axis=0)
         if np.linalg.norm(mean - before) < _CONVERGED * size:
             break
-    # So far the heading is that of the first shape.
+    # Up to here the heading is that of the first shape.
     heading = turn.sum() / abs(turn.sum()) if abs(turn.sum()) > _UNLIKE else 1.0
     flat = plane / turn[:, None] * heading
     return np.stack(
@@ -88,7 +95,7 @@ def _plane(points: Array) -> npt.NDArray[np.complex128]:
 
 
 def _turned(points: Array, turn: complex) -> Array:
-    """(..., D) turned and scaled."""
+    """Rotate and scale points (..., D)."""
     out = points * abs(turn)
     x, y = points[..., 0], points[..., 1]
     out[..., 0] = turn.real * x - turn.imag * y

@@ -1,4 +1,4 @@
-"""What Fourier, Bezier, B-spline and principal components share: a weighted, regularised least-squares fit."""
+"""The weighted, regularised least-squares fit that Fourier, Bezier, B-spline and PCA features share."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.features.base import View
 from shape_obs.features.coordinates import Geometric
+from shape_obs.features.feature import FeatureContext
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.shape import Shape
 
 Array = npt.NDArray[np.float64]
 
-#: How much a bend costs where points are missing, beside their distances, and how much a step does beside a bend: the
-#: first tells how a gap is bridged and an end goes on, the second only what is left open by it.
+#: Weight of second differences where points are missing: it decides how gaps and missing ends are filled.
 BEND: Final = 0.3
+#: Weight of first differences relative to second ones: it decides only what these leave open.
 STEP: Final = 1e-4
 
 
 class Design(NamedTuple):
-    """How coefficients make points.
+    """The matrices of a linear least-squares fit.
 
     Args:
-        basis: (N,K) values of K basis functions at the N points.
-        penalty: (K,K) what is added to the normal equations of N points of weight 1.
-        inverse: (K,N) from N points of equal weight to coefficients.
-        bridge: (K,K) what is added to them in the measure that points are missing.
+        basis: (N, K) values of K basis functions at the N points.
+        penalty: (K, K) matrix added to the normal equations of N points of weight 1.
+        inverse: (K, N) matrix from N points of equal weight to coefficients.
+        bridge: (K, K) matrix added to the normal equations in proportion to the missing weight.
     """
 
     basis: Array
@@ -41,23 +41,23 @@ class Design(NamedTuple):
 
     @classmethod
     def of(cls, basis: Array, penalty: Array | None = None, bridge: Array | None = None) -> Design:
-        """Solve for points of equal weight; a penalty or a bridge that is not given is none.
+        """Compute the matrices of a basis; the default penalty and bridge are zero.
 
         Raises:
-            ValueError: The points do not tell the functions apart.
+            ValueError: The points do not determine the coefficients.
         """
         none = np.zeros((basis.shape[1], basis.shape[1]))
         penalty, bridge = none if penalty is None else penalty, none if bridge is None else bridge
         normal = basis.T @ basis + penalty
         if np.linalg.matrix_rank(normal, hermitian=True) < len(normal):
-            raise ValueError(f"{len(basis)} points do not tell {len(normal)} functions apart: use fewer functions.")
+            raise ValueError(f"{len(basis)} points do not determine {len(normal)} functions: use fewer functions.")
         return cls(basis, penalty, np.linalg.solve(normal, basis.T), bridge)
 
     def fit(self, points: Array, weight: Array) -> Array:
-        """Weighted least squares: (N,D) points, (N,) weights -> (K,D) coefficients; NaN where fewer than 2 are known.
+        """Return the coefficients (K, D) of points (N, D) with weights (N,); NaN if fewer than two are known.
 
-        They minimise ``sum_i w_i |p_i - B_i c|^2 + m tr(c' P c) + (max(w) - m) tr(c' Q c)``, P being the penalty, Q the
-        bridge and m the mean weight: where all points weigh the same, nothing is bridged.
+        They minimise ``sum_i w_i |p_i - B_i c|^2 + m tr(c' P c) + (max(w) - m) tr(c' Q c)`` with the penalty P, the
+        bridge Q and the mean weight m. If all points have the same weight, the bridge has no effect.
         """
         known = np.count_nonzero(weight)
         if known < 2:
@@ -74,31 +74,31 @@ class Design(NamedTuple):
 
 @dataclass(frozen=True)
 class LinearFit(Geometric):
-    """Coefficients of basis functions of the points' place in the layout, one point (2,) or (3,) for each function.
+    """Coefficients of basis functions over the layout, one point of shape (2,) or (3,) for each function.
 
-    They are a linear function of the points as long as the same ones are measured. Points that were filled in hardly
-    count; where points are missing, the curve bends as little as it can (the difference penalty of Eilers & Marx,
-    'Flexible smoothing with B-splines and penalties', Statistical Science 1996, taken of the points, not of the
-    coefficients).
+    The coefficients are a linear function of the points as long as the same points are measured. Filled-in points have
+    a small weight; where points are missing, the curve bends as little as possible (the difference penalty of Eilers &
+    Marx, 'Flexible smoothing with B-splines and penalties', Statistical Science 1996, applied to the points instead of
+    the coefficients).
     """
 
     @abstractmethod
     def basis(self, layout: Topology) -> Array:
-        """(N,K) the functions at the points of a layout.
+        """Return the functions at the points of a layout, of shape (N, K).
 
         Raises:
-            ValueError: There are none for this layout, or more than it has points.
+            ValueError: The layout has no such functions, or fewer points than functions.
         """
 
     def penalty(self, layout: Topology) -> Array | None:
-        """(K,K) what keeps the coefficients small even when all N points are measured; None for nothing."""
+        """Return a penalty (K, K) on the coefficients that acts even if all N points are measured; None for none."""
         return None
 
     def design(self, layout: Topology) -> Design:
-        """The basis at the points of a layout, and what keeps its coefficients sane.
+        """Return the matrices of the fit for a layout.
 
         Raises:
-            ValueError: There is no basis for this layout, or it has more functions than the layout has points.
+            ValueError: The layout has no such functions, or fewer points than functions.
         """
         basis = self.basis(layout)
         if basis.shape[1] > len(basis):
@@ -109,51 +109,51 @@ class LinearFit(Geometric):
         bends, steps = (differences @ basis for differences in _differences(layout))
         return Design.of(basis, self.penalty(layout), BEND * (bends.T @ bends + STEP * (steps.T @ steps)))
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
-        """What points anywhere in their box can give: each coefficient is a weighted sum of them."""
-        low, high = self.coordinates.box(view)
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
+        """Return the bounds for points anywhere in their box; each coefficient is a weighted sum of the points."""
+        low, high = self.coordinates.box(context)
         inverse = _design(self, layout).inverse
         up, down = np.maximum(inverse, 0.0).sum(axis=1), np.minimum(inverse, 0.0).sum(axis=1)
         return np.ravel(np.outer(up, low) + np.outer(down, high)), np.ravel(np.outer(up, high) + np.outer(down, low))
 
-    def compute(self, shape: Shape, view: View) -> Array:
-        """(K D,) coefficients, function after function; points that were not measured hardly count."""
-        points = self.coordinates.points(shape, view)
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
+        """Return the coefficients, function after function, of shape (K * D,)."""
+        points = self.coordinates.points(shape, context)
         return _design(self, shape.layout).fit(points, self.coordinates.weights(shape, points)).ravel()
 
-    def reconstruct(self, values: npt.ArrayLike, layout: Topology, view: View) -> Array:
-        """(N,2) or (N,3) the basis functions' sum at the points' places."""
+    def reconstruct(self, values: npt.ArrayLike, layout: Topology, context: FeatureContext) -> Array:
+        """Return the sum of the basis functions at the points, of shape (N, 2) or (N, 3)."""
         basis = _design(self, layout).basis
         return basis @ np.asarray(values, dtype=np.float64).reshape(basis.shape[1], -1)
 
 
 def open_counts(layout: Topology, kind: str, instead: str) -> tuple[int, ...]:
-    """How many points an open layout has in each of its directions: (N,) of a chain, (rows, cols) of a lattice.
+    """Return the number of points of an open layout in each direction: (N,) of a chain, (rows, cols) of a lattice.
 
     Args:
         layout: A chain or a lattice.
-        kind: Of the feature that asks, for the message.
-        instead: What the message tells to use for a ring.
+        kind: The kind of the feature, for the error message.
+        instead: What the error message suggests for a ring.
 
     Raises:
-        ValueError: It is no such layout.
+        ValueError: The layout is neither a chain nor a lattice.
     """
     if isinstance(layout, Chain):
         return (layout.count,)
     if isinstance(layout, Grid):
         return layout.rows, layout.cols
     if isinstance(layout, Ring):
-        raise ValueError(f"feature {kind!r} is of open curves, but the shape is a ring: use {instead}.")
-    raise ValueError(f"feature {kind!r} is of chains and lattices, got {layout!r}.")
+        raise ValueError(f"feature {kind!r} is for open curves, but the shape is a ring: use {instead}.")
+    raise ValueError(f"feature {kind!r} is for chains and lattices, got {layout!r}.")
 
 
 def products(bases: Iterable[Array]) -> Array:
-    """(N,K) the basis of a lattice, its second direction's functions running fastest, from one for each direction."""
+    """Return the basis (N, K) of a lattice from one for each direction; the second direction varies fastest."""
     return np.asarray(reduce(np.kron, bases), dtype=np.float64)
 
 
 def _differences(layout: Topology) -> tuple[Array, Array]:
-    """(B,N) second differences along every direction of a layout, and (E,N) first ones."""
+    """Return second differences (B, N) along every direction of a layout, and first differences (E, N)."""
     unit, offsets = np.eye(layout.size), layout.offsets()
     near = np.abs(offsets).sum(axis=0) == 1
     bends = []

@@ -1,4 +1,4 @@
-"""PointDistribution: how recorded shapes vary, as their mean and principal components, and the file that keeps it."""
+"""A model of recorded shapes: their mean and principal components, and its file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from shape_obs.features.alignment import Similarity, superimposed
 from shape_obs.features.basis import Design
-from shape_obs.features.coordinates import Coordinates, Frame
+from shape_obs.features.coordinates import CoordinateFrame, Coordinates
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.utils.arrays import decode_npz
 from shape_obs.utils.documents import parse_json
@@ -26,39 +26,40 @@ FORMAT: Final = "shape_obs point distribution"
 VERSION: Final = 1
 _ARRAYS: Final = ("mean", "components", "variance", "noise")
 _LAYOUTS: Final[Mapping[str, type[Any]]] = {"chain": Chain, "ring": Ring, "grid": Grid}
-_FRAMES: Final = get_args(Frame)
-_MOST_BYTES: Final = 32 << 20  # of all arrays of a file; a hundred components of a large lattice have 3 MB
-_FLAT: Final = 1e-9  # of the first component's variance, and of the shapes' extent: what is below is rounding
-_FLOOR: Final = 1e-6  # of the last component's variance: the least that points are taken to scatter beside the model
-#: What the model leaves of neighbouring points is alike, so several of them tell no more than one (g in the formula).
-_ALIKE: Final = 10.0
-_ROUNDS: Final = 3  # of Gauss-Newton; the first solves for whole shapes
+_FRAMES: Final = get_args(CoordinateFrame)
+_MOST_BYTES: Final = 32 << 20  # largest size of all arrays of a file; 100 components of a large lattice take 3 MB
+_FLAT: Final = 1e-9  # share of the first component's variance, and of the shapes' extent, below which all is rounding
+_FLOOR: Final = 1e-6  # smallest noise of the points, as a share of the last component's variance
+#: Residuals of neighbouring points are correlated: this many of them count as one (g in the formula).
+_CORRELATED: Final = 10.0
+_ROUNDS: Final = 3  # Gauss-Newton steps; for complete shapes the first is exact
 
 
 @dataclass(frozen=True, eq=False)
 class PointDistribution:
-    """A model of shapes: ``p = mean + sum_k c_k v_k``, with c_k of variance l_k, and noise of variance s^2 beside them.
+    """A linear model of shapes, ``p = mean + sum_k c_k v_k`` plus noise.
 
-    Aligned, it is ``p = t + s R (mean + sum_k c_k v_k)``: shifts t, turns R about the third axis and scales s are free.
+    The coefficients c_k have the variances l_k, the noise has the variance s^2. An aligned model is
+    ``p = t + s R (mean + sum_k c_k v_k)`` with any translation t, rotation R about the third axis and scale s.
 
-    Of points that weigh the same, coefficients are projections, ``c_k = v_k (p - mean)``. Where points are missing they
-    are the least ``sum_i w_i |p_i - model_i|^2 + (max(w) - mean(w)) g sum_k s^2 c_k^2 / l_k``: unlikely shapes are not
-    made up for what is not seen. Sources: M. E. Tipping, C. M. Bishop, "Probabilistic Principal Component Analysis",
+    For points of equal weight the coefficients are projections, ``c_k = v_k (p - mean)``. With missing points they
+    minimise ``sum_i w_i |p_i - model_i|^2 + (max(w) - mean(w)) g sum_k s^2 c_k^2 / l_k``, which keeps the unseen part
+    probable. Sources: M. E. Tipping, C. M. Bishop, "Probabilistic Principal Component Analysis",
     Journal of the Royal Statistical Society B 61(3), 1999, section 3.2, for the prior s^2 / l_k; aligned: T. F. Cootes
     et al., "Active Shape Models: Their Training and Application", Computer Vision and Image Understanding 61(1), 1995,
     section 3.
 
     Args:
-        mean: (N,D) the mean shape, in the frame's unit.
-        components: (K,N,D) orthonormal directions v_k, the greatest variance first.
-        variance: (K,) of the coefficients, squared units.
-        noise: s^2, of a coordinate, squared units.
-        layout: How the points hang together.
-        frame: Where they were measured; see ``Coordinates``.
-        origin: What they were relative to.
-        aligned: Whether place, heading and size were taken out.
-        about: JSON-able: ``shapes`` (how many it was fitted to), ``explained`` (the share of the variance that each
-            component explains), and what it was fitted to.
+        mean: (N, D) mean shape, in the unit of the frame.
+        components: (K, N, D) orthonormal directions v_k in order of decreasing variance.
+        variance: (K,) variances of the coefficients, in squared units.
+        noise: Variance s^2 of one coordinate, in squared units.
+        layout: The topology of the points.
+        frame: The coordinate frame of the points; see ``Coordinates``.
+        origin: The origin of the points.
+        aligned: Whether position, heading and size were removed before the fit.
+        about: JSON values: ``shapes`` (the number of fitted shapes), ``explained`` (the share of the variance that each
+            component explains), and the origin of the data.
     """
 
     mean: Array
@@ -66,7 +67,7 @@ class PointDistribution:
     variance: Array
     noise: float
     layout: Topology
-    frame: Frame
+    frame: CoordinateFrame
     origin: str | None = None
     aligned: bool = False
     about: Mapping[str, Any] = field(default_factory=dict)
@@ -78,24 +79,24 @@ class PointDistribution:
         components: int = 6,
         *,
         layout: Topology,
-        frame: Frame = "camera",
+        frame: CoordinateFrame = "camera",
         origin: str | None = None,
         aligned: bool = False,
         about: Mapping[str, Any] | None = None,
     ) -> PointDistribution:
-        """Fit the model to shapes, with scikit-learn.
+        """Fit the model to shapes with scikit-learn.
 
         Args:
-            points: (F,N,2) or (F,N,3) F shapes, all of their points measured, in the frame and relative to the origin.
-            components: How many.
-            layout: Of the shapes.
-            frame: Where the points were measured.
-            origin: What they are relative to.
-            aligned: Take place, heading and size out first.
-            about: What is to be kept beside the model.
+            points: (F, N, 2) or (F, N, 3): F shapes with all points measured, in the frame and relative to the origin.
+            components: Number of components.
+            layout: The topology of the shapes.
+            frame: The coordinate frame of the points.
+            origin: The origin of the points.
+            aligned: Remove position, heading and size first.
+            about: Further JSON values to store with the model.
 
         Raises:
-            ValueError: Points of another shape or layout, unknown ones, or more components than the shapes have.
+            ValueError: The points do not fit the layout, some are unknown, or there are too many components.
         """
         points = np.asarray(points, dtype=np.float64)
         wanted = (layout.size, 2 if Coordinates(frame).planar else 3)
@@ -118,40 +119,44 @@ class PointDistribution:
         ways = np.count_nonzero(variance > max(_FLAT * variance[0], (_FLAT * np.ptp(flat)) ** 2))
         if ways < components:
             raise ValueError(f"the shapes differ in {ways} ways only: ask for at most {ways} components.")
-        told = {"shapes": len(points), "explained": pca.explained_variance_ratio_.tolist(), **(about or {})}
+        about = {"shapes": len(points), "explained": pca.explained_variance_ratio_.tolist(), **(about or {})}
         noise = max(float(pca.noise_variance_), _FLOOR * float(variance[-1]))
         mean, directions = flat.mean(axis=0).reshape(wanted), np.asarray(pca.components_).reshape(components, *wanted)
-        return cls(mean, directions, variance, noise, layout, frame, origin, aligned, told)
+        return cls(mean, directions, variance, noise, layout, frame, origin, aligned, about)
 
     @property
     def unit(self) -> str:
-        """Of the points."""
+        """The unit of the points."""
         return Coordinates(self.frame).unit
 
     @cached_property
     def placed(self) -> int:
-        """How many of the values tell place, heading and size: 0, or those of the shift (if free) and turn."""
+        """Number of values that describe position, heading and size; 0 if the model is not aligned."""
         return 0 if not self.aligned else 2 + (0 if self.origin == "centroid" else self.mean.shape[1])
 
     @cached_property
     def design(self) -> Design:
-        """The basis: components first, then the directions whose amounts are free and told apart from them."""
+        """The basis of the fit: the components, then the directions of translation, rotation and scale if free."""
         size = self.mean.shape[1]
         basis = list(self.components)
-        if self.aligned or self.origin == "centroid":  # the centroid of what is seen is not that of the whole
+        if self.aligned or self.origin == "centroid":  # the centroid of the visible part is not that of the shape
             basis += [np.tile(axis, (len(self.mean), 1)) for axis in np.eye(size)]
         if self.aligned:
             x, y = self.mean[:, 0], self.mean[:, 1]
             basis += [_in_plane(x, y, size), _in_plane(-y, x, size)]
         bridge = np.full(len(basis), _FLOOR)
-        bridge[: len(self.components)] = _ALIKE * self.noise / self.variance
+        bridge[: len(self.components)] = _CORRELATED * self.noise / self.variance
         return Design.of(np.stack([direction.ravel() for direction in basis], axis=1), bridge=np.diag(bridge))
 
     def values(self, points: Array, weight: Array) -> Array:
-        """(placed + K,) what stands for (N,D) points that count by (N,) weights; NaN where fewer than two are known.
+        """Return the values of a shape, of shape (placed + K,); NaN if fewer than two points are known.
 
-        Aligned: the shift (unless the origin is the centroid), the turn (s cos a, s sin a), then s c_k, of which all
-        but the turn are in the points' unit. Otherwise c_k.
+        For an aligned model these are the shift (unless the origin is the centroid), the turn (s cos a, s sin a), and
+        s c_k; all but the turn are in the unit of the points. Otherwise they are c_k.
+
+        Args:
+            points: (N, D) points.
+            weight: (N,) weights of the points; 0 if unknown.
         """
         count, size = len(self.components), points.shape[1]
         known = np.count_nonzero(weight)
@@ -174,7 +179,7 @@ class PointDistribution:
         return np.concatenate([shift, heading, abs(pose.turn) * fitted])
 
     def points(self, values: npt.ArrayLike) -> Array:
-        """(N,D) the points that values stand for."""
+        """Return the points that the values describe, of shape (N, D)."""
         values = np.asarray(values, dtype=np.float64)
         if values.shape != (self.placed + len(self.components),):
             raise ValueError(f"expected {self.placed + len(self.components)} values, got shape {values.shape}.")
@@ -187,11 +192,11 @@ class PointDistribution:
         return Similarity(shift, turn).apply(self.mean + np.tensordot(fitted / scale, self.components, axes=1))
 
     def save(self, path: str | Path) -> None:
-        """Write it as ``.npz``, whole or not at all; equal models make equal files.
+        """Write the model as ``.npz``, completely or not at all; equal models give equal files.
 
         Raises:
-            ValueError: Another suffix.
-            OSError: It cannot be written.
+            ValueError: The suffix is not ``.npz``.
+            OSError: The file cannot be written.
         """
         path = Path(path)
         if path.suffix != ".npz":
@@ -210,13 +215,13 @@ class PointDistribution:
 
         Raises:
             FileNotFoundError: There is no such file.
-            ValueError: It is no such file, or a damaged one.
+            ValueError: The file contains something else, or is damaged.
         """
         return cls.from_bytes(read_bytes(Path(path)), str(path))
 
     @classmethod
     def from_bytes(cls, content: bytes, name: str) -> PointDistribution:
-        """Read the content of a file; ``name`` is the file's, for messages. Errors as those of ``load``."""
+        """Read the content of a file named ``name``, which error messages contain; raises what ``load`` raises."""
         try:
             arrays = decode_npz(content, "content", most_bytes=_MOST_BYTES)
             head = parse_json(str(arrays["metadata"]), "metadata")
@@ -231,7 +236,7 @@ class PointDistribution:
             if mean.shape != size or components.shape != (len(variance), *size) or noise.shape != ():
                 raise ValueError(f"arrays of {mean.shape} and {components.shape} do not belong to {layout}")
             if not all(np.isfinite(array).all() for array in (mean, components)) or not min(variance.min(), noise) > 0:
-                raise ValueError("it holds numbers that are none, or variances that are not positive")
+                raise ValueError("it holds numbers that are not finite, or variances that are not positive")
             about = (head["frame"], head["origin"], head["aligned"], head["about"])
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise ValueError(
@@ -242,11 +247,11 @@ class PointDistribution:
 
 
 def read_bytes(path: Path) -> bytes:
-    """A fitted file's content.
+    """Return the content of a fitted file.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It is a folder.
+        ValueError: The path is a folder.
     """
     try:
         return path.read_bytes()

@@ -1,7 +1,4 @@
-"""Fourier: an open curve or a sheet as a sum of half-period harmonics.
-
-Elliptic Fourier: a closed curve as a sum of ellipses.
-"""
+"""Fourier coefficients of open curves and sheets, and elliptic Fourier coefficients of closed curves."""
 
 from __future__ import annotations
 
@@ -20,39 +17,40 @@ from shape_obs.spec import SpecError
 Array = npt.NDArray[np.float64]
 
 
-#: Of the roughness of the extended curve, for each point.
+#: Weight of the roughness of the extended curve, per point.
 ROUGHNESS: Final = 1e-5
 
 
 @dataclass(frozen=True)
 class Fourier(LinearFit, kind="fourier"):
-    """A_0, a_1, b_1, a_2, ... of p(r) = A_0 + sum_k a_k cos(k r) + b_k sin(k r) at r_i = pi i / (N - 1), each a point.
+    """Fourier coefficients A_0, a_1, b_1, a_2, ... of an open curve or a sheet, each a point.
 
-    The Fourier features of shape servoing (Navarro-Alarcon & Liu, 'Fourier-based shape servoing', IEEE T-RO 2018, for
-    contours; Zhu et al., 'Dual-arm robotic manipulation of flexible cables', IROS 2018, for cables), but on half a
-    period: on a full one the ends of a straight cable would have to meet. The curve goes on, unseen, for the other half
-    and closes there (the Fourier extension of Huybrechs, 'On the Fourier extension of nonperiodic functions', SIAM
-    Journal on Numerical Analysis 2010). How is left open, sines and cosines are nearly dependent on the half that is
-    seen, and least squares alone would blow them up. So the extension is to be the smoothest one::
+    The curve is p(r) = A_0 + sum_k a_k cos(k r) + b_k sin(k r) at r_i = pi i / (N - 1). These are the Fourier features
+    of shape servoing (Navarro-Alarcon & Liu, 'Fourier-based shape servoing', IEEE T-RO 2018, for contours; Zhu et al.,
+    'Dual-arm robotic manipulation of flexible cables', IROS 2018, for cables), but on half a period: on a full period
+    the ends of a straight cable would have to meet. The curve continues over the other half and closes there (the
+    Fourier extension of Huybrechs, 'On the Fourier extension of nonperiodic functions', SIAM Journal on Numerical
+    Analysis 2010). On half a period sines and cosines are nearly dependent, and plain least squares would give huge
+    coefficients. So the smoothest extension is chosen::
 
         minimise  sum_i |p_i - p(r_i)|^2 + 1e-5 N sum_k k^4 (|a_k|^2 + |b_k|^2)
 
-    whose sum is (1/pi) times the integral of ``|p''|^2`` over the full period. With 4 harmonics and 20 points a
-    coefficient has then up to 6 times the points' noise, not 70 times, and a straight line comes back to 0.2 % of its
-    length, not exactly.
+    The second sum is (1/pi) times the integral of ``|p''|^2`` over the full period. With 4 harmonics and 20 points, the
+    noise of a coefficient is then at most 6 times that of the points instead of 70 times, and a straight line is
+    reconstructed to 0.2 % of its length instead of exactly.
 
-    A lattice has the products of the functions down its rows and along its columns, the columns' running fastest, and
-    (k^2 + l^2)^2 for k^4: ``harmonics`` in each direction, but at most half as many as it has points there, and no more
-    functions in all than points. 4 x 8 points have 5 x 5.
+    A lattice has the products of the functions down its rows and along its columns, where the columns vary fastest, and
+    (k^2 + l^2)^2 in place of k^4. It has ``harmonics`` in each direction, but at most half as many as it has points
+    there, and no more functions than points in total: 4 x 8 points have 5 x 5 functions.
 
-    Translation changes A_0 alone, rotation turns every coefficient, and reversing the points takes (a_k, b_k) to
+    Translation changes only A_0, rotation rotates every coefficient, and reversing the points maps (a_k, b_k) to
     (-1)^k (a_k, -b_k).
 
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
         origin: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
-        harmonics: How many; 2 harmonics + 1 functions.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
+        harmonics: Number of harmonics; there are 2 harmonics + 1 functions.
     """
 
     harmonics: int = 4
@@ -63,20 +61,20 @@ class Fourier(LinearFit, kind="fourier"):
             raise SpecError(f"fourier: needs at least 1 harmonic, got {self.harmonics}.")
 
     def basis(self, layout: Topology) -> Array:
-        """(N, 2 harmonics + 1); (N, rows' x columns') of a lattice.
+        """Return the functions, of shape (N, 2 harmonics + 1); for a lattice their products.
 
         Raises:
-            ValueError: A ring, or more functions than points.
+            ValueError: The layout is a ring, or has fewer points than functions.
         """
         return products(harmonic_basis(np.linspace(0.0, np.pi, n), most) for n, most in self._directions(layout))
 
     def penalty(self, layout: Topology) -> Array:
-        """(K,K) the roughness of the extended curve."""
+        """Return the roughness of the extended curve as a matrix (K, K)."""
         squares = [np.repeat(np.arange(most + 1.0), 2)[1:] ** 2 for _, most in self._directions(layout)]
         return np.diag(ROUGHNESS * layout.size * np.ravel(reduce(np.add.outer, squares)) ** 2)
 
     def _directions(self, layout: Topology) -> list[tuple[int, int]]:
-        """How many points, and how many harmonics, in each direction."""
+        """Return the numbers of points and of harmonics in each direction."""
         counts = open_counts(layout, self.kind, "'elliptic_fourier'")
         if len(counts) == 1:
             return [(counts[0], self.harmonics)]
@@ -85,12 +83,12 @@ class Fourier(LinearFit, kind="fourier"):
             if prod(2 * harmonics + 1 for _, harmonics in directions) <= layout.size:
                 return directions
         raise ValueError(
-            f"feature {self.kind!r} has at least 9 functions on a lattice, got {layout!r}: use more points."
+            f"feature {self.kind!r} needs at least 9 points on a lattice, got {layout!r}: use more points."
         )
 
 
 def harmonic_basis(angle: Array, harmonics: int) -> Array:
-    """(N, 2 harmonics + 1) 1, cos(t), sin(t), cos(2 t), sin(2 t), ... at (N,) angles, radians."""
+    """Return 1, cos(t), sin(t), cos(2 t), sin(2 t), ... at N angles in radians, of shape (N, 2 harmonics + 1)."""
     phase = angle[:, None] * np.arange(1, harmonics + 1)
     waves = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(angle), -1)
     return np.concatenate([np.ones((len(angle), 1)), waves], axis=1)
@@ -98,23 +96,24 @@ def harmonic_basis(angle: Array, harmonics: int) -> Array:
 
 @dataclass(frozen=True)
 class EllipticFourier(LinearFit, kind="elliptic_fourier"):
-    """A_0, a_1, b_1, a_2, ... of p(t) = A_0 + sum_k a_k cos(k t) + b_k sin(k t) at t_i = 2 pi i / N, each a point.
+    """Elliptic Fourier coefficients A_0, a_1, b_1, a_2, ... of a closed curve, each a point.
 
-    Each pair is an ellipse run through k times (Kuhl & Giardina, 'Elliptic Fourier features of a closed contour',
-    Computer Graphics and Image Processing 1982; their a, c are our a_k's coordinates, their b, d our b_k's).
-    They integrate along the polygon's sides, where this takes the points: for equidistant ones theirs are ours times
+    The curve is p(t) = A_0 + sum_k a_k cos(k t) + b_k sin(k t) at t_i = 2 pi i / N. Each pair is an ellipse that is
+    traversed k times (Kuhl & Giardina, 'Elliptic Fourier features of a closed contour', Computer Graphics and Image
+    Processing 1982; their a, c are the coordinates of a_k, their b, d those of b_k). They integrate along the sides of
+    the polygon, while this feature sums over the points: for equidistant points their coefficients equal these times
     (sin(x) / x)^2 with x = pi k / N. A_0 is the mean of the points.
 
-    Translation changes A_0 alone, rotation turns every coefficient. A start s points further on turns the pair
-    (a_k, b_k) by the angle 2 pi k s / N; run the other way round from the same start, b_k changes sign. Their
-    normalisation for start, rotation and size is not made: it is no linear function of the points, and where the first
-    ellipse is near a circle it leaps. Anchor the contour instead.
+    Translation changes only A_0, rotation rotates every coefficient. A start s points later rotates the pair (a_k, b_k)
+    by the angle 2 pi k s / N; the opposite direction from the same start changes the sign of b_k. The coefficients are
+    not normalised for start, rotation and size: the normalisation is not linear in the points, and jumps where the
+    first ellipse is nearly a circle. Anchor the contour instead.
 
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
         origin: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
-        harmonics: How many ellipses.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
+        harmonics: Number of ellipses.
     """
 
     harmonics: int = 4
@@ -125,11 +124,12 @@ class EllipticFourier(LinearFit, kind="elliptic_fourier"):
             raise SpecError(f"elliptic_fourier: needs at least 1 harmonic, got {self.harmonics}.")
 
     def basis(self, layout: Topology) -> Array:
-        """(N, 2 harmonics + 1).
+        """Return the functions, of shape (N, 2 harmonics + 1).
 
         Raises:
-            ValueError: No ring, or more functions than points.
+            ValueError: The layout is not a ring, or has fewer points than functions.
         """
         if not isinstance(layout, Ring):
-            raise ValueError(f"feature {self.kind!r} is of rings, got {layout!r}: use 'fourier'.")
+            raise ValueError(f"feature {self.kind!r} is for rings, got {layout!r}: use 'fourier'.")
+
         return harmonic_basis(2 * np.pi * np.arange(layout.count) / layout.count, self.harmonics)

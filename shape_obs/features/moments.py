@@ -1,4 +1,4 @@
-"""Moments: how a line, or the region inside it, is spread about its middle."""
+"""Moments of a line, and of the region that it encloses."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.features.base import View
 from shape_obs.features.coordinates import Geometric
 from shape_obs.features.curvature import closes, polyline
+from shape_obs.features.feature import FeatureContext
 from shape_obs.geometry.topology import Grid, Ring, Topology
 from shape_obs.shape import Shape
 
 Array = npt.NDArray[np.float64]
 
-#: Of a region, as a share of the square of its outline's reach, below which it is a line and has no moments.
+#: Area of a region, as a share of the squared extent of its outline, below which it counts as a line without moments.
 _LEAST_AREA: Final = 1e-3
 
 
@@ -28,29 +28,29 @@ class _Moments(Geometric):
     """Size, centroid and normalised central moments, in the plane of the frame's first two axes.
 
     Args:
-        order: Up to which; 2 makes six values, 3 ten.
+        order: Highest order; 2 gives six values, 3 ten.
     """
 
     order: Literal[2, 3] = 2
 
     @abstractmethod
     def size(self, layout: Topology, extent: Array) -> float:
-        """The highest value of the first one, for points within a (2,) extent."""
+        """Return the highest value of the size, for points within an extent of shape (2,)."""
 
     @abstractmethod
     def largest(self) -> tuple[float, float]:
-        """The highest normalised central moment of second and of third order."""
+        """Return the highest normalised central moments of second and third order."""
 
     @property
     def unit(self) -> str:
-        """Not all the same; see ``units``."""
+        """Empty, since the units differ; see ``units``."""
         return ""
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
-        """The centroid's are those of a point."""
-        low, high = replace(self.coordinates, origin=None).box(view)
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
+        """Return the bounds of the size, of the centroid (as for a point), and of the moments."""
+        low, high = replace(self.coordinates, origin=None).box(context)
         size = self.size(layout, (high - low)[:2])
-        low, high = self.coordinates.box(view)
+        low, high = self.coordinates.box(context)
         second, third = self.largest()
         lowest = [0.0, *low[:2], 0.0, -second / 2, 0.0, *4 * [-third]]
         highest = [size, *high[:2], second, second / 2, second, *4 * [third]]
@@ -64,41 +64,42 @@ class _Moments(Geometric):
 
 @dataclass(frozen=True)
 class ContourMoments(_Moments, kind="contour_moments"):
-    """Moments of a chain or a ring as a line: ``m_pq = int x^p y^q ds`` along its edges, in closed form.
+    """Moments of a chain or a ring as a line, ``m_pq = int x^p y^q ds`` along its edges, in closed form.
 
-    ``(L, x, y, eta_20, eta_11, eta_02)`` and, with ``order=3``, ``eta_30, eta_21, eta_12, eta_03``: the length
-    ``L = m_00``, the centroid ``(m_10, m_01) / L``, and about it ``eta_pq = mu_pq / L^(p+q+1)``, which have no unit and
-    change neither with the place nor with the size. No two points of a line are farther apart than along it, so that
-    ``eta_20 + eta_02 <= 1/12``, what a straight line has, and those of third order lie within 1/24.
+    The values are ``(L, x, y, eta_20, eta_11, eta_02)`` and, with ``order=3``, ``eta_30, eta_21, eta_12, eta_03``: the
+    length ``L = m_00``, the centroid ``(m_10, m_01) / L``, and the central moments ``eta_pq = mu_pq / L^(p+q+1)``,
+    which have no unit and are invariant to translation and scale. The distance between two points of a line is at most
+    their arc length, so ``eta_20 + eta_02 <= 1/12``, the value of a straight line, and moments of third order lie
+    within 1/24.
 
-    Unknown points are filled in along the layout first. NaN where all points coincide.
+    Unknown points are filled in along the layout first. The values are NaN if all points coincide.
 
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
-        origin: Of the centroid: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
-        order: Up to which; 2 makes six values, 3 ten.
+        origin: The origin of the centroid: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
+        order: Highest order; 2 gives six values, 3 ten.
 
     References:
         C.-C. Chen, "Improved moment invariants for shape discrimination", Pattern Recognition 26(5), 1993.
     """
 
     def size(self, layout: Topology, extent: Array) -> float:
-        """Each edge as long as the diagonal."""
+        """Return the length with each edge as long as the diagonal."""
         edges = layout.size if closes(layout, self.kind) else layout.size - 1
         return edges * float(np.hypot(*extent))
 
     def largest(self) -> tuple[float, float]:
-        """A straight line's; half a length from the middle times that."""
+        """Return the moment of a straight line, and half of it."""
         return 1 / 12, 1 / 24
 
-    def units(self, layout: Topology, view: View) -> tuple[str, ...]:
-        """A length, a place, and none."""
+    def units(self, layout: Topology, context: FeatureContext) -> tuple[str, ...]:
+        """Return the units of the length and the centroid, and none for the moments."""
         return self._units(self.coordinates.unit)
 
-    def compute(self, shape: Shape, view: View) -> Array:
-        """(6,) or (10,)."""
-        line = polyline(self.complete(shape, view)[:, :2], closes(shape.layout, self.kind))
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
+        """Return the values, of shape (6,) or (10,)."""
+        line = polyline(self.complete(shape, context)[:, :2], closes(shape.layout, self.kind))
         edge = line[1:] - line[:-1]
         length = np.sqrt(np.einsum("kd,kd->k", edge, edge))
         total = length.sum()
@@ -121,23 +122,25 @@ class ContourMoments(_Moments, kind="contour_moments"):
 
 @dataclass(frozen=True)
 class RegionMoments(_Moments, kind="region_moments"):
-    """Moments of what a ring, or the border of a lattice, encloses: ``m_pq = int int x^p y^q dx dy``.
+    """Moments of the region inside a ring, or inside the border of a lattice, ``m_pq = int int x^p y^q dx dy``.
 
-    ``(A, x, y, nu_20, nu_11, nu_02)`` and, with ``order=3``, ``nu_30, nu_21, nu_12, nu_03``: the area ``A = m_00``,
-    the centroid ``(m_10, m_01) / A``, and about it ``nu_pq = mu_pq / A^(1 + (p+q)/2)``, which have no unit and change
-    neither with the place nor with the size. By Green's theorem they are sums over the edges (``cv2.moments``, about
-    the middle of the outline and in units of its reach, for it drops small areas). The way round does not matter.
+    The values are ``(A, x, y, nu_20, nu_11, nu_02)`` and, with ``order=3``, ``nu_30, nu_21, nu_12, nu_03``: the area
+    ``A = m_00``, the centroid ``(m_10, m_01) / A``, and the central moments ``nu_pq = mu_pq / A^(1 + (p+q)/2)``, which
+    have no unit and are invariant to translation and scale. By Green's theorem they are sums over the edges
+    (``cv2.moments``, computed about the centre of the outline and in units of its extent, because it ignores small
+    areas). The direction of the outline does not matter.
 
-    Unknown points are filled in along the layout first. NaN where hardly any area is enclosed. What crosses itself
-    counts as often as the outline winds around it.
+    Unknown points are filled in along the layout first. The values are NaN if hardly any area is enclosed. Where an
+    outline crosses itself, area counts once per winding.
 
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
-        origin: Of the centroid: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
-        order: Up to which; 2 makes six values, 3 ten.
-        max_elongation: Length by breadth at which moments saturate, for the thinner the region, the larger they are:
-            those of second order at a twelfth of it, as of a rectangle, those of third at that to the power of 3/2.
+        origin: The origin of the centroid: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
+        order: Highest order; 2 gives six values, 3 ten.
+        max_elongation: Ratio of length to width at which the moments saturate; they grow as a region gets thinner.
+            Those of second order saturate at a twelfth of it, as for a rectangle, those of third order at that to the
+            power 3/2.
 
     References:
         M.-K. Hu, "Visual pattern recognition by moment invariants", IRE Trans. Information Theory 8(2), 1962;
@@ -152,22 +155,22 @@ class RegionMoments(_Moments, kind="region_moments"):
             raise ValueError(f"region_moments: max_elongation must be a number from 1 on, got {self.max_elongation}.")
 
     def size(self, layout: Topology, extent: Array) -> float:
-        """The whole box."""
+        """Return the area of the whole box."""
         _border(layout)
         return float(np.prod(extent))
 
     def largest(self) -> tuple[float, float]:
-        """Where they saturate."""
+        """Return the values at which the moments saturate."""
         return self.max_elongation / 12, (self.max_elongation / 12) ** 1.5
 
-    def units(self, layout: Topology, view: View) -> tuple[str, ...]:
-        """An area, a place, and none."""
+    def units(self, layout: Topology, context: FeatureContext) -> tuple[str, ...]:
+        """Return the units of the area and the centroid, and none for the moments."""
         unit = self.coordinates.unit
         return self._units(f"{unit}²" if unit else "")
 
-    def compute(self, shape: Shape, view: View) -> Array:
-        """(6,) or (10,)."""
-        border = self.complete(shape, view)[_border(shape.layout), :2]
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
+        """Return the values, of shape (6,) or (10,)."""
+        border = self.complete(shape, context)[_border(shape.layout), :2]
         low, high = border.min(axis=0), border.max(axis=0)
         middle, reach = (low + high) / 2, float((high - low).max()) / 2
         found = cv2.moments(((border - middle) / reach).astype(np.float32)) if reach > 0 else {"m00": 0.0}
@@ -177,7 +180,7 @@ class RegionMoments(_Moments, kind="region_moments"):
         second, third = self.largest()
         values = [
             found["m00"] * reach**2,
-            # It lies within, but for an outline that crosses itself.
+            # The centroid lies inside the box, except for outlines that cross themselves.
             *np.minimum(np.maximum(centroid, low), high),
             min(max(found["nu20"], 0.0), second),
             min(max(found["nu11"], -second / 2), second / 2),
@@ -190,18 +193,18 @@ class RegionMoments(_Moments, kind="region_moments"):
 
 @lru_cache(maxsize=64)
 def _border(layout: Any) -> npt.NDArray[np.intp]:
-    """Which points enclose a region, in order.
+    """Return the indices of the points around a region, in order.
 
     Raises:
-        ValueError: None do.
+        ValueError: The layout encloses no region.
     """
     at = np.arange(layout.size)
     if isinstance(layout, Ring):
         return at
     if not isinstance(layout, Grid):
         raise ValueError(
-            f"feature 'region_moments' is of what a Ring (contour) or a Grid (surface) encloses, got {layout}. Of a "
-            "line there are 'contour_moments'."
+            f"feature 'region_moments' is for the region inside a Ring (contour) or a Grid (surface), got {layout}. "
+            "For a line there are 'contour_moments'."
         )
     at = at.reshape(layout.rows, layout.cols)
     return np.concatenate([at[0], at[1:, -1], at[-1, -2::-1], at[-2:0:-1, 0]])

@@ -1,4 +1,4 @@
-"""The points themselves: in pixels, normalised to the image's size, or in metres."""
+"""Features of single points: their coordinates, whether they were measured, and the status of the shape."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.features.base import View
-from shape_obs.features.coordinates import Coordinates, Placed
+from shape_obs.features.coordinates import Coordinates, Positional
+from shape_obs.features.feature import Feature, FeatureContext
 from shape_obs.geometry.topology import Topology
 from shape_obs.shape import Shape
 from shape_obs.spec import SpecError
@@ -18,70 +18,68 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class _Points(Placed):
-    """All coordinates of all points, one point after the other."""
+class _Points(Positional):
+    """All coordinates of all points, point after point."""
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
-        """Those of a point, for each."""
-        low, high = self.coordinates.box(view)
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
+        """Return the bounds of one point, repeated for each point."""
+        low, high = self.coordinates.box(context)
         return np.tile(low, layout.size), np.tile(high, layout.size)
 
-    def compute(self, shape: Shape, view: View) -> Array:
-        """All coordinates; those of unknown points are NaN."""
-        return self.coordinates.points(shape, view).ravel()
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
+        """Return all coordinates; NaN for unknown points."""
+        return self.coordinates.points(shape, context).ravel()
 
     def measured(self, shape: Shape, size: int) -> npt.NDArray[np.bool_]:
-        """Those of points that were: visible in an image, with depth in space."""
+        """Return which coordinates were measured: those of visible points in the image, of valid points in space."""
         return np.repeat(shape.visible if self.coordinates.planar else shape.valid, size // len(shape))
 
-    def reconstruct(self, values: npt.ArrayLike, layout: Topology, view: View) -> Array:
-        """(N,2) or (N,3), exactly the points."""
+    def reconstruct(self, values: npt.ArrayLike, layout: Topology, context: FeatureContext) -> Array:
+        """Return exactly the points, of shape (N, 2) or (N, 3)."""
         return np.asarray(values, dtype=np.float64).reshape(layout.size, -1)
 
 
 @dataclass(frozen=True)
 class Points2D(_Points, kind="points2d"):
-    """(u0, v0, u1, v1, ...) in pixels, pixel centres at integers; within the image.
+    """Pixels (u0, v0, u1, v1, ...) within the image, pixel centres at integers.
 
     Args:
-        origin: What points are relative to: None for the image's first pixel, ``"centroid"`` for their mean,
-            ``"anchor"`` for the shape's anchor as the camera sees it, else the name of a published anchor.
+        origin: The origin of the points: None for the first pixel of the image, ``"centroid"`` for their mean,
+            ``"anchor"`` for the shape's anchor as the camera sees it, or the name of a published anchor.
     """
 
     origin: str | None = None
 
-    @property
-    def coordinates(self) -> Coordinates:
-        """Pixels."""
-        return Coordinates("pixels", self.origin, kind=self.kind)
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._set_coordinates(Coordinates("pixels", self.origin, kind=self.kind))
 
 
 @dataclass(frozen=True)
 class Points2DNormalized(_Points, kind="points2d_normalized"):
-    """(u0, v0, u1, v1, ...), -1...1 from the image's first edge to its last: 2 (u + 0.5) / width - 1, likewise v.
+    """Pixels (u0, v0, u1, v1, ...) scaled to -1...1 over the image: 2 (u + 0.5) / width - 1, likewise for v.
 
     Args:
-        origin: As for ``points2d``; None for the image's centre.
+        origin: As for ``points2d``; None for the centre of the image.
     """
 
     origin: str | None = None
 
-    @property
-    def coordinates(self) -> Coordinates:
-        """Normalised pixels."""
-        return Coordinates("normalized", self.origin, kind=self.kind)
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._set_coordinates(Coordinates("normalized", self.origin, kind=self.kind))
 
 
 @dataclass(frozen=True)
 class Points3D(_Points, kind="points3d"):
-    """(x0, y0, z0, x1, ...) in metres.
+    """Positions (x0, y0, z0, x1, ...) in metres.
 
     Args:
-        frame: ``"camera"`` (optical frame: x right, y down, z forward), ``"base"`` (needs the camera's place), or
+        frame: ``"camera"`` (optical frame: x right, y down, z forward), ``"base"`` (needs the pose of the camera), or
             ``"anchor"``, short for ``frame="base", origin="anchor"``.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
-        origin: What points are relative to: None for the frame's own origin, ``"centroid"`` for their mean,
-            ``"anchor"`` for the shape's anchor, else the name of a published anchor, such as a second gripper.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
+        origin: The origin of the points: None for the frame's own origin, ``"centroid"`` for their mean, ``"anchor"``
+            for the shape's anchor, or the name of a published anchor, such as a second gripper.
     """
 
     frame: Literal["camera", "base", "anchor"] = "camera"
@@ -92,12 +90,51 @@ class Points3D(_Points, kind="points3d"):
         super().__post_init__()
         if self.frame == "anchor" and self.origin is not None:
             raise SpecError(
-                f"points3d: frame 'anchor' has an origin already; give frame='base' with origin={self.origin!r}."
+                f"points3d: frame 'anchor' already has an origin; use frame='base' with origin={self.origin!r}."
             )
         frame, origin = ("base", "anchor") if self.frame == "anchor" else (self.frame, self.origin)
-        object.__setattr__(self, "_coordinates", Coordinates(frame, origin, self.max_depth, self.kind))
+        self._set_coordinates(Coordinates(frame, origin, self.max_depth, self.kind))
+
+
+@dataclass(frozen=True)
+class Ok(Feature, kind="ok"):
+    """1 if the shape is ok, else 0. Policies need it because they cannot read ``info``."""
+
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
+        """Return 0 and 1."""
+        return np.zeros(1), np.ones(1)
+
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
+        """Return ``shape.ok`` as an array of shape (1,)."""
+        return np.array([float(shape.ok)])
+
+
+@dataclass(frozen=True)
+class Age(Feature, kind="age"):
+    """Seconds since the points were seen, at most ``max_age``, after which ``ok`` is 0."""
 
     @property
-    def coordinates(self) -> Coordinates:
-        """Metres."""
-        return self._coordinates  # type: ignore[attr-defined]
+    def unit(self) -> str:
+        """Seconds."""
+        return "s"
+
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
+        """Return 0 and ``max_age``."""
+        return np.zeros(1), np.full(1, context.max_age)
+
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
+        """Return the age in seconds as an array of shape (1,)."""
+        return np.array([min(shape.age, context.max_age)])
+
+
+@dataclass(frozen=True)
+class Valid(Feature, kind="valid"):
+    """For each point, 1 if it was measured and 0 if it was filled in."""
+
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
+        """Return 0 and 1 for each point."""
+        return np.zeros(layout.size), np.ones(layout.size)
+
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
+        """Return ``shape.valid`` as numbers, of shape (N,)."""
+        return shape.valid.astype(np.float64)

@@ -1,9 +1,4 @@
-"""Centroid: where a shape is as a whole.
-
-Orientation: which way a shape lies as a whole.
-
-Length: how long a line is.
-"""
+"""The position, orientation and length of a shape as a whole."""
 
 from __future__ import annotations
 
@@ -14,9 +9,9 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.features.base import View
 from shape_obs.features.coordinates import Framed, Geometric
 from shape_obs.features.curvature import closes, polyline
+from shape_obs.features.feature import FeatureContext
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.shape import Shape
 
@@ -27,40 +22,40 @@ Array = npt.NDArray[np.float64]
 class Centroid(Geometric, kind="centroid"):
     """The mean of the points: (u, v) or (x, y, z), in the coordinates' unit.
 
-    Unknown points are filled in along the layout first: the mean of the others would lie away from them.
+    Unknown points are filled in along the layout first, because the mean of the others alone would be biased.
     """
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
-        """Those of a point."""
-        return self.coordinates.box(view)
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
+        """Return the bounds of a point."""
+        return self.coordinates.box(context)
 
-    def compute(self, shape: Shape, view: View) -> Array:
-        """(2,) or (3,)."""
-        return self.complete(shape, view).mean(axis=0)
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
+        """Return the centroid, of shape (2,) or (3,)."""
+        return self.complete(shape, context).mean(axis=0)
 
 
-#: What float32 points leave of nothing, relative to them.
+#: Size of the heading, relative to the points, below which it is float32 rounding.
 _ROUNDING: Final = 1e-6
 
 
 @dataclass(frozen=True)
 class Orientation(Framed, kind="orientation"):
-    """A direction in the plane of the frame's first two axes, as (cos, sin), so that no angle jumps by a turn.
+    """A direction in the plane of the frame's first two axes, as (cos, sin), which has no jump at a full turn.
 
-    The heading is ``h = sum_i w_i p_i``, and the direction is that of h. Of a chain ``w_i = i - (N - 1) / 2``: the
-    slope of a straight line through the points by least squares, from the first end to the last. Of a lattice the same
-    over the columns' index: along its rows, to the right. Of a ring ``w_i = cos(2 pi i / N)``, the first harmonic:
-    from the middle towards point 0. It turns with the material and nowhere jumps, but where h vanishes.
+    The heading is the direction of ``h = sum_i w_i p_i``. For a chain, ``w_i = i - (N - 1) / 2``: the direction of the
+    least-squares line through the points, from the first end to the last. For a lattice it is the same over the column
+    index: along the rows, to the right. For a ring, ``w_i = cos(2 pi i / N)``, the first harmonic: from the centre
+    towards point 0. The heading rotates with the material and is continuous except where h vanishes.
 
-    The principal axis is that of the points' largest variance, ``theta = atan2(2 s_xy, s_xx - s_yy) / 2``; of its two
-    directions it is the one with ``h . (cos, sin) > 0``. It jumps where the shape is as broad as long, or h stands at a
-    right angle to it, and it does not depend on where on a ring point 0 is but for the sign.
+    The principal axis is that of the largest variance, ``theta = atan2(2 s_xy, s_xx - s_yy) / 2``; of its two
+    directions it is the one with ``h . (cos, sin) > 0``. It jumps where the shape is as wide as long, or where h is
+    perpendicular to it. For a ring, only its sign depends on the position of point 0.
 
-    Unknown points are filled in along the layout first. NaN where there is no such direction.
+    Unknown points are filled in along the layout first. The values are NaN where the direction is undefined.
 
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``. ``"normalized"``
-            stretches an image that is not square, and directions with it.
+            distorts directions unless the image is square.
         axis: ``"heading"`` or ``"principal"``.
 
     References:
@@ -72,18 +67,18 @@ class Orientation(Framed, kind="orientation"):
 
     @property
     def unit(self) -> str:
-        """None."""
+        """The values have no unit."""
         return ""
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
-        """-1...1."""
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
+        """Return -1 and 1."""
         _weights(layout)
-        self.coordinates.box(view)  # says what the frame lacks
+        self.coordinates.box(context)  # raises an error if the context lacks what the frame needs
         return np.full(2, -1.0), np.ones(2)
 
-    def compute(self, shape: Shape, view: View) -> Array:
-        """(2,) cosine and sine from the first axis towards the second."""
-        points = self.complete(shape, view)[:, :2]
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
+        """Return cosine and sine, counted from the first axis towards the second, of shape (2,)."""
+        points = self.complete(shape, context)[:, :2]
         heading = _weights(shape.layout) @ points
         length = np.sqrt(heading @ heading)
         if not length > _ROUNDING * np.abs(points).max():
@@ -93,7 +88,7 @@ class Orientation(Framed, kind="orientation"):
 
 
 def _principal(points: Array, heading: Array) -> Array:
-    """(2,) along the axis of the largest variance, to the heading's side; NaN where there is none."""
+    """Return the axis of the largest variance, of shape (2,), on the side of the heading; NaN if undefined."""
     away = points - points.mean(axis=0)
     (xx, xy), (_, yy) = away.T @ away
     if np.hypot(2 * xy, xx - yy) <= _ROUNDING * (xx + yy):
@@ -105,40 +100,40 @@ def _principal(points: Array, heading: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _weights(layout: Any) -> Array:
-    """(N,) of the points in the heading."""
+    """Return the weights of the points in the heading, of shape (N,)."""
     at = np.arange(layout.size, dtype=np.float64)
     if isinstance(layout, Ring):
         return np.cos(2 * np.pi * at / layout.size)
     if not isinstance(layout, (Chain, Grid)):
-        raise ValueError(f"feature 'orientation' is of a Chain, a Ring or a Grid, got {layout}.")
+        raise ValueError(f"feature 'orientation' is for a Chain, a Ring or a Grid, got {layout}.")
     column = at % layout.cols if isinstance(layout, Grid) else at
     return column - column.mean()
 
 
 @dataclass(frozen=True)
 class Length(Framed, kind="length"):
-    """The arc length of a chain, the perimeter of a ring: ``E sum_e w_e |e| / sum_e w_e`` over its E edges.
+    """The arc length of a chain or the perimeter of a ring, ``E sum_e w_e |e| / sum_e w_e`` over its E edges.
 
-    With all points measured that is the sum of the edges. Points are equidistant, so that an edge to a point that is
-    unknown counts as the others' mean, and one to a point that was filled in hardly counts. NaN where no edge is known.
+    If all points are measured, this is the sum of the edges. Points are equidistant, so an edge to an unknown point
+    counts as the mean of the others, and one to a filled-in point has a small weight. NaN if no edge is known.
 
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
     """
 
     max_depth: float = 2.0
 
-    def bounds(self, layout: Topology, view: View) -> tuple[Array, Array]:
-        """0 to each edge as long as the diagonal of the points' box."""
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
+        """Return 0 and the length with each edge as long as the diagonal of the points' box."""
         edges = layout.size if closes(layout, self.kind) else layout.size - 1
-        low, high = self.coordinates.box(view)
+        low, high = self.coordinates.box(context)
         return np.zeros(1), np.full(1, edges * np.linalg.norm(high - low))
 
-    def compute(self, shape: Shape, view: View) -> Array:
-        """(1,)."""
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
+        """Return the length, of shape (1,)."""
         closed = closes(shape.layout, self.kind)
-        points = self.coordinates.points(shape, view)
+        points = self.coordinates.points(shape, context)
         weight = polyline(self.coordinates.weights(shape, points), closed)
         line = polyline(points, closed)
         edge, weight = line[1:] - line[:-1], weight[1:] * weight[:-1]

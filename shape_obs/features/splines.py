@@ -1,7 +1,4 @@
-"""B-spline: control points of a piecewise polynomial curve, closed curve or sheet.
-
-Bezier: control points of one polynomial curve or sheet.
-"""
+"""Control points of B-spline and Bezier curves, closed curves and sheets."""
 
 from __future__ import annotations
 
@@ -9,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import interpolate
 
 from shape_obs.features.basis import LinearFit, open_counts, products
 from shape_obs.geometry.topology import Ring, Topology
@@ -20,27 +16,27 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BSpline(LinearFit, kind="bspline"):
-    """Control points c_j of the curve p(s) = sum_j c_j N_j(s), by least squares at s_i = i / (N - 1).
+    """Control points c_j of the B-spline p(s) = sum_j c_j N_j(s), by least squares at s_i = i / (N - 1).
 
-    N_j are the B-splines of degree d (de Boor, 'A practical guide to splines', ch. IX). The ends' knots are repeated,
-    so that the curve runs from the first control point to the last; the others are averages of d neighbours among as
-    many equidistant sites as there are coefficients (Piegl & Tiller, 'The NURBS book', eq. 9.8; for cubics those of
-    a not-a-knot spline): uniform, but for longer spans at the ends. Equal spans crowd the functions there, and leave
-    1.3 to 1.9 times the error on bent cables. A ring has the periodic B-splines over uniform knots, at s_i = i / N.
+    N_j are the B-splines of degree d (de Boor, 'A practical guide to splines', ch. IX). The end knots are repeated, so
+    that the curve runs from the first control point to the last. The inner knots are averages of d neighbours among as
+    many equidistant sites as there are coefficients (Piegl & Tiller, 'The NURBS book', eq. 9.8; for cubics those of a
+    not-a-knot spline): they are uniform except for longer spans at the ends. With equal spans the error on bent cables
+    is 1.3 to 1.9 times as large. A ring has periodic B-splines with uniform knots, at s_i = i / N.
 
     A lattice has products, p(s, t) = sum_jk c_jk N_j(s) N_k(t) with s down the rows and t along the columns, c_jk row
-    by row; in each direction at most as many, and of at most as high a degree, as it has points for. Points are
-    equidistant, so s is the place along the curve. A control point moves only the part of the curve near it.
+    by row. The number and the degree of the functions in each direction are limited by its number of points. Points
+    are equidistant, so s is the position along the curve. A control point affects only the part of the curve near it.
 
-    Translation and rotation move control points like points; reversing the points reverses the control points. A curve
-    that is such a spline gives its own control points back, a straight line the points at its Greville abscissae.
+    Translation and rotation transform control points like points; reversing the points reverses the control points. The
+    fit to such a spline returns its own control points, that to a straight line its points at the Greville abscissae.
 
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
         origin: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
-        coefficients: How many control points; on a lattice in each direction.
-        degree: Of the pieces; 3 is cubic: two continuous derivatives.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
+        coefficients: Number of control points; on a lattice in each direction.
+        degree: Degree of the pieces; 3 is cubic, with two continuous derivatives.
     """
 
     coefficients: int = 8
@@ -55,10 +51,10 @@ class BSpline(LinearFit, kind="bspline"):
             )
 
     def basis(self, layout: Topology) -> Array:
-        """(N, coefficients); (N, rows' x columns') of a lattice.
+        """Return the functions, of shape (N, coefficients); for a lattice their products.
 
         Raises:
-            ValueError: More coefficients than points.
+            ValueError: There are more coefficients than points.
         """
         if isinstance(layout, Ring):
             return periodic(layout.count, self.coefficients, self.degree)
@@ -68,46 +64,25 @@ class BSpline(LinearFit, kind="bspline"):
         return products(clamped(n, min(self.coefficients, n), min(self.degree, n - 1)) for n in counts)
 
 
-def clamped(points: int, coefficients: int, degree: int) -> Array:
-    """(points, coefficients) the B-splines on 0...1, knots at the ends repeated, at equidistant places.
-
-    Those within are averages of equidistant sites. With degree + 1 coefficients there are none, and the B-splines are
-    Bernstein's polynomials.
-    """
-    within = (np.arange(1, coefficients - degree) + 0.5 * (degree - 1)) / (coefficients - 1)
-    knots = np.pad(within, degree + 1, constant_values=(0.0, 1.0))
-    return interpolate.BSpline.design_matrix(np.linspace(0.0, 1.0, points), knots, degree).toarray()
-
-
-def periodic(points: int, coefficients: int, degree: int) -> Array:
-    """(points, coefficients) the periodic B-splines over uniform knots, at equidistant places, the first at a knot."""
-    knots = np.arange(-degree, coefficients + degree + 1, dtype=np.float64)
-    places = np.arange(points) * coefficients / points
-    unrolled = interpolate.BSpline.design_matrix(places, knots, degree).toarray()
-    rolled = unrolled[:, :coefficients].copy()
-    rolled[:, :degree] += unrolled[:, coefficients:]
-    return rolled
-
-
 @dataclass(frozen=True)
 class Bezier(LinearFit, kind="bezier"):
-    """Control points c_j of the curve p(s) = sum_j c_j B_j(s), by least squares at s_i = i / (N - 1).
+    """Control points c_j of the Bezier curve p(s) = sum_j c_j B_j(s), by least squares at s_i = i / (N - 1).
 
-    B_j(s) = binom(n, j) s^j (1 - s)^(n - j) are Bernstein's polynomials of degree n (Farin, 'Curves and surfaces for
+    B_j(s) = binom(n, j) s^j (1 - s)^(n - j) are the Bernstein polynomials of degree n (Farin, 'Curves and surfaces for
     CAGD', ch. 5-6). A lattice has their products, p(s, t) = sum_jk c_jk B_j(s) B_k(t) with s down the rows and t along
-    the columns, c_jk row by row; in each direction the degree is at most one less than there are points. Points are
-    equidistant, so s is the place along the curve.
+    the columns, c_jk row by row; in each direction the degree is less than the number of points. Points are
+    equidistant, so s is the position along the curve.
 
-    Translation and rotation move control points like points; reversing the points reverses the control points. Every
-    control point moves the whole curve, and the more of them, the further they swing from it: each degree more about
-    doubles how strongly the noise of the points shows in them, and where an end is missing it swings. ``bspline`` has
-    neither.
+    Translation and rotation transform control points like points; reversing the points reverses the control points.
+    Every control point affects the whole curve. The higher the degree, the further control points lie from the curve:
+    each additional degree about doubles their noise, and a missing end makes them oscillate. ``bspline`` has neither
+    problem.
 
     Args:
         frame: ``"pixels"``, ``"normalized"``, ``"camera"`` or ``"base"``; see ``Coordinates``.
         origin: None, ``"centroid"``, ``"anchor"`` or the name of a published anchor.
-        max_depth: Metres; how far the camera's view is taken to reach when bounds are made.
-        degree: Of the polynomial, one less than there are control points.
+        max_depth: Depth in metres up to which the camera's view is taken into account for bounds.
+        degree: Degree of the polynomial, one less than the number of control points.
     """
 
     degree: int = 5
@@ -118,11 +93,56 @@ class Bezier(LinearFit, kind="bezier"):
             raise SpecError(f"bezier: needs a degree of at least 1, got {self.degree}.")
 
     def basis(self, layout: Topology) -> Array:
-        """(N, degree + 1); (N, rows' x columns') of a lattice.
+        """Return the functions, of shape (N, degree + 1); for a lattice their products.
 
         Raises:
-            ValueError: A ring, or more control points than points.
+            ValueError: The layout is a ring, or has fewer points than control points.
         """
         counts = open_counts(layout, self.kind, "'elliptic_fourier' or 'bspline'")
         degrees = [self.degree if len(counts) == 1 else min(self.degree, n - 1) for n in counts]
         return products(clamped(n, degree + 1, degree) for n, degree in zip(counts, degrees, strict=True))
+
+
+def clamped(points: int, coefficients: int, degree: int) -> Array:
+    """Return the B-splines on 0...1 with repeated end knots at equidistant places, of shape (points, coefficients).
+
+    The inner knots are averages of equidistant sites. With degree + 1 coefficients there are none, and the B-splines
+    are Bernstein polynomials.
+    """
+    within = (np.arange(1, coefficients - degree) + 0.5 * (degree - 1)) / (coefficients - 1)
+    knots = np.pad(within, degree + 1, constant_values=(0.0, 1.0))
+    return b_splines(np.linspace(0.0, 1.0, points), knots, degree)
+
+
+def periodic(points: int, coefficients: int, degree: int) -> Array:
+    """Return the periodic B-splines with uniform knots, of shape (points, coefficients).
+
+    They are evaluated at equidistant places, the first of which is a knot.
+    """
+    knots = np.arange(-degree, coefficients + degree + 1, dtype=np.float64)
+    unrolled = b_splines(np.arange(points) * coefficients / points, knots, degree)
+    rolled = unrolled[:, :coefficients].copy()
+    rolled[:, :degree] += unrolled[:, coefficients:]
+    return rolled
+
+
+def b_splines(places: Array, knots: Array, degree: int) -> Array:
+    """Return the values of all B-splines over the knots, of shape (places, len(knots) - degree - 1).
+
+    The recursion of Cox and de Boor (de Boor, 'A practical guide to splines', ch. IX), from indicator functions of the
+    knot spans to splines of the degree. The last span that is not empty includes its right end.
+
+    Args:
+        places: (P,) where the splines are evaluated, between ``knots[degree]`` and ``knots[-degree - 1]``.
+        knots: Non-decreasing knots.
+        degree: The degree of the splines.
+    """
+    last = np.searchsorted(knots, knots[-degree - 1]) - 1
+    span = np.minimum(np.searchsorted(knots, places, side="right") - 1, last)
+    values = (span[:, None] == np.arange(len(knots) - 1)).astype(np.float64)
+    for order in range(1, degree + 1):
+        widths = knots[order:] - knots[:-order]
+        ramp = (places[:, None] - knots[:-order]) / np.where(widths > 0, widths, 1.0)
+        # Over an empty span the spline of the lower order is zero, whatever the ramp.
+        values = ramp[:, :-1] * values[:, :-1] + (1 - ramp[:, 1:]) * values[:, 1:]
+    return values

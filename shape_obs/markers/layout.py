@@ -1,4 +1,4 @@
-"""Where markers lie on a table: their corners, in metres."""
+"""The positions of markers on a table, in metres."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class MarkerLayout(Spec):
     """Markers on a flat table.
 
     Args:
-        ids: Of the markers.
-        corners: Of each marker its four corners (x, y), metres on the table: its own top left, top right, bottom right
-            and bottom left. ``MarkerLayout.rectangle`` computes them for the usual case.
-        dictionary: Which markers they are, see ``find_markers``.
+        ids: The ids of the markers.
+        corners: The four corners (x, y) of each marker in metres on the table: its own top left, top right, bottom
+            right and bottom left. ``MarkerLayout.rectangle`` computes them for the usual case.
+        dictionary: The marker dictionary, see ``find_markers``.
     """
 
     ids: tuple[int, ...]
@@ -50,20 +50,20 @@ class MarkerLayout(Spec):
         ids: tuple[int, int, int, int] = (0, 1, 2, 3),
         dictionary: str = DICTIONARY,
     ) -> MarkerLayout:
-        """Four equal markers in the corners of a rectangle, sides along its sides, all upright.
+        """Return the layout of four equal upright markers in the corners of a rectangle, aligned with its sides.
 
-        The origin is the upper left corner of the first marker, x runs along the upper side, y down, so z points into
-        the table.
+        The origin is the upper left corner of the first marker, x runs along the upper side and y down, so z points
+        into the table.
 
         Args:
-            marker: Side of a marker's black square, metres.
-            width: Of the rectangle, metres: from the left markers' outer edges to the right markers' outer edges.
-            height: From the upper markers' outer edges to the lower markers' outer edges.
+            marker: Side of a marker's black square in metres.
+            width: Width of the rectangle in metres, between the outer edges of the left and the right markers.
+            height: Height of the rectangle in metres, between the outer edges of the upper and the lower markers.
             ids: Top left, top right, bottom right, bottom left.
-            dictionary: Which markers they are.
+            dictionary: The marker dictionary.
 
         Raises:
-            SpecError: Sizes that are not positive, or a rectangle that is too small for its markers.
+            SpecError: A size is not positive, or the rectangle is too small for its markers.
         """
         if not (0 < marker < np.inf and 2 * marker <= width < np.inf and 2 * marker <= height < np.inf):
             raise SpecError(
@@ -77,12 +77,12 @@ class MarkerLayout(Spec):
 
     @property
     def array(self) -> Array:
-        """(M,4,2) the corners."""
+        """The corners as an array (M, 4, 2)."""
         return np.array(self.corners, np.float64)
 
     @property
     def box(self) -> tuple[Corner, Corner]:
-        """The least and the largest (x, y) of all corners, metres."""
+        """The smallest and the largest (x, y) of all corners in metres."""
         every = self.array.reshape(-1, 2)
         low, high = every.min(axis=0).tolist(), every.max(axis=0).tolist()
         return (low[0], low[1]), (high[0], high[1])

@@ -1,4 +1,4 @@
-"""Sheets to print: markers to lay on a table, or a board to calibrate with, true to scale."""
+"""Draw sheets to print, true to scale: markers for a table, or a board for calibration."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ Paper = Literal["a4", "letter"]
 Page = npt.NDArray[np.uint8]
 
 PAPERS: Final[dict[str, tuple[float, float]]] = {"a4": (210.0, 297.0), "letter": (215.9, 279.4)}  # mm, upright
-PER_MM: Final = 10  # pixels a millimetre: every tenth of a millimetre is a pixel, so that nothing is rounded
+PER_MM: Final = 10  # pixels per millimetre; sizes are multiples of 0.1 mm, so that nothing is rounded
 DPI: Final = 25.4 * PER_MM
-_EDGE: Final = 10.0  # mm that a printer may leave out
-_FOOT: Final = 18.0  # mm for the scale and what the sheet says
-_QUIET: Final = 1.0  # cells of white paper that a marker needs around it, at least
+_EDGE: Final = 10.0  # mm that a printer may not print
+_FOOT: Final = 18.0  # mm for the scale and the text
+_QUIET: Final = 1.0  # smallest white margin around a marker, in cells
 _LABEL: Final = 6.0  # mm below a marker
 _SCALE: Final = 100  # mm
 _INK: Final = 0
 
 
 def marker_pages(ids: Sequence[int], size: float, dictionary: str = DICTIONARY, paper: Paper = "a4") -> list[Page]:
-    """Pages of markers with their ids and sizes, cutting lines, and a scale to check the print with.
+    """Draw pages of markers with their ids and sizes, cutting lines, and a scale to check the print.
 
     Args:
-        ids: Which markers.
-        size: Side of a marker's black square, mm; rounded to a tenth.
-        dictionary: Which markers they are.
-        paper: The pages' size.
+        ids: The ids of the markers.
+        size: Side of a marker's black square in mm, rounded to a tenth.
+        dictionary: The marker dictionary.
+        paper: The paper size.
 
     Returns:
-        (h,w) uint8 each, 10 pixels a millimetre.
+        Pages (h, w), uint8, with 10 pixels per millimetre.
 
     Raises:
-        ValueError: Ids that are none, or a size that does not fit on the paper.
+        ValueError: An id is not in the dictionary, or the size does not fit on the paper.
     """
     check_ids(ids, dictionary)
     cells = 2 + dictionary_named(dictionary).markerSize
@@ -64,23 +64,21 @@ def marker_pages(ids: Sequence[int], size: float, dictionary: str = DICTIONARY, 
             _put_marker(page, each, size, dictionary, left + quiet, top + quiet)
             _frame(page, left, top, step_x, step_y)
             _write(page, f"{dictionary}  id {each}  {size:g} mm", left + quiet, top + 2 * quiet + size + 0.5, 3.2)
-        _foot(
-            page, "Lay the markers flat, all the same way up. Their corners 0, 1, 2, 3: clockwise, from the top left."
-        )
+        _foot(page, "Lay the markers flat, all the same way up. Corners 0, 1, 2, 3 run clockwise from the top left.")
         pages.append(page)
     return pages
 
 
 def board_page(board: Page, words: str, paper: Paper = "a4") -> Page:
-    """A page, broadside, with a board on it.
+    """Draw a landscape page with a board.
 
     Args:
-        board: (h,w) uint8, 10 pixels a millimetre.
-        words: What the board is.
-        paper: The page's size.
+        board: Picture of the board (h, w), uint8, with 10 pixels per millimetre.
+        words: A description of the board.
+        paper: The paper size.
 
     Raises:
-        ValueError: It does not fit on the paper.
+        ValueError: The board does not fit on the paper.
     """
     height, width = PAPERS[paper]
     high, wide = board.shape
@@ -98,18 +96,18 @@ def board_page(board: Page, words: str, paper: Paper = "a4") -> Page:
 
 
 def write_pages(path: Path, pages: Sequence[Page]) -> None:
-    """Write pages as a PDF, or one page as a PNG that knows its resolution; whole or not at all.
+    """Write pages as a PDF, or one page as a PNG that contains its resolution; completely or not at all.
 
     Raises:
-        ValueError: Another suffix, or several pages in a PNG.
-        OSError: It cannot be written.
+        ValueError: The suffix is not .pdf or .png, or there are several pages for a PNG.
+        OSError: The file cannot be written.
     """
     suffix = path.suffix.lower()
     if suffix not in (".pdf", ".png"):
         raise ValueError(f"{path}: expected a name that ends in .pdf or .png, got {path.suffix or 'none'}.")
     if suffix == ".png" and len(pages) > 1:
         raise ValueError(f"{path}: {len(pages)} pages do not fit into a PNG: write a .pdf, or take smaller markers.")
-    # One bit a pixel: a PDF then holds them without loss.
+    # With one bit per pixel, a PDF stores the pages without loss.
     first, *others = [Image.fromarray(page).convert("1", dither=Image.Dither.NONE) for page in pages]
     if suffix == ".pdf":
         options: dict[str, Any] = {"resolution": DPI, "save_all": True, "append_images": others}
@@ -130,7 +128,7 @@ def _put_marker(page: Page, each: int, size: float, dictionary: str, left: float
 
 
 def _frame(page: Page, left: float, top: float, width: float, height: float) -> None:
-    """A faint dotted line to cut along."""
+    """Draw a faint dotted line to cut along."""
     a, b, c, d = (round(value * PER_MM) for value in (left, top, left + width, top + height))
     for row in (b, d):
         page[row, a:c:8] = _INK
@@ -139,7 +137,7 @@ def _frame(page: Page, left: float, top: float, width: float, height: float) -> 
 
 
 def _foot(page: Page, words: str) -> None:
-    """A scale of 100 mm at the bottom, and what to do with it."""
+    """Draw a scale of 100 mm at the bottom, with its explanation."""
     height = len(page)
     left, line = round(_EDGE * PER_MM), height - round(9 * PER_MM)
     page[line : line + 3, left : left + _SCALE * PER_MM + 1] = _INK
@@ -154,7 +152,7 @@ def _foot(page: Page, words: str) -> None:
 
 
 def _write(page: Page, words: str, left: float, top: float, height: float) -> None:
-    """Words whose letters are so high, mm, in place."""
+    """Write text with letters of a height in mm, in place."""
     picture = Image.fromarray(page)
     font = ImageFont.load_default(round(1.3 * height * PER_MM))
     ImageDraw.Draw(picture).text((round(left * PER_MM), round(top * PER_MM)), words, fill=_INK, font=font)

@@ -1,7 +1,8 @@
-"""TopView: between pixels and metres on a table, from markers that lie on it."""
+"""Map pixels to metres on a table with markers, and find a hidden marker."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -15,7 +16,13 @@ from shape_obs.markers.layout import MarkerLayout
 
 Array = npt.NDArray[np.float64]
 
-_LEAST: Final = 2  # markers: one alone tells the far side of a table badly
+_LEAST: Final = 2  # markers: with one alone, errors grow large at the far side of a table
+# Of the fit of a hidden marker: first damping, largest number of rounds, step of the derivatives, and the relative gain
+# below which it has converged.
+_DAMPING: Final = 1e-6
+_ROUNDS: Final = 100
+_STEP: Final = 1e-7
+_CONVERGED: Final = 1e-12
 
 
 class MarkersNotSeen(ValueError):  # noqa: N818 - a name of the public API
@@ -24,14 +31,14 @@ class MarkersNotSeen(ValueError):  # noqa: N818 - a name of the public API
 
 @dataclass(frozen=True, eq=False)
 class TopView:
-    """A flat table seen by a pinhole camera.
+    """The homography of a flat table in the image of a pinhole camera.
 
     Args:
         homography: (3,3) table -> image: metres (x, y, 1) to homogeneous pixels.
-        layout: Where the markers lie.
-        seen: The ids that it was computed from.
-        rms: By how much their corners lie off where the layout says, pixels; more than one means that the markers lie
-            elsewhere, or that the lens bends lines (rectify the image first).
+        layout: The positions of the markers.
+        seen: The ids of the markers that were found.
+        rms: Root mean square distance in pixels of their corners from the layout. More than one pixel means that the
+            markers lie elsewhere, or that the lens distorts the image (rectify it first).
 
     Example:
         >>> view = TopView.find(rgb, MarkerLayout.rectangle(marker=0.06, width=0.6, height=0.4))  # doctest: +SKIP
@@ -45,20 +52,20 @@ class TopView:
 
     @classmethod
     def find(cls, rgb: npt.NDArray[np.uint8], layout: MarkerLayout) -> TopView:
-        """From an image.
+        """Find the markers in an image and compute the homography.
 
         Args:
-            rgb: (H,W,3) uint8 RGB, or (H,W) gray; without lens distortion, as sources give it.
-            layout: Where the markers lie.
+            rgb: RGB image (H, W, 3) or gray image (H, W), uint8, without lens distortion, as all sources return it.
+            layout: The positions of the markers.
 
         Raises:
-            MarkersNotSeen: Fewer than two of them are seen.
+            MarkersNotSeen: Fewer than two of the markers are visible.
         """
         return cls.of(find_markers(rgb, layout.dictionary), layout)
 
     @classmethod
     def of(cls, corners: Corners, layout: MarkerLayout) -> TopView:
-        """From corners that ``find_markers`` has found; other markers are left out."""
+        """Compute the homography from corners that ``find_markers`` returned; other markers are ignored."""
         seen = [i for i, each in enumerate(layout.ids) if each in corners]
         if len(seen) < min(_LEAST, len(layout.ids)):
             missing = ", ".join(str(each) for each in layout.ids if each not in corners)
@@ -74,26 +81,29 @@ class TopView:
         return cls(homography, layout, tuple(layout.ids[i] for i in seen), rms)
 
     def to_table(self, pixels: npt.ArrayLike) -> Array:
-        """(..., 2) pixels -> (..., 2) metres on the table; NaN stays NaN. What stands above it is seen too far away."""
+        """Map pixels (..., 2) to metres (..., 2) on the table; NaN stays NaN.
+
+        Points above the table are mapped too far from the camera.
+        """
         return _mapped(np.asarray(np.linalg.inv(self.homography), np.float64), pixels)
 
     def to_pixels(self, points: npt.ArrayLike) -> Array:
-        """(..., 2) metres on the table -> (..., 2) pixels."""
+        """Map metres (..., 2) on the table to pixels (..., 2)."""
         return _mapped(self.homography, points)
 
     def warp(
         self, rgb: npt.NDArray[np.uint8], pixels_per_metre: float = 1000.0, margin: float = 0.0
     ) -> npt.NDArray[np.uint8]:
-        """The table seen straight from above.
+        """Return the table seen from straight above.
 
         Args:
-            rgb: (H,W,3) uint8.
-            pixels_per_metre: Of the picture.
-            margin: Metres to show around the markers.
+            rgb: The image, (H, W, 3), uint8.
+            pixels_per_metre: Resolution of the result.
+            margin: Metres around the markers to include.
 
         Returns:
-            (h,w,3) uint8: its upper left corner is the layout's least x and y, less the margin; black where the camera
-            saw nothing.
+            An image (h, w, 3), uint8. Its upper left corner is the smallest x and y of the layout minus the margin;
+            parts outside the camera's view are black.
         """
         if not (0 < pixels_per_metre < np.inf and 0 <= margin < np.inf):
             raise ValueError(f"warp: expected pixels_per_metre > 0 and margin >= 0, got {pixels_per_metre}, {margin}.")
@@ -106,10 +116,10 @@ class TopView:
         return np.asarray(seen, np.uint8)
 
     def transform_table_to_camera(self, intrinsics: Intrinsics) -> Array:
-        """(4,4) metres: p_camera = T p_table, with z = 0 on the table.
+        """Return the transform (4, 4) in metres, p_camera = T p_table, with z = 0 on the table.
 
         Args:
-            intrinsics: Of the image.
+            intrinsics: The intrinsics of the image.
         """
         points = self.layout.array[[self.layout.ids.index(each) for each in self.seen]].reshape(-1, 2)
         solid = np.concatenate([points, np.zeros((len(points), 1))], axis=1)
@@ -125,3 +135,90 @@ def _mapped(homography: Array, points: npt.ArrayLike) -> Array:
         raise ValueError(f"expected points of shape (..., 2), got {array.shape}.")
     mapped = array @ homography[:, :2].T + homography[:, 2]
     return mapped[..., :2] / mapped[..., 2:]
+
+
+_SQUARE = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+
+
+def fourth_marker(corners: Corners, ids: tuple[int, int, int, int]) -> Array:
+    """Return the corners of the hidden one of four equal markers in the corners of a rectangle.
+
+    The projection of the table is a homography; it and the proportions of the rectangle are fitted to the twelve
+    visible corners. Each marker may have its own rotation.
+
+    Args:
+        corners: The visible three markers, (4, 2) pixels each.
+        ids: The ids of all four, in order around the rectangle.
+
+    Returns:
+        (4, 2) pixels.
+    """
+    missing = next(i for i, each in enumerate(ids) if each not in corners)
+    after, opposite, before = (corners[ids[(missing + step) % 4]] for step in (1, 2, 3))
+    middle = opposite.mean(axis=0)
+    first, second = after.mean(axis=0) - middle, before.mean(axis=0) - middle
+    if first[0] * second[1] - first[1] * second[0] < 0:  # the ids run the other way round
+        after, before, first, second = before, after, second, first
+    unit = float(np.sqrt(abs(_area(opposite))))
+    seen = (np.stack([opposite, after, before]) - middle) / unit
+    # The side of the opposite marker is the unit of length and its middle the origin; x leads to one neighbour, y to
+    # the other.
+    reach = np.linalg.norm([first, second], axis=1) / unit
+    axes = np.stack([first, second], axis=1) / unit / reach
+    turns = [_turn(square, axes) for square in seen]
+    start = np.concatenate([axes.ravel(), (0, 0), (0, 0), reach, turns])
+    found = _least_squares(lambda unknown: (_squares(unknown)[:3] - seen).ravel(), start)
+    return _squares(found)[3] * unit + middle
+
+
+def _squares(unknown: Array) -> Array:
+    """Return all four markers seen through a homography, of shape (4, 4, 2), the hidden one last.
+
+    Args:
+        unknown: (13,) eight entries of the homography, width and height of the rectangle, rotations of the visible
+            markers in radians.
+    """
+    homography = np.array([[*unknown[:2], unknown[4]], [*unknown[2:4], unknown[5]], [*unknown[6:8], 1.0]])
+    width, height = unknown[8:10]
+    turns = np.array([*unknown[10:13], unknown[10]])
+    turned = np.array([[np.cos(turns), -np.sin(turns)], [np.sin(turns), np.cos(turns)]]).transpose(2, 0, 1)
+    middles = np.array([(0, 0), (width, 0), (0, height), (width, height)])
+    table = np.concatenate([_SQUARE @ turned.transpose(0, 2, 1) + middles[:, None], np.ones((4, 4, 1))], axis=2)
+    seen = table @ homography.T
+    return seen[..., :2] / seen[..., 2:]
+
+
+def _least_squares(residuals: Callable[[Array], Array], start: Array) -> Array:
+    """Minimise the sum of squared residuals by the Levenberg-Marquardt method, with numerical derivatives.
+
+    SciPy has the same, but importing ``scipy.optimize`` takes longer than many thousand of these fits.
+    """
+    best, damping = start, _DAMPING
+    off = residuals(best)
+    for _ in range(_ROUNDS):
+        jacobian = np.stack([(residuals(best + step) - off) / _STEP for step in _STEP * np.eye(len(best))], axis=1)
+        normal, gradient = jacobian.T @ jacobian, jacobian.T @ off
+        while damping < 1 / _DAMPING:
+            tried = best - np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+            tried_off = residuals(tried)
+            if tried_off @ tried_off < off @ off:
+                break
+            damping *= 10
+        else:
+            break
+        gained = off @ off - tried_off @ tried_off
+        best, off, damping = tried, tried_off, damping / 10
+        if gained <= _CONVERGED * (off @ off):
+            break
+    return best
+
+
+def _turn(square: Array, axes: Array) -> float:
+    """Return the rotation of a square against the axes, in radians."""
+    x, y = np.linalg.solve(axes, square[1] - square[0] + square[2] - square[3])
+    return float(np.arctan2(y, x))
+
+
+def _area(square: Array) -> float:
+    x, y = square.T
+    return float(0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1)))

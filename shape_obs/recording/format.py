@@ -1,11 +1,8 @@
-"""The files of a recorded folder, and what stands in them.
+"""Define the files of a recorded folder, and read moments from sources.
 
-``camera.json`` is written first, images next, and a line of ``frames.jsonl`` only after the images it names: whatever
-moment a recording is cut at, the lines that are there are whole. The last line says that the recording was ended.
-
-Images of a recording: lossless files with two checksums, one of the file and one of the array.
-
-Moment: a frame with what its source tells beside it; and the one loop that reads sources.
+``camera.json`` is written first, then images, and a line of ``frames.jsonl`` only after the images that it names, so
+that all lines of an interrupted recording are complete. The last line marks the end of a recording. Images are lossless
+files with two checksums, one of the file and one of the array.
 """
 
 from __future__ import annotations
@@ -31,24 +28,22 @@ from shape_obs.utils.files import inside
 
 T = TypeVar("T", bound=Spec)
 
-
 FORMAT: Final = "shape_obs recording"
-
 VERSION: Final = 1
-
 CAMERA_FILE: Final = "camera.json"
-
 FRAMES_FILE: Final = "frames.jsonl"
-
 END: Final = "end"
+
+# Run-length coding: the fastest lossless setting, and for camera images also the smallest.
+_PNG: Final = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
 
 
 @dataclass(frozen=True)
 class ImageEntry(Spec):
-    """An image that a line of ``frames.jsonl`` names.
+    """An image file of a frame.
 
     Args:
-        file: Path in the recording, ``"rgb/000000.png"``.
+        file: Path in the recording, such as ``"rgb/000000.png"``.
         crc32: Checksum of the array's bytes.
         file_crc32: Checksum of the file's bytes.
     """
@@ -60,17 +55,17 @@ class ImageEntry(Spec):
 
 @dataclass(frozen=True)
 class FrameLine(Spec):
-    """A line of ``frames.jsonl``: a frame.
+    """A line of ``frames.jsonl``, which describes a frame.
 
     Args:
-        number: The source's own count; None where it does not count.
+        number: Frame number of the source; None if it has none.
         stamp: Seconds of the source's clock.
         received: Seconds of the recording machine's monotonic clock.
-        episode: Number of the stretch without jumps.
-        anchors: Where the object was held: name -> (x, y, z) metres, or (u, v) pixels.
-        camera: The frame's own camera, where it differs from that of ``camera.json``.
-        rgb: The colour image.
-        depth: The depth image.
+        episode: Number of the episode.
+        anchors: Points at which the object was held, by name: (x, y, z) in metres, or (u, v) in pixels.
+        camera: Camera of the frame, if it differs from that in ``camera.json``.
+        rgb: Colour image.
+        depth: Depth image.
 
     Raises:
         SpecError: A value of the wrong type.
@@ -97,11 +92,11 @@ class FrameLine(Spec):
 
 @dataclass(frozen=True)
 class CameraFile(Spec):
-    """``camera.json``: what all frames have in common, besides the camera model.
+    """The content of ``camera.json``, besides the camera model.
 
     Args:
-        source: ``kind`` and ``name`` of the source that was recorded.
-        serial: The camera's serial number, where there was one.
+        source: ``kind`` and ``name`` of the recorded source.
+        serial: Serial number of the camera, if known.
         depth: Whether frames carry depth.
 
     Raises:
@@ -114,7 +109,7 @@ class CameraFile(Spec):
 
 
 def read_known(kind: type[T], content: Mapping[str, Any]) -> T:
-    """Build a spec from a mapping that may hold more than its fields: later versions may add some.
+    """Build a spec from a mapping, ignoring unknown fields, which later versions may have added.
 
     Raises:
         SpecError: A field is missing or of the wrong type.
@@ -124,34 +119,30 @@ def read_known(kind: type[T], content: Mapping[str, Any]) -> T:
 
 
 def camera_to_dict(camera: CameraModel | None) -> dict[str, Any]:
-    """Turn a camera into JSON-able values; every number comes back to the bit."""
-    place = None if camera is None else camera.transform_camera_to_base
+    """Return a camera as JSON values, from which ``camera_from_dict`` restores every number exactly."""
+    pose = None if camera is None else camera.transform_camera_to_base
     return {
         "intrinsics": None if camera is None else camera.intrinsics.to_dict(),
-        "transform_camera_to_base": None if place is None else place.tolist(),
+        "transform_camera_to_base": None if pose is None else pose.tolist(),
     }
 
 
 def camera_from_dict(content: Mapping[str, Any]) -> CameraModel | None:
-    """Read what ``camera_to_dict`` wrote.
+    """Restore a camera from the values of ``camera_to_dict``.
 
     Raises:
         KeyError: A part is missing.
         TypeError: ``content`` is not a mapping.
         ValueError: A part is not a camera.
     """
-    intrinsics, place = content["intrinsics"], content["transform_camera_to_base"]
+    intrinsics, pose = content["intrinsics"], content["transform_camera_to_base"]
     if intrinsics is None:
         return None
     try:
-        matrix = None if place is None else np.array(place, np.float64)
+        matrix = None if pose is None else np.array(pose, np.float64)
     except OverflowError as error:
         raise ValueError(f"transform_camera_to_base: {error}") from error
     return CameraModel(Intrinsics.from_dict(intrinsics), matrix)
-
-
-# Run-length coding: the fastest that is lossless, and on a camera's images also the smallest.
-_PNG: Final = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
 
 
 def store(folder: Path, kind: str, index: int, image: npt.NDArray[Any]) -> dict[str, Any]:
@@ -160,14 +151,15 @@ def store(folder: Path, kind: str, index: int, image: npt.NDArray[Any]) -> dict[
     Args:
         folder: The recording.
         kind: ``"rgb"`` or ``"depth"``.
-        index: Of the frame in the recording.
-        image: (H,W,3) uint8 RGB; or depth: (H,W) uint16 millimetres as PNG, floating metres as .npy.
+        index: Index of the frame in the recording.
+        image: RGB of shape ``(H, W, 3)`` uint8; or depth of shape ``(H, W)``, stored as PNG if uint16 millimetres, and
+            as .npy if floating-point metres.
 
     Returns:
         The fields of an ``ImageEntry``.
 
     Raises:
-        OSError: The file cannot be written; what was written of it is removed.
+        OSError: The file cannot be written; a partly written file is removed.
     """
     if np.issubdtype(image.dtype, np.floating):
         suffix, buffer = "npy", io.BytesIO()
@@ -188,10 +180,10 @@ def store(folder: Path, kind: str, index: int, image: npt.NDArray[Any]) -> dict[
 
 
 def restore(folder: Path, kind: str, entry: ImageEntry) -> npt.NDArray[Any]:
-    """Read the array that ``store`` was given, to the bit.
+    """Read exactly the array that ``store`` was given.
 
     Args:
-        folder: The recording; nothing outside of it is read.
+        folder: The recording; files outside of it are never read.
         kind: ``"rgb"`` or ``"depth"``.
         entry: The image's entry in ``frames.jsonl``.
 
@@ -201,17 +193,17 @@ def restore(folder: Path, kind: str, entry: ImageEntry) -> npt.NDArray[Any]:
     try:
         path = inside(folder, entry.file)
         if path.exists() and not path.is_file():
-            raise ValueError(f"{path}: expected a file, there is a folder or a device.")
+            raise ValueError(f"{path}: expected a file, got a folder or a device.")
         data = path.read_bytes()
     except OSError as error:
         raise BadRecording(
             f"{folder / entry.file}: cannot be read ({error.strerror}), but the recording names it."
         ) from error
     except ValueError as error:
-        raise BadRecording(f"{folder}: an image is named that is not one of the recording's: {error}") from error
-    # Before decoding, since libpng complains to stderr by itself.
+        raise BadRecording(f"{folder}: it names an image outside of the recording: {error}") from error
+    # Checked before decoding, since libpng writes errors to stderr.
     if zlib.crc32(data) != entry.file_crc32:
-        raise BadRecording(f"{path}: damaged, its checksum differs from the one noted when it was written.")
+        raise BadRecording(f"{path}: damaged, its checksum differs from the recorded one.")
     try:
         image = _decoded(data, kind, path)
     except ValueError as error:
@@ -222,16 +214,16 @@ def restore(folder: Path, kind: str, entry: ImageEntry) -> npt.NDArray[Any]:
 
 
 def _decoded(data: bytes, kind: str, path: Path) -> npt.NDArray[Any]:
-    """Return the image of a file's content; ValueError for anything that is not an image of this kind."""
+    """Decode the image in a file's content; raise ``ValueError`` if it is not an image of this kind."""
     if path.suffix == ".npy":
         image = decode_npy(data, str(path))
     else:
         image = decode_image(data, cv2.IMREAD_UNCHANGED, str(path))
     if kind == "depth":
-        right = image.ndim == 2 and (image.dtype == np.uint16 or np.issubdtype(image.dtype, np.floating))
+        valid = image.ndim == 2 and (image.dtype == np.uint16 or np.issubdtype(image.dtype, np.floating))
     else:
-        right = image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
-    if not right:
+        valid = image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
+    if not valid:
         raise ValueError(f"{path}: expected a {kind} image, got shape {image.shape} of {image.dtype}.")
     if path.suffix == ".npy" or kind == "depth":
         return image
@@ -243,14 +235,14 @@ def _crc32(image: npt.NDArray[Any]) -> int:
 
 
 class Moment(NamedTuple):
-    """What a source told at one instant.
+    """A frame with anchors and episode at the same instant.
 
     Attributes:
-        frame: What the camera saw.
-        anchors: Where the object was held then: name -> base-frame point (x, y, z) in metres, or pixel (u, v). Sources
-            that know publish them as ``anchors``, as environments do.
-        episode: Counts the stretches between which the scene may have jumped: the episodes of an environment. Sources
-            that have any publish it as ``episode``.
+        frame: Frame of the camera.
+        anchors: Points at which the object was held, by name: (x, y, z) in metres in the base frame, or pixel (u, v).
+            Sources publish them in the attribute ``anchors``.
+        episode: Number of the episode; between two episodes the scene may jump. Sources publish it in the attribute
+            ``episode``.
     """
 
     frame: Frame
@@ -259,7 +251,7 @@ class Moment(NamedTuple):
 
 
 def read_moment(source: RGBDSource, timeout: float) -> Moment:
-    """The next frame of a source, with what it tells beside it; errors as those of ``source.read``."""
+    """Read the next frame of a source with its anchors and episode; raise as ``source.read`` does."""
     frame = source.read(timeout)
     return Moment(frame, dict(getattr(source, "anchors", {})), getattr(source, "episode", 0))
 
@@ -267,17 +259,17 @@ def read_moment(source: RGBDSource, timeout: float) -> Moment:
 def read_moments(
     source: RGBDSource, frames: int | None = None, seconds: float | None = None, patience: float = 20.0
 ) -> Iterator[Moment]:
-    """The moments of a source, until it ends.
+    """Yield the moments of a source until it ends.
 
     Args:
-        source: Is connected where it is not.
-        frames: How many at most.
-        seconds: By the stamps, from the first one; its end is not included.
-        patience: Seconds to wait for a frame; longer than a camera that stopped takes to come back.
+        source: The source; it is connected if necessary.
+        frames: Largest number of frames.
+        seconds: Largest duration by the stamps, from the first one; the end is not included.
+        patience: Seconds to wait for a frame; longer than a camera needs to recover after it stopped.
 
     Raises:
-        ValueError: ``seconds`` of a source whose frames have no stamps, or a limit that is none.
-        SourceError: As ``source.connect`` and ``source.read``.
+        ValueError: A limit is out of range, or ``seconds`` is given for a source without stamps.
+        SourceError: ``source.connect`` or ``source.read`` fails.
     """
     if frames is not None and frames < 1:
         raise ValueError(f"frames: expected 1 or more, got {frames}.")
@@ -293,9 +285,9 @@ def read_moments(
         stamp = moment.frame.stamp
         if seconds is not None:
             if stamp is None:
-                raise ValueError(f"{source.name}: its frames have no stamps, so seconds mean nothing: give frames.")
+                raise ValueError(f"{source.name}: its frames have no stamps: give frames in place of seconds.")
             begin = stamp if begin is None else begin
-            # Half a millisecond: sums of floating-point steps must not add a frame.
+            # Half a millisecond of tolerance, so that rounding errors do not add a frame.
             if stamp - begin > seconds - 5e-4:
                 return
         yield moment

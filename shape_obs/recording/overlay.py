@@ -1,4 +1,4 @@
-"""OverlayVideo: the frames with what was found in them."""
+"""Write a video of the frames with the detected shapes drawn over them."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 _CODECS: Final = {".mp4": "mp4v", ".avi": "MJPG"}
-_ENOUGH: Final = 15  # frames from whose stamps the rate is told
-_READABLE: Final = 480  # pixels of height; smaller images are enlarged, so that numbers fit
+_ENOUGH: Final = 15  # frames from whose stamps the rate is estimated
+_READABLE: Final = 480  # pixels of height; smaller images are enlarged, so that numbers are legible
 
 
 class OverlayVideo:
-    """Write a video whole or not at all. A context manager; an error leaves no file, or the one that was there before.
+    """Write a video, completely or not at all. Use it as a context manager; on an error an existing file is kept.
 
     Args:
-        path: ``.mp4`` or ``.avi``.
-        fps: Frames a second; None for the median of the first stamps, or 30 without any.
+        path: File with the suffix ``.mp4`` or ``.avi``.
+        fps: Frames per second; None for the median rate of the first stamps, or 30 without stamps.
 
     Raises:
-        ValueError: Another suffix.
+        ValueError: The suffix is another one.
         OSError: The folder cannot be made, or OpenCV cannot write such a video.
     """
 
@@ -47,19 +47,19 @@ class OverlayVideo:
         self._writer: cv2.VideoWriter | None = None
 
     def add(self, moment: Moment, detection: Detection) -> None:
-        """Draw a frame.
+        """Add a frame.
 
         Raises:
-            ValueError: It has no colour image, or another size than the first.
+            ValueError: The frame has no colour image, or another size than the first one.
         """
         rgb = moment.frame.rgb
         if rgb is None:
-            raise ValueError("an overlay video needs colour images; this source gives depth alone.")
+            raise ValueError("an overlay video needs colour images; this source has only depth.")
         picture = draw_detection(rgb, detection, scale=max(1, round(_READABLE / rgb.shape[0])))
         size = picture.shape[1], picture.shape[0]
         self._size = self._size or size
         if size != self._size:
-            raise ValueError(f"frame {moment.frame.number} has another size than the first: a video cannot have two.")
+            raise ValueError(f"frame {moment.frame.number} has another size than the first; a video has only one size.")
         self._stamps.append(detection.stamp)
         if self._writer is None and len(self._early) < _ENOUGH and self._fps is None:
             self._early.append(picture)
@@ -67,7 +67,7 @@ class OverlayVideo:
             self._write(picture)
 
     def close(self) -> None:
-        """Finish the video; without frames there is none."""
+        """Finish the video; without frames no file is written."""
         for picture in self._drain():
             self._write(picture)
         if self._writer is not None:
@@ -111,5 +111,5 @@ class OverlayVideo:
         self._temporary = begin_file(self.path)
         writer = cv2.VideoWriter(str(self._temporary), codec, round(fps, 3), self._size)
         if not writer.isOpened():
-            raise OSError(f"cannot write {self.path}: OpenCV does not encode {_CODECS[self.path.suffix]!r} there.")
+            raise OSError(f"cannot write {self.path}: OpenCV cannot encode {_CODECS[self.path.suffix]!r} here.")
         return writer

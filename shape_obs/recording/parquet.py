@@ -1,9 +1,9 @@
-"""Parquet files of tables, with two checksums: of each page, and of the whole file.
+"""Write and read tables as Parquet files with two kinds of checksums: of each page, and of the whole file.
 
-Page checksums (CRC-32) belong to the format: other programs can verify them, DuckDB and pyarrow among them. They do
-not cover the footer, which holds the schema, the places of the columns and the metadata. A file therefore also
-carries the SHA-256 of all its bytes in the footer's metadata, and its length: where another program writes a new file
-and copies the metadata, the length differs, and the text is not taken for a checksum of that file.
+Page checksums (CRC-32) are part of the format, and other programs such as DuckDB and pyarrow can verify them. They do
+not cover the footer, which holds the schema, the offsets of the columns and the metadata. The footer's metadata
+therefore also holds the length of the file and the SHA-256 of all its bytes. If another program writes a new file and
+copies the metadata, the length differs, and the checksum is ignored.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from shape_obs.utils.documents import parse_json
 
-#: Key of the table's metadata, a JSON text, in the metadata of the schema.
+#: Key, in the metadata of the schema, of the table's metadata as JSON.
 METADATA: Final = b"shape_obs"
 _CHECKSUM: Final = "shape_obs.checksum"
 _DIGITS: Final = 64
@@ -31,10 +31,10 @@ Column = npt.NDArray[Any]
 
 
 def write_parquet(path: Path, columns: Mapping[str, Column], metadata: Mapping[str, Any]) -> None:
-    """Write a table with its checksums; columns of more than one axis become flat lists.
+    """Write a table with its checksums; columns with more than one axis become flat lists.
 
     Raises:
-        ImportError: There is no pyarrow.
+        ImportError: The extra ``parquet`` is missing.
         OSError: The file cannot be written.
     """
     arrow, parquet = need_pyarrow()
@@ -54,15 +54,15 @@ def write_parquet(path: Path, columns: Mapping[str, Column], metadata: Mapping[s
 
 
 def read_parquet(path: Path) -> tuple[dict[str, Column], dict[str, Any]]:
-    """Read a file that ``write_parquet`` wrote, after checking it.
+    """Read a file that ``write_parquet`` wrote, after verifying its checksums.
 
     Returns:
-        Its columns, flat lists as (F,W) arrays; and its metadata.
+        The columns, with flat lists as arrays of shape ``(F, W)``, and the metadata.
 
     Raises:
-        ImportError: There is no pyarrow.
+        ImportError: The extra ``parquet`` is missing.
         OSError: The file cannot be read.
-        ValueError: It is damaged, or not such a file.
+        ValueError: The file is damaged, or is not such a file.
     """
     arrow, parquet = need_pyarrow()
     data = _checked(path)
@@ -73,7 +73,7 @@ def read_parquet(path: Path) -> tuple[dict[str, Column], dict[str, Any]]:
     except (arrow.ArrowException, OSError) as error:
         raise ValueError(str(error)) from error
     if not isinstance(metadata, dict):
-        raise ValueError(f"its metadata are not a mapping but {type(metadata).__name__}")
+        raise ValueError(f"expected a mapping as metadata, got {type(metadata).__name__}")
     return columns, metadata
 
 
@@ -92,14 +92,14 @@ def need_pyarrow() -> tuple[Any, Any]:
 
 
 def _checked(path: Path) -> bytes:
-    """Return a file's content; ValueError where it differs from its checksum. Files of early versions have none."""
+    """Return a file's content after verifying its checksum, which files of early versions do not have."""
     data = path.read_bytes()
     *_, stamp = None, *_STAMP.finditer(data)
     if stamp is None or int(stamp[1]) != len(data):
         return data
     blank = _stamped(data, stamp.start(2), "0" * _DIGITS)
     if hashlib.sha256(blank).hexdigest().encode() != stamp[2]:
-        raise ValueError("damaged, its checksum differs from the one noted when it was written")
+        raise ValueError("damaged, its checksum differs from the recorded one")
     return data
 
 

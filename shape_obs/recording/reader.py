@@ -1,4 +1,4 @@
-"""Recording: a folder that ``shape-obs record`` wrote, as it was or as far as it came."""
+"""Read a folder that ``shape-obs record`` wrote, also if the recording was interrupted."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ from shape_obs.utils.documents import parse_json, read_json
 class Recording:
     """A recorded folder.
 
-    Of an interrupted recording all whole frames are there: a partial last line, and last frames whose files are not
-    whole, are left out, and ``warning`` says so.
+    An interrupted recording has all complete frames. A partial last line, and last frames with incomplete files, are
+    left out, and ``warning`` says so.
 
     Args:
         path: The folder.
 
     Attributes:
         path: The folder.
-        camera: Of all frames, but for those that tell their own.
-        serial: The camera's serial number, where there was one.
-        source: ``kind`` and ``name`` of the source that was recorded.
-        has_depth: Whether frames carry depth.
-        warning: What is missing; empty if nothing is.
-        ended: What the last line told, such as how many frames were dropped; empty after an interruption.
+        camera: Camera of all frames, except for those that have their own.
+        serial: Serial number of the camera, if known.
+        source: ``kind`` and ``name`` of the recorded source.
+        has_depth: Whether frames have depth.
+        warning: What is missing; empty if the recording is complete.
+        ended: Content of the last line, such as the number of dropped frames; empty after an interruption.
 
     Raises:
-        BadRecording: It is none, or damaged; the message names the file.
+        BadRecording: The folder is not a recording, or is damaged; the message names the file.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -66,7 +66,7 @@ class Recording:
             )
         elif self.ended.get("frames") != len(self):
             raise BadRecording(
-                f"{self.path / FRAMES_FILE}: {len(self)} frames, but its end speaks of {self.ended.get('frames')}."
+                f"{self.path / FRAMES_FILE}: {len(self)} frames, but its last line counts {self.ended.get('frames')}."
             )
         if not self._lines:
             raise BadRecording(f"{self.path}: the recording holds no whole frame.")
@@ -75,11 +75,11 @@ class Recording:
         return len(self._lines)
 
     def __getitem__(self, index: int) -> Moment:
-        """Read a moment as it was recorded, to the bit.
+        """Read a moment exactly as it was recorded.
 
         Raises:
-            BadRecording: Its line is damaged, or one of its files is missing or damaged.
-            IndexError: There are not so many.
+            BadRecording: The line is damaged, or one of its files is missing or damaged.
+            IndexError: The index is out of range.
         """
         line = self._lines[index]
         rgb = None if line.rgb is None else restore(self.path, "rgb", line.rgb)
@@ -93,14 +93,14 @@ class Recording:
 
     @property
     def episodes(self) -> list[int]:
-        """Number of the episode that each frame belongs to."""
+        """Number of the episode of each frame."""
         return [line.episode for line in self._lines]
 
     def check(self) -> Iterator[str]:
-        """Check every frame against its checksums: an empty text for each that is whole, else what is wrong with it."""
-        return map(self._wrong_with, range(len(self)))
+        """Verify the checksums of every frame; yield an error message for each, empty if the frame is intact."""
+        return map(self._error_of, range(len(self)))
 
-    def _wrong_with(self, index: int) -> str:
+    def _error_of(self, index: int) -> str:
         try:
             self[index]
         except BadRecording as error:
@@ -122,7 +122,7 @@ class Recording:
         return head
 
     def _read_lines(self) -> tuple[list[FrameLine], dict[str, Any], int]:
-        """Return the frames' lines, the last line if the recording was ended, and how many partial lines there were."""
+        """Return the lines of the frames, the last line of a finished recording, and the number of partial lines."""
         path = self.path / FRAMES_FILE
         try:
             *whole, rest = path.read_bytes().split(b"\n")
@@ -133,7 +133,7 @@ class Recording:
             try:
                 line = _line(text)
             except ValueError as error:
-                # Cut by a kill, or filled with zeros by a file system that did not get to write it.
+                # Cut off when the process was killed, or filled with zeros by a file system that lost power.
                 if i + 1 >= len(whole):
                     return lines, {}, 1
                 raise BadRecording(f"{path}, line {i + 1}: damaged: {error}") from error
@@ -154,7 +154,7 @@ class Recording:
 
 
 def _line(text: bytes) -> FrameLine | dict[str, Any]:
-    """Return a frame's line, or the mapping that ends a recording; ValueError for anything else."""
+    """Parse a frame's line, or the last line of a recording; raise ``ValueError`` for anything else."""
     line = parse_json(text, "the line")
     if not isinstance(line, dict):
         raise ValueError(f"expected an object, got {text[:20]!r}")

@@ -1,7 +1,4 @@
-"""replay: a source through a detector.
-
-ShapeLog: collects what a detector says, frame by frame, and makes a table of it.
-"""
+"""Run a detector on a source, and collect its detections in a table."""
 
 from __future__ import annotations
 
@@ -11,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from shape_obs.calibration.extrinsics import now
 from shape_obs.config import config_hash, dump_config, schema_hash
 from shape_obs.detector import ShapeDetector
+from shape_obs.extrinsics import now
 from shape_obs.features import read_features
 from shape_obs.image.segmentation import DepthRange
 from shape_obs.recording.format import Moment, camera_to_dict, read_moments
@@ -26,18 +23,18 @@ from shape_obs.source import RGBDSource
 def replay(
     source: RGBDSource, detector: ShapeDetector, frames: int | None = None
 ) -> Iterator[tuple[Moment, Detection]]:
-    """Detect on every frame of a source. The detector starts afresh here and with each episode.
+    """Detect the shapes in every frame of a source. The detector is reset at the start and at each new episode.
 
-    A recorded folder gives exactly the shapes that the frames gave when they were recorded.
+    Replaying a recorded folder gives exactly the shapes of the original frames.
 
     Args:
-        source: Is connected where it is not.
-        detector: Of one's own: its track is forgotten.
-        frames: How many at most.
+        source: The source; it is connected if necessary.
+        detector: The detector; its track is discarded.
+        frames: Largest number of frames.
 
     Raises:
-        SourceError: As the source's; BadRecording for a damaged file.
-        ValueError: As ``detector.detect``: an anchor that nobody told, shapes that need depth.
+        SourceError: The source fails; ``BadRecording`` for a damaged file.
+        ValueError: ``detector.detect`` fails: an anchor is unknown, or a shape needs depth.
     """
     episode = None
     for moment in read_moments(source, frames):
@@ -52,15 +49,15 @@ def replay(
 
 
 def check_depth(source: RGBDSource, detector: ShapeDetector, arguments: Mapping[str, Any]) -> None:
-    """Refuse a source without depth, or without intrinsics, for a config that needs them.
+    """Refuse a source without depth or intrinsics if the configuration needs them.
 
     Args:
-        source: Connected.
-        detector: Made from the config.
-        arguments: The config, as ``load_config`` gives it.
+        source: A connected source.
+        detector: A detector made from the configuration.
+        arguments: The configuration, as ``load_config`` returns it.
 
     Raises:
-        ValueError: Something needs what the source does not have; the message tells all that does.
+        ValueError: The message lists everything that needs the missing depth or intrinsics.
     """
     features = read_features(arguments.get("features") or ())
     needs = [f"feature {feature.kind!r}" for feature in features if feature.needs_depth]
@@ -77,17 +74,17 @@ def check_depth(source: RGBDSource, detector: ShapeDetector, arguments: Mapping[
 
 
 class ShapeLog:
-    """Collects detections in memory: about 0.5 kB for each frame with twenty points.
+    """Collect detections in memory, about 0.5 kB per frame with twenty points.
 
     Args:
-        detector: Whose detections they are.
-        arguments: The config that it was made from, features included, as ``load_config`` gives it; default the
-            detector's own config.
-        source: Where the frames come from; connected.
+        detector: The detector that makes the detections.
+        arguments: Configuration from which it was made, including features, as ``load_config`` returns it; default:
+            the configuration of the detector.
+        source: The connected source of the frames.
 
     Attributes:
-        metadata: JSON-able: ``config`` (YAML), ``schema_hash``, ``config_hash``, ``backend``, ``shapes`` (name ->
-            number of points), ``source``, ``camera``, ``created``, ``software``.
+        metadata: JSON values: ``config`` (YAML), ``schema_hash``, ``config_hash``, ``shapes`` (number of points by
+            name), ``source``, ``camera``, ``created``, ``software``.
     """
 
     def __init__(
@@ -110,7 +107,7 @@ class ShapeLog:
         return len(self._rows["frame"])
 
     def add(self, moment: Moment, detection: Detection) -> None:
-        """Take a frame, whether its shapes are ok or not; points of a shape that is not ok become NaN."""
+        """Add a frame; points of a shape that is not ok become NaN."""
         frame, rows = moment.frame, self._rows
         rows["frame"].append(len(self))
         rows["number"].append(-1 if frame.number is None else frame.number)
@@ -124,13 +121,13 @@ class ShapeLog:
             rows[f"{shape.name}/points3d"].append(_points(shape, shape.points3d))
 
     def table(self) -> ShapeTable:
-        """What was collected, as columns.
+        """Return the collected detections as a table.
 
         Raises:
-            ValueError: Nothing was.
+            ValueError: No frame was added.
         """
         if not len(self):
-            raise ValueError("no frame was added: there is nothing to make a table of.")
+            raise ValueError("no frame was added, so the table would be empty.")
         columns = {}
         for name, values in self._rows.items():
             column = _column(name, values, self.metadata["shapes"])
@@ -144,12 +141,12 @@ def _points(shape: Shape, points: Column | None) -> Column | None:
 
 
 def _column(name: str, values: list[Any], sizes: Mapping[str, int]) -> Column | None:
-    """An array of a column's values; None of points that no frame has."""
+    """Return the values of a column as an array; None for points that no frame has."""
     shape, _, kind = name.rpartition("/")
     axes = {"points2d": 2, "points3d": 3}.get(kind)
     if axes is None:
         return np.array(values)
     if all(value is None for value in values):
         return None
-    nowhere = np.full((sizes[shape], axes), np.nan, np.float32)
-    return np.stack([nowhere if value is None else value for value in values])
+    missing = np.full((sizes[shape], axes), np.nan, np.float32)
+    return np.stack([missing if value is None else value for value in values])

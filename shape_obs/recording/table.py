@@ -1,4 +1,4 @@
-"""ShapeTable: shapes of many frames as columns, in CSV, NPZ or Parquet."""
+"""Store the shapes of many frames as columns, in CSV, NPZ or Parquet."""
 
 from __future__ import annotations
 
@@ -40,15 +40,16 @@ _TYPES: Final[Mapping[str, type[Any]]] = {
 
 @dataclass(frozen=True, eq=False)
 class ShapeTable:
-    """A row for each frame. ``table["rope/points2d"]`` is a column.
+    """A table of shapes with one row per frame; ``table["rope/points2d"]`` is a column.
 
     Args:
-        columns: Arrays of equal length F. ``frame`` counts from 0; ``number`` is the source's own count (-1: none);
-            ``episode``; ``stamp`` and ``received``, seconds (NaN: unknown). For each shape, by its name: ``<name>/ok``
-            (F,) bool, ``<name>/age`` (F,) seconds, ``<name>/quality`` (F,) 0...1, ``<name>/reason`` (F,) str,
-            ``<name>/points2d`` (F,N,2) float32 pixels, ``<name>/points3d`` (F,N,3) float32 metres in the camera's frame
-            (only with depth), ``<name>/visible`` and ``<name>/valid`` (F,N) bool. Points are NaN where ``ok`` is False.
-        metadata: JSON-able: what made the table.
+        columns: Arrays of equal length F. ``frame`` counts from 0; ``number`` is the frame number of the source (-1 for
+            none); ``episode``; ``stamp`` and ``received`` in seconds (NaN if unknown). For each shape: ``<name>/ok``
+            ``(F,)`` bool, ``<name>/age`` ``(F,)`` in seconds, ``<name>/quality`` ``(F,)`` from 0 to 1,
+            ``<name>/reason`` ``(F,)`` str, ``<name>/points2d`` ``(F, N, 2)`` float32 in pixels, ``<name>/points3d``
+            ``(F, N, 3)`` float32 in metres in the camera frame (only with depth), ``<name>/visible`` and
+            ``<name>/valid`` ``(F, N)`` bool. Points are NaN where ``ok`` is False.
+        metadata: JSON values that describe how the table was made.
     """
 
     columns: Mapping[str, Column]
@@ -61,16 +62,17 @@ class ShapeTable:
         return len(next(iter(self.columns.values())))
 
     def save(self, path: str | Path) -> None:
-        """Write the table, whole or not at all.
+        """Write the table, completely or not at all.
 
         Args:
-            path: ``.npz``; ``.parquet``, where points are flat lists (``.reshape(-1, N, 2)``) and the metadata stand in
-                the schema's under ``shape_obs``; or ``.csv``, with the metadata next to it in ``.csv.meta.json``.
+            path: File with the suffix ``.npz``; ``.parquet``, with points as flat lists (``.reshape(-1, N, 2)``) and
+                the metadata in the schema under the key ``shape_obs``; or ``.csv``, with the metadata in a second file,
+                ``.csv.meta.json``.
 
         Raises:
-            ValueError: Another suffix.
-            ImportError: Parquet without the extra ``parquet``.
-            OSError: It cannot be written.
+            ValueError: The suffix is another one.
+            ImportError: The suffix is ``.parquet``, and the extra ``parquet`` is missing.
+            OSError: The file cannot be written.
         """
         path = Path(path)
         check_table_path(path)
@@ -82,13 +84,13 @@ class ShapeTable:
     def load(cls, path: str | Path) -> ShapeTable:
         """Read a table that ``save`` wrote.
 
-        Its checksums are verified: SHA-256 of the whole file in Parquet, and of CSV with its metadata; CRC-32 of each
-        column in NPZ. Files of other programs and of early versions have none, and are read as they are.
+        Checksums are verified: SHA-256 of the whole file for Parquet, and of the file with its metadata for CSV; CRC-32
+        of each column for NPZ. Files of other programs and of early versions have none and are read as they are.
 
         Raises:
             FileNotFoundError: There is no such file.
-            ValueError: It is damaged, or not a table of shapes.
-            ImportError: Parquet without the extra ``parquet``.
+            ValueError: The file is damaged, or not a table of shapes.
+            ImportError: The suffix is ``.parquet``, and the extra ``parquet`` is missing.
         """
         path = Path(path)
         if not path.exists():
@@ -104,11 +106,11 @@ class ShapeTable:
 
 
 def check_table_path(path: Path) -> None:
-    """See that a table can be written there, before hours of work.
+    """Check that a table can be written to a path, before hours of work.
 
     Raises:
-        ValueError: Another suffix than ``.csv``, ``.npz`` or ``.parquet``.
-        ImportError: Parquet without the extra ``parquet``.
+        ValueError: The suffix is not ``.csv``, ``.npz`` or ``.parquet``.
+        ImportError: The suffix is ``.parquet``, and the extra ``parquet`` is missing.
         OSError: The folder cannot be made.
     """
     if path.suffix not in _FORMATS:
@@ -159,12 +161,12 @@ def _save_csv(path: Path, table: ShapeTable) -> None:
     for name, column in table.columns.items():
         axes = _AXES.get(name.split("/")[-1])
         for index in np.ndindex(*column.shape[1:]):
-            place = [str(i) for i in index]
+            suffix = [str(i) for i in index]
             if axes:
-                place[-1] = axes[index[-1]]
-            heads.append("/".join([name, *place]))
+                suffix[-1] = axes[index[-1]]
+            heads.append("/".join([name, *suffix]))
             part = column[(slice(None), *index)]
-            # The shortest text that gives the same float32 back, not that of the float64 it would become.
+            # str() of a float32 is the shortest text that restores it; tolist() would convert it to float64.
             values.append([str(value) for value in part] if part.dtype.kind == "f" else part.tolist())
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -192,25 +194,25 @@ def _load_csv(path: Path) -> ShapeTable:
 
 
 def _save_metadata(path: Path, metadata: Mapping[str, Any]) -> None:
-    """Write the metadata of a CSV file next to it, with the checksum of both."""
+    """Write the metadata of a CSV file into a second file, with a checksum of both."""
     content = {**metadata, _CHECKSUM: _checksum(path, metadata)}
     write_text(_sidecar(path), json.dumps(content, indent=1) + "\n")
 
 
 def _checked_metadata(path: Path) -> dict[str, Any]:
-    """Return the metadata of a CSV file; empty where there are none, as with files that other programs wrote."""
+    """Return the metadata of a CSV file; empty if there are none, as for files of other programs."""
     sidecar = _sidecar(path)
     if not sidecar.exists():
         return {}
     metadata = read_json(sidecar, "metadata")
     if not isinstance(metadata, dict):
         raise ValueError(f"{sidecar}: expected a mapping, got {type(metadata).__name__}")
-    # Its key may be what is damaged: it was written last, and its value tells what it is.
+    # The key itself may be damaged. It was written last, and its value can be recognised.
     key = _CHECKSUM if _CHECKSUM in metadata else next(reversed(metadata), "")
     if key != _CHECKSUM and not str(metadata.get(key)).startswith(_ALGORITHM):
         return metadata
-    noted = metadata.pop(key)
-    if key != _CHECKSUM or noted != _checksum(path, metadata):
+    recorded = metadata.pop(key)
+    if key != _CHECKSUM or recorded != _checksum(path, metadata):
         raise ValueError(
             f"it differs from the checksum in {sidecar.name}, so one of the two is damaged; if you changed the table "
             f"on purpose, remove {_CHECKSUM!r} there"

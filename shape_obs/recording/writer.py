@@ -1,4 +1,4 @@
-"""RecordingWriter: frames into a folder, as fast as they come, so that whatever happens what is written is whole."""
+"""Record a source into a folder, as fast as frames arrive, so that an interruption leaves only complete frames."""
 
 from __future__ import annotations
 
@@ -7,44 +7,146 @@ import platform
 import sys
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, fields
 from importlib import metadata
+from itertools import chain
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from shape_obs import __version__
-from shape_obs.calibration.extrinsics import now
-from shape_obs.camera import CameraModel
-from shape_obs.recording.format import CAMERA_FILE, END, FORMAT, FRAMES_FILE, VERSION, Moment, camera_to_dict, store
-from shape_obs.source import RGBDSource
+from shape_obs.extrinsics import now
+from shape_obs.frame import Frame
+from shape_obs.recording.format import (
+    CAMERA_FILE,
+    END,
+    FORMAT,
+    FRAMES_FILE,
+    VERSION,
+    Moment,
+    camera_to_dict,
+    read_moments,
+    store,
+)
+from shape_obs.source import EndOfSource, RGBDSource, SourceError
 from shape_obs.utils.files import make_folder, write_text
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
+Depth = Literal["auto", "yes", "no"]
+
+
+@dataclass
+class Recorded:
+    """The outcome of a recording.
+
+    Attributes:
+        path: The folder or file.
+        frames: Number of written frames.
+        missed: Number of frames, by the source's frame numbers, that were never read.
+        dropped: Number of frames that were read but not written, since the encoders or the disk were too slow.
+        seconds: Time from the first stamp to the last; 0 without stamps.
+        stopped: ``"done"`` (a limit, or the end of the source), ``"interrupted"`` (Ctrl-C), or the message of an error.
+    """
+
+    path: Path
+    frames: int = 0
+    missed: int = 0
+    dropped: int = 0
+    seconds: float = 0.0
+    stopped: str = "done"
+
+    def __post_init__(self) -> None:
+        self._last: Frame | None = None
+
+    def count(self, frame: Frame) -> None:
+        """Count a frame that was read; when the frame numbers restart, no frame counts as missed."""
+        before, self._last = self._last, frame
+        if before is not None and before.number is not None and frame.number is not None:
+            self.missed += max(frame.number - before.number - 1, 0)
+        if before is not None and before.stamp is not None and frame.stamp is not None:
+            self.seconds += frame.stamp - before.stamp
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the outcome as JSON values."""
+        return {**{field.name: getattr(self, field.name) for field in fields(self)}, "path": str(self.path)}
+
+
+def record(
+    source: RGBDSource,
+    path: str | Path,
+    *,
+    frames: int | None = None,
+    seconds: float | None = None,
+    depth: Depth = "auto",
+    workers: int = 2,
+    on_frame: Callable[[], Any] | None = None,
+) -> Recorded:
+    """Record a source until a limit, its end, Ctrl-C, or the loss of the camera; recorded frames are kept.
+
+    Args:
+        source: The source; it is connected if necessary.
+        path: A folder that does not exist or is empty.
+        frames: Largest number of frames.
+        seconds: Largest duration by the stamps.
+        depth: ``"auto"`` records depth if there is any, ``"yes"`` requires it, ``"no"`` leaves it out.
+        workers: Number of threads that encode images.
+        on_frame: Called after each frame, for a progress bar.
+
+    Raises:
+        ValueError: A limit is out of range, or depth is required and missing.
+        FileExistsError: The folder is not empty.
+        OSError: A file cannot be written, as on a full disk; the message gives the number of complete frames.
+        SourceError: The source cannot be opened, or has no frame.
+    """
+    check_new_folder(Path(path))
+    source.connect()
+    if depth == "yes" and not source.has_depth:
+        raise ValueError(f"{source.name} has no depth to record; a {source.kind} source has only colour.")
+    moments = read_moments(source, frames, seconds)
+    # Read before the folder is made, so that a source without frames leaves nothing behind.
+    first = next(moments, None)
+    if first is None:
+        raise EndOfSource(f"{source.name} has no frame.")
+    recorded = Recorded(Path(path))
+    with RecordingWriter(path, source, depth=source.has_depth and depth != "no", workers=workers) as writer:
+        try:
+            for moment in chain([first], moments):
+                recorded.count(moment.frame)
+                recorded.dropped += not writer.add(moment, wait=not source.live)
+                if on_frame is not None:
+                    on_frame()
+        except KeyboardInterrupt:
+            recorded.stopped = "interrupted"
+        except SourceError as error:
+            recorded.stopped = str(error)
+        writer.close(missed=recorded.missed, dropped=recorded.dropped, stopped=recorded.stopped)
+    recorded.frames = writer.frames
+    return recorded
+
 
 class RecordingWriter:
-    """Writes a recording. A context manager: it ends the recording on exit.
+    """Write a recording. Use it as a context manager, which finishes the recording on exit.
 
-    Images are encoded by a few threads (OpenCV does that outside the interpreter's lock); lines are appended in order,
-    each after the files that it names.
+    Several threads encode images. Lines are appended in order, each after the files that it names, so that an
+    interrupted recording has only complete lines.
 
     Args:
         path: A folder that does not exist or is empty.
-        source: Where the frames come from; connected. It tells the camera, and who it is.
-        depth: Whether depth is recorded.
-        workers: Threads that encode.
-        pending: Frames that may wait for them.
+        source: The connected source of the frames.
+        depth: Whether to record depth.
+        workers: Number of threads that encode images.
+        pending: Largest number of frames that wait for the threads.
 
     Attributes:
         path: The folder.
-        frames: How many frames are wholly written.
+        frames: Number of completely written frames.
 
     Raises:
         FileExistsError: The folder is not empty.
-        OSError: It cannot be made or written to.
+        OSError: The folder cannot be made or written to.
     """
 
     def __init__(
@@ -67,17 +169,17 @@ class RecordingWriter:
         self._pool = ThreadPoolExecutor(workers, thread_name_prefix="recording")
 
     def add(self, moment: Moment, *, wait: bool = True) -> bool:
-        """Take a frame to be written.
+        """Add a frame.
 
         Args:
-            moment: Its arrays must not be written to afterwards.
-            wait: For the encoders to catch up; otherwise a frame that they have no room for is dropped.
+            moment: The frame; its arrays must not be changed afterwards.
+            wait: Whether to wait while too many frames are pending; otherwise the frame is dropped.
 
         Returns:
-            Whether it was taken.
+            Whether the frame was added.
 
         Raises:
-            OSError: An earlier frame could not be written; the frames before it are whole.
+            OSError: An earlier frame could not be written; the frames before it are complete.
         """
         self._check()
         if not self._slots.acquire(blocking=wait):
@@ -89,21 +191,21 @@ class RecordingWriter:
         future.add_done_callback(lambda _: self._settle())
         return True
 
-    def close(self, **told: Any) -> None:
-        """Wait for the encoders and end the recording; nothing happens when that was done.
+    def close(self, **values: Any) -> None:
+        """Wait for the encoders and finish the recording; later calls do nothing.
 
         Args:
-            told: JSON-able values for the last line, such as how many frames were dropped.
+            values: JSON values for the last line, such as the number of dropped frames.
 
         Raises:
-            OSError: A frame could not be written; the frames before it are whole.
+            OSError: A frame could not be written; the frames before it are complete.
         """
         if self._lines.closed:
             return
         self._pool.shutdown(wait=True)
         try:
             if self._error is None:
-                self._append({END: True, "frames": self.frames, **told})
+                self._append({END: True, "frames": self.frames, **values})
         finally:
             self._lines.close()
         self._check()
@@ -111,9 +213,7 @@ class RecordingWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def _store(self, index: int, moment: Moment) -> dict[str, Any]:
@@ -122,9 +222,9 @@ class RecordingWriter:
         line["episode"] = moment.episode
         if moment.anchors:
             line["anchors"] = {name: [float(value) for value in point] for name, point in moment.anchors.items()}
-        told = camera_to_dict(frame.camera)
-        if told != camera_to_dict(self._camera):
-            line["camera"] = told
+        camera = camera_to_dict(frame.camera)
+        if camera != camera_to_dict(self._camera):
+            line["camera"] = camera
         if frame.rgb is not None:
             line["rgb"] = store(self.path, "rgb", index, frame.rgb)
         if frame.depth is not None and self._depth:
@@ -132,12 +232,12 @@ class RecordingWriter:
         return line
 
     def _settle(self) -> None:
-        """Append the lines of all that is done, in order."""
+        """Append the lines of all encoded frames, in order."""
         with self._lock:
             while self._waiting and self._waiting[0].done():
                 future = self._waiting.popleft()
                 self._slots.release()
-                # After an error nothing is appended: a line behind half a line would be lost with it.
+                # After an error nothing is appended, since a line after a partial line would be lost too.
                 self._error = self._error or future.exception()
                 if self._error is None:
                     try:
@@ -149,7 +249,7 @@ class RecordingWriter:
     def _append(self, line: Mapping[str, Any]) -> None:
         rest = json.dumps(line, separators=(",", ":")).encode() + b"\n"
         try:
-            while rest:  # a full disk first takes a part, then complains
+            while rest:  # a full disk accepts a part before it raises an error
                 rest = rest[self._lines.write(rest) :]
         except OSError as error:
             raise OSError(f"cannot write {self.path / FRAMES_FILE}: {error.strerror or error}") from error
@@ -160,21 +260,21 @@ class RecordingWriter:
 
 
 def check_new_folder(path: Path) -> None:
-    """See that a recording can be written there, before a source is opened.
+    """Check that a recording can be written to a folder, before a source is opened.
 
     Raises:
-        FileExistsError: It is a folder that is not empty.
-        OSError: It cannot be made or written to.
+        FileExistsError: The folder is not empty.
+        OSError: The folder cannot be made or written to.
     """
-    there = path.exists()
+    existed = path.exists()
     if any(make_folder(path).iterdir()):
-        raise FileExistsError(f"{path}: the folder is not empty; a recording needs one of its own.")
-    if not there:  # it was only a trial: whatever goes wrong next leaves nothing behind
+        raise FileExistsError(f"{path}: the folder is not empty; a recording needs an empty folder.")
+    if not existed:  # so that a later error leaves nothing behind
         path.rmdir()
 
 
 def software() -> dict[str, str]:
-    """Versions of what made a file."""
+    """Return the versions of the packages that write a file."""
     versions = {"shape_obs": __version__, "python": platform.python_version()}
     for name, module in (("numpy", "numpy"), ("opencv-python-headless", "cv2"), ("pyrealsense2", "pyrealsense2")):
         if module in sys.modules:
@@ -186,14 +286,13 @@ def software() -> dict[str, str]:
 
 
 def _head(source: RGBDSource, depth: bool) -> dict[str, Any]:
-    camera: CameraModel | None = source.camera
     return {
         "format": FORMAT,
         "version": VERSION,
         "source": {"kind": source.kind, "name": source.name},
         "serial": getattr(source, "serial", None),
         "depth": depth,
-        **camera_to_dict(camera),
+        **camera_to_dict(source.camera),
         "convention": "p_base = T p_camera, metres; depth/*.png in millimetres, *.npy in metres",
         "created": now(),
         "software": software(),

@@ -1,4 +1,4 @@
-"""Guard: what stands between a policy's action and a robot: clip, step cap, workspace box."""
+"""Limit the actions that are sent to a robot: clipping, a largest step, and a workspace box."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ Box = tuple[Sequence[float], Sequence[float]]
 
 
 class Guarded(NamedTuple):
-    """A motion that may be sent.
+    """A motion within the limits.
 
     Attributes:
         motion: (A,) in physical units.
-        clipped: The action was outside -1 ... 1.
-        capped: The step was longer than allowed.
-        boxed: It would have left the workspace.
+        clipped: Whether the action was outside -1 ... 1.
+        capped: Whether the step was longer than allowed.
+        boxed: Whether the step would have left the workspace.
     """
 
     motion: Array
@@ -30,17 +30,17 @@ class Guarded(NamedTuple):
 
 
 class Guard:
-    """Makes motions of actions, none longer than a step may be, none that leaves the workspace.
+    """Convert actions to motions that do not exceed the largest step and do not leave the workspace.
 
     Args:
-        spec: What actions mean.
-        max_step: (A,) how far each coordinate may move in one step, in physical units; None for ``spec.scale`` (times
-            ``dt`` for velocities; no cap for positions, which need one given).
+        spec: The meaning of actions.
+        max_step: (A,) largest change of each coordinate in one step, in physical units. None means ``spec.scale`` for
+            displacements, ``spec.scale * dt`` for velocities, and no limit for positions.
         workspace: (low, high), each (A,): a smaller box than the robot's own, in physical units.
-        dt: Seconds of a step.
+        dt: Seconds per step.
 
     Raises:
-        ValueError: Wrong lengths, numbers that are not positive, or a box that does not overlap the robot's own.
+        ValueError: A length is wrong, a number is not positive, or the box does not overlap the robot's own.
     """
 
     def __init__(
@@ -68,14 +68,14 @@ class Guard:
         self.low, self.high = low, high
 
     def motion(self, action: npt.ArrayLike, state: npt.ArrayLike) -> Guarded:
-        """What may be sent of an action.
+        """Return the motion of an action within the limits.
 
         Args:
             action: (A,) in -1 ... 1.
-            state: (A,) where the robot has been told to be, in physical units.
+            state: (A,) commanded state of the robot, in physical units.
 
         Raises:
-            ValueError: A wrong shape, or numbers that are not finite: no motion can be made of them.
+            ValueError: A shape is wrong, or a number is not finite.
         """
         spec = self.spec
         action, state = np.asarray(action, np.float64), np.asarray(state, np.float64)
@@ -85,7 +85,7 @@ class Guard:
         within = np.clip(action, -1.0, 1.0)
         step = spec.following(state, spec.physical(within), self.dt) - state
         short = np.clip(step, -self.max_step, self.max_step)
-        # From outside the box every step that does not lead further out is good.
+        # From outside the box, every step that does not lead further out is allowed.
         target = np.clip(state + short, np.minimum(self.low, state), np.maximum(self.high, state))
         return Guarded(
             spec.leading(state, target, self.dt),

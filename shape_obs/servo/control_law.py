@@ -1,11 +1,4 @@
-"""What control laws on an estimated Jacobian have in common.
-
-The laws by name.
-
-The damped least-squares law on an estimated Jacobian.
-
-The control law of model-free adaptive control.
-"""
+"""Control laws on an estimated Jacobian: damped least squares, and model-free adaptive control."""
 
 from __future__ import annotations
 
@@ -16,27 +9,32 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.servo.jacobian import Broyden, JacobianEstimator, Kalman, PseudoJacobian, RecursiveLeastSquares, share
+from shape_obs.servo.jacobian import (
+    Broyden,
+    JacobianEstimator,
+    Kalman,
+    PseudoJacobian,
+    RecursiveLeastSquares,
+    check_in_range,
+)
 from shape_obs.spec import did_you_mean
 
 Array = npt.NDArray[np.float64]
 
 
-# Of the largest singular value: below it an estimate answers to one direction alone, or to none.
-_SINGULAR: Final = 1e-9
+_SINGULAR: Final = 1e-9  # largest entry of an estimate below which it counts as zero
 
 
 class ServoLaw(ABC):
-    """From an error of features to an action, on a Jacobian that is learnt on the way.
+    """Map an error of features to an action with a Jacobian that is estimated while moving.
 
     Args:
-        estimator: Of the Jacobian.
+        estimator: The estimator of the Jacobian.
 
     Attributes:
-        estimator: As given.
-        weights: (M,F) what an error of features is taken to be, as M numbers of equal worth; None: the features
-            themselves.
-        learnt: How many changes were learnt from.
+        estimator: The estimator of the Jacobian.
+        weights: (M, F) matrix that maps an error of features to M values of equal importance; None for the identity.
+        learnt: Number of updates of the estimate.
     """
 
     def __init__(self, estimator: JacobianEstimator) -> None:
@@ -45,7 +43,7 @@ class ServoLaw(ABC):
         self.learnt = 0
 
     def start(self, features: int, actions: int, matrix: npt.ArrayLike | None = None) -> None:
-        """Forget everything; see ``JacobianEstimator.start``."""
+        """Reset the law; see ``JacobianEstimator.start``."""
         self.estimator.start(features, actions, matrix)
         self.weights, self.learnt = None, 0
 
@@ -55,28 +53,29 @@ class ServoLaw(ABC):
         delta_action: npt.ArrayLike,
         measured: npt.NDArray[np.bool_] | None = None,
     ) -> bool:
-        """See ``JacobianEstimator.update``."""
+        """Update the estimate; see ``JacobianEstimator.update``."""
         done = self.estimator.update(delta_features, delta_action, measured)
         self.learnt += done
         return done
 
     @property
     def ready(self) -> bool:
-        """Whether the estimate can be acted on: finite, and not zero."""
+        """Whether the estimate can be used: it is finite and not zero."""
         matrix = self.estimator.matrix
         return matrix is not None and bool(np.all(np.isfinite(matrix))) and float(np.abs(matrix).max()) > _SINGULAR
 
     def act(self, error: npt.ArrayLike, measured: npt.NDArray[np.bool_] | None = None) -> Array:
-        """The action (A,) in -1...1 for an error (F,), what is desired minus what is.
+        """Return the action, -1...1, for an error of features.
 
         Args:
-            error: (F,).
-            measured: (F,) which features count; None for all.
+            error: (F,) desired minus current features.
+            measured: (F,) which features to use; None for all.
 
-        Zeros while there is no estimate to act on, and for an error that is not finite.
+        Returns:
+            The action (A,); zeros if the estimate cannot be used or the error is not finite.
 
         Raises:
-            ValueError: ``start`` was not called, or a wrong size.
+            ValueError: ``start`` was not called, or a size is wrong.
         """
         matrix, away = self.estimator.matrix, np.asarray(error, dtype=np.float64)
         if matrix is None:
@@ -93,12 +92,61 @@ class ServoLaw(ABC):
 
     @abstractmethod
     def _step(self, jacobian: Array, error: Array) -> Array:
-        """(A,) for J (F,A) and an error (F,), both weighted."""
+        """Return the action (A,) for J (F, A) and an error (F,), both weighted."""
 
 
 def saturated(action: Array) -> Array:
-    """The action, shortened without a change of direction until no part of it is beyond -1...1."""
+    """Scale an action down, without changing its direction, until all of its values are within -1...1."""
     return action / max(float(np.abs(action).max()), 1.0)
+
+
+class DampedLeastSquares(ServoLaw):
+    """Damped least squares, ``a = (J'WJ + m I)^-1 J'W g e``, scaled down to the largest action.
+
+    Nakamura and Hanafusa, 'Inverse kinematic solutions with singularity robustness for robot manipulator control',
+    Journal of Dynamic Systems, Measurement, and Control 1986. The damping m is relative to the mean diagonal of J'WJ,
+    so it does not depend on the units.
+
+    Args:
+        estimator: The estimator of J.
+        gain: g, 0...1: share of the error to remove in one step.
+        damping: m, relative; larger values slow down directions that hardly change the features.
+    """
+
+    def __init__(self, estimator: JacobianEstimator, gain: float = 0.5, damping: float = 0.1) -> None:
+        super().__init__(estimator)
+        self.gain, self.damping = (
+            check_in_range("DampedLeastSquares: gain", gain),
+            check_in_range("DampedLeastSquares: damping", damping),
+        )
+
+    def _step(self, jacobian: Array, error: Array) -> Array:
+        normal = jacobian.T @ jacobian
+        normal += self.damping * np.trace(normal) / len(normal) * np.eye(len(normal))
+        return saturated(np.linalg.solve(normal, jacobian.T @ (self.gain * error)))
+
+
+class ModelFreeAdaptiveControl(ServoLaw):
+    """Model-free adaptive control, ``a = r J'e / (l + |J|^2)``, scaled down to the largest action.
+
+    Hou and Jin, 'Data-driven model-free adaptive control for a class of MIMO nonlinear discrete-time systems', IEEE
+    Transactions on Neural Networks 2011, eq. 10. ``|J|`` is the spectral norm and ``l`` relative to its square. No
+    matrix is inverted. Directions that hardly change the features are slow, which is safe.
+
+    Args:
+        estimator: The estimator of J; ``PseudoJacobian`` in the paper.
+        step: r, 0...2.
+        penalty: l, the penalty on motion.
+    """
+
+    def __init__(self, estimator: JacobianEstimator, step: float = 1.0, penalty: float = 0.1) -> None:
+        super().__init__(estimator)
+        self.step = check_in_range("ModelFreeAdaptiveControl: step", step, 2.0)
+        self.penalty = check_in_range("ModelFreeAdaptiveControl: penalty", penalty, 1e6)
+
+    def _step(self, jacobian: Array, error: Array) -> Array:
+        square = np.linalg.norm(jacobian, 2) ** 2
+        return saturated(self.step * (jacobian.T @ error) / ((1 + self.penalty) * square))
 
 
 _MADE: Final[Mapping[str, tuple[str, Callable[[], ServoLaw]]]] = {
@@ -109,62 +157,16 @@ _MADE: Final[Mapping[str, tuple[str, Callable[[], ServoLaw]]]] = {
     "mfac-law": ("pseudo-Jacobian, model-free adaptive control", lambda: ModelFreeAdaptiveControl(PseudoJacobian())),
 }
 
-#: What each name stands for: an estimator, and the law that acts on its Jacobian.
+#: The estimator and the law behind each name.
 LAWS: Final[Mapping[str, str]] = {name: what for name, (what, _) in _MADE.items()}
 
 
 def make_law(name: str) -> ServoLaw:
-    """A law with the settings that stood the bench best.
+    """Return a law by its name, with the settings that did best in ``shape-obs bench servo``.
 
     Raises:
-        ValueError: An unknown name.
+        ValueError: The name is unknown.
     """
     if name not in _MADE:
         raise ValueError(f"servo law: unknown name {name!r}{did_you_mean(name, LAWS)}")
     return _MADE[name][1]()
-
-
-class DampedLeastSquares(ServoLaw):
-    """``a = (J'WJ + m I)^-1 J'W g e``, shortened to the largest action: Levenberg's step towards the goal.
-
-    Nakamura and Hanafusa, 'Inverse kinematic solutions with singularity robustness for robot manipulator control',
-    Journal of Dynamic Systems, Measurement, and Control 1986. The damping m is a share of the mean diagonal of J'WJ, so
-    that it means the same in any unit.
-
-    Args:
-        estimator: Of J.
-        gain: g, 0...1: the share of the error to be removed by one step.
-        damping: m, as a share: more takes directions that the features hardly answer to more slowly.
-    """
-
-    def __init__(self, estimator: JacobianEstimator, gain: float = 0.5, damping: float = 0.1) -> None:
-        super().__init__(estimator)
-        self.gain, self.damping = share("DampedLeastSquares: gain", gain), share("DampedLeastSquares: damping", damping)
-
-    def _step(self, jacobian: Array, error: Array) -> Array:
-        normal = jacobian.T @ jacobian
-        normal += self.damping * np.trace(normal) / len(normal) * np.eye(len(normal))
-        return saturated(np.linalg.solve(normal, jacobian.T @ (self.gain * error)))
-
-
-class ModelFreeAdaptiveControl(ServoLaw):
-    """``a = r J'e / (l + |J|^2)``, shortened to the largest action: downhill, with no matrix to invert.
-
-    Hou and Jin, 'Data-driven model-free adaptive control for a class of MIMO nonlinear discrete-time systems', IEEE
-    Transactions on Neural Networks 2011, eq. 10. ``|J|`` is the spectral norm and ``l`` a share of its square.
-    Directions that the features hardly answer to are taken slowly: safe, and slow where they matter.
-
-    Args:
-        estimator: Of J; the paper's is ``PseudoJacobian``.
-        step: r, 0...2.
-        penalty: l, on motion.
-    """
-
-    def __init__(self, estimator: JacobianEstimator, step: float = 1.0, penalty: float = 0.1) -> None:
-        super().__init__(estimator)
-        self.step = share("ModelFreeAdaptiveControl: step", step, 2.0)
-        self.penalty = share("ModelFreeAdaptiveControl: penalty", penalty, 1e6)
-
-    def _step(self, jacobian: Array, error: Array) -> Array:
-        square = np.linalg.norm(jacobian, 2) ** 2
-        return saturated(self.step * (jacobian.T @ error) / ((1 + self.penalty) * square))

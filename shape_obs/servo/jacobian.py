@@ -1,15 +1,4 @@
-"""How features answer to actions, learnt while moving: what all estimators of that have in common.
-
-Checks of numbers that a law is told.
-
-Broyden's rank-one update.
-
-A Kalman filter over the Jacobian.
-
-Recursive least squares with forgetting.
-
-Model-free adaptive control's estimate of the pseudo-Jacobian.
-"""
+"""Estimate the Jacobian from actions to features while moving: Broyden, Kalman filter, RLS and pseudo-Jacobian."""
 
 from __future__ import annotations
 
@@ -23,13 +12,13 @@ Array = npt.NDArray[np.float64]
 
 
 class JacobianEstimator(ABC):
-    """The matrix J (F,A) in ``delta_features = J delta_action``, from pairs of the two.
+    """Estimate the matrix J (F, A) in ``delta_features = J delta_action`` from pairs of changes.
 
-    What features are measured in does not matter to any of them, since all rows learn alike; actions are -1...1.
+    All rows are updated alike, so the units of the features do not matter; actions are -1...1.
 
     Attributes:
-        matrix: (F,A) J; None before ``start``.
-        error: Share of the last change of features that was not foreseen, ``|df - J da| / |df|``; NaN before the first.
+        matrix: J of shape (F, A); None before ``start``.
+        error: Relative prediction error of the last change of features, ``|df - J da| / |df|``; NaN before the first.
     """
 
     def __init__(self) -> None:
@@ -37,15 +26,15 @@ class JacobianEstimator(ABC):
         self.error = float("nan")
 
     def start(self, features: int, actions: int, matrix: npt.ArrayLike | None = None) -> None:
-        """Forget everything.
+        """Reset the estimate.
 
         Args:
-            features: F.
-            actions: A.
-            matrix: (F,A) what is known already; zeros without.
+            features: Number of features F.
+            actions: Number of actions A.
+            matrix: Initial J of shape (F, A); default zeros.
 
         Raises:
-            ValueError: A matrix of another size, or not finite.
+            ValueError: The matrix has another shape, or is not finite.
         """
         begin = np.zeros((features, actions)) if matrix is None else np.array(matrix, dtype=np.float64)
         if begin.shape != (features, actions) or not np.all(np.isfinite(begin)):
@@ -59,17 +48,18 @@ class JacobianEstimator(ABC):
         delta_action: npt.ArrayLike,
         measured: npt.NDArray[np.bool_] | None = None,
     ) -> bool:
-        """Learn from a change of features and the actions since: whether something was learnt.
+        """Update the estimate from a change of features and the actions that caused it.
 
         Args:
-            delta_features: (F,).
-            delta_action: (A,) the sum of the actions.
-            measured: (F,) which features are learnt from; None for all.
+            delta_features: (F,) change of the features.
+            delta_action: (A,) sum of the actions.
+            measured: (F,) which features to learn from; None for all.
 
-        Nothing is learnt from changes that are not finite, nor without a motion.
+        Returns:
+            Whether the estimate was updated: changes must be finite and the motion not zero.
 
         Raises:
-            ValueError: ``start`` was not called, or a wrong size.
+            ValueError: ``start`` was not called, or a size is wrong.
         """
         if self.matrix is None:
             raise ValueError("estimator: call start(features, actions) first.")
@@ -90,19 +80,19 @@ class JacobianEstimator(ABC):
         return True
 
     def _begin(self, actions: int) -> None:
-        """Forget what else is known; most know nothing else."""
+        """Reset the state of a subclass. The default does nothing."""
         return
 
     @abstractmethod
     def _gain(self, da: Array) -> Array:
-        """(A,) how the residual of a motion is shared out among the columns: ``J += (df - J da) gain'``."""
+        """Return the gain (A,) of a motion in the update ``J += (df - J da) gain'``."""
 
 
-def share(name: str, value: float, most: float = 1.0) -> float:
-    """A number above 0, at most ``most``.
+def check_in_range(name: str, value: float, most: float = 1.0) -> float:
+    """Return a number after checking that it is above 0 and at most ``most``.
 
     Raises:
-        ValueError: It is none.
+        ValueError: The value is outside this range, or not a number.
     """
     if not (isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value <= most):
         raise ValueError(f"{name}: expected a number above 0, at most {most:g}, got {value!r}.")
@@ -111,43 +101,43 @@ def share(name: str, value: float, most: float = 1.0) -> float:
 
 
 class Broyden(JacobianEstimator):
-    """The smallest change of J that explains the last motion, taken in part: ``gain = g da / (da'da + e)``.
+    """Broyden's update, a fraction of the smallest change of J that explains the last motion.
 
-    Broyden, 'A class of methods for solving nonlinear simultaneous equations', Mathematics of Computation 1965, eq.
-    4.5; damped as in Jagersand, Fuentes and Nelson, 'Experimental evaluation of uncalibrated visual servoing for
-    precision manipulation', ICRA 1997.
+    ``gain = g da / (da'da + e)``: Broyden, 'A class of methods for solving nonlinear simultaneous equations',
+    Mathematics of Computation 1965, eq. 4.5; damped as in Jagersand, Fuentes and Nelson, 'Experimental evaluation of
+    uncalibrated visual servoing for precision manipulation', ICRA 1997.
 
     Args:
-        gain: g, 0...1: less forgets noise, more follows bends.
-        floor: e, what keeps small motions from teaching much.
+        gain: g, 0...1: smaller values suppress noise, larger ones adapt faster.
+        floor: e, which reduces the effect of small motions.
     """
 
     def __init__(self, gain: float = 0.5, floor: float = 0.02) -> None:
         super().__init__()
-        self.gain, self.floor = share("Broyden: gain", gain), share("Broyden: floor", floor, 1e6)
+        self.gain, self.floor = check_in_range("Broyden: gain", gain), check_in_range("Broyden: floor", floor, 1e6)
 
     def _gain(self, da: Array) -> Array:
         return self.gain * da / (da @ da + self.floor)
 
 
 class Kalman(JacobianEstimator):
-    """J as the state of a random walk that motions measure.
+    """A Kalman filter whose state J is a random walk that motions measure.
 
-    ``P += q I``, ``gain = P da / (r + da'P da)``, ``P -= gain da'P``: all rows share one covariance P (A,A), since one
+    ``P += q I``, ``gain = P da / (r + da'P da)``, ``P -= gain da'P``. All rows share one covariance P (A, A), since one
     motion measures all of them. Qian and Su, 'Online estimation of image Jacobian matrix by Kalman-Bucy filter for
     uncalibrated stereo vision feedback', ICRA 2002.
 
     Args:
-        drift: q, how far J wanders between two updates, beside ``uncertainty``.
-        noise: r, of a measured change.
-        uncertainty: P at the start is this times the identity.
+        drift: q, the variance that J gains between two updates, on the scale of ``uncertainty``.
+        noise: r, the variance of a measured change.
+        uncertainty: The initial P is this times the identity.
     """
 
     def __init__(self, drift: float = 0.02, noise: float = 0.05, uncertainty: float = 10.0) -> None:
         super().__init__()
-        self.drift = share("Kalman: drift", drift, 1e6)
-        self.noise = share("Kalman: noise", noise, 1e6)
-        self.uncertainty = share("Kalman: uncertainty", uncertainty, 1e6)
+        self.drift = check_in_range("Kalman: drift", drift, 1e6)
+        self.noise = check_in_range("Kalman: noise", noise, 1e6)
+        self.uncertainty = check_in_range("Kalman: uncertainty", uncertainty, 1e6)
 
     def _begin(self, actions: int) -> None:
         self._covariance = self.uncertainty * np.eye(actions)
@@ -162,22 +152,22 @@ class Kalman(JacobianEstimator):
 
 
 class RecursiveLeastSquares(JacobianEstimator):
-    """The J that explains all motions best, older ones less.
+    """Recursive least squares: the J that fits all motions best, with smaller weights for older ones.
 
     ``gain = P da / (f + da'P da)``, then ``P = (P - gain da'P) / f``: Astrom and Wittenmark, 'Adaptive Control', 1995,
     section 2.2; for Jacobians Hosoda and Asada, 'Versatile visual servoing without knowledge of true Jacobian', IROS
     1994.
 
     Args:
-        forgetting: f, 0...1: the weight of a motion sinks by this factor with each later one.
-        uncertainty: P at the start is this times the identity. No eigenvalue of P grows beyond: directions in which
-            nothing moves would else be believed less and less, until noise is taken for an answer.
+        forgetting: f, 0...1: the weight of a motion decreases by this factor with each later one.
+        uncertainty: The initial P is this times the identity, and no eigenvalue of P exceeds it. Otherwise directions
+            without motion would become so uncertain that noise determines them.
     """
 
     def __init__(self, forgetting: float = 0.95, uncertainty: float = 10.0) -> None:
         super().__init__()
-        self.forgetting = share("RecursiveLeastSquares: forgetting", forgetting)
-        self.uncertainty = share("RecursiveLeastSquares: uncertainty", uncertainty, 1e6)
+        self.forgetting = check_in_range("RecursiveLeastSquares: forgetting", forgetting)
+        self.uncertainty = check_in_range("RecursiveLeastSquares: uncertainty", uncertainty, 1e6)
 
     def _begin(self, actions: int) -> None:
         self._covariance = self.uncertainty * np.eye(actions)
@@ -187,27 +177,27 @@ class RecursiveLeastSquares(JacobianEstimator):
         spread = before @ da
         gain = spread / (self.forgetting + da @ spread)
         values, vectors = np.linalg.eigh((before - np.outer(gain, spread)) / self.forgetting)
-        # One by one: scaling all of P would keep what moves from being forgotten while something else rests.
+        # Limit each eigenvalue: scaling all of P would stop forgetting along all directions while one is at rest.
         self._covariance = (vectors * np.clip(values, 0.0, self.uncertainty)) @ vectors.T
         return gain
 
 
 class PseudoJacobian(JacobianEstimator):
-    """A projection: ``gain = eta da / (mu + da'da)``.
+    """The pseudo-Jacobian of model-free adaptive control, a projection with ``gain = eta da / (mu + da'da)``.
 
     Hou and Jin, 'Data-driven model-free adaptive control for a class of MIMO nonlinear discrete-time systems', IEEE
-    Transactions on Neural Networks 2011, eq. 11 (compact form). It differs from ``Broyden`` in ``mu``, which is large:
-    small motions teach little, and so does their noise. Theirs is reset where it leaves the cone that their proof of
-    stability needs, which supposes a square matrix; here the law's guard does that, for any F and A.
+    Transactions on Neural Networks 2011, eq. 11 (compact form). It differs from ``Broyden`` in the large ``mu``, which
+    reduces the effect of small motions and their noise. The original is reset when it leaves the cone that the proof of
+    stability needs, which assumes a square matrix; here ``ServoLaw.ready`` checks the estimate, for any F and A.
 
     Args:
         eta: Step size, 0...1.
-        mu: Penalty on change.
+        mu: Penalty on changes.
     """
 
     def __init__(self, eta: float = 0.5, mu: float = 0.2) -> None:
         super().__init__()
-        self.eta, self.mu = share("PseudoJacobian: eta", eta), share("PseudoJacobian: mu", mu, 1e6)
+        self.eta, self.mu = check_in_range("PseudoJacobian: eta", eta), check_in_range("PseudoJacobian: mu", mu, 1e6)
 
     def _gain(self, da: Array) -> Array:
         return self.eta * da / (self.mu + da @ da)

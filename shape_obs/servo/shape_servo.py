@@ -1,8 +1,9 @@
-"""ShapeServo: a law at work on the observations of a ``ShapeGoal``."""
+"""ShapeServo: a controller that drives the features of a ``ShapeGoal`` to their goal, without a model."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, Literal
 
@@ -11,44 +12,48 @@ import numpy.typing as npt
 
 from shape_obs.robot import ActionSpec
 from shape_obs.servo.control_law import ServoLaw, make_law
-from shape_obs.servo.excitation import Excitation
-from shape_obs.servo.jacobian import share
+from shape_obs.servo.jacobian import check_in_range
 from shape_obs.servo.weights import geometric_weights, noise_weights
 from shape_obs.shape import Shape
+from shape_obs.spec import Spec, SpecError
 
 Array = npt.NDArray[np.float64]
+
 Mask = npt.NDArray[np.bool_]
 
+
 _LAW: Final = "rls"
+
 _STILL: Final = 8  # frames over which noise is measured
 
 
 class ShapeServo:
-    """Brings features to those of the goal, learning on the way how they answer to the robot.
+    """Drive features to those of the goal, and learn the Jacobian from actions to features while moving.
 
-    It needs no model and no calibration. First it moves each coordinate of the robot a little, there and back; then it
-    acts on the Jacobian that was learnt, and goes on learning. It is a ``Controller`` of ``shape_obs.deploy``.
+    No model and no calibration are needed. At the start, each coordinate of the robot moves a little, there and back;
+    after that, the controller acts on the estimated Jacobian and continues to update it. It is a ``Controller`` of
+    ``shape_obs.deploy``.
 
-    It learns from motions that are long enough to stand out from noise: from the sum of some small ones rather than
-    from each. That is what keeps a law from forgetting near the goal, where all motions are small.
+    The Jacobian is updated from motions that are large compared with the noise: from the sum of several small motions
+    rather than from each. Near the goal, where all motions are small, this keeps the estimate from degrading.
 
     Args:
-        law: A ``ServoLaw``, or a name of ``LAWS``.
-        actions: How many numbers an action has; ``bind`` tells it too.
+        law: A ``ServoLaw``, or a name in ``LAWS``.
+        actions: Number of values of an action; ``bind`` and ``attach`` set it too.
         excitation: The motions at the start.
-        least_motion: Length of the sum of actions that is learnt from.
-        weights: What an error of features is worth: (M,F), such as ``geometric_weights``; ``"noise"``, each feature as
-            a multiple of the noise that it has while nothing moves; None: all alike, which suits points.
-        seen: Tells the shape in the present observation: while that is not found, held or of too few measured points,
-            nothing moves and nothing is learnt. ``attach`` finds it; without it whoever calls must see to that.
-        measured: Tells which of the F features were measured in the present observation: the others are neither learnt
-            from nor acted on. ``attach`` finds it; None for all.
-        min_valid: Share of its points that must be measured.
+        least_motion: Length of the summed actions after which the Jacobian is updated.
+        weights: Weights of the errors of features: a matrix (M, F), such as ``geometric_weights``; ``"noise"``, which
+            scales each feature by its noise while nothing moves; None for equal weights, which suits points.
+        seen: Returns the shape in the current observation. While it is lost, held, or has too few measured points,
+            nothing moves and nothing is learnt. ``attach`` provides it; otherwise this is up to the caller.
+        measured: Returns which of the F features were measured in the current observation; the others are ignored.
+            ``attach`` provides it; None for all.
+        min_valid: Share of the points that must be measured.
 
     Attributes:
-        law: As given, or made.
-        exciting: Whether the motions of the start are still going on.
-        held: How many observations were not acted on.
+        law: The law.
+        exciting: Whether the motions at the start are still in progress.
+        held: Number of observations without an action.
 
     Example:
         >>> env = ShapeGoal(gym.make("shape_obs_envs:ShapeObs/CableShape-v0"), features=["points3d"])  # doctest: +SKIP
@@ -71,68 +76,67 @@ class ShapeServo:
     ) -> None:
         self.law = make_law(law) if isinstance(law, str) else law
         self._excitation = Excitation() if excitation is None else excitation
-        self._least = share("ShapeServo: least_motion", least_motion, 100.0)
+        self._least = check_in_range("ShapeServo: least_motion", least_motion, 100.0)
         if isinstance(weights, str) and weights != "noise":
             raise ValueError(f"ShapeServo: weights are 'noise', a matrix (M,F) or None, got {weights!r}.")
         matrix = None if weights is None or isinstance(weights, str) else np.asarray(weights, dtype=np.float64)
         self._given = (actions, seen, measured, matrix, isinstance(weights, str))
         self._size, self._seen, self._measured, self._weights, self._by_noise = self._given
-        self._min_valid = share("ShapeServo: min_valid", min_valid)
+        self._min_valid = check_in_range("ShapeServo: min_valid", min_valid)
         self.reset()
 
     def attach(self, env: Any) -> None:
-        """Take from an environment with a ``ShapeGoal`` what an action is, what is seen, and what goals are worth.
+        """Take the size of actions, the detected shape and the weights from an environment with a ``ShapeGoal``.
 
-        What was passed to the constructor stays. ``weights`` become ``geometric_weights`` where the goal's features
+        Arguments of the constructor take precedence. ``weights`` become ``geometric_weights`` if the goal's features
         have them, else ``"noise"``.
 
         Args:
             env: A Gymnasium environment.
 
         Raises:
-            ValueError: It has no ``ShapeGoal``, or its actions are no flat ``Box`` of -1...1.
+            ValueError: The environment has no ``ShapeGoal``, or its actions are not a flat ``Box`` of -1...1.
         """
         if not env.has_wrapper_attr("goal_features"):
             raise ValueError(f"ShapeServo: expected an env with a ShapeGoal, got {env}: wrap it in ShapeGoal.")
         box = env.action_space
         if len(box.shape) != 1 or not (np.all(box.low == -1) and np.all(box.high == 1)):
             raise ValueError(f"ShapeServo: expected actions in a flat Box of -1...1, got {box}.")
-        # What an env that it was attached to before has told is of no use here.
+        # Discard everything from an environment that it was attached to before.
         size, seen, measured, self._weights, self._by_noise = self._given
         self._size = size or int(box.shape[0])
         self._seen = seen or partial(env.get_wrapper_attr, "goal_shape")
         self._measured = measured or partial(env.get_wrapper_attr, "goal_measured")
         if self._weights is None and not self._by_noise:
             features, spec = env.get_wrapper_attr("goal_features"), env.get_wrapper_attr("goal_configuration")
-            self._weights = geometric_weights(features, spec.layout, env.get_wrapper_attr("goal_view"))
+            self._weights = geometric_weights(features, spec.layout, env.get_wrapper_attr("goal_context"))
             self._by_noise = self._weights is None
 
     def bind(self, spec: ActionSpec) -> None:
-        """Take the number of coordinates of a robot."""
+        """Set the size of actions to the number of coordinates of a robot."""
         self._size = len(spec)
 
     def reset(self) -> None:
-        """Forget everything that was learnt."""
+        """Reset the controller; it starts again with the excitation."""
         self.held = 0
-        self._marked: Array | None = None  # the features that the next change is counted from
+        self._marked: Array | None = None  # the features at the start of the summed motion
         self._script: list[Array] = []
         self._still: list[Array] = []
 
     @property
     def exciting(self) -> bool:
-        """Whether it has yet to move towards the goal."""
+        """Whether the motions at the start are still in progress."""
         return self._marked is None or bool(self._script)
 
     def act(self, observation: Mapping[str, Any]) -> npt.NDArray[np.float32]:
-        """The action (A,) in -1...1 for an observation with ``achieved_goal`` and ``desired_goal``, (F,) each.
+        """Return the action (A,), -1...1, for an observation with ``achieved_goal`` and ``desired_goal``, (F,) each.
 
         Raises:
-            ValueError: The number of actions is not known, or the goals are of another size than before, than each
-                other or than the weights.
+            ValueError: The size of actions is unknown, or the size of a goal has changed or does not fit the weights.
         """
         features, goal = (np.asarray(observation[key], np.float64) for key in ("achieved_goal", "desired_goal"))
         if self._size is None:
-            raise ValueError("ShapeServo: how many numbers has an action? Pass actions=, or call bind.")
+            raise ValueError("ShapeServo: the size of actions is unknown. Pass actions=, or call bind.")
         size = features.shape if self._marked is None else self._marked.shape
         if features.shape != size or goal.shape != size:
             raise ValueError(
@@ -153,12 +157,12 @@ class ShapeServo:
         return action.astype(np.float32)
 
     def withheld(self) -> None:
-        """Take back what the last action was counted for: it was not sent."""
+        """Remove the last action from the summed motion, because it was not sent."""
         if self._marked is not None:
             self._moved, self._last = self._moved - self._last, np.zeros_like(self._last)
 
     def _trusted(self, features: Array) -> bool:
-        """Whether an observation may be learnt from and acted on."""
+        """Return whether an observation may be used."""
         shape = None if self._seen is None else self._seen()
         if shape is not None and (not shape.ok or shape.reason or shape.valid.mean() < self._min_valid):
             return False
@@ -179,12 +183,12 @@ class ShapeServo:
         self.law.weights = self._weights
 
     def _mark(self, features: Array, known: Mask) -> None:
-        """Count changes and motions from here."""
+        """Start summing changes and motions."""
         assert self._size is not None
         self._marked, self._known, self._moved = features, known, np.zeros(self._size)
 
     def _learn(self, features: Array, known: Mask) -> None:
-        """Learn from what changed since the mark, once the motion is long enough."""
+        """Update the Jacobian from the changes since the mark, once the motion is long enough."""
         assert self._marked is not None
         if self._by_noise and len(self._still) < _STILL:
             self._still.append(features)
@@ -194,3 +198,28 @@ class ShapeServo:
         if self._by_noise and self.law.weights is None and not self._script:
             assert self.law.estimator.matrix is not None
             self.law.weights = noise_weights(self._still, self.law.estimator.matrix)
+
+
+@dataclass(frozen=True)
+class Excitation(Spec):
+    """The motions at the start: each coordinate in turn, there and back.
+
+    Args:
+        amplitude: Share of the largest action, above 0 and at most 1.
+        hold: Number of steps in each direction; use more if the object follows slowly.
+    """
+
+    amplitude: float = 0.6
+    hold: int = 2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.amplitude <= 1 or self.hold < 1:
+            raise SpecError(
+                f"excitation: expected an amplitude above 0, at most 1, and hold of 1 step or more, got {self}."
+            )
+
+    def actions(self, size: int) -> Array:
+        """Return the actions in order, of shape (2 * size * hold, size)."""
+        there_and_back = np.repeat([self.amplitude, -self.amplitude], self.hold)
+        return np.kron(np.eye(size), there_and_back[:, None]).astype(np.float64)

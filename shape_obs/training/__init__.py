@@ -1,6 +1,6 @@
-"""What trainings need beside an env: a curriculum, and other observations to compare a shape's with.
+"""Wrappers and networks for training: a curriculum, a reward of points, and observations for comparison.
 
-``GoalDifference``, ``ImageAndGoal`` and ``PixelPolicy`` need the extra ``sb3``, and are loaded on first use.
+``GoalDifference``, ``ImageAndGoal`` and ``PixelPolicy`` need the extra ``sb3`` and are imported on first use.
 """
 
 from __future__ import annotations
@@ -8,11 +8,9 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
+from shape_obs.training.comparisons import Pixels, Shuffled, TrueState
 from shape_obs.training.curriculum import Curriculum
-from shape_obs.training.pixels import Pixels
 from shape_obs.training.point_reward import PointReward
-from shape_obs.training.shuffled import Shuffled
-from shape_obs.training.true_state import TrueState
 
 if TYPE_CHECKING:
     from shape_obs.training.extractors import GoalDifference as GoalDifference

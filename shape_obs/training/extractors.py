@@ -1,4 +1,4 @@
-"""What a policy's network reads of an observation, as feature extractors of Stable-Baselines3."""
+"""Extract the features of an observation that a network of Stable-Baselines3 reads."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ Observations = dict[str, torch.Tensor]
 
 
 class GoalDifference(BaseFeaturesExtractor):
-    """(B, M + 2 V): what is seen, what is desired, and how far apart they are.
+    """Concatenate observation, desired goal, and the difference of the two goals: shape ``(B, M + 2 V)``.
 
-    The difference spares the network from having to learn to subtract. Of the two goals the first ``visible`` numbers
-    are read.
+    The difference saves the network from learning to subtract. Only the first ``visible`` numbers of the goals are
+    read.
 
     Args:
-        observation_space: Of ``observation`` (M,), ``achieved_goal`` and ``desired_goal``.
-        visible: V; None for all. ``PointReward`` and ``Shuffled`` tell it.
+        observation_space: Space with ``observation`` ``(M,)``, ``achieved_goal`` and ``desired_goal``.
+        visible: V; None for all numbers. ``PointReward`` and ``Shuffled`` have an attribute with this value.
     """
 
     def __init__(self, observation_space: spaces.Dict, visible: int | None = None) -> None:
@@ -26,21 +26,22 @@ class GoalDifference(BaseFeaturesExtractor):
         self._visible = size
 
     def forward(self, observations: Observations) -> torch.Tensor:
-        """(B, M + 2 V)."""
+        """Return features of shape ``(B, M + 2 V)``."""
         desired = observations["desired_goal"][:, : self._visible]
         achieved = observations["achieved_goal"][:, : self._visible]
         return torch.cat([observations["observation"], desired, desired - achieved], dim=1)
 
 
 class ImageAndGoal(BaseFeaturesExtractor):
-    """(B, ``features`` + D): the image through the network of Mnih et al. (Nature 2015), and the desired goal (B, D).
+    """Concatenate features of an image with the desired goal ``(B, D)``: shape ``(B, features + D)``.
 
-    What is made of the image lies in -1 ... 1 (a linear layer, layer normalisation, tanh), as a normalised goal does.
-    ``achieved_goal`` is not read: an image is all that is known of the present shape.
+    The image goes through the network of Mnih et al. (Nature 2015), a linear layer, layer normalisation and tanh, so
+    that its features lie in -1 ... 1 like a normalised goal. ``achieved_goal`` is not read, since it comes from the
+    simulator.
 
     Args:
-        observation_space: Of ``observation``, an image (C, H, W) uint8, and the goals.
-        features: How many numbers are made of the image.
+        observation_space: Space with ``observation``, an image ``(C, H, W)`` uint8, and the goals.
+        features: Number of features of the image.
     """
 
     def __init__(self, observation_space: spaces.Dict, features: int = 128) -> None:
@@ -51,5 +52,5 @@ class ImageAndGoal(BaseFeaturesExtractor):
         self._image = torch.nn.Sequential(network.cnn, network.linear[0], torch.nn.LayerNorm(features), torch.nn.Tanh())
 
     def forward(self, observations: Observations) -> torch.Tensor:
-        """(B, ``features`` + D)."""
+        """Return features of shape ``(B, features + D)``."""
         return torch.cat([self._image(observations["observation"]), observations["desired_goal"]], dim=1)

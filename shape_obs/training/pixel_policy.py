@@ -1,4 +1,4 @@
-"""PixelPolicy: SAC from images, whose actor looks through the critic's network."""
+"""Train SAC from images, with an actor that uses the convolutions of the critic."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from stable_baselines3.sac.policies import MultiInputPolicy
 
 
 class PixelPolicy(MultiInputPolicy):
-    """SAC's policy with one feature extractor, which learns from the critic's loss alone.
+    """SAC's policy with a single feature extractor, which learns only from the critic's loss.
 
-    With an extractor of its own, learning from the actor's loss, an actor that sees images can go blind: after a
-    training its convolutions were dead, and it did the same whatever it saw. Stable-Baselines3's
-    ``share_features_extractor`` lets the actor's loss alone teach it. What is done here is that of Yarats et al.,
-    "Improving Sample Efficiency in Model-Free Reinforcement Learning from Images" (AAAI 2021), without its decoder.
+    If the actor has its own extractor and trains it with its own loss, the convolutions can die, and the actions no
+    longer depend on the image. With ``share_features_extractor`` of Stable-Baselines3, the extractor learns only from
+    the actor's loss. This policy follows Yarats et al., "Improving Sample Efficiency in Model-Free Reinforcement
+    Learning from Images" (AAAI 2021), without the decoder.
 
     Args:
-        arguments: Those of ``MultiInputPolicy``, but ``share_features_extractor``.
+        arguments: Arguments of ``MultiInputPolicy``, except ``share_features_extractor``.
     """
 
     def _build(self, lr_schedule: Schedule) -> None:
@@ -31,7 +31,7 @@ class PixelPolicy(MultiInputPolicy):
 
 
 class _Detached(BaseFeaturesExtractor):
-    """Another extractor, which is looked through and not taught."""
+    """Evaluate another extractor without gradients."""
 
     def __init__(self, extractor: BaseFeaturesExtractor) -> None:
         super().__init__(extractor._observation_space, extractor.features_dim)

@@ -1,4 +1,4 @@
-"""PointReward: goals in any features, scored in metres."""
+"""Reward policies that read any features by the distance of points in metres."""
 
 from __future__ import annotations
 
@@ -17,27 +17,29 @@ from shape_obs.wrappers.shape_goal import RewardType
 
 
 class PointReward(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
-    """Over a ``ShapeGoal`` whose last feature is ``points3d``: a policy reads the others, the reward is of the points.
+    """Compute the reward from the points of a ``ShapeGoal``, while the policy reads its other features.
 
-    Rewards in different features cannot be compared, nor the policies that follow them. Here every policy gets the
-    reward of the env itself, of the points that the camera saw and the goal's, whatever features it reads; hindsight
-    replay puts both in together. ``observation`` are the features of the seen shape without the points; the first
-    ``visible`` numbers of the two goals are theirs, and all that a policy may read of them (``GoalDifference``).
+    Rewards in different features cannot be compared, nor can the policies that maximise them. With this wrapper, every
+    policy gets the reward of the environment, the distance of the detected points from those of the goal, whatever
+    features it reads. The last feature of the ``ShapeGoal`` must be ``points3d``. ``observation`` holds the features of
+    the detected shape without the points. The first ``visible`` numbers of the goals are these features, and a policy
+    may read no others (see ``GoalDifference``); hindsight replay replaces features and points together.
 
-    ``info`` has ``goal/distance`` [m], and ``is_success`` by it: below the threshold, and the shape is ok.
+    ``info`` has ``goal/distance`` in metres, and ``is_success``: the distance is below the threshold, and the shape is
+    ok.
 
     Args:
         env: An environment in ``ShapeObservation`` and ``ShapeGoal``.
-        reward_type: ``"sparse"``: 0 where the mean distance of corresponding points is below the threshold, else -1.
-            ``"dense"``: minus that distance [m].
-        threshold: Metres.
+        reward_type: ``"sparse"``: 0 if the mean distance of corresponding points is below the threshold, else -1.
+            ``"dense"``: the negative distance in metres.
+        threshold: Threshold in metres.
 
     Attributes:
         visible: How many numbers of a goal a policy may read.
 
     Raises:
-        ValueError: The last feature of the goals are not points in metres, or the only ones; or another argument is
-            not understood.
+        ValueError: The last feature of the goals is not points in metres, or is the only one; or another argument is
+            invalid.
     """
 
     def __init__(self, env: ShapeGoal, reward_type: RewardType = "sparse", threshold: float = 0.01) -> None:
@@ -59,26 +61,26 @@ class PointReward(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self.observation_space = spaces.Dict({"observation": seen, **dict.fromkeys(GOALS, goal)})
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the env."""
+        """Reset the environment."""
         observation, info = self.env.reset(seed=seed, options=options)
         return self._observe(observation, info), info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the env; the reward is that of the points."""
+        """Step the environment; the reward is that of the points."""
         observation, _, terminated, truncated, info = self.env.step(action)
         seen = self._observe(observation, info)
         reward = self.compute_reward(seen["achieved_goal"], seen["desired_goal"], info)
         return seen, reward, terminated, truncated, info
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """The reward of the points in goals (..., D): a float for single ones, else (...,). ``info`` is not used."""
+        """Return the reward of goals ``(..., D)``: a float for a single goal, else ``(...,)``. ``info`` is ignored."""
         distance = self._distance(achieved_goal, desired_goal)
         reward = -distance if self.reward_type == "dense" else np.where(distance < self.threshold, 0.0, -1.0)
         return float(reward) if reward.ndim == 0 else reward
 
     def _distance(self, achieved_goal: Any, desired_goal: Any) -> npt.NDArray[np.float64]:
-        apart = np.asarray(achieved_goal, np.float64) - np.asarray(desired_goal, np.float64)
-        points = apart[..., self.visible :].reshape(*apart.shape[:-1], -1, 3)
+        offset = np.asarray(achieved_goal, np.float64) - np.asarray(desired_goal, np.float64)
+        points = offset[..., self.visible :].reshape(*offset.shape[:-1], -1, 3)
         return np.linalg.norm(points, axis=-1).mean(axis=-1)
 
     def _observe(self, observation: Any, info: dict[str, Any]) -> dict[str, Any]:

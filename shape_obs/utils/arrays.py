@@ -1,4 +1,4 @@
-"""Read images and arrays: sizes are checked before memory is taken, and damaged files give one declared error."""
+"""Read and write images and arrays, with limits on their size and one declared error for damaged files."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,17 +15,19 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-#: Bytes of all arrays in a .npz file.
+from shape_obs.utils.files import write_whole
+
+#: Largest number of bytes of all arrays in a .npz file.
 MOST_BYTES: Final = 4 << 30
-#: Pixels of a PNG image; 8192 x 8192. OpenCV itself refuses other images from 2^30 pixels on.
+#: Largest number of pixels of a PNG image, 8192 x 8192. OpenCV itself rejects other images from 2^30 pixels on.
 MOST_PIXELS: Final = 1 << 26
 
-_COUNT_AT: Final = -12  # of the number of entries, from the end of a ZIP file without a comment
+_COUNT_AT: Final = -12  # position of the number of entries, from the end of a ZIP file without a comment
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_SIZE: Final = struct.Struct(">II")  # width and height, the first fields of the first chunk
-_PNG_SIZE_AT: Final = len(_PNG) + 8  # behind the chunk's length and name
+_PNG_SIZE_AT: Final = len(_PNG) + 8  # after the length and the name of the chunk
 
-# What NumPy's reader raises for a damaged header or archive, besides ``ValueError``.
+# What NumPy's reader raises for damaged headers and archives.
 _DAMAGED: Final = (
     ValueError, TypeError, KeyError, IndexError, SyntaxError, EOFError, OSError, OverflowError, MemoryError,
     RecursionError, NotImplementedError, RuntimeError, struct.error, tokenize.TokenError, zipfile.BadZipFile,
@@ -33,11 +36,11 @@ _DAMAGED: Final = (
 
 
 def read_image(path: Path) -> npt.NDArray[np.uint8]:
-    """Read an image file as (H,W,3) uint8 RGB.
+    """Read an image file as RGB, of shape (H, W, 3), uint8.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It is not an image, or a damaged or too large one.
+        ValueError: The file is not an image, is damaged or too large.
     """
     picture = decode_image(_content(path), cv2.IMREAD_COLOR, str(path))
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), dtype=np.uint8)
@@ -48,7 +51,7 @@ def read_depth(path: Path) -> npt.NDArray[Any]:
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It holds something else, or is damaged.
+        ValueError: The file contains something else, or is damaged.
     """
     data = _content(path)
     npy = path.suffix == ".npy"
@@ -61,16 +64,45 @@ def read_depth(path: Path) -> npt.NDArray[Any]:
     return depth
 
 
+def write_image(path: Path, rgb: npt.NDArray[np.uint8]) -> None:
+    """Write an RGB picture of shape (H, W, 3), completely or not at all.
+
+    Raises:
+        ValueError: The suffix is not that of an image format.
+        OSError: The file cannot be written.
+    """
+    try:
+        done, data = cv2.imencode(path.suffix, cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+    except cv2.error as error:
+        raise ValueError(f"{path}: cannot write an image with the suffix {path.suffix!r}.") from error
+    assert done
+    write_whole(path, lambda temporary: temporary.write_bytes(data.tobytes()))
+
+
+def write_gif(path: Path, frames: Sequence[npt.NDArray[np.uint8]], seconds_per_frame: float) -> None:
+    """Write RGB frames of shape (H, W, 3) as an animated GIF, completely or not at all."""
+    from PIL import Image
+
+    pictures = [Image.fromarray(frame).quantize(128, dither=Image.Dither.NONE) for frame in frames]
+    duration = max(round(1000 * seconds_per_frame), 20)
+    write_whole(
+        path,
+        lambda temporary: pictures[0].save(
+            temporary, save_all=True, append_images=pictures[1:], duration=duration, loop=0, optimize=True
+        ),
+    )
+
+
 def decode_image(data: bytes, mode: int, where: str) -> npt.NDArray[Any]:
     """Decode an image.
 
     Args:
-        data: The file's content.
-        mode: How, one of OpenCV's ``IMREAD_`` flags; colours come as BGR.
-        where: The file's name, for messages.
+        data: The content of the file.
+        mode: One of OpenCV's ``IMREAD_`` flags; colours are returned as BGR.
+        where: The name of the file, for error messages.
 
     Raises:
-        ValueError: It is not an image, or a damaged or too large one.
+        ValueError: The data are not an image, are damaged or too large.
     """
     # A few bytes of PNG can unpack to gigabytes.
     if data.startswith(_PNG) and len(data) >= _PNG_SIZE_AT + _PNG_SIZE.size:
@@ -90,43 +122,43 @@ def decode_npy(data: bytes, where: str) -> npt.NDArray[Any]:
     """Decode the content of a .npy file.
 
     Args:
-        data: The file's content.
-        where: The file's name, for messages.
+        data: The content of the file.
+        where: The name of the file, for error messages.
 
     Raises:
-        ValueError: It is not a .npy file, a damaged one, or one of Python objects.
+        ValueError: The data are not a .npy file, are damaged, or contain Python objects.
     """
     stream = io.BytesIO(data)
     try:
         version = np.lib.format.read_magic(stream)
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = read_header(stream)
-        # NumPy takes the memory that the header asks for before it reads any of it.
+        # NumPy allocates the size in the header before it reads any data.
         wanted, left = dtype.itemsize * int(np.prod(shape, dtype=object)), len(data) - stream.tell()
         if wanted != left or min(shape, default=0) < 0:
-            raise ValueError(f"its header speaks of {wanted} bytes, {left} follow")
+            raise ValueError(f"its header announces {wanted} bytes, {left} follow")
         return np.load(io.BytesIO(data), allow_pickle=False)
     except _DAMAGED as error:
         raise ValueError(f"{where}: not a NumPy array file, or a damaged one: {error}") from error
 
 
 def decode_npz(data: bytes, where: str, *, most_bytes: int = MOST_BYTES) -> dict[str, npt.NDArray[Any]]:
-    """Decode the content of a .npz file: all its arrays by name, each checked against its checksum.
+    """Decode the content of a .npz file as arrays by name, after checking their checksums.
 
     Args:
-        data: The file's content.
-        where: The file's name, for messages.
-        most_bytes: How many bytes all arrays may have together.
+        data: The content of the file.
+        where: The name of the file, for error messages.
+        most_bytes: Largest total number of bytes of all arrays.
 
     Raises:
-        ValueError: It is not a .npz file, a damaged or too large one, or one with Python objects.
+        ValueError: The data are not a .npz file, are damaged or too large, or contain Python objects.
     """
     arrays: dict[str, npt.NDArray[Any]] = {}
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             if sum(entry.file_size for entry in archive.infolist()) > most_bytes:
                 raise ValueError(f"expected at most {most_bytes} bytes when unpacked")
-            # ``zipfile`` does not compare them: a damaged length in the list of entries hides those that follow.
+            # ``zipfile`` does not compare these: a damaged length in the list of entries hides those that follow.
             wanted = int.from_bytes(data[_COUNT_AT - len(archive.comment) :][:2], "little")
             if wanted != len(archive.namelist()) & 0xFFFF:
                 raise ValueError(f"expected {wanted} entries, found {len(archive.namelist())}")

@@ -1,34 +1,44 @@
-"""Read JSON and YAML: whatever a file holds, the result is plain values or one declared error.
+"""Read what users write, JSON, YAML and ``module:Name``, with one declared error and helpful messages.
 
 Files come from other people and other programs. On damaged or hostile text Python's parsers also raise errors that
-are not their own: ``RecursionError`` when it is nested too deep, ``KeyError`` for a YAML tag, ``ValueError`` for a
-date that does not exist. YAML can repeat a part with an alias (``*name``): a few lines then stand for billions of
-values, or for a value that contains itself. Depth and number of values are therefore bounded here.
+are not their own: ``RecursionError`` for deep nesting, ``KeyError`` for a YAML tag, ``ValueError`` for a date that does
+not exist. YAML can repeat a part with an alias (``*name``): a few lines can stand for billions of values, or for a
+value that contains itself. Depth and number of values are therefore bounded here.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
-import yaml
-
-from shape_obs.spec import SpecError
-
-#: Levels of lists and mappings in each other; the files of this package have at most a dozen.
+#: Largest nesting of lists and mappings; the files of this package have at most a dozen levels.
 DEEPEST: Final = 64
-#: Values in a YAML document, aliases written out.
+#: Largest number of values in a YAML document, with aliases written out.
 MOST_VALUES: Final = 200_000
-#: Bytes of a YAML document: PyYAML reads about 100 kB a second.
+#: Largest YAML document in bytes: PyYAML reads about 100 kB a second.
 LONGEST_YAML: Final = 8 << 20
 
-# What ``yaml.safe_load`` raises besides ``YAMLError``: the constructors of tags such as ``!!int`` and ``!!timestamp``.
-_YAML_ERRORS: Final = (
-    yaml.YAMLError, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RecursionError,
-)  # fmt: skip
+
+class SpecError(ValueError):
+    """A configuration that cannot be understood; the message names the place, the value and what was expected."""
+
+    __module__ = "shape_obs.spec"  # its public path, which tracebacks show
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """Return the end of an error message about an unknown name: ``"; did you mean 'x'? Known: ..."``."""
+    import difflib  # only errors need it
+
+    names = list(known)
+    if not names:
+        return "; there are none."
+    near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
+    hint = f"; did you mean {near[0]!r}?" if near else "."
+    return f"{hint} Known: {', '.join(names)}."
 
 
 def read_json(path: str | os.PathLike[str], what: str) -> Any:
@@ -36,12 +46,12 @@ def read_json(path: str | os.PathLike[str], what: str) -> Any:
 
     Args:
         path: The file, encoded in UTF-8.
-        what: Kind of file, for messages: ``"extrinsics"``.
+        what: The kind of file, for error messages, such as ``"extrinsics"``.
 
     Raises:
         FileNotFoundError: There is no such file.
         OSError: The file cannot be read.
-        SpecError: It is not JSON, or nested too deep.
+        SpecError: The file is not JSON, or is nested too deeply.
     """
     return parse_json(_read(path, what), str(path))
 
@@ -51,28 +61,30 @@ def read_yaml(path: str | os.PathLike[str], what: str) -> Any:
 
     Args:
         path: The file, encoded in UTF-8.
-        what: Kind of file, for messages: ``"config"``.
+        what: The kind of file, for error messages, such as ``"config"``.
 
     Raises:
         FileNotFoundError: There is no such file.
         OSError: The file cannot be read.
-        SpecError: It is not YAML, too long, nested too deep, or its aliases stand for too many values.
+        SpecError: The text is not YAML, too long, nested too deeply, or its aliases stand for too many values.
     """
     return parse_yaml(_read(path, what), str(path))
 
 
-def parse_json(text: str | bytes, where: str) -> Any:
+def parse_json(text: str | bytes, where: str, make_object: Callable[[list[tuple[str, Any]]], Any] | None = None) -> Any:
     """Parse a JSON text.
 
     Args:
         text: The text; bytes are UTF-8.
-        where: Begins messages: the file's name, or name and line.
+        where: The start of error messages: the name of the file, or name and line.
+        make_object: Called with the names and values of each object to make it, as ``object_pairs_hook`` of the
+            standard library; raises ``ValueError`` to refuse one. Default: a dict.
 
     Raises:
-        SpecError: It is not JSON, or nested too deep.
+        SpecError: The file is not JSON, or is nested too deeply.
     """
     try:
-        value = json.loads(_decoded(text))
+        value = json.loads(_decoded(text), object_pairs_hook=make_object)
     except RecursionError as error:
         raise SpecError(f"{where}: {_too_deep()}") from error
     except ValueError as error:
@@ -81,23 +93,30 @@ def parse_json(text: str | bytes, where: str) -> Any:
     return value
 
 
-def parse_yaml(text: str | bytes, where: str) -> Any:
+def parse_yaml(text: str | bytes, where: str, loader: Any = None) -> Any:
     """Parse a YAML text.
 
     Args:
         text: The text; bytes are UTF-8.
-        where: Begins messages: the file's name, or the option of a command.
+        where: The start of error messages: the name of the file, or a command-line option.
+        loader: A stricter subclass of ``yaml.SafeLoader``. Default: ``yaml.SafeLoader``.
 
     Raises:
-        SpecError: It is not YAML, too long, nested too deep, or its aliases stand for too many values.
+        SpecError: The text is not YAML, too long, nested too deeply, or its aliases stand for too many values.
     """
+    import yaml  # takes 20 ms, which commands without a YAML file save
+
+    # What ``yaml.safe_load`` raises besides ``YAMLError``: constructors of tags such as ``!!int`` and ``!!timestamp``.
+    yaml_errors = (
+        yaml.YAMLError, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RecursionError,
+    )  # fmt: skip
     if len(text) > LONGEST_YAML:
         raise SpecError(f"{where}: expected at most {LONGEST_YAML} bytes of YAML, got {len(text)}.")
     try:
-        value = yaml.safe_load(_decoded(text))
+        value = yaml.load(_decoded(text), Loader=loader or yaml.SafeLoader)
     except RecursionError as error:
         raise SpecError(f"{where}: {_too_deep()}") from error
-    except _YAML_ERRORS as error:
+    except yaml_errors as error:
         reason = str(error) if isinstance(error, (yaml.YAMLError, ValueError)) else repr(error)
         raise SpecError(f"{where}: not valid YAML: {reason}") from error
     _check_bounds(value, where, MOST_VALUES)
@@ -114,23 +133,23 @@ def _read(path: str | os.PathLike[str], what: str) -> bytes:
 
 
 def _decoded(text: str | bytes) -> str:
-    # ``-sig``: editors of Windows begin UTF-8 with a byte order mark.
+    # ``-sig``: editors on Windows start UTF-8 files with a byte order mark.
     return text if isinstance(text, str) else text.decode("utf-8-sig")
 
 
 def _check_bounds(value: Any, where: str, most: int | None) -> None:
-    """Refuse what is nested too deep, or too many values where ``most`` is given; without recursion."""
+    """Reject values that are nested too deeply or, if ``most`` is given, too many values. Works without recursion."""
     count, level = 0, [value]
     for _ in range(DEEPEST + 1):
         inner: list[Any] = []
         for item in level:
             inside = _inside(item)
             if most is not None:
-                # Before the next level is made: an alias can stand for billions of values.
+                # Count before the next level is built: an alias can stand for billions of values.
                 count += len(inside)
                 if count > most:
                     raise SpecError(
-                        f"{where}: it stands for more than {most} values: write out what its aliases repeat."
+                        f"{where}: it holds more than {most} values: write out the parts that its aliases repeat."
                     )
             inner.extend(inside)
         if not inner:
@@ -146,9 +165,49 @@ def _inside(item: Any) -> list[Any]:
 
 
 def _containers(keys: Iterable[Any]) -> list[Any]:
-    """Keys that contain values themselves, as tuples do in YAML."""
+    """Return the keys that contain values themselves, as tuples do in YAML."""
     return [key for key in keys if isinstance(key, tuple)]
 
 
 def _too_deep() -> str:
-    return f"it is nested too deep; expected at most {DEEPEST} levels of lists and mappings."
+    return f"it is nested too deeply; expected at most {DEEPEST} levels of lists and mappings."
+
+
+def load_named(text: str, what: str) -> Any:
+    """Return the object that ``module:Name`` refers to.
+
+    Args:
+        text: The name, such as ``"my_lab.arm:Arm"``; the module is found as by ``import``.
+        what: The setting that holds the name, for error messages, such as ``"--robot"``.
+
+    Raises:
+        ValueError: The text does not have this form, or the module has no such name.
+        ImportError: There is no such module, or importing it fails.
+    """
+    module_name, _, name = text.partition(":")
+    if not module_name or not name:
+        raise ValueError(f"{what}: expected module:Name, such as my_lab.arm:Arm, got {text!r}.")
+    try:
+        module = import_module(module_name)
+    except ImportError as error:
+        raise ImportError(f"{what}: cannot import {module_name!r}: {error}") from error
+    try:
+        return getattr(module, name)
+    except AttributeError:
+        names = [known for known in dir(module) if not known.startswith("_")]
+        raise ValueError(f"{what}: module {module_name!r} has no {name!r}{did_you_mean(name, names)}") from None
+
+
+def make_named(text: str, what: str, arguments: Mapping[str, Any] | None = None) -> Any:
+    """Call the class or function that ``module:Name`` refers to, with keyword arguments.
+
+    Raises:
+        ValueError: The object cannot be called, or does not take these arguments.
+    """
+    maker = load_named(text, what)
+    if not callable(maker):
+        raise ValueError(f"{what}: {text} is a {type(maker).__name__}, expected a class or a function.")
+    try:
+        return maker(**(arguments or {}))
+    except TypeError as error:
+        raise ValueError(f"{what}: {text} does not take {dict(arguments or {})}: {error}") from error

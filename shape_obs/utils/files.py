@@ -1,4 +1,4 @@
-"""Write files whole or not at all, and keep paths inside a folder."""
+"""Write files completely or not at all, and keep paths inside a folder."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from pathlib import Path
 
 
 def make_folder(path: Path) -> Path:
-    """Make a folder that can be written to.
+    """Create a folder unless it exists, and check that it can be written to.
 
     Raises:
-        OSError: It cannot be made or written to.
+        OSError: The folder cannot be created or written to.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -26,18 +26,18 @@ def make_folder(path: Path) -> Path:
 
 
 def inside(folder: Path, name: str) -> Path:
-    """Return the path of a file that a document names, which must lie in a folder.
+    """Return the path of a file named in a document, which must lie inside a folder.
 
     Args:
         folder: The folder.
-        name: The file's path in it, with ``/`` between its parts.
+        name: The path of the file inside the folder, with ``/`` between its parts.
 
     Raises:
         ValueError: The name is absolute, contains ``..``, or leads outside the folder through a symbolic link.
     """
     path = folder / name
     root, found = os.path.realpath(folder), os.path.realpath(path)
-    # "\\" and ":" too: what is a plain name here would lead elsewhere on Windows.
+    # Also "\\" and ":": a plain name here would lead elsewhere on Windows.
     if ".." in Path(name).parts or any(character in name for character in "\\:") or os.path.isabs(name):
         raise ValueError(f"expected a path inside {folder}, got {name!r}.")
     if os.path.commonpath([root, found]) != root or found == root:
@@ -46,26 +46,26 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in UTF-8, whole or not at all; see ``write_whole``."""
+    """Write a text file in UTF-8, completely or not at all; see ``write_whole``."""
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file whole or not at all.
+    """Write a file completely or not at all.
 
-    The content goes to a temporary file in the same folder, onto the disk, and only then to its name: a kill or a power
-    cut leaves either what was there before or all of the new file. A process that is killed while it writes leaves the
-    temporary file, ``.NAME.<random>.SUFFIX``, which can be removed.
+    The content is written to a temporary file in the same folder, flushed to the disk, and then renamed: after a kill
+    or a power cut, either the old or the complete new file is there. A process that is killed while it writes leaves
+    the temporary file ``.NAME.<random>.SUFFIX``, which can be removed.
 
-    A symbolic link stays, and the file that it points to is replaced. A new file has the permissions that ``open``
-    gives; a replaced one keeps its own.
+    A symbolic link is kept, and the file that it points to is replaced. A new file has the permissions that ``open``
+    gives; a replaced file keeps its own.
 
     Args:
         path: The file.
-        write: Writes the content to the path that it is given, which has the suffix of ``path``.
+        write: A function that writes the content to the path it receives, which has the suffix of ``path``.
 
     Raises:
-        OSError: It cannot be written; what was there before stays as it was.
+        OSError: The file cannot be written; an existing file is unchanged.
     """
     temporary = begin_file(path)
     try:
@@ -78,10 +78,10 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def begin_file(path: Path) -> Path:
-    """Make an empty temporary file for what ``finish_file`` will move to ``path``; see ``write_whole``.
+    """Create an empty temporary file that ``finish_file`` will rename to ``path``; see ``write_whole``.
 
     Returns:
-        The temporary file: the caller writes it, and removes it if anything goes wrong.
+        The temporary file. The caller writes it, and removes it after an error.
 
     Raises:
         OSError: ``path`` cannot be written.
@@ -89,7 +89,7 @@ def begin_file(path: Path) -> Path:
     try:
         target = _target(path)
         temporary = target.with_name(f".{target.name}.{secrets.token_hex(8)}{target.suffix}")
-        # Refuses a file that is there already, and lets the system apply the umask.
+        # Fails if the file exists, and lets the system apply the umask.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     except OSError as error:
         raise _cannot_write(path, error) from error
@@ -97,10 +97,10 @@ def begin_file(path: Path) -> Path:
 
 
 def finish_file(temporary: Path, path: Path) -> None:
-    """Move a temporary file that was written to its name, after it reached the disk; see ``write_whole``.
+    """Flush a temporary file to the disk and rename it to ``path``; see ``write_whole``.
 
     Raises:
-        OSError: It cannot be moved; what was there before stays as it was.
+        OSError: The file cannot be renamed; an existing file is unchanged.
     """
     target = _target(path)
     with temporary.open("r+b") as file:
@@ -112,10 +112,10 @@ def finish_file(temporary: Path, path: Path) -> None:
 
 
 def _target(path: Path) -> Path:
-    """Return the file to replace: the one that a symbolic link points to, whether it exists or not.
+    """Return the file to replace, which is the target of a symbolic link even if it does not exist yet.
 
     Raises:
-        OSError: There is something that cannot be replaced by a file, or that must not be.
+        OSError: The path is a folder, a device or read-only, or its links form a circle.
     """
     target = Path(os.path.realpath(path)) if path.is_symlink() else path
     if target.is_symlink():
@@ -133,14 +133,14 @@ def _target(path: Path) -> Path:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Write a folder's list of names to the disk, where the system can."""
+    """Flush the directory entries of a folder to the disk, if the system supports it."""
     if os.name != "posix":
         return
     number = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(number)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some network file systems cannot
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # not supported by some network file systems
             raise
     finally:
         os.close(number)

@@ -1,7 +1,4 @@
-"""How long the stages of a frame take.
-
-Rate: a fixed rate with absolute deadlines, which do not move with what each step takes.
-"""
+"""Measure the stages of a frame, and keep a fixed rate with absolute deadlines."""
 
 from __future__ import annotations
 
@@ -9,7 +6,7 @@ import time
 
 
 class Timed:
-    """Adds the time spent in its block to a stage, in milliseconds."""
+    """Add the time spent in a ``with`` block to a stage, in milliseconds."""
 
     def __init__(self, timings: dict[str, float], stage: str) -> None:
         self._timings, self._stage = timings, stage
@@ -23,19 +20,23 @@ class Timed:
 
 
 class Rate:
-    """Deadlines ``start + k * dt``.
+    """Wait for the deadlines ``start + k * dt``, which do not depend on the duration of the steps.
 
-    A deadline that has passed before it was waited for is an overrun, after which deadlines count from there: a late
-    loop does not hurry to catch up. And a loop that waits for a camera falls into step with it: where the camera is
-    slower by a hair, deadlines would else pass shortly before each frame, and every step would be late by that hair.
+    A deadline that has passed before ``wait`` is called is an overrun; later deadlines are counted from that moment, so
+    that a late loop does not hurry to catch up. In this way a loop that waits for a camera also falls into step with
+    it: if the camera is slightly slower than the rate, each deadline would otherwise expire just before the frame
+    arrives and count as an overrun.
 
     Args:
-        hertz: Deadlines a second.
+        hertz: Deadlines per second.
 
     Attributes:
         dt: Seconds between deadlines.
-        overruns: How many deadlines had passed.
-        steps: How many were waited for.
+        overruns: Number of deadlines that had passed.
+        steps: Number of calls of ``wait``.
+
+    Raises:
+        ValueError: The rate is not above 0 and at most 1000 Hz.
     """
 
     def __init__(self, hertz: float) -> None:
@@ -45,7 +46,7 @@ class Rate:
         self.start()
 
     def start(self) -> None:
-        """Begin now: the first deadline is ``dt`` from here."""
+        """Restart now: the first deadline is ``dt`` from now."""
         self.overruns = self.steps = 0
         self.deadline = time.monotonic() + self.dt
 
@@ -53,7 +54,7 @@ class Rate:
         """Sleep until the deadline.
 
         Returns:
-            Seconds that were slept; negative, by how much it was late, when the deadline had passed.
+            The seconds slept; if the deadline had passed, minus the seconds since then.
         """
         self.steps += 1
         left = self.deadline - time.monotonic()

@@ -1,12 +1,12 @@
-"""What an env may publish for ``ShapeObservation``, and how it is read. All of it is optional.
+"""Attributes that an env may publish for ``ShapeObservation``. All of them are optional.
 
 ``camera_model``: a ``CameraModel`` (or bare ``Intrinsics``); read again at each reset, since poses may be randomised.
-``anchors``: a mapping of names to base-frame points (x, y, z) or pixels (u, v); read at each frame.
-``goal_layout``: how the points of a goal hang together, ``{"kind": "centerline"}``, ``{"kind": "contour"}`` or
-``{"kind": "surface", "rows": 5, "cols": 7}``; without it, like the first shape's.
-``shape_obs_defaults``: a mapping of wrapper arguments, used where the user gives none.
-``action_spec``: an ``ActionSpec``, what actions mean; a policy's bundle keeps it, and holds it against the robot's.
-``dt``: seconds per step, for frames without ``info["stamp"]``; else ``1 / metadata["render_fps"]``.
+``anchors``: a mapping of names to base-frame points (x, y, z) or pixels (u, v); read in each frame.
+``goal_layout``: the layout of the points of a goal, ``{"kind": "centerline"}``, ``{"kind": "contour"}`` or
+``{"kind": "surface", "rows": 5, "cols": 7}``; default: the layout of the first shape.
+``shape_obs_defaults``: a mapping of wrapper arguments, used unless the user passes others.
+``action_spec``: an ``ActionSpec``, the meaning of actions; a saved policy contains it and compares it with the robot's.
+``dt``: seconds per step, for frames without ``info["stamp"]``; default: ``1 / metadata["render_fps"]``.
 """
 
 from __future__ import annotations
@@ -25,69 +25,78 @@ from shape_obs.configurations import Configuration
 from shape_obs.spec import did_you_mean
 
 GOALS = ("achieved_goal", "desired_goal")
-_NOWHERE: Final = object()
+_MISSING: Final = object()
 
 
 def published(env: gym.Env[Any, Any], name: str, default: Any = None) -> Any:
-    """An attribute of the env or of the outermost of its wrappers that has it.
+    """Return an attribute of the env or of the outermost wrapper that has it.
 
-    As ``get_wrapper_attr`` after ``has_wrapper_attr``, but asked for once: a property may have much to compute.
+    Equal to ``get_wrapper_attr`` after ``has_wrapper_attr``, but reads the attribute once: a property may be slow.
     """
     while True:
-        value = getattr(env, name, _NOWHERE)
-        if value is not _NOWHERE:
+        value = getattr(env, name, _MISSING)
+        if value is not _MISSING:
             return value
         if not isinstance(env, gym.Wrapper):
             return default
         env = env.env
 
 
+def publisher(env: gym.Env[Any, Any], name: str) -> gym.Env[Any, Any] | None:
+    """Return the env or the outermost wrapper that has an attribute; None if none has it."""
+    while not hasattr(env, name):
+        if not isinstance(env, gym.Wrapper):
+            return None
+        env = env.env
+    return env
+
+
 def camera_model(env: gym.Env[Any, Any]) -> CameraModel | None:
-    """The env's camera."""
+    """Return the camera that the env publishes."""
     return as_camera_model(published(env, "camera_model"))
 
 
 def anchors(env: gym.Env[Any, Any]) -> Mapping[str, Sequence[float]]:
-    """The env's anchors as they are now."""
+    """Return the current anchors of the env by name."""
     return published(env, "anchors", {})
 
 
 def defaults(env: gym.Env[Any, Any]) -> dict[str, Any]:
-    """Arguments of the wrapper that suit the env."""
+    """Return the wrapper arguments that the env suggests."""
     first = next(iter(anchors(env)), None)
     return {"dt": seconds_per_step(env), "anchor": first, **published(env, "shape_obs_defaults", {})}
 
 
 def goal_layout(env: gym.Env[Any, Any]) -> Mapping[str, Any]:
-    """How the env's goals are laid out; empty where it does not say."""
+    """Return the layout of the env's goals; empty if the env does not publish it."""
     return published(env, "goal_layout", {})
 
 
 def has_goals(space: spaces.Space[Any]) -> bool:
-    """Whether an observation space is that of a goal-conditioned env."""
+    """Return whether an observation space is that of a goal-conditioned env."""
     return isinstance(space, spaces.Dict) and all(key in space.spaces for key in GOALS)
 
 
 def base_point(shape: Configuration, named: Mapping[str, Sequence[float]]) -> tuple[float, float, float] | None:
-    """A shape's anchor in the base frame; None when it has none there."""
+    """Return the anchor of a shape as a point in the base frame; None if it has none there."""
     anchor = named.get(shape.anchor) if isinstance(shape.anchor, str) else shape.anchor
     return None if anchor is None or len(anchor) != 3 else (float(anchor[0]), float(anchor[1]), float(anchor[2]))
 
 
 def seconds_per_step(env: gym.Env[Any, Any]) -> float:
-    """The env's time step."""
+    """Return the time step of the env."""
     fps = env.metadata.get("render_fps") or 30
     return float(published(env, "dt") or 1 / fps)
 
 
 @dataclass(frozen=True)
 class Images:
-    """Where the images are in an env's observation.
+    """The images in an env's observation.
 
     Args:
-        rgb_key: Key of the (H,W,3) uint8 image; None where the observation is the image.
-        depth_key: Key of the (H,W) depth image; None without.
-        size: (H, W).
+        rgb_key: Key of the uint8 image of shape (H, W, 3); None if the observation is the image.
+        depth_key: Key of the depth image of shape (H, W); None without depth.
+        size: (H, W) of the images.
     """
 
     rgb_key: str | None
@@ -96,10 +105,10 @@ class Images:
 
     @classmethod
     def find(cls, space: spaces.Space[Any], rgb_key: str | None = None, depth_key: str | None = None) -> Images:
-        """Look at an observation space; keys that are not given are ``"rgb"`` and, where there is one, ``"depth"``.
+        """Find the images in an observation space; the default keys are ``"rgb"`` and, if it exists, ``"depth"``.
 
         Raises:
-            ValueError: No image where one was expected; the message tells the keys there are.
+            ValueError: There is no image under a key; the message lists the keys.
         """
         if isinstance(space, spaces.Dict):
             rgb_key = rgb_key or "rgb"
@@ -114,12 +123,12 @@ class Images:
         return cls(None, None, _image_size(space, "the observation"))
 
     def read(self, observation: Any) -> tuple[npt.NDArray[np.uint8], npt.NDArray[Any] | None]:
-        """(rgb, depth) of an observation."""
+        """Return the colour image and the depth image of an observation."""
         if self.rgb_key is None:
             return observation, None
         for key in (self.rgb_key, self.depth_key):
             if key is not None and key not in observation:
-                raise KeyError(f"the observation has no {key!r}, though its space has; it has: {sorted(observation)}.")
+                raise KeyError(f"the observation has no {key!r}, but its space does; keys: {sorted(observation)}.")
         return observation[self.rgb_key], observation[self.depth_key] if self.depth_key else None
 
 

@@ -1,58 +1,66 @@
-"""ShapeObservation: RGB-D observations in, a shape vector out."""
+"""ShapeObservation: replace the images of an environment by the features of the detected shapes."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 import gymnasium as gym
+import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
-from shape_obs.camera import CameraModel, Intrinsics
+from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
+from shape_obs.config import DetectorConfig
 from shape_obs.detector import ShapeDetector
-from shape_obs.features import Feature, FeatureVector, View, read_features
+from shape_obs.features import Feature, FeatureContext, FeatureVector, read_features
 from shape_obs.shape import Detection, Shape
+from shape_obs.spec import SpecError, did_you_mean, to_plain
 from shape_obs.wrappers import env_protocol
 from shape_obs.wrappers.env_protocol import Images
 from shape_obs.wrappers.goals import EnvGoal
-from shape_obs.wrappers.layout import Layout, scalars
-from shape_obs.wrappers.recording import OWN, check_names, plain, read_camera
+from shape_obs.wrappers.observation_layout import ObservationLayout
 
 Corners = tuple[tuple[float, float, float], tuple[float, float, float]]
 
+#: The arguments that are not passed on to the detector.
+_OWN: Final = ("features", "camera", "keep", "rgb_key", "depth_key", "workspace")
+
 
 class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
-    """Replaces images by ordered points on the object, as a flat finite float32 ``Box``.
+    """Replace images by ordered points on the object, as a flat finite float32 ``Box``.
 
     Over a goal-conditioned env the observation is a Dict of ``observation`` (features and kept vectors),
     ``achieved_goal`` (from the camera) and ``desired_goal`` (the same feature of the target); the reward is computed
     from these two. With ``keep`` over any other env it is a Dict of ``shape`` and the kept keys.
 
     ``info`` gains ``shape/ok``, ``shape/age`` and, for each shape, ``shape/<name>/ok``, ``shape/<name>/valid_fraction``
-    and ``shape/<name>/quality``. Times are no part of it, since equal seeds must give equal infos (Gymnasium's
-    ``check_env`` insists): they are in ``detection.timings``.
+    and ``shape/<name>/quality``. Times are in ``detection.timings`` instead, because Gymnasium's ``check_env`` requires
+    equal infos for equal seeds.
 
     Args:
-        env: Its observation is a Dict with an RGB image (and depth), or an RGB image. What it may publish stands in
-            ``shape_obs.wrappers.env_protocol``; whatever is passed here wins over that.
+        env: An env whose observation is an RGB image, or a Dict with an RGB image (and depth). What it may publish is
+            listed in ``shape_obs.wrappers.env_protocol``; arguments given here take precedence.
         shapes: Configurations; default one centerline.
-        segmentation: The pixel rule.
+        segmentation: The segmentation rule.
         features: Features of each shape; default ``points3d`` with depth and camera, else ``points2d_normalized``.
         camera: Intrinsics or camera model, for envs that publish none.
         keep: Keys of the env's observation to pass on.
         rgb_key: Key of the image, default ``"rgb"``.
-        depth_key: Key of the depth image, uint16 millimetres or float metres; default ``"depth"`` where there is one.
-        workspace: (low, high) corners in metres, base frame, that bound points in the base frame.
+        depth_key: Key of the depth image, uint16 millimetres or float metres; default ``"depth"`` if it exists.
+        workspace: (low, high) corners in metres, base frame: the bounds of points in the base frame.
         options: The other fields of ``DetectorConfig``; ``on_invalid`` defaults to ``"interpolate"`` here.
 
     Attributes:
-        detector: The ``ShapeDetector``; its state is the wrapper's.
-        detection: What it found in the last observation; None before the first.
-        features: Of each shape, in the order of the vector.
-        blocks: What stands where in the vector: a ``Block`` for each feature of each shape.
-        views: Camera and anchor of each shape in the last observation.
+        detector: The ``ShapeDetector``; its state is the wrapper's state.
+        detection: The detection in the last observation; None before the first.
+        features: The features of each shape, in the order of the vector.
+        blocks: The position of each feature of each shape in the vector, a ``Block`` each.
         target: The goal of a goal-conditioned env in the last observation, as a shape; else None.
+
+    Raises:
+        ValueError: An argument is unknown or does not fit the env.
 
     Example:
         >>> env = ShapeObservation(env, ["centerline"], HSVRange((90, 60, 30), (130, 255, 255)))  # doctest: +SKIP
@@ -74,49 +82,50 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
     ) -> None:
         given = {"shapes": shapes, "segmentation": segmentation, "features": features, "camera": camera, "keep": keep}
         given |= {"rgb_key": rgb_key, "depth_key": depth_key, "workspace": workspace, **options}
-        given = {name: plain(value) for name, value in given.items() if value is not None}
+        given = {name: to_recorded(value) for name, value in given.items() if value is not None}
         RecordConstructorArgs.__init__(self, **given)
         gym.ObservationWrapper.__init__(self, env)
 
         chosen = {"on_invalid": "interpolate", **env_protocol.defaults(env), **given}
-        check_names(chosen)
+        _check_names(chosen)
         for policy in ("on_missing", "on_invalid"):
             if chosen.get(policy) == "nan":
                 raise ValueError(
-                    f"{policy}='nan' would put NaN into observations; choose another, or use ShapeDetector."
+                    f"{policy}='nan' would put NaN into observations; choose another policy, or use ShapeDetector."
                 )
-        own = {name: chosen.pop(name, None) for name in OWN}
+        own = {name: chosen.pop(name, None) for name in _OWN}
         self.detector = ShapeDetector(**chosen)
         self._images = Images.find(env.observation_space, own["rgb_key"], own["depth_key"])
-        self._given_camera = read_camera(own["camera"])
+        self._given_camera = _read_camera(own["camera"])
         camera = self._given_camera or env_protocol.camera_model(env)
         height, width = self._images.size
-        self._view = view = View(width, height, camera, own["workspace"], self.detector.config.max_age)
+        context = FeatureContext(width, height, camera, own["workspace"], self.detector.config.max_age)
         in_3d = self._images.depth_key is not None and camera is not None
         self.features = tuple(read_features(own["features"] or ("points3d" if in_3d else "points2d_normalized")))
         if self._images.depth_key is None and any(feature.needs_depth for feature in self.features):
             raise ValueError("features need depth, but the observation has no 'depth'; pass depth_key=.")
         space, shapes = env.observation_space, self.detector.shapes
-        self._vector = FeatureVector(self.features, shapes, view)
+        self._vector = FeatureVector(self.features, shapes, context)
         self.blocks = self._vector.blocks
-        self._goal = EnvGoal.find(space, self.features, shapes, view, env_protocol.goal_layout(env))
-        self._layout = Layout(space, own["keep"] or (), self._vector, self._goal and self._goal.vector)
+        self._goal = EnvGoal.find(space, self.features, shapes, context, env_protocol.goal_layout(env))
+        self._layout = ObservationLayout(space, own["keep"] or (), self._vector, self._goal and self._goal.vector)
         self.observation_space = self._layout.space
         self.detection: Detection | None = None
-        self.views = len(shapes) * [view]
         self.target: Shape | None = None
         self._time = 0.0
+        self._begin(context)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the env and forget the track."""
+        """Reset the env and the track."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._view = replace(self._view, camera=self._given_camera or env_protocol.camera_model(self.env))
+        # A randomised camera may have another pose in each episode.
+        self._begin(replace(self._context, camera=self._given_camera or env_protocol.camera_model(self.env)))
         self.detector.reset()
         self._time = 0.0
         return self._observe(observation, info), info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the env; the reward of a goal-conditioned env is computed from what the camera saw."""
+        """Step the env; the reward of a goal-conditioned env is computed from the detected shape."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._time += self.detector.config.dt
         seen = self._observe(observation, info)
@@ -127,24 +136,86 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         return seen, reward, terminated, truncated or lost, info
 
     def observation(self, observation: Any) -> Any:
-        """The shape vector of an observation, with the kept keys and goals; this takes the detector one frame on."""
+        """Return the wrapped observation of one of the env's; this advances the track by one frame."""
         return self._observe(observation, {})
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """The env's reward for goals as this wrapper gives them: flat points in metres, batched as the env allows."""
+        """Return the env's reward for goals of this wrapper: flat points in metres, batched if the env supports it."""
         return self.env.get_wrapper_attr("compute_reward")(achieved_goal, desired_goal, info)
 
+    @property
+    def contexts(self) -> list[FeatureContext]:
+        """The context of each shape in the last observation: camera, image size and anchors."""
+        if self._contexts is None:
+            points = [env_protocol.base_point(spec, self._anchors) for spec in self.detector.shapes]
+            self._contexts = [replace(self._context, anchor=point, anchors=self._anchors) for point in points]
+        return self._contexts
+
+    def _begin(self, context: FeatureContext) -> None:
+        """Start an episode with a camera, and find the wrapper or env that publishes the anchors."""
+        self._context = context
+        self._unanchored = len(self.detector.shapes) * [context]
+        self._anchors: Mapping[str, Sequence[float]] = {}
+        self._anchor_source = env_protocol.publisher(self.env, "anchors")
+        self._contexts: list[FeatureContext] | None = self._unanchored
+
     def _observe(self, observation: Any, info: dict[str, Any]) -> Any:
+        """Detect the shapes of a frame, add them to ``info`` and return the wrapped observation."""
         rgb, depth = self._images.read(observation)
-        named, camera = env_protocol.anchors(self.env), self._view.camera
-        stamp = info.get("stamp", self._time)
-        self.detection = detection = self.detector.detect(rgb, depth, camera, stamp=stamp, anchors=named)
-        info.update(scalars(detection))
-        points = [env_protocol.base_point(spec, named) for spec in self.detector.shapes]
-        self.views = [replace(self._view, anchor=point, anchors=named) for point in points]
-        values = self._vector.compute(detection.shapes, self.views)
+        camera, stamp = self._context.camera, info.get("stamp", self._time)
+        self._anchors, self._contexts = getattr(self._anchor_source, "anchors", {}), None
+        self.detection = detection = self.detector.detect(rgb, depth, camera, stamp=stamp, anchors=self._anchors)
+        _add_info(info, detection.shapes)
+        contexts = self.contexts if self._vector.anchored else self._unanchored
+        values = self._vector.compute(detection.shapes, contexts)
+        if self._layout.flat:
+            return values
         if self._goal is None or camera is None:
             return self._layout.compose(values, observation)
         self.target = self._goal.target(observation["desired_goal"], camera)
-        goals = self._goal.achieved(values), self._goal.vector.desired(self.target, self.views[0])
+        goals = self._goal.achieved(values), self._goal.vector.desired(self.target, contexts[0])
         return self._layout.compose(values, observation, goals)
+
+
+def to_recorded(value: Any) -> Any:
+    """Return a constructor argument as JSON values, so that ``gym.make(env.spec)`` rebuilds the wrapped env.
+
+    Specs, cameras, arrays and iterables become dicts, lists and scalars.
+    """
+    if isinstance(value, CameraModel):
+        transform = value.transform_camera_to_base
+        return {"intrinsics": value.intrinsics.to_dict(), "transform_camera_to_base": to_plain(transform)}
+    return to_plain(value)
+
+
+def _read_camera(value: CameraModel | Intrinsics | Mapping[str, Any] | None) -> CameraModel | None:
+    """Return the camera that ``to_recorded`` described: the mapping of a camera model, or of bare intrinsics."""
+    if not isinstance(value, Mapping):
+        return as_camera_model(value)
+    if "intrinsics" not in value:
+        return CameraModel(Intrinsics.from_dict(value))
+    transform = value.get("transform_camera_to_base")
+    return CameraModel(Intrinsics.from_dict(value["intrinsics"]), None if transform is None else np.asarray(transform))
+
+
+def _check_names(arguments: Iterable[str]) -> None:
+    """Reject arguments that neither the wrapper nor the detector has.
+
+    Raises:
+        SpecError: The message suggests the nearest known name.
+    """
+    known = [*(field.name for field in dataclasses.fields(DetectorConfig)), *_OWN]
+    for name in arguments:
+        if name not in known:
+            raise SpecError(f"ShapeObservation: unknown argument {name!r}{did_you_mean(name, known)}")
+
+
+def _add_info(info: dict[str, Any], shapes: Sequence[Shape]) -> None:
+    """Add the scalars that describe the shapes to ``info``."""
+    ok, age = True, 0.0
+    for shape in shapes:
+        ok, age = ok and shape.ok, max(age, shape.age)
+        info[f"shape/{shape.name}/ok"] = bool(shape.ok)
+        info[f"shape/{shape.name}/valid_fraction"] = int(np.count_nonzero(shape.valid)) / shape.valid.size
+        info[f"shape/{shape.name}/quality"] = float(shape.quality)
+    info["shape/ok"], info["shape/age"] = bool(ok), float(age)

@@ -1,4 +1,4 @@
-"""Target: a goal as a plain record, from points that somebody gives or from what the camera sees now."""
+"""Target: a goal shape as a record, from given points or from a detection."""
 
 from __future__ import annotations
 
@@ -15,40 +15,40 @@ import yaml
 from shape_obs.camera import CameraModel
 from shape_obs.config import VERSION
 from shape_obs.configurations import Configuration
-from shape_obs.features import View
+from shape_obs.features import FeatureContext
 from shape_obs.geometry.topology import Grid
 from shape_obs.shape import Shape
 from shape_obs.spec import Spec, SpecError
 from shape_obs.utils.documents import read_yaml
 from shape_obs.utils.files import write_text
-from shape_obs.wrappers.placing import goal_topology, placed, shape_at
+from shape_obs.wrappers.goal_points import goal_topology, resample, shape_at
 
 GoalFrame = Literal["base", "camera", "pixels"]
 
-# Of a configuration: what has no say in where its points lie.
+# The fields of a configuration that do not affect the positions of its points.
 _FREE: Final = ("name", "segmentation", "order")
 _DIGITS: Final = {"base": 6, "camera": 6, "pixels": 3}
 
 
 @dataclass(frozen=True)
 class Target(Spec):
-    """A goal shape; ``to_dict`` and ``from_dict`` make it JSON or YAML and back.
+    """A goal shape, which ``to_dict`` and ``from_dict`` convert to and from JSON or YAML.
 
-    Without ``configuration`` the points may be any number: a curve runs from end to end and a lattice from border to
-    border, the first point belongs to the anchor's material, and they are placed anew as the detector would. With it
-    they are a recorded shape's own points, taken as they are, and another configuration refuses them.
+    Without ``configuration`` there can be any number of points: a curve from end to end or a lattice from border to
+    border, starting at the anchor; they are resampled like those of a detection. With ``configuration`` they are the
+    points of a recorded shape, which are used unchanged and only for the same configuration.
 
     Args:
-        points: (K,3) metres, or (K,2) pixels.
+        points: (K, 3) metres, or (K, 2) pixels.
         frame: ``"base"``, ``"camera"`` (optical frame: x right, y down, z forward) or ``"pixels"``.
-        layout: How the points hang together: ``{"kind": "centerline"}``, ``{"kind": "contour"}`` or ``{"kind":
-            "surface", "rows": 5, "cols": 7}``; what is missing is as the configuration's own.
-        configuration: Of a recorded shape: what it was found as.
-        size: (width, height) of the image, for pixels; None for any.
+        layout: The layout of the points: ``{"kind": "centerline"}``, ``{"kind": "contour"}`` or ``{"kind": "surface",
+            "rows": 5, "cols": 7}``; missing entries are those of the configuration.
+        configuration: The configuration of a recorded shape.
+        size: (width, height) of the image, for pixels; None for any image.
 
     Raises:
-        SpecError: A field that is not understood.
-        ValueError: Points that are not finite, or not of the frame's dimension.
+        SpecError: A field is not understood.
+        ValueError: The points are not finite, or do not have the dimension of the frame.
 
     Example:
         >>> Target([[0.1, 0.0, 0.01], [0.2, 0.02, 0.01], [0.3, 0.0, 0.01]], layout={"kind": "centerline"}).frame
@@ -74,10 +74,10 @@ class Target(Spec):
 
     @classmethod
     def read(cls, goal: Target | Mapping[str, Any] | npt.ArrayLike) -> Target:
-        """A target from a record, its mapping, or bare points: (K,3) or flat metres, base frame.
+        """Return a target from a target, its mapping, or bare points in metres, base frame, (K, 3) or flat.
 
         Raises:
-            ValueError: None of these.
+            ValueError: The goal is none of these.
         """
         if isinstance(goal, Target):
             return goal
@@ -93,40 +93,46 @@ class Target(Spec):
 
     @classmethod
     def of(
-        cls, shape: Shape, spec: Configuration, view: View, frame: GoalFrame | None = None, *, unmeasured: bool = False
+        cls,
+        shape: Shape,
+        spec: Configuration,
+        context: FeatureContext,
+        frame: GoalFrame | None = None,
+        *,
+        unmeasured: bool = False,
     ) -> Target:
-        """Record a shape that was found.
+        """Record a detected shape.
 
         Args:
-            shape: What was found.
-            spec: What it was found as.
-            view: Camera and size of the image.
-            frame: Default: ``"base"`` where the camera's place is known, else ``"camera"`` with depth, else
+            shape: The shape.
+            spec: Its configuration.
+            context: The camera and the size of the image.
+            frame: Default: ``"base"`` if the pose of the camera is known, else ``"camera"`` with depth, else
                 ``"pixels"``.
-            unmeasured: Record points that were hidden or had no depth too, where they were taken to be.
+            unmeasured: Also record points that were hidden or had no depth, at their estimated positions.
 
         Raises:
-            ValueError: The shape was not found in this frame, or not all of it, or the frame cannot be had.
+            ValueError: The shape or some of its points were not found, or the frame is not available.
         """
         if shape.reason or not shape.ok:
-            raise ValueError(f"shape {shape.name!r} was not found, so it is no goal: {shape.reason or 'not ok'}.")
+            raise ValueError(f"shape {shape.name!r} was not found and cannot be a goal: {shape.reason or 'not ok'}.")
         missing = len(shape) - int(np.count_nonzero(shape.valid))
         if missing and not unmeasured:
             raise ValueError(
-                f"shape {shape.name!r}: {missing} of {len(shape)} points were hidden or had no depth, so they are no "
-                "goal. Show all of it, or record them where they were taken to be with unmeasured=True."
+                f"shape {shape.name!r}: {missing} of {len(shape)} points were hidden or had no depth. Show all of the "
+                "object, or record their estimated positions with unmeasured=True."
             )
-        posed = view.camera is not None and view.camera.transform_camera_to_base is not None
+        posed = context.camera is not None and context.camera.transform_camera_to_base is not None
         if frame is None:
             frame = "pixels" if shape.points3d is None else "base" if posed else "camera"
         if frame == "pixels":
-            points, size = shape.pixels, (view.width, view.height)
+            points, size = shape.pixels, (context.width, context.height)
         elif shape.points3d is None:
             raise ValueError(f"shape {shape.name!r} was found without depth: its frame is 'pixels', not {frame!r}.")
         else:
             points, size = shape.points3d, None
         if frame == "base":
-            points = _posed(view.camera).to_base(points)
+            points = _posed(context.camera).to_base(points)
         rounded = np.asarray(points, dtype=np.float64).round(_DIGITS[frame])
         grid = spec.layout
         lattice = {"rows": grid.rows, "cols": grid.cols} if isinstance(grid, Grid) else {}
@@ -139,7 +145,7 @@ class Target(Spec):
 
         Raises:
             FileNotFoundError: There is no such file.
-            SpecError: It is no YAML, of another version, or holds no goal.
+            SpecError: The file is not YAML, has another version, or contains no goal.
         """
         data = read_yaml(path, "goal")
         if not isinstance(data, Mapping) or data.get("version") != VERSION or "goal" not in data:
@@ -153,40 +159,40 @@ class Target(Spec):
             raise SpecError(f"{path}: {error}") from error
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a YAML file, whole or not at all."""
+        """Write a YAML file, completely or not at all."""
         write_text(Path(path), yaml.safe_dump({"version": VERSION, "goal": self.to_dict()}, sort_keys=False))
 
-    def shape_for(self, spec: Configuration, view: View) -> Shape:
-        """The target as the shape that the detector would report of it.
+    def shape_for(self, spec: Configuration, context: FeatureContext) -> Shape:
+        """Return the target as the shape that the detector would report.
 
         Args:
-            spec: The configuration whose points are wanted.
-            view: Camera and size of the image.
+            spec: The configuration of the shape.
+            context: The camera and the size of the image.
 
         Raises:
-            ValueError: The target is of another kind, was recorded as something else, is out of the camera's sight, or
-                the frame asks for what the view does not have; the message says what.
+            ValueError: The target is of another kind, was recorded with another configuration, is not in front of the
+                camera, or needs something that the context lacks.
         """
         topology = goal_topology(self.layout, spec, len(self.points))
         self._check_recorded(spec)
-        points, camera = np.asarray(self.points), view.camera
+        points, camera = np.asarray(self.points), context.camera
         intrinsics = None if camera is None else camera.intrinsics
         if self.frame == "pixels":
-            if self.size is not None and self.size != (view.width, view.height):
+            if self.size is not None and self.size != (context.width, context.height):
                 raise ValueError(
-                    f"goal: its pixels are of an image of {self.size[0]} x {self.size[1]}, this one has "
-                    f"{view.width} x {view.height}; give the goal in metres, or record it with this camera."
+                    f"goal: its pixels belong to an image of {self.size[0]} x {self.size[1]}, this one has "
+                    f"{context.width} x {context.height}; give the goal in metres, or record it with this camera."
                 )
         elif camera is None:
             raise ValueError(f"goal: frame {self.frame!r} needs a camera: let the env publish it, or pass camera=.")
         elif self.frame == "base":
             points = _posed(camera).from_base(points)
         if self.configuration is None:
-            points = placed(points, spec, topology, intrinsics)
+            points = resample(points, spec, topology, intrinsics)
         return shape_at(points, spec, intrinsics)
 
     def _check_recorded(self, spec: Configuration) -> None:
-        """Refuse points that were found as something else than what is looked for now."""
+        """Reject points that were recorded with another configuration."""
         if self.configuration is None:
             return
         was, now = (
@@ -197,15 +203,15 @@ class Target(Spec):
         if other:
             before, here = ({name: known.get(name) for name in other} for known in (was, now))
             raise ValueError(
-                f"goal: it was recorded with {before}, shape {spec.name!r} has {here}: its points are others. Record "
-                "the goal with this configuration."
+                f"goal: it was recorded with {before}, but shape {spec.name!r} has {here}. Record the goal with this "
+                "configuration."
             )
 
 
 def _posed(camera: CameraModel | None) -> CameraModel:
     if camera is None or camera.transform_camera_to_base is None:
         raise ValueError(
-            "goal: frame 'base' needs the camera's place there: give camera=CameraModel(intrinsics, "
+            "goal: frame 'base' needs the pose of the camera: give camera=CameraModel(intrinsics, "
             "transform_camera_to_base=T), or a goal with frame='camera'."
         )
     return camera

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from shape_obs.ablation import Study
-from shape_obs.ablation.finished import Finished
-from shape_obs.ablation.run import Row
-from shape_obs.ablation.score import Score
-from shape_obs.ablation.statistics import difference, improvement, interval, iqm
-from shape_obs.ablation.study import SpecError
-from shape_obs.ablation.summary import summarize
-from shape_obs.ablation.tables import markdown
+from shape_obs.ablation.report import markdown
+from shape_obs.ablation.results import FinishedRun
+from shape_obs.ablation.scores import Row, Score
+from shape_obs.ablation.statistics import difference, improvement, interval, iqm, summarize
+from shape_obs.spec import SpecError
 
 
 def test_a_quarter_is_left_out_at_either_end():
@@ -64,7 +62,9 @@ def study():
     )
 
 
-def finished(arm: str, seed: int, shares: dict[int, tuple[int, int]], hand: tuple[int, int] | None = None) -> Finished:
+def finished(
+    arm: str, seed: int, shares: dict[int, tuple[int, int]], hand: tuple[int, int] | None = None
+) -> FinishedRun:
     """A run that reached so many of ten near and of ten far goals after so many steps."""
     told = [(steps, "", reached) for steps, reached in shares.items()]
     if hand is not None:
@@ -75,7 +75,7 @@ def finished(arm: str, seed: int, shares: dict[int, tuple[int, int]], hand: tupl
         for difficulty, count in zip(("near", "far"), reached, strict=True)
         for goal in range(10)
     ]
-    return Finished(arm, seed, rows, {"ms_per_step": 17.0})
+    return FinishedRun(arm, seed, rows, {"ms_per_step": 17.0})
 
 
 def test_the_figures_of_an_arm(study):
@@ -104,9 +104,9 @@ def test_the_tables_say_what_is_not_there(study):
 def test_a_study_that_cannot_be_meant_is_refused():
     for wrong, told in (
         ({"arms": {}}, "arms: expected at least one"),
-        ({"arms": {"a/b": {}}}, "a name is a folder's too"),
+        ({"arms": {"a/b": {}}}, "a name is also the name of a folder"),
         ({"arms": {"a": {}}, "reference": "b"}, "no arm 'b'"),
-        ({"arms": {"a": {"observation": "truth", "noise": {}}}}, "the simulator's points have none"),
+        ({"arms": {"a": {"observation": "truth", "noise": {}}}}, "the simulator's points have no noise"),
         ({"arms": {"a": {}}, "her": {}, "algorithm": "PPO"}, "hindsight replay needs one of SAC"),
     ):
         with pytest.raises(SpecError, match=told):

@@ -20,9 +20,8 @@ import yaml
 from ablation_study import STUDY, here, killing, numbers, worker_of
 
 from shape_obs.ablation import load_study
-from shape_obs.ablation.check import check
-from shape_obs.ablation.engines import Local
-from shape_obs.ablation.sweep import left, sweep
+from shape_obs.ablation.executors import Local
+from shape_obs.ablation.sweep import check, left, sweep
 from shape_obs.cli import main
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "ablations"
@@ -149,7 +148,7 @@ def test_mistakes_are_told_before_anything_runs(tmp_path, study_file, capsys):
     assert run(study_file, "--out", tmp_path, "--address", "auto") == 1
     assert "--engine ray" in capsys.readouterr().err
     assert run(study_file, "--out", tmp_path, "--table-only") == 1
-    assert "no run of this study is done" in capsys.readouterr().err
+    assert "no run of this study is finished" in capsys.readouterr().err
 
 
 def wait_for(condition: Callable[[], object]) -> bool:

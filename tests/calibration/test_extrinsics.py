@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from shape_obs import Extrinsics, HSVRange, Intrinsics, ShapeDetector, SpecError
-from shape_obs.calibration.extrinsics import ExtrinsicsWarning
+from shape_obs.extrinsics import ExtrinsicsWarning
 
 INTRINSICS = Intrinsics(640, 480, 386.0, 385.0, 321.0, 243.0)
 
@@ -117,7 +117,7 @@ class TestDoubts:
         assert not self.warned(extrinsics(created=then[:19] + "Z", max_age_days=60))
 
     def test_another_camera_is_told_once(self):
-        assert self.warned(extrinsics(), serial="456") == ["the place is that of camera 123, and this is camera 456."]
+        assert self.warned(extrinsics(), serial="456") == ["the pose is that of camera 123, but this is camera 456."]
         assert not self.warned(extrinsics(), serial=None)
         assert not self.warned(extrinsics(serial=None), serial="456")
 

@@ -130,7 +130,7 @@ class TestBase:
         assert run("calibrate", "base", "--source", recording, "--touches", tmp_path / "touches.csv", "-o", out) == 0
         told = capsys.readouterr().out
         assert told.startswith("16 touches, ")
-        assert "corners seen by their depth" in told
+        assert "corners located by depth" in told
         assert "marker 3, corner 2 (bottom right)" in told
         place = Extrinsics.load(out)
         corners = scene.to_camera(scene.grid())
@@ -173,11 +173,10 @@ class TestBase:
         words = ["calibrate", "base", "--source", tmp_path / "recording", "--touches", tmp_path / "t.csv"]
         assert run(*words, "-o", tmp_path / "e.json") == 1
         assert (
-            "markers 0, 1, 2, 3 are seen, but there is no depth on them: give the markers' size"
-            in capsys.readouterr().err
+            "markers 0, 1, 2, 3 are visible, but have no depth: give the size of the markers" in capsys.readouterr().err
         )
         assert run(*words, "-o", tmp_path / "e.json", "--size", 60) == 0
-        assert "by the markers' size" in capsys.readouterr().out
+        assert "by the size of the markers" in capsys.readouterr().out
 
     @pytest.mark.parametrize(
         ("name", "text", "message"),

@@ -147,7 +147,7 @@ def test_demo_runs_without_gl_and_writes_its_pictures(tmp_path, capsys):
     code, out, _ = run(capsys, "demo", "--out", tmp_path, "--steps", 6, "--camera", "rl", "--renderer", "rays")
     assert code == 0
     assert "20 points" in out
-    assert "of which not ok: 0, order reversed: 0" in out
+    assert "not ok: 0, order reversed: 0" in out
     assert Image.open(tmp_path / "demo.png").size == (1280, 480)
     assert getattr(Image.open(tmp_path / "demo.gif"), "n_frames", 1) >= 5
     assert sorted(path.name for path in tmp_path.iterdir()) == ["demo.gif", "demo.png"], "nothing half-written stays"

@@ -245,7 +245,7 @@ def test_a_goal_is_reached_and_ends_the_run():
 
     report = deploy(env, Push(), steps=40, until_reached=3)
     assert report.success
-    assert "reached in 3 frames" in report.ended
+    assert "reached in 3 consecutive frames" in report.ended
     assert robot.told[0] == pytest.approx(0.05, abs=0.01)
 
 

@@ -24,7 +24,7 @@ from shape_obs import save_config
 from shape_obs.cli import main
 from shape_obs.config import load_config, schema_hash
 from shape_obs.detector import ShapeDetector
-from shape_obs.features import FeatureVector, View, read_features
+from shape_obs.features import FeatureContext, FeatureVector, read_features
 from shape_obs.recording import record, replay
 from shape_obs_envs.sources import open_source
 from shape_obs_envs.sources.realsense.driver import librealsense
@@ -74,7 +74,7 @@ def content(folder):
 def place(tmp_path_factory):
     """Twenty recordings of a simulated cable in ``recorded``, the last with two episodes, and a config."""
     folder = tmp_path_factory.mktemp("place")
-    save_config(folder / "c.yaml", {"shapes": [ROPE], "segmentation": BLUE, "features": FEATURES, "backend": "numpy"})
+    save_config(folder / "c.yaml", {"shapes": [ROPE], "segmentation": BLUE, "features": FEATURES})
     with open_source(
         "ShapeObs/Cable-v0", seed=0, actions="random", renderer="rays", camera=(96, 72), max_episode_steps=FRAMES - 1
     ) as source:
@@ -113,12 +113,12 @@ def test_features_are_those_of_the_vector(place, clean):
     detector = ShapeDetector(**{name: value for name, value in config.items() if name != "features"})
     with open_source(place / "recorded" / "r03") as source:
         seen = [(moment, detection, moment.frame.camera) for moment, detection in replay(source, detector)]
-    view = View(96, 72, seen[0][2], max_age=detector.config.max_age)
+    view = FeatureContext(96, 72, seen[0][2], max_age=detector.config.max_age)
     vector = FeatureVector(read_features(FEATURES), detector.shapes, view)
     expected = []
     for moment, detection, camera in seen:
         x, y, z = moment.anchors["gripper0"]
-        now = View(96, 72, camera, max_age=0.5, anchor=(x, y, z), anchors=moment.anchors)
+        now = FeatureContext(96, 72, camera, max_age=0.5, anchor=(x, y, z), anchors=moment.anchors)
         expected.append(vector.compute(detection.shapes, [now]))
     (part,) = clean.glob("part-r03-*.parquet")
     table = parquet.read_table(part)

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from scipy import interpolate
 
 from shape_obs import Feature, Shape, ShapeObservation, SpecError
-from shape_obs.features import Bezier, BSpline, EllipticFourier, Fourier, View
+from shape_obs.features import Bezier, BSpline, EllipticFourier, FeatureContext, Fourier
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
-VIEW = View(160, 120)
+VIEW = FeatureContext(160, 120)
 ROPE, OUTLINE, SHEET = Chain(20), Ring(32), Grid(4, 8)
 FITS: list[tuple[Any, Topology]] = [
     (Fourier(), ROPE),
@@ -241,7 +241,7 @@ class TestRecorded:
             action = rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
             for _ in range(8):
                 env.step(action)
-            errors.append([feature.error(env.detection.shapes[0], env.views[0]) for feature in features])
+            errors.append([feature.error(env.detection.shapes[0], env.contexts[0]) for feature in features])
         env.close()
         assert np.all(np.mean(errors, axis=0) <= 0.002)
 
@@ -249,7 +249,7 @@ class TestRecorded:
 @each_fit
 @given(seed=seeds)
 def test_no_points_in_view_leave_the_bounds(feature, layout, overhead, seed):
-    view = View(320, 240, overhead)
+    view = FeatureContext(320, 240, overhead)
     low, high = feature.bounds(layout, view)
     assert np.isfinite([low, high]).all()
     assert (low < high).all()
@@ -272,13 +272,13 @@ def test_a_name_and_a_number_are_all_that_a_config_needs(feature, layout):
 @pytest.mark.parametrize(
     ("feature", "layout", "message"),
     [
-        (Fourier(), OUTLINE, "'fourier' is of open curves, but the shape is a ring: use 'elliptic_fourier'"),
-        (Bezier(), OUTLINE, "is of open curves, but the shape is a ring: use 'elliptic_fourier' or 'bspline'"),
-        (EllipticFourier(), ROPE, r"'elliptic_fourier' is of rings, got Chain\(count=20\): use 'fourier'"),
+        (Fourier(), OUTLINE, "'fourier' is for open curves, but the shape is a ring: use 'elliptic_fourier'"),
+        (Bezier(), OUTLINE, "is for open curves, but the shape is a ring: use 'elliptic_fourier' or 'bspline'"),
+        (EllipticFourier(), ROPE, r"'elliptic_fourier' is for rings, got Chain\(count=20\): use 'fourier'"),
         (Fourier(harmonics=4), Chain(8), "'fourier' has 9 functions here, but the shape has 8 points: use fewer"),
         (EllipticFourier(harmonics=4), Ring(8), "has 9 functions here, but the shape has 8 points: use fewer"),
         (BSpline(), Chain(7), "has 8 functions here, but the shape has 7 points: use fewer"),
-        (Fourier(), Grid(2, 3), r"at least 9 functions on a lattice, got Grid\(rows=2, cols=3\): use more points"),
+        (Fourier(), Grid(2, 3), r"at least 9 points on a lattice, got Grid\(rows=2, cols=3\): use more points"),
     ],
 )
 def test_what_a_layout_does_not_have_is_told(feature, layout, message):

@@ -12,11 +12,11 @@ import pytest
 from drawn_shapes import OVERHEAD, shape
 
 from shape_obs import CameraModel, ShapeObservation, SpecError
-from shape_obs.features import Points2D, Points2DNormalized, Points3D, View
+from shape_obs.features import FeatureContext, Points2D, Points2DNormalized, Points3D
 from shape_obs.geometry.topology import Chain
 
 GRIPPER, PIXEL = (0.1, 0.05, 0.0), (200.0, 80.0)
-VIEW = View(
+VIEW = FeatureContext(
     320,
     240,
     OVERHEAD,
@@ -88,20 +88,20 @@ class TestAnchors:
         [
             (Points2D(origin="griper1"), VIEW, "'points2d': no origin 'griper1'; did you mean 'gripper1'? Known: "),
             (Points3D(origin="anchr"), VIEW, "did you mean 'anchor'? Known: centroid, anchor, gripper1, mark"),
-            (Points3D("base", origin="mark"), VIEW, "origin 'mark' is a pixel, but its points are metres"),
+            (Points3D("base", origin="mark"), VIEW, "origin 'mark' is a pixel, but its points are in metres"),
             (
                 Points2D(origin="anchor"),
-                View(320, 240),
+                FeatureContext(320, 240),
                 "relative to the anchor needs a shape anchored to a base-frame",
             ),
             (
                 Points2D(origin="gripper1"),
-                View(320, 240, anchors={"gripper1": GRIPPER}),
+                FeatureContext(320, 240, anchors={"gripper1": GRIPPER}),
                 "'points2d' needs a camera model",
             ),
             (
                 Points3D(origin="gripper1"),
-                View(320, 240, CameraModel(OVERHEAD.intrinsics), anchors={"gripper1": GRIPPER}),
+                FeatureContext(320, 240, CameraModel(OVERHEAD.intrinsics), anchors={"gripper1": GRIPPER}),
                 "in frame 'base' needs transform_camera_to_base",
             ),
         ],
@@ -112,7 +112,7 @@ class TestAnchors:
 
     def test_the_anchor_frame_has_an_origin_already(self):
         with pytest.raises(
-            SpecError, match="frame 'anchor' has an origin already; give frame='base' with origin='mark'"
+            SpecError, match="frame 'anchor' already has an origin; use frame='base' with origin='mark'"
         ):
             Points3D("anchor", origin="mark")
 

@@ -75,11 +75,13 @@ class TestPromises:
 
     @pytest.mark.parametrize("make", LINES)
     def test_a_lattice_is_no_line(self, make):
-        with pytest.raises(ValueError, match=r"is of a line, a Chain .* got Grid\(rows=4, cols=8\).*'region_moments'"):
+        with pytest.raises(ValueError, match=r"is for a line, a Chain .* got Grid\(rows=4, cols=8\).*'region_moments'"):
             make().bounds(Grid(4, 8), VIEW)
 
     def test_what_does_not_exist_is_told(self):
-        with pytest.raises(ValueError, match=r"'region_moments' is of what .* encloses, got Chain.*'contour_moments'"):
+        with pytest.raises(
+            ValueError, match=r"'region_moments' is for the region inside .* got Chain.*'contour_moments'"
+        ):
             RegionMoments().bounds(Chain(20), VIEW)
         with pytest.raises(ValueError, match="'curvature' needs at least three points, got Chain"):
             Curvature().bounds(Chain(2), VIEW)

@@ -169,7 +169,7 @@ class TestFile:
         ("change", "message"),
         [
             ({"variance": np.array([1.0, 0, 0, 0])}, "variances that are not positive"),
-            ({"mean": np.full((N, 3), np.nan)}, "numbers that are none"),
+            ({"mean": np.full((N, 3), np.nan)}, "numbers that are not finite"),
             ({"components": np.zeros((4, N, 2))}, r"arrays of \(20, 3\) and \(4, 20, 2\) do not belong to Chain"),
         ],
     )

@@ -16,13 +16,13 @@ from known_ropes import MODELS, WORKSPACE, N, fit, ropes, seen
 from rope_env import run, wrapped
 
 from shape_obs import Centerline, schema_hash
-from shape_obs.features import FeatureVector, PrincipalComponents, View, read_features
+from shape_obs.features import FeatureContext, FeatureVector, PrincipalComponents, read_features
 from shape_obs.geometry.topology import Chain, Ring
 
 
 @pytest.fixture
-def view(overhead) -> View:
-    return View(320, 240, overhead, WORKSPACE)
+def view(overhead) -> FeatureContext:
+    return FeatureContext(320, 240, overhead, WORKSPACE)
 
 
 @pytest.fixture

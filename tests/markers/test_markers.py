@@ -105,9 +105,9 @@ class TestTopView:
     def test_layout_errors(self):
         with pytest.raises(SpecError, match="at least two markers' width"):
             MarkerLayout.rectangle(marker=0.3, width=0.5, height=0.7)
-        with pytest.raises(ValueError, match="unknown dictionary of markers '4x4'; did you mean '4x4_50'"):
+        with pytest.raises(ValueError, match="unknown marker dictionary '4x4'; did you mean '4x4_50'"):
             MarkerLayout.rectangle(0.05, 0.5, 0.5, dictionary="4x4")
-        with pytest.raises(ValueError, match=r"an id of its own, got \[0, 1, 1, 3\]"):
+        with pytest.raises(ValueError, match=r"its own id, got \[0, 1, 1, 3\]"):
             MarkerLayout.rectangle(0.05, 0.5, 0.5, ids=(0, 1, 1, 3))
 
     def test_layout_travels_as_a_mapping(self):
@@ -225,7 +225,7 @@ class TestRegion:
         [
             ({"ids": [0, 1, 2, 50]}, "markers of '4x4_50' have the ids 0 to 49, got 50"),
             ({"ids": [0, 1, 2]}, "expected 4 values, got 3"),
-            ({"dictionary": "4x4"}, "unknown dictionary of markers '4x4'; did you mean '4x4_50'"),
+            ({"dictionary": "4x4"}, "unknown marker dictionary '4x4'; did you mean '4x4_50'"),
             ({"every": 0}, "expected every >= 1"),
             ({"inside": "iner"}, "unknown value 'iner'; did you mean 'inner'"),
         ],

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from shape_obs import CameraModel, Intrinsics, Shape, ShapeGoal, ShapeObservation
 from shape_obs.deploy import Controller
 from shape_obs.deploy.controller import check_controller
-from shape_obs.features import View, read_features
+from shape_obs.features import FeatureContext, read_features
 from shape_obs.geometry.topology import Chain, Grid, Ring
 from shape_obs.robot import ActionSpec
 from shape_obs.servo import LAWS, DampedLeastSquares, Excitation, RecursiveLeastSquares, ShapeServo, geometric_weights
@@ -169,7 +169,7 @@ def test_lost_from_the_start_it_waits():
 
 def test_it_says_what_it_expects():
     plant = Plant()
-    with pytest.raises(ValueError, match="how many numbers has an action"):
+    with pytest.raises(ValueError, match="the size of actions is unknown"):
         ShapeServo().act(plant.observation())
     with pytest.raises(ValueError, match="did you mean 'kalman'"):
         ShapeServo("kalmann")
@@ -199,7 +199,7 @@ CAMERA = CameraModel(
     Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5),
     np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 1], [0, 0, 0, 1]]),
 )
-VIEW = View(320, 240, CAMERA, ((-0.5, -0.4, -0.1), (0.5, 0.4, 0.3)))
+VIEW = FeatureContext(320, 240, CAMERA, ((-0.5, -0.4, -0.1), (0.5, 0.4, 0.3)))
 LINEAR = [
     (["points3d"], Chain(20)),
     ([{"kind": "fourier", "harmonics": 3}], Chain(20)),
@@ -257,7 +257,7 @@ def test_attach_takes_weights_shape_and_size_from_the_env():
         assert weights is not None
         if env is fourier:
             assert weights == pytest.approx(
-                geometric_weights(env.goal_features, env.goal_configuration.layout, env.goal_view)
+                geometric_weights(env.goal_features, env.goal_configuration.layout, env.goal_context)
             )
         else:
             assert weights == pytest.approx(np.diag(np.diag(weights)))

@@ -12,7 +12,7 @@ import pytest
 from clock_env import Clock
 from gymnasium import spaces
 
-from shape_obs.calibration.extrinsics import Extrinsics
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.recording import record
 from shape_obs.recording.format import read_moments
 from shape_obs.source import BadRecording, CameraNotFound, EndOfSource, NotConnected, RGBDSource, SourceError

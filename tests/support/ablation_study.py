@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from shape_obs.ablation.scores_file import read_scores
-from shape_obs.ablation.work import Outcome, Task, work
+from shape_obs.ablation.executors import Outcome, Task, work
+from shape_obs.ablation.scores import read_scores
 from shape_obs.bench.robustness.killed_studies import STUDY as STUDY
 
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from shape_obs import Intrinsics
-from shape_obs.calibration.extrinsics import Extrinsics
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.robot import ActionSpec, RobotError
 from shape_obs.source import EndOfSource, FrameTimeout, NotConnected, Source, StaleFrame

@@ -15,12 +15,12 @@ from shape_obs.features import (
     Centroid,
     ContourMoments,
     Curvature,
+    FeatureContext,
     Length,
     Orientation,
     RegionMoments,
     Tangents,
     TurningAngles,
-    View,
 )
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
@@ -28,7 +28,7 @@ OVERHEAD = CameraModel(
     Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5),
     np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 1], [0, 0, 0, 1]]),
 )
-VIEW = View(320, 240, OVERHEAD, ((-0.5, -0.4, -0.1), (0.5, 0.4, 0.3)))
+VIEW = FeatureContext(320, 240, OVERHEAD, ((-0.5, -0.4, -0.1), (0.5, 0.4, 0.3)))
 LINES = [TurningAngles, Curvature, ContourMoments, Length]
 ANY = [Tangents, Centroid, Orientation, lambda **rest: Orientation(axis="principal", **rest)]
 ORDER3 = [lambda **rest: ContourMoments(order=3, **rest)], [lambda **rest: RegionMoments(order=3, **rest)]

@@ -130,7 +130,7 @@ def test_a_curriculum_lets_one_more_join_after_so_many_episodes():
         (lambda env: Curriculum(env, []), "difficulties: expected a list of names"),
         (lambda env: Curriculum(env, "near"), "difficulties: expected a list of names, got 'near'"),
         (lambda env: Curriculum(env, after=-1), "after: expected a number of episodes, 0 or more, got -1"),
-        (lambda env: Curriculum(gym.make("CartPole-v1")), "has no 'difficulty'"),
+        (lambda env: Curriculum(gym.make("CartPole-v1")), "has no attribute 'difficulty'"),
         (lambda env: TrueState(gym.make("CartPole-v1")), "TrueState needs an environment with goals"),
         (lambda env: TrueState(env, ["rgb"]), "keep: expected vectors of"),
         (lambda env: Pixels(gym.make("CartPole-v1")), "Pixels needs an environment with goals"),

@@ -13,7 +13,7 @@ import pytest
 from rope_env import RopeEnv, wrapped
 
 from shape_obs import CameraModel, Centerline, Contour, Intrinsics, Shape, ShapeDetector, ShapeGoal, Surface, Target
-from shape_obs.features import Feature, View
+from shape_obs.features import Feature, FeatureContext
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
 ARRAYS = ("points2d", "points3d", "visible", "valid")
@@ -152,7 +152,7 @@ def bent(layout: Topology) -> Shape:
 
 
 def test_no_feature_writes_into_a_shape():
-    view, computed = View(320, 240, CameraModel(INTRINSICS)), set()
+    view, computed = FeatureContext(320, 240, CameraModel(INTRINSICS)), set()
     for kind in every_feature():
         for layout in (Chain(24), Ring(24), Grid(4, 6)):
             shape = bent(layout)

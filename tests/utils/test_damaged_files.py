@@ -15,12 +15,9 @@ import numpy as np
 import pytest
 
 from shape_obs.ablation import Study, load_study
-from shape_obs.ablation.finished import finished
-from shape_obs.ablation.folder import RunFolder
-from shape_obs.ablation.run import Row
-from shape_obs.ablation.score import Score
-from shape_obs.ablation.scores_file import SCORES, scores_csv
-from shape_obs.ablation.work import Outcome, Task
+from shape_obs.ablation.executors import Outcome, Task
+from shape_obs.ablation.results import RunFolder, finished_runs
+from shape_obs.ablation.scores import SCORES, Row, Score, scores_csv
 from shape_obs.bench.robustness.recordings import damaged_recordings, record_some
 from shape_obs.bench.robustness.tables import a_table, flipped_tables, same
 from shape_obs.cli import main
@@ -117,15 +114,15 @@ def test_the_scores_of_a_finished_run_are_verified(tmp_path):
     study = load_study_of({"arms": {"truth": {"observation": "truth"}}}, tmp_path)
     rows = [Row(60, "", Score("near", seed, 50.25, 20.125, False, 1.0)) for seed in range(3)]
     run = RunFolder(tmp_path, "truth", 0)
-    run.begin()
+    run.clear()
     about = {"ms_per_step": 1.0, "versions": {}}
-    run.keep(Outcome(Task(study, "truth", 0, run.path), {SCORES: scores_csv(rows).encode()}, about))
-    assert finished(study, tmp_path)[0].rows == tuple(rows)
+    run.save(Outcome(Task(study, "truth", 0, run.path), {SCORES: scores_csv(rows).encode()}, about))
+    assert finished_runs(study, tmp_path)[0].rows == tuple(rows)
     whole = (run.path / SCORES).read_text()
     for damaged in (whole.replace("50.25", "10.25"), whole[: whole.rindex("60,")]):
         (run.path / SCORES).write_text(damaged)
         with pytest.raises(ValueError, match=r"scores\.csv: damaged, its checksum differs from the one in run\.json"):
-            finished(study, tmp_path)
+            finished_runs(study, tmp_path)
 
 
 def load_study_of(content: dict[str, Any], folder: Path) -> Study:
@@ -220,7 +217,7 @@ def test_images_that_would_take_all_memory(folder):
     shape = b"(12, 16)"
     replace(other, 2, "depth", data.replace(shape + b", }" + b" " * 12, b"(1200000, 160000), }   "))
     change(other, 1, rgb=entry(other, 0))
-    with pytest.raises(BadRecording, match="its header speaks of 768000000000 bytes"):
+    with pytest.raises(BadRecording, match="its header announces 768000000000 bytes"):
         read(other)
 
 

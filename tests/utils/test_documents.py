@@ -14,7 +14,7 @@ from shape_obs.ablation import load_study
 from shape_obs.bench.robustness.documents import damaged_documents
 from shape_obs.calibration.intrinsics import IntrinsicsFit
 from shape_obs.calibration.touch_points import read_touches
-from shape_obs.cli.source import read_settings
+from shape_obs.cli.options import read_settings
 from shape_obs.spec import SpecError
 from shape_obs.utils.documents import parse_json, parse_yaml, read_json, read_yaml
 from shape_obs.wrappers.target import Target
@@ -33,7 +33,7 @@ plain = st.recursive(
     ("text", "message"),
     [
         (DEEP, "nested too deep"),
-        ("[" * 100 + "]" * 100, "nested too deep; expected at most 64 levels"),
+        ("[" * 100 + "]" * 100, "nested too deeply; expected at most 64 levels"),
         ('{"a":' * 5000 + "0" + "}" * 5000, "nested too deep"),
         ("[1, 2", "not valid JSON: "),
         (b"\xff\xfe", "not valid JSON: .*utf-8"),
@@ -50,8 +50,8 @@ def test_json_that_cannot_be_read(text, message):
     ("text", "message"),
     [
         (DEEP, "nested too deep"),
-        ("- " * 100 + "x", "nested too deep; expected at most 64 levels"),
-        (BOMB, "stands for more than 200000 values: write out what its aliases repeat"),
+        ("- " * 100 + "x", "nested too deeply; expected at most 64 levels"),
+        (BOMB, "holds more than 200000 values: write out the parts that its aliases repeat"),
         ("&a [*a]", "(nested too deep|aliases)"),
         ("&a {b: *a, c: *a}", "(nested too deep|aliases)"),
         ("a: 2020-13-45", "not valid YAML: month must be in 1..12"),

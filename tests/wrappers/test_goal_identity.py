@@ -122,8 +122,8 @@ def test_equal_gaps_in_the_image_are_asked_of_a_goal_outline_too():
 class TestTheTargetIsComputedOnce:
     @pytest.fixture
     def counted(self, monkeypatch) -> list[int]:
-        calls, placed = [], goals.placed
-        monkeypatch.setattr(goals, "placed", lambda *args: calls.append(1) or placed(*args))
+        calls, placed = [], goals.resample
+        monkeypatch.setattr(goals, "resample", lambda *args: calls.append(1) or placed(*args))
         return calls
 
     def test_while_nothing_changes(self, counted):
@@ -196,7 +196,7 @@ class TestTheTargetIsComputedOnce:
         (
             "contour",
             {"kind": "centerline"},
-            r"goals that are laid out as a 'contour': the first of shapes must be a 'contour', got 'centerline'",
+            r"goals of the layout 'contour': the first of shapes must be a 'contour', got 'centerline'",
         ),
         ("surface", {"kind": "contour"}, r"the first of shapes must be a 'surface', got 'contour'"),
     ],
@@ -212,7 +212,7 @@ def test_a_layout_that_does_not_fit_is_refused():
         inner.goal_layout = {**LAYOUTS[kind], **entries}
         return inner
 
-    with pytest.raises(ValueError, match=r"expected 5 x 6 points, at least 2 x 2, got 35 points; say how they are"):
+    with pytest.raises(ValueError, match=r"expected 5 x 6 points, at least 2 x 2, got 35 points; give their layout"):
         ShapeObservation(layout("surface", cols=6), [SHAPES["surface"]], RED)
     with pytest.raises(ValueError, match=r"expected 4 x 6 points, at least 2 x 2, got 35 points"):
         ShapeObservation(FlatGoalEnv("surface", published=False), [SHAPES["surface"]], RED)

@@ -129,7 +129,8 @@ def test_no_truth_reaches_a_policy(episode):
             np.testing.assert_array_equal(a[0][key], b[0][key])
         assert a[1] == b[1]
     with pytest.raises(
-        ValueError, match="keep: 'achieved_goal' is the simulator's truth; this wrapper computes it from the c"
+        ValueError,
+        match="keep: 'achieved_goal' comes from the simulator's state; this wrapper computes it from the camera",
     ):
         ShapeObservation(bare(), keep=["achieved_goal"])
 
@@ -156,7 +157,7 @@ def test_point_zero_is_at_the_gripper_that_is_asked_for():
 
 def test_goals_need_points_in_space_and_the_cameras_place():
     with pytest.raises(
-        ValueError, match=r"goals, which are scored in metres: add 'points3d' to features, got \['points2d'\]"
+        ValueError, match=r"goals, whose distance is in metres: add 'points3d' to features, got \['points2d'\]"
     ):
         ShapeObservation(bare(), features=["points2d"])
     intrinsics = bare().get_wrapper_attr("camera_model").intrinsics
@@ -198,7 +199,7 @@ def test_goals_in_features_are_those_of_the_observation():
 
 def test_a_rope_is_no_goal_for_an_outline():
     with pytest.raises(
-        ValueError, match=r"laid out as a 'centerline': the first of shapes must be a 'centerline', got"
+        ValueError, match=r"goals of the layout 'centerline': the first of shapes must be a 'centerline', got"
     ):
         ShapeObservation(bare(), shapes=["contour"])
 

@@ -224,6 +224,6 @@ class TestGoals:
         env = ShapeGoal(observing())
         with pytest.raises(
             ValueError,
-            match=r"no goal, and the env has none of its own. Pass goal=Target\(points\) to the wrapper or opt",
+            match=r"no goal, and the env provides none. Pass goal=Target\(points\) to the wrapper or opt",
         ):
             env.reset(seed=0)

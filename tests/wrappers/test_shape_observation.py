@@ -78,7 +78,7 @@ class TestLayout:
         with pytest.raises(ValueError, match=r"rgb_key 'rgb' is not in the observation. Known: colour, shape, z"):
             wrapped(Renamed(RopeEnv()))
         with pytest.raises(
-            ValueError, match=r"keep: 'shape' is where this wrapper puts the shape; rename the env's key"
+            ValueError, match=r"keep: 'shape' is the key that this wrapper uses for the shape; rename the env's key"
         ):
             wrapped(Renamed(RopeEnv()), rgb_key="colour", keep=["shape"])
 
@@ -96,7 +96,7 @@ class TestArguments:
             ({"shapes": ["centreline"]}, "configuration: unknown kind 'centreline'; did you mean 'centerline'"),
             (
                 {"on_missing": "nan"},
-                "on_missing='nan' would put NaN into observations; choose another, or use ShapeDetector",
+                "on_missing='nan' would put NaN into observations; choose another policy, or use ShapeDetector",
             ),
             ({"on_invalid": "nan"}, "on_invalid='nan' would put NaN into observations"),
             ({"camera": {"intrinsics": INTRINSICS.to_dict(), "transform_camera_to_base": [[1, 2], [3, 4]]}}, "rigid"),
@@ -127,7 +127,7 @@ class TestArguments:
         whole = inner._observe
         inner._observe = lambda: {key: value for key, value in whole().items() if key != "depth"}  # type: ignore[method-assign]
         with pytest.raises(
-            KeyError, match=r"the observation has no 'depth', though its space has; it has: \['deep', 'hand'"
+            KeyError, match=r"the observation has no 'depth', but its space does; keys: \['deep', 'hand'"
         ):
             env.reset(seed=0)
 

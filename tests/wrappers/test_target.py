@@ -12,7 +12,7 @@ import yaml
 from goal_envs import LAYOUTS, RED, FlatGoalEnv
 
 from shape_obs import Centerline, ShapeGoal, ShapeObservation, SpecError, Surface, Target, record_goal
-from shape_obs.features import View
+from shape_obs.features import FeatureContext
 
 LINE = np.array([[-0.1, 0.0, 0.0], [0.0, 0.02, 0.0], [0.05, 0.03, 0.0], [0.1, 0.03, 0.0]])
 KINDS: list[dict[str, Any]] = [
@@ -27,8 +27,8 @@ def observing(shape: dict[str, Any], features: Any = ("points3d",), **options: A
     return ShapeObservation(inner, [shape], RED, features, **{"backend": "numpy", **options})
 
 
-def view_of(env: ShapeObservation) -> View:
-    return env.views[0]
+def view_of(env: ShapeObservation) -> FeatureContext:
+    return env.contexts[0]
 
 
 @pytest.mark.parametrize("shape", KINDS, ids=lambda shape: shape["kind"])
@@ -122,10 +122,14 @@ def test_a_goal_that_does_not_fit_is_refused():
     env = observing(KINDS[0])
     view, spec = view_of(env), env.detector.shapes[0]
     cases: list[tuple[Any, Any, str]] = [
-        ({"points": LINE, "layout": {"kind": "contour"}}, view, r"laid out as a 'contour' is no goal for shape 'cent"),
+        ({"points": LINE, "layout": {"kind": "contour"}}, view, r"a goal of kind 'contour' does not fit shape 'cent"),
         ({"points": LINE[:2]}, view, r"goal of a 'centerline': expected at least 3 points, got 2"),
         ({"points": LINE - [0, 0, 9], "frame": "camera"}, view, r"in front of the camera, got \[-0.1, 0.0, -9.0\]"),
-        ({"points": LINE}, View(160, 120), r"frame 'base' needs a camera: let the env publish it, or pass camera="),
+        (
+            {"points": LINE},
+            FeatureContext(160, 120),
+            r"frame 'base' needs a camera: let the env publish it, or pass camera=",
+        ),
         (
             {"points": 9 * LINE[:, :2], "frame": "pixels", "size": [640, 480]},
             view,
@@ -136,9 +140,9 @@ def test_a_goal_that_does_not_fit_is_refused():
         with pytest.raises(ValueError, match=message):
             Target.read(goal).shape_for(spec, seen)
     assert view.camera is not None
-    nowhere = View(160, 120, type(view.camera)(view.camera.intrinsics))
+    nowhere = FeatureContext(160, 120, type(view.camera)(view.camera.intrinsics))
     with pytest.raises(
-        ValueError, match=r"'base' needs the camera's place there: give camera=CameraModel\(intrinsics, t"
+        ValueError, match=r"'base' needs the pose of the camera: give camera=CameraModel\(intrinsics, t"
     ):
         Target.read(LINE).shape_for(spec, nowhere)
     with pytest.raises(ValueError, match=r"equal gaps in metres: give its goal in metres too, not in pixels"):
@@ -152,7 +156,7 @@ def test_a_record_of_another_configuration_is_refused():
     other = observing({"kind": "centerline", "n": 15}, ends="tips")
     with pytest.raises(
         ValueError,
-        match=r"recorded with {'n': 12, 'ends': 'centers'}, shape 'centerline' has {'n': 15, 'ends': 'tips'}: its po",
+        match=r"recorded with {'n': 12, 'ends': 'centers'}, but shape 'centerline' has {'n': 15, 'ends': 'tips'}. Rec",
     ):
         target.shape_for(other.detector.shapes[0], view_of(env))
     named = observing({"kind": "centerline", "n": 12, "name": "rope", "order": "image"})
@@ -183,7 +187,7 @@ def test_only_what_was_seen_is_recorded():
 
     with pytest.raises(ValueError, match="nothing has been seen yet; call reset first"):
         record_goal(observing(KINDS[0]))
-    with pytest.raises(ValueError, match="shape 'contour' was not found, so it is no goal: the mask is empty"):
+    with pytest.raises(ValueError, match="shape 'contour' was not found and cannot be a goal: the mask is empty"):
         record_goal(look("thing"))
     half = look("depth")
     with pytest.raises(

@@ -16,7 +16,7 @@ from shape_obs.frame import Frame
 from shape_obs.robot import Anchors, Robot, RobotError, check_robot, robot_anchors
 from shape_obs.servo.action_limiter import Box, Guard, Guarded
 from shape_obs.source import NotConnected, RGBDSource, SourceError
-from shape_obs.utils.imports import make_named
+from shape_obs.utils.documents import make_named
 from shape_obs.utils.timing import Rate
 from shape_obs_envs.arguments import count, one_of, positive
 from shape_obs_envs.cell.eye import Eye, open_eye

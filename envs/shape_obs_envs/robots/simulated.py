@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.calibration.extrinsics import Extrinsics
 from shape_obs.camera import CameraModel
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.robot import ActionSpec, RobotError
 from shape_obs_envs.mujoco.stage import Stage
 from shape_obs_envs.robots.coordinates import checked_motion

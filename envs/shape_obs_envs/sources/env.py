@@ -10,8 +10,8 @@ from typing import Any, Literal
 import gymnasium as gym
 import numpy as np
 
-from shape_obs.calibration.extrinsics import Extrinsics
 from shape_obs.camera import CameraModel
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.source import SourceError
 from shape_obs.wrappers import env_protocol

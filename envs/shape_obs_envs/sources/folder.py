@@ -12,8 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from shape_obs.calibration.extrinsics import Extrinsics
 from shape_obs.camera import CameraModel
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.recording import Recording
 from shape_obs.recording.format import CAMERA_FILE, FRAMES_FILE

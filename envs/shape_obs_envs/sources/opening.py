@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import gymnasium as gym
 
-from shape_obs.calibration.extrinsics import Extrinsics
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.source import BadRecording, CameraNotFound, RGBDSource, SourceError
 from shape_obs.spec import did_you_mean
 from shape_obs_envs.sources.env import EnvSource

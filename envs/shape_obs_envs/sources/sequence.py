@@ -5,8 +5,8 @@ from __future__ import annotations
 from abc import abstractmethod
 from pathlib import Path
 
-from shape_obs.calibration.extrinsics import Extrinsics
 from shape_obs.camera import CameraModel, Intrinsics
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.source import NotConnected, Source
 

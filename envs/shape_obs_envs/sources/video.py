@@ -9,7 +9,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from shape_obs.calibration.extrinsics import Extrinsics
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.source import BadRecording, EndOfSource
 from shape_obs_envs.sources.sequence import SequenceSource

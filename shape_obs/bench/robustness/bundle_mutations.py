@@ -15,9 +15,8 @@ import yaml
 
 from shape_obs.bench.robustness.bundle_sample import Members, edited, pack
 from shape_obs.config import SECTIONS, schema_hash
-from shape_obs.deploy.policy_bundle.archive import CONFIG, ENV, RECORD, STATISTICS, WEIGHTS
-from shape_obs.deploy.policy_bundle.errors import MALFORMED
-from shape_obs.deploy.policy_bundle.fitted import extract, unpack
+from shape_obs.deploy.policy_bundle.archive import CONFIG, ENV, RECORD, STATISTICS, WEIGHTS, extract, unpack
+from shape_obs.deploy.policy_bundle.documents import MALFORMED
 
 _HOSTILE: Final = (
     None, True, False, 0, -1, 1, 2**31, 2**63, -(2**63), 10**9, 1e308, -1e308, 1e-308, float("nan"), float("inf"),

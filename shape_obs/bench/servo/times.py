@@ -12,7 +12,8 @@ from shape_obs.bench.env_runner import Env, held_actions, make_env
 from shape_obs.bench.servo.settings import FEATURES, LAYOUTS
 from shape_obs.bench.turns import Clock, Entrant, turns
 from shape_obs.detector import ShapeDetector
-from shape_obs.features import Feature, View, read_features
+from shape_obs.features import Feature, read_features
+from shape_obs.features import FeatureContext as View
 from shape_obs.geometry.topology import Grid
 from shape_obs.shape import Shape
 from shape_obs.utils.threads import one_thread

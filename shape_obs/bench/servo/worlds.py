@@ -13,11 +13,12 @@ from shape_obs.bench.env_runner import make_env
 from shape_obs.bench.servo.disturbing import Disturbed, LosingDetector
 from shape_obs.bench.servo.settings import Setting, feature_set
 from shape_obs.configurations import Configuration
-from shape_obs.features import Feature, View, read_features
+from shape_obs.features import Feature, read_features
+from shape_obs.features import FeatureContext as View
 from shape_obs.shape import Shape
 from shape_obs.wrappers import ShapeGoal, ShapeObservation, env_protocol
+from shape_obs.wrappers.goal_points import shape_at
 from shape_obs.wrappers.goals import EnvGoal, GoalVector
-from shape_obs.wrappers.placing import shape_at
 from shape_obs.wrappers.shape_goal import record_goal
 
 #: Steps at rest after which an environment's goal is as it is recorded.
@@ -180,4 +181,4 @@ def _camera_world(setting: Setting, features: Sequence[Feature]) -> World:
         return observing.detection.timings["total"]
 
     spec = observing.detector.shapes[0]
-    return World(env, tuple(features), spec, seen, lambda: observing.views[0], milliseconds, lambda: disturbed.dark)
+    return World(env, tuple(features), spec, seen, lambda: observing.contexts[0], milliseconds, lambda: disturbed.dark)

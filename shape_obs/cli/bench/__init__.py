@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from shape_obs.cli.parts import run_part
+from shape_obs.cli import run_part
 
 MEASUREMENTS: Final = {
     "claims": "the accuracy that the project claims, against known truth",

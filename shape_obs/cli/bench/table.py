@@ -19,8 +19,7 @@ from shape_obs.bench.table.run import Plan, run
 from shape_obs.bench.table.summary import every_row, rankings, results, tracings
 from shape_obs.bench.table.text import as_values, markdown
 from shape_obs.bench.turns import Clock
-from shape_obs.cli.files import make_folder
-from shape_obs.utils.files import write_text
+from shape_obs.utils.files import make_folder, write_text
 
 _LEAST: Final = 10  # frames: two chunks, or there is no interval
 Only = Literal[

@@ -1,18 +1,18 @@
-"""``shape-obs calibrate``: what has to be measured of a camera. Only the one that runs is imported."""
+"""``shape-obs calibrate``: measure a camera. Only the chosen calibration is imported."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Final
 
-from shape_obs.cli.parts import run_part
+from shape_obs.cli import run_part
 
 CALIBRATIONS: Final = {
-    "intrinsics": "the camera's projection, from a ChArUco board; checks the factory's",
-    "base": "the camera's place in the robot's base frame, from touched markers",
+    "intrinsics": "the camera's intrinsics, from a ChArUco board; checks those of the factory",
+    "base": "the camera's pose in the robot's base frame, from touched markers",
 }
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command; returns the exit code."""
+    """Run the chosen calibration and return the exit code."""
     return run_part("calibrate", "calibration", CALIBRATIONS, argv)

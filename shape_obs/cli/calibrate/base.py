@@ -1,4 +1,4 @@
-"""``shape-obs calibrate base``: a camera's place in the robot's base frame."""
+"""``shape-obs calibrate base``: measure the pose of a camera in the robot's base frame."""
 
 from __future__ import annotations
 
@@ -7,45 +7,44 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import tyro
 
-from shape_obs.calibration import BaseFit, Touch, fit_base, read_touches
-from shape_obs.calibration.touch_points import Place, Sighting, sight
-from shape_obs.cli.calibrate.prompts import ask_touches
-from shape_obs.cli.source import open_named, warnings_as_lines
-from shape_obs.markers import DICTIONARY
+from shape_obs.cli.options import DICTIONARY, open_named, warnings_as_lines
+
+if TYPE_CHECKING:
+    from shape_obs.calibration import BaseFit, Touch
+    from shape_obs.calibration.touch_points import MarkerCorner, Sighting
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Measure where the camera stands: the robot touches corners of markers, and the camera looks at them.
+    """Measure the pose of the camera from marker corners that the robot touches and the camera sees.
 
     Touch four corners or more, all around the table. Without --touches the command asks for each corner in turn, and
-    keeps the answers in a file. Exit code 1, and nothing written, if the touches lie off by more than --max-rms, or one
-    of them does not fit to the others.
+    saves the answers in a file. The exit code is 1, and nothing is written, if the residual of the touches exceeds
+    --max-rms, or if one of them does not agree with the others.
     """
 
     source: str
-    """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or an environment's id."""
+    """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
     touches: Path | None = None
-    """A CSV file with the header marker,corner,x,y,z, or a JSON list of such objects: metres, base frame."""
+    """A CSV file with the header marker,corner,x,y,z, or a JSON list of such objects; metres, base frame."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("extrinsics.json")
-    """Where the place goes."""
+    """File for the pose."""
     size: float | None = None
-    """Side of a marker's black square, mm; needed where there is no depth."""
+    """Side of a marker's black square in mm; needed without depth."""
     dictionary: str = DICTIONARY
-    """Which family of markers."""
+    """Marker dictionary."""
     frames: int = 30
-    """Frames to look at; their median counts."""
+    """Number of frames; the corners are their median."""
     max_rms: float = 3.0
-    """Millimetres by which the touches may lie off, rms."""
+    """Largest accepted rms residual of the touches in mm."""
     leave_out: bool = False
-    """Leave out touches that do not fit to the others, instead of writing nothing."""
+    """Leave out touches that do not agree with the others, instead of writing nothing."""
     max_age_days: float = 30.0
-    """After so many days the place is not trusted any more."""
+    """Number of days after which a warning says that the pose is old."""
     set: tuple[str, ...] = ()
     """KEY=VALUE ...: arguments of the source, such as exposure=0.01."""
     json: bool = False
@@ -53,45 +52,50 @@ class Arguments:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command and return the exit code."""
     args = tyro.cli(Arguments, args=list(argv), prog="shape-obs calibrate base")
     if args.frames < 1 or not args.max_rms > 0 or not args.max_age_days > 0:
         raise ValueError("expected --frames >= 1, --max-rms > 0 and --max-age-days > 0.")
+    from shape_obs.calibration import read_touches
+    from shape_obs.calibration.touch_points import sight
+
     given = None if args.touches is None else read_touches(args.touches)
     with warnings_as_lines("shape-obs calibrate base"), open_named(args.source, settings=args.set) as source:
         seen = sight(source, args.frames, args.dictionary, None if args.size is None else args.size / 1000)
         serial = getattr(source, "serial", None)
     if given is None:
-        print(f"seen: markers {', '.join(map(str, seen.markers))}", file=sys.stderr)
+        print(f"visible: markers {', '.join(map(str, seen.markers))}", file=sys.stderr)
         given = ask_touches(seen.markers, args.out.with_name(f"{args.out.stem}_touches.csv"))
-    touches = _seen_ones(given, seen.places)
+    touches = _visible(given, seen.corners)
     fit = _fitted(touches, seen, serial, args)
     while args.leave_out and fit.suspect is not None:
         left_out = touches.pop(fit.suspect)
         print(f"left out: {left_out.name}, {1000 * fit.suspect_off:.1f} mm off", file=sys.stderr)
         fit = _fitted(touches, seen, serial, args)
-    trouble = _trouble(fit, touches, args.max_rms)
-    if not trouble:
+    problem = _problem(fit, touches, args.max_rms)
+    if not problem:
         fit.extrinsics.save(args.out)
-    print(json.dumps(_plain(fit, touches, seen)) if args.json else summary(fit, touches, seen))
+    print(json.dumps(_to_json(fit, touches, seen)) if args.json else summary(fit, touches, seen))
     print(
-        f"shape-obs calibrate base: nothing was written: {trouble}" if trouble else f"wrote {args.out}", file=sys.stderr
+        f"shape-obs calibrate base: nothing was written: {problem}" if problem else f"wrote {args.out}", file=sys.stderr
     )
-    return 1 if trouble else 0
+    return 1 if problem else 0
 
 
 def summary(fit: BaseFit, touches: Sequence[Touch], seen: Sighting) -> str:
-    """The lines that the command prints."""
-    how = "their depth" if seen.by_depth else "the markers' size"
-    lines = [f"{len(touches)} touches, {1000 * fit.rms:.2f} mm off (rms); corners seen by {how}"]
+    """Return the lines that the command prints."""
+    how = "depth" if seen.by_depth else "the size of the markers"
+    lines = [f"{len(touches)} touches, rms residual {1000 * fit.rms:.2f} mm; corners located by {how}"]
     for i, (touch, off) in enumerate(zip(touches, fit.residuals, strict=True)):
         lines.append(f"{1000 * off:7.2f} mm  {touch.name}{'  <- suspect' if i == fit.suspect else ''}")
     return "\n".join(lines)
 
 
 def _fitted(touches: Sequence[Touch], seen: Sighting, serial: str | None, args: Arguments) -> BaseFit:
+    from shape_obs.calibration import fit_base
+
     return fit_base(
-        [seen.places[touch.marker, touch.corner] for touch in touches],
+        [seen.corners[touch.marker, touch.corner] for touch in touches],
         [(touch.x, touch.y, touch.z) for touch in touches],
         seen.intrinsics,
         serial,
@@ -99,34 +103,83 @@ def _fitted(touches: Sequence[Touch], seen: Sighting, serial: str | None, args: 
     )
 
 
-def _trouble(fit: BaseFit, touches: Sequence[Touch], max_rms: float) -> str:
-    """Why a place is not to be trusted; empty if it is."""
+def _problem(fit: BaseFit, touches: Sequence[Touch], max_rms: float) -> str:
+    """Return why a pose is rejected; empty if it is accepted."""
     if fit.suspect is not None:
         return (
-            f"{touches[fit.suspect].name} lies {1000 * fit.suspect_off:.1f} mm off where the others put it; touch it "
+            f"{touches[fit.suspect].name} lies {1000 * fit.suspect_off:.1f} mm from where the others put it; touch it "
             "again, or give --leave-out."
         )
     if 1000 * fit.rms > max_rms:
-        return f"the touches lie {1000 * fit.rms:.1f} mm off, more than --max-rms {max_rms:g}."
+        return f"the rms residual of the touches is {1000 * fit.rms:.1f} mm, more than --max-rms {max_rms:g}."
     return ""
 
 
-def _seen_ones(given: Sequence[Touch], places: Mapping[Place, Any]) -> list[Touch]:
-    """The touches of markers that the camera sees; what is left out is told."""
-    unseen = sorted({touch.marker for touch in given if (touch.marker, touch.corner) not in places})
+def _visible(given: Sequence[Touch], corners: Mapping[MarkerCorner, Any]) -> list[Touch]:
+    """Return the touches of markers that the camera sees, and print which markers are left out."""
+    unseen = sorted({touch.marker for touch in given if (touch.marker, touch.corner) not in corners})
     if unseen:
-        told = ", ".join(map(str, unseen))
-        print(f"shape-obs calibrate base: left out, not seen by the camera: markers {told}", file=sys.stderr)
-    return [touch for touch in given if (touch.marker, touch.corner) in places]
+        markers = ", ".join(map(str, unseen))
+        print(f"shape-obs calibrate base: left out, not seen by the camera: markers {markers}", file=sys.stderr)
+    return [touch for touch in given if (touch.marker, touch.corner) in corners]
 
 
-def _plain(fit: BaseFit, touches: Sequence[Touch], seen: Sighting) -> dict[str, Any]:
+def _to_json(fit: BaseFit, touches: Sequence[Touch], seen: Sighting) -> dict[str, Any]:
     return {
         "extrinsics": fit.extrinsics.to_dict(),
         "rms_mm": 1000 * fit.rms,
         "by_depth": seen.by_depth,
         "touches": [
             {**touch.to_dict(), "off_mm": 1000 * float(off), "suspect": i == fit.suspect}
-            for i, (touch, off) in enumerate(zip(touches, np.asarray(fit.residuals), strict=True))
+            for i, (touch, off) in enumerate(zip(touches, fit.residuals, strict=True))
         ],
     }
+
+
+def ask_touches(markers: Sequence[int], backup: Path) -> list[Touch]:
+    """Ask for the position of the tool tip at each corner of each marker.
+
+    Args:
+        markers: The ids of the markers.
+        backup: A CSV file that is rewritten after each answer, so that no answer is lost.
+    """
+    from shape_obs.calibration import Touch, write_touches
+
+    print(
+        "Touch each corner with the tool tip and type x y z of the tip in the base frame, in metres.\n"
+        "Enter skips a corner; 'done' ends.",
+        file=sys.stderr,
+    )
+    touches: list[Touch] = []
+    for marker in markers:
+        for corner in range(4):
+            answer = _ask_corner(marker, corner)
+            if answer is None:
+                return touches
+            if isinstance(answer, Touch):
+                touches.append(answer)
+                write_touches(backup, touches)
+    return touches
+
+
+def _ask_corner(marker: int, corner: int) -> Touch | str | None:
+    """Return a touch, an empty string if the corner is skipped, or None if there are no more touches."""
+    from shape_obs.calibration import Touch
+    from shape_obs.calibration.touch_points import CORNERS
+    from shape_obs.spec import SpecError
+
+    while True:
+        print(f"marker {marker}, corner {corner} ({CORNERS[corner]}): ", end="", file=sys.stderr, flush=True)
+        line = sys.stdin.readline()
+        words = line.replace(",", " ").split()
+        if not line or words == ["done"]:
+            return None
+        if not words:
+            return ""
+        try:
+            x, y, z = (float(word) for word in words)
+            return Touch(marker, corner, x, y, z)
+        except SpecError as error:
+            print(error, file=sys.stderr)
+        except ValueError:
+            print(f"expected three numbers such as 0.412 -0.105 0.021, got {line.strip()!r}", file=sys.stderr)

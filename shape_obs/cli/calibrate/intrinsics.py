@@ -1,4 +1,4 @@
-"""``shape-obs calibrate intrinsics``: a camera's projection from a ChArUco board."""
+"""``shape-obs calibrate intrinsics``: measure the intrinsics of a camera with a ChArUco board."""
 
 from __future__ import annotations
 
@@ -8,38 +8,38 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from tqdm import tqdm
 
-from shape_obs.calibration import BoardViews, IntrinsicsFit, fit_intrinsics
-from shape_obs.cli.boards import board_from
-from shape_obs.cli.source import open_named, warnings_as_lines
-from shape_obs.markers import DICTIONARY
-from shape_obs.source import EndOfSource, RGBDSource
+from shape_obs.cli.markers import board_from
+from shape_obs.cli.options import DICTIONARY, open_named, warnings_as_lines
+
+if TYPE_CHECKING:
+    from shape_obs.calibration import BoardViews, IntrinsicsFit
+    from shape_obs.source import RGBDSource
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Measure a camera's projection with a printed board, and check the one that the camera tells.
+    """Measure the intrinsics of a camera with a printed board, and check those that the camera reports.
 
     Show the board near and far, tilted by up to 45 degrees, and in every part of the image; hold it still for a moment
-    in each pose. Exit code 1 if the camera's own projection is doubtful.
+    in each pose. The exit code is 1 if the camera's own intrinsics are doubtful.
     """
 
     source: str
-    """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or an environment's id."""
+    """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("intrinsics.json")
-    """Where the result goes."""
+    """File for the result."""
     views: int = 20
-    """How many different views to take of a camera, or at most of a recording."""
+    """Number of different views to take from a camera; the largest number for a recording."""
     seconds: float = 120.0
-    """How long to wait for them, of a camera."""
+    """Longest time to wait for them, for a camera."""
     board: tuple[int, int, float, float] | None = None
-    """Columns, rows, side of a square and of a marker in mm; default 7 5 36 27, as `shape-obs markers --charuco`."""
+    """Columns, rows, side of a square and of a marker in mm; default: 7 5 36 27, as `shape-obs markers --charuco`."""
     dictionary: str = DICTIONARY
-    """Which family of markers the board has."""
+    """Marker dictionary of the board."""
     set: tuple[str, ...] = ()
     """KEY=VALUE ...: arguments of the source, such as exposure=0.01."""
     json: bool = False
@@ -47,7 +47,7 @@ class Arguments:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command and return the exit code."""
     args = tyro.cli(Arguments, args=list(argv), prog="shape-obs calibrate intrinsics")
     if args.views < 1 or not args.seconds > 0:
         raise ValueError(f"expected --views >= 1 and --seconds > 0, got {args.views} and {args.seconds}.")
@@ -59,27 +59,30 @@ def main(argv: Sequence[str]) -> int:
 
 
 def summary(fit: IntrinsicsFit, out: Path) -> str:
-    """The lines that the command prints."""
+    """Return the lines that the command prints."""
     it = fit.intrinsics
     lines = [
         f"{out}: {fit.views} views, corners in {100 * fit.coverage:.0f} % of the image",
         f"fitted     fx {it.fx:.2f} fy {it.fy:.2f} cx {it.cx:.2f} cy {it.cy:.2f} (+- {100 * fit.deviation:.2f} %), "
-        f"corners {fit.rms:.2f} px off",
+        f"corner residual {fit.rms:.2f} px",
     ]
     if fit.factory is not None and fit.factory_rms is not None and fit.factory_apart is not None:
         at = fit.factory
         lines.append(
             f"factory    fx {at.fx:.2f} fy {at.fy:.2f} cx {at.cx:.2f} cy {at.cy:.2f}, "
-            f"corners {fit.factory_rms:.2f} px off, rays {fit.factory_apart:.2f} px apart"
+            f"corner residual {fit.factory_rms:.2f} px, rays differ by {fit.factory_apart:.2f} px"
         )
     lines += [f"doubt      {doubt}" for doubt in fit.doubts]
     if fit.good and fit.factory is not None:
-        lines.append("good       the factory's projection holds")
+        lines.append("good       the factory's intrinsics are confirmed")
     return "\n".join(lines)
 
 
 def _measured(source: RGBDSource, args: Arguments) -> IntrinsicsFit:
-    views = _collected(source, args)
+    """Collect views of the board and fit the intrinsics to them."""
+    from shape_obs.calibration import fit_intrinsics
+
+    views = _collect_views(source, args)
     missing = views.missing()
     if missing and views.taken:
         print(f"shape-obs calibrate intrinsics: few corners in the {missing} of the image", file=sys.stderr)
@@ -88,8 +91,13 @@ def _measured(source: RGBDSource, args: Arguments) -> IntrinsicsFit:
     return fit_intrinsics(views.taken, views.size, board, source.intrinsics, views.coverage, serial)
 
 
-def _collected(source: RGBDSource, args: Arguments) -> BoardViews:
-    """Views until there are enough, the source has ended, or the time is over."""
+def _collect_views(source: RGBDSource, args: Arguments) -> BoardViews:
+    """Collect views until there are enough, the source ends, or the time limit is reached."""
+    from tqdm import tqdm
+
+    from shape_obs.calibration import BoardViews
+    from shape_obs.source import EndOfSource
+
     views: BoardViews | None = None
     until = time.monotonic() + args.seconds
     with tqdm(total=args.views, unit="view", file=sys.stderr) as bar:
@@ -99,7 +107,7 @@ def _collected(source: RGBDSource, args: Arguments) -> BoardViews:
             except EndOfSource:
                 break
             if frame.rgb is None:
-                raise ValueError(f"{source.name} has no colour images: a board cannot be seen in depth.")
+                raise ValueError(f"{source.name} has no colour images, which the board needs.")
             if views is None:
                 size = (frame.rgb.shape[0], frame.rgb.shape[1])
                 views = BoardViews(board_from(args.board, args.dictionary), size, still=source.live)

@@ -1,80 +1,52 @@
-"""The environment of a training in a bundle: its id, arguments and wrappers, and how it is rebuilt.
-
-Without trust, code comes from what is registered or installed here alone: the entry point of an id is that of the
-registry, and wrappers come from a closed list.
-"""
+"""Describe the environment of a training as JSON values, and rebuild it from them."""
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
-from shape_obs.deploy.policy_bundle.errors import MALFORMED, BundleError, needs_trust
-from shape_obs.deploy.policy_bundle.limits import check_configuration, check_goal, check_numbers
-from shape_obs.spec import plain
+from shape_obs.deploy.policy_bundle.documents import MALFORMED, BundleError, needs_trust
+from shape_obs.deploy.policy_bundle.limits import (
+    FORMER_ENTRY_POINTS,
+    OWN_WRAPPERS,
+    check_configuration,
+    check_goal,
+    check_rebuildable,
+    check_wrapper,
+    registered_spec,
+)
 
 if TYPE_CHECKING:
     import gymnasium as gym
     from gymnasium.envs.registration import EnvSpec, WrapperSpec
 
-_PACKAGE: Final = "shape_obs_envs"
-_SIMULATED: Final = (
-    "camera", "renderer", "reward_type", "render_mode", "success_threshold", "difficulty", "render_observation",
-    "render_size", "randomize",
-)  # fmt: skip
-#: This package's environments, and the arguments of each that name no code and no file.
-OWN_IDS: Final = {
-    **dict.fromkeys(("ShapeObs/Cable-v0", "ShapeObs/CableShape-v0"), (*_SIMULATED, "grippers")),
-    **dict.fromkeys(
-        ("ShapeObs/Ring-v0", "ShapeObs/RingShape-v0", "ShapeObs/Cloth-v0", "ShapeObs/ClothShape-v0"), _SIMULATED
-    ),
-    "ShapeObs/D455-v0": (
-        "source", "rate", "size", "timeout", "settle", "max_age", "max_step", "workspace", "render_mode",
-    ),
-}  # fmt: skip
-_CAMERA: Final = re.compile(r"robot|d455(:[\w-]+)?")
-_SIZES: Final = ("camera", "render_size", "size", "shape")
-#: Pixels of a side of an image.
-MOST_SIDE: Final = 640
-#: This library's wrappers: where each is.
-OWN_WRAPPERS: Final = {
-    "ShapeObservation": "shape_obs.wrappers.shape_observation:ShapeObservation",
-    "ShapeGoal": "shape_obs.wrappers.shape_goal:ShapeGoal",
-    "Curriculum": "shape_obs.training.curriculum:Curriculum",
-    "Pixels": "shape_obs.training.pixels:Pixels",
-    "PointReward": "shape_obs.training.point_reward:PointReward",
-    "Shuffled": "shape_obs.training.shuffled:Shuffled",
-    "TrueState": "shape_obs.training.true_state:TrueState",
-    "D455Noise": "shape_obs_envs.d455.noise:D455Noise",
-}
-#: Gymnasium's wrappers that take no function and keep no statistics, and their arguments.
-GYMNASIUM_WRAPPERS: Final[Mapping[str, tuple[str, ...]]] = {
-    "AddRenderObservation": ("render_only", "render_key", "obs_key"),
-    "Autoreset": (),
-    "ClipAction": (),
-    "ClipReward": ("min_reward", "max_reward"),
-    "DelayObservation": ("delay",),
-    "FilterObservation": ("filter_keys",),
-    "FlattenObservation": (),
-    "FrameStackObservation": ("stack_size", "padding_type"),
-    "GrayscaleObservation": ("keep_dim",),
-    "MaxAndSkipObservation": ("skip",),
-    "OrderEnforcing": ("disable_render_order_enforcing",),
-    "RescaleAction": ("min_action", "max_action"),
-    "RescaleObservation": ("min_obs", "max_obs"),
-    "ReshapeObservation": ("shape",),
-    "ResizeObservation": ("shape",),
-    "StickyAction": ("repeat_action_probability", "repeat_action_duration"),
-    "TimeAwareObservation": ("flatten", "normalize_time", "dict_time_key"),
-    "TimeLimit": ("max_episode_steps",),
-}
 MOST_WRAPPERS: Final = 16
 _FIELDS: Final = ("id", "entry_point", "max_episode_steps", "order_enforce", "kwargs", "wrappers")
 _ID: Final = re.compile(r"(?:[\w.-]+/)?[\w.-]+")
 _MOST_EPISODE: Final = 10**9
+
+#: Wrappers that only observe a training. Some take functions, which cannot be written as JSON.
+_WATCHERS: Final = ("Monitor", "RecordVideo", "RecordEpisodeStatistics", "PassiveEnvChecker", "HumanRendering")
+#: Wrappers that are needed only in training; on a robot, the action limiter clips actions.
+_TRAINING: Final = ("TimeLimit", "OrderEnforcing", "Curriculum", "ClipAction", "Autoreset")
+#: Wrappers that turn the detected shape into the observation of the policy.
+_READING: Final = ("ShapeGoal", "PointReward", "FlattenObservation", "FilterObservation")
+_SHAPE: Final = "ShapeObservation"
+_SIMULATION_ONLY: Final = {
+    "TrueState": "it reads the simulator's state, which no camera can measure",
+    "Pixels": "its goals come from the simulator's state, and it reads the images of one camera",
+    "Shuffled": "its points are shuffled for comparison",
+}
+#: Wrappers of vector environments that leave observations alone, except that Stable-Baselines3 transposes images.
+_VECTOR: Final = ("VecNormalize", "VecTransposeImage", "VecMonitor", "VecCheckNan", "VecVideoRecorder")
+_ROBOT_KEYS: Final = ("rgb", "depth", "robot")
+
+
+# ---- As JSON values
 
 
 def to_dict(spec: EnvSpec) -> dict[str, Any]:
@@ -93,12 +65,12 @@ def to_dict(spec: EnvSpec) -> dict[str, Any]:
 
 
 def from_dict(value: Mapping[str, Any], *, trust: bool) -> EnvSpec:
-    """Read what ``to_dict`` described; what needs trust to be rebuilt is refused by ``rebuild``, not here.
+    """Read the description that ``to_dict`` wrote; ``rebuild``, not this function, refuses what needs trust.
 
     Raises:
         BundleError: It is something else, or the configuration of a wrapper asks for too much.
     """
-    from gymnasium.envs.registration import EnvSpec, WrapperSpec
+    from gymnasium.envs.registration import EnvSpec
 
     if set(value) != set(_FIELDS):
         raise BundleError(f"the environment: expected {', '.join(_FIELDS)}, got {', '.join(sorted(value))[:200]}.")
@@ -109,17 +81,11 @@ def from_dict(value: Mapping[str, Any], *, trust: bool) -> EnvSpec:
         raise BundleError(f"the environment's max_episode_steps: expected a whole number above 0, got {steps!r:.40}.")
     if not isinstance(value["kwargs"], Mapping) or not isinstance(wrappers, list) or len(wrappers) > MOST_WRAPPERS:
         raise BundleError(f"the environment: expected arguments by name and at most {MOST_WRAPPERS} wrappers.")
-    parts = []
-    for wrapper in wrappers:
-        if not isinstance(wrapper, Mapping) or set(wrapper) != {"name", "entry_point", "kwargs"}:
-            raise BundleError("the environment's wrappers: expected name, entry_point and kwargs of each.")
-        texts = isinstance(wrapper["name"], str) and isinstance(wrapper["entry_point"], str)
-        if not texts or not isinstance(wrapper["kwargs"], Mapping):
-            raise BundleError("the environment's wrappers: expected two texts and arguments by name of each.")
-        parts.append(WrapperSpec(**wrapper))
-        if not trust and wrapper["name"] in ("ShapeObservation", "ShapeGoal"):
-            check = check_configuration if wrapper["name"] == "ShapeObservation" else check_goal
-            check(wrapper["kwargs"], f"the wrapper {wrapper['name']}")
+    parts = [_wrapper(wrapper) for wrapper in wrappers]
+    for wrapper in parts:
+        if not trust and wrapper.name in ("ShapeObservation", "ShapeGoal"):
+            check = check_configuration if wrapper.name == "ShapeObservation" else check_goal
+            check(wrapper.kwargs or {}, f"the wrapper {wrapper.name}")
     return EnvSpec(
         name,
         value["entry_point"] if trust and isinstance(value["entry_point"], str) else None,
@@ -130,16 +96,49 @@ def from_dict(value: Mapping[str, Any], *, trust: bool) -> EnvSpec:
     )
 
 
+def from_gymnasium(value: Mapping[str, Any]) -> EnvSpec:
+    """Read a spec that Gymnasium wrote, as bundles of version 1 hold it.
+
+    Raises:
+        ValueError: It is something else.
+    """
+    from gymnasium.envs.registration import EnvSpec
+
+    spec = EnvSpec.from_json(json.dumps(value))
+    return replace(spec, additional_wrappers=tuple(map(_with_present_path, spec.additional_wrappers)))
+
+
+def _wrapper(value: Any) -> WrapperSpec:
+    from gymnasium.envs.registration import WrapperSpec
+
+    if not isinstance(value, Mapping) or set(value) != {"name", "entry_point", "kwargs"}:
+        raise BundleError("the environment's wrappers: expected name, entry_point and kwargs of each.")
+    texts = isinstance(value["name"], str) and isinstance(value["entry_point"], str)
+    if not texts or not isinstance(value["kwargs"], Mapping):
+        raise BundleError("the environment's wrappers: expected two texts and arguments by name of each.")
+    return _with_present_path(WrapperSpec(**value))
+
+
+def _with_present_path(wrapper: WrapperSpec) -> WrapperSpec:
+    """Replace an entry point of an earlier release, where this library's wrapper has moved since."""
+    if FORMER_ENTRY_POINTS.get(wrapper.entry_point) != wrapper.name:
+        return wrapper
+    return replace(wrapper, entry_point=OWN_WRAPPERS[wrapper.name])
+
+
+# ---- Rebuild
+
+
 def rebuild(spec: EnvSpec, *, trust: bool, arguments: Mapping[str, Any]) -> gym.Env[Any, Any]:
     """Make the environment.
 
     Args:
-        spec: What ``from_dict`` read.
-        trust: Whether entry points and import paths of the file are followed.
-        arguments: Of ``gymnasium.make``, over those of the spec.
+        spec: Spec as ``from_dict`` returned it.
+        trust: Whether to follow entry points and import paths of the file.
+        arguments: Arguments for ``gymnasium.make``, which replace those of the spec.
 
     Raises:
-        BundleError: It needs trust, or it cannot be made.
+        BundleError: The environment needs trust, or cannot be made.
         ImportError: A simulator is not installed.
     """
     import gymnasium as gym
@@ -160,101 +159,77 @@ def rebuild(spec: EnvSpec, *, trust: bool, arguments: Mapping[str, Any]) -> gym.
         raise BundleError(f"the environment {spec.id} cannot be rebuilt: {error}") from error
 
 
-def check_rebuildable(spec: EnvSpec) -> EnvSpec:
-    """Return the registered spec of the same id; refuse what needs trust to be rebuilt.
-
-    Raises:
-        BundleError: The message names it.
-    """
-    known = _registered(spec.id)
-    if known is None:
-        raise needs_trust(
-            f"the environment {spec.id} is not registered here. Import the package that registers it first. The file "
-            "names code for it too"
-        )
-    if spec.id in OWN_IDS:
-        _check_own(spec)
-    else:
-        for name, value in spec.kwargs.items():
-            if name not in known.kwargs or plain(known.kwargs[name]) != value:
-                _check_foreign(value, f"the argument {name} of {spec.id}")
-    names = [wrapper.name for wrapper in spec.additional_wrappers]
-    for wrapper in spec.additional_wrappers:
-        check_wrapper(wrapper)
-        if names.count(wrapper.name) > 1:
-            raise needs_trust(f"the wrapper {wrapper.name} stands twice")
-    return known
-
-
-def check_wrapper(wrapper: WrapperSpec) -> WrapperSpec:
-    """Return a wrapper with the entry point of the closed list; refuse one that is not in it.
-
-    Raises:
-        BundleError: The message names it.
-    """
-    name, path, kwargs = wrapper.name, wrapper.entry_point, wrapper.kwargs or {}
-    own = OWN_WRAPPERS.get(name)
-    module = path.partition(":")[0]
-    theirs = GYMNASIUM_WRAPPERS.get(name) if f"{module}.".startswith("gymnasium.wrappers.") else None
-    if path != own and theirs is None:
-        raise needs_trust(f"the wrapper {name} ({path:.100}) is not in the list of those that are rebuilt")
-    unknown = [key for key in kwargs if theirs is not None and key not in theirs]
-    if unknown:
-        raise needs_trust(f"the wrapper {name} has the argument {unknown[0]!r}, which is not in the list")
-    check_numbers(kwargs, f"the wrapper {name}")
-    _check_sizes(kwargs, f"the wrapper {name}")
-    return replace(wrapper, entry_point=own or f"gymnasium.wrappers:{name}")
-
-
 def _with_entry_point(spec: EnvSpec) -> EnvSpec:
-    """The spec with the entry point of the file, else that of the registry, after importing the module of its id."""
+    """Fill in the entry point of the registry if the file has none, after importing the module in the id."""
     module, _, name = spec.id.rpartition(":")
     if module:
         import_module(module)
-    known = _registered(name)
+    known = registered_spec(name)
     if spec.entry_point is None and known is not None:
         return replace(spec, id=name, entry_point=known.entry_point)
     return replace(spec, id=name)
 
 
-def _registered(name: str) -> EnvSpec | None:
-    """The registered spec; this package registers its own when they are asked for."""
-    from gymnasium.envs.registration import registry
-
-    if name not in registry and name in OWN_IDS:
-        import_module(_PACKAGE)
-    return registry.get(name)
+# ---- Wrappers of a training
 
 
-def _check_own(spec: EnvSpec) -> None:
-    """Refuse arguments of this package's environments that name code or files, or ask for large images."""
-    for name, value in spec.kwargs.items():
-        if name not in OWN_IDS[spec.id] and value is not None:
-            raise needs_trust(f"the environment {spec.id} has {name}={value!r:.100}, which may name code or a file")
-    source = spec.kwargs.get("source")
-    if source is not None and not (isinstance(source, str) and _CAMERA.fullmatch(source)):
-        raise needs_trust(f"the environment {spec.id} has source={source!r:.100}; only a camera is opened")
-    check_numbers(spec.kwargs, f"the environment {spec.id}")
-    _check_sizes(spec.kwargs, f"the environment {spec.id}")
+def training_spec(env: Any) -> EnvSpec:
+    """Return the spec of an environment, or of the first of a vector environment, without wrappers that only observe.
+
+    Raises:
+        BundleError: The environment cannot be rebuilt from its spec; the message names the wrapper or argument.
+    """
+    from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+
+    while isinstance(env, VecEnvWrapper):
+        if type(env).__name__ not in _VECTOR:
+            raise BundleError(
+                f"a bundle cannot store how {type(env).__name__} changes observations; known wrappers of vector "
+                f"environments are {', '.join(_VECTOR)}."
+            )
+        env = env.venv
+    spec = env.get_attr("spec")[0] if isinstance(env, VecEnv) else env.spec
+    if spec is None:
+        raise BundleError("the environment has no spec to be rebuilt from: make it with gymnasium.make.")
+    kept = tuple(wrapper for wrapper in spec.additional_wrappers if wrapper.name not in _WATCHERS)
+    unknown = [wrapper.name for wrapper in kept if wrapper.kwargs is None]
+    if unknown:
+        raise BundleError(
+            f"the wrapper {unknown[0]} does not record its arguments, so the environment cannot be rebuilt: derive it "
+            "from gymnasium.utils.RecordConstructorArgs too."
+        )
+    try:
+        described = json.loads(json.dumps(to_dict(replace(spec, additional_wrappers=kept))))
+    except (TypeError, ValueError) as error:
+        raise BundleError(f"the environment {spec.id} cannot be written as JSON: {error}") from error
+    return from_dict(described, trust=True)
 
 
-def _check_sizes(arguments: Mapping[str, Any], what: str) -> None:
-    for name in _SIZES:
-        sides = arguments.get(name)
-        if isinstance(sides, list) and any(not isinstance(side, int) or side > MOST_SIDE for side in sides):
-            raise needs_trust(f"{what}: {name} is {sides!r:.60}, expected sides of at most {MOST_SIDE} pixels")
+def reading_wrappers(spec: EnvSpec) -> list[WrapperSpec]:
+    """Return the policy's own wrappers around its ``ShapeObservation``, the innermost first."""
+    names = [wrapper.name for wrapper in spec.additional_wrappers]
+    shape = len(names) - 1 - names[::-1].index(_SHAPE)
+    return [wrapper for wrapper in spec.additional_wrappers[shape + 1 :] if wrapper.name in _READING]
 
 
-def _check_foreign(value: Any, what: str) -> None:
-    """Refuse what another package's environment may take for code, a file or a large number."""
-    if isinstance(value, Mapping):
-        for inner in value.values():
-            _check_foreign(inner, what)
-    elif isinstance(value, list):
-        for inner in value:
-            _check_foreign(inner, what)
-    elif isinstance(value, str):
-        if len(value) > 100 or re.search(r"[:/\\]|\.\w", value):
-            raise needs_trust(f"{what} is {value!r:.100}, which may name code or a file")
-    else:
-        check_numbers(value, what)
+def obstacle(spec: EnvSpec) -> str:
+    """Return why a policy that was trained in this environment cannot run with a camera; ``""`` if it can."""
+    names = [wrapper.name for wrapper in spec.additional_wrappers]
+    for name, reason in _SIMULATION_ONLY.items():
+        if name in names:
+            return f"{reason} ({name})"
+    if _SHAPE not in names:
+        return "it does not read shapes: there is no ShapeObservation in its environment"
+    shape = len(names) - 1 - names[::-1].index(_SHAPE)
+    kept = (spec.additional_wrappers[shape].kwargs or {}).get("keep") or ()
+    return _missing(kept) or _unknown(names[shape + 1 :])
+
+
+def _missing(kept: Iterable[str]) -> str:
+    missing = [key for key in kept if key not in _ROBOT_KEYS]
+    return f"it also reads {', '.join(missing)}, which only its simulator provides (keep)" if missing else ""
+
+
+def _unknown(names: Iterable[str]) -> str:
+    unknown = [name for name in names if name not in (*_READING, *_TRAINING)]
+    return f"it is not known what the wrapper {unknown[0]} does on a robot" if unknown else ""

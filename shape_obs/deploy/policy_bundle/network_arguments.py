@@ -1,6 +1,6 @@
-"""Arguments of a policy's class as JSON values, and how large each may be.
+"""Convert the arguments of a policy's class to JSON values and back, and limit how large each may be.
 
-Classes among them are named from closed lists; any other class is named ``module:Name``, which takes trust to read.
+Classes among the arguments are named by closed lists; any other class is named ``module:Name`` and needs trust.
 """
 
 from __future__ import annotations
@@ -9,18 +9,17 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, Final
 
-from shape_obs.deploy.policy_bundle.documents import is_number
-from shape_obs.deploy.policy_bundle.errors import BundleError, needs_trust
-from shape_obs.utils.imports import load_named
+from shape_obs.deploy.policy_bundle.documents import BundleError, is_number, needs_trust
+from shape_obs.utils.documents import load_named
 
-#: Of ``torch.nn``.
+#: Activation functions in ``torch.nn``.
 ACTIVATIONS: Final = (
     "CELU", "ELU", "GELU", "Hardswish", "Identity", "LeakyReLU", "Mish", "ReLU", "ReLU6", "SELU", "SiLU", "Sigmoid",
     "Softplus", "Softsign", "Tanh",
 )  # fmt: skip
 _LAYERS: Final = "stable_baselines3.common.torch_layers"
 _OURS: Final = "shape_obs.training.extractors"
-#: Feature extractors: the module of each.
+#: Feature extractors and their modules.
 EXTRACTORS: Final = {
     "FlattenExtractor": _LAYERS,
     "NatureCNN": _LAYERS,
@@ -28,19 +27,19 @@ EXTRACTORS: Final = {
     "GoalDifference": _OURS,
     "ImageAndGoal": _OURS,
 }
-#: The classes by argument.
+#: Known classes and their modules, by argument.
 _CLASSES: Final = {
     "activation_fn": dict.fromkeys(ACTIVATIONS, "torch.nn"),
     "features_extractor_class": EXTRACTORS,
 }
-#: Not needed by a policy that only acts.
+#: Arguments that a policy does not need for acting.
 _TRAINING: Final = ("lr_schedule", "optimizer_class", "optimizer_kwargs", "observation_space", "action_space")
 _FLAGS: Final = (
     "use_sde", "full_std", "use_expln", "squash_output", "ortho_init", "share_features_extractor", "normalize_images",
     "with_bias", "batch_norm", "normalized_image",
 )  # fmt: skip
-#: Smallest and largest value of the numbers; those that are whole, and those that are not.
 MOST_WIDTH: Final = 16_384
+#: Smallest and largest value of whole numbers, and of all other numbers.
 _WHOLE: Final = {
     "n_critics": (1, 16), "n_quantiles": (1, 1000), "top_quantiles_to_drop_per_net": (0, 1000),
     "renorm_warmup_steps": (0, 10**9), "features_dim": (1, MOST_WIDTH), "cnn_output_dim": (1, MOST_WIDTH),
@@ -53,19 +52,19 @@ MOST_LAYERS: Final = 16
 
 
 def to_json(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Describe the arguments of a policy's constructor, without what only a training needs.
+    """Describe the arguments of a policy's constructor, without those that only training needs.
 
     Raises:
-        BundleError: One of them can neither be written as JSON nor be named.
+        BundleError: An argument is neither a JSON value nor a class that can be imported.
     """
-    return {name: _plain(name, value) for name, value in arguments.items() if name not in _TRAINING}
+    return {name: _to_json(name, value) for name, value in arguments.items() if name not in _TRAINING}
 
 
 def check(arguments: Any) -> None:
-    """Refuse what is not in the closed lists or beyond its limits.
+    """Refuse arguments that are not in the closed lists or exceed their limits.
 
     Raises:
-        BundleError: The message says what, and that it takes trust.
+        BundleError: The message names the argument and says that it needs trust.
     """
     if not isinstance(arguments, Mapping):
         raise BundleError(f"the policy's arguments: expected an object, got {type(arguments).__name__}.")
@@ -79,10 +78,10 @@ def check(arguments: Any) -> None:
 
 
 def from_json(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments with classes in place of their names; those named ``module:Name`` are imported.
+    """Replace names of classes by the classes, importing those named ``module:Name``.
 
     Raises:
-        BundleError: A class cannot be had.
+        BundleError: A class does not exist here.
     """
     return {
         name: named(value, _CLASSES[name], name) if name in _CLASSES and isinstance(value, str) else value
@@ -91,10 +90,10 @@ def from_json(arguments: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def name_of(kind: type[Any], closed: Mapping[str, str], what: str) -> str:
-    """Return a class's name in a closed list, else ``module:Name``.
+    """Return the name of a class in a closed list, else ``module:Name``.
 
     Raises:
-        BundleError: It was defined within a function, so it cannot be imported.
+        BundleError: The class was defined inside a function or class, so it cannot be imported.
     """
     if kind.__name__ in closed and getattr(import_module(closed[kind.__name__]), kind.__name__, None) is kind:
         return kind.__name__
@@ -104,7 +103,7 @@ def name_of(kind: type[Any], closed: Mapping[str, str], what: str) -> str:
 
 
 def named(name: str, closed: Mapping[str, str], what: str) -> Any:
-    """Return the class that ``name_of`` named.
+    """Return the class of a name that ``name_of`` returned.
 
     Raises:
         BundleError: There is no such class.
@@ -139,13 +138,13 @@ def _layers(value: Any) -> bool:
     )
 
 
-def _plain(name: str, value: Any) -> Any:
+def _to_json(name: str, value: Any) -> Any:
     if isinstance(value, type):
         return name_of(value, _CLASSES.get(name, {}), name)
     if isinstance(value, Mapping):
-        return {str(key): _plain(str(key), item) for key, item in value.items()}
+        return {str(key): _to_json(str(key), item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(name, item) for item in value]
+        return [_to_json(name, item) for item in value]
     if hasattr(value, "item") and getattr(value, "ndim", None) == 0:
         value = value.item()
     if value is None or isinstance(value, (bool, int, float, str)):

@@ -1,4 +1,4 @@
-"""Bundle: a trained policy, ready to act, to be rebuilt, and to be held against where it is to run."""
+"""Run a trained policy: in the environment of its training, in another one, or in the deployment loop."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy.typing as npt
 
 from shape_obs.config import SECTIONS
 from shape_obs.deploy.policy_bundle import environment
-from shape_obs.deploy.policy_bundle.chain import obstacle, reading_wrappers
-from shape_obs.deploy.policy_bundle.errors import MALFORMED, BundleError
-from shape_obs.deploy.policy_bundle.mismatch import Difference, differences, told
-from shape_obs.deploy.policy_bundle.record import Record, Surroundings
-from shape_obs.deploy.policy_bundle.statistics import Statistics
+from shape_obs.deploy.policy_bundle.documents import MALFORMED, BundleError
+from shape_obs.deploy.policy_bundle.environment import obstacle, reading_wrappers
+from shape_obs.deploy.policy_bundle.limits import check_wrapper
+from shape_obs.deploy.policy_bundle.record import Difference, Record, Surroundings, differences, format_differences
+from shape_obs.deploy.policy_bundle.spaces import Statistics, space_from_dict, zeros
 from shape_obs.features import Feature, Points3D, read_features
 from shape_obs.robot import ActionSpec
-from shape_obs.utils.imports import load_named
+from shape_obs.utils.documents import load_named
 from shape_obs.wrappers import ShapeGoal, ShapeObservation, env_protocol
 from shape_obs.wrappers.env_protocol import GOALS
 
@@ -26,23 +26,21 @@ if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec, WrapperSpec
     from stable_baselines3.common.policies import BasePolicy
 
-    from shape_obs.deploy.policy_bundle.controller import PolicyController
-
 
 class Bundle:
-    """What ``load_bundle`` reads.
+    """A trained policy with the description of its training; ``load_bundle`` returns it.
 
     Args:
-        record: What the policy is, and what it was trained in.
-        spec: Of the environment.
-        policy: Of Stable-Baselines3.
-        statistics: By which observations are normalised; None for not at all.
+        record: Description of the policy and of the environment of its training.
+        spec: Spec of the environment.
+        policy: Policy of Stable-Baselines3.
+        statistics: Statistics that normalise observations; None if they are not normalised.
         trusted: Whether code that the file names may run.
 
     Attributes:
         record: As given.
-        spec: As given; its entry points count only where the bundle is trusted.
-        policy: As given; to act with, not to train on: it has no optimizer.
+        spec: As given; its entry points are followed only if the bundle is trusted.
+        policy: As given. It has no optimizer, so it can act but not be trained further.
         statistics: As given.
         trusted: As given.
     """
@@ -54,15 +52,27 @@ class Bundle:
         self.trusted = trusted
 
     def act(self, observation: Any) -> npt.NDArray[Any]:
-        """Return the action for an observation of the environment, without exploring: (A,) in -1 ... 1 as a rule."""
-        seen = observation if self.statistics is None else self.statistics.normalize(observation)
-        return np.asarray(self.policy.predict(seen, deterministic=True)[0])
+        """Return the deterministic action for an observation, of shape ``(A,)``, usually in -1 ... 1."""
+        normalized = observation if self.statistics is None else self.statistics.normalize(observation)
+        return np.asarray(self.policy.predict(normalized, deterministic=True)[0])
+
+    def check_action(self) -> None:
+        """Refuse a policy that returns no valid action for an observation of zeros.
+
+        Raises:
+            BundleError: The action has another shape, or is not finite.
+        """
+        action = self.act(zeros(space_from_dict(self.record.observation_space, "the observation space")))
+        shape = self.policy.action_space.shape
+        if action.shape != shape or not np.isfinite(action).all():
+            raise BundleError(f"the policy returns no finite action of shape {shape}: {action!r:.100}.")
 
     def make_env(self, **arguments: Any) -> gym.Env[Any, Any]:
-        """Rebuild the environment that it was trained in, without what only watches a training, as ``Monitor``.
+        """Rebuild the environment of the training, without wrappers that only observe it, such as ``Monitor``.
 
         Args:
-            arguments: Of the environment, over those that it was trained with, such as ``render_mode="human"``.
+            arguments: Arguments of the environment that replace those of the training, such as
+                ``render_mode="human"``.
 
         Raises:
             BundleError: The environment is not registered here, cannot be made, or needs the bundle to be trusted: it
@@ -74,20 +84,20 @@ class Bundle:
     def wrap(
         self, env: gym.Env[Any, Any], goal: Any = None, scene: Mapping[str, Any] | None = None
     ) -> gym.Env[Any, Any]:
-        """Wrap another environment with images, a camera and a robot as a rule, so that the policy can read it.
+        """Wrap another environment, usually a camera and a robot, so that the policy can read its observations.
 
-        Wrappers that only a training has are left out. A policy that was trained over an environment with goals of its
-        own gets a ``ShapeGoal``.
+        Wrappers that are needed only in training are left out. If the environment of the training had its own goals,
+        a ``ShapeGoal`` provides them here.
 
         Args:
-            env: With images and a camera; without goals of its own.
-            goal: As ``ShapeGoal`` takes it; None where each reset is told one, and for a policy without goals.
-            scene: Arguments of ``ShapeObservation`` that are this site's own: ``segmentation``, ``roi``, ``workspace``,
-                and how to behave while running.
+            env: Environment with images and a camera, and without goals.
+            goal: Goal, as for ``ShapeGoal``; None if the goal is given at each reset, or the policy has no goals.
+            scene: Arguments of ``ShapeObservation`` that are specific to this site: ``segmentation``, ``roi``,
+                ``workspace``, and the ``runtime`` section.
 
         Raises:
-            BundleError: The policy cannot run before a camera, has no goals but is given one, or a wrapper of its own
-                needs the bundle to be trusted; the message says why.
+            BundleError: The policy cannot run with a camera, was given a goal but has no goals, or one of its wrappers
+                needs the bundle to be trusted; the message gives the reason.
             ValueError: The environment or the scene do not fit.
         """
         self.check_deployable()
@@ -101,7 +111,7 @@ class Bundle:
         wrapped: gym.Env[Any, Any] = ShapeObservation(env, **{**local, **_site_colours(shape, local)})
         wrappers = reading_wrappers(self.spec)
         if goal is not None and not self.needs_goal:
-            raise BundleError("the policy was trained without goals, so it cannot be told one.")
+            raise BundleError("the policy was trained without goals, so it cannot be given one.")
         if self.needs_goal and all(wrapper.name != ShapeGoal.__name__ for wrapper in wrappers):
             points = next((feature for feature in self.features if isinstance(feature, Points3D)), None)
             if points is None:
@@ -115,70 +125,68 @@ class Bundle:
         return wrapped
 
     def check_env(self, env: gym.Env[Any, Any], *, same_rate: bool = True) -> None:
-        """Refuse an environment in which the policy would read or do something else than it was trained for.
+        """Refuse an environment whose observations or actions differ from those of the training.
 
-        Colours, regions, workspaces and where the camera stands may differ.
+        Colours, regions of interest, workspaces and the pose of the camera may differ.
 
         Args:
-            env: Wrapped as ``wrap`` does it.
-            same_rate: Whether steps must take as long as in training.
+            env: Environment, wrapped by ``wrap``.
+            same_rate: Whether a step must take as long as in training.
 
         Raises:
-            BundleError: It is another one; the message names each difference: features, number of points,
-                configuration, units and frames, the observation's layout, what actions mean, the duration of a step.
+            BundleError: The environment differs. The message names each difference: features, number of points,
+                configuration, units and frames, layout of the observation, meaning of actions, duration of a step.
         """
         found = self.differences(env, same_rate=same_rate)
         if found:
-            raise BundleError(f"the policy does not fit this environment: {told(found)}.")
+            raise BundleError(f"the policy does not fit this environment: {format_differences(found)}.")
 
     def differences(self, env: gym.Env[Any, Any], *, same_rate: bool = True) -> list[Difference]:
-        """What ``check_env`` refuses: (place, trained, here)."""
+        """Return the differences that ``check_env`` refuses, as (place, trained, here)."""
         return differences(self.record, Surroundings.of(env), same_rate=same_rate)
 
     def check_deployable(self) -> None:
-        """Refuse what cannot run before a camera.
+        """Refuse a policy that cannot run with a camera.
 
         Raises:
-            BundleError: It reads what only a simulator tells, or nobody told what its actions mean.
+            BundleError: The policy reads values that only a simulator has, or was saved without ``action_spec``.
         """
         reason = obstacle(self.spec)
         if not reason and self.action_spec is None:
-            reason = "nobody told what its actions mean: save it with action_spec="
+            reason = "it was saved without action_spec, the meaning of its actions: save it with action_spec="
         if reason:
             raise BundleError(f"the policy cannot be deployed: {reason}.")
 
     def controller(self, *, same_rate: bool = True) -> PolicyController:
-        """The policy for ``shape_obs.deploy``.
+        """Return the policy as a controller for ``shape_obs.deploy.deploy``.
 
         Args:
-            same_rate: Whether it refuses a loop at another rate than it was trained at.
+            same_rate: Whether to refuse a loop whose rate differs from that of the training.
 
         Raises:
-            BundleError: It cannot run before a camera; the message says why.
+            BundleError: The policy cannot run with a camera; the message gives the reason.
         """
-        from shape_obs.deploy.policy_bundle.controller import PolicyController
-
         self.check_deployable()
         return PolicyController(self, same_rate=same_rate)
 
     @property
     def action_spec(self) -> ActionSpec | None:
-        """What its actions mean."""
+        """Meaning of its actions; None if unknown."""
         return self.record.action_spec
 
     @property
     def features(self) -> list[Feature]:
-        """What it reads of each shape, in the order of the vector; none where it reads no shapes."""
+        """Features of each shape, in the order of the observation; empty if the policy reads no shapes."""
         return read_features((self.record.config or {}).get("features", ()))
 
     @property
     def dt(self) -> float:
-        """Seconds of a step in training."""
+        """Duration of a step in training, in seconds."""
         return self.record.dt
 
     @property
     def needs_goal(self) -> bool:
-        """Whether it brings the shape into a goal."""
+        """Whether the policy needs a goal."""
         keys = self.record.observation_space.get("spaces", {})
         return all(key in keys for key in GOALS) or any(
             wrapper.name == ShapeGoal.__name__ for wrapper in self.spec.additional_wrappers
@@ -186,18 +194,18 @@ class Bundle:
 
     @property
     def has_goal(self) -> bool:
-        """Whether it was trained for one goal, which it brings with it."""
+        """Whether the policy was trained for a single goal, which the bundle holds."""
         goals = [(wrapper.kwargs or {}).get("goal") for wrapper in self.spec.additional_wrappers]
         return any(goal is not None for goal in goals)
 
     @property
     def success_threshold(self) -> float:
-        """Metres below which a goal counts as reached."""
+        """Distance in metres below which a goal counts as reached."""
         return self.record.success_threshold or 0.01
 
     def _wrapped(self, env: gym.Env[Any, Any], wrapper: WrapperSpec, kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
         if not self.trusted:
-            wrapper = environment.check_wrapper(wrapper)
+            wrapper = check_wrapper(wrapper)
         kind = load_named(wrapper.entry_point, f"wrapper {wrapper.name}")
         try:
             return kind(env, **kwargs)
@@ -205,20 +213,56 @@ class Bundle:
             raise BundleError(f"the policy's wrapper {wrapper.name} does not fit this environment: {error}") from error
 
     def _check_place(self, env: gym.Env[Any, Any]) -> None:
-        """Refuse features in the base frame where nobody knows where the camera stands in it."""
+        """Refuse features in the base frame if the camera has no extrinsics."""
         camera = env_protocol.camera_model(env)
         for feature in self.features:
             in_base = getattr(getattr(feature, "coordinates", None), "frame", None) == "base"
             if in_base and (camera is None or camera.transform_camera_to_base is None):
                 raise BundleError(
-                    f"the policy reads {feature.kind!r} in the base frame, and nobody knows where this camera stands "
-                    "in it: give --extrinsics FILE, as `shape-obs calibrate base` writes it."
+                    f"the policy reads {feature.kind!r} in the base frame, but this camera has no extrinsics: give "
+                    "--extrinsics FILE, as `shape-obs calibrate base` writes it."
                 )
 
 
 def _site_colours(shape: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
-    """The ``shape`` section; where a shape has colours of its own, this site's, by its name."""
+    """Return the ``shape`` section with this site's segmentation of each shape, found by its name."""
     here = [item for item in scene.get("shapes") or () if isinstance(item, Mapping)]
     local = {item.get("name") or item.get("kind"): item.get("segmentation") for item in here}
     shapes = [{**item, "segmentation": local.get(item["name"])} for item in shape["shapes"]]
     return {**shape, "shapes": shapes}
+
+
+class PolicyController:
+    """Control a robot with a policy's deterministic actions.
+
+    Args:
+        bundle: The policy.
+        same_rate: Whether to refuse a loop whose rate differs from that of the training.
+
+    Attributes:
+        same_rate: As given.
+        action_spec: Meaning of its actions; ``shape_obs.deploy.deploy`` compares it with the robot's.
+    """
+
+    def __init__(self, bundle: Bundle, *, same_rate: bool = True) -> None:
+        self._bundle, self.same_rate = bundle, same_rate
+        self.action_spec: ActionSpec | None = bundle.action_spec
+
+    def attach(self, env: Any) -> None:
+        """Compare the environment with that of the training.
+
+        Raises:
+            BundleError: They differ; the message names each difference.
+        """
+        self._bundle.check_env(env, same_rate=self.same_rate)
+        self._bundle.act(zeros(env.observation_space))  # warm up: the first call is slower, and the loop has deadlines
+
+    def bind(self, spec: ActionSpec) -> None:
+        """Do nothing: the actions have the size of the training."""
+
+    def reset(self) -> None:
+        """Do nothing: the policy is not recurrent."""
+
+    def act(self, observation: Any) -> npt.NDArray[Any]:
+        """Return the action, of shape ``(A,)``, in -1 ... 1."""
+        return self._bundle.act(observation)

@@ -1,51 +1,53 @@
-"""Record: what a bundle tells of a policy, beside its parameters."""
+"""Record what a policy was trained in, and compare that with the environment in which it is to run."""
 
 from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
 from importlib.util import find_spec
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, Final
 
-from shape_obs.config import schema_hash
-from shape_obs.deploy.policy_bundle.errors import BundleError
-from shape_obs.deploy.policy_bundle.spaces import space_from_dict, space_to_dict
+from shape_obs.config import DetectorConfig, detector_arguments, schema_hash
+from shape_obs.deploy.policy_bundle.documents import BundleError
+from shape_obs.deploy.policy_bundle.spaces import layout_differences, space_from_dict, space_to_dict
+from shape_obs.features import Feature, read_features
 from shape_obs.robot import ActionSpec
 from shape_obs.spec import Spec
 from shape_obs.wrappers import ShapeObservation
 from shape_obs.wrappers.env_protocol import camera_model, published, seconds_per_step
-from shape_obs.wrappers.recording import plain
+from shape_obs.wrappers.shape_observation import to_recorded
 
 if TYPE_CHECKING:
     import gymnasium as gym
 
-#: Distributions whose versions are told.
+#: Packages whose versions are recorded.
 _PACKAGES: Final = ("shape-obs", "stable-baselines3", "sb3-contrib", "torch", "gymnasium", "numpy", "mujoco")
-#: Seconds of a step.
+#: Shortest and longest step in seconds.
 _SHORTEST: Final = 1e-4
 _LONGEST: Final = 3600.0
 _MOST_SIDE: Final = 16_384
-#: Of these another major version cannot be trusted to read what was written.
+#: Packages whose next major version may read a bundle differently.
 _MAJOR: Final = ("stable-baselines3", "gymnasium", "torch")
 
 
 @dataclass(frozen=True)
 class Surroundings(Spec):
-    """What an environment tells of itself that matters to a policy.
+    """Describe the properties of an environment that matter to a policy.
 
     Args:
-        dt: Seconds of a step.
-        observation_space: As ``space_to_dict`` gives it.
-        action_space: So too.
-        config: Arguments of its ``ShapeObservation``, defaults filled in; None without one.
-        schema: Hash of the feature schema; None without one.
-        image: (width, height) of the images in pixels.
-        camera: Intrinsics and, where known, ``transform_camera_to_base``, as mappings.
-        action_spec: What an action of 1 means; None where it does not tell.
-        success_threshold: Metres below which a simulator counts a goal as reached.
+        dt: Duration of a step in seconds.
+        observation_space: Observation space, as ``space_to_dict`` returns it.
+        action_space: Action space, as ``space_to_dict`` returns it.
+        config: Arguments of its ``ShapeObservation`` with defaults filled in; None if it has none.
+        schema: Hash of the feature schema; None without a ``ShapeObservation``.
+        image: Width and height of the images in pixels.
+        camera: Intrinsics and, if known, ``transform_camera_to_base``, as mappings.
+        action_spec: Meaning of an action of 1; None if the environment does not publish it.
+        success_threshold: Distance in metres below which a simulator counts a goal as reached.
     """
 
     dt: float
@@ -60,17 +62,17 @@ class Surroundings(Spec):
 
     @classmethod
     def of(cls, env: gym.Env[Any, Any]) -> Surroundings:
-        """Look at an environment."""
+        """Collect the properties of an environment."""
         config, schema, image, camera = None, None, None, camera_model(env)
         shapes = shape_observation(env)
         if shapes is not None:
-            view = shapes.views[0]
+            view = shapes.contexts[0]
             config = {
                 **shapes.detector.config.to_dict(),
                 "features": [feature.to_dict() for feature in shapes.features],
             }
             if view.workspace is not None:
-                config["workspace"] = plain(view.workspace)
+                config["workspace"] = to_recorded(view.workspace)
             schema, image = schema_hash(config), (view.width, view.height)
             camera = view.camera or camera
         robot = getattr(env.unwrapped, "robot", None)
@@ -81,7 +83,7 @@ class Surroundings(Spec):
             config=config,
             schema=schema,
             image=image,
-            camera=None if camera is None else plain(camera),
+            camera=None if camera is None else to_recorded(camera),
             action_spec=published(env, "action_spec", getattr(robot, "action_spec", None)),
             success_threshold=published(env.unwrapped, "success_threshold"),
         )
@@ -89,12 +91,12 @@ class Surroundings(Spec):
 
 @dataclass(frozen=True)
 class Record(Surroundings):
-    """What a policy is, and what it was trained in.
+    """Describe a policy and the environment in which it was trained.
 
     Args:
-        algorithm: Its name, such as ``"SAC"``.
-        versions: Of Python and the packages, by name.
-        summary: Of the training: algorithm, steps, seed, and what was given.
+        algorithm: Name of the algorithm, such as ``"SAC"``.
+        versions: Versions of Python and the packages, by name.
+        summary: Summary of the training: algorithm, steps, seed, and what ``save_bundle`` was given.
     """
 
     algorithm: str = ""
@@ -102,7 +104,7 @@ class Record(Surroundings):
     summary: Mapping[str, Any] = field(default_factory=dict)
 
     def check(self) -> None:
-        """Refuse numbers that no environment has, and spaces that are none.
+        """Refuse numbers outside of their ranges, and invalid spaces.
 
         Raises:
             BundleError: The message names the field.
@@ -117,9 +119,33 @@ class Record(Surroundings):
         space_from_dict(self.observation_space, "the observation space")
         space_from_dict(self.action_space, "the action space")
 
+    def check_versions(self) -> None:
+        """Refuse packages of another major version than in training.
+
+        Raises:
+            BundleError: The message names the packages.
+        """
+        fatal = version_differences(self.versions, versions())[0]
+        if fatal:
+            raise BundleError(f"it may not run correctly with other major versions: {', '.join(fatal)}.")
+
+    def check_schema(self) -> None:
+        """Refuse features that have another meaning in this version of the library.
+
+        Raises:
+            BundleError: The hashes of the feature schema differ.
+        """
+        here = None if self.config is None else schema_hash(self.config)
+        if here != self.schema:
+            raise BundleError(
+                f"its features mean something else here: the hash of their schema is {str(here)[:12]}..., recorded was "
+                f"{str(self.schema)[:12]}... Use the version of shape-obs that saved it: "
+                f"{self.versions.get('shape-obs')}"
+            )
+
 
 def shape_observation(env: gym.Env[Any, Any]) -> ShapeObservation | None:
-    """The outermost ``ShapeObservation`` of an env."""
+    """Return the outermost ``ShapeObservation`` of an environment; None if it has none."""
     inner: Any = env
     while not isinstance(inner, ShapeObservation):
         if inner is inner.unwrapped:
@@ -129,14 +155,14 @@ def shape_observation(env: gym.Env[Any, Any]) -> ShapeObservation | None:
 
 
 def versions() -> dict[str, str]:
-    """Of Python and of the packages that are installed, by name."""
+    """Return the versions of Python and of the installed packages, by name."""
     installed = {name: find_spec(name.replace("-", "_")) for name in _PACKAGES}
     known = {name: metadata.version(name) for name, spec in installed.items() if spec is not None}
     return {"python": platform.python_version(), **known}
 
 
 def version_differences(trained: Mapping[str, str], here: Mapping[str, str]) -> tuple[list[str], list[str]]:
-    """What cannot work and what may not, one text for each package: another major version, another minor version."""
+    """Return two lists of differences: major versions, which are errors, and minor versions, which are warnings."""
     fatal, doubtful = [], []
     for name, before in trained.items():
         now = here.get(name)
@@ -149,5 +175,94 @@ def version_differences(trained: Mapping[str, str], here: Mapping[str, str]) -> 
 
 
 def _parts(version: str) -> list[str]:
-    """Major and minor."""
+    """Return major and minor version."""
     return version.split("+")[0].split(".")[:2]
+
+
+# ---- Differences
+
+Difference = tuple[str, Any, Any]
+_ACTION: Final = ("names", "units", "scale", "mode", "frame")
+
+
+def differences(trained: Surroundings, here: Surroundings, *, same_rate: bool = True) -> list[Difference]:
+    """Return where two environments differ for a policy, as (place, trained, here).
+
+    Colours, regions of interest, workspaces and the pose of the camera may differ from site to site.
+
+    Args:
+        trained: The environment of the training.
+        here: The environment in which the policy is to run.
+        same_rate: Whether the duration of a step must be the same.
+    """
+    found = [*_of_schema(trained.config, here.config), *_of_camera(trained, here)]
+    found += layout_differences(trained.observation_space, here.observation_space, "observation")
+    found += _of_actions(trained.action_spec, here.action_spec)
+    if same_rate and abs(trained.dt - here.dt) > 1e-3 * trained.dt:
+        found.append(("dt [s]", round(trained.dt, 6), round(here.dt, 6)))
+    return found
+
+
+def format_differences(found: list[Difference]) -> str:
+    """Return all differences in one line."""
+    return "; ".join(f"{place}: {one!r} in training, {other!r} here" for place, one, other in found)
+
+
+def _of_schema(trained: Mapping[str, Any] | None, here: Mapping[str, Any] | None) -> Iterator[Difference]:
+    """Yield the differences of the ``shape`` sections."""
+    if trained is None or here is None:
+        if trained is not here:
+            yield "ShapeObservation", trained is not None, here is not None
+        return
+    yield from _walk(_schema(trained), _schema(here), "")
+
+
+def _schema(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values from which ``schema_hash`` is computed."""
+    detector = DetectorConfig.from_dict(detector_arguments(config))
+    shapes = [shape.to_dict() for shape in detector.resolved()]
+    return {
+        "shapes": [{name: value for name, value in shape.items() if name != "segmentation"} for shape in shapes],
+        "features": [feature.identity() for feature in _features(config)],
+        "clustering": detector.clustering.to_dict(),
+    }
+
+
+def _of_camera(trained: Surroundings, here: Surroundings) -> Iterator[Difference]:
+    """Yield a different size of images, which matters for features in pixels."""
+    features = [] if trained.config is None else _features(trained.config)
+    if any(feature.unit == "px" for feature in features) and trained.image != here.image:
+        yield "image size [px]", trained.image, here.image
+
+
+def _of_actions(trained: ActionSpec | None, here: ActionSpec | None) -> Iterator[Difference]:
+    if trained is None or here is None:
+        if trained is not here:
+            yield "known action_spec", trained is not None, here is not None
+        return
+    one, other = trained.to_dict(), here.to_dict()
+    for name in _ACTION:
+        if one[name] != other[name]:
+            yield f"action {name}", one[name], other[name]
+
+
+def _features(config: Mapping[str, Any]) -> list[Feature]:
+    return read_features(config["features"])
+
+
+def _walk(trained: Any, here: Any, where: str) -> Iterator[Difference]:
+    """Yield the leaves in which two JSON values differ."""
+    if isinstance(trained, Mapping) and isinstance(here, Mapping):
+        if trained.get("kind") != here.get("kind"):
+            yield f"{where} kind", trained.get("kind"), here.get("kind")
+            return
+        for name in {**trained, **here}:
+            yield from _walk(trained.get(name), here.get(name), f"{where}.{name}" if where else name)
+    elif isinstance(trained, list) and isinstance(here, list):
+        if len(trained) != len(here) and not all(isinstance(item, Mapping) for item in trained + here):
+            yield where, trained, here
+            return
+        for i, (one, other) in enumerate(zip_longest(trained, here)):
+            yield from _walk(one, other, f"{where}[{i}]")
+    elif trained != here:
+        yield where, trained, here

@@ -5,8 +5,8 @@ from __future__ import annotations
 from .mutant import Mutant
 
 _CELL = "envs/shape_obs_envs/cell"
-#: Modules of ``shape_obs/deploy`` that other files than ``test_deploy.py`` test.
-_TESTS = {"signals": "deploy_signals", "supervision": "deploy_signals", "log": "run_log"}
+#: Modules of ``shape_obs/deploy`` that other files than ``test_loop.py`` test.
+_TESTS = {"supervision": "supervision", "run_log": "run_log"}
 
 
 def _eye(name: str, old: str, new: str, *tests: str) -> Mutant:
@@ -23,7 +23,7 @@ def _cell(name: str, old: str, new: str) -> Mutant:
 
 
 def _deploy(name: str, module: str, old: str, new: str, *tests: str, equivalent: str = "") -> Mutant:
-    files = tests or (f"tests/test_{_TESTS.get(module, 'deploy')}.py",)
+    files = tests or (f"tests/deploy/test_{_TESTS.get(module, 'loop')}.py",)
     return Mutant(f"safety: {name}", f"shape_obs/deploy/{module}.py", old, new, files, equivalent)
 
 
@@ -63,44 +63,46 @@ SAFETY: tuple[Mutant, ...] = (
     _cell("what was withheld is not reported", '            info["withheld"] = self.withheld', "            pass"),
     _cell("any robot will do", "            check_robot(self.robot)\n", ""),
 
-    _deploy("an old shape is good enough", "gate", "or not age <= 0:", "or age > 1e9:"),
-    _deploy("a shape of unknown age is good enough", "gate", "or not age <= 0:", "or age > 0:"),
-    _deploy("a lost shape is good enough", "gate", 'not info.get("shape/ok", False) or', "False or"),
-    _deploy("missing points do not matter", "gate", "if shares and min(shares)", "if not shares and min(shares)"),
-    _deploy("old images do not matter", "gate", "if not age <= limits.max_age:", "if False:"),
-    _deploy("images of unknown age do not matter", "gate", "if not age <= limits.max_age:", "if age > limits.max_age:"),
-    _deploy("a lost shape is waited for without end", "gate", "if waited > self._limits.hold:", "if False:"),
-    _deploy("all waits count together", "gate", "            self._since = None\n            return",
+    _deploy("an old shape is good enough", "safety", "or not age <= 0:", "or age > 1e9:"),
+    _deploy("a shape of unknown age is good enough", "safety", "or not age <= 0:", "or age > 0:"),
+    _deploy("a lost shape is good enough", "safety", 'not info.get("shape/ok", False) or', "False or"),
+    _deploy("missing points do not matter", "safety", "if fractions and min(fractions)",
+            "if not fractions and min(fractions)"),
+    _deploy("old images do not matter", "safety", "if not age <= limits.max_age:", "if False:"),
+    _deploy("images of unknown age do not matter", "safety", "if not age <= limits.max_age:",
+            "if age > limits.max_age:"),
+    _deploy("a lost shape is waited for without end", "safety", "if waited > self._limits.hold:", "if False:"),
+    _deploy("all waits count together", "safety", "            self._since = None\n            return",
             "            return"),
     _deploy("the watchdog only looks", "loop", 'lambda: interlock.trip("watchdog")', "lambda: None"),
     _deploy("errors of camera and robot are ignored", "loop", "if errors:", "if False:"),
     _deploy("nothing stops at the end of the loop", "loop", "                interlock.stop()\n            finally:",
             "                pass\n            finally:",
             equivalent="`supervised` stops the robot right after; this one comes before the report is made."),
-    _deploy("the limit of age stays the environment's", "loop", "self._cell.max_age = limits.max_age", "pass",
+    _deploy("the limit of age stays the environment's", "loop", "self._robot_env.max_age = limits.max_age", "pass",
             "tests/shape_obs_envs/test_interlock.py"),
-    _deploy("a withheld motion counts as sent", "loop", "if cell.withheld:", "if False:",
+    _deploy("a withheld motion counts as sent", "loop", "if robot_env.withheld:", "if False:",
             "tests/shape_obs_envs/test_interlock.py"),
     _deploy("no report after an exception", "loop", "                    self._log.report(",
             "                    str(", "tests/deploy/test_run_log.py"),
-    _deploy("the watchdog sleeps", "watchdog", "if left <= 0:", "if left <= -1e9:"),
-    _deploy("signals do not stop", "signals", "self._stop(signal.Signals(signum).name)", "pass",
+    _deploy("the watchdog sleeps", "safety", "if left <= 0:", "if left <= -1e9:"),
+    _deploy("signals do not stop", "supervision", "self._stop(signal.Signals(signum).name)", "pass",
             "tests/deploy/test_stops.py"),
-    _deploy("signals do not end the run", "signals", "            raise Interrupted(signum)", "            pass"),
-    _deploy("a closed terminal kills", "signals", '"SIGHUP", ', ""),
-    _deploy("ignored signals are taken", "signals", "is not signal.SIG_IGN", "is not None"),
-    _deploy("handlers are left behind", "signals",
+    _deploy("signals do not end the run", "supervision", "            raise Interrupted(signum)", "            pass"),
+    _deploy("a closed terminal kills", "supervision", '"SIGHUP", ', ""),
+    _deploy("ignored signals are taken", "supervision", "is not signal.SIG_IGN", "is not None"),
+    _deploy("handlers are left behind", "supervision",
             "signal.signal(signum, signal.SIG_DFL if handler is None else handler)", "pass"),
     _deploy("a second signal parks", "supervision", "if len(signals.received) > 1:", "if False:"),
     _deploy("parking cannot be ended", "supervision", "signals.raising = True", "signals.raising = False"),
     _deploy("no parking", "supervision", "            if park:", "            if False:",
             "tests/deploy/test_loop.py"),
-    _deploy("steps wait for the disk", "log", "        self._tasks.put(lambda: self._write_step(record))",
+    _deploy("steps wait for the disk", "run_log", "        self._tasks.put(lambda: self._write_step(record))",
             "        self._write_step(record)"),
-    _deploy("a full disk goes unnoticed", "log", "            self._failure = self._failure or error",
+    _deploy("a full disk goes unnoticed", "run_log", "            self._failure = self._failure or error",
             "            pass"),
 
-    _deploy("the watchdog is never fed", "watchdog", "        self._fed = time.monotonic()\n\n", "        pass\n\n"),
+    _deploy("the watchdog is never fed", "safety", "        self._fed = time.monotonic()\n\n", "        pass\n\n"),
     _guard("actions are not clipped", "np.clip(action, -1.0, 1.0)", "action"),
     _guard("steps are not capped", "np.clip(step, -self.max_step, self.max_step)", "step"),
     _guard("velocities are per step", '"velocity": dt', '"velocity": 1.0'),

@@ -9,8 +9,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from shape_obs.calibration.extrinsics import Extrinsics
 from shape_obs.camera import Intrinsics
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.source import NotConnected, Source, StaleFrame
 from shape_obs_envs.sources.realsense.driver import librealsense, recording_suffix

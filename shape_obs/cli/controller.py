@@ -1,0 +1,159 @@
+"""Set up a deployment: the controller or trained policy, the robot, and the environment around it."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import tyro
+
+from shape_obs.cli.options import RobotArguments, make_bare_env, make_env, make_robot, read_config, read_settings
+from shape_obs.utils.documents import make_named
+
+#: The value of ``--goal`` for which a simulated robot provides a new goal in each episode.
+_ROBOT: Final = "robot"
+_CENTIMETRE: Final = 0.01
+#: Seconds from a D455's exposure to its frame, with a margin: policies are trained on images of completed motions.
+_SETTLE: Final = 0.05
+
+
+@dataclass(frozen=True)
+class ControllerArguments(RobotArguments):
+    """Options that choose the policy or controller, and its goal."""
+
+    bundle: Annotated[Path | None, tyro.conf.Positional] = None
+    """A trained policy, as shape_obs.save_bundle writes it."""
+    trust: bool = False
+    """Load a trained policy that contains code: one of an earlier version, or one with its own classes. Use this only
+    if you trust the author of the file."""
+    controller: str | None = None
+    """A controller instead of a policy, as module:Class with act(observation); shape_obs.deploy has Still, Sway and
+    Script. Default: Still."""
+    controller_set: tuple[str, ...] = ()
+    """KEY=VALUE: arguments of the controller's class, such as share=0.2."""
+    goal: str | None = None
+    """A goal file, as `shape-obs goal` writes it; the goal becomes part of the observation. With 'robot', a simulated
+    robot provides a goal that it can reach, a new one for each episode."""
+    episodes: int | None = None
+    """Run this many episodes, each from a new start, and report how often the goal was reached."""
+    settle: float | None = None
+    """Seconds between the end of a motion and the image to act on. Default: 0.05 for a trained policy; other
+    controllers take the image at the deadline of the step, even during a motion."""
+    steps: int | None = None
+    """Largest number of steps; default for episodes with a trained policy: the length of its training episodes."""
+    dry_run: bool = False
+    """Do everything except move: the robot's state is read, but no motion is sent."""
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """A controller, the environment it reads and the robot it moves.
+
+    Attributes:
+        controller: An object with ``act(observation)``.
+        env: The environment.
+        robot: The robot.
+        arguments: The options of the user, completed with the rate and the episode length of a trained policy.
+        threshold: Mean distance in metres below which the true points count as at the goal.
+    """
+
+    controller: Any
+    env: Any
+    robot: Any
+    arguments: Any
+    threshold: float
+
+
+def make_deployment(args: ControllerArguments, **options: Any) -> Deployment:
+    """Make the controller, the robot and the environment; nothing is connected yet.
+
+    Args:
+        args: The options of the user.
+        options: Further arguments of the environment ``ShapeObs/D455-v0``.
+
+    Raises:
+        ValueError: Some of the options do not go together; the message says which.
+    """
+    from shape_obs.cli.episodes import RobotGoals, StartFirst
+    from shape_obs.deploy import DryRobot
+    from shape_obs.wrappers import ShapeGoal, Target
+
+    _check(args)
+    if args.settle is None and args.bundle is not None:
+        args = replace(args, settle=_SETTLE)
+    options |= {"settle": args.settle}
+    goal = None if args.goal in (None, _ROBOT) else Target.load(str(args.goal))
+    bundle = None if args.bundle is None else _load(args.bundle, args.trust)
+    if bundle is None:
+        controller = make_named(
+            args.controller or "shape_obs.deploy:Still",
+            "--controller",
+            read_settings(args.controller_set, "--controller-set"),
+        )
+    else:
+        controller = bundle.controller(same_rate=args.rate is None)
+        args = _with_training_defaults(args, bundle)
+    own = make_robot(args)
+    robot: Any = DryRobot(own) if args.dry_run else own
+    if args.goal == _ROBOT:
+        robot = StartFirst(robot)
+    if bundle is None:
+        env = make_env(args, robot, **options)
+        if args.goal is not None:
+            env = ShapeGoal(env, goal=goal)
+    else:
+        env = bundle.wrap(make_bare_env(args, robot, **options), goal, _scene(args, robot))
+        bundle.check_env(env, same_rate=controller.same_rate)
+    if args.goal == _ROBOT:
+        env = RobotGoals(env, own)
+    return Deployment(controller, env, robot, args, _CENTIMETRE if bundle is None else bundle.success_threshold)
+
+
+def _check(args: ControllerArguments) -> None:
+    """Reject options that do not go together."""
+    if args.bundle is not None and args.controller is not None:
+        raise ValueError(f"expected a trained policy or --controller, got both: {args.bundle} and {args.controller}.")
+    if args.bundle is not None and args.controller_set:
+        raise ValueError("--controller-set: a trained policy takes no arguments; leave it out.")
+    if args.trust and args.bundle is None:
+        raise ValueError("--trust: only for a trained policy, and none is given; leave it out.")
+    if args.episodes is not None and args.episodes < 1:
+        raise ValueError(f"--episodes: expected 1 or more, got {args.episodes}.")
+    if args.rate is not None and not 0 < args.rate <= 1000:
+        raise ValueError(f"rate: expected hertz above 0, at most 1000, got {args.rate!r}.")
+
+
+def _load(path: Path, trust: bool) -> Any:
+    from shape_obs.deploy.policy_bundle import load_bundle
+
+    bundle = load_bundle(path, trust=trust)
+    bundle.check_deployable()
+    return bundle
+
+
+def _scene(args: ControllerArguments, robot: Any) -> dict[str, Any]:
+    """Return the entries of the config that differ between training and this site."""
+    from shape_obs.config import SECTIONS
+
+    config = read_config(args, robot)
+    scene = {name: config[name] for name in ("shapes", *SECTIONS["scene"], *SECTIONS["runtime"]) if name in config}
+    scene.pop("dt", None)  # set by the loop
+    return scene
+
+
+def _with_training_defaults(args: ControllerArguments, bundle: Any) -> ControllerArguments:
+    """Fill in the policy's own rate and episode length unless the user chose others."""
+    if bundle.needs_goal and args.goal is None and not bundle.has_goal:
+        raise ValueError("the policy needs a goal: give --goal FILE, or --goal robot if the robot is simulated.")
+    if args.rate is None:
+        args = replace(args, rate=1 / bundle.dt)
+    elif abs(args.rate * bundle.dt - 1) > 1e-3:
+        warnings.warn(
+            f"--rate {args.rate:g}: the policy was trained at {1 / bundle.dt:g} steps per second.",
+            UserWarning,
+            stacklevel=2,
+        )
+    steps = bundle.spec.max_episode_steps if args.episodes is not None and args.steps is None else args.steps
+    return replace(args, steps=steps)

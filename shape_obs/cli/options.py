@@ -1,0 +1,183 @@
+"""Options that several commands share: sources of frames, ``KEY=VALUE`` settings, the camera and the robot."""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from shape_obs.utils.documents import make_named, parse_yaml
+
+if TYPE_CHECKING:
+    from shape_obs.source import RGBDSource
+
+#: Steps per second of a real-robot environment unless the user gives a rate.
+RATE: Final = 30.0
+#: ``shape_obs.markers.DICTIONARY``, repeated here because ``--help`` must not import OpenCV.
+DICTIONARY: Final = "4x4_50"
+
+_LOG_LEVEL_ERROR: Final = 2  # of OpenCV
+
+
+def open_named(text: str, extrinsics: Path | None = None, settings: Sequence[str] = (), **options: Any) -> RGBDSource:
+    """Make the source that ``--source``, ``--extrinsics`` and ``--set`` describe; it is not connected yet.
+
+    Args:
+        text: ``d455[:serial]``, a file, a folder or the id of an environment.
+        extrinsics: A file with the pose of the camera in the base frame.
+        settings: ``KEY=VALUE`` arguments of the source's class; values are read as YAML.
+        options: Further arguments of the source's class.
+
+    Raises:
+        ValueError: A setting is not ``KEY=VALUE``, or the source does not have it.
+        SourceError: There is no such source.
+    """
+    from shape_obs_envs.sources import open_source
+
+    return open_source(text, extrinsics=extrinsics, **options, **read_settings(settings))
+
+
+def read_settings(settings: Sequence[str], option: str = "--set") -> dict[str, Any]:
+    """Read ``["exposure=0.01", "camera=d455"]`` as a mapping whose values are YAML.
+
+    Args:
+        settings: The texts that the user gave.
+        option: The name of the option, for error messages.
+
+    Raises:
+        ValueError: A text is not ``KEY=VALUE``, or its value is not YAML.
+    """
+    values: dict[str, Any] = {}
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if not name.isidentifier() or not equals:
+            raise ValueError(f"{option}: expected KEY=VALUE, such as exposure=0.01, got {setting!r}.")
+        values[name] = parse_yaml(value, f"{option} {setting[:60]}")
+    return values
+
+
+@contextmanager
+def warnings_as_lines(prog: str) -> Iterator[None]:
+    """Print each warning of the library as one line on stderr, and silence the image and video decoders.
+
+    Decoder messages repeat what the library's own errors explain better.
+    """
+    import cv2
+
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    opencv: Any = cv2 if hasattr(cv2, "setLogLevel") else cv2.utils.logging  # OpenCV 5, OpenCV 4
+    opencv.setLogLevel(_LOG_LEVEL_ERROR)
+
+    def show(message: Warning | str, *_: Any) -> None:
+        print(f"{prog}: {' '.join(str(message).split())}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = show
+        yield
+
+
+@dataclass(frozen=True)
+class RobotArguments:
+    """Options that describe a camera, a robot and the object to look for."""
+
+    source: str = "d455"
+    """Source of the images: d455, d455:SERIAL, FILE.db3, FILE.bag, a recorded folder, the id of an environment, or
+    'robot' for the robot's own camera."""
+    robot: str | None = None
+    """The robot, as module:Class."""
+    set: tuple[str, ...] = ()
+    """KEY=VALUE: further arguments of the source, such as exposure=100."""
+    robot_set: tuple[str, ...] = ()
+    """KEY=VALUE: arguments of the robot's class, such as address=10.0.0.2."""
+    config: Path | None = None
+    """A YAML config file, as `shape-obs detect` writes it for a picked pixel; default: the robot's own config."""
+    extrinsics: Path | None = None
+    """The pose of the camera in the base frame, as `shape-obs calibrate base` writes it."""
+    size: tuple[int, int] = (640, 480)
+    """Width and height of the images in pixels."""
+    rate: float | None = None
+    """Steps per second; default 30, or the rate at which a trained policy was trained."""
+    timeout: float = 1.0
+    """Seconds without a frame after which the camera counts as failed."""
+
+
+def make_robot(args: RobotArguments) -> Any:
+    """Make the robot that ``--robot`` names; it is not connected yet.
+
+    Raises:
+        ValueError: No robot was given, or it cannot be made.
+        ImportError: Its module cannot be imported.
+    """
+    if args.robot is None:
+        raise ValueError("--robot module:Class is needed; shape_obs_envs.robots:NullRobot moves nothing.")
+    return make_named(args.robot, "--robot", read_settings(args.robot_set, "--robot-set"))
+
+
+def make_env(args: RobotArguments, robot: Any, **options: Any) -> Any:
+    """Make the environment ``ShapeObs/D455-v0`` wrapped in ``ShapeObservation``.
+
+    Args:
+        args: The options of the user.
+        robot: The robot, or None.
+        options: Further arguments of the environment.
+
+    Raises:
+        ValueError: There is no config, and the robot has none of its own.
+    """
+    from shape_obs.wrappers import ShapeObservation
+
+    config = read_config(args, robot)
+    return ShapeObservation(make_bare_env(args, robot, **options), **config)
+
+
+def make_bare_env(args: RobotArguments, robot: Any, **options: Any) -> Any:
+    """Make the environment ``ShapeObs/D455-v0``, whose observations are images.
+
+    Args:
+        args: The options of the user.
+        robot: The robot, or None.
+        options: Further arguments of the environment.
+    """
+    import gymnasium as gym
+
+    width, height = args.size
+    source: Any = args.source
+    if source != "robot":
+        # Only a camera can be asked for an image size.
+        mode = {"width": width, "height": height} if source.split(":")[0] == "d455" else {}
+        source = open_named(source, args.extrinsics, args.set, **mode)
+    return gym.make(
+        "shape_obs_envs:ShapeObs/D455-v0",
+        source=source,
+        robot=robot,
+        rate=RATE if args.rate is None else args.rate,
+        size=list(args.size),
+        timeout=args.timeout,
+        disable_env_checker=True,
+        **options,
+    )
+
+
+def read_config(args: RobotArguments, robot: Any) -> dict[str, Any]:
+    """Return the arguments of ``ShapeObservation`` in ``--config``; empty if the robot brings its own.
+
+    Raises:
+        ValueError: There is no config, and the robot has none of its own.
+    """
+    from shape_obs.config import load_config
+
+    if args.config is None and not getattr(robot, "shape_obs_defaults", None):
+        raise ValueError(
+            "--config FILE is needed: it describes how the object looks. `shape-obs detect IMAGE --pick u,v` writes "
+            "one."
+        )
+    config = {} if args.config is None else load_config(args.config)
+    if config.get("on_invalid") == "nan":  # the detector's default, which saved files contain; no policy reads NaN
+        del config["on_invalid"]
+    return config

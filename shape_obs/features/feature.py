@@ -1,0 +1,200 @@
+"""The interface of a feature, and the vector that the features of all shapes form."""
+
+from __future__ import annotations
+
+import warnings
+from abc import abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.camera import CameraModel
+from shape_obs.configurations import Configuration
+from shape_obs.geometry.topology import Topology
+from shape_obs.shape import Shape
+from shape_obs.spec import Spec
+
+Array = npt.NDArray[np.float64]
+
+#: Share of its range by which a value may exceed its bounds without a warning: noise does, a wrong workspace is larger.
+_NOISE_MARGIN: Final = 0.02
+
+
+@dataclass(frozen=True)
+class FeatureContext:
+    """Everything besides the shape that a feature is computed from.
+
+    Args:
+        width: Image width in pixels.
+        height: Image height in pixels.
+        camera: The camera model; None if only pixels are needed.
+        workspace: (low, high) corners in metres, base frame; None for everything the camera can see.
+        max_age: Seconds at which the feature ``age`` saturates.
+        anchor: (x, y, z) in metres, base frame, where point 0 is held; None if unknown.
+        anchors: All published anchors by name: (x, y, z) in metres, base frame, or (u, v) in pixels.
+    """
+
+    width: int
+    height: int
+    camera: CameraModel | None = None
+    workspace: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    max_age: float = 0.5
+    anchor: tuple[float, float, float] | None = None
+    anchors: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Feature(Spec, family="feature"):
+    """Compute a fixed number of values from one shape."""
+
+    @property
+    def unit(self) -> str:
+        """The unit of the values, such as ``"m"``, ``"px"`` or ``"rad"``; empty if they have none or several."""
+        return ""
+
+    @property
+    def needs_depth(self) -> bool:
+        """Whether the feature is computed from ``points3d``."""
+        return False
+
+    @property
+    def anchored(self) -> bool:
+        """Whether the values change when only the anchors move."""
+        return False
+
+    @property
+    def invertible(self) -> bool:
+        """Whether ``reconstruct`` can turn the values back into points."""
+        return type(self).reconstruct is not Feature.reconstruct
+
+    @abstractmethod
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
+        """Return the lowest and highest values for a shape of this layout, of shape (D,) each.
+
+        Bounds are finite and depend on the image size or the workspace, never on data.
+
+        Raises:
+            ValueError: The context lacks what the feature needs, or the feature is not defined for this layout.
+        """
+
+    @abstractmethod
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
+        """Return the values, of shape (D,); NaN where the shape does not determine them."""
+
+    def measured(self, shape: Shape, size: int) -> npt.NDArray[np.bool_]:
+        """Return which of the D = ``size`` values were measured; all of them if the feature weights the points."""
+        return np.ones(size, bool)
+
+    def units(self, layout: Topology, context: FeatureContext) -> tuple[str, ...]:
+        """Return the unit of each of the D values."""
+        return len(self.bounds(layout, context)[0]) * (self.unit,)
+
+    def reconstruct(self, values: npt.ArrayLike, layout: Topology, context: FeatureContext) -> Array:
+        """Return the points that the values describe, of shape (N, 2) or (N, 3), in the feature's frame and unit.
+
+        Raises:
+            ValueError: The feature does not determine the points.
+        """
+        raise ValueError(f"feature {self.kind!r} cannot be turned back into points.")
+
+    def identity(self) -> dict[str, Any]:
+        """Return what determines the values, as JSON values; the feature schema is the hash of it."""
+        return self.to_dict()
+
+
+def read_features(
+    value: Iterable[Feature | Mapping[str, Any] | str] | Feature | Mapping[str, Any] | str,
+) -> list[Feature]:
+    """Return features from specs, mappings or names; a single one counts as a list of one."""
+    alone = isinstance(value, (Feature, Mapping, str)) or not isinstance(value, Iterable)
+    return [Feature.from_dict(item) for item in ([value] if alone else value)]  # type: ignore[list-item]
+
+
+class Block(NamedTuple):
+    """The position of one feature of one shape in the vector.
+
+    Args:
+        shape: The name of the shape.
+        feature: The feature.
+        place: The slice of the vector.
+        units: The unit of each value.
+    """
+
+    shape: str
+    feature: Feature
+    place: slice
+    units: tuple[str, ...]
+
+
+class FeatureVector:
+    """Compute the features of all shapes as one finite, bounded vector.
+
+    Args:
+        features: The features of each shape, in the order of the vector.
+        shapes: The configurations of the shapes, in the order of the vector.
+        context: The context that determines the bounds; later contexts may have another camera pose.
+
+    Attributes:
+        low: (D,) float32 lowest values.
+        high: (D,) float32 highest values.
+        blocks: The position of each feature of each shape.
+        anchored: Whether any value changes when only the anchors move.
+
+    Raises:
+        ValueError: A feature is not defined for a shape, or its bounds are not finite or empty.
+    """
+
+    def __init__(self, features: Sequence[Feature], shapes: Sequence[Configuration], context: FeatureContext) -> None:
+        self.features = tuple(features)
+        self.anchored = any(feature.anchored for feature in self.features)
+        pairs = [(shape, feature) for shape in shapes for feature in self.features]
+        bounds = [feature.bounds(shape.layout, context) for shape, feature in pairs]
+        ends = np.cumsum([len(low) for low, _ in bounds]).tolist()
+        self.blocks = tuple(
+            Block(shape.name, feature, slice(end - len(low), end), feature.units(shape.layout, context))
+            for (shape, feature), (low, _), end in zip(pairs, bounds, ends, strict=True)
+        )
+        self.low = np.concatenate([low for low, _ in bounds]).astype(np.float32)
+        self.high = np.concatenate([high for _, high in bounds]).astype(np.float32)
+        if not np.all(self.low < self.high) or not np.all(np.isfinite([self.low, self.high])):
+            raise ValueError(f"features: bounds must be finite and low < high, got {self.low} and {self.high}.")
+        self._centre = self.low + (self.high - self.low) / 2
+        self._margin, self._warned = _NOISE_MARGIN * (self.high - self.low), False
+
+    def compute(self, shapes: Sequence[Shape], contexts: Sequence[FeatureContext]) -> npt.NDArray[np.float32]:
+        """Return the vector, of shape (D,), float32.
+
+        Unknown values are set to the centre of their bounds, the others are clipped to their bounds. Warns once if
+        values lie far outside their bounds.
+
+        Args:
+            shapes: The detected shapes, in the order of the configurations.
+            contexts: The context of each shape.
+        """
+        computed = []
+        for shape, context in zip(shapes, contexts, strict=True):
+            for feature in self.features:
+                computed.append(feature.compute(shape, context))  # noqa: PERF401 - a comprehension is one more call
+        values = np.concatenate(computed).astype(np.float32)
+        known = np.isfinite(values)
+        if not known.all():
+            values = np.where(known, values, self._centre)
+        clipped = np.minimum(np.maximum(values, self.low), self.high)
+        if not self._warned and (np.abs(clipped - values) > self._margin).any():
+            self._warned = True
+            warnings.warn(
+                f"features: {np.count_nonzero(clipped != values)} of {len(values)} values lie outside their bounds "
+                "and are clipped. For points in metres set workspace=, or max_depth= of the feature, to the size of "
+                "the scene. This warning is shown once.",
+                stacklevel=2,
+            )
+        return clipped
+
+    def measured(self, shapes: Sequence[Shape]) -> npt.NDArray[np.bool_]:
+        """Return which values were measured in this frame and not filled in, of shape (D,)."""
+        known = {shape.name: shape for shape in shapes}
+        parts = [block.feature.measured(known[block.shape], len(block.units)) for block in self.blocks]
+        return np.concatenate(parts)

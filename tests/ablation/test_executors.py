@@ -1,0 +1,39 @@
+"""Ablations on a Ray cluster: a worker is killed in the middle, and the numbers are those of this process."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("stable_baselines3")
+
+from ablation_study import STUDY, here, killing, numbers
+
+from shape_obs.ablation import Study
+from shape_obs.ablation.executors import Ray
+from shape_obs.ablation.sweep import left, sweep
+
+
+@pytest.mark.long
+def test_a_cluster_that_loses_a_worker_gives_the_same_numbers(tmp_path):
+    ray = pytest.importorskip("ray")
+    study = Study.from_dict({**{name: value for name, value in STUDY.items() if name != "version"}, "seeds": [0]})
+    sweep(study, left(study, tmp_path / "here"), here)
+    cluster = tmp_path / "cluster"
+    engine = Ray(jobs=2)
+    try:
+        with killing(cluster / "small" / "seed0") as killed:
+            outcomes = sweep(study, left(study, cluster), engine)
+    finally:
+        ray.shutdown()
+    assert killed
+    assert {outcome.task.arm: outcome.error for outcome in outcomes} == {"small": "", "smaller": ""}
+    assert numbers(cluster) == numbers(tmp_path / "here")
+
+
+def test_without_ray_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ImportError, match=r"pip install 'shape-obs\[ray\]'"):
+        Ray()

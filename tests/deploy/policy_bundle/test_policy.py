@@ -1,0 +1,127 @@
+"""Bundles in other environments: what does not fit is refused, and by its name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import pytest
+from bundles import POINTS, WORKSPACE, cable, learner, train
+from cell_parts import RopeSource
+
+pytest.importorskip("mujoco")
+pytest.importorskip("stable_baselines3")
+
+import shape_obs_envs  # noqa: F401
+from shape_obs import ShapeGoal, load_bundle, save_bundle
+from shape_obs.deploy.policy_bundle import BundleError
+from shape_obs.training import PointReward, TrueState
+from shape_obs_envs.robots import NullRobot
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory) -> Any:
+    path = tmp_path_factory.mktemp("bundle") / "cable.policy"
+    train(path)
+    return load_bundle(path)
+
+
+class TestMismatch:
+    """Each difference is told by its name, with both values."""
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"shapes": [{"kind": "centerline", "n": 10, "anchor": "gripper0"}]}, r"shapes\[0\].n: 20 in training, 10"),
+            (
+                {"shapes": [{"kind": "centerline", "anchor": "gripper0"}]},
+                r"shapes\[0\].ends: 'tips' in training, 'cent",
+            ),
+            ({"features": [POINTS, "ok"]}, r"features\[1\]: None in training, {'kind': 'ok'} here"),
+            (
+                {"features": [{**POINTS, "origin": "centroid"}]},
+                r"features\[0\].origin: None in training, 'centroid'",
+            ),
+            ({"features": [{"kind": "points3d"}]}, r"features\[0\].frame: 'base' in training, 'camera' here"),
+            ({"keep": ["gripper"]}, r"observation 'observation' shape: \[60\] in training, \[70\] here"),
+            ({"clustering": "kmeans", "shapes": ["centerline"]}, "clustering kind: 'som' in training, 'kmeans' here"),
+        ],
+    )
+    def test_of_what_is_seen(self, bundle, options, message):
+        with pytest.raises(BundleError, match=f"does not fit this environment: .*{message}"):
+            bundle.check_env(cable(**options))
+
+    @pytest.mark.parametrize(
+        ("changes", "rate", "message"),
+        [
+            ({"scale": [0.02] * 6}, 20, r"action scale: \[0.015, .* in training, \[0.02, "),
+            ({"units": ["m"] * 6}, 20, "action units: .*'rad'.* in training, .* here"),
+            ({"mode": "velocity"}, 20, "action mode: 'displacement' in training, 'velocity' here"),
+            ({"frame": "gripper"}, 20, "action frame: 'base' in training, 'gripper' here"),
+            ({}, 30, r"dt \[s\]: 0.05 in training, 0.033333 here"),
+        ],
+    )
+    def test_of_what_is_done(self, bundle, changes, rate, message):
+        env = bundle.wrap(self.cell(bundle, changes, rate), scene=BLUE)
+        with pytest.raises(BundleError, match=message):
+            bundle.check_env(env)
+
+    def test_what_may_differ(self, bundle):
+        assert bundle.differences(cable(workspace=WORKSPACE, segmentation=BLUE["segmentation"])) == []
+        slow = bundle.wrap(self.cell(bundle, {"low": [-0.3] * 6}, 30), scene=BLUE)
+        assert bundle.differences(slow, same_rate=False) == []
+        assert isinstance(slow, ShapeGoal)
+
+    def test_a_camera_that_stands_nobody_knows_where(self, bundle):
+        env = self.cell(bundle, {}, 20)
+        env.unwrapped.source.extrinsics = None  # as of a camera without --extrinsics
+        with pytest.raises(BundleError, match=r"'points3d' in the base frame, .* give --extrinsics"):
+            bundle.wrap(env, scene=BLUE)
+
+    def cell(self, bundle, changes, rate) -> Any:
+        spec = {**bundle.action_spec.to_dict(), **changes}
+        return gym.make(
+            "shape_obs_envs:ShapeObs/D455-v0",
+            source=RopeSource(),
+            robot=NullRobot(spec=spec),
+            rate=rate,
+            size=[160, 120],
+            disable_env_checker=True,
+        )
+
+
+def rescaled() -> Any:
+    bounds: Any = -2.0, 2.0
+    return gym.wrappers.RescaleAction(cable(), *bounds)
+
+
+BLUE = {"segmentation": {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}}
+
+
+class TestDeployable:
+    @pytest.mark.parametrize(
+        ("make", "reason"),
+        [
+            (lambda: TrueState(gym.make("ShapeObs/Cable-v0", render_observation=False)), "simulator's state"),
+            (lambda: cable(keep=["gripper"]), "it also reads gripper, which only its simulator provides"),
+            (rescaled, "the wrapper RescaleAction does on a robot"),
+        ],
+    )
+    def test_what_only_a_simulator_has_is_kept_and_rebuilt_but_not_deployed(self, tmp_path, make, reason):
+        env = make()
+        save_bundle(learner(env), env, tmp_path / "a.policy")
+        bundle = load_bundle(tmp_path / "a.policy")
+        again = bundle.make_env()
+        assert again.action_space.contains(bundle.act(again.reset(seed=0)[0]))
+        with pytest.raises(BundleError, match=f"the policy cannot be deployed: .*{reason}"):
+            bundle.controller()
+
+    def test_wrappers_that_belong_to_the_policy_come_along(self, tmp_path):
+        features = ["centroid", POINTS]
+        env = PointReward(ShapeGoal(cable(features=features), features=features, threshold=1.0), threshold=0.02)
+        save_bundle(learner(env), env, tmp_path / "a.policy")
+        bundle = load_bundle(tmp_path / "a.policy")
+        cell = bundle.wrap(TestMismatch().cell(bundle, {}, 20), scene=BLUE)
+        assert isinstance(cell, PointReward)
+        assert cell.threshold == 0.02
+        bundle.check_env(cell)

@@ -1,0 +1,163 @@
+"""`shape-obs deploy BUNDLE`, before a simulated robot whose camera is a software D455."""
+
+from __future__ import annotations
+
+import json
+from importlib.util import find_spec
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from cell_parts import HEIGHT, ROPE, WIDTH, ListRobot, RopeSource
+
+from shape_obs import ShapeObservation, save_bundle
+from shape_obs.cli import main
+from shape_obs.deploy import Still, deploy
+from shape_obs.robot import ActionSpec
+
+for module in ("mujoco", "stable_baselines3"):
+    pytest.importorskip(module)
+CELL = ["--source", "robot", "--robot", "shape_obs_envs.robots:SimulatedRobot"]
+with_d455 = pytest.mark.skipif(not find_spec("pyrealsense2"), reason="the software D455 needs librealsense")
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory) -> Any:
+    """A policy that has learnt nothing, trained for points in the base frame at 20 Hz."""
+    import stable_baselines3 as sb3
+    import torch
+
+    torch.set_num_threads(1)
+    env = ShapeObservation(gym.make("shape_obs_envs:ShapeObs/Cable-v0", camera=[84, 84], disable_env_checker=True))
+    model = sb3.SAC("MultiInputPolicy", env, policy_kwargs={"net_arch": [8]}, buffer_size=10, seed=0, device="cpu")
+    path = tmp_path_factory.mktemp("bundle") / "cable.policy"
+    save_bundle(model, env, path)
+    return path
+
+
+def run(capsys, *arguments):
+    """(exit code, stdout, stderr) of a command run in this process."""
+    with pytest.raises(SystemExit) as stop:
+        main(["deploy", *(str(argument) for argument in arguments)])
+    captured = capsys.readouterr()
+    return stop.value.code, captured.out, captured.err
+
+
+#: What a busy machine does to images is none of these tests' business.
+PATIENT = ["--hold", "20", "--max-age", "5", "--watchdog", "30", "--timeout", "10"]
+
+
+@with_d455
+def test_a_policy_plays_episodes_with_goals_of_the_robot(capsys, path, tmp_path):
+    options = ["--goal", "robot", "--episodes", "2", "--steps", "3", "--log", tmp_path / "runs", "--json"]
+    code, out, err = run(capsys, path, *CELL, *options, *PATIENT)
+    assert code == 0, err
+    report = json.loads(out)
+    assert [episode["steps"] for episode in report["episodes"]] == [3, 3]
+    assert report["true_success"] in (0.0, 0.5, 1.0)
+    distances = [episode["true_mm"] for episode in report["episodes"]]
+    assert all(1 < distance < 200 for distance in distances)
+    assert distances[0] != distances[1]  # another start and another goal
+    header = json.loads((tmp_path / "runs" / "episode-001" / "run.json").read_text())
+    assert header["options"]["rate"] == "20.0"
+    assert header["options"]["settle"] == "0.05"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--controller", "shape_obs.deploy:Still"], "expected a trained policy or --controller, got both"),
+        (["--controller-set", "share=1"], "--controller-set: a trained policy takes no arguments"),
+        ([], "give --goal FILE, or --goal robot if the robot is simulated"),
+        (["--goal", "robot", "--episodes", "0"], "--episodes: expected 1 or more, got 0"),
+        (["--goal", "robot", "--rate", "0"], "rate: expected hertz above 0"),
+        (["--goal", "robot", "--settle", "-1"], "settle: expected seconds from 0 to below 10"),
+        (["--goal", "robot", "--robot-set", "env=ShapeObs/Cloth-v0"], "action names: ['gripper0/x'"),
+        (["--goal", "robot", "--robot-set", "grippers=1"], "action names: ['gripper0/x'"),
+    ],
+)
+@with_d455
+def test_what_does_not_fit_is_told_in_one_line(capsys, path, arguments, message):
+    code, out, err = run(capsys, path, *CELL, *arguments)
+    assert (code, out) == (1, "")
+    assert message in err
+    assert err.count("\n") == 1
+
+
+@with_d455
+def test_another_rate_is_a_warning_and_a_robot_without_goals_is_told(capsys, path, tmp_path):
+    shape = tmp_path / "shape.yaml"
+    shape.write_text("version: 1\nscene: {segmentation: {kind: hsv, low: [100, 120, 40], high: [125, 255, 255]}}\n")
+    names = [f"gripper{i}/{axis}" for i in range(2) for axis in ("x", "y", "yaw")]
+    spec = ActionSpec(tuple(names), ("m", "m", "rad") * 2, (0.015, 0.015, 0.12) * 2, (-1.0,) * 6, (1.0,) * 6).to_dict()
+    robot = ["--source", "shape_obs_envs:ShapeObs/Cable-v0", "--config", shape]
+    robot += ["--robot", "shape_obs_envs.robots:NullRobot", "--robot-set", f"spec={json.dumps(spec)}"]
+    code, _, err = run(capsys, path, *robot, "--goal", "robot", "--rate", "10")
+    assert code == 1
+    assert "--rate 10: the policy was trained at 20 steps per second" in err
+    assert "in the base frame, but this camera has no extrinsics" in err or "NullRobot provides no goals" in err
+
+
+class TestSettle:
+    """An image is taken when the motion is over."""
+
+    def cell(self, source=None, **options) -> Any:
+        robot = ListRobot()
+        env = gym.make(
+            "shape_obs_envs:ShapeObs/D455-v0",
+            source=source or RopeSource(robot),
+            robot=robot,
+            rate=50.0,
+            size=[WIDTH, HEIGHT],
+            disable_env_checker=True,
+            **options,
+        )
+        return ShapeObservation(env, **ROPE)
+
+    @pytest.mark.parametrize("delay", [0.0, 0.08])
+    def test_frames_show_what_was_there_after_it(self, delay):
+        source = RopeSource()
+        env = self.cell(source, settle=0.03)
+        env.reset()
+        cell = env.unwrapped
+        source.delay = delay  # from now on all images are older than they were at the reset
+        for _ in range(4):
+            _, _, _, _, info = env.step(np.array([0.5, 0.0]))
+            assert info["received"] - info["lag"] >= cell.sent_at + 0.02 + 0.03
+            assert not info["overrun"]
+
+    def test_images_that_stay_late_are_taken_when_the_time_is_over(self):
+        source = RopeSource()
+        env = self.cell(source, settle=0.0, timeout=0.3)
+        env.reset()
+        source.delay = 5.0
+        _, _, _, truncated, info = env.step(np.zeros(2))
+        assert not truncated
+        assert info["lag"] == pytest.approx(5.0, abs=0.05)
+
+    def test_it_is_for_the_loop_too(self):
+        report = deploy(self.cell(settle=0.02), Still(), steps=3)
+        assert (report.acted, report.overruns) == (3, 0)
+        assert report.seconds > 3 * (0.02 + 0.02)
+
+    def test_no_time_at_all(self):
+        with pytest.raises(ValueError, match="settle: expected seconds from 0 to below 10, or None, got -1"):
+            self.cell(settle=-1)
+
+
+def test_a_bundle_that_runs_code_needs_trust(capsys, path, tmp_path):
+    from shape_obs.deploy.policy_bundle.archive import read_archive, write_archive
+
+    members = dict(read_archive(path).members)
+    record = json.loads(members["policy.json"])
+    record["network"]["arguments"]["activation_fn"] = "torch.nn:Softshrink"
+    write_archive(tmp_path / "own.policy", {**members, "policy.json": json.dumps(record).encode()})
+    code, _, err = run(capsys, tmp_path / "own.policy", *CELL)
+    assert code == 1
+    assert "Load it with trust=True (--trust on the command line) only if you trust who made the file" in err
+    code, _, err = run(capsys, tmp_path / "own.policy", "--trust", *CELL)
+    assert code == 1
+    assert "give --goal FILE, or --goal robot if the robot is simulated" in err
+    code, _, err = run(capsys, "--trust", *CELL)
+    assert "--trust: only for a trained policy, and none is given" in err

@@ -1,0 +1,215 @@
+"""Bundles: what was trained is what acts; what does not fit is refused, and by its name."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import yaml
+from bundles import cable, learner, registered, rope, train
+from known_ropes import fit, ropes
+from rope_env import wrapped
+
+pytest.importorskip("mujoco")
+pytest.importorskip("stable_baselines3")
+
+import shape_obs_envs  # noqa: F401
+from shape_obs import load_bundle, save_bundle, schema_hash
+from shape_obs.deploy.policy_bundle import BundleError
+from shape_obs.deploy.policy_bundle.archive import read_archive, write_archive
+from shape_obs.training import Shuffled
+from shape_obs_envs.robots import NullRobot
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory) -> Any:
+    """(model, vector env, path)."""
+    path = tmp_path_factory.mktemp("bundle") / "cable.policy"
+    return *train(path), path
+
+
+@pytest.fixture(scope="module")
+def bundle(trained) -> Any:
+    return load_bundle(trained[2])
+
+
+def test_it_acts_as_the_model_did_with_the_statistics_that_it_had(trained, bundle):
+    model, vector, _ = trained
+    env = bundle.make_env()
+    observation, _ = env.reset(seed=1)
+    for _ in range(3):
+        batch = vector.normalize_obs({key: value[None] for key, value in observation.items()})
+        expected = model.predict(batch, deterministic=True)[0][0]
+        np.testing.assert_array_equal(bundle.act(observation), expected)
+        observation, *_ = env.step(expected)
+    assert "Monitor" not in str(env)
+    assert "Curriculum" in str(env)
+    assert bundle.make_env(max_episode_steps=7).spec.max_episode_steps == 7
+
+
+def test_it_tells_what_it_was_trained_in(trained, bundle):
+    record = bundle.record
+    assert record.summary == {"algorithm": "SAC", "steps": 12, "seed": 0, "note": "quick"}
+    assert (record.dt, record.image, record.success_threshold) == (0.05, (84, 84), 0.01)
+    assert record.versions["stable-baselines3"]
+    assert record.schema == schema_hash(record.config)
+    assert bundle.action_spec == cable().get_wrapper_attr("action_spec")
+    assert bundle.needs_goal
+    camera = cable().get_wrapper_attr("camera_model")
+    np.testing.assert_allclose(record.camera["transform_camera_to_base"], camera.transform_camera_to_base)
+    assert set(read_archive(trained[2]).members) == {
+        "weights.safetensors",
+        "statistics.safetensors",
+        "env.json",
+        "config.yaml",
+        "policy.json",
+    }
+
+
+def test_without_normalisation_and_goals_from_a_plain_env(tmp_path):
+    env = rope(n=10)
+    model = learner(env, "PPO", n_steps=4, batch_size=4)
+    with pytest.raises(BundleError, match=r"another environment: observation space shape: \[30\] then, \[60\]"):
+        save_bundle(model, rope(n=20), tmp_path / "a")
+    save_bundle(model, env, tmp_path / "rope.policy")
+    bundle = load_bundle(tmp_path / "rope.policy")
+    observation, _ = bundle.make_env().reset(seed=0)
+    np.testing.assert_array_equal(bundle.act(observation), model.predict(observation, deterministic=True)[0])
+    assert not bundle.needs_goal
+    with pytest.raises(BundleError, match=r"saved without action_spec, .*: save it with action_spec="):
+        bundle.controller()
+    save_bundle(model, env, tmp_path / "rope.policy", action_spec=NullRobot(1).action_spec)
+    assert load_bundle(tmp_path / "rope.policy").controller().action_spec == NullRobot(1).action_spec
+
+
+def test_fitted_features_travel_along(tmp_path):
+    fitted = tmp_path / "ropes.npz"
+    fit(ropes(50)).save(fitted)
+    feature = {"kind": "pca", "file": str(fitted)}
+    env = wrapped(gym.make(registered(), disable_env_checker=True), features=[feature])
+    model = learner(env, "PPO", n_steps=4, batch_size=4)
+    save_bundle(model, env, tmp_path / "rope.policy")
+    before, _ = env.reset(seed=0)
+    fitted.unlink()
+    bundle = load_bundle(tmp_path / "rope.policy")
+    after, _ = bundle.make_env().reset(seed=0)
+    np.testing.assert_array_equal(after, before)
+    assert bundle.record.config is not None
+    folder = Path(bundle.record.config["features"][0]["file"]).parent
+    assert folder.is_dir()
+    del bundle
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("trust", [False, True])
+def test_wrappers_that_have_moved_since_are_found_and_a_backend_is_no_error(tmp_path, trust):
+    """Entry points and configuration as earlier releases wrote them."""
+    env = Shuffled(cable())
+    save_bundle(learner(env), env, tmp_path / "a.policy")
+    members = read_archive(tmp_path / "a.policy").members
+    described, config = json.loads(members["env.json"]), yaml.safe_load(members["config.yaml"])
+    described["wrappers"][-1]["entry_point"] = "shape_obs.training.shuffled:Shuffled"
+    config["runtime"]["backend"] = "numpy"
+    old = {"env.json": json.dumps(described).encode(), "config.yaml": yaml.safe_dump(config).encode()}
+    write_archive(tmp_path / "old.policy", {**members, **old})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the backend
+        bundle = load_bundle(tmp_path / "old.policy", trust=trust)
+    again = bundle.make_env()
+    assert again.action_space.contains(bundle.act(again.reset(seed=0)[0]))
+
+
+class TestFile:
+    @pytest.fixture
+    def members(self, trained) -> dict[str, bytes]:
+        return read_archive(trained[2]).members
+
+    @pytest.mark.parametrize("share", [0.02, 0.5, 0.99])
+    def test_truncated(self, trained, tmp_path, share):
+        data = trained[2].read_bytes()
+        (tmp_path / "a").write_bytes(data[: int(share * len(data))])
+        with pytest.raises(BundleError, match="truncated or damaged"):
+            load_bundle(tmp_path / "a")
+
+    @pytest.mark.parametrize("share", [0.1, 0.3, 0.6, 0.9])
+    def test_bytes_that_fell_over_on_the_way(self, trained, tmp_path, share):
+        data = bytearray(trained[2].read_bytes())
+        at = int(share * len(data))
+        data[at : at + 40] = bytes(byte ^ 0xFF for byte in data[at : at + 40])
+        (tmp_path / "a").write_bytes(data)
+        with pytest.raises(BundleError, match="Copy it again"):
+            load_bundle(tmp_path / "a")
+
+    def test_no_file_no_zip_and_another_zip(self, tmp_path):
+        with pytest.raises(FileNotFoundError, match="no such bundle"):
+            load_bundle(tmp_path / "none")
+        np.savez(tmp_path / "other.npz", a=1)
+        with pytest.raises(BundleError, match="a zip file of something else"):
+            load_bundle(tmp_path / "other.npz")
+
+    @pytest.mark.parametrize("name", ["weights.safetensors", "statistics.safetensors", "policy.json"])
+    def test_a_member_that_was_changed_or_is_missing(self, trained, tmp_path, name):
+        import zipfile
+
+        with zipfile.ZipFile(trained[2]) as old:
+            whole = {item: old.read(item) for item in old.namelist()}
+        for change, message in (
+            ({name: whole[name][:-1] + b"!"}, f"'{name}' was changed"),
+            ({}, f"lacks.*{name}"),
+        ):
+            with zipfile.ZipFile(tmp_path / "a", "w") as new:
+                for item, data in {**{key: value for key, value in whole.items() if key != name}, **change}.items():
+                    new.writestr(item, data)
+            with pytest.raises(BundleError, match=message):
+                load_bundle(tmp_path / "a")
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"schema": "0" * 64}, "features mean something else here"),
+            ({"versions": {"stable-baselines3": "1.8.0"}}, "other major versions: stable-baselines3 1.8.0 then"),
+            ({"action_space": {"kind": "discrete", "n": 2, "start": 0}}, "another action space than was recorded"),
+            ({"dt": "fast"}, "Record.dt: expected float"),
+        ],
+    )
+    def test_a_record_that_does_not_fit(self, members, tmp_path, change, message):
+        record = {**json.loads(members["policy.json"]), **change}
+        write_archive(tmp_path / "a", {**members, "policy.json": json.dumps(record).encode()})
+        with pytest.raises(BundleError, match=message):
+            load_bundle(tmp_path / "a")
+
+    def test_another_minor_version_is_told(self, members, tmp_path):
+        record = {**json.loads(members["policy.json"]), "versions": {"numpy": "1.0.1"}}
+        write_archive(tmp_path / "a", {**members, "policy.json": json.dumps(record).encode()})
+        with pytest.warns(UserWarning, match=r"saved with other versions: numpy 1.0.1 then"):
+            load_bundle(tmp_path / "a")
+
+    def test_nothing_is_half_written(self, trained, tmp_path):
+        class Secret(gym.Wrapper):
+            """Records nothing."""
+
+        model, _, good = trained
+        path = tmp_path / "a.policy"
+        path.write_bytes(good.read_bytes())
+        for env, summary, message in (
+            (Secret(cable()), None, "Secret does not record its arguments"),
+            (cable(keep=["gripper"]), None, "the model was trained in another environment"),
+            (cable(), {"note": object()}, "summary: expected JSON values"),
+        ):
+            with pytest.raises(BundleError, match=message):
+                save_bundle(model, env, path, summary=summary)
+        assert [file.name for file in tmp_path.iterdir()] == ["a.policy"]
+        assert path.read_bytes() == good.read_bytes()
+        with pytest.raises(OSError, match="cannot write"):
+            save_bundle(model, cable(), tmp_path / "none" / "a.policy")
+
+    def test_equal_policies_give_equal_files(self, trained, tmp_path):
+        members = read_archive(trained[2]).members
+        write_archive(tmp_path / "a", members)
+        write_archive(tmp_path / "b", members)
+        assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()

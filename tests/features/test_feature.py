@@ -1,0 +1,243 @@
+"""Features: dimension, units, frames, bounds; what is unknown and what is out of bounds."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from shape_obs import CameraModel, Centerline, Feature, Shape
+from shape_obs.features import (
+    Age,
+    FeatureContext,
+    FeatureVector,
+    Ok,
+    Points2D,
+    Points2DNormalized,
+    Points3D,
+    Valid,
+    read_features,
+)
+from shape_obs.geometry.topology import Chain, Topology
+
+WORKSPACE = ((-0.5, -0.4, -0.1), (0.5, 0.4, 0.3))
+
+
+def shape(points2d: Any = ((0, 0), (10, 20)), points3d: Any = ((0, 0, 1), (0.1, 0.2, 0.9)), **rest: Any) -> Shape:
+    points2d = np.array(points2d, np.float32)
+    known = np.ones(len(points2d), bool)
+    points3d = None if points3d is None else np.array(points3d, np.float32)
+    given = {"visible": known, "valid": known, "layout": Chain(len(known)), **rest}
+    return Shape("rope", points2d, points3d, **given)
+
+
+@pytest.fixture
+def view(overhead) -> FeatureContext:
+    return FeatureContext(320, 240, overhead, WORKSPACE, max_age=0.5, anchor=(0.1, 0.0, 0.2))
+
+
+ALL = [
+    Points2D(),
+    Points2DNormalized(),
+    Points3D(),
+    Points3D(frame="base"),
+    Points3D(frame="anchor"),
+    Ok(),
+    Age(),
+    Valid(),
+]
+
+
+@pytest.mark.parametrize("feature", ALL, ids=repr)
+def test_bounds_fit_the_values_and_are_finite(feature, view):
+    for n in (2, 20):
+        low, high = feature.bounds(Chain(n), view)
+        values = feature.compute(shape(np.zeros((n, 2)), np.ones((n, 3))), view)
+        assert low.shape == high.shape == values.shape
+        assert np.isfinite([low, high]).all()
+        assert (low < high).all()
+
+
+def test_the_edge_of_the_image_is_the_edge_of_the_bounds(view):
+    corners = shape([[-0.5, -0.5], [319.5, 239.5]])
+    low, high = Points2D().bounds(Chain(2), view)
+    np.testing.assert_array_equal(Points2D().compute(corners, view), [low[0], low[1], high[2], high[3]])
+    np.testing.assert_allclose(Points2DNormalized().compute(corners, view), [-1, -1, 1, 1])
+
+
+def test_pixels_are_u_then_v_point_by_point(view):
+    np.testing.assert_array_equal(Points2D().compute(shape([[1, 2], [3, 4]]), view), [1, 2, 3, 4])
+    np.testing.assert_allclose(
+        Points2DNormalized().compute(shape([[159.5, 119.5], [239.5, 119.5]]), view), [0, 0, 0.5, 0]
+    )
+
+
+def test_metres_in_three_frames(view):
+    # the camera hangs one metre above the base's origin and looks straight down
+    points = shape(points3d=[[0.1, 0.2, 0.9], [0, 0, 1]])
+    camera = Points3D().compute(points, view)
+    np.testing.assert_allclose(camera, [0.1, 0.2, 0.9, 0, 0, 1], atol=1e-6)
+    base = Points3D(frame="base").compute(points, view)
+    np.testing.assert_allclose(base, [0.1, -0.2, 0.1, 0, 0, 0], atol=1e-6)
+    anchor = Points3D(frame="anchor").compute(points, view)
+    np.testing.assert_allclose(anchor, base - np.tile([0.1, 0.0, 0.2], 2), atol=1e-6)
+
+
+def test_the_base_frame_follows_the_camera_of_the_moment(view, overhead):
+    raised = overhead.transform_camera_to_base.copy()
+    raised[2, 3] = 1.5
+    moved = replace(view, camera=CameraModel(overhead.intrinsics, raised))
+    feature, points = Points3D(frame="base"), shape()
+    np.testing.assert_allclose(
+        feature.compute(points, moved) - feature.compute(points, view), [0, 0, 0.5] * 2, atol=1e-6
+    )
+
+
+def test_bounds_in_the_camera_frame_are_what_it_sees(view):
+    low, high = Points3D(max_depth=2.0).bounds(Chain(1), view)
+    edge = view.camera.intrinsics.deproject([[-0.5, -0.5], [319.5, 239.5]], [2.0, 2.0])  # type: ignore[union-attr]
+    np.testing.assert_allclose(low, [edge[0, 0], edge[0, 1], 0])
+    np.testing.assert_allclose(high, [edge[1, 0], edge[1, 1], 2])
+
+
+@given(st.floats(0, 319), st.floats(0, 239), st.floats(0.01, 2.0))
+def test_every_point_in_view_is_within_bounds(overhead, u, v, z):
+    view = FeatureContext(320, 240, overhead)
+    point = overhead.intrinsics.deproject([[u, v]], [z])
+    for frame in ("camera", "base"):
+        low, high = Points3D(frame=frame).bounds(Chain(1), view)
+        values = Points3D(frame=frame).compute(shape([[u, v]], point), view)
+        assert (values >= low - 1e-6).all()
+        assert (values <= high + 1e-6).all()
+
+
+def test_bounds_in_the_base_frame_are_the_workspace(view):
+    low, high = Points3D(frame="base").bounds(Chain(2), view)
+    np.testing.assert_array_equal([low, high], [WORKSPACE[0] * 2, WORKSPACE[1] * 2])
+    low, high = Points3D(frame="anchor").bounds(Chain(1), view)
+    np.testing.assert_allclose([low, high], [[-1, -0.8, -0.4], [1, 0.8, 0.4]])
+
+
+def test_trust_as_numbers(view):
+    lost = shape(ok=False, age=0.3, valid=np.array([True, False]))
+    assert Ok().compute(lost, view).tolist() == [0.0]
+    assert Ok().compute(shape(), view).tolist() == [1.0]
+    assert Age().compute(lost, view).tolist() == [0.3]
+    assert Age().compute(shape(age=7.0), view).tolist() == [0.5]
+    assert Age().bounds(Chain(2), view)[1].tolist() == [0.5]
+    assert Valid().compute(lost, view).tolist() == [1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("feature", "change", "message"),
+    [
+        (
+            Points3D(),
+            {"camera": None},
+            "feature 'points3d' needs a camera model: let the env publish `camera_model`, or pass",
+        ),
+        (Points3D(frame="base"), {"pose": None}, "feature 'points3d' in frame 'base' needs transform_camera_to_base"),
+        (
+            Points3D(frame="anchor"),
+            {"anchor": None},
+            "relative to the anchor needs a shape anchored to a base-frame point",
+        ),
+    ],
+)
+def test_what_is_needed_is_told(feature, change, message, view):
+    if "pose" in change:
+        change = {"camera": CameraModel(view.camera.intrinsics)}
+    lacking = replace(view, **change)
+    failing = feature.compute if "anchor" in change else lambda shape, view: feature.bounds(Chain(2), view)
+    with pytest.raises(ValueError, match=message):
+        failing(shape(), lacking)
+    with pytest.raises(ValueError, match="needs depth and a camera, but the shape has no points3d"):
+        feature.compute(shape(points3d=None), view)
+
+
+class TestVector:
+    def vector(self, view, features, *shapes):
+        return FeatureVector(read_features(features), shapes or [Centerline(n=2)], view)
+
+    def test_blocks_follow_one_another_shape_after_shape(self, view):
+        a, b = shape([[1, 2], [3, 4]]), shape([[5, 6], [7, 8], [9, 10]], ok=False)
+        values = self.vector(view, ["points2d", "ok"], Centerline(n=2), Centerline(n=3, name="b")).compute(
+            [a, b], [view, view]
+        )
+        assert values.dtype == np.float32
+        np.testing.assert_array_equal(values, [1, 2, 3, 4, 1, 5, 6, 7, 8, 9, 10, 0])
+
+    def test_what_is_unknown_sits_at_the_centre_of_its_bounds(self, view):
+        vector = self.vector(view, [Points2D(), Points3D(frame="base"), Ok()])
+        nothing = shape(np.full((2, 2), np.nan), np.full((2, 3), np.nan), ok=False)
+        np.testing.assert_allclose(
+            vector.compute([nothing], [view]), [159.5, 119.5] * 2 + [0, 0, 0.1] * 2 + [0], atol=1e-6
+        )
+        half = shape([[1, 2], [np.nan, 4]], [[0, 0, 1], [np.nan] * 3])
+        np.testing.assert_allclose(vector.compute([half], [view])[:4], [1, 2, 159.5, 4])
+
+    def test_what_is_out_of_bounds_is_clipped_and_told_once(self, view):
+        vector = self.vector(view, "points2d")
+        away = shape([[-9, 500], [1e9, -np.inf]])
+        with pytest.warns(UserWarning, match=r"3 of 4 values lie outside their bounds .* set workspace="):
+            values = vector.compute([away], [view])
+        np.testing.assert_array_equal(values, [-0.5, 239.5, 319.5, 119.5])
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            np.testing.assert_array_equal(vector.compute([away], [view]), values)
+
+    @pytest.mark.filterwarnings("error::UserWarning")
+    def test_a_little_noise_is_clipped_without_a_word(self, view):
+        values = self.vector(view, "points2d").compute([shape([[-3, 0], [10, 242]])], [view])
+        np.testing.assert_array_equal(values, [-0.5, 0, 10, 239.5])
+
+    @given(hnp.arrays(np.float32, (4, 2)), hnp.arrays(np.float32, (4, 3)), st.booleans(), st.floats(0, 1e9))
+    def test_no_shape_leaves_the_bounds(self, overhead, points2d, points3d, ok, age):
+        view = FeatureContext(320, 240, overhead, WORKSPACE, anchor=(0, 0, 0))
+        vector = FeatureVector(ALL, [Centerline(n=4)], view)
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = vector.compute([shape(points2d, points3d, ok=ok, age=age)], [view])
+        assert values.dtype == vector.low.dtype == np.float32
+        assert (values >= vector.low).all()
+        assert (values <= vector.high).all()
+
+    def test_empty_bounds_are_told(self, view):
+        with pytest.raises(ValueError, match="bounds must be finite and low < high"):
+            self.vector(replace(view, max_age=0.0), "age")
+
+
+def test_one_feature_stands_for_a_list_of_it():
+    assert (
+        read_features("ok") == read_features(Ok()) == read_features({"kind": "ok"}) == read_features(["ok"]) == [Ok()]
+    )
+    with pytest.raises(ValueError, match="unknown kind 'okay'; did you mean 'ok'"):
+        read_features(["okay"])
+    with pytest.raises(ValueError, match="expected a mapping or a Feature, got 3"):
+        read_features(3)  # type: ignore[arg-type]
+
+
+def test_a_feature_of_ones_own(view):
+    from dataclasses import dataclass
+
+    @dataclass(frozen=True)
+    class Length(Feature, kind="test-length"):
+        longest: float = 100.0
+
+        def bounds(self, layout: Topology, context: FeatureContext):
+            return np.zeros(1), np.full(1, self.longest)
+
+        def compute(self, shape: Shape, context: FeatureContext):
+            return np.array([np.linalg.norm(np.diff(shape.points2d, axis=0), axis=1).sum()])
+
+    try:
+        vector = FeatureVector(read_features([{"kind": "test-length", "longest": 50}]), [Centerline(n=2)], view)
+        assert vector.compute([shape([[0, 0], [3, 4]])], [view]).tolist() == [5.0]
+        assert vector.high.tolist() == [50.0]
+    finally:
+        Feature._members.pop("test-length")

@@ -1,0 +1,84 @@
+"""Tables of shapes are restored exactly, and damaged ones are refused."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from recorded_cable import CONFIG, FRAMES, detector
+from scripted_source import equal
+
+import shape_obs
+from shape_obs import schema_hash
+from shape_obs.config import config_hash, load_config
+from shape_obs.recording import ShapeLog, ShapeTable
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz", "parquet"])
+def test_tables_come_back_to_the_bit(log, tmp_path, suffix):
+    if suffix == "parquet":
+        pytest.importorskip("pyarrow")
+    table = log[0].table()
+    table.save(tmp_path / f"t.{suffix}")
+    back = ShapeTable.load(tmp_path / f"t.{suffix}")
+    assert list(back.columns) == list(table.columns)
+    for name, column in table.columns.items():
+        assert back[name].shape == column.shape, name
+        if column.dtype.kind == "f":
+            assert equal(back[name], column), name
+        else:
+            assert np.array_equal(back[name], column), name
+    assert back.metadata == table.metadata
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+def test_a_table_holds_what_the_detector_said(log):
+    pairs, table = log[1], log[0].table()
+    assert len(table) == FRAMES + 3
+    assert table["rope/points2d"].shape == (FRAMES + 3, 12, 2)
+    assert table["contour/points3d"].shape == (FRAMES + 3, 16, 3)
+    for i, (moment, detection) in enumerate(pairs):
+        assert (table["frame"][i], table["number"][i], table["stamp"][i]) == (i, moment.frame.number, detection.stamp)
+        assert table["episode"][i] == moment.episode
+        for shape in detection:
+            assert table[f"{shape.name}/ok"][i] == shape.ok
+            if shape.ok:
+                assert equal(table[f"{shape.name}/points3d"][i], shape.points3d)
+                assert equal(table[f"{shape.name}/valid"][i], shape.valid)
+    assert table["rope/ok"][-3:].tolist() == [True, False, False], "held for half a second"
+    assert np.isnan(table["rope/points3d"][-2:]).all()
+    assert np.isnan(table["rope/points2d"][-2:]).all()
+    assert table["rope/reason"][-1] == "the mask is empty"
+    assert np.allclose(table["rope/age"][-3:], (0.4, 0.8, 1.2))
+
+
+def test_a_table_says_what_made_it(log, recorded, tmp_path):
+    told = log[0].table().metadata
+    assert told["schema_hash"] == schema_hash(CONFIG)
+    assert told["config_hash"] == config_hash(CONFIG)
+    assert told["source"] == {"kind": "folder", "name": str(recorded)}
+    assert told["software"]["shape_obs"] == shape_obs.__version__
+    (tmp_path / "again.yaml").write_text(told["config"])
+    assert config_hash(load_config(tmp_path / "again.yaml")) == config_hash(CONFIG)
+    assert config_hash({**CONFIG, "max_age": 0.1}) != config_hash(CONFIG)
+
+
+def test_parquet_can_be_read_without_us(log, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    log[0].table().save(tmp_path / "t.parquet")
+    content = parquet.read_table(tmp_path / "t.parquet")
+    points = np.stack(content["rope/points2d"].to_pylist()).reshape(-1, 12, 2).astype(np.float32)
+    assert equal(points, log[0].table()["rope/points2d"])
+    assert json.loads(content.schema.metadata[b"shape_obs"])["schema_hash"] == schema_hash(CONFIG)
+
+
+def test_what_is_no_table_is_refused(log, tmp_path):
+    for name in ("t.npz", "t.parquet", "t.csv"):
+        (tmp_path / name).write_text("junk")
+        with pytest.raises(ValueError, match=f"{name}: not a table of shapes"):
+            ShapeTable.load(tmp_path / name)
+    with pytest.raises(ValueError, match=r"expected a file named \*\.csv, \*\.npz, \*\.parquet"):
+        log[0].table().save(tmp_path / "t.xlsx")
+    with pytest.raises(ValueError, match="no frame was added"):
+        ShapeLog(detector()).table()
