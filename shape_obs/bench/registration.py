@@ -46,7 +46,7 @@ def registration_errors(seed: int = 0, backend: Backend = "auto") -> dict[str, R
     Raises:
         ImportError: librealsense is missing.
     """
-    from shape_obs_envs.sources.librealsense_align import LibrealsenseAlign
+    from shape_obs.bench.librealsense_align import LibrealsenseAlign
     from shape_obs_envs.sources.realsense import SoftwareD455
     from shape_obs_envs.sources.registration import Registration
 
@@ -66,7 +66,7 @@ def registration_errors(seed: int = 0, backend: Backend = "auto") -> dict[str, R
 
 def registration_times(runs: int = 30) -> dict[str, float]:
     """Median milliseconds of each way at 640 x 480, one thread: our parts on either backend, and ``rs.align``."""
-    from shape_obs_envs.sources.librealsense_align import LibrealsenseAlign
+    from shape_obs.bench.librealsense_align import LibrealsenseAlign
     from shape_obs_envs.sources.realsense import SoftwareD455
     from shape_obs_envs.sources.registration import Registration
 
@@ -111,7 +111,7 @@ class _Scene:
     """Blocks on a table under a D455 that looks down, a little tilted, and its two raw images."""
 
     def __init__(self, seed: int) -> None:
-        from shape_obs_envs.sources.realsense.d455 import d455_geometry
+        from shape_obs_envs.sources.realsense.driver import d455_geometry
 
         d455 = d455_geometry(*_SIZE, _UNIT)
         self.geometry = d455.colour, d455.depth, d455.rotation, d455.translation, d455.depth_unit

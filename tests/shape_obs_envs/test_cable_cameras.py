@@ -258,7 +258,7 @@ assert os.environ["MUJOCO_GL"] == "disable"
 
 @needs_gl
 def test_auto_says_once_that_it_uses_gl(caplog, monkeypatch):
-    monkeypatch.setattr(cameras, "_told", set())
+    monkeypatch.setattr(cameras, "_logged", set())
     with caplog.at_level(logging.INFO, "shape_obs_envs"):
         for _ in range(2):
             env = make(renderer="auto")

@@ -15,7 +15,7 @@ pytest.importorskip("mujoco")
 from simulator_gl import RENDERERS, needs_gl
 
 import shape_obs_envs  # noqa: F401
-from shape_obs_envs.mujoco.cameras.raster import draw_triangles
+from shape_obs_envs.mujoco.cameras.rasterizer import draw_triangles
 from shape_obs_envs.mujoco.cloth import ClothEnv
 
 SIZES = {"square": [84, 84], "rl": "rl", "d455": "d455"}

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 import shape_obs_envs  # noqa: F401
-from shape_obs_envs.mujoco.bodies.base import MaterialFactors
+from shape_obs_envs.mujoco.bodies import MaterialFactors
 from shape_obs_envs.mujoco.cloth import COLS, ROWS, ClothEnv
 
 IDLE = np.zeros(6, np.float32)

@@ -234,7 +234,7 @@ def test_frames_of_the_fast_form_do_not_repeat():
 
 
 def test_fast_cameras_of_one_model_share_their_noise():
-    from shape_obs_envs.d455.bank import noise_bank
+    from shape_obs_envs.d455.random_fields import noise_bank
 
     assert noise_bank(D455Model(), SMALL) is noise_bank(D455Model(), SMALL)
     assert len(pickle.dumps(D455Camera(MODEL, NATIVE, fast=True))) < 2000

@@ -184,7 +184,7 @@ def test_a_depth_space_without_zero_is_refused():
     space: Any = env.observation_space
     space.spaces["depth"] = gym.spaces.Box(0.1, 5.0, SMALL, np.float32)
     with pytest.raises(
-        ValueError, match=r"observation\['depth'\]: a hole is 0, which the space must admit, got low 0.1"
+        ValueError, match=r"observation\['depth'\]: a hole is 0, which the space must contain, got low 0.1"
     ):
         D455Noise(env)
 

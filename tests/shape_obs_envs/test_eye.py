@@ -9,7 +9,7 @@ import pytest
 
 from shape_obs import Frame
 from shape_obs.source import FrameTimeout, StaleFrame
-from shape_obs_envs.cell.eye import Eye
+from shape_obs_envs.real.frame_reader import Eye
 
 SIZE = (8, 6)
 

@@ -14,7 +14,7 @@ from cell_parts import HEIGHT, ROPE, WIDTH, ListRobot, RopeSource
 from shape_obs import ShapeObservation
 from shape_obs.deploy import Limits, deploy
 from shape_obs.robot import RobotError
-from shape_obs_envs.cell.interlock import Interlock
+from shape_obs_envs.real.interlock import Interlock
 
 
 class TimedRobot(ListRobot):

@@ -15,11 +15,10 @@ pytest.importorskip("mujoco")
 
 from randomized import ENVS, make, play, reset, same  # pyright: ignore[reportMissingImports]
 
-from shape_obs_envs.mujoco.bodies.base import MaterialFactors
+from shape_obs_envs.mujoco.bodies import MaterialFactors
 from shape_obs_envs.mujoco.goal_env import ShapeGoalEnv
-from shape_obs_envs.mujoco.randomization import Randomization, Randomizer
-from shape_obs_envs.mujoco.randomization.spec import FACTORS
-from shape_obs_envs.mujoco.rays import cast_rays
+from shape_obs_envs.mujoco.randomization import FACTORS, Randomization, Randomizer
+from shape_obs_envs.mujoco.scene import cast_rays
 
 LOOKS = {"material": False}
 ONLY_HAND = {"others": False, "hand": {"probability": 1.0, "latest": 2}}

@@ -13,10 +13,9 @@ pytest.importorskip("mujoco")
 from randomized import ENVS, make, play  # pyright: ignore[reportMissingImports]
 from simulator_gl import needs_gl
 
-from shape_obs_envs.mujoco.cameras.surfaces import normals
-from shape_obs_envs.mujoco.cameras.texture import Texture
-from shape_obs_envs.mujoco.engine import mujoco
-from shape_obs_envs.mujoco.rays import cast_rays
+from shape_obs_envs.mujoco.cameras.rasterizer import Texture
+from shape_obs_envs.mujoco.cameras.ray_camera import normals
+from shape_obs_envs.mujoco.scene import cast_rays, mujoco
 
 OFTEN = {"hand": {"probability": 1.0, "latest": 0, "speed": [0.2, 0.2]}, "distractors": {"most": 8}}
 

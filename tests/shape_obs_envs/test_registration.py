@@ -12,9 +12,8 @@ from shape_obs import CameraModel, Intrinsics
 from shape_obs.bench.blocks import rows_of_blocks, see
 from shape_obs.bench.registration import registration_errors
 from shape_obs.compiled import Backend
-from shape_obs_envs.sources.raw_images import RawImages
-from shape_obs_envs.sources.realsense.d455 import d455_geometry
-from shape_obs_envs.sources.registration import Registration
+from shape_obs_envs.sources.realsense.driver import d455_geometry
+from shape_obs_envs.sources.registration import RawImages, Registration
 
 D455 = d455_geometry(640, 480, 0.001)
 COLOUR, DEPTH, PLACE = D455.colour, D455.depth, (D455.rotation, D455.translation)

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 import shape_obs_envs  # noqa: F401
-from shape_obs_envs.mujoco.cameras.gl_context import GLUnavailableError
+from shape_obs_envs.mujoco.cameras.gl_camera import GLUnavailableError
 from shape_obs_envs.mujoco.ring import RingEnv
 
 

@@ -17,7 +17,7 @@ from gymnasium.utils.env_checker import check_env
 pytest.importorskip("mujoco")
 
 import shape_obs_envs  # noqa: F401
-from shape_obs_envs.mujoco.cameras.gl_context import GLUnavailableError
+from shape_obs_envs.mujoco.cameras.gl_camera import GLUnavailableError
 from shape_obs_envs.mujoco.goal_env import ShapeGoalEnv
 
 ENVS = {

@@ -17,7 +17,7 @@ from shape_obs.recording import record
 from shape_obs.recording.format import read_moments
 from shape_obs.source import BadRecording, CameraNotFound, EndOfSource, NotConnected, RGBDSource, SourceError
 from shape_obs_envs.sources import EnvSource, FolderSource, VideoSource, open_source
-from shape_obs_envs.sources.stillness import no_motion
+from shape_obs_envs.sources.env import no_motion
 
 
 @pytest.fixture
@@ -273,8 +273,8 @@ def test_a_word_opens_what_it_names(photos, video):
         ("none.bag", {}, BadRecording, "none.bag: no such file"),
         ("none.mp4", {}, BadRecording, "none.mp4: no such file"),
         ("notes.txt", {}, BadRecording, "expected .db3, .bag, .mp4, .* or a folder, got '.txt'"),
-        ("shot1.png", {}, BadRecording, "or a folder, got '.png'; for photos give the folder that they are in"),
-        ("d456", {}, CameraNotFound, "'d456' is no camera, path or environment; did you mean 'd455'"),
+        ("shot1.png", {}, BadRecording, "or a folder, got '.png'; for photos give the folder that contains them"),
+        ("d456", {}, CameraNotFound, "'d456' is not a camera, path or environment; did you mean 'd455'"),
         ("ShapeObs/Cabel-v0", {}, SourceError, "not registered.*did you mean 'ShapeObs/Cable-v0'"),
         (".", {"width": 640}, ValueError, "width are settings of a camera"),
         (".", {"exposure": 3}, ValueError, r"a FolderSource does not take \['exposure'\]"),
