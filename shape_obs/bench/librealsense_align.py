@@ -1,4 +1,4 @@
-"""LibrealsenseAlign: librealsense's own alignment, on arrays; what Registration is compared with."""
+"""Alignment by librealsense itself, on arrays, for comparison with `Registration`."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _TIMEOUT: Final = 2000  # milliseconds
 
 
 class LibrealsenseAlign:
-    """``rs.align`` to colour, behind a software camera; colour stays as it is, with the lens' distortion.
+    """Align depth to colour with ``rs.align``, through a software camera; colour keeps the lens distortion.
 
     Args:
-        camera: Through which the images go; nobody else reads it.
+        camera: The software camera, which must have no other reader.
 
     Raises:
-        ImportError: librealsense is missing.
+        ImportError: librealsense is not installed.
     """
 
     def __init__(self, camera: SoftwareD455) -> None:
@@ -36,23 +36,23 @@ class LibrealsenseAlign:
         self._align = rs.align(rs.stream.color)
 
     def pair(self, colour_raw: npt.NDArray[np.uint8], depth_raw: npt.NDArray[np.uint16]) -> Any:
-        """A frameset of two raw images, as a camera gives it.
+        """Return a frameset of two raw images, as a camera delivers it.
 
         Raises:
-            TimeoutError: librealsense did not give back what it was given.
+            TimeoutError: librealsense did not return the images.
         """
         self._camera.push_raw(colour_raw, depth_raw)
         there, frames = self._pipeline.try_wait_for_frames(_TIMEOUT)
         if not there or frames.size() < 2:
-            raise TimeoutError("librealsense gave back no pair of the images that were pushed.")
+            raise TimeoutError("librealsense did not return the pair of images that was pushed.")
         return frames
 
     def align(self, frames: Any) -> Any:
-        """The frameset with depth aligned, by ``rs.align`` and nothing else."""
+        """Return the frameset with depth aligned by ``rs.align``."""
         return self._align.process(frames)
 
     def __call__(self, colour_raw: npt.NDArray[np.uint8], depth_raw: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
-        """Depth (H,W) uint16, in the depth unit, aligned to the raw colour image."""
+        """Return depth ``(H, W)`` uint16, in the depth unit, aligned to the raw colour image."""
         return np.array(self.align(self.pair(colour_raw, depth_raw)).get_depth_frame().get_data())
 
     def close(self) -> None:

@@ -145,7 +145,7 @@ class FrameReader:
         width, height = self._size
         if frame.rgb is None or frame.depth is None:
             raise ValueError(
-                f"{self.source.name} provides no {'colour' if frame.rgb is None else 'depth'}; expected an RGB-D source."
+                f"{self.source.name} has no {'colour' if frame.rgb is None else 'depth'}; expected an RGB-D source."
             )
         if frame.size != (height, width):
             seen = frame.size or (0, 0)

@@ -57,7 +57,7 @@ class RayCamera:
         rows, columns, geom, distance = rows[hit], columns[hit], geom[hit], distance[hit]
         depth[rows, columns] = distance / scale[hit]
         points = eye + directions[hit] * distance[:, None]
-        rgb[rows, columns] = self._shade(data, geom, _normals(self._model, data, geom, points))
+        rgb[rows, columns] = self._shade(data, geom, outward_normals(self._model, data, geom, points))
         if self._sheet is not None:
             self._sheet.draw(data, lambda points: self._project(points, rotation, eye), rgb, depth)
         return rgb, depth
@@ -144,7 +144,7 @@ def _fixed(pixels: Array) -> NDArray[np.int32]:
     return np.rint(pixels * 2**_SHIFT).astype(np.int32)
 
 
-def _normals(model: Any, data: Any, geoms: NDArray[np.int32], points: Array) -> Array:
+def outward_normals(model: Any, data: Any, geoms: NDArray[np.int32], points: Array) -> Array:
     """Return outward unit normals ``(M, 3)`` of `geoms` ``(M,)`` at surface `points` ``(M, 3)``, world frame."""
     rotation = data.geom_xmat[geoms].reshape(-1, 3, 3)
     local = np.einsum("mji,mj->mi", rotation, points - data.geom_xpos[geoms])

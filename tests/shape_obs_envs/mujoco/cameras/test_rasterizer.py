@@ -41,7 +41,7 @@ def views(env: ClothEnv) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
         for move, steps in moves:
             for _ in range(steps):
                 env._move(np.array(move, np.float64))
-        yield name, *env._studio.capture(env._body)
+        yield name, *env._rendering.capture(env._body)
 
 
 def cloth(env: ClothEnv, rgb: np.ndarray) -> np.ndarray:

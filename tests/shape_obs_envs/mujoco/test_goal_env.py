@@ -114,7 +114,7 @@ def test_without_images_the_same_happens_and_nothing_is_drawn(name, env):
     assert set(steps[0][0]) == {"gripper", "achieved_goal", "desired_goal"}
     assert blind.observation_space.contains(steps[-1][0])
     assert same(steps, play(env, seed=2), ("gripper", "achieved_goal", "desired_goal"))
-    assert blind._studio.camera_name is None
+    assert blind._rendering.camera_name is None
     check_env(make(name, render_observation=False), skip_render_check=True)
 
 

@@ -47,7 +47,7 @@ def views(env, seeds=3):
         action = rng.uniform(-1, 1, 6)
         for _ in range(15):
             env._move(action)
-        yield env._studio.capture(env._body)
+        yield env._rendering.capture(env._body)
 
 
 def rope_mask(env, rgb):
@@ -232,7 +232,7 @@ import gymnasium as gym, numpy as np, shape_obs_envs
 envs = [gym.make("ShapeObs/Cable-v0", camera=[84, 84], renderer=r).unwrapped for r in ("auto", "auto", "rays")]
 frames = [env.reset(seed=0)[0]["rgb"] for env in envs]
 assert all(np.array_equal(frame, frames[2]) for frame in frames)
-assert envs[0]._studio.camera_name == "rays"
+assert envs[0]._rendering.camera_name == "rays"
 try:
     gym.make("ShapeObs/Cable-v0", renderer="gl").reset()
 except RuntimeError as error:
@@ -250,7 +250,7 @@ import os
 import gymnasium as gym, shape_obs_envs
 env = gym.make("ShapeObs/Cable-v0", camera=[84, 84]).unwrapped
 env.reset(seed=0)
-assert env._studio.camera_name == "rays"
+assert env._rendering.camera_name == "rays"
 assert os.environ["MUJOCO_GL"] == "disable"
 """
     assert "MUJOCO_GL=disable turns OpenGL off" in run(code, tmp_path, MUJOCO_GL="disable")

@@ -18,7 +18,7 @@ from shape_obs_envs.sources import RealSenseSource
 from shape_obs_envs.sources.realsense.driver import recording_suffix
 
 FRAMES = 60
-REAL = Path(__file__).parents[3] / "shared" / "data" / "real" / "realsense_d4xx_single_640x480.bag"
+REAL = Path(__file__).parents[5] / "shared" / "data" / "real" / "realsense_d4xx_single_640x480.bag"
 OTHER = {".db3": ".bag", ".bag": ".db3"}
 
 
@@ -50,7 +50,7 @@ def test_a_recording_gives_the_same_frames(recorded) -> None:
                 assert np.array_equal(_array(again.depth), _array(frame.depth))
                 assert (again.stamp, again.number) == (pytest.approx(frame.stamp, abs=1e-6), frame.number)
             for _ in range(2):
-                with pytest.raises(EndOfSource, match=f"{path.name}: the recording is over"):
+                with pytest.raises(EndOfSource, match=f"{path.name}: end of the recording"):
                     read()
 
 

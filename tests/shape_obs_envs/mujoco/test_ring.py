@@ -102,7 +102,7 @@ def test_the_picture_is_the_true_band(renderer):
         pytest.skip("there is no OpenGL here")
     camera = env.camera_model
     for _ in bent(env):
-        rgb, depth = env._studio.capture(env._body)
+        rgb, depth = env._rendering.capture(env._body)
         mask = blue(env, rgb)
         filled = np.zeros(mask.shape, np.uint8)
         cv2.fillPoly(filled, [np.rint(env.truth(400, frame="pixels") * 16).astype(np.int32)], 1, shift=4)
@@ -123,7 +123,7 @@ def test_gl_and_rays_agree():
     except GLUnavailableError:
         pytest.skip("there is no OpenGL here")
     for _ in zip(*map(bent, envs), strict=True):
-        (rgb, depth), (rgb_rays, depth_rays) = (env._studio.capture(env._body) for env in envs)
+        (rgb, depth), (rgb_rays, depth_rays) = (env._rendering.capture(env._body) for env in envs)
         edges = np.zeros(depth.shape, np.uint8)
         for image in (rgb, rgb_rays):
             edges |= (cv2.morphologyEx(image, cv2.MORPH_GRADIENT, np.ones((3, 3))).max(axis=2) > 40).astype(np.uint8)

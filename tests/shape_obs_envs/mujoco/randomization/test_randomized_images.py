@@ -14,7 +14,7 @@ from randomized import ENVS, make, play  # pyright: ignore[reportMissingImports]
 from simulator_gl import needs_gl
 
 from shape_obs_envs.mujoco.cameras.rasterizer import Texture
-from shape_obs_envs.mujoco.cameras.ray_camera import normals
+from shape_obs_envs.mujoco.cameras.ray_camera import outward_normals
 from shape_obs_envs.mujoco.scene import cast_rays, mujoco
 
 OFTEN = {"hand": {"probability": 1.0, "latest": 0, "speed": [0.2, 0.2]}, "distractors": {"most": 8}}
@@ -64,8 +64,8 @@ def test_a_print_lies_where_opengl_lays_it():
         model.tex_data[start : start + 512 * 512 * 3] = (
             np.stack([red, green, 0 * red], axis=-1).astype(np.uint8).ravel()
         )
-        env._studio.refresh()
-        pictures.append(env._studio.capture(env._body))
+        env._rendering.refresh()
+        pictures.append(env._rendering.capture(env._body))
         camera = env.camera_model
         env.close()
     (one, depth), (two, _) = pictures
@@ -110,7 +110,7 @@ def test_surfaces_face_outwards(kind):
         hits.append((eye + rays * distance[:, None], geom))
     met = (hits[0][1] == 0) & (hits[1][1] == 0) & (hits[2][1] == 0)
     assert met.sum() > 100
-    facing = normals(model, data, np.zeros(met.sum(), np.int32), hits[0][0][met])
+    facing = outward_normals(model, data, np.zeros(met.sum(), np.int32), hits[0][0][met])
     assert np.allclose(np.linalg.norm(facing, axis=1), 1)
     assert (np.einsum("ij,ij->i", facing, eye - hits[0][0][met]) > 0).all()
     for points, _ in hits[1:]:

@@ -43,8 +43,8 @@ def test_off_it_adds_and_draws_nothing(name):
     rng = np.random.default_rng(3)
     before = rng.bit_generator.state
     off = Randomizer(False)
-    off.make(rng)
-    assert not off.dress()
+    off.draw_physics(rng)
+    assert not off.draw_appearance()
     off.advance()
     assert rng.bit_generator.state == before
     assert off.bodies() == off.sections() == ""

@@ -17,7 +17,7 @@ from shape_obs.recording import record
 from shape_obs.recording.format import read_moments
 from shape_obs.source import BadRecording, CameraNotFound, EndOfSource, NotConnected, RGBDSource, SourceError
 from shape_obs_envs.sources import EnvSource, FolderSource, VideoSource, open_source
-from shape_obs_envs.sources.env import no_motion
+from shape_obs_envs.sources.env import zero_action
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def video(tmp_path_factory):
 def rest(source):
     """All frames."""
     frames: list[Any] = [moment.frame for moment in read_moments(source)]
-    with pytest.raises(EndOfSource, match=f"its {len(frames)} frames are over"):
+    with pytest.raises(EndOfSource, match=f"end of its {len(frames)} frames"):
         source.read()
     return frames
 
@@ -213,7 +213,7 @@ def test_actions_are_random_by_seed_or_a_policys():
         EnvSource(Clock(), actions="none")  # pyright: ignore[reportArgumentType]
 
 
-def test_no_motion_lies_in_every_space():
+def test_the_zero_action_lies_in_every_space():
     space = spaces.Dict(
         {
             "box": spaces.Box(0.5, 1.0, (2,)),
@@ -221,9 +221,9 @@ def test_no_motion_lies_in_every_space():
             "many": spaces.Tuple([spaces.MultiDiscrete([3, 2]), spaces.MultiBinary(4)]),
         }
     )
-    assert space.contains(no_motion(space))
+    assert space.contains(zero_action(space))
     with pytest.raises(ValueError, match="Give actions='random', or a function"):
-        no_motion(spaces.Text(3))
+        zero_action(spaces.Text(3))
 
 
 def test_environments_without_images_are_refused():

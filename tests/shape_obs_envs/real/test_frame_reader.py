@@ -9,7 +9,7 @@ import pytest
 
 from shape_obs import Frame
 from shape_obs.source import FrameTimeout, StaleFrame
-from shape_obs_envs.real.frame_reader import Eye
+from shape_obs_envs.real.frame_reader import FrameReader
 
 SIZE = (8, 6)
 
@@ -44,10 +44,10 @@ class Camera:
         pass
 
 
-def reader(newest: Frame | None, queue: list[Frame], live: bool = True) -> Eye:
+def reader(newest: Frame | None, queue: list[Frame], live: bool = True) -> FrameReader:
     camera = Camera(newest, queue)
     camera.live = live
-    return Eye(camera, SIZE, timeout=1.0)  # type: ignore[arg-type]
+    return FrameReader(camera, SIZE, timeout=1.0)  # type: ignore[arg-type]
 
 
 def test_the_newest_frame_is_taken_at_once_if_it_arrived_after_the_moment():

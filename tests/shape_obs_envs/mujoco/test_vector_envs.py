@@ -135,7 +135,7 @@ def test_a_fork_after_use_does_not_hang():
     """Threads do not survive a fork; a library whose pool waits for them hangs. With as many threads as they like."""
     free = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
     done = subprocess.run(
-        [sys.executable, "-c", FORK, str(Path(__file__).parents[1] / "support")],
+        [sys.executable, "-c", FORK, str(Path(__file__).parents[2] / "support")],
         capture_output=True,
         text=True,
         timeout=120,
