@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import gymnasium as gym
 import pytest
-from gymnasium.envs.registration import EnvSpec
+from gymnasium.envs.registration import EnvSpec, load_env_creator
 
 import shape_obs_envs  # noqa: F401 - registers the ids
 
@@ -16,7 +16,7 @@ def test_a_saved_spec_with_the_old_entry_point_makes_the_environment() -> None:
     assert spec.entry_point == "shape_obs_envs.real:D455Env"
     saved = replace(spec, entry_point="shape_obs_envs.cell:D455Env", kwargs={"source": "d455:1"}).to_json()
     env = gym.make(EnvSpec.from_json(saved))
-    assert type(env.unwrapped) is gym.envs.registration.load_env_creator("shape_obs_envs.real:D455Env")
+    assert type(env.unwrapped) is load_env_creator("shape_obs_envs.real:D455Env")
     env.close()
 
 

@@ -203,7 +203,7 @@ def test_without_a_display_the_viewer_says_what_to_do(name, monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
     env = make(name, render_mode="human", render_observation=False)
     assert "human" not in env.metadata["render_modes"]
-    with pytest.raises(GLUnavailableError, match=r'no display here. Record a video instead: render_mode="rgb_array"'):
+    with pytest.raises(GLUnavailableError, match=r'no display. Record a video instead: render_mode="rgb_array"'):
         env.reset(seed=0)
 
 

@@ -131,7 +131,7 @@ def test_a_failing_robot_ends_the_episode():
 
 def test_images_of_another_size_are_told():
     env = make(RopeSource(), size=[640, 480])
-    with pytest.raises(ValueError, match=r"160 x 120 pixels, the env was made for 640 x 480: make it with size="):
+    with pytest.raises(ValueError, match=r"160 x 120 pixels, the env expects 640 x 480: make it with size="):
         env.reset()
 
 
@@ -151,7 +151,7 @@ def test_robots_and_sources_by_name():
         make(RopeSource(), robot="no_lab:Arm")
     with pytest.raises(ValueError, match="did you mean 'ListRobot'"):
         make(RopeSource(), robot="cell_parts:ListRobt")
-    with pytest.raises(ValueError, match="brings no camera"):
+    with pytest.raises(ValueError, match="has no camera"):
         make("robot", robot=ListRobot())
 
 

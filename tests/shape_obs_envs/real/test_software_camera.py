@@ -51,7 +51,7 @@ def test_a_recording_gives_the_environment_the_same_images(tmp_path: Path):
         assert info["stamp"] == pytest.approx(frame.stamp, abs=1e-6)
         observation, _, terminated, truncated, info = env.step(0)
     assert (terminated, truncated) == (False, True)
-    assert "the end of the recording" in info["camera_error"]
+    assert "end of the recording" in info["camera_error"]
     assert not observation["rgb"].any()
     env.reset()  # from the beginning
     assert env.unwrapped.frame.number == frames[0].number

@@ -250,5 +250,5 @@ def test_arguments_that_make_no_sense_are_refused() -> None:
         SimulatedRobot(fps=0)
     with pytest.raises(ValueError, match="ramp"):
         SimulatedRobot(ramp=-1.0)
-    with pytest.raises(ValueError, match="none of the simulated environments"):
+    with pytest.raises(ValueError, match="is not a simulated environment"):
         SimulatedRobot("CartPole-v1")

@@ -241,7 +241,7 @@ else:
     raise SystemExit("GL was not hidden")
 """
     )
-    assert run(code, tmp_path).count("Rendering with rays, which is slower: there is no OpenGL") == 1
+    assert run(code, tmp_path).count("Rendering with rays, which is slower: OpenGL is not available") == 1
 
 
 def test_mujoco_gl_is_obeyed(tmp_path):

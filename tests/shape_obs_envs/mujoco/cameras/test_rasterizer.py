@@ -143,7 +143,7 @@ def test_a_print_is_drawn_alike():
     envs = [make(camera="d455", renderer=renderer) for renderer in ("gl", "rays")]
     for env in envs:
         rows, cols = np.mgrid[: env._sheet.tone_shape[0], : env._sheet.tone_shape[1]]
-        env._sheet.paint((0.1, 0.3, 0.9), 1 - 0.4 * ((rows // 8 + cols // 8) % 2) * (cols < 100))
+        env._sheet.set_colours((0.1, 0.3, 0.9), 1 - 0.4 * ((rows // 8 + cols // 8) % 2) * (cols < 100))
     for (name, rgb, _), (_, rgb_rays, _) in zip(*map(views, envs), strict=True):
         inside = ~grown(~(cloth(envs[0], rgb) & cloth(envs[0], rgb_rays)), 2)
         apart = np.abs(rgb.astype(int) - rgb_rays)[inside].max(axis=1)

@@ -77,7 +77,7 @@ def test_bad_files(recorded, tmp_path: Path) -> None:
         f"half{suffix}": (whole[: len(whole) // 2], "a part"),
         f"short{suffix}": (whole[:50], "a part|cannot read"),
         f"empty{suffix}": (b"", "the file is empty"),
-        f"junk{suffix}": (b"hello" * 100, "something else"),
+        f"junk{suffix}": (b"hello" * 100, "got another file type"),
         f"rope{OTHER[suffix]}": (whole, f"its suffix is '{OTHER[suffix]}': rename it to rope{suffix}"),
         "rope.txt": (whole, f"rename it to rope{suffix}"),
     }
@@ -95,7 +95,7 @@ def test_bad_files(recorded, tmp_path: Path) -> None:
 def test_bad_bags(tmp_path: Path) -> None:
     shutil.copy(REAL, tmp_path / "real.db3")
     (tmp_path / "half.bag").write_bytes(REAL.read_bytes()[:300_000])
-    with pytest.raises(BadRecording, match=r"is a ROS bag by its content, .* rename it to real\.bag"):
+    with pytest.raises(BadRecording, match=r"the content is a ROS bag, .* rename it to real\.bag"):
         RealSenseSource(recording=tmp_path / "real.db3").connect()
     with pytest.raises(BadRecording, match="a part of it is missing"):
         RealSenseSource(recording=tmp_path / "half.bag").connect()
@@ -135,7 +135,7 @@ def test_a_killed_recording_loses_nothing(tmp_path: Path) -> None:
 def test_where_a_recording_may_go(tmp_path: Path) -> None:
     path = tmp_path / f"there{recording_suffix()}"
     path.write_bytes(b"precious")
-    with pytest.raises(FileExistsError, match="is there already"):
+    with pytest.raises(FileExistsError, match="exists already"):
         source(camera(), record_to=path).connect()
     assert path.read_bytes() == b"precious"
     with pytest.raises(ValueError, match=rf"writes {recording_suffix()} files"):

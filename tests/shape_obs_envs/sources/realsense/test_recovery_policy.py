@@ -90,7 +90,7 @@ def test_a_timeout_is_kept_to(timeout: float) -> None:
 
 def test_a_missing_camera_is_told_soon() -> None:
     begun = time.monotonic()
-    with pytest.raises(CameraNotFound, match="No camera with the serial number 0000 is there") as error:
+    with pytest.raises(CameraNotFound, match="No camera with the serial number 0000 is connected") as error:
         RealSenseSource(serial="0000").connect()
     assert time.monotonic() - begun < 3
     assert error.value.serial == "0000"
@@ -126,7 +126,7 @@ def test_pulled_out_and_back_in_time(caplog: pytest.LogCaptureFixture) -> None:
             numbers(stream, 1000, timeout=1)
         device.plug()
         assert stream.read(10, fresh=True).number
-    steps = ["step 1 of 4: wait on", "step 2 of 4: restart the pipeline", "gives frames again"]
+    steps = ["step 1 of 4: wait", "step 2 of 4: restart the pipeline", "delivers frames again"]
     assert [step for step in steps if step in caplog.text] == steps
 
 
@@ -135,7 +135,7 @@ def test_lost_and_connected_again() -> None:
     with source(device, patience=0.1, recover_timeout=0.6) as stream, streaming(device):
         stream.read(5)
         device.unplug()
-        with pytest.raises(CameraLost, match=r"has given no frame for .* connect again") as error:
+        with pytest.raises(CameraLost, match=r"has delivered no frame for .* connect again") as error:
             numbers(stream, 1000)
         assert error.value.serial == "455"
         with pytest.raises(CameraLost):
