@@ -1,4 +1,4 @@
-"""Gymnasium environments of `shape_obs`; importing this module registers their ids.
+"""Gymnasium environments of ``shape_obs``; importing this module registers their ids.
 
 Example:
     >>> import gymnasium as gym

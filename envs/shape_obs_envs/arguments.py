@@ -10,7 +10,7 @@ import numpy as np
 
 
 def one_of(name: str, value: Any, options: Iterable[Any], also: str = "") -> Any:
-    """Return `value` if it is one of `options`; `also` describes further values in the message.
+    """Return ``value`` if it is one of ``options``; ``also`` describes further values in the message.
 
     Raises:
         ValueError: It is not; the message lists the options and suggests one for a misspelt string.
@@ -26,7 +26,7 @@ def one_of(name: str, value: Any, options: Iterable[Any], also: str = "") -> Any
 
 
 def positive(name: str, value: Any, default: str, what: str = "a distance in metres") -> float:
-    """Return `value` as a float if it is above 0; `default` and `what` (the quantity) are for the message.
+    """Return ``value`` as a float if it is above 0; ``default`` and ``what`` (the quantity) are for the message.
 
     Raises:
         ValueError: It is not a finite number above 0.
@@ -38,7 +38,7 @@ def positive(name: str, value: Any, default: str, what: str = "a distance in met
 
 
 def count(name: str, value: Any, least: int, most: int | None = None) -> int:
-    """Return `value` as an int if it is a whole number within its limits.
+    """Return ``value`` as an int if it is a whole number within its limits.
 
     Raises:
         ValueError: It is not.

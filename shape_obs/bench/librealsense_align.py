@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs_envs.sources.realsense import SoftwareD455
-from shape_obs_envs.sources.realsense.driver import librealsense
+if TYPE_CHECKING:
+    from shape_obs_envs.sources.realsense import SoftwareD455
 
 _TIMEOUT: Final = 2000  # milliseconds
 
@@ -24,6 +24,8 @@ class LibrealsenseAlign:
     """
 
     def __init__(self, camera: SoftwareD455) -> None:
+        from shape_obs_envs.sources.realsense.driver import librealsense
+
         rs, geometry = librealsense(), camera.geometry
         self._camera, self._pipeline, config = camera, rs.pipeline(rs.context()), rs.config()
         for stream, pixels, lens in (

@@ -67,10 +67,10 @@ class D455Model(Spec):
         dark_level: Brightness, 0 to 255, above which no pixels are lost; below it the fraction rises linearly.
             Brightness is the largest of R, G and B: the imagers work in the near infrared, where strongly coloured dyes
             are bright, and surfaces that are dark in every channel are mostly dark as well.
-        hole_size: Like `correlation`, for the holes at jumps and on dark surfaces, in native pixels.
+        hole_size: Like ``correlation``, for the holes at jumps and on dark surfaces, in native pixels.
         speckle_share: Fraction of all pixels lost in small blobs; 0 for none. The data sheet promises 99 % of pixels on
             a plain wall; half of the missing ones are attributed to speckle.
-        speckle_size: Like `correlation`, for the blobs, in native pixels.
+        speckle_size: Like ``correlation``, for the blobs, in native pixels.
         min_z: Smallest measured depth in metres, from the data sheet for 640 x 480. 0 for no limit.
         max_z: Largest measured depth in metres, the end of the camera's working range; None for no limit.
         exposure: Relative standard deviation of all code values between episodes.
@@ -131,7 +131,7 @@ class D455Model(Spec):
         return self.focal * self.baseline
 
     def scale(self, rows: int) -> float:
-        """Return how many pixels of an image with `rows` rows correspond to one native pixel."""
+        """Return how many pixels of an image with ``rows`` rows correspond to one native pixel."""
         return rows / self.height
 
     def sigma(self, z: float) -> float:
@@ -151,7 +151,7 @@ class D455Model(Spec):
         return self.dark_share * max(0.0, 1.0 - value / self.dark_level)
 
     def edge_reach(self, rows: int) -> tuple[int, float]:
-        """Return how many pixels next to a jump may be lost in an image with `rows` rows, and their probability.
+        """Return how many pixels next to a jump may be lost in an image with ``rows`` rows, and their probability.
 
         If the native width is less than a pixel, the probability is reduced accordingly.
         """

@@ -36,7 +36,7 @@ class D455Camera:
             process.
 
     Raises:
-        ValueError: `size` is not an image size.
+        ValueError: ``size`` is not an image size.
 
     Example:
         >>> import numpy as np
@@ -87,7 +87,7 @@ class D455Camera:
 
         Args:
             rgb: Clean colours, shape ``(H, W, 3)``, uint8.
-            light: Exposure and white balance, from `Light.draw` and `Light.later`.
+            light: Exposure and white balance, from ``Light.draw`` and ``Light.later``.
             rng: Random generator.
 
         Returns:
@@ -115,12 +115,12 @@ class D455Noise(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
     for each episode. Types and spaces stay the same; the rest of the observation is passed through. A plain RGB image
     observation gets the colour part only.
 
-    `reset(seed=...)` makes the noise repeatable; without a seed it continues its random sequence.
+    ``reset(seed=...)`` makes the noise repeatable; without a seed it continues its random sequence.
 
     Args:
         env: Environment whose observation is an RGB image, or a Dict with an RGB image and optionally depth of shape
             ``(H, W)`` or ``(H, W, 1)``, in uint16 millimetres or floating-point metres.
-        model: A `D455Model`, or a mapping of the fields that differ from its defaults.
+        model: A ``D455Model``, or a mapping of the fields that differ from its defaults.
         fast: Crop the noise from a bank that is drawn once instead of drawing each pixel of each frame: the same
             statistics at a fraction of the time.
         rgb_key: Key of the image, default "rgb".
@@ -201,7 +201,7 @@ class D455Noise(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
 
 
 def _boxes(space: spaces.Space[Any], images: Images) -> tuple[spaces.Box, spaces.Box | None]:
-    """Return the spaces of the colour image, already checked by `Images.find`, and of the depth image.
+    """Return the spaces of the colour image, already checked by ``Images.find``, and of the depth image.
 
     Raises:
         ValueError: The space of the depth image is not that of a depth camera.
@@ -247,5 +247,5 @@ def _clip(space: spaces.Box | None, image: NDArray[Any]) -> NDArray[Any]:
 
 
 def _clipping_space(space: spaces.Box, most: float) -> spaces.Box | None:
-    """Return the space unless it contains all of 0 to `most`: clipping takes longer than the whole model."""
+    """Return the space unless it contains all of 0 to ``most``: clipping takes longer than the whole model."""
     return None if (space.low <= 0).all() and (space.high >= most).all() else space

@@ -38,7 +38,7 @@ class Fields(Protocol):
         ...
 
     def grain(self, rng: np.random.Generator) -> NDArray[np.int16]:
-        """Return colour noise ``(H, W, 3)``: normal, standard deviation `GRAIN_UNIT`, independent."""
+        """Return colour noise ``(H, W, 3)``: normal, standard deviation ``GRAIN_UNIT``, independent."""
         ...
 
 
@@ -55,21 +55,21 @@ class DrawnFields:
         self._scale = model.scale(size[0])
 
     def noise(self, rng: np.random.Generator) -> NDArray[np.float32]:
-        """See `Fields`."""
+        """See ``Fields``."""
         return _smooth_normal(self._size, self._model.correlation * self._scale, rng)
 
     def uniform(self, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """See `Fields`."""
+        """See ``Fields``."""
         normal: NDArray[Any] = _smooth_normal(self._size, self._model.hole_size * self._scale, rng)
         return np.minimum(255 * ndtr(normal), 254).astype(np.uint8)
 
     def speckle(self, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """See `Fields`."""
+        """See ``Fields``."""
         normal = _smooth_normal(self._size, self._model.speckle_size * self._scale, rng)
         return (normal < np.float32(ndtri(self._model.speckle_share))).view(np.uint8)
 
     def grain(self, rng: np.random.Generator) -> NDArray[np.int16]:
-        """See `Fields`."""
+        """See ``Fields``."""
         return _grain((*self._size, 3), rng)
 
 
@@ -89,25 +89,25 @@ class BankFields:
         self._grain = np.empty((*size, 3), np.int16)
 
     def noise(self, rng: np.random.Generator) -> NDArray[np.float32]:
-        """See `Fields`."""
+        """See ``Fields``."""
         one, two = (self._crop(*pair, rng) for pair in zip(self._bank.noise, self._normal, strict=True))
         return np.add(one, two, out=self._normal[0])
 
     def uniform(self, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """See `Fields`."""
+        """See ``Fields``."""
         return self._crop(self._bank.uniform, self._bytes[0], rng)
 
     def speckle(self, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """See `Fields`."""
+        """See ``Fields``."""
         one, two = (self._crop(*pair, rng) for pair in zip(self._bank.speckle, self._bytes, strict=True))
         return np.bitwise_or(one, two, out=self._bytes[0])
 
     def grain(self, rng: np.random.Generator) -> NDArray[np.int16]:
-        """See `Fields`."""
+        """See ``Fields``."""
         return self._crop(self._bank.grain, self._grain, rng)
 
     def _crop(self, layer: NDArray[Any], out: NDArray[Any], rng: np.random.Generator) -> NDArray[Any]:
-        """Return a part of the layer, flipped at random; in `out` unless no flip was needed."""
+        """Return a part of the layer, flipped at random; in ``out`` unless no flip was needed."""
         height, width = self._size
         down, right, way = rng.random(3).tolist()
         top, left = int(down * (layer.shape[0] - height + 1)), int(right * (layer.shape[1] - width + 1))
@@ -165,7 +165,7 @@ def noise_bank(model: D455Model, size: Size) -> NoiseBank:
 
 
 def _smooth_normal(size: Size, spread: float, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Return normal numbers of variance 1, smoothed by a Gaussian of standard deviation `spread` in pixels."""
+    """Return normal numbers of variance 1, smoothed by a Gaussian of standard deviation ``spread`` in pixels."""
     reach = math.ceil(3 * spread)
     white = rng.standard_normal((size[0] + 2 * reach, size[1] + 2 * reach), np.float32)
     if reach == 0:
@@ -178,7 +178,7 @@ def _smooth_normal(size: Size, spread: float, rng: np.random.Generator) -> NDArr
 
 
 def _grain(shape: tuple[int, int, int], rng: np.random.Generator) -> NDArray[np.int16]:
-    """Return independent normal numbers of standard deviation `GRAIN_UNIT`."""
+    """Return independent normal numbers of standard deviation ``GRAIN_UNIT``."""
     normal = rng.standard_normal(shape, np.float32)
     normal *= GRAIN_UNIT
     return np.rint(normal, out=normal).astype(np.int16)

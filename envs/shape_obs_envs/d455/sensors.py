@@ -38,14 +38,14 @@ class Measurement(NamedTuple):
     Attributes:
         metres: Depth along the optical axis, shape ``(H, W)``, float32 in metres, 0 where there is none; not rounded to
             millimetres.
-        causes: Bits of `Cause`, shape ``(H, W)``, uint8; 0 where there is depth.
+        causes: Bits of ``Cause``, shape ``(H, W)``, uint8; 0 where there is depth.
     """
 
     metres: NDArray[np.float32]
     causes: NDArray[np.uint8]
 
     def lost_to(self, cause: Cause) -> NDArray[np.bool_]:
-        """Return a mask ``(H, W)`` of the pixels with this cause, or with any of several joined by `|`."""
+        """Return a mask ``(H, W)`` of the pixels with this cause, or with any of several joined by ``|``."""
         return (self.causes & np.uint8(cause)) != 0
 
 

@@ -34,7 +34,7 @@ class CableEnv(ShapeGoalEnv, EzPickle):
 
     Args:
         grippers: 2 to hold both ends, 1 to hold end 0 of a shorter rope.
-        **options: Arguments of `ShapeGoalEnv`.
+        **options: Arguments of ``ShapeGoalEnv``.
 
     Raises:
         ValueError: An argument is out of its range.
@@ -76,7 +76,7 @@ class CableEnv(ShapeGoalEnv, EzPickle):
 
     @property
     def shape_obs_defaults(self) -> dict[str, Any]:
-        """Suitable arguments of `shape_obs.ShapeObservation` for this environment."""
+        """Suitable arguments of ``shape_obs.ShapeObservation`` for this environment."""
         return {
             "shapes": [
                 {

@@ -31,7 +31,7 @@ class ClothEnv(ShapeGoalEnv, EzPickle):
     """Bring a sheet into a goal shape with two grippers at its corners; see docs/envs/cloth.md.
 
     Args:
-        **options: Arguments of `ShapeGoalEnv`.
+        **options: Arguments of ``ShapeGoalEnv``.
 
     Raises:
         ValueError: An argument is out of its range.
@@ -66,7 +66,7 @@ class ClothEnv(ShapeGoalEnv, EzPickle):
 
     @property
     def shape_obs_defaults(self) -> dict[str, Any]:
-        """Suitable arguments of `shape_obs.ShapeObservation` for this environment."""
+        """Suitable arguments of ``shape_obs.ShapeObservation`` for this environment."""
         return {
             "shapes": [
                 {

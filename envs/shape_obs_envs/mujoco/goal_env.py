@@ -43,7 +43,7 @@ SUBSTEPS = 5
 class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
     """Base of the simulated environments: bring a deformable object into a goal shape under one RGB-D camera.
 
-    A subclass builds a model and its `Body`, calls `_install`, and implements the abstract methods.
+    A subclass builds a model and its ``Body``, calls ``_install``, and implements the abstract methods.
 
     Args:
         camera: "rl" (160 x 120), "d455" (640 x 480) or [width, height] in pixels.
@@ -53,7 +53,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         success_threshold: Mean point distance in metres below which the goal counts as reached.
         difficulty: "near", "middle" or "far": distance of goals from the start.
         render_observation: False omits the images from the observation and renders nothing.
-        render_size: Size of the images that `render` returns, like `camera`; None for the observation's.
+        render_size: Size of the images that ``render`` returns, like ``camera``; None for the observation's.
         randomize: True draws new light, appearance, camera, material, distractors and a hand at each reset; a mapping
             selects factors and their strength. See docs/domain-randomization.md.
 
@@ -107,7 +107,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
 
     @abc.abstractmethod
     def _draw_start(self) -> Array:
-        """Draw a start state from `np_random`, set the physics to it, and return the gripper poses ``(G, D)``."""
+        """Draw a start state from ``np_random``, set the physics to it, and return the gripper poses ``(G, D)``."""
 
     @abc.abstractmethod
     def _draw_bend(self) -> Array:
@@ -127,7 +127,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         return compile_scene(self._camera_spec, bodies + extra.bodies(), equality, sections + extra.sections())
 
     def _install(self, body: Body, workspace: Workspace, gripper: gym.spaces.Box) -> None:
-        """Install the object, its workspace, and the space of the observation's `gripper`."""
+        """Install the object, its workspace, and the space of the observation's ``gripper``."""
         self._body, self._workspace = body, workspace
         self.action_spec = gripper_spec(body, workspace, self.STEP)
         self._randomizer.bind(Scene(body, self._camera_spec, self.REACH, self._goal_points))
@@ -161,7 +161,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
 
         Args:
             seed: Seed of the random numbers.
-            options: "start": a result of `get_state`; "goal": the points of a goal in metres, flat or ``(n, 3)``.
+            options: "start": a result of ``get_state``; "goal": the points of a goal in metres, flat or ``(n, 3)``.
 
         Raises:
             ValueError: An option is unknown, or start or goal are invalid.
@@ -186,10 +186,10 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         return observation, self._info(observation)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Move the grippers by `action`, clipped to its space, for `dt` seconds.
+        """Move the grippers by ``action``, clipped to its space, for ``dt`` seconds.
 
         Raises:
-            ValueError: `action` has another shape than the action space, or is not finite.
+            ValueError: ``action`` has another shape than the action space, or is not finite.
         """
         move = np.asarray(action, np.float64)
         if move.shape != self.action_space.shape or not np.isfinite(move).all():
@@ -205,8 +205,8 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
         """Return the reward of goals ``(..., 3 n)``, flat points in metres; a float for single goals, or an array.
 
-        Dense: minus the mean point distance in metres. Sparse: 0 if that is below `success_threshold`, otherwise -1.
-        `info` is not used.
+        Dense: minus the mean point distance in metres. Sparse: 0 if that is below ``success_threshold``, otherwise -1.
+        ``info`` is not used.
         """
         distance = mean_point_distance(achieved_goal, desired_goal)
         reward = -distance if self.reward_type == "dense" else np.where(distance < self.success_threshold, 0.0, -1.0)
@@ -223,7 +223,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         return self._rendering.render(self._body, self.render_mode)
 
     def close(self) -> None:
-        """Free the camera; a later `reset` reopens it."""
+        """Free the camera; a later ``reset`` reopens it."""
         self._rendering.close()
 
     # ---- published
@@ -249,11 +249,11 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
 
     @property
     def randomization(self) -> dict[str, Any]:
-        """Values drawn at the last reset, by factor: a copy of plain values; empty without `randomize`."""
+        """Values drawn at the last reset, by factor: a copy of plain values; empty without ``randomize``."""
         return copy.deepcopy(self._randomizer.drawn)
 
     def get_state(self) -> Array:
-        """Return the physics state, for `reset(options={"start": ...})` of an environment with the same arguments."""
+        """Return the physics state, for ``reset(options={"start": ...})`` of an environment with the same arguments."""
         return self._body.get_state()
 
     # ---- internal
@@ -269,7 +269,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         return smooth_actions(self.np_random, self._target.size, vigour)
 
     def _rehearse(self, actions: Actions) -> tuple[Array, Array]:
-        """Return the points that `actions` lead to, shortly before and at the end of the rest; restore the physics."""
+        """Return the points after ``actions``, shortly before and at the end of the rest; restore the physics."""
         start, target = self._body.get_state(), self._target
         last = SETTLING // 4
         for action in [*actions.astype(np.float64), *np.zeros((SETTLING - last, self._target.size))]:

@@ -75,8 +75,8 @@ def draw_goal(
             rest.
 
     Returns:
-        The goal, never further away than `difficulty.most`. If thirty motions lead nearer than `difficulty.least` or do
-        not come to rest, the furthest of them.
+        The goal, never further away than ``difficulty.most``. If thirty motions lead nearer than ``difficulty.least``
+        or do not come to rest, the furthest of them.
     """
     vigour, best, reached = difficulty.vigour, Goal(start, draw_motion(0.0, False)[:0]), -1.0
     for _ in range(_DRAWS):
@@ -103,7 +103,7 @@ def smooth_actions(rng: np.random.Generator, size: int, vigour: float) -> Action
 
 
 def actions_towards(rng: np.random.Generator, start: Array, end: Array, step: Array) -> Actions:
-    """Draw a gripper motion from poses `start` to poses `end`, with varying speed and a detour.
+    """Draw a gripper motion from poses ``start`` to poses ``end``, with varying speed and a detour.
 
     Args:
         rng: Random generator.
@@ -139,7 +139,7 @@ def read_options(options: Mapping[str, Any], goals: Space[Any]) -> dict[str, Any
     """Return the reset options "start" (float64) and "goal" (float32, flat) as new arrays, None if not given.
 
     Args:
-        options: The argument of `reset`.
+        options: The argument of ``reset``.
         goals: Space of goals.
 
     Raises:

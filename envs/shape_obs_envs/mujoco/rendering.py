@@ -1,4 +1,4 @@
-"""Rendering of an environment: the observation's camera, the camera of `render`, and MuJoCo's viewer."""
+"""Rendering of an environment: the observation's camera, the camera of ``render``, and MuJoCo's viewer."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Rendering:
     They are not opened with the environment: vector environments build one in the parent process only to read spaces.
 
     Args:
-        renderer: One of `shape_obs_envs.mujoco.cameras.RENDERERS`.
+        renderer: One of ``shape_obs_envs.mujoco.cameras.RENDERERS``.
         observing: The observation's camera.
-        displaying: The camera of `render`; if it equals the observation's, the last images are returned again.
+        displaying: The camera of ``render``; if it equals the observation's, the last images are returned again.
         dt: Duration of a step in seconds, for the viewer.
     """
 
@@ -59,7 +59,7 @@ class Rendering:
             return self._cameras[spec].render(body.data)
 
     def observe(self, body: Body) -> dict[str, NDArray[Any]]:
-        """Render the images of an observation: `rgb` uint8 and `depth` uint16 in millimetres, 0 where invalid."""
+        """Render the images of an observation: ``rgb`` uint8 and ``depth`` uint16 in millimetres, 0 where invalid."""
         self._last = rgb, depth = self.capture(body)
         # Millimetres as of a depth camera; values beyond the range of uint16 are invalid.
         millimetres = depth * 1000
@@ -68,7 +68,7 @@ class Rendering:
         return {"rgb": rgb.copy(), "depth": millimetres.astype(np.uint16)}
 
     def render(self, body: Body, mode: str) -> Any:
-        """Return the result of `render` for a render mode."""
+        """Return the result of ``render`` for a render mode."""
         if mode == "human":
             self.show(body, mode)
             return None
@@ -125,7 +125,7 @@ class Viewer:
         self._dt, self._due = dt, time.monotonic()
 
     def sync(self) -> None:
-        """Show the present state, at least `dt` after the last one."""
+        """Show the present state, at least ``dt`` after the last one."""
         if not self._window.is_running():  # the user closed it; the episode continues
             return
         self._window.sync()

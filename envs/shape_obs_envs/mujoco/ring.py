@@ -28,7 +28,7 @@ class RingEnv(ShapeGoalEnv, EzPickle):
     """Bring a closed elastic band into a goal shape with two grippers; see docs/envs/ring.md.
 
     Args:
-        **options: Arguments of `ShapeGoalEnv`.
+        **options: Arguments of ``ShapeGoalEnv``.
 
     Raises:
         ValueError: An argument is out of its range.
@@ -73,7 +73,7 @@ class RingEnv(ShapeGoalEnv, EzPickle):
 
     @property
     def shape_obs_defaults(self) -> dict[str, Any]:
-        """Suitable arguments of `shape_obs.ShapeObservation` for this environment."""
+        """Suitable arguments of ``shape_obs.ShapeObservation`` for this environment."""
         return {
             "shapes": [
                 {"kind": "contour", "n": POINTS, "anchor": "gripper0", "order": "image", "spacing": "m", "ring": True}

@@ -65,7 +65,7 @@ class CameraSpec:
 
 
 def camera_spec(camera: str | Sequence[int], name: str = "camera") -> CameraSpec:
-    """Return the camera for the value of an environment's argument `name`.
+    """Return the camera for the value of an environment's argument ``name``.
 
     Raises:
         ValueError: It is neither a known name nor a size in pixels.
@@ -101,7 +101,7 @@ def compile_scene(camera: CameraSpec, bodies: str, equality: str = "", sections:
         sections: Further top-level sections.
 
     Returns:
-        The compiled `mujoco.MjModel`.
+        The compiled ``mujoco.MjModel``.
     """
     sin, cos = math.sin(camera.tilt), math.cos(camera.tilt)
     model = mujoco.MjModel.from_xml_string(f"""

@@ -24,11 +24,11 @@ class Workspace(Protocol):
         ...
 
     def allows(self, poses: Array) -> bool:
-        """Return whether `poses` satisfy all limits, to within a micrometre."""
+        """Return whether ``poses`` satisfy all limits, to within a micrometre."""
         ...
 
     def clip(self, poses: Array, previous: Array) -> Array:
-        """Return allowed poses near `poses`, or `previous`, which must be allowed, if there are none close by."""
+        """Return allowed poses near ``poses``, or ``previous``, which must be allowed, if there are none close by."""
         ...
 
 
@@ -50,7 +50,7 @@ class BoxWorkspace:
         return np.array(self.low), np.array(self.high)
 
     def allows(self, poses: Array) -> bool:
-        """Return whether `poses` satisfy all limits, to within a micrometre."""
+        """Return whether ``poses`` satisfy all limits, to within a micrometre."""
         return _inside(poses, self.bounds)
 
     def clip(self, poses: Array, previous: Array) -> Array:
@@ -70,8 +70,8 @@ class TwoGripperWorkspace:
         high: Upper corner (x, y) of gripper 0's box in metres; gripper 1's box is its mirror image at x = 0.
         yaw: Largest absolute yaw in radians.
         closest: Smallest distance of the tips in metres.
-        reach: Largest distance in metres of the two points that lie `lever` inside the tips along the yaws.
-        lever: See `reach`, in metres. With it, turning a gripper away from a taut rope counts as stretching.
+        reach: Largest distance in metres of the two points that lie ``lever`` inside the tips along the yaws.
+        lever: See ``reach``, in metres. With it, turning a gripper away from a taut rope counts as stretching.
     """
 
     low: tuple[float, float] = (-0.24, -0.08)
@@ -90,12 +90,12 @@ class TwoGripperWorkspace:
         return low, high
 
     def allows(self, poses: Array) -> bool:
-        """Return whether `poses` satisfy all limits, to within a micrometre."""
+        """Return whether ``poses`` satisfy all limits, to within a micrometre."""
         span, inner = np.linalg.norm(self._spans(poses), axis=1)
         return _inside(poses, self.bounds) and bool(span >= self.closest - 1e-6 and inner <= self.reach + 1e-6)
 
     def clip(self, poses: Array, previous: Array) -> Array:
-        """Return allowed poses near `poses`, or `previous`, which must be allowed, if there are none close by.
+        """Return allowed poses near ``poses``, or ``previous``, which must be allowed, if there are none close by.
 
         Grippers that pull too far apart or push too close slide along the limit; each is corrected by half.
         """
@@ -132,13 +132,13 @@ class HeldEdgeWorkspace:
 
     Attributes:
         floor: Returns the lowest heights ``(2,)`` of the grippers in metres for the sheet's present state. It is
-            approached by at most `lift` per step and never lies above the box.
+            approached by at most ``lift`` per step and never lies above the box.
         low: Lower corner (x, y, z) of gripper 0's box in metres.
         high: Upper corner (x, y, z) of gripper 0's box in metres; gripper 1's box is its mirror image at x = 0.
         closest: Smallest distance of the grippers in metres.
         reach: Largest distance of the grippers in metres: the sheet is not pulled taut.
         turn: Largest difference of their y in metres.
-        lift: See `floor`, in metres.
+        lift: See ``floor``, in metres.
     """
 
     floor: Callable[[], Array]
@@ -156,14 +156,14 @@ class HeldEdgeWorkspace:
         return np.array([[x0, y0, z0], [-x1, y0, z0]]), np.array([[x1, y1, z1], [-x0, y1, z1]])
 
     def allows(self, poses: Array) -> bool:
-        """Return whether `poses` satisfy all limits but the floor, to within a micrometre."""
+        """Return whether ``poses`` satisfy all limits but the floor, to within a micrometre."""
         way = poses[1] - poses[0]
         span = float(np.linalg.norm(way))
         in_reach = self.closest - 1e-6 <= span <= self.reach + 1e-6
         return _inside(poses, self.bounds) and in_reach and bool(abs(way[1]) <= self.turn + 1e-6)
 
     def clip(self, poses: Array, previous: Array) -> Array:
-        """Return allowed poses near `poses`, or `previous`, which must be allowed, if there are none close by.
+        """Return allowed poses near ``poses``, or ``previous``, which must be allowed, if there are none close by.
 
         If the grippers are too far apart, too close or too uneven, each is corrected by half.
         """

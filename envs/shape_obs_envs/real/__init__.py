@@ -1,4 +1,4 @@
-"""The real robot as an environment: an RGB-D source observes, a robot acts; registered as `ShapeObs/D455-v0`."""
+"""The real robot as an environment: an RGB-D source observes, a robot acts; registered as ``ShapeObs/D455-v0``."""
 
 from __future__ import annotations
 

@@ -31,36 +31,37 @@ _MARGIN: Final = 0.25
 class D455Env(gym.Env[Any, Any]):
     """An environment with a depth camera and a robot.
 
-    `reset` connects, sends the robot to its start and waits for a frame. `step` sends the action, waits for its
+    ``reset`` connects, sends the robot to its start and waits for a frame. ``step`` sends the action, waits for its
     deadline and returns the newest frame that arrived after the action was sent, never an older one. Rewards are 0;
-    use `ShapeGoal` for rewards.
+    use ``ShapeGoal`` for rewards.
 
-    A motion ends `max_age` seconds after the exposure of the last observation's image, unless a new one replaces it. An
-    action whose observation is older is not sent: the robot stands still, and `info["withheld"]` contains the reason.
+    A motion ends ``max_age`` seconds after the exposure of the last observation's image, unless a new one replaces it.
+    An action whose observation is older is not sent: the robot stands still, and ``info["withheld"]`` contains the
+    reason.
 
-    If the camera fails, the episode ends with `truncated`, `info["camera_error"]` contains the reason, the images are
-    black, the robot has been stopped, and the next `reset` reconnects. Likewise `info["robot_error"]` for the robot.
+    If the camera fails, the episode ends with ``truncated``, ``info["camera_error"]`` contains the reason, the images
+    are black, the robot has been stopped, and the next ``reset`` reconnects. Likewise ``info["robot_error"]``.
 
-    Observation: `rgb` ``(H, W, 3)`` uint8, pinhole; `depth` ``(H, W)`` uint16 in millimetres, aligned, 0 where unknown;
-    with a robot also `robot` ``(A,)`` float32, its commanded position in the units of its `action_spec`. Action:
-    ``(A,)`` in -1 ... 1, scaled and limited by a `Guard`; None stands still. Without a robot there is a single action,
-    to observe.
+    Observation: ``rgb`` ``(H, W, 3)`` uint8, pinhole; ``depth`` ``(H, W)`` uint16 in millimetres, aligned, 0 where
+    unknown; with a robot also ``robot`` ``(A,)`` float32, its commanded position in the units of its ``action_spec``.
+    Action: ``(A,)`` in -1 ... 1, scaled and limited by a ``Guard``; None stands still. Without a robot there is a
+    single action, to observe.
 
-    `info`: `stamp` (seconds of the camera's clock), `frame` (its number), `received` and `exposed` (seconds of
-    `time.monotonic`), `lag` (delay in seconds against the fastest frames), `overrun` (the deadline had passed), and
-    the effects of the guard: `guard/clipped`, `guard/capped`, `guard/boxed`.
+    ``info``: ``stamp`` (seconds of the camera's clock), ``frame`` (its number), ``received`` and ``exposed`` (seconds
+    of ``time.monotonic``), ``lag`` (delay in seconds against the fastest frames), ``overrun`` (the deadline had
+    passed), and the effects of the guard: ``guard/clipped``, ``guard/capped``, ``guard/boxed``.
 
     Args:
-        source: A source, or a string for `shape_obs_envs.sources.open_source`: "d455", "d455:SERIAL", FILE.db3,
+        source: A source, or a string for ``shape_obs_envs.sources.open_source``: "d455", "d455:SERIAL", FILE.db3,
             FILE.bag, a folder, an environment's id; "robot" for the robot's own camera.
         robot: A robot, or "module:Class"; None to only observe.
         robot_arguments: Keyword arguments of that class.
         rate: Steps per second.
         size: [width, height] of the images in pixels.
-        extrinsics: File with the camera's pose in the base frame; see `shape-obs calibrate base`.
+        extrinsics: File with the camera's pose in the base frame; see ``shape-obs calibrate base``.
         timeout: Longest wait for a frame in seconds; after that the camera counts as failed.
         settle: Observe when the motion is over, as a simulator does: an action takes 1 / rate seconds after it was
-            sent, and the frame must be `settle` seconds later, which compensates for its transport. A step then takes
+            sent, and the frame must be ``settle`` seconds later, which compensates for its transport. A step then takes
             as long as it takes. None observes at the deadline, during the motion or not.
         max_age: Longest time in seconds that a motion may last after the exposure of the image it is based on.
         max_step: Largest motion of each coordinate in a step, shape ``(A,)``, in the robot's units; default one action
@@ -70,8 +71,8 @@ class D455Env(gym.Env[Any, Any]):
 
     Raises:
         ValueError: An argument is out of its range, or the source cannot be opened with the arguments.
-        TypeError: The robot does not implement the protocol `shape_obs.robot.Robot`.
-        ImportError: The robot's module cannot be imported, or the extra `realsense` is not installed.
+        TypeError: The robot does not implement the protocol ``shape_obs.robot.Robot``.
+        ImportError: The robot's module cannot be imported, or the extra ``realsense`` is not installed.
 
     Attributes:
         robot: The robot, or None.
@@ -82,8 +83,8 @@ class D455Env(gym.Env[Any, Any]):
         frame: The frame of the last observation; None before the first one and after a camera failure.
         guarded: The last action after the guard; None if there was none.
         withheld: Why the last action was not sent; empty if it was.
-        sent_at: `time.monotonic()` after the last action was sent, in seconds.
-        seen_at: `time.monotonic()` when the last frame was available, in seconds.
+        sent_at: ``time.monotonic()`` after the last action was sent, in seconds.
+        seen_at: ``time.monotonic()`` when the last frame was available, in seconds.
         slack: Time in seconds that the last step waited for its deadline; negative if it was late.
     """
 
@@ -173,7 +174,7 @@ class D455Env(gym.Env[Any, Any]):
 
         Raises:
             ValueError: The action has a wrong shape, or values that are not finite. The robot has been stopped.
-            NotConnected: `reset` is required first: at the start, and after an episode that ended with an error.
+            NotConnected: ``reset`` is required first: at the start, and after an episode that ended with an error.
         """
         errors: dict[str, str] = {}
         try:
@@ -200,7 +201,7 @@ class D455Env(gym.Env[Any, Any]):
         return None if self.frame is None or self.frame.rgb is None else self.frame.rgb.copy()
 
     def close(self) -> None:
-        """Stop the robot and disconnect without moving it. A later `reset` connects again."""
+        """Stop the robot and disconnect without moving it. A later ``reset`` connects again."""
         self._abandon()
         if self.robot is not None and self.interlock is not None:
             self.interlock.close()
@@ -225,7 +226,7 @@ class D455Env(gym.Env[Any, Any]):
 
     @property
     def shape_obs_defaults(self) -> Mapping[str, Any]:
-        """Suitable arguments of `ShapeObservation` for the object, if the robot provides them."""
+        """Suitable arguments of ``ShapeObservation`` for the object, if the robot provides them."""
         return getattr(self.robot, "shape_obs_defaults", {})
 
     # ---- internal

@@ -100,7 +100,7 @@ class FrameReader:
         return CameraModel(nominal) if known is None else CameraModel(nominal, np.asarray(known.T))
 
     def frame_after(self, moment: float) -> Frame:
-        """Return the newest frame that arrived after a time of `time.monotonic`; wait if there is none yet.
+        """Return the newest frame that arrived after a time of ``time.monotonic``; wait if there is none yet.
 
         Raises:
             SourceError: No frame came in time, or the camera is lost.
@@ -117,7 +117,7 @@ class FrameReader:
                 return self._checked(frame)
 
     def frame_of(self, moment: float) -> Frame:
-        """Return the first frame that shows the scene after a time of `time.monotonic`, as far as the clocks show.
+        """Return the first frame that shows the scene after a time of ``time.monotonic``, as far as the clocks show.
 
         The age of a frame is its lag: the fastest frames count as of their arrival. If all frames are late, the newest
         one is returned when the time limit is reached; its lag shows that it is late.
@@ -135,7 +135,7 @@ class FrameReader:
         return frame
 
     def images(self, frame: Frame | None) -> dict[str, npt.NDArray[Any]]:
-        """Return `rgb` and `depth` (millimetres) of a frame; black images for None, so as not to repeat old ones."""
+        """Return ``rgb`` and ``depth`` (millimetres) of a frame; black images for None, not old ones."""
         width, height = self._size
         if frame is None or frame.rgb is None or frame.depth is None:
             return {"rgb": np.zeros((height, width, 3), np.uint8), "depth": np.zeros((height, width), np.uint16)}

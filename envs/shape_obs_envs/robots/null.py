@@ -15,14 +15,14 @@ _STORED: Final = 10_000
 
 
 class NullRobot:
-    """A `Robot` without hardware, whose state is its commanded position.
+    """A ``Robot`` without hardware, whose state is its commanded position.
 
     For dry runs, and to see what a controller would send. Each reset moves it to the middle of its workspace.
 
     Args:
         size: Number of coordinates if no ``spec`` is given: x0, x1, ... in metres, 1 cm for an action of 1, within
             -0.5 ... 0.5 m.
-        spec: Meaning of its actions, an `ActionSpec` or a mapping of its fields.
+        spec: Meaning of its actions, an ``ActionSpec`` or a mapping of its fields.
         period: Duration in seconds of a velocity command, if ``spec`` has that mode.
 
     Attributes:

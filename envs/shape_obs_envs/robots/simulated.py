@@ -28,13 +28,13 @@ _HOME: Final = 1.0
 
 
 class SimulatedRobot:
-    """Move a simulated object in real time, in front of a `SoftwareD455`.
+    """Move a simulated object in real time, in front of a ``SoftwareD455``.
 
-    A whole deployment runs without hardware this way: a `RealSenseSource` on ``camera`` shows the scene, and its images
-    pass through librealsense, rectification and alignment like those of a real camera. Physics and rendering run in
-    their own process; here a thread only passes on raw images. The environment's camera sees slightly less than a D455:
-    up to 8 pixels at the edges are black and without depth. Depth is also missing where an object in front occludes it
-    from the depth camera.
+    A whole deployment runs without hardware this way: a ``RealSenseSource`` on ``camera`` shows the scene, and its
+    images pass through librealsense, rectification and alignment like those of a real camera. Physics and rendering run
+    in their own process; here a thread only passes on raw images. The environment's camera sees slightly less than a
+    D455: up to 8 pixels at the edges are black and without depth. Depth is also missing where an object in front
+    occludes it from the depth camera.
 
     The coordinates are those of the grippers, ``gripper0/x`` and so on: x, y in metres and yaw in radians in the base
     frame for rope and ring, and x, y, z in metres for cloth. A motion takes ``ramp`` seconds and ends at its ``until``
@@ -46,8 +46,8 @@ class SimulatedRobot:
 
     Args:
         env: "ShapeObs/Cable-v0", "ShapeObs/Ring-v0" or "ShapeObs/Cloth-v0".
-        camera: The camera; None for a new `SoftwareD455`.
-        fps: Frames per second. A slow computer captures fewer; see `pace`.
+        camera: The camera; None for a new ``SoftwareD455``.
+        fps: Frames per second. A slow computer captures fewer; see ``pace``.
         seed: Seed of the first start and of the noise; later starts continue the sequence.
         noise: Whether images have the noise of a D455.
         ramp: Duration of a motion in seconds.
@@ -113,7 +113,7 @@ class SimulatedRobot:
             self._begin(process.started)
 
     def reset(self) -> None:
-        """Draw a new start; the first one after `connect` uses ``seed``.
+        """Draw a new start; the first one after ``connect`` uses ``seed``.
 
         Raises:
             RobotError: It is not connected, or the simulation has ended.
@@ -270,7 +270,7 @@ class SimulatedRobot:
 
     @property
     def shape_obs_defaults(self) -> Mapping[str, Any]:
-        """Suitable arguments of `shape_obs.ShapeObservation` for the object."""
+        """Suitable arguments of ``shape_obs.ShapeObservation`` for the object."""
         return self._model.env.shape_obs_defaults
 
     # ---- internal

@@ -128,11 +128,11 @@ class RealtimeSimulation:
         return self.env._rendering.capture(self._body)
 
     def points(self) -> Array:
-        """Return the true points ``(n, 3)`` of the object, in metres, at the last `capture`."""
+        """Return the true points ``(n, 3)`` of the object, in metres, at the last ``capture``."""
         return self.env._goal_points()
 
     def anchors(self) -> dict[str, tuple[float, ...]]:
-        """Return where the grippers held the object at the last `capture`: name -> (x, y, z) in metres."""
+        """Return where the grippers held the object at the last ``capture``: name -> (x, y, z) in metres."""
         return {name: tuple(place) for name, place in self.env.anchors.items()}
 
     def close(self) -> None:
@@ -143,13 +143,13 @@ class RealtimeSimulation:
 class SimulationLoop:
     """Physics and camera of the simulation process.
 
-    Orders are pairs: ("go", `Ramp`), ("reset", seed or None), ("hand", (share, seed)), ("end", None).
+    Orders are pairs: ("go", ``Ramp``), ("reset", seed or None), ("hand", (share, seed)), ("end", None).
 
     Args:
         spec: Parameters of the simulation.
         frames: Where images go.
         orders: Where orders come from.
-        messages: Where `Started` and `Captured` go.
+        messages: Where ``Started`` and ``Captured`` go.
     """
 
     def __init__(self, spec: SimulationSpec, frames: SharedFrames, orders: Connection, messages: Connection) -> None:

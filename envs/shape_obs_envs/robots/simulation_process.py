@@ -67,7 +67,7 @@ class SimulationProcess:
         return self._process.is_alive() and self._receiver.is_alive()
 
     def order(self, order: str, what: Any = None) -> None:
-        """Send an order; see `SimulationLoop`.
+        """Send an order; see ``SimulationLoop``.
 
         Raises:
             RobotError: The process has ended.

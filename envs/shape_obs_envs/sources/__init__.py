@@ -59,7 +59,7 @@ def open_source(
     fps: int | None = None,
     **options: Any,
 ) -> RGBDSource:
-    """Make a source from a string; `connect` opens it.
+    """Make a source from a string; ``connect`` opens it.
 
     Args:
         text: ``d455`` or ``d455:SERIAL`` for a camera, a ``.db3`` or ``.bag`` file that librealsense recorded, a folder

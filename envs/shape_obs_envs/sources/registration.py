@@ -93,9 +93,9 @@ class Registration:
 class RawImages:
     """Turn aligned pinhole images, such as a simulator's, into the raw images of a camera in the same place.
 
-    This is the reverse of `Registration`. The colour image gets the distortion of the lens; depth is reprojected to the
-    depth camera. Parts that the given images do not show, because they lie outside the view or are occluded, are black
-    and have depth 0.
+    This is the reverse of ``Registration``. The colour image gets the distortion of the lens; depth is reprojected to
+    the depth camera. Parts that the given images do not show, because they lie outside the view or are occluded, are
+    black and have depth 0.
 
     Args:
         camera: Intrinsics of the given images, a pinhole.

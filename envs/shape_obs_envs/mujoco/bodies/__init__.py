@@ -58,11 +58,11 @@ class Body(abc.ABC):
 
     @abc.abstractmethod
     def set_grippers(self, poses: Array) -> None:
-        """Move the mocap bodies to `poses` ``(G, 3)``."""
+        """Move the mocap bodies to ``poses`` ``(G, 3)``."""
 
     @abc.abstractmethod
     def gripper_targets(self) -> Array:
-        """Return the poses ``(G, 3)`` of the mocap bodies, as last set by `set_grippers`."""
+        """Return the poses ``(G, 3)`` of the mocap bodies, as last set by ``set_grippers``."""
 
     @property
     @abc.abstractmethod
@@ -72,7 +72,7 @@ class Body(abc.ABC):
     @property
     @abc.abstractmethod
     def tone_shape(self) -> tuple[int, int]:
-        """Shape of the tones for `set_colours`."""
+        """Shape of the tones for ``set_colours``."""
 
     @property
     @abc.abstractmethod
@@ -85,14 +85,14 @@ class Body(abc.ABC):
 
     @abc.abstractmethod
     def set_colours(self, rgb: Sequence[float], tones: NDArray[Any]) -> None:
-        """Set its colour to `rgb`, 0 ... 1, times the factors `tones` of shape `tone_shape`."""
+        """Set its colour to ``rgb``, 0 ... 1, times the factors ``tones`` of shape ``tone_shape``."""
 
     @abc.abstractmethod
     def set_material(self, factors: MaterialFactors) -> None:
         """Change its material; it must be placed again after that."""
 
     def step_to(self, start: Array, target: Array, substeps: int) -> None:
-        """Move the grippers from poses `start` to poses `target` in equal parts, one per substep."""
+        """Move the grippers from poses ``start`` to poses ``target`` in equal parts, one per substep."""
         for i in range(1, substeps + 1):
             # A ramp: a jump of the target would pull at the welds with the whole step's length at once.
             self.set_grippers(start + (target - start) * (i / substeps))
@@ -100,7 +100,7 @@ class Body(abc.ABC):
         self.refresh()
 
     def refresh(self) -> None:
-        """Update the poses of bodies and geoms, which `mj_step` leaves one substep behind."""
+        """Update the poses of bodies and geoms, which ``mj_step`` leaves one substep behind."""
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
 
@@ -111,10 +111,10 @@ class Body(abc.ABC):
         return state
 
     def set_state(self, state: Array) -> None:
-        """Restore a result of `get_state`.
+        """Restore a result of ``get_state``.
 
         Raises:
-            ValueError: `state` is not a state of this model.
+            ValueError: ``state`` is not a state of this model.
         """
         if state.shape != (self._state_size,) or not np.isfinite(state).all():
             raise ValueError(
@@ -147,12 +147,12 @@ class PlanarBody(Body):
     """An object on the table, whose grippers move in x, y (metres) and yaw (radians)."""
 
     def set_state(self, state: Array) -> None:
-        """Restore a result of `get_state`, with the grippers at the height of the present thickness."""
+        """Restore a result of ``get_state``, with the grippers at the height of the present thickness."""
         super().set_state(state)
         self.data.mocap_pos[self._grippers, 2] = self.model.body_pos[self._held_by, 2]
 
     def set_grippers(self, poses: Array) -> None:
-        """Move the mocap bodies to `poses` ``(G, 3)``: x, y in metres and yaw in radians, world frame."""
+        """Move the mocap bodies to ``poses`` ``(G, 3)``: x, y in metres and yaw in radians, world frame."""
         self.data.mocap_pos[self._grippers, :2] = poses[:, :2]
         self.data.mocap_quat[self._grippers, 0] = np.cos(poses[:, 2] / 2)
         self.data.mocap_quat[self._grippers, 3] = np.sin(poses[:, 2] / 2)

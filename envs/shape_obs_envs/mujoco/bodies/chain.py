@@ -103,7 +103,7 @@ def chain_equality(spec: ChainSpec) -> str:
 
 
 def _jaws(spec: ChainSpec, tip: float, sign: int) -> str:
-    """Return MJCF of the visible gripper: two fingers next to the tip and a palm beyond it, in the direction `sign`.
+    """Return MJCF of the visible gripper: two fingers next to the tip and a palm beyond it, in the direction ``sign``.
 
     The geoms are on the end link, not on the mocap body, which is a few millimetres ahead because of the compliant
     weld. They do not reach above the rope's axis, and a gap of 0.35 r surrounds the rope, so the gripper never occludes
@@ -118,7 +118,7 @@ def _jaws(spec: ChainSpec, tip: float, sign: int) -> str:
 
 
 def _jaw_boxes(r: float, tip: float, sign: int) -> Iterator[tuple[Sequence[float], Sequence[float]]]:
-    """Yield half sizes and places ``(3,)`` in metres of the two fingers and the palm for a rope of radius `r`."""
+    """Yield half sizes and places ``(3,)`` in metres of the two fingers and the palm for a rope of radius ``r``."""
     gap, thick, ahead, palm = 1.35 * r, 0.006, 0.018, 0.02
     behind = 0.35 * r + palm
     for side in (-1, 1):
@@ -167,7 +167,7 @@ class Chain(PlanarBody):
         return self.points(np.concatenate([np.linspace(0.0, 0.1, 10), np.linspace(0.9, 1.0, 10)]))
 
     def set_colours(self, rgb: Sequence[float], tones: NDArray[Any]) -> None:
-        """Set its colour to `rgb`, 0 ... 1, times a factor in `tones` ``(links, 1)`` for each link."""
+        """Set its colour to ``rgb``, 0 ... 1, times a factor in ``tones`` ``(links, 1)`` for each link."""
         self.model.geom_rgba[self._geoms, :3] = tones * rgb
         set_tube_colours(self.model, rgb, tones[:, 0])
 
@@ -196,7 +196,7 @@ class Chain(PlanarBody):
         model.opt.viscosity = self._viscosity * factors.friction
 
     def place(self, tip: Array, headings: Array) -> None:
-        """Place the chain at rest with its first tip at `tip` (x, y) and its links at `headings` ``(links,)``."""
+        """Place the chain at rest with its first tip at ``tip`` (x, y) and its links at ``headings`` ``(links,)``."""
         mujoco.mj_resetData(self.model, self.data)
         first = self.model.body("link0").pos[:2]
         start = tip + self.spec.radius * np.array([np.cos(headings[0]), np.sin(headings[0])])
@@ -207,7 +207,7 @@ class Chain(PlanarBody):
         self.set_grippers(self.gripper_poses())
 
     def span(self, headings: Array) -> Array:
-        """Return the vector ``(2,)`` between the tips of a chain with links at `headings` ``(links,)``."""
+        """Return the vector ``(2,)`` between the tips of a chain with links at ``headings`` ``(links,)``."""
         return np.diff(self._arc) @ np.column_stack([np.cos(headings), np.sin(headings)])
 
     def tip_poses(self) -> Array:
@@ -230,7 +230,7 @@ class Chain(PlanarBody):
         return out
 
     def points(self, fractions: Array) -> Array:
-        """Return points ``(n, 3)`` of the axis at `fractions` ``(n,)`` of its arc length, in metres, world frame."""
+        """Return points ``(n, 3)`` of the axis at ``fractions`` ``(n,)`` of its arc length, in metres, world frame."""
         arc = np.clip(fractions, 0.0, 1.0) * self.spec.length
         i = np.clip(np.searchsorted(self._arc, arc, side="right") - 1, 0, self.spec.links - 1)
         t = ((arc - self._arc[i]) / (self._arc[i + 1] - self._arc[i]))[:, None]
@@ -239,7 +239,7 @@ class Chain(PlanarBody):
 
 
 def _arc_lengths(spec: ChainSpec) -> Array:
-    """Return the arc lengths ``(links + 1,)`` in metres from the first tip to each vertex of `Chain.vertices`."""
+    """Return the arc lengths ``(links + 1,)`` in metres from the first tip to each vertex of ``Chain.vertices``."""
     cuts = np.full(spec.links, spec.link_length)
     cuts[[0, -1]] += spec.radius
     return np.concatenate([[0.0], np.cumsum(cuts)])

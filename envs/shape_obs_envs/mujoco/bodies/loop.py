@@ -179,7 +179,7 @@ class Loop(PlanarBody):
         return np.concatenate(points) + (0, 0, spec.thickness / 2)
 
     def set_colours(self, rgb: Sequence[float], tones: NDArray[Any]) -> None:
-        """Set its colour to `rgb`, 0 ... 1, times a factor in `tones` ``(links, 1)`` for each link."""
+        """Set its colour to ``rgb``, 0 ... 1, times a factor in ``tones`` ``(links, 1)`` for each link."""
         colours = tones * rgb
         self.model.geom_rgba[self._pieces, :3] = colours
         self.model.geom_rgba[self._knuckles, :3] = (colours + np.roll(colours, 1, axis=0)) / 2
@@ -208,7 +208,7 @@ class Loop(PlanarBody):
         model.opt.viscosity = self._viscosity * factors.friction
 
     def place(self, middle: Array, turn: float) -> None:
-        """Place the band at rest as a circle about `middle` (x, y), turned by `turn`."""
+        """Place the band at rest as a circle about ``middle`` (x, y), turned by ``turn``."""
         mujoco.mj_resetData(self.model, self.data)
         spec = self.spec
         heading = np.pi / 2 + turn
@@ -229,7 +229,7 @@ class Loop(PlanarBody):
         return np.column_stack([np.array(middles)[:, :2], headings - self._rest])
 
     def set_grippers(self, poses: Array) -> None:
-        """Move the mocap bodies to `poses` ``(2, 3)``: x, y in metres and turn in radians, world frame."""
+        """Move the mocap bodies to ``poses`` ``(2, 3)``: x, y in metres and turn in radians, world frame."""
         super().set_grippers(poses + np.column_stack([np.zeros((2, 2)), self._rest]))
 
     def gripper_targets(self) -> Array:

@@ -57,14 +57,14 @@ class Sheet(Body):
         return self.data.mocap_pos[self._grippers]
 
     def set_grippers(self, poses: Array) -> None:
-        """Move the mocap bodies to `poses` ``(2, 3)``, rotated with the line between them."""
+        """Move the mocap bodies to ``poses`` ``(2, 3)``, rotated with the line between them."""
         way = poses[1] - poses[0]
         half = np.arctan2(way[1], way[0]) / 2
         self.data.mocap_pos[self._grippers] = poses
         self.data.mocap_quat[self._grippers] = np.cos(half), 0.0, 0.0, np.sin(half)
 
     def step_to(self, start: Array, target: Array, substeps: int) -> None:
-        """Move the grippers from poses `start` to poses `target` ``(2, 3)`` in `substeps` times 0.01 s."""
+        """Move the grippers from poses ``start`` to poses ``target`` ``(2, 3)`` in ``substeps`` times 0.01 s."""
         steps = round(substeps * TIMESTEP / self.spec.timestep)
         for i in range(1, steps + 1):
             self.set_grippers(start + (target - start) * (i / steps))
@@ -94,7 +94,7 @@ class Sheet(Body):
         return self.points(near, near).reshape(-1, 3)
 
     def set_colours(self, rgb: Sequence[float], tones: NDArray[Any]) -> None:
-        """Set its colour to `rgb`, 0 ... 1, times the factors `tones` ``(64, 128)``, at most 1."""
+        """Set its colour to ``rgb``, 0 ... 1, times the factors ``tones`` ``(64, 128)``, at most 1."""
         model = self.model
         model.skin_rgba[model.skin(SKIN).id, :3] = rgb
         start = int(model.tex_adr[model.texture(SKIN).id])
@@ -135,7 +135,7 @@ class Sheet(Body):
         return self.mesh.vertices(self.data)
 
     def points(self, down: Array, across: Array) -> Array:
-        """Return points ``(R, C, 3)`` of the surface in metres, world frame; see `SheetMesh.points`."""
+        """Return points ``(R, C, 3)`` of the surface in metres, world frame; see ``SheetMesh.points``."""
         return self.mesh.points(self.vertices(), down, across)
 
     def stretch(self) -> float:

@@ -120,7 +120,7 @@ class SheetMesh:
         This holds if all triangles face the camera and the outline does not cross itself in the image.
 
         Args:
-            vertices: Result of `vertices`.
+            vertices: Result of ``vertices``.
             camera: Camera with its pose in the base frame.
         """
         flat, transform = vertices.reshape(-1, 3), camera.transform_camera_to_base
@@ -137,7 +137,7 @@ class SheetMesh:
         """Return points of the triangles at material coordinates.
 
         Args:
-            vertices: Result of `vertices`.
+            vertices: Result of ``vertices``.
             down: Fractions ``(R,)`` of the way from the held edge to the free one.
             across: Fractions ``(C,)`` of the way from gripper 0's side to gripper 1's.
 
@@ -173,7 +173,7 @@ def _crosses(ring: Array) -> bool:
 
 
 def _cells(at: Array, count: int) -> tuple[NDArray[np.int64], Array]:
-    """Return cells ``(n,)`` of a grid line with `count` vertices, and positions ``(n,)`` 0 ... 1 within them."""
+    """Return cells ``(n,)`` of a grid line with ``count`` vertices, and positions ``(n,)`` 0 ... 1 within them."""
     place = np.clip(at, 0.0, 1.0) * (count - 1)
     cell = np.minimum(place.astype(np.int64), count - 2)
     return cell, place - cell
@@ -189,13 +189,13 @@ def _slope(values: Array, axis: int) -> Array:
 
 
 def _hats(count: int, subdivision: int) -> Array:
-    """Return weights ``(fine, count)`` of a polyline through `count` points."""
+    """Return weights ``(fine, count)`` of a polyline through ``count`` points."""
     at = np.arange((count - 1) * subdivision + 1) / subdivision
     return np.maximum(0.0, 1 - np.abs(at[:, None] - np.arange(count)))
 
 
 def _catmull_rom(count: int, subdivision: int) -> Array:
-    """Return weights ``(fine, count)`` of a Catmull-Rom curve through `count` points that is straight at its ends."""
+    """Return weights ``(fine, count)`` of a Catmull-Rom curve through ``count`` points that is straight at its ends."""
     fine = (count - 1) * subdivision + 1
     cell, t = _cells(np.linspace(0, 1, fine), count)
     basis = 0.5 * np.stack(

@@ -158,7 +158,7 @@ def _tendons(spec: SheetSpec) -> Iterator[str]:
 def _skin(spec: SheetSpec) -> str:
     """Return MJCF of the fine surface, with each vertex bound to the masses around it; twice, for both sides.
 
-    The cameras move the vertices to the smooth positions of `SheetMesh`; MuJoCo's viewer interpolates the masses. A
+    The cameras move the vertices to the smooth positions of ``SheetMesh``; MuJoCo's viewer interpolates the masses. A
     texture covers the surface once; it is white by default.
     """
     grid = spec.grid

@@ -33,7 +33,7 @@ class Station(NamedTuple):
 
 
 def rounded_ends(length: float, radius: float, last: int) -> tuple[list[Station], list[Station]]:
-    """Return the stations of the hemispheres at the ends of links 0 ... `last`, whose axis is `length` long."""
+    """Return the stations of the hemispheres at the ends of links 0 ... ``last``, whose axis is ``length`` long."""
     angles = np.radians([90.0, 70.0, 45.0, 20.0])
     start = [Station(-radius * np.sin(a), float(np.cos(a)), (0,)) for a in angles]
     end = [Station(length + radius * np.sin(a), float(np.cos(a)), (last,)) for a in angles[::-1]]

@@ -37,15 +37,15 @@ class Camera(Protocol):
 
 
 def open_camera(renderer: str, spec: CameraSpec, model: Any) -> Camera:
-    """Open the camera for an environment's argument `renderer`.
+    """Open the camera for an environment's argument ``renderer``.
 
     Args:
         renderer: "gl", "rays", or "auto" for OpenGL with rays as a fallback.
         spec: Size of the camera.
-        model: A model from `compile_scene`.
+        model: A model from ``compile_scene``.
 
     Raises:
-        GLUnavailableError: `renderer="gl"`, and OpenGL is not available.
+        GLUnavailableError: ``renderer="gl"``, and OpenGL is not available.
     """
     if renderer == "rays":
         return RayCamera(spec, model)

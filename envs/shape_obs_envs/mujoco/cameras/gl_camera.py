@@ -42,7 +42,7 @@ class GLCamera:
 
     Args:
         spec: Size of the camera.
-        model: A model from `compile_scene`.
+        model: A model from ``compile_scene``.
 
     Raises:
         GLUnavailableError: OpenGL is not available; the message lists the attempts.
@@ -152,7 +152,7 @@ def open_context(model: Any, width: int, height: int) -> tuple[Any, Any]:
         height: Height of the images in pixels.
 
     Returns:
-        The GL context (`make_current`, `free`) and the `mujoco.MjrContext`.
+        The GL context (``make_current``, ``free``) and the ``mujoco.MjrContext``.
 
     Raises:
         GLUnavailableError: No backend works; the message contains the reason for each.
@@ -185,10 +185,10 @@ def open_context(model: Any, width: int, height: int) -> tuple[Any, Any]:
 
 
 def candidates() -> list[str]:
-    """Return the backends to try, best first. `MUJOCO_GL` is respected if set, and never changed.
+    """Return the backends to try, best first. ``MUJOCO_GL`` is respected if set, and never changed.
 
     Raises:
-        GLUnavailableError: `MUJOCO_GL` disables OpenGL.
+        GLUnavailableError: ``MUJOCO_GL`` disables OpenGL.
     """
     wish = os.environ.get("MUJOCO_GL", "").lower().strip()
     if wish in _DISABLED:

@@ -59,7 +59,7 @@ class SheetView:
         self._texture = None if texture is None or texture.is_white else texture
 
     def fill(self, scene: Any, data: Any) -> None:
-        """Replace the skin, which follows the masses in straight lines, in a scene just made by `mjv_updateScene`.
+        """Replace the skin, which follows the masses in straight lines, in a scene just made by ``mjv_updateScene``.
 
         The skin contains the surface twice, the second time turned over, so that with back-face culling it is lit from
         both sides.

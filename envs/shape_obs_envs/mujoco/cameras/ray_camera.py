@@ -25,7 +25,7 @@ class RayCamera:
 
     Args:
         spec: Size and intrinsics of the camera.
-        model: A model from `compile_scene`.
+        model: A model from ``compile_scene``.
     """
 
     name = "rays"
@@ -135,7 +135,7 @@ class RayCamera:
         return np.sqrt(1 + (tangent**2).sum(axis=-1)).max(axis=1)
 
     def _shade(self, data: Any, geom: NDArray[Any], facing: Array) -> NDArray[np.uint8]:
-        """Return colours ``(M, 3)`` of surfaces with unit normals `facing` ``(M, 3)``."""
+        """Return colours ``(M, 3)`` of surfaces with unit normals ``facing`` ``(M, 3)``."""
         return to_bytes(shade(self._model, data, self._model.geom_rgba[geom], facing))
 
 
@@ -145,7 +145,7 @@ def _fixed(pixels: Array) -> NDArray[np.int32]:
 
 
 def outward_normals(model: Any, data: Any, geoms: NDArray[np.int32], points: Array) -> Array:
-    """Return outward unit normals ``(M, 3)`` of `geoms` ``(M,)`` at surface `points` ``(M, 3)``, world frame."""
+    """Return outward unit normals ``(M, 3)`` of ``geoms`` ``(M,)`` at surface ``points`` ``(M, 3)``, world frame."""
     rotation = data.geom_xmat[geoms].reshape(-1, 3, 3)
     local = np.einsum("mji,mj->mi", rotation, points - data.geom_xpos[geoms])
     size, kinds = model.geom_size[geoms], model.geom_type[geoms]

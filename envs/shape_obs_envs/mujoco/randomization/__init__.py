@@ -44,7 +44,7 @@ class Randomization(Spec):
 
     @classmethod
     def of(cls, argument: bool | Mapping[str, Any]) -> Randomization:
-        """Read the environments' argument `randomize`.
+        """Read the environments' argument ``randomize``.
 
         Args:
             argument: False for no factor, True for all factors. A mapping sets each factor that it names to on (True),
@@ -99,12 +99,12 @@ assert list(FACTORS) == [field.name for field in fields(Randomization)]
 
 
 class Randomizer:
-    """Draw the factors of a `Randomization` for one environment; without factors it changes nothing.
+    """Draw the factors of a ``Randomization`` for one environment; without factors it changes nothing.
 
     Each factor has its own random stream from the environment's seed: switching one off leaves the others unchanged.
 
     Args:
-        argument: See `Randomization.of`.
+        argument: See ``Randomization.of``.
 
     Attributes:
         spec: The factors and their strength.
@@ -139,7 +139,7 @@ class Randomizer:
     # ---- at a reset
 
     def draw_physics(self, rng: np.random.Generator) -> None:
-        """Draw what affects the physics, before the start and the goal are drawn; `draw_appearance` must follow.
+        """Draw what affects the physics, before the start and the goal are drawn; ``draw_appearance`` must follow.
 
         Args:
             rng: The environment's random generator.

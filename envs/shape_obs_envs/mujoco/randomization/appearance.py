@@ -121,7 +121,7 @@ def _companion(rng: Rng, colour: Colour, contrast: float) -> Colour:
 
 
 def _table_texture(pattern: Field, shade: Field, first: Colour, second: Colour) -> NDArray[np.uint8]:
-    """Return a texture ``(H, W, 3)`` of two colours mixed by `pattern` ``(H, W)``, 0 ... 1, and scaled by `shade`."""
+    """Return a texture ``(H, W, 3)`` of two colours, mixed by ``pattern`` ``(H, W)`` and scaled by ``shade``."""
     mix = np.linspace(0, 1, 256)[:, None]
     palette = np.rint(255 * ((1 - mix) * np.array(first.rgb) + mix * np.array(second.rgb))).astype(np.uint8)
     colours = cv2.LUT(cv2.merge(3 * [np.rint(255 * pattern).astype(np.uint8)]), palette[None])
@@ -137,7 +137,7 @@ def draw_pattern(rng: Rng, kind: str, shape: Shape, cell: float) -> Field:
 
     Args:
         rng: Random generator.
-        kind: One of `PATTERNS`.
+        kind: One of ``PATTERNS``.
         shape: Size (H, W) of the field.
         cell: Size of the pattern's parts in texels.
 
@@ -148,7 +148,7 @@ def draw_pattern(rng: Rng, kind: str, shape: Shape, cell: float) -> Field:
 
 
 def _smooth_noise(rng: Rng, shape: Shape, cell: float) -> Field:
-    """Draw smooth noise ``(H, W)``, 0 ... 1, with maxima about `cell` texels apart."""
+    """Draw smooth noise ``(H, W)``, 0 ... 1, with maxima about ``cell`` texels apart."""
     coarse = [max(2, round(side / cell) + 1) for side in shape]
     grid = rng.random(coarse, np.float32)
     return np.clip(cv2.resize(grid, shape[::-1], interpolation=cv2.INTER_CUBIC), 0, 1)  # cubic interpolation overshoots

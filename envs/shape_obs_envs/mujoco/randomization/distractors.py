@@ -85,7 +85,7 @@ class Distractors(Factor):
         return {"things": drawn}
 
     def _draw_form(self, rng: np.random.Generator, height: float, low: bool) -> tuple[str, list[float], Any, float]:
-        """Draw kind, size, quaternion and height of the centre of a distractor no higher than `height`, in metres."""
+        """Draw kind, size, quaternion and height of the centre of a distractor no higher than ``height``, in metres."""
         kind = choose(rng, _KINDS[:2] if low else _KINDS)
         long, wide = rng.uniform(*self.size), rng.uniform(*self.size)
         up = height / 2 if low else rng.uniform(0.3, 1.0) * height / 2
@@ -135,7 +135,7 @@ def _spacing(points: Array) -> float:
 
 
 def prop_body(name: str, geoms: int, group: int = 0) -> str:
-    """Return MJCF of a body `name` with invisible geoms `name0`, `name1`, ... for `set_form`."""
+    """Return MJCF of a body ``name`` with invisible geoms ``name0``, ``name1``, ... for ``set_form``."""
     invisible = "".join(
         f'<geom name="{name}{i}" type="sphere" size="0.01" mass="0.001" group="{group}" rgba="0 0 0 0"/>'
         for i in range(geoms)

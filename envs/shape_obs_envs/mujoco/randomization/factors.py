@@ -98,7 +98,7 @@ class Colour(NamedTuple):
         return colorsys.hsv_to_rgb(self.hue % HUES / HUES, self.saturation, self.value)
 
     def away_from(self, hue: float) -> Colour:
-        """Return this colour, or a grey if its hue is near `hue`."""
+        """Return this colour, or a grey if its hue is near ``hue``."""
         near = hue_distance(self.hue, hue) < FAMILY
         return self._replace(saturation=min(self.saturation, GREY)) if near else self
 
@@ -125,7 +125,7 @@ def draw_other(rng: np.random.Generator, hue: float, darkest: float = 0.15, grey
 
 
 def choose(rng: np.random.Generator, options: Sequence[T]) -> T:
-    """Draw one of `options` with equal probabilities."""
+    """Draw one of ``options`` with equal probabilities."""
     return options[int(rng.integers(len(options)))]
 
 
@@ -241,7 +241,7 @@ class CameraPose(Factor):
 
 
 def _least_distance(axes: Array, points: Array, half: Array) -> float:
-    """Return the least distance from which a camera that looks at the origin along -z of `axes` sees all `points`.
+    """Return the least distance from which a camera that looks at the origin along -z of ``axes`` sees all ``points``.
 
     Args:
         axes: Axes of the camera, ``(3, 3)``; columns: right, up and backwards.

@@ -147,7 +147,7 @@ class HandVisit:
             self._place(back)
 
     def hidden(self, points: Array) -> float:
-        """Return the fraction of `points` ``(n, 3)`` that the hand hides from the camera, 0 ... 1."""
+        """Return the fraction of ``points`` ``(n, 3)`` that the hand hides from the camera, 0 ... 1."""
         data, model = self._scene.data, self._scene.model
         eye = data.cam_xpos[model.camera(CAMERA).id]
         rays = points - eye
@@ -156,7 +156,7 @@ class HandVisit:
         return float(((hit >= 0) & (hit < away)).mean())
 
     def _covers_too_much(self, points: Array) -> bool:
-        """Return whether the hand covers more than allowed of `points` ``(n, 3)`` or of the landmarks."""
+        """Return whether the hand covers more than allowed of ``points`` ``(n, 3)`` or of the landmarks."""
         return (self._spare and self.hidden(self._scene.body.landmarks()) > 0) or self.hidden(points) > self._cover
 
     def _distance(self) -> float:
@@ -180,7 +180,7 @@ def _geoms(scene: Scene) -> NDArray[np.int64]:
 
 
 def _draw_colours(rng: np.random.Generator, hue: float) -> tuple[Any, Any]:
-    """Draw colours ``(3,)`` of hand and sleeve, neither near `hue`."""
+    """Draw colours ``(3,)`` of hand and sleeve, neither near ``hue``."""
     skins = [skin for skin in _SKINS if skin.saturation <= GREY or hue_distance(skin.hue, hue) >= FAMILY]
     skin = choose(rng, skins)
     skin = skin._replace(value=float(np.clip(skin.value * rng.uniform(0.85, 1.1), 0.1, 1.0)))
@@ -214,7 +214,7 @@ def _set_random_form(rng: np.random.Generator, model: Any) -> float:
 
 
 def _set_capsule(model: Any, geom: int, start: Array, end: Array, radius: float) -> None:
-    """Make a geom a capsule from `start` to `end` ``(3,)`` in metres."""
+    """Make a geom a capsule from ``start`` to ``end`` ``(3,)`` in metres."""
     way, quaternion = end - start, np.empty(4)
     mujoco.mju_quatZ2Vec(quaternion, way)
     set_form(model, geom, "capsule", [radius, float(np.linalg.norm(way)) / 2], (start + end) / 2, quaternion)

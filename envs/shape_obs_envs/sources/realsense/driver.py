@@ -192,7 +192,7 @@ def _in_mode(sensor: Intrinsics, width: int, height: int) -> Intrinsics:
 
 
 def _intrinsics(lens: Any) -> Intrinsics:
-    """Convert ``rs.intrinsics`` to `Intrinsics`."""
+    """Convert ``rs.intrinsics`` to ``Intrinsics``."""
     coefficients = tuple(float(value) for value in lens.coeffs)
     return Intrinsics(
         int(lens.width),

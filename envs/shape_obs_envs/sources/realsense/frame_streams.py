@@ -29,7 +29,7 @@ class FrameStream(Protocol):
     dropped: int
 
     def next(self, timeout: float, after: float | None) -> RawFrame:
-        """Return the next frame; see `RealSenseSource.read`. ``after`` is a ``time.monotonic()`` of exposure."""
+        """Return the next frame; see ``RealSenseSource.read``. ``after`` is a ``time.monotonic()`` of exposure."""
         ...
 
     def latest(self) -> RawFrame | None:

@@ -129,7 +129,7 @@ class Session:
         check: Refuses pairs whose images do not belong together.
 
     Raises:
-        SourceError: As `Device.find`; or the camera does not have the mode, refuses an option, or is in use.
+        SourceError: As ``Device.find``; or the camera does not have the mode, refuses an option, or is in use.
     """
 
     def __init__(self, device: Device, setup: Setup, record_to: Path | None = None) -> None:

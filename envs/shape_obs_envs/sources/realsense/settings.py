@@ -121,7 +121,7 @@ def check_filters(filters: Sequence[Filter]) -> None:
     """Check names and parameters of filters, but not their values, without librealsense.
 
     Raises:
-        ValueError: As `DepthFilters`.
+        ValueError: As ``DepthFilters``.
     """
     if isinstance(filters, str):
         raise ValueError(f"filters: expected a sequence of names, got {filters!r}; write ({filters!r},).")

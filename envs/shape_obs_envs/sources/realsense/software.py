@@ -64,7 +64,7 @@ class SoftwareD455:
     """A librealsense software device with the lenses, options and behaviour of a D455.
 
     It delivers raw images: colour with the lens distortion, and depth seen from 59 mm next to it, in the camera's depth
-    unit. `push` makes them from ideal images. A `RealSenseSource` reads it like a camera on USB, through the same
+    unit. ``push`` makes them from ideal images. A ``RealSenseSource`` reads it like a camera on USB, through the same
     pipeline, and can connect to it repeatedly.
 
     Frames are numbered as they are pushed; a lost frame leaves a gap. All methods may be called from any thread.
@@ -78,7 +78,7 @@ class SoftwareD455:
             small size.
         height: Height of both streams in pixels.
         fps: Reported frames per second; frames are delivered as fast as they are pushed.
-        camera: Intrinsics of the images given to `push`; None for those of the frames that a source returns, so that
+        camera: Intrinsics of the images given to ``push``; None for those of the frames that a source returns, so that
             images come out as they went in, except for resampling.
         usb: USB type.
         depth_unit: Unit of the raw depth images in metres.
@@ -163,7 +163,7 @@ class SoftwareD455:
         Args:
             colour: Image of ``geometry.colour``, shape ``(H, W, 3)``, uint8 RGB.
             depth: Image of ``geometry.depth``, shape ``(H, W)``, uint16 in ``depth_unit``.
-            stamp: See `push`.
+            stamp: See ``push``.
 
         Returns:
             The number of the frame.

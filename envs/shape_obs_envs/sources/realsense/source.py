@@ -23,13 +23,13 @@ from shape_obs_envs.sources.registration import Registration
 
 
 class RealSenseSource(Source):
-    """An `RGBDSource` through librealsense: colour rectified to a pinhole, depth aligned to it, in millimetres.
+    """An ``RGBDSource`` through librealsense: colour rectified to a pinhole, depth aligned to it, in millimetres.
 
     A thread reads a live camera into a queue of ``buffer`` frames that keeps the newest. A pair of images is passed on
     only if both are new and of the same moment, so a frozen stream never looks alive. When no frames come, the thread
     waits, restarts the pipeline, resets the camera and looks it up again, one step every ``patience`` seconds (three
-    times that after a start), and logs each step. Meanwhile `read` keeps its timeout. After ``recover_timeout``
-    seconds the camera counts as lost; `connect` starts again.
+    times that after a start), and logs each step. Meanwhile ``read`` keeps its timeout. After ``recover_timeout``
+    seconds the camera counts as lost; ``connect`` starts again.
 
     A recording has no clock: it waits for its reader, and each complete pair is returned once.
 
@@ -39,7 +39,7 @@ class RealSenseSource(Source):
     time the exposure is assumed to have begun two frame intervals before the frame arrived.
 
     Args:
-        device: A `SoftwareD455`, or several of which ``serial`` selects one; None for a camera on USB.
+        device: A ``SoftwareD455``, or several of which ``serial`` selects one; None for a camera on USB.
         serial: Serial number of the camera; None for the only one.
         recording: A .db3 or .bag file to read instead of a camera.
         width: Width of both streams in pixels. A recording has its own mode: this and all below is for cameras.
@@ -62,7 +62,7 @@ class RealSenseSource(Source):
         recover_timeout: Seconds without a frame after which a camera counts as lost.
 
     Attributes:
-        options: Exposure and other options, as set by `connect`.
+        options: Exposure and other options, as set by ``connect``.
         timings: Milliseconds that the last frame took: ``"register"``, to rectify colour and align depth to it.
 
     Raises:
@@ -128,7 +128,7 @@ class RealSenseSource(Source):
 
     @property
     def serial(self) -> str | None:
-        """The camera's serial number; None before `connect`."""
+        """The camera's serial number; None before ``connect``."""
         return None if self._stream is None else self._identity.serial
 
     @property
@@ -143,7 +143,7 @@ class RealSenseSource(Source):
 
     @property
     def dropped(self) -> int:
-        """Number of frames since `connect` that were not read in time."""
+        """Number of frames since ``connect`` that were not read in time."""
         return self._connected().dropped
 
     @property
@@ -151,7 +151,7 @@ class RealSenseSource(Source):
         """Intrinsics of all frames, a pinhole.
 
         Raises:
-            NotConnected: `connect` has not been called.
+            NotConnected: ``connect`` has not been called.
         """
         self._connected()
         return self._register.output
@@ -193,7 +193,7 @@ class RealSenseSource(Source):
             FrameTimeout: No frame came in time.
             EndOfSource: The recording has ended.
             CameraLost: The camera is lost.
-            NotConnected: `connect` has not been called.
+            NotConnected: ``connect`` has not been called.
         """
         called = time.monotonic()
         feed = self._connected()
@@ -209,7 +209,7 @@ class RealSenseSource(Source):
             StaleFrame: The newest frame is older, or there is none yet.
             EndOfSource: The recording has ended.
             CameraLost: The camera is lost.
-            NotConnected: `connect` has not been called.
+            NotConnected: ``connect`` has not been called.
         """
         raw = self._connected().latest()
         age = math.inf if raw is None else time.monotonic() - raw.received

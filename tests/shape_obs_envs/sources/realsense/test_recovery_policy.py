@@ -94,7 +94,7 @@ def test_a_missing_camera_is_told_soon() -> None:
         RealSenseSource(serial="0000").connect()
     assert time.monotonic() - begun < 3
     assert error.value.serial == "0000"
-    with pytest.raises(CameraNotFound, match=r"those found: .*D455 455 \(USB 3\.2\)"):
+    with pytest.raises(CameraNotFound, match=r"found: .*D455 455 \(USB 3\.2\)"):
         source(camera(), serial="0000").connect()
 
 
