@@ -191,7 +191,7 @@ def open_recording(path: Path) -> Any:
         BadRecording: The file does not exist, has another type than its suffix, or is incomplete.
     """
     if not path.is_file():
-        raise BadRecording(f"{path}: no such file; expected a recording, .db3 or .bag.")
+        raise BadRecording(f"{path}: there is no such file; expected a recording, .db3 or .bag.")
     _check_type(path)
     try:
         return librealsense().context().load_device(str(path))

@@ -78,7 +78,7 @@ def test_bad_files(recorded, tmp_path: Path) -> None:
         f"short{suffix}": (whole[:50], "a part|cannot read"),
         f"empty{suffix}": (b"", "the file is empty"),
         f"junk{suffix}": (b"hello" * 100, "got another file type"),
-        f"rope{OTHER[suffix]}": (whole, f"its suffix is '{OTHER[suffix]}': rename it to rope{suffix}"),
+        f"rope{OTHER[suffix]}": (whole, f"the suffix is '{OTHER[suffix]}': rename it to rope{suffix}"),
         "rope.txt": (whole, f"rename it to rope{suffix}"),
     }
     for name, (content, message) in bad.items():
