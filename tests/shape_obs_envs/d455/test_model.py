@@ -1,4 +1,4 @@
-"""The D455 model against its closed forms: noise, steps and holes of depth; noise and light of colour."""
+"""The D455 model compared with its closed forms: noise, steps and holes of depth; noise and light of colour."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""D455Noise over environments: spaces, seeds, rebuilding, and what is still found through the noise."""
+"""D455Noise on environments: spaces, seeds, rebuilding, and detection through the noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all simulated environments have in common."""
+"""Properties that all simulated environments share."""
 
 from __future__ import annotations
 

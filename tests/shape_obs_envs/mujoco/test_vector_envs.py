@@ -1,4 +1,4 @@
-"""Vector envs: each sub-env keeps its own track, and the last observation of an episode is the right one."""
+"""Vector environments: each sub-environment keeps its own track, and final observations are correct."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""ShapeObs/D455-v0: steps, deadlines, what fails, and what stands between an action and the robot."""
+"""``ShapeObs/D455-v0``: steps, deadlines, failures and the limits on actions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The frame reader of a robot cell never takes an image from before the action."""
+"""The frame reader never returns an image from before the action."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands between a loop and its robot: motions end in time, and none is sent on what was seen too long ago."""
+"""The interlock: motions end in time, and none is sent on an old image."""
 
 from __future__ import annotations
 

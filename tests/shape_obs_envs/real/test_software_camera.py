@@ -1,4 +1,4 @@
-"""The real path: a software D455 inside librealsense, its source, `ShapeObs/D455-v0`, the wrapper."""
+"""The real path: a software D455 inside librealsense, its source, ``ShapeObs/D455-v0`` and the wrapper."""
 
 from __future__ import annotations
 

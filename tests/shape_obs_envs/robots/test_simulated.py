@@ -1,4 +1,4 @@
-"""Robots without hardware: one that does nothing, and one that is simulated in real time before a software D455."""
+"""Robots without hardware: one that does not move, and one simulated in real time in front of a software D455."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Registration: depth lies under the colour that it belongs to, and nothing is invented."""
+"""Registration: depth is aligned to colour, and nothing is invented."""
 
 from __future__ import annotations
 

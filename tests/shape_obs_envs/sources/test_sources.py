@@ -1,4 +1,4 @@
-"""Sources that are no camera, and opening a source by a word."""
+"""Sources other than cameras, and opening a source from a string."""
 
 from __future__ import annotations
 

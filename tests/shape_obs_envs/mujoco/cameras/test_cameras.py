@@ -1,4 +1,4 @@
-"""The cameras of the simulated environments: against the truth, against each other, and where there is no OpenGL."""
+"""Cameras of the simulated environments: compared with the truth and with each other, with and without OpenGL."""
 
 from __future__ import annotations
 

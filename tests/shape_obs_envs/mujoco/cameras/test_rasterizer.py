@@ -1,4 +1,4 @@
-"""The cameras over a sheet: against the truth and against each other, flat, lifted, bunched and folded."""
+"""Cameras on a sheet: compared with the truth and with each other, flat, lifted, bunched and folded."""
 
 from __future__ import annotations
 

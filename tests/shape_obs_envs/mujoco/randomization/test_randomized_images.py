@@ -1,4 +1,4 @@
-"""The cameras under domain randomisation: against each other, against the truth, and where they stand."""
+"""Cameras under domain randomisation: compared with each other and with the truth; their poses."""
 
 from __future__ import annotations
 

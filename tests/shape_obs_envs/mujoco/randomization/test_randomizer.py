@@ -1,4 +1,4 @@
-"""Domain randomisation: what is drawn, from which seed, and what it leaves alone."""
+"""Domain randomisation: drawn values, seeds, and what must not change."""
 
 from __future__ import annotations
 

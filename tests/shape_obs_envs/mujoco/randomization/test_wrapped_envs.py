@@ -1,4 +1,4 @@
-"""The wrapper, and the checkers, under domain randomisation."""
+"""The wrapper and the environment checkers under domain randomisation."""
 
 from __future__ import annotations
 

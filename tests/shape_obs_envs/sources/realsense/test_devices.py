@@ -1,4 +1,4 @@
-"""Recordings of librealsense: the same frames again, and one clear error for each bad file."""
+"""Recordings of librealsense return the same frames; each bad file raises one clear error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a camera showed, recorded both ways and replayed: the same shapes, to the bit."""
+"""A camera recorded in both formats and replayed gives the same shapes, bit for bit."""
 
 from __future__ import annotations
 

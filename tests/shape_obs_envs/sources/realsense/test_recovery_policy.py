@@ -1,4 +1,4 @@
-"""A D455 that freezes, loses frames, is late, pulled out, or was never there: no old pixel, always an answer."""
+"""A D455 that freezes, loses or delays frames, is unplugged or missing: no old image, always a result or an error."""
 
 from __future__ import annotations
 

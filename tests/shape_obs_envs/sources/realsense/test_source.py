@@ -1,4 +1,4 @@
-"""RealSenseSource over a D455 inside librealsense: what comes out, when, and with which options."""
+"""RealSenseSource on a software D455: frames, timing and options."""
 
 from __future__ import annotations
 
