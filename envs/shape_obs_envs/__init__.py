@@ -1,4 +1,4 @@
-"""Gymnasium environments of `shape_obs`; importing this module registers their ids.
+"""Gymnasium environments of ``shape_obs``; importing this module registers their ids.
 
 Example:
     >>> import gymnasium as gym
@@ -7,20 +7,37 @@ Example:
 
 from __future__ import annotations
 
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
 import gymnasium as gym
 from gymnasium.envs.registration import WrapperSpec
 
 __all__: list[str] = []
 
-# What ShapeObservation.wrapper_spec() returns, without importing the wrapper; it takes `shape_obs_defaults` from the
-# environment.
+# The result of ShapeObservation.wrapper_spec(), without importing the wrapper; the wrapper takes its arguments from the
+# environment's `shape_obs_defaults`.
 _SHAPE = WrapperSpec("ShapeObservation", "shape_obs.wrappers.shape_observation:ShapeObservation", {})
-# Strings: MuJoCo is imported by the first environment that is made.
+# Strings, so that MuJoCo is imported only when an environment is made.
 _ENTRY_POINTS = {
     "Cable": "shape_obs_envs.mujoco.cable:CableEnv",
     "Ring": "shape_obs_envs.mujoco.ring:RingEnv",
     "Cloth": "shape_obs_envs.mujoco.cloth:ClothEnv",
 }
+#: Modules that were renamed: saved environment specs contain the old entry points.
+_RENAMED = {"shape_obs_envs.cell": "shape_obs_envs.real"}
+
+
+class _RenamedModule(ModuleType):
+    """A module under its old name; it is imported when a name is read from it."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(import_module(_RENAMED[self.__name__]), name)
+
 
 for _name, _entry_point in _ENTRY_POINTS.items():
     gym.register(id=f"ShapeObs/{_name}-v0", entry_point=_entry_point, max_episode_steps=50)
@@ -31,5 +48,8 @@ for _name, _entry_point in _ENTRY_POINTS.items():
         additional_wrappers=(_SHAPE,),
     )
 
-# A real camera gives no two equal images.
-gym.register(id="ShapeObs/D455-v0", entry_point="shape_obs_envs.cell:D455Env", nondeterministic=True)
+# Nondeterministic: a real camera never returns two equal images.
+gym.register(id="ShapeObs/D455-v0", entry_point="shape_obs_envs.real:D455Env", nondeterministic=True)
+
+for _old in _RENAMED:
+    sys.modules[_old] = _RenamedModule(_old)

@@ -1,4 +1,4 @@
-"""Checks of constructor arguments, with errors that say what to write instead."""
+"""Check constructor arguments, with errors that suggest a valid value."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 
 
 def one_of(name: str, value: Any, options: Iterable[Any], also: str = "") -> Any:
-    """Return `value` if it is one of `options`; `also` words what else the argument takes.
+    """Return ``value`` if it is one of ``options``; ``also`` describes further values in the message.
 
     Raises:
-        ValueError: It is not; names the options and, for a misspelt string, the likely one.
+        ValueError: It is not; the message lists the options and suggests one for a misspelt string.
     """
     options = list(options)
     if isinstance(value, (str, bool, type(None))) and value in options:
@@ -26,10 +26,10 @@ def one_of(name: str, value: Any, options: Iterable[Any], also: str = "") -> Any
 
 
 def positive(name: str, value: Any, default: str, what: str = "a distance in metres") -> float:
-    """Return `value` if it is above 0; `default` says what is usual, `what` names the quantity in the message.
+    """Return ``value`` as a float if it is above 0; ``default`` and ``what`` (the quantity) are for the message.
 
     Raises:
-        ValueError: It is not.
+        ValueError: It is not a finite number above 0.
     """
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not (number and 0 < value < float("inf")):
@@ -38,7 +38,7 @@ def positive(name: str, value: Any, default: str, what: str = "a distance in met
 
 
 def count(name: str, value: Any, least: int, most: int | None = None) -> int:
-    """Return `value` if it is a whole number within its limits.
+    """Return ``value`` as an int if it is a whole number within its limits.
 
     Raises:
         ValueError: It is not.

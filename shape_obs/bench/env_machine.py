@@ -17,8 +17,8 @@ def opengl() -> str:
 
 def _asked() -> tuple[str, str]:
     """What draws, and why nothing does: one of them is empty."""
-    from shape_obs_envs.mujoco.cameras.gl_context import GLUnavailableError, open_context
-    from shape_obs_envs.mujoco.engine import mujoco
+    from shape_obs_envs.mujoco.cameras.gl_camera import GLUnavailableError, open_context
+    from shape_obs_envs.mujoco.scene import mujoco
 
     try:
         gl, context = open_context(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16)

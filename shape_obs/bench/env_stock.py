@@ -32,8 +32,8 @@ class StockDrawing(gym.Wrapper[Any, Any, Any, Any]):
     """
 
     def __init__(self, env: gym.Env[Any, Any], width: int, height: int, shadows: bool = True) -> None:
-        from shape_obs_envs.mujoco.bodies.base import OBJECT_GROUP
-        from shape_obs_envs.mujoco.engine import mujoco
+        from shape_obs_envs.mujoco.bodies import OBJECT_GROUP
+        from shape_obs_envs.mujoco.scene import mujoco
 
         super().__init__(env)
         simulator: Any = env.unwrapped
@@ -70,8 +70,8 @@ def _our_context(model: Any, width: int, height: int) -> Iterator[None]:
 
     By itself it takes the kind that MUJOCO_GL named when MuJoCo was imported, and without that a window's.
     """
-    from shape_obs_envs.mujoco.cameras.gl_context import open_context
-    from shape_obs_envs.mujoco.engine import mujoco
+    from shape_obs_envs.mujoco.cameras.gl_camera import open_context
+    from shape_obs_envs.mujoco.scene import mujoco
 
     gl, context = open_context(model, width, height)
     context.free()

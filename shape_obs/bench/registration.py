@@ -14,7 +14,6 @@ import numpy.typing as npt
 from shape_obs.bench.asked import at_most
 from shape_obs.bench.blocks import TOP, Block, rows_of_blocks, see
 from shape_obs.camera import CameraModel
-from shape_obs.compiled import Backend
 
 Array = npt.NDArray[np.float64]
 
@@ -36,22 +35,21 @@ class RegistrationError:
     centres: Array
 
 
-def registration_errors(seed: int = 0, backend: Backend = "auto") -> dict[str, RegistrationError]:
+def registration_errors(seed: int = 0) -> dict[str, RegistrationError]:
     """Errors of "ours" and of "librealsense", ``rs.align`` with the raw colour image, on the same raw images of a D455.
 
     Args:
         seed: Of the blocks.
-        backend: Of our inner loop.
 
     Raises:
         ImportError: librealsense is missing.
     """
-    from shape_obs_envs.sources.librealsense_align import LibrealsenseAlign
+    from shape_obs.bench.librealsense_align import LibrealsenseAlign
     from shape_obs_envs.sources.realsense import SoftwareD455
     from shape_obs_envs.sources.registration import Registration
 
     scene = _Scene(seed)
-    ours = Registration(*scene.geometry, backend=backend)
+    ours = Registration(*scene.geometry)
     pinhole = replace(scene.colour_camera, intrinsics=ours.output)
     theirs = LibrealsenseAlign(SoftwareD455(depth_unit=_UNIT))
     try:
@@ -65,20 +63,19 @@ def registration_errors(seed: int = 0, backend: Backend = "auto") -> dict[str, R
 
 
 def registration_times(runs: int = 30) -> dict[str, float]:
-    """Median milliseconds of each way at 640 x 480, one thread: our parts on either backend, and ``rs.align``."""
-    from shape_obs_envs.sources.librealsense_align import LibrealsenseAlign
+    """Median milliseconds of each way at 640 x 480, one thread: our parts, and ``rs.align``."""
+    from shape_obs.bench.librealsense_align import LibrealsenseAlign
     from shape_obs_envs.sources.realsense import SoftwareD455
     from shape_obs_envs.sources.registration import Registration
 
     scene = _Scene(0)
     theirs = LibrealsenseAlign(SoftwareD455(depth_unit=_UNIT))
-    numpy, best = (Registration(*scene.geometry, backend=name) for name in ("numpy", "auto"))
+    ours = Registration(*scene.geometry)
     try:
         frames = theirs.pair(scene.colour, scene.depth)
         ways: dict[str, Callable[[], Any]] = {
-            "rectify": lambda: best.rectify(scene.colour),
-            "align, numpy": lambda: numpy.align(scene.depth),
-            "align, auto": lambda: best.align(scene.depth),
+            "rectify": lambda: ours.rectify(scene.colour),
+            "align": lambda: ours.align(scene.depth),
             "rs.align": lambda: theirs.align(frames),
         }
         return {name: _median(way, runs) for name, way in ways.items()}
@@ -111,7 +108,7 @@ class _Scene:
     """Blocks on a table under a D455 that looks down, a little tilted, and its two raw images."""
 
     def __init__(self, seed: int) -> None:
-        from shape_obs_envs.sources.realsense.d455 import d455_geometry
+        from shape_obs_envs.sources.realsense.driver import d455_geometry
 
         d455 = d455_geometry(*_SIZE, _UNIT)
         self.geometry = d455.colour, d455.depth, d455.rotation, d455.translation, d455.depth_unit

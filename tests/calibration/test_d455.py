@@ -11,7 +11,7 @@ from shape_obs.bench.marker_claims import board_images
 from shape_obs.bench.marker_scenes import LAYOUT, marker_scene
 from shape_obs.calibration import Board, BoardViews, fit_base, fit_intrinsics, marker_points
 from shape_obs_envs.sources import RealSenseSource, SoftwareD455
-from shape_obs_envs.sources.raw_images import RawImages
+from shape_obs_envs.sources.registration import RawImages
 
 BOARD = Board()
 FAR = np.full((480, 640), 700, np.uint16)

@@ -6,7 +6,7 @@ import gymnasium as gym
 import pytest
 
 import shape_obs_envs  # noqa: F401
-from shape_obs_envs.mujoco.cameras.gl_context import GLUnavailableError
+from shape_obs_envs.mujoco.cameras.gl_camera import GLUnavailableError
 
 
 def has_gl() -> bool:

@@ -1,4 +1,4 @@
-"""The numbers that describe a D455, and what follows from them in closed form."""
+"""Parameters of the D455 model, and quantities that follow from them in closed form."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Final
 from shape_obs.spec import Spec, SpecError
 
 _UNBOUNDED: Final = math.inf
-#: field -> (least, most, what it is); None passes where a field may be None
+#: field -> (least, most, description); None is accepted for fields that may be None
 _RANGES: Final[dict[str, tuple[float, float, str]]] = {
     "focal": (1, 10_000, "a focal length in native pixels, 1 to 10000"),
     "width": (16, 4096, "a whole number of pixels from 16 to 4096"),
@@ -39,46 +39,46 @@ _RANGES: Final[dict[str, tuple[float, float, str]]] = {
 
 @dataclass(frozen=True)
 class D455Model(Spec):
-    """How far a D455's images are from clean ones.
+    """Parameters of the errors in a D455's images.
 
     Geometry and depth noise are Intel's figures (data sheet of the D400 series; white paper "Tuning depth cameras for
     best performance"): the depth stream at 640 x 480, subpixel error 0.08 px on a well-textured plane, 1/32 px
-    disparity steps. Shares of holes, and colour, differ from unit to unit and room to room: the defaults are moderate
-    and say below what they rest on. *Native* pixels are those of that 640 x 480 stream; an image of another size is
-    taken as that stream's, cropped to the aspect ratio about its centre and subsampled (not averaged) to its rows.
+    disparity steps. Fractions of holes and colour errors vary between units and rooms: the defaults are moderate, and
+    their basis is stated below. *Native* pixels are those of the 640 x 480 stream; an image of another size is treated
+    as that stream, cropped to the aspect ratio about its centre and subsampled (not averaged) to its rows.
 
     Args:
-        focal: Focal length f of the depth stream [native px].
-        width: Width of the depth stream [px].
-        height: Height of the depth stream [px].
-        baseline: Distance B between the two imagers [m].
-        subpixel: Standard deviation s of the disparity f B / z [native px]; 0 for no noise.
-        correlation: Standard deviation l of the window over which matching smooths [native px]: the noise of two
-            pixels r apart correlates as exp(-r^2 / 4 l^2). 2 px makes patches of 5 to 7 px, the size of the matcher's
-            window. 0 for independent pixels.
-        disparity_step: What disparity is rounded to [native px]; 0 for not at all.
-        left_band: Whether the columns at the left without partner in the right imager, f B / z native px, are lost.
-        edge_share: Share of the pixels beside a depth jump that are lost; 0 for none. The matching window there sees
-            two surfaces, and one imager sees a strip that the other does not.
-        edge_jump: What counts as a jump: disparity that differs by this much from the mean slope [native px]. 1 px
-            is 9 mm at 0.56 m.
-        edge_width: How far a jump reaches to each side [native px].
-        dark_share: Share of the pixels that are lost on black; 0 for none.
-        dark_level: Brightness, 0 to 255, from which on none is lost; below it the share rises linearly. Brightness is
-            the largest of R, G and B: the imagers work in the near infrared, where dyes of strong colour are bright
-            and what is dark in every channel mostly is dark as well.
-        hole_size: Like `correlation`, of the holes at jumps and on dark surfaces, which so come in patches [native px].
-        speckle_share: Share of all pixels lost in small blobs; 0 for none. The data sheet promises 99 % of pixels on a
-            plain wall; half of what is missing there is given to speckle.
-        speckle_size: Like `correlation`, of the blobs [native px].
-        min_z: Depths under this are lost [m]; the data sheet's for 640 x 480. 0 for no limit.
-        max_z: Depths above this are lost [m], the end of the camera's working range; None for no limit.
-        exposure: Relative standard deviation, from episode to episode, of all code values.
-        white_balance: The same of red and of blue against green.
-        drift: How far exposure and white balance wander within an episode, as a multiple of the two above.
-        drift_frames: Time constant of the drift [frames].
-        read: Standard deviation of the colour noise in black [code values of 255].
-        shot: Its growth with brightness: variance = read^2 + shot * value [code values].
+        focal: Focal length f of the depth stream in native pixels.
+        width: Width of the depth stream in pixels.
+        height: Height of the depth stream in pixels.
+        baseline: Distance B between the two imagers in metres.
+        subpixel: Standard deviation s of the disparity f B / z in native pixels; 0 for no noise.
+        correlation: Standard deviation l of the matcher's smoothing window in native pixels: the noise of two pixels at
+            distance r has the correlation exp(-r^2 / 4 l^2). 2 px results in patches of 5 to 7 px, the size of the
+            matcher's window. 0 for independent pixels.
+        disparity_step: Rounding step of the disparity in native pixels; 0 for no rounding.
+        left_band: Whether the columns at the left that the right imager does not see, f B / z native px, are lost.
+        edge_share: Fraction of lost pixels next to a depth jump; 0 for none. There the matching window covers two
+            surfaces, and one imager sees a strip that the other does not.
+        edge_jump: Smallest jump: difference of the disparity from the mean slope in native pixels. 1 px is 9 mm at
+            0.56 m.
+        edge_width: Reach of a jump to each side in native pixels.
+        dark_share: Fraction of lost pixels on black; 0 for none.
+        dark_level: Brightness, 0 to 255, above which no pixels are lost; below it the fraction rises linearly.
+            Brightness is the largest of R, G and B: the imagers work in the near infrared, where strongly coloured dyes
+            are bright, and surfaces that are dark in every channel are mostly dark as well.
+        hole_size: Like ``correlation``, for the holes at jumps and on dark surfaces, in native pixels.
+        speckle_share: Fraction of all pixels lost in small blobs; 0 for none. The data sheet promises 99 % of pixels on
+            a plain wall; half of the missing ones are attributed to speckle.
+        speckle_size: Like ``correlation``, for the blobs, in native pixels.
+        min_z: Smallest measured depth in metres, from the data sheet for 640 x 480. 0 for no limit.
+        max_z: Largest measured depth in metres, the end of the camera's working range; None for no limit.
+        exposure: Relative standard deviation of all code values between episodes.
+        white_balance: Relative standard deviation of red and of blue against green.
+        drift: Drift of exposure and white balance within an episode, as a multiple of the two above.
+        drift_frames: Time constant of the drift in frames.
+        read: Standard deviation of the colour noise in black, in code values of 255.
+        shot: Growth of the colour noise with brightness: variance = read^2 + shot * value, in code values.
 
     Example:
         >>> model = D455Model(speckle_share=0.01)
@@ -86,7 +86,7 @@ class D455Model(Spec):
         2.18
 
     Raises:
-        SpecError: A value out of its range, which is told.
+        SpecError: A value is out of its range; the message contains the range.
     """
 
     focal: float = 386.0
@@ -127,33 +127,33 @@ class D455Model(Spec):
 
     @property
     def disparity_at_one_metre(self) -> float:
-        """The product f B [native px * m]: disparity is this over z."""
+        """The product f B in native pixels times metres; disparity is f B / z."""
         return self.focal * self.baseline
 
     def scale(self, rows: int) -> float:
-        """Pixels of an image of so many rows in one native pixel."""
+        """Return how many pixels of an image with ``rows`` rows correspond to one native pixel."""
         return rows / self.height
 
     def sigma(self, z: float) -> float:
-        """Standard deviation of depth [m] at depth z [m], before any rounding: z^2 s / (f B)."""
+        """Return the standard deviation of depth in metres at depth z, before any rounding: z^2 s / (f B)."""
         return z * z * self.subpixel / self.disparity_at_one_metre
 
     def depth_step(self, z: float) -> float:
-        """Distance of neighbouring depths [m] at depth z [m]: z^2 / (32 f B) with the default step."""
+        """Return the distance in metres of neighbouring depths at depth z: z^2 / (32 f B) with the default step."""
         return z * z * self.disparity_step / self.disparity_at_one_metre
 
     def band_width(self, z: float) -> float:
-        """Width of the left band [native px] before a wall at depth z [m]: f B / z; 0 where it is switched off."""
+        """Return the width of the left band in native pixels for a wall at depth z: f B / z; 0 if switched off."""
         return self.disparity_at_one_metre / z if self.left_band else 0.0
 
     def dark_probability(self, value: float) -> float:
-        """Probability that a pixel is lost whose largest channel has this value, 0 to 255."""
+        """Return the probability that a pixel is lost if its largest channel has this value, 0 to 255."""
         return self.dark_share * max(0.0, 1.0 - value / self.dark_level)
 
     def edge_reach(self, rows: int) -> tuple[int, float]:
-        """Of an image of so many rows: how many pixels beside a jump may be lost, and with what probability.
+        """Return how many pixels next to a jump may be lost in an image with ``rows`` rows, and their probability.
 
-        Where the native width is less than a pixel, so much less of the pixels are lost.
+        If the native width is less than a pixel, the probability is reduced accordingly.
         """
         wide = self.edge_width * self.scale(rows)
         reach = max(1, round(wide))

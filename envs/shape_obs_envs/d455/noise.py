@@ -1,9 +1,9 @@
-"""D455Noise: a wrapper that makes an environment's clean images look like a D455's."""
+"""Make clean RGB-D images look like those of a D455: image by image, or as a wrapper around an environment."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import gymnasium as gym
@@ -13,40 +13,125 @@ from gymnasium.utils import RecordConstructorArgs
 from numpy.typing import NDArray
 
 from shape_obs.wrappers.env_protocol import Images
-from shape_obs_envs.d455.camera import D455Camera
-from shape_obs_envs.d455.colour import Light
-from shape_obs_envs.d455.depth import Measurement
 from shape_obs_envs.d455.model import D455Model
+from shape_obs_envs.d455.random_fields import BankFields, DrawnFields
+from shape_obs_envs.d455.sensors import Colour, Light, Measurement, Stereo
 
-#: Keeps the noise apart from what the environment draws from the same seed.
+#: Separates the noise from the environment's random numbers of the same seed.
 _STREAM: Final = 0xD455
 _MILLIMETRES: Final = 1000
 
 
-class D455Noise(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
-    """Adds the errors of an Intel RealSense D455 to the images of an RGB-D environment; see docs/d455-noise.md.
+class D455Camera:
+    """Measure clean images of one size as a D455 would.
 
-    Depth gets noise, disparity steps and holes (0); colour gets noise, and exposure and white balance that are drawn
-    for each episode. Types and spaces stay as they are; all else in the observation is passed on. A plain RGB image
-    observation gets the colour part alone.
-
-    `reset(seed=...)` makes the noise repeatable; without a seed it goes on with its own random numbers.
+    All randomness comes from the generator that is passed. The camera keeps no state between calls, but reuses its
+    buffers: use one per thread.
 
     Args:
-        env: Its observation is a Dict with an RGB image and, maybe, depth, (H, W) or (H, W, 1), in uint16 millimetres
-            or float metres; or an RGB image.
-        model: A `D455Model`, or a mapping of the fields that differ from its defaults.
-        fast: Cut the noise out of a bank that is drawn once instead of drawing every pixel of every frame: the same
-            statistics in a fraction of the time.
+        model: The camera model.
+        size: Size (H, W) of the images in pixels.
+        fast: Crop random fields from a bank instead of drawing each pixel. The statistics are the same, at a fraction
+            of the time; the bank takes 8 MB at 640 x 480 and is shared by all cameras of this model and size in a
+            process.
+
+    Raises:
+        ValueError: ``size`` is not an image size.
+
+    Example:
+        >>> import numpy as np
+        >>> camera, rng = D455Camera(D455Model(), (480, 640)), np.random.default_rng(0)
+        >>> wall, white = np.full((480, 640), 1.0), np.full((480, 640, 3), 255, np.uint8)
+        >>> metres, causes = camera.measure(wall, white, rng)
+        >>> round(float(metres[causes == 0].std()), 3)
+        0.002
+    """
+
+    def __init__(self, model: D455Model, size: Sequence[int], fast: bool = False) -> None:
+        sides = [side for side in size if isinstance(side, (int, np.integer)) and side > 0]
+        if len(size) != 2 or len(sides) != 2:
+            raise ValueError(f"size: expected (height, width) in pixels, two whole numbers above 0, got {size!r}")
+        self.model, self.size, self.fast = model, (int(sides[0]), int(sides[1])), bool(fast)
+        self._stereo, self._colour = Stereo(model, self.size), Colour(model, self.size)
+        self._fields = (BankFields if fast else DrawnFields)(model, self.size)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the arguments, without buffers and bank."""
+        return type(self), (self.model, self.size, self.fast)
+
+    def measure(self, metres: NDArray[Any], rgb: NDArray[np.uint8], rng: np.random.Generator) -> Measurement:
+        """Measure depth.
+
+        Args:
+            metres: Clean depth along the optical axis, shape ``(H, W)``, of any float type, in metres; values that are
+                0 or not finite mean no depth.
+            rgb: Clean colours, shape ``(H, W, 3)``, uint8; they determine dark surfaces.
+            rng: Random generator.
+
+        Returns:
+            Measured depth, not yet rounded to millimetres, and the causes of its holes.
+
+        Raises:
+            ValueError: An image has another shape or type.
+        """
+        metres = np.asarray(metres)
+        if metres.shape != self.size or not np.issubdtype(metres.dtype, np.floating):
+            raise ValueError(
+                f"metres: expected {self.size} floats, got {metres.shape} {metres.dtype}. "
+                "Divide millimetres by 1000.0; for another size make another D455Camera."
+            )
+        return self._stereo.measure(metres, self._checked(rgb), self._fields, rng)
+
+    def colour(self, rgb: NDArray[np.uint8], light: Light, rng: np.random.Generator) -> NDArray[np.uint8]:
+        """Capture a colour image.
+
+        Args:
+            rgb: Clean colours, shape ``(H, W, 3)``, uint8.
+            light: Exposure and white balance, from ``Light.draw`` and ``Light.later``.
+            rng: Random generator.
+
+        Returns:
+            A new uint8 image of shape ``(H, W, 3)``.
+
+        Raises:
+            ValueError: The image has another shape or type.
+        """
+        return self._colour.capture(self._checked(rgb), light, self._fields, rng)
+
+    def _checked(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        rgb = np.asarray(rgb)
+        if rgb.shape != (*self.size, 3) or rgb.dtype != np.uint8:
+            raise ValueError(
+                f"rgb: expected {(*self.size, 3)} uint8, got {rgb.shape} {rgb.dtype}. "
+                "For another size make another D455Camera."
+            )
+        return np.ascontiguousarray(rgb)
+
+
+class D455Noise(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
+    """Add the errors of an Intel RealSense D455 to the images of an RGB-D environment; see docs/d455-noise.md.
+
+    Depth gets noise, disparity steps and holes (0); colour gets noise, and an exposure and white balance that are drawn
+    for each episode. Types and spaces stay the same; the rest of the observation is passed through. A plain RGB image
+    observation gets the colour part only.
+
+    ``reset(seed=...)`` makes the noise repeatable; without a seed it continues its random sequence.
+
+    Args:
+        env: Environment whose observation is an RGB image, or a Dict with an RGB image and optionally depth of shape
+            ``(H, W)`` or ``(H, W, 1)``, in uint16 millimetres or floating-point metres.
+        model: A ``D455Model``, or a mapping of the fields that differ from its defaults.
+        fast: Crop the noise from a bank that is drawn once instead of drawing each pixel of each frame: the same
+            statistics at a fraction of the time.
         rgb_key: Key of the image, default "rgb".
-        depth_key: Key of the depth image; default "depth" where there is one.
+        depth_key: Key of the depth image; default "depth" if present.
 
     Attributes:
         light: Exposure and white balance of the last observation.
-        measurement: The last depth measurement, unrounded, with the causes of its holes; None without depth.
+        measurement: The last depth measurement, not rounded, with the causes of its holes; None without depth.
 
     Raises:
-        ValueError: No such image in the observation, or an argument out of its range.
+        ValueError: The observation has no such image, or an argument is out of its range.
 
     Example:
         >>> env = D455Noise(gym.make("shape_obs_envs:ShapeObs/Cable-v0"))  # doctest: +SKIP
@@ -71,10 +156,10 @@ class D455Noise(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
         gym.ObservationWrapper.__init__(self, env)
         self._images = Images.find(env.observation_space, rgb_key, depth_key)
         rgb, depth = _boxes(env.observation_space, self._images)
-        self._rgb_space = _unless_wide(rgb, 255)
+        self._rgb_space = _clipping_space(rgb, 255)
         farthest = math.inf if self.model.max_z is None else self.model.max_z
         most = 65535 if depth is None or depth.dtype == np.uint16 else farthest
-        self._depth_space = None if depth is None else _unless_wide(depth, most)
+        self._depth_space = None if depth is None else _clipping_space(depth, most)
         self.fast = bool(fast)
         self.light = Light()
         self.measurement: Measurement | None = None
@@ -82,44 +167,44 @@ class D455Noise(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
         self._rng = np.random.default_rng()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment and draw the episode's light; a seed starts the noise anew."""
+        """Reset the environment and draw the episode's light; a seed restarts the noise."""
         observation, info = self.env.reset(seed=seed, options=options)
         if seed is not None:
             self._rng = np.random.default_rng((_STREAM, seed))
         self.light = Light.draw(self.model, self._rng)
-        return self._look(observation), info
+        return self._capture(observation), info
 
     def observation(self, observation: Any) -> Any:
-        """A clean observation as the camera sees it; this takes the light one frame on."""
+        """Return a clean observation as the camera sees it, and advance the light by one frame."""
         self.light = self.light.later(self.model, self._rng)
-        return self._look(observation)
+        return self._capture(observation)
 
     @property
     def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
-        """That of the goal-conditioned environment inside; as there, an attribute that others do not have."""
+        """The method of a goal-conditioned environment; other environments do not have the attribute."""
         return self.env.get_wrapper_attr("compute_reward")
 
-    def _look(self, observation: Any) -> Any:
-        # Made here and not in __init__: vector environments build one in the parent process only to read spaces.
+    def _capture(self, observation: Any) -> Any:
+        # Made here and not in __init__: vector environments build one in the parent process only to read its spaces.
         if self._camera is None:
             self._camera = D455Camera(self.model, self._images.size, self.fast)
         rgb, depth = self._images.read(observation)
-        picture = _within(self._rgb_space, self._camera.colour(rgb, self.light, self._rng))
+        captured = _clip(self._rgb_space, self._camera.colour(rgb, self.light, self._rng))
         if self._images.rgb_key is None:
-            return picture
-        seen = {**observation, self._images.rgb_key: picture}
+            return captured
+        seen = {**observation, self._images.rgb_key: captured}
         if depth is not None and self._images.depth_key is not None:
-            self.measurement = self._camera.measure(_metres(depth, self._images.size), rgb, self._rng)
-            measured = _like(self.measurement.metres, np.asarray(depth))
-            seen[self._images.depth_key] = _within(self._depth_space, measured)
+            self.measurement = self._camera.measure(_in_metres(depth, self._images.size), rgb, self._rng)
+            measured = _in_format_of(np.asarray(depth), self.measurement.metres)
+            seen[self._images.depth_key] = _clip(self._depth_space, measured)
         return seen
 
 
 def _boxes(space: spaces.Space[Any], images: Images) -> tuple[spaces.Box, spaces.Box | None]:
-    """The spaces of the colour image, which `Images.find` has looked at, and of depth.
+    """Return the spaces of the colour image, already checked by ``Images.find``, and of the depth image.
 
     Raises:
-        ValueError: Depth is not what a depth camera gives.
+        ValueError: The space of the depth image is not that of a depth camera.
     """
     rgb = space[images.rgb_key] if images.rgb_key is not None and isinstance(space, spaces.Dict) else space
     assert isinstance(rgb, spaces.Box)
@@ -137,30 +222,30 @@ def _boxes(space: spaces.Space[Any], images: Images) -> tuple[spaces.Box, spaces
         )
     if (depth.low > 0).any():
         raise ValueError(
-            f"{where}: a hole is 0, which the space must admit, got low {depth.low.max()}. "
+            f"{where}: a hole is 0, which the space must contain, got low {depth.low.max()}. "
             "Put a wrapper below D455Noise that makes it Box(0, ...)."
         )
     return rgb, depth
 
 
-def _metres(depth: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
+def _in_metres(depth: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
     depth = np.asarray(depth).reshape(size)
     return depth if depth.dtype != np.uint16 else np.multiply(depth, np.float32(1 / _MILLIMETRES), dtype=np.float32)
 
 
-def _like(metres: NDArray[np.float32], depth: NDArray[Any]) -> NDArray[Any]:
-    """Measured depth in the type and shape that the environment gives it in."""
+def _in_format_of(depth: NDArray[Any], metres: NDArray[np.float32]) -> NDArray[Any]:
+    """Return measured depth in the type and shape of the environment's depth."""
     if depth.dtype == np.uint16:
         millimetres = metres * np.float32(_MILLIMETRES)
         metres = np.minimum(np.rint(millimetres, out=millimetres), 65535, out=millimetres)
     return metres.astype(depth.dtype).reshape(depth.shape)
 
 
-def _within(space: spaces.Box | None, image: NDArray[Any]) -> NDArray[Any]:
-    """The image, clipped to its space; None is a space that holds all there can be."""
+def _clip(space: spaces.Box | None, image: NDArray[Any]) -> NDArray[Any]:
+    """Clip an image to its space; None needs no clipping."""
     return image if space is None else np.clip(image, space.low, space.high, out=image)
 
 
-def _unless_wide(space: spaces.Box, most: float) -> spaces.Box | None:
-    """None for a space that holds all from 0 to `most`: clipping takes longer than the whole model."""
+def _clipping_space(space: spaces.Box, most: float) -> spaces.Box | None:
+    """Return the space unless it contains all of 0 to ``most``: clipping takes longer than the whole model."""
     return None if (space.low <= 0).all() and (space.high >= most).all() else space

@@ -1,1 +1,1 @@
-"""The environments that MuJoCo simulates."""
+"""Environments simulated by MuJoCo."""

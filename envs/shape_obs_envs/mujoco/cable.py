@@ -1,4 +1,4 @@
-"""The cable environment: a rope on a table, held by two grippers or one, to be brought into a goal shape."""
+"""The cable environment: bring a rope on a table into a goal shape with two grippers or one."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from shape_obs_envs.arguments import count, one_of
-from shape_obs_envs.mujoco.bodies.base import GRIPPERS
+from shape_obs_envs.mujoco.bodies import GRIPPERS
 from shape_obs_envs.mujoco.bodies.chain import Chain, ChainSpec, chain_bodies, chain_equality, chain_skin
 from shape_obs_envs.mujoco.goal_env import POINTS_HIGH, POINTS_LOW, SUBSTEPS, ShapeGoalEnv
 from shape_obs_envs.mujoco.workspace import BoxWorkspace, TwoGripperWorkspace
 
 Array = NDArray[np.float64]
 
-#: Points of a goal.
+#: Number of points of a goal.
 POINTS = 20
 _BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
 _TWO = ChainSpec(), TwoGripperWorkspace()
-# Shorter, so that the free end stays in view wherever the rope points; and it keeps the bends that it is given.
+# Shorter, so that the free end stays in view in every direction, and without stiffness, so that it keeps its bends.
 _ONE = (
     ChainSpec(length=0.4, links=26, stiffness=0.0, damping=0.03, grippers=1),
     BoxWorkspace(low=((-0.26, -0.1, -0.5),), high=((-0.1, 0.1, 0.5),)),
@@ -33,14 +33,14 @@ class CableEnv(ShapeGoalEnv, EzPickle):
     """Bring a rope into a goal shape with two grippers or one; see docs/envs/cable.md.
 
     Args:
-        grippers: 2 hold both ends, 1 holds end 0 of a shorter rope.
-        **options: Those of `ShapeGoalEnv`.
+        grippers: 2 to hold both ends, 1 to hold end 0 of a shorter rope.
+        **options: Arguments of ``ShapeGoalEnv``.
 
     Raises:
-        ValueError: An argument is out of its range; the message says what it takes.
+        ValueError: An argument is out of its range.
     """
 
-    STEP: ClassVar[Array] = np.array([0.015, 0.015, 0.12])  # x, y [m] and yaw [rad]
+    STEP: ClassVar[Array] = np.array([0.015, 0.015, 0.12])  # x, y in metres and yaw in radians
     REACH = ((-0.285, -0.27, 0.0), (0.285, 0.32, 0.02))
 
     def __init__(self, grippers: int = 2, **options: Any) -> None:
@@ -50,7 +50,7 @@ class CableEnv(ShapeGoalEnv, EzPickle):
         model = self._compile(chain_bodies(spec), chain_equality(spec), chain_skin(spec))
         self._chain = Chain(spec, model)
         low, high = workspace.bounds
-        low, high = low - 0.05, high + 0.05  # the welds give a little
+        low, high = low - 0.05, high + 0.05  # the welds are slightly compliant
         self._install(
             self._chain,
             workspace,
@@ -65,18 +65,18 @@ class CableEnv(ShapeGoalEnv, EzPickle):
 
     @property
     def anchors(self) -> Mapping[str, tuple[float, float, float]]:
-        """Where the grippers hold the rope: name -> (x, y, z) [m] in the base frame; gripper0 holds end 0."""
+        """Where the grippers hold the rope: name -> (x, y, z) in metres, base frame; gripper0 holds end 0."""
         tips = self._chain.vertices()[[0, -1]][: self._chain.spec.grippers].tolist()
         return {name: (x, y, z) for name, (x, y, z) in zip(GRIPPERS, tips, strict=False)}
 
     @property
     def goal_layout(self) -> dict[str, Any]:
-        """How the points of a goal are laid out: along the rope, from end 0."""
+        """Layout of the points of a goal: along the rope, from end 0."""
         return {"kind": "centerline"}
 
     @property
     def shape_obs_defaults(self) -> dict[str, Any]:
-        """Arguments of `shape_obs.ShapeObservation` that suit this environment."""
+        """Suitable arguments of ``shape_obs.ShapeObservation`` for this environment."""
         return {
             "shapes": [
                 {
@@ -90,22 +90,22 @@ class CableEnv(ShapeGoalEnv, EzPickle):
             ],
             "segmentation": self._randomizer.segmentation(_BLUE),
             "features": [{"kind": "points3d", "frame": "base"}],
-            # Below the table too: measured points scatter, and clipping them would bias their mean.
+            # Includes space below the table: measured points scatter, and clipping them would bias their mean.
             "workspace": [[*POINTS_LOW[:2], -0.1], [*POINTS_HIGH[:2], 0.2]],
         }
 
     def truth(self, n: int = POINTS, frame: str = "world", ends: str = "tips", surface: bool = False) -> Array:
-        """True points of the rope, equidistant by arc length from end 0 to end 1; needs no rendering.
+        """Return true points of the rope, equidistant by arc length from end 0 to end 1, without rendering.
 
         Args:
-            n: How many points, at least 2.
-            frame: "world" (= base frame, metres), "camera" (optical frame, metres) or "pixels" (u right, v down).
+            n: Number of points, at least 2.
+            frame: "world" (the base frame, metres), "camera" (optical frame, metres) or "pixels" (u right, v down).
             ends: "tips": point i at i / (n - 1) of the length, first and last on the tips. "centers": at
                 (i + 0.5) / n, in the middle of n equal parts.
-            surface: The rope's surface as the camera sees it along the line of sight of each point, not its axis.
+            surface: Return the rope's surface in the camera's line of sight to each point, not its axis.
 
         Returns:
-            (n, 3) points, or (n, 2) pixels.
+            Points of shape ``(n, 3)``, or pixels of shape ``(n, 2)``.
 
         Raises:
             ValueError: An argument is out of its range.
@@ -118,7 +118,9 @@ class CableEnv(ShapeGoalEnv, EzPickle):
         camera = self.camera_model
         if surface:
             assert camera.transform_camera_to_base is not None
-            points = self._chain.seen(points, camera.transform_camera_to_base[:3, 3], 3 * self._chain.spec.radius)
+            points = self._chain.visible_surface(
+                points, camera.transform_camera_to_base[:3, 3], 3 * self._chain.spec.radius
+            )
         if frame == "world":
             return points
         return camera.from_base(points) if frame == "camera" else camera.project_from_base(points)
@@ -136,16 +138,16 @@ class CableEnv(ShapeGoalEnv, EzPickle):
     def _draw_start(self) -> Array:
         headings, poses = self._draw_bow()
         self._chain.place(poses[0, :2], headings)
-        # The drawn bow is not quite the one that the rope settles in.
+        # The rope settles in a bow slightly different from the drawn one.
         self._chain.step_to(poses, poses, 4 * SUBSTEPS)
         return poses
 
     def _draw_bow(self) -> tuple[Array, Array]:
-        """Headings of the links (links,) [rad], a bow with some sway, and gripper poses (G, 3) in the workspace."""
+        """Draw headings of the links ``(links,)`` in radians, a bow with some sway, and gripper poses ``(G, 3)``."""
         low, high = self._workspace.bounds
         s = (np.arange(self._chain.spec.links) + 0.5) / self._chain.spec.links
         for _ in range(1000):
-            # Never straight: a straight rope does not buckle when it is pushed.
+            # Never straight: a straight rope does not buckle when pushed.
             bow = self.np_random.choice([-1.0, 1.0]) * self.np_random.uniform(0.5, 1.2)
             sway, turn = self.np_random.uniform(-0.5, 0.5), self.np_random.uniform(-0.3, 0.3)
             headings = turn + bow * np.cos(np.pi * s) + sway * np.sin(2 * np.pi * s)
@@ -157,10 +159,10 @@ class CableEnv(ShapeGoalEnv, EzPickle):
                 poses = np.array([[*(middle - half), headings[0]], [*(middle + half), headings[-1]]])
             if self._workspace.allows(poses):
                 return headings, poses
-        raise RuntimeError("no start state within the workspace in 1000 draws: it is too small for the rope")
+        raise RuntimeError("no start state within the workspace in 1000 draws: the workspace is too small for the rope")
 
     def _draw_bend(self) -> Array:
-        """An S bend: both ends turned the same way, and closer together."""
+        """Draw an S bend: both ends turned the same way, and closer together."""
         low, high = self._workspace.bounds
         poses = self.np_random.uniform(low, high)
         turn = self.np_random.choice([-1.0, 1.0]) * self.np_random.uniform(0.7, 1.0)

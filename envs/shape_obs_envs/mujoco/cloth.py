@@ -1,4 +1,4 @@
-"""The cloth environment: a sheet on a table, held at two corners, to be brought into a goal shape."""
+"""The cloth environment: bring a sheet on a table, held at two corners, into a goal shape."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from shape_obs_envs.arguments import count, one_of
-from shape_obs_envs.mujoco.bodies.base import GRIPPERS
+from shape_obs_envs.mujoco.bodies import GRIPPERS
 from shape_obs_envs.mujoco.bodies.sheet import Sheet
 from shape_obs_envs.mujoco.bodies.sheet_model import SheetSpec, sheet_bodies, sheet_sections
 from shape_obs_envs.mujoco.goal_env import POINTS_HIGH, POINTS_LOW, SUBSTEPS, ShapeGoalEnv
 from shape_obs_envs.mujoco.goals import DIFFICULTIES, Actions, Difficulty, smooth_actions
-from shape_obs_envs.mujoco.sheet_workspace import HeldEdgeWorkspace
+from shape_obs_envs.mujoco.workspace import HeldEdgeWorkspace
 
 Array = NDArray[np.float64]
 
-#: Points of a goal, from the held edge down and from gripper 0's side across.
+#: Rows and columns of the points of a goal, from the held edge down and from gripper 0's side across.
 ROWS, COLS = 4, 8
 _BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
-# The height [m] that a corner needs for each metre that its side, and the held edge, are slack; and the most it needs.
+# Height in metres that a corner needs per metre of slack in its side and in the held edge, and the largest height.
 _PER_SIDE, _PER_EDGE, _MOST = 0.3, 0.1, 0.025
 
 
@@ -31,15 +31,15 @@ class ClothEnv(ShapeGoalEnv, EzPickle):
     """Bring a sheet into a goal shape with two grippers at its corners; see docs/envs/cloth.md.
 
     Args:
-        **options: Those of `ShapeGoalEnv`.
+        **options: Arguments of ``ShapeGoalEnv``.
 
     Raises:
-        ValueError: An argument is out of its range; the message says what it takes.
+        ValueError: An argument is out of its range.
     """
 
-    STEP: ClassVar[Array] = np.array([0.006, 0.006, 0.006])  # x, y, z [m]
+    STEP: ClassVar[Array] = np.array([0.006, 0.006, 0.006])  # x, y, z in metres
     REACH = ((-0.28, -0.21, 0.0), (0.28, 0.19, 0.1))
-    # A fold moves only a part of the sheet.
+    # Nearer than for other objects: a fold moves only a part of the sheet.
     GOALS: ClassVar[Mapping[str, Difficulty]] = {**DIFFICULTIES, "far": DIFFICULTIES["far"]._replace(least=0.04)}
 
     def __init__(self, **options: Any) -> None:
@@ -55,18 +55,18 @@ class ClothEnv(ShapeGoalEnv, EzPickle):
 
     @property
     def anchors(self) -> Mapping[str, tuple[float, float, float]]:
-        """The held corners: name -> (x, y, z) [m] in the base frame; gripper0 holds the one of row 0 and column 0."""
+        """The held corners: name -> (x, y, z) in metres, base frame; gripper0 holds that of row 0 and column 0."""
         held = self._sheet.points(np.zeros(1), np.array([0.0, 1.0]))[0].tolist()
         return {name: (x, y, z) for name, (x, y, z) in zip(GRIPPERS, held, strict=True)}
 
     @property
     def goal_layout(self) -> dict[str, Any]:
-        """How the points of a goal are laid out: row by row from the held edge."""
+        """Layout of the points of a goal: row by row from the held edge."""
         return {"kind": "surface", "rows": ROWS, "cols": COLS}
 
     @property
     def shape_obs_defaults(self) -> dict[str, Any]:
-        """Arguments of `shape_obs.ShapeObservation` that suit this environment."""
+        """Suitable arguments of ``shape_obs.ShapeObservation`` for this environment."""
         return {
             "shapes": [
                 {
@@ -76,42 +76,41 @@ class ClothEnv(ShapeGoalEnv, EzPickle):
                     "anchor": "gripper0",
                     "ends": "tips",
                     "spacing": "m",
-                    "freedom": 0.2,  # each gripper moves its corner by itself, and lifts it
+                    "freedom": 0.2,  # each gripper moves and lifts its corner independently
                 }
             ],
             "segmentation": self._randomizer.segmentation(_BLUE),
             "features": [{"kind": "points3d", "frame": "base"}],
-            # Below the table too: measured points scatter, and clipping them would bias their mean.
+            # Includes space below the table: measured points scatter, and clipping them would bias their mean.
             "workspace": [[*POINTS_LOW[:2], -0.1], [*POINTS_HIGH[:2], 0.2]],
         }
 
     @property
     def unfolded(self) -> bool:
-        """Whether the camera sees all of the sheet from above, each place of it once and none at a grazing angle.
+        """Whether the camera sees the whole sheet from above, each point once and none at a grazing angle.
 
-        All triangles of the surface face the camera, by at least 20 degrees from edge on, and the outline does not
-        cross itself in the image, so that no line of sight meets the sheet twice. Grippers do not count.
+        All triangles of the surface face the camera at 20 degrees or more to the surface, and the outline does not
+        cross itself in the image, so no line of sight meets the sheet twice. Grippers are ignored.
         """
         return self._sheet.mesh.is_open(self._sheet.vertices(), self.camera_model)
 
     def truth(
         self, rows: int = ROWS, cols: int = COLS, frame: str = "world", ends: str = "tips", surface: bool = False
     ) -> Array:
-        """True points of the sheet, equidistant over its material, row by row from the held edge; needs no rendering.
+        """Return true points of the sheet, equidistant on its material, row by row, without rendering.
 
-        The first is the corner that gripper 0 holds, which is at the image's top left; columns run to gripper 1's side.
+        The first point is the corner held by gripper 0, at the top left of the image; columns run to gripper 1's side.
 
         Args:
-            rows: How many rows, at least 2.
-            cols: How many columns, at least 2.
-            frame: "world" (= base frame, metres), "camera" (optical frame, metres) or "pixels" (u right, v down).
+            rows: Number of rows, at least 2.
+            cols: Number of columns, at least 2.
+            frame: "world" (the base frame, metres), "camera" (optical frame, metres) or "pixels" (u right, v down).
             ends: "tips": the outer rows and columns lie on the border. "centers": in the middle of rows x cols equal
                 pieces.
-            surface: Changes nothing: the points lie on the surface that is drawn. Where the sheet is folded they are
-                not all seen.
+            surface: No effect: the points lie on the rendered surface. On a folded sheet not all of them are visible.
 
         Returns:
-            (rows * cols, 3) points, or (rows * cols, 2) pixels.
+            Points of shape ``(rows * cols, 3)``, or pixels of shape ``(rows * cols, 2)``.
 
         Raises:
             ValueError: An argument is out of its range.
@@ -135,9 +134,9 @@ class ClothEnv(ShapeGoalEnv, EzPickle):
         return self._sheet.gripper_poses().astype(np.float32).ravel()
 
     def _floor(self) -> Array:
-        """(2,) heights [m] that keep the layers of the sheet apart, which nothing else does.
+        """Return heights ``(2,)`` in metres that keep the layers of a folded sheet separate; it has no contacts.
 
-        A corner that comes nearer to the end of its side folds it over, and two that come nearer to each other fold
+        A corner that approaches the free end of its side folds that side, and two corners that approach each other fold
         the held edge: the sheet then needs room for its bend.
         """
         left, right = self._sheet.gripper_targets()
@@ -145,7 +144,7 @@ class ClothEnv(ShapeGoalEnv, EzPickle):
         return HeldEdgeWorkspace.low[2] + np.minimum(_PER_SIDE * self._sheet.slack() + _PER_EDGE * edge, _MOST)
 
     def _draw_start(self) -> Array:
-        """Flat on the table, then lifted by the held edge, its corners brought a little closer."""
+        """Lay the sheet flat on the table, lift its held edge and bring its corners slightly closer."""
         lowest = self._workspace.bounds[0][0, 2]
         rng = self.np_random
         self._sheet.lay(np.array([rng.uniform(-0.03, 0.03), rng.uniform(0.05, 0.11)]), rng.uniform(-0.15, 0.15))
@@ -160,16 +159,16 @@ class ClothEnv(ShapeGoalEnv, EzPickle):
     def _draw_motion(self, vigour: float, bent: bool) -> Actions:
         if bent:
             return super()._draw_motion(vigour, bent)
-        # Mostly together: what each does for itself is soon stopped by the length of the edge between them. And twice
-        # as much of it: steps are small here.
+        # Mostly together, because the edge between them soon stops independent motions; and twice as strong, because
+        # steps are small here.
         parts = 2 * smooth_actions(self.np_random, 9, vigour)
         return np.clip(np.tile(parts[:, :3], 2) + 0.5 * parts[:, 3:], -1, 1).astype(np.float32)
 
     def _draw_bend(self) -> Array:
-        """The held edge carried over the rest of the sheet, or its corners brought close together."""
+        """Draw the held edge carried over the rest of the sheet, or its corners brought close together."""
         rng = self.np_random
         poses = self._target.copy()
-        aside = -1.0 if poses[:, 0].mean() > rng.uniform(-0.03, 0.03) else 1.0  # where there is room
+        aside = -1.0 if poses[:, 0].mean() > rng.uniform(-0.03, 0.03) else 1.0  # the side with more room
         if rng.random() < 0.6:
             poses += (aside * rng.uniform(0.02, 0.08), -rng.uniform(0.13, 0.17), 0.0)
             poses += rng.uniform(-0.01, 0.01, (2, 3))

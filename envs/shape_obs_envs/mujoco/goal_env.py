@@ -1,4 +1,4 @@
-"""What the goal-conditioned shape environments share: spaces, reset, step and reward."""
+"""Base class of the goal-conditioned shape environments: spaces, reset, step and reward."""
 
 from __future__ import annotations
 
@@ -13,25 +13,26 @@ from numpy.typing import NDArray
 
 from shape_obs.camera import CameraModel
 from shape_obs_envs.arguments import one_of, positive
-from shape_obs_envs.mujoco.bodies.base import Body
-from shape_obs_envs.mujoco.coordinates import gripper_spec
+from shape_obs_envs.mujoco.bodies import Body
+from shape_obs_envs.mujoco.cameras import RENDERERS
 from shape_obs_envs.mujoco.goals import (
     DIFFICULTIES,
+    POINTS_HIGH,
+    POINTS_LOW,
     SETTLING,
     Actions,
     Difficulty,
     actions_towards,
     draw_goal,
     mean_point_distance,
+    read_options,
     smooth_actions,
 )
-from shape_obs_envs.mujoco.options import POINTS_HIGH, POINTS_LOW, read_options
 from shape_obs_envs.mujoco.randomization import Randomizer
-from shape_obs_envs.mujoco.randomization.factor import Scene
+from shape_obs_envs.mujoco.randomization.factors import Scene
+from shape_obs_envs.mujoco.rendering import RENDER_MODES, Rendering, has_display
 from shape_obs_envs.mujoco.scene import TIMESTEP, camera_model, camera_spec, compile_scene
-from shape_obs_envs.mujoco.studio import RENDER_MODES, RENDERERS, Studio
-from shape_obs_envs.mujoco.viewer import has_display
-from shape_obs_envs.mujoco.workspace import Workspace
+from shape_obs_envs.mujoco.workspace import Workspace, gripper_spec
 
 Array = NDArray[np.float64]
 Observation = dict[str, NDArray[Any]]
@@ -42,35 +43,35 @@ SUBSTEPS = 5
 class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
     """Base of the simulated environments: bring a deformable object into a goal shape under one RGB-D camera.
 
-    A subclass builds a model and its `Body`, calls `_install`, and fills in the abstract methods.
+    A subclass builds a model and its ``Body``, calls ``_install``, and implements the abstract methods.
 
     Args:
         camera: "rl" (160 x 120), "d455" (640 x 480) or [width, height] in pixels.
-        renderer: "gl", "rays", or "auto" for OpenGL where there is one.
+        renderer: "gl", "rays", or "auto" for OpenGL if available.
         reward_type: "dense" or "sparse".
         render_mode: None, "rgb_array", "rgbd_tuple" or "human".
-        success_threshold: Mean point distance [m] under which the goal counts as reached.
-        difficulty: "near", "middle" or "far": how far goals are from the start.
-        render_observation: False leaves the images out of the observation and draws nothing.
-        render_size: Size of what `render` returns, like `camera`; None for the observation's.
-        randomize: True draws light, looks, camera, material, distractors and a hand anew at each reset; a mapping says
-            which of them and how strongly. See docs/domain-randomization.md.
+        success_threshold: Mean point distance in metres below which the goal counts as reached.
+        difficulty: "near", "middle" or "far": distance of goals from the start.
+        render_observation: False omits the images from the observation and renders nothing.
+        render_size: Size of the images that ``render`` returns, like ``camera``; None for the observation's.
+        randomize: True draws new light, appearance, camera, material, distractors and a hand at each reset; a mapping
+            selects factors and their strength. See docs/domain-randomization.md.
 
     Raises:
-        ValueError: An argument is out of its range; the message says what it takes.
+        ValueError: An argument is out of its range.
 
     Attributes:
-        action_spec: What an action means: displacements of the grippers, base frame.
-        goal_actions: (T, A) the actions that lead from the last start state to its goal, where the object comes to
-            rest within a second: a demonstration. Empty where the goal was given.
+        action_spec: Meaning of an action: displacements of the grippers, base frame.
+        goal_actions: Actions of shape ``(T, A)`` that lead from the last start state to its goal, where the object
+            comes to rest within a second: a demonstration. Empty if the goal was given.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
     #: Largest motion of a gripper in one step.
     STEP: ClassVar[Array]
-    #: Two corners [m] of a box that the object stays in, base frame.
+    #: Two corners in metres of a box that always contains the object, base frame.
     REACH: ClassVar[tuple[tuple[float, float, float], tuple[float, float, float]]]
-    #: How far goals are from the start, for each `difficulty`.
+    #: Distance of goals from the start, for each `difficulty`.
     GOALS: ClassVar[Mapping[str, Difficulty]] = DIFFICULTIES
 
     _body: Body
@@ -97,36 +98,36 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         self.difficulty = difficulty
         self.render_observation = one_of("render_observation", render_observation, (True, False))
         self._randomizer = Randomizer(randomize)
-        # What works here: checkers try every mode, and a window needs a display.
+        # Only modes that work here: environment checkers try every mode, and a window needs a display.
         modes = [mode for mode in RENDER_MODES if mode != "human" or has_display()]
         self.metadata = {**type(self).metadata, "render_modes": modes}
-        self._studio = Studio(one_of("renderer", renderer, RENDERERS), self._camera_spec, display, self.dt)
+        self._rendering = Rendering(one_of("renderer", renderer, RENDERERS), self._camera_spec, display, self.dt)
 
-    # ---- for the subclass
+    # ---- implemented by subclasses
 
     @abc.abstractmethod
     def _draw_start(self) -> Array:
-        """Draw a start state from `np_random`, put the physics there, and return the grippers' poses (G, D)."""
+        """Draw a start state from ``np_random``, set the physics to it, and return the gripper poses ``(G, D)``."""
 
     @abc.abstractmethod
     def _draw_bend(self) -> Array:
-        """Draw poses (G, D) in the workspace that lead to an S bend or a fold."""
+        """Draw poses ``(G, D)`` in the workspace that lead to an S bend or a fold."""
 
     @abc.abstractmethod
     def _goal_points(self) -> Array:
-        """The points (n, 3) [m] by which a shape is compared with the goal."""
+        """Return the points ``(n, 3)``, in metres, that are compared with the goal."""
 
     @abc.abstractmethod
     def _gripper(self) -> NDArray[np.float32]:
-        """The measured gripper poses, flat."""
+        """Return the measured gripper poses, flat."""
 
     def _compile(self, bodies: str, equality: str = "", sections: str = "") -> Any:
-        """Compile the scene of MJCF parts, with what the randomisation adds."""
+        """Compile the scene from MJCF parts, with those of the randomisation."""
         extra = self._randomizer
         return compile_scene(self._camera_spec, bodies + extra.bodies(), equality, sections + extra.sections())
 
     def _install(self, body: Body, workspace: Workspace, gripper: gym.spaces.Box) -> None:
-        """Take the object, where its grippers may go, and the space of the observation's `gripper`."""
+        """Install the object, its workspace, and the space of the observation's ``gripper``."""
         self._body, self._workspace = body, workspace
         self.action_spec = gripper_spec(body, workspace, self.STEP)
         self._randomizer.bind(Scene(body, self._camera_spec, self.REACH, self._goal_points))
@@ -156,18 +157,18 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Draw a start state and a goal that can be reached from it, or take those given.
+        """Draw a start state and a goal that can be reached from it, or use those given.
 
         Args:
-            seed: Of what is drawn.
-            options: "start": what `get_state` returned; "goal": the flat points of a goal [m], or (n, 3).
+            seed: Seed of the random numbers.
+            options: "start": a result of ``get_state``; "goal": the points of a goal in metres, flat or ``(n, 3)``.
 
         Raises:
-            ValueError: Another option, or a start or goal that is none.
+            ValueError: An option is unknown, or start or goal are invalid.
         """
         super().reset(seed=seed)
         given = read_options(options or {}, self.observation_space["desired_goal"])  # type: ignore[index]
-        self._randomizer.make(self.np_random)
+        self._randomizer.draw_physics(self.np_random)
         if given["start"] is None:
             self._target = self._draw_start()
         else:
@@ -178,58 +179,58 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
             self._goal, self.goal_actions = goal.points.astype(np.float32).ravel(), goal.actions
         else:
             self._goal, self.goal_actions = given["goal"], self.goal_actions[:0]
-        if self._randomizer.dress():
-            self._studio.refresh()
-        self._studio.show(self._body, self.render_mode)
+        if self._randomizer.draw_appearance():
+            self._rendering.refresh()
+        self._rendering.show(self._body, self.render_mode)
         observation = self._observe()
         return observation, self._info(observation)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Move the grippers by `action`, clipped to its space, for `dt` seconds.
+        """Move the grippers by ``action``, clipped to its space, for ``dt`` seconds.
 
         Raises:
-            ValueError: `action` has another shape than the action space, or is not finite.
+            ValueError: ``action`` has another shape than the action space, or is not finite.
         """
         move = np.asarray(action, np.float64)
         if move.shape != self.action_space.shape or not np.isfinite(move).all():
             raise ValueError(f"action: expected {self.action_space.shape} finite numbers in [-1, 1], got {action!r}")
         self._move(np.clip(move, -1.0, 1.0))
         self._randomizer.advance()
-        self._studio.show(self._body, self.render_mode)
+        self._rendering.show(self._body, self.render_mode)
         observation = self._observe()
         info = self._info(observation)
         reward = self.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
         return observation, reward, False, False, info
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """Reward of goals (..., 3 n), flat points in metres; a float for single goals, else an array (...,).
+        """Return the reward of goals ``(..., 3 n)``, flat points in metres; a float for single goals, or an array.
 
-        Dense: minus the mean point distance [m]. Sparse: 0 where that is below `success_threshold`, else -1.
-        `info` is not used.
+        Dense: minus the mean point distance in metres. Sparse: 0 if that is below ``success_threshold``, otherwise -1.
+        ``info`` is not used.
         """
         distance = mean_point_distance(achieved_goal, desired_goal)
         reward = -distance if self.reward_type == "dense" else np.where(distance < self.success_threshold, 0.0, -1.0)
         return float(reward) if reward.ndim == 0 else reward
 
     def render(self) -> Any:
-        """What the camera sees: (H, W, 3) uint8 RGB with "rgb_array", also depth (H, W) [m] with "rgbd_tuple".
+        """Return the camera's image ``(H, W, 3)`` uint8 RGB, and with "rgbd_tuple" also depth ``(H, W)`` in metres.
 
-        With "human" MuJoCo's viewer shows the scene by itself, and None is returned.
+        With "human" MuJoCo's viewer shows the scene, and None is returned.
         """
         if self.render_mode is None:
             gym.logger.warn('render() without a render mode: make the environment with render_mode="rgb_array".')
             return None
-        return self._studio.render(self._body, self.render_mode)
+        return self._rendering.render(self._body, self.render_mode)
 
     def close(self) -> None:
-        """Free the camera; a later `reset` opens it again."""
-        self._studio.close()
+        """Free the camera; a later ``reset`` reopens it."""
+        self._rendering.close()
 
     # ---- published
 
     @property
     def difficulty(self) -> str:
-        """How far goals are from the start; may be set between episodes."""
+        """Distance of goals from the start; may be set between episodes."""
         return self._difficulty
 
     @difficulty.setter
@@ -238,7 +239,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
 
     @property
     def dt(self) -> float:
-        """Duration of a step [s]."""
+        """Duration of a step in seconds."""
         return SUBSTEPS * TIMESTEP
 
     @property
@@ -248,14 +249,14 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
 
     @property
     def randomization(self) -> dict[str, Any]:
-        """What was drawn at the last reset, factor by factor: a copy, of plain values; empty without `randomize`."""
+        """Values drawn at the last reset, by factor: a copy of plain values; empty without ``randomize``."""
         return copy.deepcopy(self._randomizer.drawn)
 
     def get_state(self) -> Array:
-        """The whole physics state, for `reset(options={"start": ...})` of an environment made alike."""
+        """Return the physics state, for ``reset(options={"start": ...})`` of an environment with the same arguments."""
         return self._body.get_state()
 
-    # ---- inside
+    # ---- internal
 
     def _move(self, action: Array) -> None:
         target = self._workspace.clip(self._target + action.reshape(self._target.shape) * self.STEP, self._target)
@@ -268,7 +269,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         return smooth_actions(self.np_random, self._target.size, vigour)
 
     def _rehearse(self, actions: Actions) -> tuple[Array, Array]:
-        """The shape that `actions` lead to from here, nearly and wholly at rest; the physics are put back."""
+        """Return the points after ``actions``, shortly before and at the end of the rest; restore the physics."""
         start, target = self._body.get_state(), self._target
         last = SETTLING // 4
         for action in [*actions.astype(np.float64), *np.zeros((SETTLING - last, self._target.size))]:
@@ -282,7 +283,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         return nearly, goal
 
     def _observe(self) -> Observation:
-        images = self._studio.observe(self._body) if self.render_observation else {}
+        images = self._rendering.observe(self._body) if self.render_observation else {}
         return {
             **images,
             "gripper": self._gripper(),

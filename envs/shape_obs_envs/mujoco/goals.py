@@ -1,31 +1,36 @@
-"""Goals that can be reached: shapes that a random gripper motion leads to, near the start or far from it."""
+"""Reachable goals: shapes that random gripper motions lead to, near the start or far from it; and reset options."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from gymnasium import Space
 from numpy.typing import NDArray
+
+from shape_obs_envs.arguments import one_of
 
 Array = NDArray[np.float64]
 Actions = NDArray[np.float32]
 
-#: Steps at rest before a goal is recorded: a goal that is still relaxing could be reached but not kept.
+#: Bounds of all points of an object in metres, base frame.
+POINTS_LOW, POINTS_HIGH = (-0.4, -0.4, 0.0), (0.4, 0.4, 0.1)
+#: Steps at rest before a goal is recorded: a shape that is still relaxing could be reached but not kept.
 SETTLING = 20
 _LONGEST = 32
 _DRAWS = 30
 
 
 class Difficulty(NamedTuple):
-    """How far goals are from the start.
+    """Distance of goals from the start.
 
     Args:
-        least: Mean distance [m] below which a goal is drawn again.
-        most: Mean distance [m] that is never exceeded.
-        vigour: How strongly the grippers are moved at first, 0 ... 1.
+        least: Smallest mean distance in metres; nearer goals are redrawn.
+        most: Largest mean distance in metres, never exceeded.
+        vigour: Initial strength of the gripper motion, 0 ... 1.
         bent: Whether the motion leads to an S bend or a fold.
-        restless: How far [m] the object may still move in the last quarter of the rest; else it is drawn again.
+        restless: Largest motion in metres in the last quarter of the rest; restless goals are redrawn.
     """
 
     least: float
@@ -46,17 +51,12 @@ class Goal(NamedTuple):
     """A reachable goal.
 
     Args:
-        points: (n, 3) [m], base frame.
-        actions: (T, A) the motion that leads to it.
+        points: Points of shape ``(n, 3)``, in metres, base frame.
+        actions: Actions of shape ``(T, A)`` that lead to it.
     """
 
     points: Array
     actions: Actions
-
-
-def mean_distance(one: Array, other: Array) -> float:
-    """Mean distance [m] of corresponding points (n, 3)."""
-    return float(np.linalg.norm(one - other, axis=1).mean())
 
 
 def draw_goal(
@@ -65,27 +65,27 @@ def draw_goal(
     draw_motion: Callable[[float, bool], Actions],
     play: Callable[[Actions], tuple[Array, Array]],
 ) -> Goal:
-    """Play random motions until one leads to a goal that is as far away as the difficulty wants.
+    """Play random motions until one leads to a goal at the requested distance.
 
     Args:
-        difficulty: What is wanted.
-        start: (n, 3) the shape at the start [m].
-        draw_motion: Draws a motion of a given vigour that leads to a strong bend or not.
-        play: Plays a motion from the start state and returns the shape (n, 3) when the object has nearly come to
-            rest, and when it should have.
+        difficulty: Requested distance.
+        start: Points of the start shape, ``(n, 3)``, in metres.
+        draw_motion: Draws a motion of a given vigour, with a strong bend or without.
+        play: Plays a motion from the start state and returns the points ``(n, 3)`` shortly before and at the end of the
+            rest.
 
     Returns:
-        The goal; never further away than `difficulty.most`. After thirty draws that were all nearer than
-        `difficulty.least` or did not come to rest, the furthest of them.
+        The goal, never further away than ``difficulty.most``. If thirty motions lead nearer than ``difficulty.least``
+        or do not come to rest, the furthest of them.
     """
     vigour, best, reached = difficulty.vigour, Goal(start, draw_motion(0.0, False)[:0]), -1.0
     for _ in range(_DRAWS):
         actions = draw_motion(vigour, difficulty.bent)
         nearly, points = play(actions)
-        away = mean_distance(points, start)
+        away = _mean_distance(points, start)
         if reached < away <= difficulty.most:
             best, reached = Goal(points, actions), away
-        if difficulty.least < away <= difficulty.most and mean_distance(nearly, points) < difficulty.restless:
+        if difficulty.least < away <= difficulty.most and _mean_distance(nearly, points) < difficulty.restless:
             return Goal(points, actions)
         if away > difficulty.most:
             vigour *= max(0.9 * difficulty.most / away, 0.3)
@@ -93,7 +93,7 @@ def draw_goal(
 
 
 def smooth_actions(rng: np.random.Generator, size: int, vigour: float) -> Actions:
-    """A random gripper motion (T, size), T at most 35, that starts and ends at rest."""
+    """Draw a random gripper motion of shape ``(T, size)``, T at most 35, that starts and ends at rest."""
     steps = int(rng.integers(18, _LONGEST + 1))
     knots = np.zeros((5, size))
     knots[1:-1] = vigour * rng.uniform(-1, 1, (3, size))
@@ -103,13 +103,16 @@ def smooth_actions(rng: np.random.Generator, size: int, vigour: float) -> Action
 
 
 def actions_towards(rng: np.random.Generator, start: Array, end: Array, step: Array) -> Actions:
-    """A gripper motion (T, A), T at most 35, from poses `start` (G, D) to `end`, unevenly and by a detour.
+    """Draw a gripper motion from poses ``start`` to poses ``end``, with varying speed and a detour.
 
     Args:
-        rng: Draws the detour.
-        start: (G, D) poses.
-        end: (G, D) poses.
-        step: (D,) largest motion of a step.
+        rng: Random generator.
+        start: Poses of shape ``(G, D)``.
+        end: Poses of shape ``(G, D)``.
+        step: Largest motion of a step, shape ``(D,)``.
+
+    Returns:
+        Actions of shape ``(T, A)``, T at most 35.
     """
     steps = _LONGEST
     time = np.linspace(0, 1, steps + 1)
@@ -121,12 +124,44 @@ def actions_towards(rng: np.random.Generator, start: Array, end: Array, step: Ar
 
 
 def mean_point_distance(achieved: Any, desired: Any) -> Array:
-    """Mean distance [m] of corresponding points of two flat point lists (..., 3 n); shape (...,)."""
+    """Return the mean distance in metres of corresponding points in flat point lists ``(..., 3 n)``; shape (...,)."""
     achieved, desired = np.asarray(achieved, np.float64), np.asarray(desired, np.float64)
     if achieved.shape != desired.shape or achieved.ndim == 0 or achieved.shape[-1] == 0 or achieved.shape[-1] % 3:
         raise ValueError(
             "expected two goals of equal shape (..., 3 n), x y z of each point in a row, "
             f"got {achieved.shape} and {desired.shape}"
         )
-    apart = (achieved - desired).reshape(*achieved.shape[:-1], -1, 3)
-    return np.sqrt((apart**2).sum(axis=-1)).mean(axis=-1)
+    difference = (achieved - desired).reshape(*achieved.shape[:-1], -1, 3)
+    return np.sqrt((difference**2).sum(axis=-1)).mean(axis=-1)
+
+
+def read_options(options: Mapping[str, Any], goals: Space[Any]) -> dict[str, Any]:
+    """Return the reset options "start" (float64) and "goal" (float32, flat) as new arrays, None if not given.
+
+    Args:
+        options: The argument of ``reset``.
+        goals: Space of goals.
+
+    Raises:
+        ValueError: An option is unknown, or the goal is invalid.
+    """
+    for key in options:
+        one_of("options", key, ("start", "goal"))
+    out: dict[str, Any] = {"start": None, "goal": None}
+    if options.get("start") is not None:
+        out["start"] = np.asarray(options["start"], np.float64)
+    if options.get("goal") is not None:
+        goal: NDArray[np.float32] = np.asarray(options["goal"], np.float32)
+        size = int(np.prod(goals.shape or ()))
+        if goal.size != size or not goals.contains(goal.ravel()):
+            raise ValueError(
+                f"options['goal']: expected {size // 3} points (x, y, z) in metres in the base frame within "
+                f"{POINTS_LOW} ... {POINTS_HIGH}, got an array of shape {goal.shape}: {goal.ravel()[:6]} ..."
+            )
+        out["goal"] = goal.ravel().copy()
+    return out
+
+
+def _mean_distance(one: Array, other: Array) -> float:
+    """Return the mean distance in metres of corresponding points ``(n, 3)``."""
+    return float(np.linalg.norm(one - other, axis=1).mean())

@@ -1,4 +1,4 @@
-"""The ring environment: a closed elastic band on a table, held at two places, to be brought into a goal shape."""
+"""The ring environment: bring a closed elastic band on a table, held at two points, into a goal shape."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from shape_obs_envs.arguments import count, one_of
-from shape_obs_envs.mujoco.bodies.base import GRIPPERS
+from shape_obs_envs.mujoco.bodies import GRIPPERS
 from shape_obs_envs.mujoco.bodies.loop import Loop, LoopSpec, loop_bodies, loop_equality, loop_skin
 from shape_obs_envs.mujoco.goal_env import POINTS_HIGH, POINTS_LOW, SUBSTEPS, ShapeGoalEnv
 from shape_obs_envs.mujoco.workspace import TwoGripperWorkspace
 
 Array = NDArray[np.float64]
 
-#: Points of a goal.
+#: Number of points of a goal.
 POINTS = 32
 _BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
 _WORKSPACE = TwoGripperWorkspace(low=(-0.22, -0.08), high=(-0.06, 0.1), yaw=0.6, closest=0.18, reach=0.33, lever=0.0)
@@ -28,26 +28,26 @@ class RingEnv(ShapeGoalEnv, EzPickle):
     """Bring a closed elastic band into a goal shape with two grippers; see docs/envs/ring.md.
 
     Args:
-        **options: Those of `ShapeGoalEnv`.
+        **options: Arguments of ``ShapeGoalEnv``.
 
     Raises:
-        ValueError: An argument is out of its range; the message says what it takes.
+        ValueError: An argument is out of its range.
     """
 
-    STEP: ClassVar[Array] = np.array([0.012, 0.012, 0.1])  # x, y [m] and turn [rad]
+    STEP: ClassVar[Array] = np.array([0.012, 0.012, 0.1])  # x, y in metres and turn in radians
     REACH = ((-0.26, -0.26, 0.0), (0.26, 0.28, 0.01))
 
     def __init__(self, **options: Any) -> None:
         EzPickle.__init__(self, **options)
         ShapeGoalEnv.__init__(self, **options)
         spec = LoopSpec()
-        # Less drag than the rope has: it would pull the band open where it is closed.
+        # Less drag than the rope: it would pull the band open at its closing constraint.
         medium = '<option viscosity="0.5"/>'
         model = self._compile(loop_bodies(spec), loop_equality(spec), loop_skin(spec) + medium)
         self._loop = Loop(spec, model)
         self._loop.place(np.zeros(2), 0.0)
         low, high = _WORKSPACE.bounds
-        low, high = low - 0.05, high + 0.05  # the welds give a little, and the edge is half a width away
+        low, high = low - 0.05, high + 0.05  # the welds are slightly compliant, and the edge is half a width away
         self._install(
             self._loop,
             _WORKSPACE,
@@ -62,37 +62,37 @@ class RingEnv(ShapeGoalEnv, EzPickle):
 
     @property
     def anchors(self) -> Mapping[str, tuple[float, float, float]]:
-        """Where the band is held, on its outline: name -> (x, y, z) [m] in the base frame; gripper0 is at point 0."""
+        """Where the band is held, on its outline: name -> (x, y, z) in metres, base frame; gripper0 is at point 0."""
         held = self._loop.held_points().tolist()
         return {name: (x, y, z) for name, (x, y, z) in zip(GRIPPERS, held, strict=True)}
 
     @property
     def goal_layout(self) -> dict[str, Any]:
-        """How the points of a goal are laid out: around the outline, clockwise as the camera sees it."""
+        """Layout of the points of a goal: around the outline, clockwise as the camera sees it."""
         return {"kind": "contour"}
 
     @property
     def shape_obs_defaults(self) -> dict[str, Any]:
-        """Arguments of `shape_obs.ShapeObservation` that suit this environment."""
+        """Suitable arguments of ``shape_obs.ShapeObservation`` for this environment."""
         return {
             "shapes": [
                 {"kind": "contour", "n": POINTS, "anchor": "gripper0", "order": "image", "spacing": "m", "ring": True}
             ],
             "segmentation": self._randomizer.segmentation(_BLUE),
             "features": [{"kind": "points3d", "frame": "base"}],
-            # Below the table too: measured points scatter, and clipping them would bias their mean.
+            # Includes space below the table: measured points scatter, and clipping them would bias their mean.
             "workspace": [[*POINTS_LOW[:2], -0.1], [*POINTS_HIGH[:2], 0.2]],
         }
 
     def truth(self, n: int = POINTS, frame: str = "world") -> Array:
-        """True points of the outline, the band's upper outer edge; needs no rendering.
+        """Return true points of the outline, the band's upper outer edge, without rendering.
 
         Args:
-            n: How many points, at least 3, equidistant along the outline, clockwise from gripper 0.
-            frame: "world" (= base frame, metres), "camera" (optical frame, metres) or "pixels" (u right, v down).
+            n: Number of points, at least 3, equidistant along the outline, clockwise from gripper 0.
+            frame: "world" (the base frame, metres), "camera" (optical frame, metres) or "pixels" (u right, v down).
 
         Returns:
-            (n, 3) points, or (n, 2) pixels.
+            Points of shape ``(n, 3)``, or pixels of shape ``(n, 2)``.
 
         Raises:
             ValueError: An argument is out of its range.
@@ -124,7 +124,7 @@ class RingEnv(ShapeGoalEnv, EzPickle):
         return poses
 
     def _draw_bend(self) -> Array:
-        """Both places turned the same way as far as they go, and pulled apart or pushed together."""
+        """Draw both grippers turned strongly the same way, and pulled apart or pushed together."""
         low, high = self._workspace.bounds
         turn = self.np_random.choice([-1.0, 1.0]) * self.np_random.uniform(0.7, 1.0)
         half = self.np_random.choice([0.092, 0.155]) + self.np_random.uniform(-0.002, 0.008)

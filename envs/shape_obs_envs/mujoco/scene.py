@@ -1,35 +1,50 @@
-"""What every simulated scene shares: the table, the light, the camera above it and the solver's settings."""
+"""MuJoCo scenes: the module itself, the table with its light and camera, and rays into a scene."""
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs_envs.arguments import one_of
-from shape_obs_envs.mujoco.engine import mujoco
+
+try:
+    # Any: the module's names come from C extensions, which a type checker sees only in part.
+    mujoco: Any = importlib.import_module("mujoco")
+except ModuleNotFoundError as error:
+    if error.name != "mujoco":  # MuJoCo is installed but lacks one of its own dependencies: keep that message
+        raise
+    raise ImportError(
+        "The simulated environments need MuJoCo, which is not installed. "
+        'Install it with: pip install "shape-obs[sim]" (or: pip install "mujoco>=3.3").'
+    ) from error
 
 CAMERA = "camera"
 TIMESTEP = 0.01
-#: Focal length of a D455's colour stream at 480 rows [px]; other sizes keep the vertical field of view.
+#: Focal length of a D455's colour stream at 480 rows in pixels; other sizes keep the vertical field of view.
 _FOCAL_480 = 386.0
 _SIZES = {"rl": (160, 120), "d455": (640, 480)}
 _SMALLEST, _LARGEST = 16, 4096
+# The `normal` argument was inserted into the middle of the list by MuJoCo 3.5.
+_NORMAL = (None,) if "normal:" in (mujoco.mj_multiRay.__doc__ or "") else ()
+_CUTOFF = 10.0
 
 
 @dataclass(frozen=True)
 class CameraSpec:
-    """An RGB-D camera above the table that looks at the world's origin.
+    """An RGB-D camera above the table that points at the world's origin.
 
     Attributes:
-        width: Image width [px].
-        height: Image height [px].
-        distance: From the camera to the origin [m].
-        tilt: Angle between the optical axis and the vertical [rad]; the camera stands on the -y side.
+        width: Image width in pixels.
+        height: Image height in pixels.
+        distance: Distance from the camera to the origin in metres.
+        tilt: Angle between the optical axis and the vertical in radians; the camera is on the -y side.
     """
 
     width: int
@@ -39,21 +54,21 @@ class CameraSpec:
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """Pinhole intrinsics; the principal point is the image's centre, pixel centres are at integers."""
+        """Pinhole intrinsics; the principal point is the image centre, pixel centres are at integers."""
         focal = _FOCAL_480 * self.height / 480
         return Intrinsics(self.width, self.height, focal, focal, (self.width - 1) / 2, (self.height - 1) / 2)
 
     @property
     def fovy(self) -> float:
-        """Vertical field of view [deg]."""
+        """Vertical field of view in degrees."""
         return math.degrees(2 * math.atan(480 / 2 / _FOCAL_480))
 
 
 def camera_spec(camera: str | Sequence[int], name: str = "camera") -> CameraSpec:
-    """The camera that an environment's argument `name` asks for.
+    """Return the camera for the value of an environment's argument ``name``.
 
     Raises:
-        ValueError: Neither a known name nor a size in pixels.
+        ValueError: It is neither a known name nor a size in pixels.
     """
     if isinstance(camera, str):
         return CameraSpec(*_SIZES[one_of(name, camera, _SIZES, "[width, height]")])
@@ -74,12 +89,19 @@ def camera_spec(camera: str | Sequence[int], name: str = "camera") -> CameraSpec
 
 
 def compile_scene(camera: CameraSpec, bodies: str, equality: str = "", sections: str = "") -> Any:
-    """Compile a scene: `bodies` and `equality` are MJCF of what lies on the table, `sections` of whole sections.
+    """Compile a scene from MJCF parts.
 
-    The world frame is the robot's base frame: origin on the table under the camera's aim, z up, x to the image's right.
+    The world frame is the robot's base frame: origin on the table at the camera's aim, z up, x to the right in the
+    image.
+
+    Args:
+        camera: The camera.
+        bodies: Bodies on the table.
+        equality: Equality constraints.
+        sections: Further top-level sections.
 
     Returns:
-        The compiled `mujoco.MjModel`.
+        The compiled ``mujoco.MjModel``.
     """
     sin, cos = math.sin(camera.tilt), math.cos(camera.tilt)
     model = mujoco.MjModel.from_xml_string(f"""
@@ -109,16 +131,46 @@ def compile_scene(camera: CameraSpec, bodies: str, equality: str = "", sections:
 </mujoco>""")
     if hasattr(model, "light_type"):
         model.light_type[:] = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    else:  # MuJoCo 3.3.0 and 3.3.1; later ones have no such attribute in MJCF either
+    else:  # MuJoCo 3.3.0 and 3.3.1; later versions have no such attribute in MJCF either
         model.light_directional[:] = 1
     return model
 
 
 def camera_model(spec: CameraSpec, model: Any, data: Any) -> CameraModel:
-    """Intrinsics and pose of the scene's camera; p_base = T p_camera, optical frame (x right, y down, z forward)."""
+    """Return intrinsics and pose of the scene's camera.
+
+    The pose is p_base = T p_camera, with the optical frame x right, y down, z forward.
+    """
     index = model.camera(CAMERA).id
     transform = np.eye(4)
     # MuJoCo's camera looks along its -z with y up
     transform[:3, :3] = data.cam_xmat[index].reshape(3, 3) * (1.0, -1.0, -1.0)
     transform[:3, 3] = data.cam_xpos[index]
     return CameraModel(spec.intrinsics, transform)
+
+
+def cast_rays(
+    model: Any, data: Any, eye: NDArray[np.float64], directions: NDArray[np.float64], groups: tuple[int, ...] = ()
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Cast rays from one point and return their first hits; one signature for MuJoCo 3.3 and later.
+
+    Args:
+        model: The MuJoCo model.
+        data: Its data, with up-to-date kinematics.
+        eye: Start of the rays, shape ``(3,)``, in metres, world frame.
+        directions: Unit vectors of shape ``(M, 3)``, world frame.
+        groups: Geom groups that rays can hit; all if empty.
+
+    Returns:
+        Distances ``(M,)`` in metres and geom ids ``(M,)``; both -1 where a ray hits nothing.
+    """
+    n = len(directions)
+    distances, geoms = np.full(n, -1.0), np.full(n, -1, np.int32)
+    if n:
+        mask = None
+        if groups:
+            mask = np.zeros(6, np.uint8)
+            mask[list(groups)] = 1
+        flat = np.ascontiguousarray(directions, np.float64).ravel()
+        mujoco.mj_multiRay(model, data, eye, flat, mask, 1, -1, geoms, distances, *_NORMAL, n, _CUTOFF)
+    return distances, geoms

@@ -1,36 +1,40 @@
-"""Where grippers may go."""
+"""Workspaces: allowed poses of the grippers, and the meaning of the actions that move them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from shape_obs.robot import ActionSpec
+from shape_obs_envs.mujoco.bodies import Body, PlanarBody
+
 Array = NDArray[np.float64]
 
 
 class Workspace(Protocol):
-    """Where G grippers may go, in poses (G, 3)."""
+    """Allowed poses ``(G, 3)`` of G grippers."""
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest poses, (G, 3) each."""
+        """Lowest and highest poses, ``(G, 3)`` each."""
         ...
 
     def allows(self, poses: Array) -> bool:
-        """Whether `poses` keep all limits, to within a micrometre."""
+        """Return whether ``poses`` satisfy all limits, to within a micrometre."""
         ...
 
     def clip(self, poses: Array, previous: Array) -> Array:
-        """The allowed poses near `poses`; `previous`, which must be allowed, where there are none close by."""
+        """Return allowed poses near ``poses``, or ``previous``, which must be allowed, if there are none close by."""
         ...
 
 
 @dataclass(frozen=True)
 class BoxWorkspace:
-    """A box of poses for each gripper and nothing else.
+    """A box of poses for each gripper.
 
     Attributes:
         low: Lowest pose of each gripper.
@@ -42,33 +46,32 @@ class BoxWorkspace:
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest poses, (G, 3) each."""
+        """Lowest and highest poses, ``(G, 3)`` each."""
         return np.array(self.low), np.array(self.high)
 
     def allows(self, poses: Array) -> bool:
-        """Whether `poses` keep all limits, to within a micrometre."""
-        low, high = self.bounds
-        return bool(np.all(poses >= low - 1e-6) and np.all(poses <= high + 1e-6))
+        """Return whether ``poses`` satisfy all limits, to within a micrometre."""
+        return _inside(poses, self.bounds)
 
     def clip(self, poses: Array, previous: Array) -> Array:
-        """The nearest allowed poses."""
+        """Return the nearest allowed poses."""
         return np.clip(poses, *self.bounds)
 
 
 @dataclass(frozen=True)
 class TwoGripperWorkspace:
-    """Of the two ends of a rope: boxes, limits of yaw, and of their distance, neither stretched nor folded over.
+    """Limits for the two ends of a rope: boxes, yaw, and distances that neither stretch nor fold the rope.
 
-    Poses are (2, 3): a row of x, y [m] and yaw [rad] for each gripper, in the base frame. Yaw is the heading of the
-    rope from end 0 to end 1, so that a straight rope along x has yaw 0 at both ends.
+    Poses have shape ``(2, 3)``: a row of x, y in metres and yaw in radians for each gripper, in the base frame. Yaw is
+    the heading of the rope from end 0 to end 1, so that a straight rope along x has yaw 0 at both ends.
 
     Attributes:
-        low: Lower corner of gripper 0's box (x, y) [m].
-        high: Upper corner of gripper 0's box (x, y) [m]; gripper 1's box is its mirror image at x = 0.
-        yaw: Largest |yaw| [rad].
-        closest: Least distance of the tips [m].
-        reach: Largest distance [m] of the two points that lie `lever` inside the tips along the yaws.
-        lever: See `reach` [m]. It makes turning a gripper away from a taut rope count as stretching.
+        low: Lower corner (x, y) of gripper 0's box in metres.
+        high: Upper corner (x, y) of gripper 0's box in metres; gripper 1's box is its mirror image at x = 0.
+        yaw: Largest absolute yaw in radians.
+        closest: Smallest distance of the tips in metres.
+        reach: Largest distance in metres of the two points that lie ``lever`` inside the tips along the yaws.
+        lever: See ``reach``, in metres. With it, turning a gripper away from a taut rope counts as stretching.
     """
 
     low: tuple[float, float] = (-0.24, -0.08)
@@ -80,27 +83,25 @@ class TwoGripperWorkspace:
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest poses, (2, 3) each."""
+        """Lowest and highest poses, ``(2, 3)`` each."""
         (x0, y0), (x1, y1) = self.low, self.high
         low = np.array([[x0, y0, -self.yaw], [-x1, y0, -self.yaw]])
         high = np.array([[x1, y1, self.yaw], [-x0, y1, self.yaw]])
         return low, high
 
     def allows(self, poses: Array) -> bool:
-        """Whether `poses` keep all limits, to within a micrometre."""
-        low, high = self.bounds
-        inside = bool(np.all(poses >= low - 1e-6) and np.all(poses <= high + 1e-6))
+        """Return whether ``poses`` satisfy all limits, to within a micrometre."""
         span, inner = np.linalg.norm(self._spans(poses), axis=1)
-        return inside and bool(span >= self.closest - 1e-6 and inner <= self.reach + 1e-6)
+        return _inside(poses, self.bounds) and bool(span >= self.closest - 1e-6 and inner <= self.reach + 1e-6)
 
     def clip(self, poses: Array, previous: Array) -> Array:
-        """The allowed poses near `poses`; `previous`, which must be allowed, where there are none close by.
+        """Return allowed poses near ``poses``, or ``previous``, which must be allowed, if there are none close by.
 
-        Grippers that pull too far apart or push too close slide along the limit, each giving way by half.
+        Grippers that pull too far apart or push too close slide along the limit; each is corrected by half.
         """
         low, high = self.bounds
         out = np.clip(poses, low, high)
-        for _ in range(3):  # each correction can undo a little of the others
+        for _ in range(3):  # a correction can partly undo the others
             if self.allows(out):
                 return out
             tips, inner = self._spans(out)
@@ -117,7 +118,93 @@ class TwoGripperWorkspace:
         return out if self.allows(out) else previous.copy()
 
     def _spans(self, poses: Array) -> Array:
-        """Vectors from end 0 to end 1: (2, 2) of the tips and of the points inside them."""
+        """Return vectors ``(2, 2)`` from end 0 to end 1: between the tips and between the points inside them."""
         lever = self.lever * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])]) * [[1], [-1]]
         tips = poses[:, :2]
         return np.stack([tips[1] - tips[0], (tips + lever)[1] - (tips + lever)[0]])
+
+
+@dataclass(frozen=True)
+class HeldEdgeWorkspace:
+    """Limits for the two held corners of a sheet: boxes, distance, turn of the held edge, and a variable floor.
+
+    Poses have shape ``(2, 3)``: a row of x, y, z in metres for each gripper, in the base frame.
+
+    Attributes:
+        floor: Returns the lowest heights ``(2,)`` of the grippers in metres for the sheet's present state. It is
+            approached by at most ``lift`` per step and never lies above the box.
+        low: Lower corner (x, y, z) of gripper 0's box in metres.
+        high: Upper corner (x, y, z) of gripper 0's box in metres; gripper 1's box is its mirror image at x = 0.
+        closest: Smallest distance of the grippers in metres.
+        reach: Largest distance of the grippers in metres: the sheet is not pulled taut.
+        turn: Largest difference of their y in metres.
+        lift: See ``floor``, in metres.
+    """
+
+    floor: Callable[[], Array]
+    low: tuple[float, float, float] = (-0.24, -0.05, 0.02)
+    high: tuple[float, float, float] = (-0.08, 0.14, 0.08)
+    closest: float = 0.19
+    reach: float = 0.35
+    turn: float = 0.08
+    lift: float = 0.015
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest poses, ``(2, 3)`` each."""
+        (x0, y0, z0), (x1, y1, z1) = self.low, self.high
+        return np.array([[x0, y0, z0], [-x1, y0, z0]]), np.array([[x1, y1, z1], [-x0, y1, z1]])
+
+    def allows(self, poses: Array) -> bool:
+        """Return whether ``poses`` satisfy all limits but the floor, to within a micrometre."""
+        way = poses[1] - poses[0]
+        span = float(np.linalg.norm(way))
+        in_reach = self.closest - 1e-6 <= span <= self.reach + 1e-6
+        return _inside(poses, self.bounds) and in_reach and bool(abs(way[1]) <= self.turn + 1e-6)
+
+    def clip(self, poses: Array, previous: Array) -> Array:
+        """Return allowed poses near ``poses``, or ``previous``, which must be allowed, if there are none close by.
+
+        If the grippers are too far apart, too close or too uneven, each is corrected by half.
+        """
+        low, high = self.bounds
+        out = poses.copy()
+        rise = np.minimum(self.floor(), previous[:, 2] + self.lift)
+        out[:, 2] = np.maximum(out[:, 2], rise)
+        for _ in range(4):  # a correction can partly undo the others
+            out = np.clip(out, low, high)
+            if self.allows(out):
+                return out
+            way = out[1] - out[0]
+            span = max(float(np.linalg.norm(way)), 1e-9)
+            shift = way * (1 - np.clip(span, self.closest, self.reach) / span)
+            shift[1] += way[1] - shift[1] - np.clip(way[1] - shift[1], -self.turn, self.turn)
+            out += np.array([[0.5], [-0.5]]) * shift
+        out = np.clip(out, low, high)
+        return out if self.allows(out) else previous.copy()
+
+
+def gripper_spec(body: Body, workspace: Workspace, step: Array) -> ActionSpec:
+    """Return the spec of actions that displace the grippers in the base frame.
+
+    Args:
+        body: The held object.
+        workspace: Allowed poses.
+        step: Motion of one gripper for an action of 1, shape ``(3,)``: x, y, z in metres, or yaw in radians.
+    """
+    axes, (low, high) = ("x", "y", "yaw") if isinstance(body, PlanarBody) else ("x", "y", "z"), workspace.bounds
+    grippers = [f"gripper{i}" for i in range(len(low))]
+    return ActionSpec(
+        names=tuple(f"{gripper}/{axis}" for gripper in grippers for axis in axes),
+        units=tuple("rad" if axis == "yaw" else "m" for _ in grippers for axis in axes),
+        scale=tuple(float(value) for _ in grippers for value in step),
+        low=tuple(low.ravel().tolist()),
+        high=tuple(high.ravel().tolist()),
+        mode="displacement",
+        frame="base",
+    )
+
+
+def _inside(poses: Array, bounds: tuple[Array, Array]) -> bool:
+    low, high = bounds
+    return bool(np.all(poses >= low - 1e-6) and np.all(poses <= high + 1e-6))

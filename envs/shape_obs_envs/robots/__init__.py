@@ -1,6 +1,6 @@
-"""Robots: one that does nothing, and one that is simulated in real time, before a software camera.
+"""Robots: one without hardware, and one that is simulated in real time in front of a software camera.
 
-Names are loaded on first use: MuJoCo is imported only by those who simulate.
+The classes are imported on first use, so MuJoCo is loaded only for simulation.
 """
 
 from __future__ import annotations

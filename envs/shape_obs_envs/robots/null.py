@@ -1,4 +1,4 @@
-"""NullRobot: a robot that moves nothing and remembers what it was sent."""
+"""A robot without hardware that stores the motions it was sent."""
 
 from __future__ import annotations
 
@@ -10,29 +10,28 @@ from typing import Any, Final
 import numpy as np
 
 from shape_obs.robot import ActionSpec, Array, RobotError
-from shape_obs_envs.robots.coordinates import checked_motion
 
-_REMEMBERED: Final = 10_000
+_STORED: Final = 10_000
 
 
 class NullRobot:
-    """Satisfies the `Robot` protocol without any hardware: its state is where it has been told to go.
+    """A ``Robot`` without hardware, whose state is its commanded position.
 
-    For dry runs, and to see what a controller would send. Every reset puts it into the middle of its workspace.
+    For dry runs, and to see what a controller would send. Each reset moves it to the middle of its workspace.
 
     Args:
-        size: How many coordinates it has, when no ``spec`` is given: x0, x1, ... in metres, 1 cm for an action of 1,
-            within -0.5 ... 0.5 m.
-        spec: What its actions mean, an `ActionSpec` or a mapping of its fields.
-        period: Seconds for which a velocity is driven, when ``spec`` has that mode: until the next one comes.
+        size: Number of coordinates if no ``spec`` is given: x0, x1, ... in metres, 1 cm for an action of 1, within
+            -0.5 ... 0.5 m.
+        spec: Meaning of its actions, an ``ActionSpec`` or a mapping of its fields.
+        period: Duration in seconds of a velocity command, if ``spec`` has that mode.
 
     Attributes:
-        action_spec: What its actions mean.
-        sent: The last 10,000 motions: (``time.monotonic()``, (A,) in physical units).
+        action_spec: Meaning of its actions.
+        sent: The last 10,000 motions: (``time.monotonic()``, motion of shape ``(A,)`` in physical units).
 
     Raises:
         ValueError: ``size`` is less than 1.
-        SpecError: A mapping that is no spec.
+        SpecError: The mapping is not a valid spec.
 
     Example:
         >>> robot = NullRobot(size=2)
@@ -59,12 +58,12 @@ class NullRobot:
                 high=(0.5,) * size,
             )
         self.action_spec: ActionSpec = spec if isinstance(spec, ActionSpec) else ActionSpec.from_dict(spec)
-        self.sent: deque[tuple[float, Array]] = deque(maxlen=_REMEMBERED)
+        self.sent: deque[tuple[float, Array]] = deque(maxlen=_STORED)
         self._period, self._connected = period, False
-        self._told = self._middle()
+        self._position = self._middle()
 
     def connect(self) -> None:
-        """Nothing to open, but the other calls expect it."""
+        """Connect; required before the other calls."""
         self._connected = True
 
     def reset(self) -> None:
@@ -74,33 +73,33 @@ class NullRobot:
             RobotError: It is not connected.
         """
         self._check_connected()
-        self._told = self._middle()
+        self._position = self._middle()
 
     def send(self, action: Array, until: float) -> None:
-        """Remember a motion (A,), in physical units; one whose time is over is not begun.
+        """Store a motion ``(A,)`` in physical units; skip it if its time limit has passed.
 
         Raises:
-            RobotError: It is not connected, or this is no motion.
+            RobotError: It is not connected, or the motion is invalid.
         """
         self._check_connected()
         motion = checked_motion(action, self.action_spec)
         if time.monotonic() >= until:
             return
         self.sent.append((time.monotonic(), motion))
-        self._told = self.action_spec.following(self._told, motion, self._period)
+        self._position = self.action_spec.following(self._position, motion, self._period)
 
     def state(self) -> Array:
-        """Where it has been told to go: (A,) in physical units."""
-        return self._told.copy()
+        """Return the commanded position ``(A,)`` in physical units."""
+        return self._position.copy()
 
     def stop(self) -> None:
-        """It stands still anyway."""
+        """Do nothing: the robot always stands still."""
 
     def park(self) -> None:
-        """It may be left alone anywhere."""
+        """Do nothing: the robot is safe in any position."""
 
     def disconnect(self) -> None:
-        """Nothing to close."""
+        """Disconnect."""
         self._connected = False
 
     def _middle(self) -> Array:
@@ -109,3 +108,18 @@ class NullRobot:
     def _check_connected(self) -> None:
         if not self._connected:
             raise RobotError(f"The robot {self.name!r} is not connected: call connect() first.")
+
+
+def checked_motion(action: Array, spec: ActionSpec) -> Array:
+    """Return a copy of a motion.
+
+    Raises:
+        RobotError: The motion has a wrong shape, or values that are not finite.
+    """
+    motion = np.array(action, np.float64)
+    if motion.shape != (len(spec),) or not np.isfinite(motion).all():
+        raise RobotError(
+            f"Expected a motion of {len(spec)} finite numbers ({', '.join(spec.names)}), got {action!r}; the robot "
+            "continues with the last one."
+        )
+    return motion

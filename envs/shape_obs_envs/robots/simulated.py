@@ -1,4 +1,4 @@
-"""SimulatedRobot: a robot that moves a simulated rope in real time, before a software D455."""
+"""A robot that moves a simulated object in real time, in front of a software D455."""
 
 from __future__ import annotations
 
@@ -15,53 +15,51 @@ import numpy.typing as npt
 from shape_obs.camera import CameraModel
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.robot import ActionSpec, RobotError
-from shape_obs_envs.mujoco.stage import Stage
-from shape_obs_envs.robots.coordinates import checked_motion
-from shape_obs_envs.robots.faults import Faults
-from shape_obs_envs.robots.footage import Footage
-from shape_obs_envs.robots.link import Link
-from shape_obs_envs.robots.ramp import Ramp
-from shape_obs_envs.robots.world import Plan, Started
+from shape_obs_envs.robots.frame_publisher import Faults, FramePublisher, check_occluder
+from shape_obs_envs.robots.null import checked_motion
+from shape_obs_envs.robots.shared_frames import SimulationSpec, Started
+from shape_obs_envs.robots.simulation_loop import Ramp, RealtimeSimulation
+from shape_obs_envs.robots.simulation_process import SimulationProcess
 from shape_obs_envs.sources.realsense import RealSenseSource, SoftwareD455
 
 Array = npt.NDArray[np.float64]
-#: Seconds to the place where it may be left alone.
+#: Duration of the way to the parking position in seconds.
 _HOME: Final = 1.0
 
 
 class SimulatedRobot:
-    """Moves one of the simulated objects in real time, while a `SoftwareD455` looks.
+    """Move a simulated object in real time, in front of a ``SoftwareD455``.
 
-    So a whole deployment runs without hardware: what a `RealSenseSource` reads from ``camera`` shows the scene, and
-    goes through librealsense, rectification and alignment as a real camera's images do. Physics and drawing have a
-    process of their own; here only a thread passes raw images on. The environment's camera sees a little less than a
-    D455 does: up to 8 pixels at the edges are black and without depth. Depth is also missing where something in front
-    hides it from the depth camera.
+    A whole deployment runs without hardware this way: a ``RealSenseSource`` on ``camera`` shows the scene, and its
+    images pass through librealsense, rectification and alignment like those of a real camera. Physics and rendering run
+    in their own process; here a thread only passes on raw images. The environment's camera sees slightly less than a
+    D455: up to 8 pixels at the edges are black and without depth. Depth is also missing where an object in front
+    occludes it from the depth camera.
 
-    Coordinates are those of the grippers, ``gripper0/x`` and so on: x, y [m] and yaw [rad] in the base frame for the
-    rope and the ring, x, y, z [m] for the cloth. A motion takes ``ramp`` seconds, and ends at its ``until`` by the
-    simulation's clock, wherever it is then. Targets are clipped to where the environment lets its grippers go, both
-    together: so that they neither tear the object nor push it into loops.
+    The coordinates are those of the grippers, ``gripper0/x`` and so on: x, y in metres and yaw in radians in the base
+    frame for rope and ring, and x, y, z in metres for cloth. A motion takes ``ramp`` seconds and ends at its ``until``
+    by the simulation's clock, wherever it is then. Targets are clipped to the environment's workspace, for both
+    grippers together, so that they neither tear the object nor push it into loops.
 
-    It starts a process as Python's ``multiprocessing`` does: a script that uses it keeps its own work under
+    The process is started by Python's ``multiprocessing``: guard a script that uses this class with
     ``if __name__ == "__main__":``.
 
     Args:
         env: "ShapeObs/Cable-v0", "ShapeObs/Ring-v0" or "ShapeObs/Cloth-v0".
-        camera: Who looks; None for a `SoftwareD455` of its own.
-        fps: Pictures a second. A computer that is too slow for them takes fewer; see `pace`.
-        seed: Of the first start and of the noise; later starts go on from there.
-        noise: Whether pictures have a D455's noise.
-        ramp: Seconds that a motion takes.
-        **options: Of the environment, such as ``grippers=1``, ``renderer="rays"`` or ``difficulty="near"``.
+        camera: The camera; None for a new ``SoftwareD455``.
+        fps: Frames per second. A slow computer captures fewer; see ``pace``.
+        seed: Seed of the first start and of the noise; later starts continue the sequence.
+        noise: Whether images have the noise of a D455.
+        ramp: Duration of a motion in seconds.
+        **options: Arguments of the environment, such as ``grippers=1``, ``renderer="rays"`` or ``difficulty="near"``.
 
     Attributes:
-        action_spec: What actions mean: displacements, 1 is what it is in the environment.
+        action_spec: Meaning of actions: displacements, scaled as in the environment.
         camera: The software camera.
 
     Raises:
-        ValueError: An argument that makes no sense, or another environment.
-        ImportError: MuJoCo or librealsense is missing; the message says how to get it.
+        ValueError: An argument is invalid, or the environment is not a simulated one.
+        ImportError: MuJoCo or librealsense is not installed.
 
     Example:
         >>> robot = SimulatedRobot(seed=1)  # doctest: +SKIP
@@ -82,80 +80,80 @@ class SimulatedRobot:
         **options: Any,
     ) -> None:
         if not 1 <= fps <= 90:
-            raise ValueError(f"fps: expected 1 to 90 pictures a second, got {fps}.")
+            raise ValueError(f"fps: expected 1 to 90 frames per second, got {fps}.")
         if not 0 < ramp < 10:
             raise ValueError(f"ramp: expected seconds above 0 and below 10, got {ramp}.")
         self._ramp_seconds = float(ramp)
-        self._stage = Stage(env, **options)  # for what it publishes; nothing moves and nobody looks here
+        self._model = RealtimeSimulation(env, **options)  # for its metadata and goals only; it does not run
         self.camera = SoftwareD455(fps=round(fps)) if camera is None else camera
-        self._plan = Plan(env, self.camera.geometry, float(fps), seed, bool(noise), options)
-        self.action_spec: ActionSpec = self._stage.env.action_spec
+        self._spec = SimulationSpec(env, self.camera.geometry, float(fps), seed, bool(noise), options)
+        self.action_spec: ActionSpec = self._model.env.action_spec
         self._lock = threading.RLock()
-        self._link: Link | None = None
+        self._process: SimulationProcess | None = None
         self._home = np.zeros((len(self.action_spec) // 3, 3))
         self._motion, self._fresh = Ramp.standing(self._home, time.monotonic()), True
         self._start: Array | None = None
         self._goal: Array | None = None
-        self._footage = Footage(self.camera, float(fps))
+        self._publisher = FramePublisher(self.camera, float(fps))
 
     # ---- the robot
 
     def connect(self) -> None:
-        """Start the simulation where none runs: the object lies there, and the camera takes pictures.
+        """Start the simulation unless it runs; the camera delivers frames from then on.
 
         Raises:
-            RobotError: It does not start.
+            RobotError: The simulation does not start.
         """
-        if self._link is not None and self._link.alive:
+        if self._process is not None and self._process.alive:
             return
         self.disconnect()
-        link = Link(self._plan, self._footage.take)
+        process = SimulationProcess(self._spec, self._publisher.publish)
         with self._lock:
-            self._link = link
-            self._begin(link.started)
+            self._process = process
+            self._begin(process.started)
 
     def reset(self) -> None:
-        """Draw a new start; the first one after `connect` is that of ``seed``.
+        """Draw a new start; the first one after ``connect`` uses ``seed``.
 
         Raises:
             RobotError: It is not connected, or the simulation has ended.
         """
-        link = self._connected()
-        seed = self._plan.seed if self._fresh else None
-        started = link.restart(seed)
+        process = self._connected()
+        seed = self._spec.seed if self._fresh else None
+        started = process.restart(seed)
         with self._lock:
             self._begin(started)
             self._fresh = False
 
     def send(self, action: Array, until: float) -> None:
-        """Begin a motion (A,) in physical units that ends at ``until``; it replaces the one before.
+        """Begin a motion ``(A,)`` in physical units that ends at ``until``; it replaces the previous one.
 
         Raises:
-            RobotError: It is not connected, the simulation has ended, or this is no motion.
+            RobotError: It is not connected, the simulation has ended, or the motion is invalid.
         """
         motion = checked_motion(action, self.action_spec)
-        with self._lock:  # a stop in another thread is not undone
-            told = self._motion.final
-            self._go(told + motion.reshape(told.shape), self._ramp_seconds, until)
+        with self._lock:  # a stop in another thread must not be undone
+            target = self._motion.final
+            self._go(target + motion.reshape(target.shape), self._ramp_seconds, until)
 
     def state(self) -> Array:
-        """Return where the present motion ends: (A,), x, y [m] and yaw [rad] of each gripper."""
+        """Return the end of the present motion: coordinates ``(A,)`` of the grippers in metres and radians."""
         return self._motion.final.ravel()
 
     def stop(self) -> None:
-        """Stand still where it is now."""
+        """Stop at the present position."""
         with self._lock:
-            if self._link is None:
+            if self._process is None:
                 return
             now = time.monotonic()
             try:
-                self._link.order("go", Ramp.standing(self._motion.at(now), now))
+                self._process.order("go", Ramp.standing(self._motion.at(now), now))
             except RobotError:
-                return  # what has ended stands still
+                return  # an ended simulation stands still
             self._motion = Ramp.standing(self._motion.at(now), now)
 
     def park(self) -> None:
-        """Go back to where the episode began.
+        """Return to the start of the episode.
 
         Raises:
             RobotError: It is not connected, the simulation has ended, or it was stopped on the way.
@@ -164,39 +162,39 @@ class SimulatedRobot:
         time.sleep(_HOME)
         self._connected().check()
         if self._motion is not way:
-            raise RobotError("The simulated robot was stopped or moved on its way to the place where it parks.")
+            raise RobotError("The simulated robot was stopped or moved on its way to the parking position.")
 
     def disconnect(self) -> None:
-        """End the simulation; its process is gone when this returns."""
+        """End the simulation and its process."""
         with self._lock:
-            link, self._link = self._link, None
-        if link is not None:
-            link.close()
+            process, self._process = self._process, None
+        if process is not None:
+            process.close()
 
     # ---- the camera
 
     def source(self) -> RealSenseSource:
-        """A source that reads its camera and knows where that stands; not yet connected."""
+        """Return a source that reads the camera and has its extrinsics; it is not connected yet."""
         height, width = self.camera.geometry.colour.size
         return RealSenseSource(self.camera, width=width, height=height, fps=self.camera.fps, extrinsics=self.extrinsics)
 
     @property
     def extrinsics(self) -> Extrinsics:
-        """Where the camera stands in the base frame."""
+        """Pose of the camera in the base frame."""
         transform = self.camera_model.transform_camera_to_base
         assert transform is not None
         return Extrinsics(tuple(tuple(float(value) for value in row) for row in transform))
 
     @property
     def camera_model(self) -> CameraModel:
-        """Intrinsics of the camera's rectified images, and its place in the base frame."""
+        """Intrinsics of the camera's rectified images, and its pose in the base frame."""
         pinhole = replace(self.camera.geometry.colour, model="pinhole", coeffs=(0.0,) * 5)
-        return CameraModel(pinhole, self._stage.env.camera_model.transform_camera_to_base)
+        return CameraModel(pinhole, self._model.env.camera_model.transform_camera_to_base)
 
     @property
     def pace(self) -> float:
-        """Pictures a second, over the last ones; 0 before there are two."""
-        return self._footage.pace
+        """Measured frames per second; 0 before the second frame."""
+        return self._publisher.rate
 
     def disturb(
         self,
@@ -207,94 +205,93 @@ class SimulatedRobot:
         occluder: float = 0.0,
         seed: int = 0,
     ) -> None:
-        """From now on have things go wrong with the pictures; without arguments nothing more does.
+        """Inject faults into the frames from now on; without arguments, stop injecting faults.
 
         Args:
-            drop: Share of the frames that are lost.
-            delay: Share that is 50 to 150 ms late, with those behind them.
-            freeze: Share without a new colour image, while depth goes on.
-            black: Share with a black colour image.
-            occluder: Share of the time that a hand lies over the object, a second at a time.
-            seed: Of when that is.
+            drop: Fraction of frames that are lost.
+            delay: Fraction of frames that are 50 to 150 ms late, as are the frames that wait behind them.
+            freeze: Fraction of frames without a new colour image, while depth continues.
+            black: Fraction of frames with a black colour image.
+            occluder: Fraction of the time that a hand covers the object, for a second each.
+            seed: Seed of the choice of frames.
 
         Raises:
-            ValueError: Shares that are none.
+            ValueError: A fraction is out of its range.
             RobotError: It is not connected, or the simulation has ended.
         """
         faults = Faults(drop, delay, freeze, black, seed)
-        if not 0 <= occluder < 1:
-            raise ValueError(f"occluder: expected a share from 0 (never) to below 1, got {occluder}.")
+        check_occluder(occluder)
         self._connected().order("hand", (occluder, seed))
-        faults.affected = self._footage.faults.affected
-        self._footage.faults = faults
+        faults.affected = self._publisher.faults.affected
+        self._publisher.faults = faults
 
     @property
     def affected(self) -> dict[str, list[int]]:
-        """Fault -> numbers of the frames that had it: "drop", "delay", "freeze", "black", "occluder"."""
-        return {kind: list(numbers) for kind, numbers in self._footage.faults.affected.items()}
+        """Fault -> numbers of the affected frames: "drop", "delay", "freeze", "black", "occluder"."""
+        return {kind: list(numbers) for kind, numbers in self._publisher.faults.affected.items()}
 
-    # ---- what is known of the object
+    # ---- the object
 
     @property
     def anchors(self) -> Mapping[str, tuple[float, ...]]:
-        """Where the grippers hold the object in the last picture: name -> (x, y, z) [m], base frame."""
-        return self._footage.anchors
+        """Where the grippers held the object in the last frame: name -> (x, y, z) in metres, base frame."""
+        return self._publisher.anchors
 
     def truth(self, number: int) -> Array:
-        """True points (n,3) [m] of the object, base frame, in a frame; those that its environment's goals have.
+        """Return the object's true points ``(n, 3)`` in a frame, in metres, base frame, laid out like a goal.
 
         Args:
             number: ``Frame.number``.
 
         Raises:
-            KeyError: No such frame was taken, or more than 9000 frames ago.
+            KeyError: There was no such frame, or it was more than 9000 frames ago.
         """
-        return self._footage.truth(number)
+        return self._publisher.truth(number)
 
     @property
     def goal(self) -> Array:
-        """Points (n,3) [m] of a goal that can be reached from the last start, base frame.
+        """Points ``(n, 3)`` of a goal that can be reached from the last start, in metres, base frame.
 
-        It is drawn when it is asked for, which takes up to a second.
+        The first access draws it, which takes up to a second.
 
         Raises:
-            RobotError: It has not been connected yet.
+            RobotError: The robot has not been connected yet.
         """
         if self._goal is None:
             if self._start is None:
                 raise RobotError("The simulated robot has no start yet: call connect() first.")
-            self._goal = self._stage.draw_goal(self._start, self._plan.seed)
+            self._goal = self._model.draw_goal(self._start, self._spec.seed)
         return self._goal.copy()
 
     @property
     def goal_layout(self) -> Mapping[str, Any]:
-        """How the points of goal and truth are laid out."""
-        return self._stage.env.goal_layout
+        """Layout of the points of goal and truth."""
+        return self._model.env.goal_layout
 
     @property
     def shape_obs_defaults(self) -> Mapping[str, Any]:
-        """Arguments of `shape_obs.ShapeObservation` that suit the object."""
-        return self._stage.env.shape_obs_defaults
+        """Suitable arguments of ``shape_obs.ShapeObservation`` for the object."""
+        return self._model.env.shape_obs_defaults
 
-    # ---- inside
+    # ---- internal
 
-    def _connected(self) -> Link:
-        if self._link is None:
+    def _connected(self) -> SimulationProcess:
+        if self._process is None:
             raise RobotError("The simulated robot is not connected: call connect() first.")
-        return self._link
+        return self._process
 
     def _begin(self, started: Started) -> None:
         self._home = started.poses
         self._motion = Ramp.standing(started.poses, time.monotonic())
         self._start, self._goal = started.state, None
         self._fresh = True
-        self._footage.begin(started.anchors)
+        self._publisher.begin(started.anchors)
 
     def _go(self, poses: Array, seconds: float, until: float = math.inf) -> Ramp:
         with self._lock:
-            link, now = self._connected(), time.monotonic()
-            poses = self._stage.workspace.clip(poses, self._motion.final)
+            process, now = self._connected(), time.monotonic()
+            poses = self._model.workspace.clip(poses, self._motion.final)
             motion = Ramp(self._motion.at(now), poses, now, seconds, max(until, now))
-            link.order("go", motion)
+            process.order("go", motion)
             self._motion = motion
             return motion

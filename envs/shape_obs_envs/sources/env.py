@@ -1,14 +1,16 @@
-"""EnvSource: any Gymnasium environment that shows images."""
+"""A source of frames from any Gymnasium environment with image observations."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import singledispatch
 from pathlib import Path
 from typing import Any, Literal
 
 import gymnasium as gym
 import numpy as np
+from gymnasium import spaces
 
 from shape_obs.camera import CameraModel
 from shape_obs.extrinsics import Extrinsics
@@ -17,30 +19,30 @@ from shape_obs.source import SourceError
 from shape_obs.wrappers import env_protocol
 from shape_obs.wrappers.env_protocol import Images
 from shape_obs_envs.sources.sequence import SequenceSource
-from shape_obs_envs.sources.stillness import no_motion
 
 Actions = Literal["zero", "random"] | Callable[[Any], Any]
 
 
 class EnvSource(SequenceSource):
-    """Frames of an environment: the first shows it after its reset, each further one takes a step.
+    """Frames of an environment: the first follows its reset, each further one takes a step.
 
-    After the last frame of an episode the next one shows the next episode's start. Stamps are ``info["stamp"]`` where
-    the environment tells it, else sums of its ``dt``, which go on over resets; the camera is its ``camera_model``.
+    After the last frame of an episode the next frame is the start of a new episode. Stamps are ``info["stamp"]`` if the
+    environment provides it, otherwise multiples of its ``dt`` that continue over resets; the camera is its
+    ``camera_model``.
 
     Args:
         env: An id, such as ``"shape_obs_envs:ShapeObs/Cable-v0"``, made by ``connect`` and closed by ``disconnect``; or
-            an environment, which stays yours.
-        extrinsics: See ``Source``; it wins over what the environment says.
-        actions: ``"zero"`` for the action nearest to none, ``"random"``, or a policy: observation -> action.
-        seed: Of the first reset and of random actions.
+            an environment, which the caller closes.
+        extrinsics: See ``Source``; overrides the environment's own.
+        actions: ``"zero"`` for the action nearest to zero, ``"random"``, or a policy: observation -> action.
+        seed: Seed of the first reset and of random actions.
         rgb_key: Key of the image in the observation, default ``"rgb"``.
-        depth_key: Key of the depth, uint16 millimetres or float metres; default ``"depth"`` where there is one.
+        depth_key: Key of the depth image, in uint16 millimetres or floating-point metres; default ``"depth"`` if any.
         **options: Arguments of ``gymnasium.make``, for an id.
 
     Raises:
-        SourceError: By ``connect``: no such id, it cannot be made, or its observation has no image.
-        ValueError: Other ``actions``, or options for an environment that is made already.
+        SourceError: By ``connect``: the environment cannot be made, or its observation has no image.
+        ValueError: ``actions`` is invalid, or options were given with an existing environment.
 
     Example:
         >>> with EnvSource("shape_obs_envs:ShapeObs/Cable-v0", actions="random", seed=0) as source:  # doctest: +SKIP
@@ -64,7 +66,7 @@ class EnvSource(SequenceSource):
         if actions not in ("zero", "random") and not callable(actions):
             raise ValueError(f"actions: expected 'zero', 'random' or a function, got {actions!r}.")
         if options and not isinstance(env, str):
-            raise ValueError(f"{self.name} is made already and takes no {sorted(options)}.")
+            raise ValueError(f"{self.name} is an existing environment and does not take {sorted(options)}.")
         self._given, self._options, self._keys = env, options, (rgb_key, depth_key)
         self._actions, self._seed = actions, seed
         self._env: gym.Env[Any, Any] | None = None
@@ -72,22 +74,22 @@ class EnvSource(SequenceSource):
 
     @property
     def has_depth(self) -> bool:
-        """Whether observations carry depth."""
+        """Whether observations include depth."""
         self._check_connected()
         return self._images.depth_key is not None
 
     @property
     def anchors(self) -> Mapping[str, Sequence[float]]:
         """Where the object is held: name -> base-frame point (x, y, z) in metres, or pixel (u, v)."""
-        return {name: tuple(point) for name, point in env_protocol.anchors(self._made()).items()}
+        return {name: tuple(point) for name, point in env_protocol.anchors(self._connected_env()).items()}
 
     @property
     def episode(self) -> int:
-        """Counts the episodes from 0."""
+        """Number of the episode, starting at 0."""
         return self._episode
 
     def connect(self) -> None:
-        """Make the environment, if it is an id; the first ``read`` resets it."""
+        """Make the environment if an id was given; the first ``read`` resets it."""
         if self._connected:
             return
         env = self._make()
@@ -105,14 +107,14 @@ class EnvSource(SequenceSource):
         self._observation: Any = None
 
     def disconnect(self) -> None:
-        """Close the environment, unless it is yours."""
+        """Close the environment if an id was given."""
         if self._env is not None and self._env is not self._given:
             self._env.close()
         self._env = None
         super().disconnect()
 
     def _next(self) -> Frame:
-        env = self._made()
+        env = self._connected_env()
         if self._over:
             self._episode += 1
             self._observation, info = env.reset(seed=self._seed if self._episode == 0 else None)
@@ -122,7 +124,7 @@ class EnvSource(SequenceSource):
             self._over = bool(terminated or truncated)
         rgb, depth = self._images.read(self._observation)
         frame = Frame(
-            np.array(rgb),  # environments may use their buffers again
+            np.array(rgb),  # environments may reuse their buffers
             None if depth is None else np.array(depth),
             self.camera,
             stamp=float(info.get("stamp", self._number * self._dt)),
@@ -133,12 +135,12 @@ class EnvSource(SequenceSource):
         return frame
 
     def _known_camera(self) -> CameraModel | None:
-        return env_protocol.camera_model(self._made())
+        return env_protocol.camera_model(self._connected_env())
 
     def _action(self, env: gym.Env[Any, Any]) -> Any:
         if callable(self._actions):
             return self._actions(self._observation)
-        return env.action_space.sample() if self._actions == "random" else no_motion(env.action_space)
+        return env.action_space.sample() if self._actions == "random" else zero_action(env.action_space)
 
     def _make(self) -> gym.Env[Any, Any]:
         if not isinstance(self._given, str):
@@ -148,7 +150,47 @@ class EnvSource(SequenceSource):
         except (gym.error.Error, ImportError, TypeError, ValueError) as error:
             raise SourceError(f"{self._given}: the environment cannot be made: {error}") from error
 
-    def _made(self) -> gym.Env[Any, Any]:
+    def _connected_env(self) -> gym.Env[Any, Any]:
         self._check_connected()
         assert self._env is not None
         return self._env
+
+
+@singledispatch
+def zero_action(space: spaces.Space[Any]) -> Any:
+    """Return zeros, clipped to the space, or the first of discrete actions.
+
+    Raises:
+        ValueError: The type of space is not supported.
+    """
+    raise ValueError(f"no zero action is defined for {space}: give actions='random', or a function as actions=.")
+
+
+@zero_action.register
+def _(space: spaces.Box) -> Any:
+    return np.clip(np.zeros(space.shape, space.dtype), space.low, space.high)
+
+
+@zero_action.register
+def _(space: spaces.Discrete) -> Any:
+    return space.start
+
+
+@zero_action.register
+def _(space: spaces.MultiDiscrete) -> Any:
+    return np.array(space.start)
+
+
+@zero_action.register
+def _(space: spaces.MultiBinary) -> Any:
+    return np.zeros(space.shape, space.dtype)
+
+
+@zero_action.register
+def _(space: spaces.Dict) -> Any:
+    return {key: zero_action(part) for key, part in space.spaces.items()}
+
+
+@zero_action.register
+def _(space: spaces.Tuple) -> Any:
+    return tuple(zero_action(part) for part in space.spaces)

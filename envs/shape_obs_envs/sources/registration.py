@@ -1,4 +1,4 @@
-"""Registration: a depth camera's raw images -> one pinhole image, with depth under every pixel of colour."""
+"""Register a depth camera's raw images: one pinhole image with a depth for each colour pixel, and the reverse."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
-from shape_obs.compiled import Backend
-from shape_obs_envs.sources.splat import Metres, Splat
+from shape_obs_envs.sources.depth_reprojection import DepthReprojection, Metres, check_pose
 
 Images = tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16]]
 Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]
@@ -19,34 +18,33 @@ _MILLIMETRE: Final = 0.001
 
 
 class Registration:
-    """Rectifies colour to a pinhole and aligns depth to it.
+    """Rectify colour images to a pinhole camera and align depth images to them.
 
-    librealsense's own ``rs.align`` copies depth to the colour image as it is, and its vector code leaves the lens
-    distortion of the colour camera out; whoever then deprojects a pixel as if there were none is wrong by some
-    millimetres at arm's length. Here both images become those of one camera without distortion.
+    librealsense's own ``rs.align`` copies depth onto the distorted colour image, and its vectorised code ignores the
+    distortion of the colour lens. Deprojecting such a pixel with the pinhole model is wrong by several millimetres at
+    arm's length. Here both images become those of one camera without distortion.
 
-    Where the lens saw less than the pinhole does, colour is black; where nobody measured depth, depth is 0. Depth is
-    that of the colour camera: its z, not the depth camera's.
+    Colour is black where the lens sees less than the pinhole camera does. Depth is 0 where it was not measured, and is
+    the z coordinate of the colour camera, not of the depth camera.
 
     Args:
-        colour: Of the raw colour image.
-        depth: Of the raw depth image.
-        rotation: (3,3), ``p_colour = rotation p_depth + translation``.
-        translation: (3,) metres.
-        depth_unit: Metres of 1 in the raw depth image.
-        backend: What runs the inner loop: ``"auto"``, ``"numpy"`` or ``"numba"``. All give the same pixels.
+        colour: Intrinsics of the raw colour image.
+        depth: Intrinsics of the raw depth image.
+        rotation: Rotation matrix of shape ``(3, 3)``, ``p_colour = rotation p_depth + translation``.
+        translation: Translation of shape ``(3,)``, in metres.
+        depth_unit: Unit of the raw depth image, in metres.
 
     Attributes:
-        output: Of both resulting images: a pinhole with the colour camera's size, focal lengths and principal point.
+        output: Intrinsics of both results: a pinhole with the colour camera's size, focal lengths and principal point.
 
     Raises:
-        ValueError: The pose is none, or turns one camera against the other by more than 5 degrees.
+        ValueError: The pose is invalid, or turns one camera against the other by more than 5 degrees.
 
     Example:
         >>> import numpy as np
         >>> colour = Intrinsics(640, 480, 386.0, 386.0, 320.0, 240.0, "brown_conrady", (-0.05, 0.06, 0, 0, 0))
         >>> depth = Intrinsics(640, 480, 388.0, 388.0, 322.0, 238.0)
-        >>> registration = Registration(colour, depth, np.eye(3), (-0.059, 0.0, 0.0), backend="numpy")
+        >>> registration = Registration(colour, depth, np.eye(3), (-0.059, 0.0, 0.0))
         >>> rgb, aligned = registration(np.zeros((480, 640, 3), np.uint8), np.full((480, 640), 620, np.uint16))
         >>> int(aligned[240, 320]), registration.output.distorted
         (620, False)
@@ -59,71 +57,129 @@ class Registration:
         rotation: npt.ArrayLike,
         translation: npt.ArrayLike,
         depth_unit: float = _MILLIMETRE,
-        *,
-        backend: Backend = "auto",
     ) -> None:
-        self.colour, self.depth, self.depth_unit = colour, depth, check_unit(depth_unit)
+        self.colour, self.depth, self.depth_unit = colour, depth, _check_unit(depth_unit)
         self.output = replace(colour, model="pinhole", coeffs=(0.0,) * 5)
-        self._maps = remap_maps(self.output, colour) if colour.distorted else None
-        self._align = Splat(depth, self.output, rotation, translation, _MILLIMETRE, backend)
+        self._maps = _remap_maps(self.output, colour) if colour.distorted else None
+        self._reproject = DepthReprojection(depth, self.output, rotation, translation, _MILLIMETRE)
 
     def __call__(self, colour_raw: npt.NDArray[np.uint8], depth_raw: npt.NDArray[np.uint16]) -> Images:
-        """Register one pair of images; the arrays that come back are new.
+        """Register one pair of images.
 
         Args:
-            colour_raw: (H,W,3) uint8 RGB, as the sensor gives it.
-            depth_raw: (H,W) uint16 in ``depth_unit``, as the sensor gives it; 0 is invalid.
+            colour_raw: Colour image of the sensor, shape ``(H, W, 3)``, uint8 RGB.
+            depth_raw: Depth image of the sensor, shape ``(H, W)``, uint16 in ``depth_unit``; 0 is invalid.
 
         Returns:
-            RGB (H,W,3) uint8 and depth (H,W) uint16 in millimetres, 0 invalid; both of ``output``.
+            New arrays: RGB ``(H, W, 3)`` uint8 and depth ``(H, W)`` uint16 in millimetres, 0 where invalid; both have
+            the intrinsics ``output``.
 
         Raises:
-            ValueError: An image of another size or type.
+            ValueError: An image has another size or type.
         """
         return self.rectify(colour_raw), self.align(depth_raw)
 
     def rectify(self, colour_raw: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-        """The colour image alone: (H,W,3) uint8 -> (H,W,3) uint8."""
-        colour_raw = check_image(colour_raw, "colour_raw", (*self.colour.size, 3), np.uint8)
-        return colour_raw.copy() if self._maps is None else remapped(colour_raw, self._maps)
+        """Rectify a raw colour image of shape ``(H, W, 3)``."""
+        colour_raw = _check_image(colour_raw, "colour_raw", (*self.colour.size, 3), np.uint8)
+        return colour_raw.copy() if self._maps is None else _remap(colour_raw, self._maps)
 
     def align(self, depth_raw: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
-        """The depth image alone: (H,W) uint16 in ``depth_unit`` -> (H,W) uint16 in millimetres."""
-        depth_raw = check_image(depth_raw, "depth_raw", self.depth.size, np.uint16)
-        return self._align(in_metres(depth_raw, self.depth_unit))
+        """Align a raw depth image of shape ``(H, W)``; the result is in millimetres."""
+        depth_raw = _check_image(depth_raw, "depth_raw", self.depth.size, np.uint16)
+        return self._reproject(_in_metres(depth_raw, self.depth_unit))
 
 
-def check_unit(depth_unit: float) -> float:
-    """A depth unit [m]."""
+class RawImages:
+    """Turn aligned pinhole images, such as a simulator's, into the raw images of a camera in the same place.
+
+    This is the reverse of ``Registration``. The colour image gets the distortion of the lens; depth is reprojected to
+    the depth camera. Parts that the given images do not show, because they lie outside the view or are occluded, are
+    black and have depth 0.
+
+    Args:
+        camera: Intrinsics of the given images, a pinhole.
+        colour: Intrinsics of the raw colour image.
+        depth: Intrinsics of the raw depth image, a pinhole.
+        rotation: Rotation matrix of shape ``(3, 3)``, ``p_colour = rotation p_depth + translation``.
+        translation: Translation of shape ``(3,)``, in metres.
+        depth_unit: Unit of the raw depth image, in metres.
+
+    Raises:
+        ValueError: A camera has distortion where a pinhole is expected, or the pose is invalid.
+    """
+
+    def __init__(
+        self,
+        camera: Intrinsics,
+        colour: Intrinsics,
+        depth: Intrinsics,
+        rotation: npt.ArrayLike,
+        translation: npt.ArrayLike,
+        depth_unit: float = _MILLIMETRE,
+    ) -> None:
+        for name, intrinsics in (("camera", camera), ("depth", depth)):
+            if intrinsics.distorted:
+                raise ValueError(
+                    f"{name}: expected a pinhole, without distortion, got {intrinsics.model} {intrinsics.coeffs}."
+                )
+        self.camera, self.colour, self.depth = camera, colour, depth
+        rotation, translation = check_pose(rotation, translation)
+        self._maps = _remap_maps(colour, camera)
+        self._reproject = DepthReprojection(
+            camera, depth, rotation.T, -rotation.T @ translation, _check_unit(depth_unit)
+        )
+
+    def __call__(self, rgb: npt.NDArray[np.uint8], depth: npt.NDArray[Any]) -> Images:
+        """Make one pair of raw images.
+
+        Args:
+            rgb: Colour image of ``camera``, shape ``(H, W, 3)``, uint8 RGB.
+            depth: Depth image of ``camera``, shape ``(H, W)``, in uint16 millimetres or floating-point metres; values
+                that are 0 or not finite are invalid.
+
+        Returns:
+            New arrays as the sensors deliver them: colour ``(H, W, 3)`` uint8 RGB and depth ``(H, W)`` uint16 in
+            ``depth_unit``, 0 where invalid.
+
+        Raises:
+            ValueError: An image has another size or type.
+        """
+        rgb = _check_image(rgb, "rgb", (*self.camera.size, 3), np.uint8)
+        floating = np.issubdtype(np.asarray(depth).dtype, np.floating)
+        depth = _check_image(depth, "depth", self.camera.size, np.asarray(depth).dtype if floating else np.uint16)
+        metres = depth.astype(np.float32) if floating else _in_metres(depth, _MILLIMETRE)
+        return _remap(rgb, self._maps), self._reproject(np.ascontiguousarray(metres))
+
+
+def _check_unit(depth_unit: float) -> float:
     if not 0 < depth_unit < np.inf:
         raise ValueError(f"depth_unit: expected metres of one unit, such as 0.001, got {depth_unit!r}.")
     return float(depth_unit)
 
 
-def check_image(image: Any, name: str, shape: tuple[int, ...], dtype: Any) -> npt.NDArray[Any]:
-    """An image of the size that the intrinsics tell."""
+def _check_image(image: Any, name: str, shape: tuple[int, ...], dtype: Any) -> npt.NDArray[Any]:
     image = np.asarray(image)
     if image.shape != shape or image.dtype != dtype:
         raise ValueError(
-            f"{name}: expected {shape} {np.dtype(dtype)}, as the intrinsics say, got {image.shape} {image.dtype}. "
-            "Give the intrinsics of this stream's mode."
+            f"{name}: expected {shape} {np.dtype(dtype)}, as given by the intrinsics, got {image.shape} {image.dtype}. "
+            "Pass the intrinsics of this stream's mode."
         )
     return image
 
 
-def in_metres(depth: npt.NDArray[np.uint16], unit: float) -> Metres:
-    """Depth in a unit -> metres."""
+def _in_metres(depth: npt.NDArray[np.uint16], unit: float) -> Metres:
     return np.multiply(depth, np.float32(unit), dtype=np.float32, order="C")
 
 
-def remap_maps(target: Intrinsics, source: Intrinsics) -> Maps:
-    """For each pixel of one camera the pixel of another in the same place, in the fixed-point form of OpenCV."""
+def _remap_maps(target: Intrinsics, source: Intrinsics) -> Maps:
+    """Return OpenCV's fixed-point maps from each target pixel to the source pixel on the same ray."""
     pixels = np.stack(np.meshgrid(np.arange(target.width), np.arange(target.height)), axis=-1)
     at = source.project(target.rays(pixels)).astype(np.float32)
     whole, fraction = cv2.convertMaps(at[..., 0], at[..., 1], cv2.CV_16SC2)
     return np.asarray(whole, np.int16), np.asarray(fraction, np.uint16)
 
 
-def remapped(image: npt.NDArray[np.uint8], maps: Maps) -> npt.NDArray[np.uint8]:
-    """An image where maps say; black where they point outside it."""
+def _remap(image: npt.NDArray[np.uint8], maps: Maps) -> npt.NDArray[np.uint8]:
+    """Sample an image at the maps; black outside it."""
     return np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.uint8)

@@ -1,24 +1,41 @@
-"""SequenceSource: what folders, videos and environments share. They wait for the reader and count their frames."""
+"""Sources that deliver frames on demand: their base class, folders and videos."""
 
 from __future__ import annotations
 
+import re
+import time
+import warnings
 from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
 
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
-from shape_obs.source import NotConnected, Source
+from shape_obs.recording import Recording
+from shape_obs.recording.format import CAMERA_FILE, FRAMES_FILE
+from shape_obs.source import BadRecording, EndOfSource, NotConnected, Source
+from shape_obs.utils.arrays import read_image
+
+#: Suffixes of photos and of video files.
+PHOTOS: Final = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+VIDEOS: Final = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 
 
 class SequenceSource(Source):
-    """A source that gives one frame after the other, whenever it is asked.
+    """Base of sources that deliver one frame after the other, at the reader's pace.
 
-    A subclass opens itself in ``connect`` and says so by ``_connected``.
+    A subclass opens itself in ``connect`` and sets ``_connected``.
 
     Args:
         name: See ``RGBDSource``.
-        extrinsics: See ``Source``; it wins over what the source knows by itself.
+        extrinsics: See ``Source``; overrides the pose that the source itself provides.
     """
 
     kind: str
@@ -31,40 +48,40 @@ class SequenceSource(Source):
 
     @property
     def intrinsics(self) -> Intrinsics | None:
-        """Of every frame, without distortion; None where nobody knows them."""
+        """Intrinsics of all frames, without distortion; None if unknown."""
         self._check_connected()
         known = self._known_camera()
         return None if known is None else known.intrinsics
 
     @property
     def camera(self) -> CameraModel | None:
-        """The intrinsics, with the camera's place in the base frame where it is known."""
+        """Intrinsics and, if known, the camera's pose in the base frame."""
         self._check_connected()
-        return self._placed(self._known_camera())
+        return self._with_extrinsics(self._known_camera())
 
     def read(self, timeout: float = 1.0, fresh: bool = False) -> Frame:
-        """The next frame; it is computed or read now, so it is always there in time and always fresh."""
+        """Return the next frame; it is read or computed now, so it is always in time and always fresh."""
         self._check_connected()
         return self._next()
 
     def read_latest(self, max_age: float = 0.1) -> Frame:
-        """The next frame, whatever its age."""
+        """Return the next frame, whatever its age."""
         return self.read()
 
     def disconnect(self) -> None:
-        """Close it."""
+        """Close the source."""
         self._connected = False
 
     @abstractmethod
     def _next(self) -> Frame:
-        """The next frame."""
+        """Return the next frame."""
 
     def _known_camera(self) -> CameraModel | None:
-        """What the source knows about its camera."""
+        """Return the camera that the source itself provides."""
         return None
 
-    def _placed(self, known: CameraModel | None) -> CameraModel | None:
-        """A camera of which the source knows ``known``, where the user says that it stands."""
+    def _with_extrinsics(self, known: CameraModel | None) -> CameraModel | None:
+        """Return the camera with the user's extrinsics, if there are any."""
         if known is None or self.extrinsics is None:
             return known
         return self.extrinsics.camera(known.intrinsics, self.serial)
@@ -72,3 +89,201 @@ class SequenceSource(Source):
     def _check_connected(self) -> None:
         if not self._connected:
             raise NotConnected(f"{self.name}: not connected: use `with source:`, or call connect() first.")
+
+
+class FolderSource(SequenceSource):
+    """Frames from a folder of photos, or from a folder that ``shape-obs record`` wrote.
+
+    A recorded folder returns each frame bit for bit, with its stamp, number and camera. Photos are read in the order of
+    their names (``2.png`` before ``10.png``); they have no stamps, depth or intrinsics.
+
+    Args:
+        path: The folder.
+        extrinsics: See ``Source``; overrides the recorded pose of the camera.
+        frames: ``(first, count)`` of a part, such as an episode; None for all frames.
+
+    Raises:
+        ValueError: ``frames`` is invalid.
+        BadRecording: By ``connect``: the folder does not exist, is empty or unreadable, or has fewer frames than
+            requested. By ``read``: a file is damaged.
+
+    Warns:
+        UserWarning: By ``connect``: the recording was interrupted; the warning lists what is left out.
+    """
+
+    kind: str = "folder"
+
+    def __init__(
+        self,
+        path: str | Path,
+        extrinsics: Extrinsics | str | Path | None = None,
+        frames: tuple[int, int] | None = None,
+    ) -> None:
+        super().__init__(str(path), extrinsics)
+        pair = isinstance(frames, Sequence) and len(frames) == 2  # it may come from a command line
+        if frames is not None and not (pair and frames[0] >= 0 and frames[1] >= 1):
+            raise ValueError(f"frames: expected (first, count), at least 0 and 1, got {frames!r}.")
+        self.path = Path(path)
+        self._part = frames
+        self._frames: Recording | Sequence[Path] = ()
+        self._left = range(0)
+        self._anchors: Mapping[str, Sequence[float]] = {}
+        self._episode = 0
+
+    def __len__(self) -> int:
+        """Return the total number of frames to read; 0 before ``connect``."""
+        return self._part[1] if self._part and self._frames else len(self._frames)
+
+    @property
+    def recording(self) -> Recording | None:
+        """The whole recording; None for photos."""
+        self._check_connected()
+        return self._frames if isinstance(self._frames, Recording) else None
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether frames include depth."""
+        return self.recording is not None and self.recording.has_depth
+
+    @property
+    def serial(self) -> str | None:
+        """Serial number of the recorded camera."""
+        return self._frames.serial if isinstance(self._frames, Recording) else None
+
+    @property
+    def anchors(self) -> Mapping[str, Sequence[float]]:
+        """Where the object was held in the last frame that was read; empty if unknown."""
+        return self._anchors
+
+    @property
+    def episode(self) -> int:
+        """Episode of the last frame that was read."""
+        return self._episode
+
+    def connect(self) -> None:
+        """Open the folder and start at its first frame."""
+        if self._connected:
+            return
+        if not self.path.is_dir():
+            raise BadRecording(f"{self.path}: {'not a folder' if self.path.exists() else 'no such folder'}.")
+        if any(file.exists() for file in self._files()):
+            self._frames = self._open_recording()
+            if self._frames.warning:
+                warnings.warn(self._frames.warning, stacklevel=2)
+        else:
+            photos = (path for path in self.path.iterdir() if path.suffix.lower() in PHOTOS and path.is_file())
+            self._frames = sorted(photos, key=_natural_order)
+            if not self._frames:
+                raise BadRecording(
+                    f"{self.path}: expected a recording ({CAMERA_FILE}, {FRAMES_FILE}, rgb/) or images "
+                    f"({', '.join(PHOTOS)}), found neither."
+                )
+        first, count = self._part or (0, len(self._frames))
+        if first + count > len(self._frames):
+            raise BadRecording(
+                f"{self.path}: frames {first} ... {first + count - 1} were requested, there are {len(self._frames)}."
+            )
+        self._left = range(first, first + count)
+        self._anchors, self._episode = {}, 0
+        self._connected = True
+
+    def _next(self) -> Frame:
+        if not self._left:
+            raise EndOfSource(f"{self.path}: end of its {len(self)} frames.")
+        at = self._left[0]
+        if isinstance(self._frames, Recording):
+            frame, self._anchors, self._episode = self._frames[at]
+            frame = replace(frame, camera=self._with_extrinsics(frame.camera))
+        else:
+            frame = _read_photo(self._frames[at], at)
+        self._left = self._left[1:]
+        return frame
+
+    def _open_recording(self) -> Recording:
+        if self._part is None:
+            return Recording(self.path)
+        changed = [file.stat().st_mtime_ns if file.exists() else 0 for file in self._files()]
+        return _cached_recording(self.path.absolute(), *changed)
+
+    def _files(self) -> tuple[Path, Path]:
+        return self.path / CAMERA_FILE, self.path / FRAMES_FILE
+
+    def _known_camera(self) -> CameraModel | None:
+        return self.recording.camera if self.recording else None
+
+
+class VideoSource(SequenceSource):
+    """Frames of a video file, with presentation times as stamps, and without depth and intrinsics.
+
+    Args:
+        path: The file.
+        extrinsics: See ``Source``; has no effect without intrinsics.
+
+    Raises:
+        BadRecording: By ``connect``: the file does not exist, or OpenCV cannot decode it.
+    """
+
+    kind: str = "video"
+    has_depth: bool = False
+
+    def __init__(self, path: str | Path, extrinsics: Extrinsics | str | Path | None = None) -> None:
+        super().__init__(str(path), extrinsics)
+        self.path = Path(path)
+        self._capture: cv2.VideoCapture | None = None
+        self._number, self._stamp = 0, 0.0
+
+    def connect(self) -> None:
+        """Open the file and start at its first frame."""
+        if self._connected:
+            return
+        if not self.path.is_file():
+            raise BadRecording(f"{self.path}: {'not a file' if self.path.exists() else 'no such file'}.")
+        capture = cv2.VideoCapture(str(self.path))
+        if not capture.isOpened():
+            raise BadRecording(f"{self.path}: not a video that OpenCV can decode; it may be damaged or truncated.")
+        self._capture, self._number = capture, 0
+        self._period = 1.0 / (capture.get(cv2.CAP_PROP_FPS) or 30.0)
+        self._connected = True
+
+    def disconnect(self) -> None:
+        """Close the file."""
+        if self._capture is not None:
+            self._capture.release()
+            self._capture = None
+        super().disconnect()
+
+    def _next(self) -> Frame:
+        assert self._capture is not None
+        there, bgr = self._capture.read()
+        if not there:
+            if self._number == 0:
+                raise BadRecording(f"{self.path}: it contains no frame that can be decoded.")
+            raise EndOfSource(f"{self.path}: end of its {self._number} frames.")
+        stamp = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+        # Some containers have no times; frames are then evenly spaced.
+        if self._number and stamp <= self._stamp:
+            stamp = self._stamp + self._period
+        self._stamp = stamp
+        rgb = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8)
+        frame = Frame(rgb, stamp=stamp, received=time.monotonic(), number=self._number)
+        self._number += 1
+        return frame
+
+
+@lru_cache(maxsize=1)
+def _cached_recording(path: Path, *changed: int) -> Recording:
+    """Open a recording once for its parts, which are mostly read one after the other."""
+    return Recording(path)
+
+
+def _read_photo(path: Path, number: int) -> Frame:
+    try:
+        return Frame(np.ascontiguousarray(read_image(path)), number=number)
+    except (ValueError, OSError) as error:
+        raise BadRecording(str(error)) from error
+
+
+def _natural_order(path: Path) -> tuple[Any, ...]:
+    """Return a sort key that orders numbers by value and everything else alphabetically."""
+    parts = re.split(r"(\d+)", path.name)
+    return (*((int(part), "") if part.isdecimal() else (-1, part) for part in parts), path.name)

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 from .mutant import Mutant
 
-_CELL = "envs/shape_obs_envs/cell"
+_REAL = "envs/shape_obs_envs/real"
+_REAL_TESTS = "tests/shape_obs_envs/real"
 #: Modules of ``shape_obs/deploy`` that other files than ``test_loop.py`` test.
 _TESTS = {"supervision": "supervision", "run_log": "run_log"}
 
 
-def _eye(name: str, old: str, new: str, *tests: str) -> Mutant:
-    return Mutant(f"safety: {name}", f"{_CELL}/eye.py", old, new, tests or ("tests/shape_obs_envs/test_eye.py",))
+def _reader(name: str, old: str, new: str, *tests: str) -> Mutant:
+    return Mutant(
+        f"safety: {name}", f"{_REAL}/frame_reader.py", old, new, tests or (f"{_REAL_TESTS}/test_frame_reader.py",)
+    )
 
 
 def _lock(name: str, old: str, new: str) -> Mutant:
-    return Mutant(f"safety: {name}", f"{_CELL}/interlock.py", old, new, ("tests/shape_obs_envs/test_interlock.py",))
+    return Mutant(f"safety: {name}", f"{_REAL}/interlock.py", old, new, (f"{_REAL_TESTS}/test_interlock.py",))
 
 
 def _cell(name: str, old: str, new: str) -> Mutant:
-    tests = ("tests/shape_obs_envs/test_interlock.py", "tests/shape_obs_envs/test_d455_env.py")
-    return Mutant(f"safety: {name}", f"{_CELL}/env.py", old, new, tests)
+    tests = (f"{_REAL_TESTS}/test_interlock.py", f"{_REAL_TESTS}/test_env.py")
+    return Mutant(f"safety: {name}", f"{_REAL}/env.py", old, new, tests)
 
 
 def _deploy(name: str, module: str, old: str, new: str, *tests: str, equivalent: str = "") -> Mutant:
@@ -28,22 +31,20 @@ def _deploy(name: str, module: str, old: str, new: str, *tests: str, equivalent:
 
 
 def _guard(name: str, old: str, new: str) -> Mutant:
-    return Mutant(
-        f"safety: {name}", "shape_obs/servo/action_limiter.py", old, new, ("tests/shape_obs_envs/test_d455_env.py",)
-    )
+    return Mutant(f"safety: {name}", "shape_obs/servo/action_limiter.py", old, new, (f"{_REAL_TESTS}/test_env.py",))
 
 
 SAFETY: tuple[Mutant, ...] = (
-    _eye("frames of any age are taken", "max_age=max(0.0, time.monotonic() - moment)", "max_age=1e9"),
-    _eye("queued frames are taken", "frame.received >= moment", "frame.received >= 0"),
-    _eye("a moment to come is not waited for", "max_age=max(0.0, time.monotonic() - moment)",
+    _reader("frames of any age are taken", "max_age=max(0.0, time.monotonic() - moment)", "max_age=1e9"),
+    _reader("queued frames are taken", "frame.received >= moment", "frame.received >= 0"),
+    _reader("a moment to come is not waited for", "max_age=max(0.0, time.monotonic() - moment)",
          "max_age=abs(time.monotonic() - moment)"),
-    _eye("recordings are waited for", " or not self.source.live:", ":"),
-    _eye("late frames count as exposed when they came", "frame.received - self.lag(frame)\n",
-         "frame.received\n", "tests/shape_obs_envs/test_interlock.py"),
-    _eye("the camera's own time of exposure is ignored",
+    _reader("recordings are waited for", " or not self.source.live:", ":"),
+    _reader("late frames count as exposed when they came", "frame.received - self.lag(frame)\n",
+         "frame.received\n", f"{_REAL_TESTS}/test_interlock.py"),
+    _reader("the camera's own time of exposure is ignored",
          "arrived if frame.exposed is None else min(frame.exposed, arrived)", "arrived",
-         "tests/shape_obs_envs/test_interlock.py"),
+         f"{_REAL_TESTS}/test_interlock.py"),
 
     _lock("motions whose time is over are sent", '"image old" if time.monotonic() >= until else ""', '""'),
     _lock("motions are sent after a trip", 'return self.tripped or ("image old"', 'return ("image old"'),
@@ -80,9 +81,9 @@ SAFETY: tuple[Mutant, ...] = (
             "                pass\n            finally:",
             equivalent="`supervised` stops the robot right after; this one comes before the report is made."),
     _deploy("the limit of age stays the environment's", "loop", "self._robot_env.max_age = limits.max_age", "pass",
-            "tests/shape_obs_envs/test_interlock.py"),
+            f"{_REAL_TESTS}/test_interlock.py"),
     _deploy("a withheld motion counts as sent", "loop", "if robot_env.withheld:", "if False:",
-            "tests/shape_obs_envs/test_interlock.py"),
+            f"{_REAL_TESTS}/test_interlock.py"),
     _deploy("no report after an exception", "loop", "                    self._log.report(",
             "                    str(", "tests/deploy/test_run_log.py"),
     _deploy("the watchdog sleeps", "safety", "if left <= 0:", "if left <= -1e9:"),

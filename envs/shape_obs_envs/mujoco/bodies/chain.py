@@ -1,8 +1,8 @@
 """A planar chain of capsules: the physics of a rope that lies on a table and is held at one end or both.
 
-The chain is inextensible (rigid links), bends at hinges with a little stiffness and damping, and is dragged by a
-viscous medium that stands in for the friction of the table. Gravity and contacts are off: nothing falls, nothing
-collides. An end link that is held is welded to a mocap body, its gripper.
+The chain is inextensible (rigid links) and bends at hinges with low stiffness and damping. The drag of a viscous medium
+models the friction of the table. Gravity and contacts are off: nothing falls, nothing collides. A held end link is
+welded to a mocap body, its gripper.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.bodies.base import GRIPPERS, OBJECT_GROUP, MaterialFactors, PlanarBody
-from shape_obs_envs.mujoco.bodies.tube import Station, Tube, print_tube, reshape_tube, rounded_ends, tube_skin
-from shape_obs_envs.mujoco.engine import mujoco
+from shape_obs_envs.mujoco.bodies import GRIPPERS, OBJECT_GROUP, MaterialFactors, PlanarBody
+from shape_obs_envs.mujoco.bodies.tube import Station, Tube, reshape_tube, rounded_ends, set_tube_colours, tube_skin
+from shape_obs_envs.mujoco.scene import mujoco
 
 Array = NDArray[np.float64]
 
-_SIDES = 20  # of the tube that is drawn
+_SIDES = 20  # of the rendered tube
 
 
 @dataclass(frozen=True)
 class ChainSpec:
-    """Size and material of the chain. Lengths in metres, from real tip to real tip (caps included).
+    """Size and material of the chain. Lengths are in metres, from tip to tip (caps included).
 
     Attributes:
-        stiffness: Of a bend [N m / rad].
-        damping: Of a bend [N m s / rad]. Without stiffness it makes a rope that keeps the bends it was given.
-        grippers: 2 hold both ends, 1 holds end 0 alone.
+        stiffness: Bending stiffness in N m / rad.
+        damping: Bending damping in N m s / rad. Without stiffness, the rope keeps its bends.
+        grippers: 2 to hold both ends, 1 to hold end 0 only.
     """
 
     length: float = 0.5
@@ -43,12 +43,12 @@ class ChainSpec:
 
     @property
     def link_length(self) -> float:
-        """Distance of two neighbouring hinges [m]; a cap of one radius stands beyond each end link."""
+        """Distance of neighbouring hinges in metres; each end link has a cap of one radius beyond it."""
         return (self.length - 2 * self.radius) / self.links
 
 
 def chain_bodies(spec: ChainSpec) -> str:
-    """MJCF of the chain, straight along x about the world's origin, with its two grippers."""
+    """Return MJCF of the chain, straight along x about the world's origin, with its grippers."""
     link = spec.link_length
     rgba = " ".join(map(str, spec.rgba))
     parts = [f'<body name="link0" pos="{-link * spec.links / 2} 0 {spec.radius}">']
@@ -78,7 +78,7 @@ def chain_bodies(spec: ChainSpec) -> str:
 
 
 def chain_skin(spec: ChainSpec) -> str:
-    """MJCF of what OpenGL draws instead of the capsules."""
+    """Return MJCF of the skin that OpenGL draws instead of the capsules."""
     return tube_skin(_tube(spec), spec.links, spec.rgba)
 
 
@@ -87,14 +87,14 @@ def _tube(spec: ChainSpec) -> Tube:
     start, end = rounded_ends(link * links, spec.radius, links - 1)
     middle = [Station(link * i, 1.0, (i - 1, i)) for i in range(1, links)]
     angle = np.linspace(0, 2 * np.pi, _SIDES, endpoint=False)
-    # As wide as it is told to be, seen from above: the profile has a corner on each side.
+    # The profile has a corner on each side, so that the tube has its full width seen from above.
     profile = spec.radius * np.column_stack([np.cos(angle), np.sin(angle)])
     stations = [*start, Station(0.0, 1.0, (0,)), *middle, Station(link * links, 1.0, (links - 1,)), *end]
     return Tube(stations, profile, spec.radius, link, np.array([-link * links / 2, 0.0]))
 
 
 def chain_equality(spec: ChainSpec) -> str:
-    """MJCF of the welds of the end links to their grippers."""
+    """Return MJCF of the welds of the end links to their grippers."""
     ends = ("link0", f"link{spec.links - 1}")
     return "\n".join(
         f'<weld body1="{gripper}" body2="{link}" solref=".02 1" solimp=".95 .99 .001"/>'
@@ -103,11 +103,11 @@ def chain_equality(spec: ChainSpec) -> str:
 
 
 def _jaws(spec: ChainSpec, tip: float, sign: int) -> str:
-    """The gripper's looks: two fingers beside the tip and a palm beyond it; `sign` points along x out of the rope.
+    """Return MJCF of the visible gripper: two fingers next to the tip and a palm beyond it, in the direction ``sign``.
 
-    They are drawn on the end link, not on the mocap body, which the compliant weld lets run a few millimetres ahead.
-    Nothing reaches above the rope's axis, and 0.35 r is left free around the rope: so no line of sight within 42
-    degrees of the vertical that meets the rope is cut by the gripper.
+    The geoms are on the end link, not on the mocap body, which is a few millimetres ahead because of the compliant
+    weld. They do not reach above the rope's axis, and a gap of 0.35 r surrounds the rope, so the gripper never occludes
+    the rope for lines of sight within 42 degrees of the vertical.
     """
     shades = (".24", ".24", ".18")
     return "".join(
@@ -118,7 +118,7 @@ def _jaws(spec: ChainSpec, tip: float, sign: int) -> str:
 
 
 def _jaw_boxes(r: float, tip: float, sign: int) -> Iterator[tuple[Sequence[float], Sequence[float]]]:
-    """Half sizes and places (3,) [m] of the two fingers and the palm at a rope of radius `r`."""
+    """Yield half sizes and places ``(3,)`` in metres of the two fingers and the palm for a rope of radius ``r``."""
     gap, thick, ahead, palm = 1.35 * r, 0.006, 0.018, 0.02
     behind = 0.35 * r + palm
     for side in (-1, 1):
@@ -128,15 +128,15 @@ def _jaw_boxes(r: float, tip: float, sign: int) -> Iterator[tuple[Sequence[float
 
 
 class Chain(PlanarBody):
-    """The chain inside a compiled model: poses, shape, state and stepping.
+    """The chain in a compiled model: poses, shape, state and stepping.
 
     Args:
-        spec: What the model was written from.
+        spec: Nominal size and material, from which the model was compiled.
         model: The compiled model.
 
     Attributes:
-        nominal: What the model was written from.
-        spec: The same with the present radius.
+        nominal: Nominal size and material.
+        spec: Size with the present radius.
     """
 
     def __init__(self, spec: ChainSpec, model: Any) -> None:
@@ -149,42 +149,42 @@ class Chain(PlanarBody):
 
     @property
     def colour(self) -> tuple[float, float, float]:
-        """Red, green and blue, 0 ... 1, that its model was written with."""
+        """Nominal red, green and blue, 0 ... 1."""
         return self.nominal.rgba[:3]
 
     @property
     def tone_shape(self) -> tuple[int, int]:
-        """A tone for each link."""
+        """One tone per link."""
         return self.spec.links, 1
 
     @property
     def underlay(self) -> float:
-        """Less than half of what is under the axis, where a rope that is seen from above is widest."""
+        """Less than half the height of the axis, where a rope seen from above is widest, in metres."""
         return 0.4 * self.spec.radius
 
     def landmarks(self) -> Array:
-        """Both ends: (20, 3) [m], the first and the last tenth of the axis; world frame."""
+        """Return points ``(20, 3)`` on the first and last tenth of the axis, in metres, world frame."""
         return self.points(np.concatenate([np.linspace(0.0, 0.1, 10), np.linspace(0.9, 1.0, 10)]))
 
-    def paint(self, rgb: Sequence[float], tones: NDArray[Any]) -> None:
-        """Colour it `rgb`, 0 ... 1, with a factor in `tones` (links, 1) for each link."""
+    def set_colours(self, rgb: Sequence[float], tones: NDArray[Any]) -> None:
+        """Set its colour to ``rgb``, 0 ... 1, times a factor in ``tones`` ``(links, 1)`` for each link."""
         self.model.geom_rgba[self._geoms, :3] = tones * rgb
-        print_tube(self.model, rgb, tones[:, 0])
+        set_tube_colours(self.model, rgb, tones[:, 0])
 
     def set_material(self, factors: MaterialFactors) -> None:
-        """Make it of another material; it is to be placed anew after that. Its mass stays, and with it its inertia."""
+        """Change its material; it must be placed again after that. Mass and inertia stay the same."""
         model, nominal = self.model, self.nominal
         self.spec = spec = replace(nominal, radius=nominal.radius * factors.thickness)
         self._arc = _arc_lengths(spec)
         radius, link = spec.radius, spec.link_length
-        # the length from tip to tip stays, so the links are as much shorter as the caps are longer
+        # the length from tip to tip stays, so longer caps make the links shorter
         model.body_pos[self._bodies, 0] = [-link * spec.links / 2, *(spec.links - 1) * [link]]
         model.body_pos[self._bodies[0], 2] = model.body_pos[self._held_by, 2] = radius
         model.geom_size[self._geoms, :2] = radius, link / 2
         model.geom_pos[self._geoms, 0] = model.body_ipos[self._bodies, 0] = link / 2
         ends = [(0, -radius, -1), (-1, link + radius, 1)][: spec.grippers]
         for weld, (end, tip, sign) in enumerate(ends):
-            model.eq_data[weld, 3] = -tip  # where the link is, seen from the gripper
+            model.eq_data[weld, 3] = -tip  # position of the link relative to the gripper
             for i, (size, place) in enumerate(_jaw_boxes(radius, tip, sign)):
                 jaw = self._geoms[end] + 1 + i
                 model.geom_size[jaw], model.geom_pos[jaw] = size, place
@@ -196,7 +196,7 @@ class Chain(PlanarBody):
         model.opt.viscosity = self._viscosity * factors.friction
 
     def place(self, tip: Array, headings: Array) -> None:
-        """Put the chain at rest with its first tip at `tip` (x, y) [m] and its links at `headings` (links,) [rad]."""
+        """Place the chain at rest with its first tip at ``tip`` (x, y) and its links at ``headings`` ``(links,)``."""
         mujoco.mj_resetData(self.model, self.data)
         first = self.model.body("link0").pos[:2]
         start = tip + self.spec.radius * np.array([np.cos(headings[0]), np.sin(headings[0])])
@@ -207,20 +207,20 @@ class Chain(PlanarBody):
         self.set_grippers(self.gripper_poses())
 
     def span(self, headings: Array) -> Array:
-        """Vector (2,) [m] from the first to the second tip of a chain with links at `headings` (links,) [rad]."""
+        """Return the vector ``(2,)`` between the tips of a chain with links at ``headings`` ``(links,)``."""
         return np.diff(self._arc) @ np.column_stack([np.cos(headings), np.sin(headings)])
 
     def tip_poses(self) -> Array:
-        """Where the tips are: (2, 3) rows of x, y [m] and heading [rad] in the world frame."""
+        """Return the poses ``(2, 3)`` of the tips: x, y in metres and heading in radians, world frame."""
         heading = np.array([self.data.qpos[2], self.data.qpos[2:].sum()])
         return np.column_stack([self.vertices()[[0, -1], :2], heading])
 
     def gripper_poses(self) -> Array:
-        """Where the held tips are: (G, 3) rows of x, y [m] and heading [rad] in the world frame."""
+        """Return the poses ``(G, 3)`` of the held tips: x, y in metres and heading in radians, world frame."""
         return self.tip_poses()[: self.spec.grippers]
 
     def vertices(self) -> Array:
-        """The axis as a polyline from tip to tip: (links + 1, 3) [m] in the world frame."""
+        """Return the axis as a polyline ``(links + 1, 3)`` from tip to tip, in metres, world frame."""
         joints = self.data.xpos[self._bodies]
         out = np.empty((len(joints) + 1, 3))
         out[1:-1] = joints[1:]
@@ -230,7 +230,7 @@ class Chain(PlanarBody):
         return out
 
     def points(self, fractions: Array) -> Array:
-        """Points of the axis at `fractions` (n,) of the arc length: (n, 3) [m] in the world frame."""
+        """Return points ``(n, 3)`` of the axis at ``fractions`` ``(n,)`` of its arc length, in metres, world frame."""
         arc = np.clip(fractions, 0.0, 1.0) * self.spec.length
         i = np.clip(np.searchsorted(self._arc, arc, side="right") - 1, 0, self.spec.links - 1)
         t = ((arc - self._arc[i]) / (self._arc[i + 1] - self._arc[i]))[:, None]
@@ -239,7 +239,7 @@ class Chain(PlanarBody):
 
 
 def _arc_lengths(spec: ChainSpec) -> Array:
-    """(links + 1,) lengths from the first tip to each vertex of `Chain.vertices` [m]."""
+    """Return the arc lengths ``(links + 1,)`` in metres from the first tip to each vertex of ``Chain.vertices``."""
     cuts = np.full(spec.links, spec.link_length)
     cuts[[0, -1]] += spec.radius
     return np.concatenate([[0.0], np.cumsum(cuts)])

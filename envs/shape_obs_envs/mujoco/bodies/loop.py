@@ -1,8 +1,8 @@
-"""A planar loop of links: the physics of a flat elastic band that lies on a table and is held at two opposite places.
+"""A planar loop of links: the physics of a flat elastic band that lies on a table and is held at two opposite points.
 
-The band is inextensible (rigid links, closed by a constraint), springs back into a circle, and is dragged by a viscous
-medium that stands in for the friction of the table. Gravity and contacts are off. It is flat, so that the outline that
-a camera sees is an edge whose height is known.
+The band is inextensible (rigid links, closed by a constraint) and springs back into a circle. The drag of a viscous
+medium models the friction of the table. Gravity and contacts are off. The band is flat, so that the outline seen by a
+camera is an edge of known height.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.bodies.base import GRIPPERS, OBJECT_GROUP, MaterialFactors, PlanarBody
-from shape_obs_envs.mujoco.bodies.tube import Station, Tube, print_tube, reshape_tube, tube_skin
-from shape_obs_envs.mujoco.engine import mujoco
+from shape_obs_envs.mujoco.bodies import GRIPPERS, OBJECT_GROUP, MaterialFactors, PlanarBody
+from shape_obs_envs.mujoco.bodies.tube import Station, Tube, reshape_tube, set_tube_colours, tube_skin
+from shape_obs_envs.mujoco.scene import mujoco
 
 Array = NDArray[np.float64]
 
-_HAIR = 2e-5  # [m]
+_OFFSET = 2e-5  # metres
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,13 @@ class LoopSpec:
     """Size and material of the band.
 
     Attributes:
-        length: Once around, along the middle of the band [m].
-        width: Of the band, from inside to outside [m].
-        thickness: How high it lies [m].
-        links: How many rigid pieces; even, so that there is one opposite to the first.
-        stiffness: Of a bend [N m / rad].
-        damping: Of a bend [N m s / rad].
-        rgba: Its colour.
+        length: Circumference along the middle of the band in metres.
+        width: Width from inside to outside in metres.
+        thickness: Height in metres.
+        links: Number of rigid links; even, so that one is opposite to the first.
+        stiffness: Bending stiffness in N m / rad.
+        damping: Bending damping in N m s / rad.
+        rgba: Colour.
     """
 
     length: float = 0.8
@@ -47,22 +47,22 @@ class LoopSpec:
 
     @property
     def link_length(self) -> float:
-        """Distance of two neighbouring hinges [m]."""
+        """Distance of neighbouring hinges in metres."""
         return self.length / self.links
 
     @property
     def turn(self) -> float:
-        """Angle between neighbouring links of the circle [rad]; negative is clockwise, seen from above."""
+        """Angle between neighbouring links of the circle in radians; negative is clockwise, seen from above."""
         return -2 * np.pi / self.links
 
     @property
     def held(self) -> tuple[int, int]:
-        """The links that the grippers hold, by their middle."""
+        """Indices of the links that the grippers hold at their middle."""
         return 0, self.links // 2
 
 
 def loop_bodies(spec: LoopSpec) -> str:
-    """MJCF of the band, cut open between its last and first link and straight along x, with its two grippers."""
+    """Return MJCF of the band, cut open between its last and first link and straight along x, with its grippers."""
     link, half = spec.link_length, spec.thickness / 2
     looks = f'group="{OBJECT_GROUP}" rgba="{" ".join(map(str, spec.rgba))}"'
     parts = [f'<body name="link0" pos="0 0 {half}">']
@@ -75,7 +75,7 @@ def loop_bodies(spec: LoopSpec) -> str:
                 f'<joint name="bend{i}" type="hinge" axis="0 0 1" stiffness="{spec.stiffness}" '
                 f'springref="{spec.turn}" damping="{spec.damping}" armature="1e-6"/>'
             )
-        if i == spec.links:  # the first link once more, unseen: welded to it, it closes the band
+        if i == spec.links:  # an invisible copy of the first link: welding both closes the band
             parts.append(f'<geom type="sphere" size="{half}" rgba="0 0 0 0"/><site name="last" group="4"/>')
             break
         parts.append(
@@ -91,7 +91,7 @@ def loop_bodies(spec: LoopSpec) -> str:
 
 
 def loop_skin(spec: LoopSpec) -> str:
-    """MJCF of what OpenGL draws instead of boxes and cylinders; it begins and ends in the middle of the first link."""
+    """Return MJCF of the skin that OpenGL draws instead of the geoms; it starts and ends in the middle of link 0."""
     return tube_skin(_tube(spec), spec.links, spec.rgba)
 
 
@@ -104,42 +104,42 @@ def _tube(spec: LoopSpec) -> Tube:
 
 
 def loop_equality(spec: LoopSpec) -> str:
-    """MJCF of what closes the band and welds it to its grippers.
+    """Return MJCF of the constraints that close the band and weld it to its grippers.
 
-    Between sites: what bodies tell of each other before the first step is that the band is cut open.
+    They are between sites: constraints between bodies would keep the band's initial, open configuration.
     """
     pairs = [(gripper, f"held{link}", ".95 .99 .001") for gripper, link in zip(GRIPPERS, spec.held, strict=True)]
-    # What holds the band together gives way less than the grippers' hold.
+    # The closing constraint is stiffer than the grippers' welds.
     pairs.append(("first", "last", ".999 .9999 .001"))
     return "\n".join(f'<weld site1="{a}" site2="{b}" solref=".02 1" solimp="{solimp}"/>' for a, b, solimp in pairs)
 
 
 def _jaw(spec: LoopSpec) -> str:
-    """The gripper's looks: a jaw beside the outer edge, lower than the band, so that it never hides the edge."""
+    """Return MJCF of the visible gripper: a jaw next to the outer edge, lower than the band, so as not to hide it."""
     size, place = (" ".join(map(str, part)) for part in _jaw_box(spec))
     return f'<geom type="box" mass="0" rgba=".2 .2 .2 1" size="{size}" pos="{place}"/>'
 
 
 def _jaw_box(spec: LoopSpec) -> tuple[Sequence[float], Sequence[float]]:
-    """Half size and place (3,) [m] of a jaw on its link."""
+    """Return half size and place ``(3,)`` in metres of a jaw on its link."""
     depth, gap, half = 0.02, 0.002, 0.4 * spec.thickness
     place = spec.link_length / 2, spec.width / 2 + gap + depth / 2, half - spec.thickness / 2
     return (0.012, depth / 2, half), place
 
 
 class Loop(PlanarBody):
-    """The band inside a compiled model: poses, outline and stepping.
+    """The band in a compiled model: poses, outline and stepping.
 
-    A gripper's pose is the place of its point of the middle line (x, y) [m] and the turn of the band there [rad],
-    0 where the undisturbed band has gripper 0 on its left.
+    A gripper's pose is its point (x, y) of the middle line in metres and the turn of the band there in radians, 0 if
+    the undisturbed band has gripper 0 on its left.
 
     Args:
-        spec: What the model was written from.
+        spec: Nominal size and material, from which the model was compiled.
         model: The compiled model.
 
     Attributes:
-        nominal: What the model was written from.
-        spec: The same with the present width and thickness.
+        nominal: Nominal size and material.
+        spec: Size with the present width and thickness.
     """
 
     def __init__(self, spec: LoopSpec, model: Any) -> None:
@@ -149,28 +149,28 @@ class Loop(PlanarBody):
         self._pieces = np.array([model.geom(f"link{i}").id for i in range(spec.links)])
         self._knuckles = np.array([model.geom(f"knuckle{i}").id for i in range(spec.links)])
         self._viscosity = float(model.opt.viscosity)
-        # From the circle's headings at the held links to turns.
+        # Converts headings of the held links to turns.
         self._rest = np.pi / 2 + spec.turn * np.array(spec.held)
 
     @property
     def colour(self) -> tuple[float, float, float]:
-        """Red, green and blue, 0 ... 1, that its model was written with."""
+        """Nominal red, green and blue, 0 ... 1."""
         return self.nominal.rgba[:3]
 
     @property
     def tone_shape(self) -> tuple[int, int]:
-        """A tone for each link."""
+        """One tone per link."""
         return self.spec.links, 1
 
     @property
     def underlay(self) -> float:
-        """A quarter of its thickness."""
+        """A quarter of its thickness, in metres."""
         return 0.25 * self.spec.thickness
 
     def landmarks(self) -> Array:
-        """Points (4 links, 3) [m] on the band's top, a third of its width from the outer edge: it is seen to be closed.
+        """Return points ``(4 links, 3)`` on the band's top, a third of its width from the outer edge, in metres.
 
-        What is within has to be wide enough for a small picture.
+        If they are visible, the band looks closed even in a small image.
         """
         joints, spec = self.axis(), self.spec
         along = np.roll(joints, -1, axis=0) - joints
@@ -178,17 +178,17 @@ class Loop(PlanarBody):
         points = [joints + part * along + spec.width / 6 * outward for part in (0.0, 0.25, 0.5, 0.75)]
         return np.concatenate(points) + (0, 0, spec.thickness / 2)
 
-    def paint(self, rgb: Sequence[float], tones: NDArray[Any]) -> None:
-        """Colour it `rgb`, 0 ... 1, with a factor in `tones` (links, 1) for each link."""
+    def set_colours(self, rgb: Sequence[float], tones: NDArray[Any]) -> None:
+        """Set its colour to ``rgb``, 0 ... 1, times a factor in ``tones`` ``(links, 1)`` for each link."""
         colours = tones * rgb
         self.model.geom_rgba[self._pieces, :3] = colours
         self.model.geom_rgba[self._knuckles, :3] = (colours + np.roll(colours, 1, axis=0)) / 2
-        # Which of two tones at one height is seen would be left to chance: the knuckles lie a hair lower.
-        self.model.geom_size[self._knuckles, 1] = self.spec.thickness / 2 - _HAIR
-        print_tube(self.model, rgb, tones[:, 0])
+        # The knuckles lie slightly lower: at equal height it would be undefined which of two tones is visible.
+        self.model.geom_size[self._knuckles, 1] = self.spec.thickness / 2 - _OFFSET
+        set_tube_colours(self.model, rgb, tones[:, 0])
 
     def set_material(self, factors: MaterialFactors) -> None:
-        """Make it of another material; it is to be placed anew after that. Its mass stays, and with it its inertia."""
+        """Change its material; it must be placed again after that. Mass and inertia stay the same."""
         model, nominal = self.model, self.nominal
         width, thickness = nominal.width * factors.thickness, nominal.thickness * factors.thickness
         self.spec = spec = replace(nominal, width=width, thickness=thickness)
@@ -208,7 +208,7 @@ class Loop(PlanarBody):
         model.opt.viscosity = self._viscosity * factors.friction
 
     def place(self, middle: Array, turn: float) -> None:
-        """Put the band at rest as a circle about `middle` (x, y) [m], turned by `turn` [rad]."""
+        """Place the band at rest as a circle about ``middle`` (x, y), turned by ``turn``."""
         mujoco.mj_resetData(self.model, self.data)
         spec = self.spec
         heading = np.pi / 2 + turn
@@ -222,36 +222,38 @@ class Loop(PlanarBody):
         self.set_grippers(self.gripper_poses())
 
     def gripper_poses(self) -> Array:
-        """Where the band is held, as measured: (2, 3) rows of x, y [m] and turn [rad] in the world frame."""
+        """Return the measured poses ``(2, 3)`` of the held points: x, y in metres and turn in radians, world frame."""
         headings = np.array([self.data.qpos[2 : 3 + link].sum() for link in self.spec.held])
         axis = self.axis()
         middles = [(axis[link] + axis[(link + 1) % self.spec.links]) / 2 for link in self.spec.held]
         return np.column_stack([np.array(middles)[:, :2], headings - self._rest])
 
     def set_grippers(self, poses: Array) -> None:
-        """Move the mocap bodies to `poses` (2, 3): x, y [m] and turn [rad] in the world frame."""
+        """Move the mocap bodies to ``poses`` ``(2, 3)``: x, y in metres and turn in radians, world frame."""
         super().set_grippers(poses + np.column_stack([np.zeros((2, 2)), self._rest]))
 
     def gripper_targets(self) -> Array:
-        """Where the mocap bodies are: (2, 3) of x, y [m] and turn [rad] in the world frame."""
+        """Return the poses ``(2, 3)`` of the mocap bodies: x, y in metres and turn in radians, world frame."""
         poses = super().gripper_targets()
         poses[:, 2] = (poses[:, 2] - self._rest + np.pi) % (2 * np.pi) - np.pi
         return poses
 
     def axis(self) -> Array:
-        """The hinges (links, 3) [m] in the middle of the band, clockwise from the start of link 0; world frame."""
+        """Return the hinges ``(links, 3)`` in the middle of the band, clockwise from link 0, in metres, world frame."""
         return self.data.xpos[self._bodies].copy()
 
     def outline(self) -> Array:
-        """The upper outer edge as a closed polyline (V, 3) [m], clockwise from gripper 0, not repeated; world frame."""
+        """Return the upper outer edge as a closed polyline ``(V, 3)``, clockwise from gripper 0, in metres."""
         joints, spec = self.axis()[:, :2], self.spec
         along = np.roll(joints, -1, axis=0) - joints
         along /= np.linalg.norm(along, axis=1, keepdims=True)
-        normals = np.column_stack([-along[:, 1], along[:, 0]]) * (spec.width / 2)  # clockwise: outside is on the left
+        normals = np.column_stack([-along[:, 1], along[:, 0]]) * (
+            spec.width / 2
+        )  # clockwise: the outside is on the left
         before = np.roll(normals, 1, axis=0)
         between = before + normals
         between /= np.linalg.norm(between, axis=1, keepdims=True)
-        # Round where the knuckle stands out, a corner where the links overlap.
+        # Round at a protruding knuckle, a corner where the links overlap.
         convex = (before[:, 0] * normals[:, 1] - before[:, 1] * normals[:, 0])[:, None] < 0
         rounded = between * (spec.width / 2)
         corner = between * ((spec.width / 2) ** 2 / (between * normals).sum(axis=1, keepdims=True))
@@ -262,7 +264,7 @@ class Loop(PlanarBody):
         return np.column_stack([edge, np.full(len(edge), spec.thickness)])
 
     def points(self, n: int) -> Array:
-        """(n, 3) [m] points of the outline at equal distances along it, the first at gripper 0; world frame."""
+        """Return points ``(n, 3)`` of the outline, equidistant along it from gripper 0, in metres, world frame."""
         edge = self.outline()
         closed = np.concatenate([edge, edge[:1]])
         arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
@@ -270,7 +272,7 @@ class Loop(PlanarBody):
         return np.column_stack([np.interp(at, arc, column) for column in closed.T])
 
     def held_points(self) -> Array:
-        """(2, 3) [m] the points of the upper outer edge where the grippers hold it; world frame."""
+        """Return the points ``(2, 3)`` of the upper outer edge where the grippers hold it, in metres, world frame."""
         poses = self.gripper_poses()
         heading = poses[:, 2] + self._rest
         outward = np.column_stack([-np.sin(heading), np.cos(heading)])

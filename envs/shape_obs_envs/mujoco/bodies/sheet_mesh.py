@@ -1,4 +1,4 @@
-"""The surface of a sheet: a smooth, triangulated one through its masses, which every camera draws and truth lies on."""
+"""The surface of a sheet: smooth and triangulated, through its masses; used by all cameras and for the truth."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from shape_obs.camera import CameraModel
 
 Array = NDArray[np.float64]
 
-# Cosine of the angle between normal and line of sight: at 70 degrees a pixel sees a place three times as long as wide.
+# Smallest cosine between normal and line of sight: at 70 degrees a pixel covers an area three times as long as wide.
 _LEAST_FACING = 0.35
-#: Name of the sheet's skin, and of the numbers that describe its grid.
+#: Name of the sheet's skin, and of the custom numbers that describe its grid.
 SKIN = "sheet"
 
 
@@ -27,7 +27,7 @@ class SheetGrid:
         rows: Masses from the held edge to the free one.
         cols: Masses along the held edge.
         subdivision: Fine steps from mass to mass.
-        lift: Lowest height of the surface [m].
+        lift: Lowest height of the surface in metres.
     """
 
     rows: int
@@ -42,9 +42,9 @@ class SheetGrid:
 
     @cached_property
     def faces(self) -> NDArray[np.int64]:
-        """(F, 3) vertices of the triangles, anticlockwise as seen from above where the sheet lies flat.
+        """Vertices ``(F, 3)`` of the triangles, anticlockwise seen from above if the sheet is flat.
 
-        Two to a cell, cut from its top right to its bottom left.
+        Each cell is split from its top right to its bottom left.
         """
         rows, cols = self.shape
         index = np.arange(rows * cols).reshape(rows, cols)
@@ -53,32 +53,32 @@ class SheetGrid:
 
     @cached_property
     def places(self) -> Array:
-        """(V, 2) of each vertex on the cloth, across from gripper 0's side and down from the held edge, in parts."""
+        """Coordinates ``(V, 2)`` on the cloth, 0 ... 1: across from gripper 0's side and down from the held edge."""
         rows, cols = self.shape
         return np.stack(np.meshgrid(np.linspace(0, 1, cols), np.linspace(0, 1, rows)), axis=-1).reshape(-1, 2)
 
     @cached_property
     def outline(self) -> NDArray[np.int64]:
-        """(L,) vertices of the border, once around from the corner of row 0 and column 0."""
+        """Vertices ``(L,)`` of the border, once around from the corner of row 0 and column 0."""
         rows, cols = self.shape
         index = np.arange(rows * cols).reshape(rows, cols)
         return np.concatenate([index[:-1, 0], index[-1, :-1], index[:0:-1, -1], index[0, :0:-1]])
 
     @cached_property
     def smooth(self) -> tuple[Array, Array]:
-        """Weights of the masses in the fine grid's rows (fine rows, rows) and columns (fine cols, cols)."""
+        """Weights of the masses in the fine rows, ``(fine rows, rows)``, and columns, ``(fine cols, cols)``."""
         return _catmull_rom(self.rows, self.subdivision), _catmull_rom(self.cols, self.subdivision)
 
     @cached_property
     def straight(self) -> Array:
-        """(fine rows, fine cols, rows, cols) weights of the up to four masses around each fine vertex."""
+        """Bilinear weights ``(fine rows, fine cols, rows, cols)`` of the masses around each fine vertex."""
         return np.einsum("ai,bj->abij", *(_hats(n, self.subdivision) for n in (self.rows, self.cols)))
 
 
 class SheetMesh:
-    """The surface inside a compiled model: vertices, normals and points at given places of the material.
+    """The surface in a compiled model: vertices, normals and points at material coordinates.
 
-    Catmull-Rom curves through the masses, down and across, clipped at the table; triangles between the fine vertices.
+    The fine vertices lie on Catmull-Rom curves through the masses, down and across, clipped at the table.
 
     Args:
         model: A model with a sheet.
@@ -93,15 +93,15 @@ class SheetMesh:
 
     @classmethod
     def of(cls, model: Any) -> SheetMesh | None:
-        """The sheet of a model; None where it has none."""
+        """Return the sheet of a model; None if it has none."""
         return cls(model) if any(model.skin(i).name == SKIN for i in range(model.nskin)) else None
 
     def masses(self, data: Any) -> Array:
-        """Where the masses are: (rows, cols, 3) [m] in the world frame."""
+        """Return the positions ``(rows, cols, 3)`` of the masses in metres, world frame."""
         return data.xpos[self._masses]
 
     def vertices(self, data: Any) -> Array:
-        """The fine vertices: (fine rows, fine cols, 3) [m] in the world frame."""
+        """Return the fine vertices ``(fine rows, fine cols, 3)`` in metres, world frame."""
         down, across = self.grid.smooth
         masses = self.masses(data)
         out = across @ (down @ masses.reshape(self.grid.rows, -1)).reshape(-1, *masses.shape[1:])
@@ -109,19 +109,19 @@ class SheetMesh:
         return out
 
     def normals(self, vertices: Array) -> Array:
-        """Unit normals (fine rows, fine cols, 3) of the vertices; up where the sheet lies flat."""
+        """Return unit normals ``(fine rows, fine cols, 3)`` of the vertices; up if the sheet is flat."""
         normals = cross(_slope(vertices, 0), _slope(vertices, 1))
         length = np.sqrt(np.einsum("...i,...i->...", normals, normals))
         return normals / np.maximum(length, 1e-12)[..., None]
 
     def is_open(self, vertices: Array, camera: CameraModel) -> bool:
-        """Whether a camera sees all of the surface from above, each place of it once and none at a grazing angle.
+        """Return whether a camera sees the whole surface from above, each point once and none at a grazing angle.
 
-        That is so if all triangles face it and the outline does not cross itself in the image.
+        This holds if all triangles face the camera and the outline does not cross itself in the image.
 
         Args:
-            vertices: What `vertices` returned.
-            camera: With its place in the base frame.
+            vertices: Result of ``vertices``.
+            camera: Camera with its pose in the base frame.
         """
         flat, transform = vertices.reshape(-1, 3), camera.transform_camera_to_base
         assert transform is not None
@@ -134,15 +134,15 @@ class SheetMesh:
         return bool(np.all(facing > steepest)) and not _crosses(camera.project_from_base(flat[self.grid.outline]))
 
     def points(self, vertices: Array, down: Array, across: Array) -> Array:
-        """Points of the triangles at places of the material.
+        """Return points of the triangles at material coordinates.
 
         Args:
-            vertices: What `vertices` returned.
-            down: (R,) parts of the way from the held edge to the free one.
-            across: (C,) parts of the way from gripper 0's side to gripper 1's.
+            vertices: Result of ``vertices``.
+            down: Fractions ``(R,)`` of the way from the held edge to the free one.
+            across: Fractions ``(C,)`` of the way from gripper 0's side to gripper 1's.
 
         Returns:
-            (R, C, 3) [m] in the world frame.
+            Points of shape ``(R, C, 3)`` in metres, world frame.
         """
         rows, cols = self.grid.shape
         (i, s), (j, t) = _cells(down, rows), _cells(across, cols)
@@ -153,19 +153,19 @@ class SheetMesh:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross products of vectors (..., 3): NumPy's own takes four times as long over a thousand."""
+    """Return cross products of vectors ``(..., 3)``, four times as fast as NumPy for a thousand vectors."""
     (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def _turn(a: Array, b: Array, c: Array) -> Array:
-    """(...) twice the signed area of triangles (..., 2)."""
+    """Return twice the signed area of triangles with corners ``(..., 2)``."""
     one, other = b - a, c - a
     return one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
 
 
 def _crosses(ring: Array) -> bool:
-    """Whether two sides of a polygon (n, 2) that are no neighbours cross."""
+    """Return whether two sides of a polygon ``(n, 2)`` that are not neighbours cross."""
     a, b = ring[:, None], np.roll(ring, -1, axis=0)[:, None]
     c, d = ring[None], np.roll(ring, -1, axis=0)[None]
     cross = (_turn(a, b, c) * _turn(a, b, d) < 0) & (_turn(c, d, a) * _turn(c, d, b) < 0)
@@ -173,14 +173,14 @@ def _crosses(ring: Array) -> bool:
 
 
 def _cells(at: Array, count: int) -> tuple[NDArray[np.int64], Array]:
-    """Cells (n,) of a grid line with `count` vertices, and places (n,) 0 ... 1 within them."""
+    """Return cells ``(n,)`` of a grid line with ``count`` vertices, and positions ``(n,)`` 0 ... 1 within them."""
     place = np.clip(at, 0.0, 1.0) * (count - 1)
     cell = np.minimum(place.astype(np.int64), count - 2)
     return cell, place - cell
 
 
 def _slope(values: Array, axis: int) -> Array:
-    """Central differences along an axis, one-sided at its ends; in arbitrary units."""
+    """Return central differences along an axis, one-sided at its ends; in arbitrary units."""
     along = np.moveaxis(values, axis, 0)
     out = np.empty_like(along)
     out[1:-1] = along[2:] - along[:-2]
@@ -189,13 +189,13 @@ def _slope(values: Array, axis: int) -> Array:
 
 
 def _hats(count: int, subdivision: int) -> Array:
-    """(fine, count) weights of a polyline through `count` points."""
+    """Return weights ``(fine, count)`` of a polyline through ``count`` points."""
     at = np.arange((count - 1) * subdivision + 1) / subdivision
     return np.maximum(0.0, 1 - np.abs(at[:, None] - np.arange(count)))
 
 
 def _catmull_rom(count: int, subdivision: int) -> Array:
-    """(fine, count) weights of a Catmull-Rom curve through `count` points, which runs out straight at its ends."""
+    """Return weights ``(fine, count)`` of a Catmull-Rom curve through ``count`` points that is straight at its ends."""
     fine = (count - 1) * subdivision + 1
     cell, t = _cells(np.linspace(0, 1, fine), count)
     basis = 0.5 * np.stack(
@@ -205,7 +205,7 @@ def _catmull_rom(count: int, subdivision: int) -> Array:
     for k in range(4):
         padded[np.arange(fine), cell + k] += basis[:, k]
     out = padded[:, 1:-1]
-    # the points beyond the ends: twice the last one minus the one before
+    # virtual points beyond the ends: twice the last one minus the one before
     out[:, :2] += padded[:, :1] * (2.0, -1.0)
     out[:, -2:] += padded[:, -1:] * (-1.0, 2.0)
     return out

@@ -1,7 +1,7 @@
-"""The MJCF of a sheet: a grid of point masses, tendons between them, grippers at two corners, a skin to see it by.
+"""MJCF of a sheet: a grid of point masses, tendons between them, grippers at two corners, and a skin.
 
-The tendons are springs that also resist pushing, and do not stretch beyond their length: along the grid and, free to
-stretch, across its cells (shear) and over every second mass (bending). A sheet that is pushed therefore buckles.
+The tendons are springs that also resist compression. Those along the grid do not stretch beyond their length; those
+across its cells (shear) and over every second mass (bending) do. A sheet that is pushed therefore buckles.
 """
 
 from __future__ import annotations
@@ -13,37 +13,37 @@ from typing import Any
 
 import numpy as np
 
-from shape_obs_envs.mujoco.bodies.base import GRIPPERS
+from shape_obs_envs.mujoco.bodies import GRIPPERS
 from shape_obs_envs.mujoco.bodies.sheet_mesh import SKIN, SheetGrid
 
 #: Texels of the texture, down and across.
 PRINT = 64, 128
-_HIDDEN = 4  # a group that is not drawn
-_HEAVY = 1.0  # mass of a corner, whose motion is given: no pull of the sheet holds it up
+_HIDDEN = 4  # a group that is not rendered
+_HEAVY = 1.0  # mass of a corner: its prescribed motion must not be affected by the sheet's forces
 
 
 @dataclass(frozen=True)
 class SheetSpec:
-    """Size and material of the sheet. Row 0 is the held edge, column 0 the side of gripper 0; lengths in metres.
+    """Size and material of the sheet. Row 0 is the held edge, column 0 the side of gripper 0; lengths are in metres.
 
     Attributes:
         width: Length of the held edge.
         depth: Length of the two sides.
-        rows: Masses from the held edge to the free one.
-        cols: Masses along the held edge.
-        subdivision: Fine steps that the drawn surface takes from mass to mass.
-        lift: Height of the sheet's surface above the table that it lies on.
-        mass: Of each mass [kg].
-        gravity: [m/s2]; less than on Earth, so that the load on the two held corners stays small.
-        stretch: Stiffness [N/m] along the grid, within the limit.
-        shear: Stiffness [N/m] of the cells' diagonals.
-        bending: Stiffness [N/m] over every second mass.
-        damping: Of each tendon [N s/m].
-        drag: Of the air on each mass [N s/m].
+        rows: Number of masses from the held edge to the free one.
+        cols: Number of masses along the held edge.
+        subdivision: Number of fine steps of the rendered surface from mass to mass.
+        lift: Height of the sheet's surface above the table.
+        mass: Each mass in kg.
+        gravity: Gravity in m/s2; less than on Earth, so that the load on the two held corners stays small.
+        stretch: Stiffness in N/m along the grid, within the limit.
+        shear: Stiffness in N/m of the cells' diagonals.
+        bending: Stiffness in N/m over every second mass.
+        damping: Damping of each tendon in N s/m.
+        drag: Drag of the air on each mass in N s/m.
         friction: Coefficient of friction on the table.
-        creep: Speed [m/s] at which friction reaches half its value; what lies on the table and is pulled less moves
-            slower than that.
-        timestep: Of the physics [s].
+        creep: Speed in m/s at which friction reaches half its value; masses on the table that are pulled less than that
+            move slower.
+        timestep: Timestep of the physics in seconds.
         rgba: Colour.
     """
 
@@ -67,16 +67,16 @@ class SheetSpec:
 
     @property
     def grid(self) -> SheetGrid:
-        """The grid of masses and of the surface through them."""
+        """The grid of the masses and of the surface through them."""
         return SheetGrid(self.rows, self.cols, self.subdivision, self.lift)
 
 
 def sheet_bodies(spec: SheetSpec) -> str:
-    """MJCF of the masses, flat about the world's origin, held edge at +y, and of the two grippers."""
+    """Return MJCF of the masses, flat about the world's origin with the held edge at +y, and of the two grippers."""
     rest = _rest(spec)
     table = f'range="0 1" {_limit(spec)}'
     parts = []
-    # Column by column: the solver's matrices are banded by the number of masses in one.
+    # Column by column: the bandwidth of the solver's matrices is the number of masses in a column.
     for j in range(spec.cols):
         for i in range(spec.rows):
             held = i == 0 and j in (0, spec.cols - 1)
@@ -95,7 +95,7 @@ def sheet_bodies(spec: SheetSpec) -> str:
 
 
 def sheet_sections(spec: SheetSpec) -> str:
-    """MJCF of the solver's settings, the tendons and the skin: sections beside the worldbody."""
+    """Return MJCF of the solver settings, the tendons and the skin: top-level sections."""
     return f"""
 <option timestep="{spec.timestep}" gravity="0 0 {-spec.gravity}" viscosity="0" solver="Newton" jacobian="sparse"
         iterations="10" ls_iterations="10" tolerance="1e-6"><flag gravity="enable"/></option>
@@ -109,12 +109,12 @@ def sheet_sections(spec: SheetSpec) -> str:
 
 
 def bending_tendons(spec: SheetSpec) -> int:
-    """How many of the tendons, the last ones, resist bending."""
+    """Return the number of tendons that resist bending; they are the last ones."""
     return spec.rows * (spec.cols - 2) + (spec.rows - 2) * spec.cols
 
 
 def _limit(spec: SheetSpec) -> str:
-    """Attributes of a limit, twice as stiff as MuJoCo's stiffest time constant: all of it pulls at two corners."""
+    """Return attributes of a limit twice as stiff as MuJoCo's stiffest time constant: two corners carry the load."""
     stiffness, damping = 0.5 / spec.timestep**2, 1 / spec.timestep
     return f'limited="true" solreflimit="-{stiffness} -{damping}" solimplimit=".95 .99 .001"'
 
@@ -124,18 +124,17 @@ def _mass(row: int, col: int) -> str:
 
 
 def _jaw() -> str:
-    """The gripper's looks: a box beyond the held edge, out of the sheet's plane and never above the held corner.
+    """Return MJCF of the visible gripper: a box beyond the held edge, outside the sheet's plane and not above it.
 
-    y points away from the sheet along the table. The gap is as wide as the box reaches down: so no line of sight from
-    a camera on the sheet's side that meets the sheet is cut within 45 degrees of the vertical, unless the sheet is
-    folded over that edge.
+    y points away from the sheet along the table. The gap is as wide as the box is deep, so the box does not occlude the
+    sheet for a camera on the sheet's side within 45 degrees of the vertical, unless the sheet is folded over that edge.
     """
     return '<geom type="box" size=".009 .012 .003" pos="0 .019 -.004" rgba=".2 .2 .2 1"/>'
 
 
 def _tendons(spec: SheetSpec) -> Iterator[str]:
     across, down = spec.width / (spec.cols - 1), spec.depth / (spec.rows - 1)
-    # way (rows, cols), stiffness, whether it may not stretch
+    # offset (rows, cols), stiffness, whether its length is limited
     kinds = [
         ((0, 1), spec.stretch, True),
         ((1, 0), spec.stretch, True),
@@ -157,10 +156,10 @@ def _tendons(spec: SheetSpec) -> Iterator[str]:
 
 
 def _skin(spec: SheetSpec) -> str:
-    """The fine surface, each of its vertices on the up to four masses around it; twice, to be seen from both sides.
+    """Return MJCF of the fine surface, with each vertex bound to the masses around it; twice, for both sides.
 
-    The cameras put the vertices where `SheetMesh` has them, which is smooth; MuJoCo's own viewer, by the masses. A
-    texture covers it once, white as long as nothing is printed on it.
+    The cameras move the vertices to the smooth positions of ``SheetMesh``; MuJoCo's viewer interpolates the masses. A
+    texture covers the surface once; it is white by default.
     """
     grid = spec.grid
     weights, rest = grid.straight, _rest(spec)
@@ -185,7 +184,7 @@ def _skin(spec: SheetSpec) -> str:
 
 
 def _rest(spec: SheetSpec) -> np.ndarray:
-    """(rows * cols, 3) where the masses are before anything moves, row by row."""
+    """Return the initial positions ``(rows * cols, 3)`` of the masses, row by row."""
     x, y = np.linspace(-0.5, 0.5, spec.cols) * spec.width, np.linspace(0.5, -0.5, spec.rows) * spec.depth
     return np.stack([*np.meshgrid(x, y), np.full((spec.rows, spec.cols), spec.lift)], axis=-1).reshape(-1, 3)
 

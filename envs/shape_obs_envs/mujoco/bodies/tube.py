@@ -1,6 +1,6 @@
-"""A skin over a chain of links, so that it is drawn with one call: thirty capsules take OpenGL most of a small picture.
+"""A skin over a chain of links, rendered in one call: thirty capsules would dominate OpenGL's time for a small image.
 
-The links' own geoms stay what rays meet and what the physics weigh; where there is a tube OpenGL leaves them out.
+Rays and physics still use the geoms of the links; OpenGL omits them if there is a tube.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ Array = NDArray[np.float64]
 
 #: Name of the skin, of its texture and of its material.
 TUBE = "tube"
-_TEXELS = 512  # along it
+_TEXELS = 512  # along the tube
 
 
 class Station(NamedTuple):
-    """A cross-section of a tube while its links lie straight along x, the first link's start at x = 0.
+    """A cross-section of a tube whose links are straight along x, with the first link's start at x = 0.
 
     Args:
-        x: Where it is [m].
-        scale: Of the cross-section's profile; 0 closes the tube.
-        links: The links that carry it, to equal parts.
+        x: Position in metres.
+        scale: Scale of the cross-section's profile; 0 closes the tube.
+        links: Links to which it is bound, with equal weights.
     """
 
     x: float
@@ -33,7 +33,7 @@ class Station(NamedTuple):
 
 
 def rounded_ends(length: float, radius: float, last: int) -> tuple[list[Station], list[Station]]:
-    """Stations of the two half balls at the ends of a chain of links 0 ... `last` whose axis is `length` long."""
+    """Return the stations of the hemispheres at the ends of links 0 ... ``last``, whose axis is ``length`` long."""
     angles = np.radians([90.0, 70.0, 45.0, 20.0])
     start = [Station(-radius * np.sin(a), float(np.cos(a)), (0,)) for a in angles]
     end = [Station(length + radius * np.sin(a), float(np.cos(a)), (last,)) for a in angles[::-1]]
@@ -41,15 +41,15 @@ def rounded_ends(length: float, radius: float, last: int) -> tuple[list[Station]
 
 
 class Tube(NamedTuple):
-    """The tube while its links lie straight along x.
+    """A tube whose links are straight along x.
 
     Args:
-        stations: From end to end.
-        profile: (K, 2) y and z [m] of a cross-section about the axis, counter-clockwise as seen from +x, closed. A
-            point that stands in it twice is an edge: its two faces are shaded apart.
-        height: Of the axis above the table [m].
-        link: Length of a link [m].
-        origin: (2,) x, y [m] of the first link's start in the model's first configuration.
+        stations: Cross-sections from end to end.
+        profile: Closed cross-section about the axis, ``(K, 2)``, y and z in metres, counter-clockwise seen from +x. A
+            repeated point is an edge: its two faces are shaded separately.
+        height: Height of the axis above the table in metres.
+        link: Length of a link in metres.
+        origin: Start ``(2,)`` of the first link in the model's initial configuration, x and y in metres.
     """
 
     stations: Sequence[Station]
@@ -60,7 +60,7 @@ class Tube(NamedTuple):
 
     @property
     def vertices(self) -> Array:
-        """(S, K, 3) [m], station by station."""
+        """Vertices ``(S, K, 3)`` in metres, station by station."""
         height = self.height
         rings = np.array([[(s.x, s.scale * y, s.scale * z + height) for y, z in self.profile] for s in self.stations])
         rings[..., :2] += self.origin
@@ -68,22 +68,22 @@ class Tube(NamedTuple):
 
     @property
     def carriers(self) -> list[int]:
-        """The links that carry it, in order."""
+        """Links to which the tube is bound, in order."""
         return sorted({index for station in self.stations for index in station.links})
 
     @property
     def hinges(self) -> Array:
-        """(carriers, 3) [m] where each of them starts."""
+        """Starts ``(carriers, 3)`` of these links in metres."""
         starts = self.origin[0] + np.array(self.carriers) * self.link
         return np.column_stack([starts, np.full(len(starts), self.origin[1]), np.full(len(starts), self.height)])
 
 
 def tube_skin(tube: Tube, links: int, rgba: Sequence[float]) -> str:
-    """MJCF of a skin over bodies named "link0", "link1", ...
+    """Return MJCF of a skin over bodies named "link0", "link1", ...
 
     Args:
-        tube: Its form.
-        links: How many links there are; a print is laid along them once.
+        tube: Form of the skin.
+        links: Number of links; the texture covers them once.
         rgba: Colour.
     """
     k, stations, rings = len(tube.profile), tube.stations, tube.vertices
@@ -113,7 +113,7 @@ def tube_skin(tube: Tube, links: int, rgba: Sequence[float]) -> str:
 
 
 def reshape_tube(model: Any, tube: Tube) -> None:
-    """Give the skin of a compiled model the form of another tube over the same links."""
+    """Change the skin of a compiled model to the form of another tube over the same links."""
     skin = model.skin(TUBE)
     start = int(model.skin_vertadr[skin.id])
     model.skin_vert[start : start + int(model.skin_vertnum[skin.id])] = tube.vertices.reshape(-1, 3)
@@ -121,13 +121,13 @@ def reshape_tube(model: Any, tube: Tube) -> None:
     model.skin_bonebindpos[start : start + int(model.skin_bonenum[skin.id])] = tube.hinges
 
 
-def print_tube(model: Any, rgb: Sequence[float], tones: NDArray[Any]) -> None:
-    """Colour the skin of a compiled model.
+def set_tube_colours(model: Any, rgb: Sequence[float], tones: NDArray[Any]) -> None:
+    """Set the colours of the skin of a compiled model.
 
     Args:
         model: The model.
         rgb: Colour, 0 ... 1.
-        tones: (links,) factors of it, 0 ... 1, for each link.
+        tones: Factor of the colour for each link, ``(links,)``, 0 ... 1.
     """
     link = (np.arange(_TEXELS) + 0.5) * len(tones) / _TEXELS
     start, skin = int(model.texture(TUBE).adr[0]), model.skin(TUBE).id

@@ -1,4 +1,4 @@
-"""Which camera draws the pictures: OpenGL where there is one, rays where there is none."""
+"""Cameras that render a scene: OpenGL if available, otherwise rays."""
 
 from __future__ import annotations
 
@@ -8,45 +8,44 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.cameras.gl_camera import GLCamera
-from shape_obs_envs.mujoco.cameras.gl_context import GLUnavailableError
+from shape_obs_envs.mujoco.cameras.gl_camera import GLCamera, GLUnavailableError
 from shape_obs_envs.mujoco.cameras.ray_camera import RayCamera
 from shape_obs_envs.mujoco.scene import CameraSpec
 
 RENDERERS = ("auto", "gl", "rays")
 _logger = logging.getLogger("shape_obs_envs")
-_told: set[str] = set()
+_logged: set[str] = set()
 _no_gl: list[str] = []
 
 
 class Camera(Protocol):
-    """An RGB-D camera over a compiled scene."""
+    """An RGB-D camera in a compiled scene."""
 
     name: str
 
     def render(self, data: Any) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """RGB (H, W, 3) and depth (H, W) [m] along the optical axis; new arrays at each call."""
+        """Render RGB ``(H, W, 3)`` and depth ``(H, W)`` in metres along the optical axis to new arrays."""
         ...
 
     def refresh(self) -> None:
-        """Take over textures and lights of the model that have changed; all else is looked at for each picture."""
+        """Reload textures and lights of the model; everything else is read for each image."""
         ...
 
     def close(self) -> None:
-        """Free what the camera holds; may be called twice."""
+        """Free the camera's resources; may be called twice."""
         ...
 
 
 def open_camera(renderer: str, spec: CameraSpec, model: Any) -> Camera:
-    """Open the camera that an environment's argument `renderer` asks for.
+    """Open the camera for an environment's argument ``renderer``.
 
     Args:
         renderer: "gl", "rays", or "auto" for OpenGL with rays as a fallback.
-        spec: The camera's size.
-        model: A model from `compile_scene`.
+        spec: Size of the camera.
+        model: A model from ``compile_scene``.
 
     Raises:
-        GLUnavailableError: `renderer="gl"` and there is no OpenGL.
+        GLUnavailableError: ``renderer="gl"``, and OpenGL is not available.
     """
     if renderer == "rays":
         return RayCamera(spec, model)
@@ -62,16 +61,17 @@ def open_camera(renderer: str, spec: CameraSpec, model: Any) -> Camera:
         try:
             camera = GLCamera(spec, model)
         except GLUnavailableError as error:
-            _no_gl.append(str(error))  # it takes time to find out, and does not change
+            _no_gl.append(str(error))  # detecting it takes time, and it does not change
         else:
-            _tell("gl", logging.INFO, "Rendering with OpenGL.")
+            _log_once("gl", logging.INFO, "Rendering with OpenGL.")
             return camera
-    _tell("rays", logging.WARNING, "Rendering with rays, which is slower: there is no OpenGL (%s).", _no_gl[0])
+    message = "Rendering with rays, which is slower: OpenGL is not available (%s)."
+    _log_once("rays", logging.WARNING, message, _no_gl[0])
     return RayCamera(spec, model)
 
 
-def _tell(key: str, level: int, message: str, *args: str) -> None:
-    """Log once a process."""
-    if key not in _told:
-        _told.add(key)
+def _log_once(key: str, level: int, message: str, *args: str) -> None:
+    """Log once per process."""
+    if key not in _logged:
+        _logged.add(key)
         _logger.log(level, message, *args)

@@ -1,34 +1,31 @@
-"""The camera without OpenGL: rays where the geoms can be, the table by formula."""
+"""Camera without OpenGL: rays where geoms may be, the table in closed form, a sheet by its triangles."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.cameras.shading import shade, to_bytes
-from shape_obs_envs.mujoco.cameras.sheet_view import SheetView
-from shape_obs_envs.mujoco.cameras.surfaces import normals
-from shape_obs_envs.mujoco.cameras.texture import Texture
-from shape_obs_envs.mujoco.engine import mujoco
-from shape_obs_envs.mujoco.rays import cast_rays
-from shape_obs_envs.mujoco.scene import CAMERA, CameraSpec
+from shape_obs_envs.mujoco.cameras.rasterizer import SheetView, Texture, shade, to_bytes
+from shape_obs_envs.mujoco.scene import CAMERA, CameraSpec, cast_rays, mujoco
 
 Array = NDArray[np.float64]
+
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-_NEAR = 0.05  # [m]
+_NEAR = 0.05  # metres
 _SKIP = 8  # pixels
-_SHIFT = 4  # OpenCV draws with 1/16 pixel
+_SHIFT = 4  # OpenCV draws with a precision of 1/16 pixel
 
 
 class RayCamera:
-    """Casts a ray for each pixel that a geom may cover, draws a sheet by its triangles, and shades as OpenGL would.
+    """Cast a ray for each pixel that a geom may cover, draw a sheet by its triangles, and shade as OpenGL does.
 
     Args:
-        spec: The camera's size and intrinsics.
-        model: A model from `compile_scene`.
+        spec: Size and intrinsics of the camera.
+        model: A model from ``compile_scene``.
     """
 
     name = "rays"
@@ -46,7 +43,7 @@ class RayCamera:
         self._background: tuple[NDArray[np.uint8], NDArray[np.float32]] | None = None
 
     def render(self, data: Any) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """Draw the scene: rgb (H, W, 3) and depth (H, W) [m] along the optical axis."""
+        """Render RGB ``(H, W, 3)`` and depth ``(H, W)`` in metres along the optical axis."""
         # MuJoCo's camera looks along its -z with y up; rays here are in the optical frame.
         rotation = data.cam_xmat[self._camera].reshape(3, 3) * (1.0, -1.0, -1.0)
         eye = data.cam_xpos[self._camera].copy()
@@ -60,49 +57,49 @@ class RayCamera:
         rows, columns, geom, distance = rows[hit], columns[hit], geom[hit], distance[hit]
         depth[rows, columns] = distance / scale[hit]
         points = eye + directions[hit] * distance[:, None]
-        rgb[rows, columns] = self._shade(data, geom, normals(self._model, data, geom, points))
+        rgb[rows, columns] = self._shade(data, geom, outward_normals(self._model, data, geom, points))
         if self._sheet is not None:
-            self._sheet.paint(data, lambda points: self._project(points, rotation, eye), rgb, depth)
+            self._sheet.draw(data, lambda points: self._project(points, rotation, eye), rgb, depth)
         return rgb, depth
 
     def refresh(self) -> None:
-        """Draw the bare table anew, and the sheet with its present print."""
+        """Redraw the empty table and reload the sheet's texture."""
         self._background = None
         if self._sheet is not None:
             self._sheet.refresh()
 
     def close(self) -> None:
-        """Nothing to free."""
+        """Do nothing: there is nothing to free."""
 
     def _empty_table(self, data: Any, rotation: Array, eye: Array) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """The picture of the bare table z = 0, kept until the camera moves."""
+        """Return the image of the empty table z = 0, cached until the camera moves."""
         pose = np.concatenate([rotation.ravel(), eye])
         if self._background is None or not np.array_equal(pose, self._pose):
             down = self._rays @ rotation[2]
             with np.errstate(divide="ignore"):
                 depth = np.where(down < 0, -eye[2] / down, 0.0).astype(np.float32)
             colour = shade(self._model, data, self._model.geom_rgba[self._table], np.array([[0.0, 0.0, 1.0]]))[0]
-            printed = self._print(rotation, eye, depth)
+            printed = self._table_texture(rotation, eye, depth)
             rgb = np.where((depth > 0)[..., None], to_bytes(colour * printed), 0).astype(np.uint8)
             self._pose, self._background = pose, (rgb, depth)
         return self._background
 
-    def _print(self, rotation: Array, eye: Array, depth: NDArray[np.float32]) -> NDArray[Any]:
-        """What the table's texture (H, W, 3), 0 ... 1, makes of its colour; 1 where it has none."""
+    def _table_texture(self, rotation: Array, eye: Array, depth: NDArray[np.float32]) -> NDArray[Any]:
+        """Return the table's texture ``(H, W, 3)``, 0 ... 1, which multiplies its colour; ones if it has none."""
         material = int(self._model.geom_matid[self._table])
         texture = Texture.of(self._model, material)
         if texture is None:
             return np.ones(3)
-        to_texture = (0.5, -0.5) * self._model.mat_texrepeat[material]  # it repeats once in two metres over that
+        to_texture = (0.5, -0.5) * self._model.mat_texrepeat[material]  # it repeats every two metres / texrepeat
         places = ((self._rays * depth[..., None]) @ (rotation[:2].T * to_texture) + eye[:2] * to_texture) - 0.5
-        # How far it is from pixel to pixel changes little: a look at a few of them does.
+        # The distance from pixel to pixel changes slowly, so a few of them suffice.
         few = places[::_SKIP, ::_SKIP] * texture.shape[::-1] / _SKIP
         steps = [np.linalg.norm(np.gradient(few, axis=axis), axis=-1) for axis in (0, 1)]
         fineness = cv2.resize(np.maximum(*steps).astype(np.float32), self._shape[::-1])
         return texture.sample(places, fineness)
 
     def _region(self, data: Any, rotation: Array, eye: Array) -> NDArray[np.uint8]:
-        """Mask (H, W) of the pixels that any geom but the table may cover, with a pixel to spare."""
+        """Return a mask ``(H, W)`` of the pixels that geoms other than the table may cover, with a small margin."""
         mask = np.zeros(self._shape, np.uint8)
         model = self._model
         seen = np.flatnonzero(model.geom_rgba[:, 3] > 0)
@@ -112,10 +109,10 @@ class RayCamera:
         axis = data.geom_xmat[ids].reshape(-1, 3, 3)[:, :, 2] * model.geom_size[ids, 1, None]
         ends = np.stack([data.geom_xpos[ids] - axis, data.geom_xpos[ids] + axis], axis=1)
         pixels, z = self._project(ends.reshape(-1, 3), rotation, eye)
-        if len(z) and z.min() < _NEAR:  # beside the camera or behind it: such an end has no place in the image
+        if len(z) and z.min() < _NEAR:  # next to the camera or behind it: such an end cannot be projected
             return np.ones(self._shape, np.uint8)
         pixels = pixels.reshape(-1, 2, 2)
-        # seen obliquely, a ball's outline is an ellipse longer than its width by the ray's slant
+        # seen obliquely, a sphere's outline is an ellipse, longer than its width by the ray's slant
         reach = self._k.fx * model.geom_size[ids, 0] / z.reshape(-1, 2).min(axis=1) * self._slant(pixels)
         for (a, b), width in zip(_fixed(pixels).tolist(), np.ceil(2 * reach + 3).astype(int).tolist(), strict=True):
             cv2.line(mask, a, b, 1, width, cv2.LINE_8, _SHIFT)
@@ -127,21 +124,69 @@ class RayCamera:
         return mask
 
     def _project(self, points: Array, rotation: Array, eye: Array) -> tuple[Array, Array]:
-        """Pixels (N, 2) and depths (N,) of world points (N, 3)."""
+        """Project world points ``(N, 3)`` to pixels ``(N, 2)`` and depths ``(N,)``."""
         local = (points - eye) @ rotation
         z = np.maximum(local[:, 2], 1e-3)
         return local[:, :2] / z[:, None] * (self._k.fx, self._k.fy) + (self._k.cx, self._k.cy), z
 
     def _slant(self, pixels: Array) -> Array:
-        """How much longer than at the image's centre a ball's outline is: (N, K, 2) pixels -> (N,)."""
+        """Return how much longer a sphere's outline is than at the image centre: ``(N, K, 2)`` pixels -> ``(N,)``."""
         tangent = (pixels - (self._k.cx, self._k.cy)) / (self._k.fx, self._k.fy)
         return np.sqrt(1 + (tangent**2).sum(axis=-1)).max(axis=1)
 
     def _shade(self, data: Any, geom: NDArray[Any], facing: Array) -> NDArray[np.uint8]:
-        """Colours (M, 3) of surfaces with unit normals `facing` (M, 3)."""
+        """Return colours ``(M, 3)`` of surfaces with unit normals ``facing`` ``(M, 3)``."""
         return to_bytes(shade(self._model, data, self._model.geom_rgba[geom], facing))
 
 
 def _fixed(pixels: Array) -> NDArray[np.int32]:
-    """Pixels in OpenCV's fixed-point coordinates."""
+    """Convert pixels to OpenCV's fixed-point coordinates."""
     return np.rint(pixels * 2**_SHIFT).astype(np.int32)
+
+
+def outward_normals(model: Any, data: Any, geoms: NDArray[np.int32], points: Array) -> Array:
+    """Return outward unit normals ``(M, 3)`` of ``geoms`` ``(M,)`` at surface ``points`` ``(M, 3)``, world frame."""
+    rotation = data.geom_xmat[geoms].reshape(-1, 3, 3)
+    local = np.einsum("mji,mj->mi", rotation, points - data.geom_xpos[geoms])
+    size, kinds = model.geom_size[geoms], model.geom_type[geoms]
+    out = np.empty_like(local)
+    for kind in np.unique(kinds):
+        here = kinds == kind
+        out[here] = _OUTWARD[int(kind)](local[here], size[here])
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    return np.einsum("mij,mj->mi", rotation, out)
+
+
+def _sphere(points: Array, size: Array) -> Array:
+    return points
+
+
+def _ellipsoid(points: Array, size: Array) -> Array:
+    return points / size**2
+
+
+def _capsule(points: Array, size: Array) -> Array:
+    out = points.copy()
+    out[:, 2] -= np.clip(points[:, 2], -size[:, 1], size[:, 1])
+    return out
+
+
+def _cylinder(points: Array, size: Array) -> Array:
+    lid = size[:, 1] - np.abs(points[:, 2]) < size[:, 0] - np.hypot(points[:, 0], points[:, 1])
+    return np.where(lid[:, None], points * (0.0, 0.0, 1.0), points * (1.0, 1.0, 0.0))
+
+
+def _box(points: Array, size: Array) -> Array:
+    rows, face = np.arange(len(points)), np.argmax(np.abs(points) / size, axis=1)
+    out = np.zeros_like(points)
+    out[rows, face] = np.sign(points[rows, face])
+    return out
+
+
+_OUTWARD: Final[dict[int, Callable[[Array, Array], Array]]] = {
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): _sphere,
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): _ellipsoid,
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): _capsule,
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): _cylinder,
+    int(mujoco.mjtGeom.mjGEOM_BOX): _box,
+}

@@ -1,40 +1,48 @@
-"""Things that lie about: boxes, cylinders, balls and sticks beside the workspace, and flat ones within it."""
+"""Distractors: boxes, cylinders, balls and sticks next to the workspace, and flat objects within it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.randomization.colours import draw_other
-from shape_obs_envs.mujoco.randomization.factor import Factor, Scene, choose
-from shape_obs_envs.mujoco.randomization.props import colour, hide, prop, shape
-from shape_obs_envs.mujoco.scene import camera_model
+from shape_obs_envs.mujoco.randomization.factors import Factor, Scene, choose, draw_other
+from shape_obs_envs.mujoco.scene import camera_model, mujoco
 
 Array = NDArray[np.float64]
 _NAME: Final = "distractor"
 _KINDS: Final = ("box", "cylinder", "sphere", "capsule", "stick")
 _TRIES: Final = 40
-_GAP: Final = 0.015  # between a flat thing and the object [m]
+_GAP: Final = 0.015  # between a flat distractor and the object, in metres
 _LYING: Final = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)  # an upright cylinder laid along x
+#: Geom types, and their bounding radius as a function of their size.
+_GEOMS: Final[dict[str, Any]] = {
+    "box": (mujoco.mjtGeom.mjGEOM_BOX, lambda s: np.linalg.norm(s)),
+    "cylinder": (mujoco.mjtGeom.mjGEOM_CYLINDER, lambda s: np.hypot(s[0], s[1])),
+    "capsule": (mujoco.mjtGeom.mjGEOM_CAPSULE, lambda s: s[0] + s[1]),
+    "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, lambda s: s[0]),
+    "ellipsoid": (mujoco.mjtGeom.mjGEOM_ELLIPSOID, lambda s: np.max(s)),
+}
 
 
 @dataclass(frozen=True)
 class Distractors(Factor):
-    """What lies about. It has no hue of the object's family, and nothing touches it: contacts are off.
+    """Variation of the objects on the table. Their hues are not near the object's, and they have no contacts.
 
-    Tall things stand where the object never comes, so that they never hide it. Flat ones, lower than the object's
-    edge, may lie where it comes later.
+    Tall distractors stand outside the object's reach and never occlude it. Flat ones, lower than the object's edge, may
+    lie where the object moves later.
 
     Attributes:
-        most: Largest number of things; from none to so many are drawn.
-        flat: Probability that a thing is a flat one.
-        size: Smallest and largest half length of a thing [m].
-        height: Largest height of a tall thing [m].
+        most: Largest number of distractors; their number is drawn from 0 to this.
+        flat: Probability that a distractor is flat.
+        size: Smallest and largest half length of a distractor in metres.
+        height: Largest height of a tall distractor in metres.
     """
 
+    factor: ClassVar[str] = "distractors"
     most: int = 4
     flat: float = 0.4
     size: tuple[float, float] = (0.012, 0.05)
@@ -47,11 +55,11 @@ class Distractors(Factor):
             raise ValueError(f"distractors.size: expected two sizes within 0.005 ... 0.1 m, got {self.size}.")
 
     def bodies(self) -> str:
-        """MJCF of as many things as there can be, unseen."""
-        return "".join(prop(f"{_NAME}{i}_", 1) for i in range(self.most))
+        """Return MJCF of the largest number of distractors, invisible."""
+        return "".join(prop_body(f"{_NAME}{i}_", 1) for i in range(self.most))
 
     def apply(self, rng: np.random.Generator, scene: Scene) -> dict[str, Any]:
-        """Draw things and lay them down, where there is room."""
+        """Draw the distractors and place them where there is room."""
         model, drawn = scene.model, []
         taken: list[Array] = []
         count = int(rng.integers(0, self.most + 1))
@@ -62,22 +70,22 @@ class Distractors(Factor):
             if i >= count:
                 continue
             low = scene.body.underlay > 0 and rng.random() < self.flat
-            kind, size, quat, up = self._form(rng, scene.body.underlay if low else self.height, low)
-            around = float(np.hypot(*size[:2])) if kind == "box" else max(size)
-            place = _find_place(rng, scene, around, taken, low)
+            kind, size, quat, up = self._draw_form(rng, scene.body.underlay if low else self.height, low)
+            radius = float(np.hypot(*size[:2])) if kind == "box" else max(size)
+            place = _find_place(rng, scene, radius, taken, low)
             if place is None:
                 continue
-            taken.append(np.array([*place, around]))
+            taken.append(np.array([*place, radius]))
             rgb, turn = draw_other(rng, scene.hue).rgb, rng.uniform(-np.pi, np.pi)
-            shape(model, geom, kind, size, quat=quat)
-            colour(model, geom, rgb)
+            set_form(model, geom, kind, size, quat=quat)
+            show(model, geom, rgb)
             scene.data.mocap_pos[mocap] = [*place, up]
             scene.data.mocap_quat[mocap] = np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)
             drawn.append({"kind": kind, "size": size, "position": [*place.tolist(), up], "colour": list(rgb)})
         return {"things": drawn}
 
-    def _form(self, rng: np.random.Generator, height: float, low: bool) -> tuple[str, list[float], Any, float]:
-        """Kind, size [m], quaternion and height of the middle [m] of a thing that is no higher than `height` [m]."""
+    def _draw_form(self, rng: np.random.Generator, height: float, low: bool) -> tuple[str, list[float], Any, float]:
+        """Draw kind, size, quaternion and height of the centre of a distractor no higher than ``height``, in metres."""
         kind = choose(rng, _KINDS[:2] if low else _KINDS)
         long, wide = rng.uniform(*self.size), rng.uniform(*self.size)
         up = height / 2 if low else rng.uniform(0.3, 1.0) * height / 2
@@ -92,8 +100,8 @@ class Distractors(Factor):
         return ("cylinder" if kind == "stick" else kind), [thick, long], _LYING, thick
 
 
-def _find_place(rng: np.random.Generator, scene: Scene, around: float, taken: list[Array], low: bool) -> Array | None:
-    """A place (2,) [m] in view, or half in view, for a thing of radius `around` [m]; None where there is no room."""
+def _find_place(rng: np.random.Generator, scene: Scene, radius: float, taken: list[Array], low: bool) -> Array | None:
+    """Find a place ``(2,)`` in metres, at least half in view, for an object of this radius; None if there is none."""
     intrinsics = scene.camera.intrinsics
     view = camera_model(scene.camera, scene.model, scene.data)
     transform = view.transform_camera_to_base
@@ -103,21 +111,55 @@ def _find_place(rng: np.random.Generator, scene: Scene, around: float, taken: li
     eye = transform[:3, 3]
     places = (eye + rays * (-eye[2] / rays[:, 2:]))[:, :2]
     free = np.ones(_TRIES, bool)
-    for x, y, radius in taken:
-        free &= np.hypot(*(places - (x, y)).T) > around + radius
+    for x, y, other in taken:
+        free &= np.hypot(*(places - (x, y)).T) > radius + other
     if low:
         points = scene.points()[:, :2]
         apart = np.linalg.norm(places[:, None] - points, axis=2).min(axis=1)
-        free &= apart > around + _GAP + _spacing(points) / 2
+        free &= apart > radius + _GAP + _spacing(points) / 2
     else:
         (x0, y0, _), (x1, y1, _) = scene.reach
         outside = np.maximum(np.maximum((x0, y0) - places, places - (x1, y1)), 0)
-        free &= np.hypot(*outside.T) > around
+        free &= np.hypot(*outside.T) > radius
     return places[np.argmax(free)] if free.any() else None
 
 
 def _spacing(points: Array) -> float:
-    """How far points (n, 2) are from their nearest neighbours at most [m]."""
+    """Return the largest distance in metres of a point of ``(n, 2)`` to its nearest neighbour."""
     apart = np.linalg.norm(points[:, None] - points, axis=2)
     np.fill_diagonal(apart, np.inf)
     return float(apart.min(axis=1).max())
+
+
+# ---- geoms without physics, on mocap bodies, whose form and place change in the compiled model
+
+
+def prop_body(name: str, geoms: int, group: int = 0) -> str:
+    """Return MJCF of a body ``name`` with invisible geoms ``name0``, ``name1``, ... for ``set_form``."""
+    invisible = "".join(
+        f'<geom name="{name}{i}" type="sphere" size="0.01" mass="0.001" group="{group}" rgba="0 0 0 0"/>'
+        for i in range(geoms)
+    )
+    return f'<body name="{name}" mocap="true">{invisible}</body>'
+
+
+def set_form(
+    model: Any, geom: int, kind: str, size: Sequence[float], pos: Any = (0, 0, 0), quat: Any = (1, 0, 0, 0)
+) -> None:
+    """Set type, size (in metres, as in MJCF) and pose in its body of a geom."""
+    number, bound = _GEOMS[kind]
+    model.geom_type[geom], model.geom_rbound[geom] = int(number), bound(size)
+    model.geom_size[geom] = [*size, *(3 - len(size)) * [0.0]]
+    model.geom_pos[geom], model.geom_quat[geom] = pos, quat
+    # disable the compiler's shortcut, which ignores the pose of a geom whose frame was its body's
+    model.geom_sameframe[geom] = 0
+
+
+def show(model: Any, geoms: Any, rgb: Sequence[float]) -> None:
+    """Show geoms in a colour."""
+    model.geom_rgba[geoms] = [*rgb, 1.0]
+
+
+def hide(model: Any, geoms: Any) -> None:
+    """Hide geoms: neither camera draws what is fully transparent."""
+    model.geom_rgba[geoms, 3] = 0.0

@@ -1,4 +1,4 @@
-"""Cameras of the RealSense D400 series, above all the D455, and their recordings. Loaded without librealsense."""
+"""Cameras of the RealSense D400 series, mainly the D455, and recordings; librealsense is imported on first use."""
 
 from shape_obs_envs.sources.realsense.software import SoftwareD455
 from shape_obs_envs.sources.realsense.source import RealSenseSource

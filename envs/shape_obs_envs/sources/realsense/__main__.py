@@ -1,18 +1,15 @@
-"""``python -m shape_obs_envs.sources.realsense``: the RealSense cameras on this machine, and what may be wrong."""
+"""List the RealSense cameras on this machine and what may be wrong: ``python -m shape_obs_envs.sources.realsense``."""
 
 from __future__ import annotations
 
 import sys
 
-from shape_obs_envs.sources.realsense.driver import librealsense
-from shape_obs_envs.sources.realsense.identity import Identity
-from shape_obs_envs.sources.realsense.modes import shared_modes
-from shape_obs_envs.sources.realsense.origins import listed_cameras
-from shape_obs_envs.sources.realsense.usb import plugged_cameras
+from shape_obs_envs.sources.realsense.devices import listed_cameras
+from shape_obs_envs.sources.realsense.driver import Identity, librealsense, plugged_cameras, shared_modes
 
 
 def main() -> int:
-    """Print them; 1 where there is none that can be opened."""
+    """Print the cameras; return 1 if none can be opened."""
     devices = listed_cameras()
     for device in devices:
         who, firmware = Identity.of(device), librealsense().camera_info.firmware_version
@@ -23,8 +20,8 @@ def main() -> int:
             print("  On USB 2, where many modes are missing: use a USB 3 port and cable.")
     if not devices:
         plugged = ", ".join(plugged_cameras())
-        rules = "install librealsense's udev rules, plug it out and in again"
-        print(f"Plugged in, but not to be opened: {plugged}; {rules}." if plugged else "No RealSense camera on USB.")
+        rules = "install librealsense's udev rules, unplug it and plug it in again"
+        print(f"Plugged in, but cannot be opened: {plugged}; {rules}." if plugged else "No RealSense camera on USB.")
     return 0 if devices else 1
 
 

@@ -1,4 +1,4 @@
-"""SoftwareD455: a D455 without hardware, inside librealsense, fed with images."""
+"""A software D455: a camera without hardware, inside librealsense, that delivers the images pushed into it."""
 
 from __future__ import annotations
 
@@ -13,15 +13,43 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
-from shape_obs_envs.sources.raw_images import RawImages
-from shape_obs_envs.sources.realsense.d455 import BASELINE, INFO, OPTIONS, d455_geometry
-from shape_obs_envs.sources.realsense.driver import librealsense
+from shape_obs_envs.sources.realsense.driver import d455_geometry, librealsense
+from shape_obs_envs.sources.registration import RawImages
 
-#: How fast the rate that is told follows the real one; steps of seconds are pauses.
-_PACE: Final = 0.2
+#: Smoothing factor of the reported frame rate; stamps that are seconds apart are pauses.
+_SMOOTHING: Final = 0.2
 _PAUSE: Final = 1.0
 _SHORTEST: Final = 1e-4
 _SENSORS: Final = {"depth": "Stereo Module", "colour": "RGB Camera"}
+_BASELINE: Final = 95.0  # millimetres, between the two depth imagers
+_INFO: Final = {
+    "name": "Intel RealSense D455",
+    "firmware_version": "5.16.0.1",
+    "recommended_firmware_version": "5.16.0.1",
+    "product_id": "0B5C",
+    "product_line": "D400",
+}
+#: sensor -> option -> (least, most, step, default), as `rs-enumerate-devices -o` prints them
+_OPTIONS: Final = {
+    "depth": {
+        "enable_auto_exposure": (0, 1, 1, 1),
+        "exposure": (1, 200_000, 1, 33_000),
+        "gain": (16, 248, 1, 16),
+        "visual_preset": (0, 5, 1, 0),
+        "laser_power": (0, 360, 30, 150),
+        "emitter_enabled": (0, 2, 1, 1),
+        "global_time_enabled": (0, 1, 1, 1),
+    },
+    "colour": {
+        "enable_auto_exposure": (0, 1, 1, 1),
+        "exposure": (1, 10_000, 1, 156),
+        "gain": (0, 128, 1, 64),
+        "enable_auto_white_balance": (0, 1, 1, 1),
+        "white_balance": (2800, 6500, 10, 4600),
+        "auto_exposure_priority": (0, 1, 1, 1),
+        "global_time_enabled": (0, 1, 1, 1),
+    },
+}
 
 
 class _Pair(NamedTuple):
@@ -33,34 +61,35 @@ class _Pair(NamedTuple):
 
 
 class SoftwareD455:
-    """A software device of librealsense with the lenses, the options and the manners of a D455.
+    """A librealsense software device with the lenses, options and behaviour of a D455.
 
-    It gives raw images: colour with the lens' distortion, depth from 59 mm beside it, in the camera's depth unit.
-    `push` makes them of ideal images. A `RealSenseSource` reads it as it reads a camera on USB, through the same
-    pipeline, and can be started on it again and again.
+    It delivers raw images: colour with the lens distortion, and depth seen from 59 mm next to it, in the camera's depth
+    unit. ``push`` makes them from ideal images. A ``RealSenseSource`` reads it like a camera on USB, through the same
+    pipeline, and can connect to it repeatedly.
 
-    Frames are numbered as they are pushed; one that is lost leaves a gap. All methods may be called from any thread.
+    Frames are numbered as they are pushed; a lost frame leaves a gap. All methods may be called from any thread.
 
-    Push at about ``fps``, or give stamps that advance so: librealsense keeps thrown-away frames for a second of their
-    stamps, and slows down when those are thousands.
+    Push at about ``fps``, or pass stamps that advance accordingly: librealsense keeps discarded frames for one second
+    of their stamps, and becomes slow when there are thousands of them.
 
     Args:
-        serial: Its serial number.
-        width: Of both streams, pixels; scaled and cropped as the camera does it, 640 x 480 or a small 160 x 120.
-        height: Of both streams, pixels.
-        fps: Frames per second that it tells; it comes as fast as it is pushed.
-        camera: Of the images that `push` is given; None for the camera that a source's frames have, so that images
-            come out as they were put in, but for what resampling does to them.
-        usb: Its USB type.
-        depth_unit: Metres of 1 in its raw depth images.
+        serial: Serial number.
+        width: Width of both streams in pixels; scaled and cropped as the camera does. 640 x 480, or 160 x 120 as a
+            small size.
+        height: Height of both streams in pixels.
+        fps: Reported frames per second; frames are delivered as fast as they are pushed.
+        camera: Intrinsics of the images given to ``push``; None for those of the frames that a source returns, so that
+            images come out as they went in, except for resampling.
+        usb: USB type.
+        depth_unit: Unit of the raw depth images in metres.
 
     Attributes:
-        geometry: Its lenses.
+        geometry: Lenses and relative pose of the two streams.
         device: The ``rs.software_device``.
 
     Raises:
-        ValueError: A camera with distortion.
-        ImportError: librealsense is missing.
+        ValueError: ``camera`` has distortion.
+        ImportError: librealsense is not installed.
     """
 
     def __init__(
@@ -83,7 +112,7 @@ class SoftwareD455:
         )
         self.device = device = rs.software_device()
         for key, value in {
-            **INFO,
+            **_INFO,
             "serial_number": serial,
             "usb_type_descriptor": usb,
             "physical_port": serial,
@@ -96,7 +125,7 @@ class SoftwareD455:
             "colour": self._add_stream("colour", rs.stream.color, rs.format.rgb8, 3, geometry.colour),
         }
         pose = rs.extrinsics()
-        pose.rotation = geometry.rotation.T.ravel().tolist()  # librealsense counts by columns
+        pose.rotation = geometry.rotation.T.ravel().tolist()  # librealsense stores matrices column by column
         pose.translation = geometry.translation.tolist()
         self._profiles["depth"].register_extrinsics_to(self._profiles["colour"], pose)
         device.create_matcher(rs.matchers.default)
@@ -104,44 +133,45 @@ class SoftwareD455:
         self._number, self._plugged, self._lose, self._lag = 0, True, 0, 0
         self._interval, self._last = 1 / fps, -math.inf
         self._frozen: set[str] = set()
-        self._under_way: deque[_Pair] = deque()
+        self._delayed: deque[_Pair] = deque()
 
     @property
     def plugged(self) -> bool:
-        """Whether it hangs on the bus."""
+        """Whether the camera is plugged in."""
         return self._plugged
 
     def push(self, rgb: npt.NDArray[np.uint8], depth: npt.NDArray[Any], stamp: float | None = None) -> int:
-        """Take a picture, of ideal images.
+        """Deliver a frame made from ideal images.
 
         Args:
-            rgb: (H,W,3) uint8 RGB, of ``camera``.
-            depth: (H,W) uint16 millimetres or floating metres, of ``camera``; 0 or not finite is invalid.
-            stamp: Seconds, by a clock of the camera's own; None for now, by the time of day.
+            rgb: Colour image of ``camera``, shape ``(H, W, 3)``, uint8 RGB.
+            depth: Depth image of ``camera``, shape ``(H, W)``, in uint16 millimetres or floating-point metres; values
+                that are 0 or not finite are invalid.
+            stamp: Time in seconds by the camera's own clock; None for the present time of day.
 
         Returns:
-            The frame's number.
+            The number of the frame.
 
         Raises:
-            ValueError: An image of another size or type.
+            ValueError: An image has another size or type.
         """
         return self.push_raw(*self._raw_images(rgb, depth), stamp)
 
     def push_raw(self, colour: npt.NDArray[np.uint8], depth: npt.NDArray[np.uint16], stamp: float | None = None) -> int:
-        """Take a picture, as the sensors give it.
+        """Deliver a frame of raw sensor images.
 
         Args:
-            colour: (H,W,3) uint8 RGB, of ``geometry.colour``.
-            depth: (H,W) uint16 in ``depth_unit``, of ``geometry.depth``.
-            stamp: As for `push`.
+            colour: Image of ``geometry.colour``, shape ``(H, W, 3)``, uint8 RGB.
+            depth: Image of ``geometry.depth``, shape ``(H, W)``, uint16 in ``depth_unit``.
+            stamp: See ``push``.
 
         Returns:
-            The frame's number.
+            The number of the frame.
 
         Raises:
-            ValueError: An image of another size or type.
+            ValueError: An image has another size or type.
         """
-        # librealsense reads as many bytes as the stream's mode has, whatever it is given.
+        # librealsense reads as many bytes as the stream's mode requires, whatever the array's size.
         _check(colour, "colour", (*self.geometry.colour.size, 3), np.uint8)
         _check(depth, "depth", self.geometry.depth.size, np.uint16)
         domains = self._rs.timestamp_domain
@@ -149,51 +179,51 @@ class SoftwareD455:
         seconds = time.time() if stamp is None else float(stamp)
         with self._lock:
             self._number += 1
-            self._keep_pace(seconds)
+            self._update_rate(seconds)
             pair = _Pair(np.ascontiguousarray(colour), np.ascontiguousarray(depth), self._number, 1000 * seconds, clock)
-            self._under_way.append(pair)
-            while len(self._under_way) > self._lag:
-                self._deliver(self._under_way.popleft())
+            self._delayed.append(pair)
+            while len(self._delayed) > self._lag:
+                self._deliver(self._delayed.popleft())
             return pair.number
 
     def drop(self, count: int = 1) -> None:
-        """Lose the next ``count`` frames on their way."""
+        """Lose the next ``count`` frames."""
         with self._lock:
             self._lose = count
 
     def delay(self, frames: int) -> None:
-        """From now on each frame arrives ``frames`` pushes late; 0 for at once, what is under way at the next push."""
+        """Deliver each further frame ``frames`` pushes late; after 0, delayed frames follow at the next push."""
         with self._lock:
             self._lag = frames
 
     def freeze_colour(self, frozen: bool = True) -> None:
-        """Stop the colour stream while depth goes on, or let it go on."""
+        """Stop the colour stream while depth continues, or resume it."""
         self._freeze("colour", frozen)
 
     def freeze_depth(self, frozen: bool = True) -> None:
-        """Stop the depth stream while colour goes on, or let it go on."""
+        """Stop the depth stream while colour continues, or resume it."""
         self._freeze("depth", frozen)
 
     def unplug(self) -> None:
-        """Pull the cable: nothing arrives any more, and the camera is not found."""
+        """Unplug the camera: frames are lost, and the camera is not found."""
         with self._lock:
             self._plugged = False
-            self._under_way.clear()
+            self._delayed.clear()
 
     def plug(self) -> None:
-        """Put the cable in again."""
+        """Plug the camera in again."""
         with self._lock:
             self._plugged = True
 
     def option(self, sensor: str, name: str) -> float:
-        """What an option is set to, in librealsense's units: ``option("colour", "exposure")``."""
+        """Return the value of an option in librealsense's units: ``option("colour", "exposure")``."""
         return self._sensors[sensor].get_option(getattr(self._rs.option, name))
 
-    def _keep_pace(self, seconds: float) -> None:
-        """Follow the real rate, as a D455 tells it: librealsense waits for the other image of a pair by it."""
+    def _update_rate(self, seconds: float) -> None:
+        """Update the reported frame rate, which sets how long librealsense waits for the other image of a pair."""
         step, self._last = seconds - self._last, seconds
         if 0 < step < _PAUSE:
-            self._interval += _PACE * (max(step, _SHORTEST) - self._interval)
+            self._interval += _SMOOTHING * (max(step, _SHORTEST) - self._interval)
 
     def _freeze(self, stream: str, frozen: bool) -> None:
         with self._lock:
@@ -211,14 +241,14 @@ class SoftwareD455:
         rs, sensor = self._rs, self._sensors[stream]
         metadata = rs.frame_metadata_value
         for key, value in (
-            (metadata.frame_counter, pair.number),
             # Without these two, librealsense pairs a third of the images wrongly.
+            (metadata.frame_counter, pair.number),
             (metadata.actual_fps, round(1000 / self._interval)),
             (metadata.actual_exposure, 0),
             (metadata.time_of_arrival, int(1000 * time.time())),
         ):
             sensor.set_metadata(key, value)
-        frame = rs.software_video_frame()  # a new one each time: one that is used again aborts the process
+        frame = rs.software_video_frame()  # a new one each time: reusing one aborts the process
         frame.pixels, frame.profile = pixels, self._profiles[stream].as_video_stream_profile()
         frame.bpp, frame.stride = size, size * pixels.shape[1]
         frame.frame_number, frame.timestamp, frame.domain = pair.number, pair.milliseconds, pair.clock
@@ -233,7 +263,7 @@ class SoftwareD455:
         video.index, video.uid = 0, int(stream)
         video.width, video.height = intrinsics.width, intrinsics.height = lens.width, lens.height
         intrinsics.fx, intrinsics.fy, intrinsics.ppx, intrinsics.ppy = lens.fx, lens.fy, lens.cx, lens.cy
-        # A real D455 calls its rectified depth so, with coefficients of zero.
+        # A real D455 reports this model for its rectified depth, with coefficients of zero.
         intrinsics.model = getattr(rs.distortion, lens.model if lens.distorted else "brown_conrady")
         intrinsics.coeffs = list(lens.coeffs)
         video.intrinsics = intrinsics
@@ -241,16 +271,16 @@ class SoftwareD455:
 
     def _add_options(self, depth_unit: float) -> None:
         option = self._rs.option
-        for name, options in OPTIONS.items():
+        for name, options in _OPTIONS.items():
             for key, (least, most, step, default) in options.items():
                 limits = self._rs.option_range()
                 limits.min, limits.max, limits.step, limits.default = least, most, step, default
                 self._sensors[name].add_option(getattr(option, key), limits, True)
         self._sensors["depth"].add_read_only_option(option.depth_units, depth_unit)
-        self._sensors["depth"].add_read_only_option(option.stereo_baseline, BASELINE)
+        self._sensors["depth"].add_read_only_option(option.stereo_baseline, _BASELINE)
 
 
 def _check(image: Any, name: str, shape: tuple[int, ...], dtype: Any) -> None:
     if not isinstance(image, np.ndarray) or image.shape != shape or image.dtype != dtype:
-        told = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
-        raise ValueError(f"{name}: expected an array {shape} {np.dtype(dtype)}, as the camera's mode is, got {told}.")
+        given = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
+        raise ValueError(f"{name}: expected an array {shape} {np.dtype(dtype)}, the camera's mode, got {given}.")

@@ -1,4 +1,4 @@
-"""RealSenseSource: a D455 on USB, a software D455, or a recording of one, read in the same way."""
+"""A source of RGB-D frames from a D455 on USB, a software D455, or a recording."""
 
 from __future__ import annotations
 
@@ -13,63 +13,61 @@ from shape_obs.camera import Intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.source import NotConnected, Source, StaleFrame
+from shape_obs_envs.sources.realsense.devices import Device, RecordingFile, SoftwareCameras, UsbCamera
 from shape_obs_envs.sources.realsense.driver import librealsense, recording_suffix
-from shape_obs_envs.sources.realsense.feeds import Feed, FileFeed, LiveFeed
-from shape_obs_envs.sources.realsense.filters import Filter, check_names
-from shape_obs_envs.sources.realsense.options import CameraOptions
-from shape_obs_envs.sources.realsense.origins import Camera, Origin, Recording, SoftwareCameras
-from shape_obs_envs.sources.realsense.raw import RawFrame
-from shape_obs_envs.sources.realsense.session import Session, Setup
+from shape_obs_envs.sources.realsense.frame_streams import FileStream, FrameStream, LiveStream
+from shape_obs_envs.sources.realsense.session import RawFrame, Session, Setup
+from shape_obs_envs.sources.realsense.settings import CameraOptions, Filter, check_filters
 from shape_obs_envs.sources.realsense.software import SoftwareD455
 from shape_obs_envs.sources.registration import Registration
 
 
 class RealSenseSource(Source):
-    """An `RGBDSource` through librealsense: colour rectified to a pinhole, depth aligned to it, in millimetres.
+    """An ``RGBDSource`` through librealsense: colour rectified to a pinhole, depth aligned to it, in millimetres.
 
-    A live camera is read by a thread, into a queue of ``buffer`` frames where the newest win. A pair of images is
-    passed on only when both are new and of the same moment, so that a stream that froze never looks alive. When
-    frames stay away, the thread waits on, restarts the pipeline, resets the camera and looks for it again, a step
-    every ``patience`` seconds (three times that after a start), and logs what it does. Meanwhile `read` keeps to its
-    timeout. After ``recover_timeout`` seconds the camera is lost; `connect` starts anew.
+    A thread reads a live camera into a queue of ``buffer`` frames that keeps the newest. A pair of images is passed on
+    only if both are new and of the same moment, so a frozen stream never looks alive. When no frames come, the thread
+    waits, restarts the pipeline, resets the camera and looks it up again, one step every ``patience`` seconds (three
+    times that after a start), and logs each step. Meanwhile ``read`` keeps its timeout. After ``recover_timeout``
+    seconds the camera counts as lost; ``connect`` starts again.
 
-    A recording has no clock: it waits for whoever reads, and every whole pair comes out once.
+    A recording has no clock: it waits for its reader, and each complete pair is returned once.
 
-    ``Frame.stamp`` is the colour image's, in seconds by the camera's clock: with a D455 on USB the time of day
-    (librealsense's global time), otherwise as the recording or the software camera tells. ``Frame.number`` is the
-    colour camera's count. ``Frame.exposed`` of a live camera follows from the global time and the exposure; without
-    global time the exposure is taken to have begun two frame intervals before the frame arrived.
+    ``Frame.stamp`` is the colour image's, in seconds by the camera's clock: for a D455 on USB the time of day
+    (librealsense's global time), otherwise the clock of the recording or software camera. ``Frame.number`` is the
+    colour camera's counter. ``Frame.exposed`` of a live camera follows from global time and exposure; without global
+    time the exposure is assumed to have begun two frame intervals before the frame arrived.
 
     Args:
-        device: A `SoftwareD455`, or several of which ``serial`` says which; None for a camera on USB.
+        device: A ``SoftwareD455``, or several of which ``serial`` selects one; None for a camera on USB.
         serial: Serial number of the camera; None for the only one.
-        recording: A .db3 or .bag file, instead of a camera.
-        width: Of both streams, pixels. A recording has its own mode: this and all below is for cameras.
-        height: Of both streams, pixels.
+        recording: A .db3 or .bag file to read instead of a camera.
+        width: Width of both streams in pixels. A recording has its own mode: this and all below is for cameras.
+        height: Height of both streams in pixels.
         fps: Frames per second.
-        exposure: Of the colour camera, seconds; None for automatic.
-        gain: Of the colour camera, in its units; None for automatic.
-        white_balance: Of the colour camera, kelvin; None for automatic.
-        laser_power: Of the projector, milliwatts; 0 for off, None as it is.
-        preset: Of the depth camera: ``"default"``, ``"hand"``, ``"high_accuracy"``, ``"high_density"`` or
-            ``"medium_density"``; None as it is.
-        filters: Of depth, of a recording too: ``"temporal"``, ``"spatial"``, ``"threshold"``, ``"hole_filling"``, or a
-            pair of a name and parameters, ``("temporal", {"alpha": 0.4})``.
-        extrinsics: Where the camera stands, or the file that says so.
-        record_to: Write all that the camera gives into this new .db3 file. When the pipeline is restarted, the
-            recording goes on in a second file, ``NAME-2.db3``.
-        buffer: Frames that wait for a reader at most.
-        max_gap: Seconds that colour and depth of a pair may be apart; None for three quarters of a frame interval.
-        patience: Seconds without a frame after which something is done about it; ``math.inf`` for never.
-        recover_timeout: Seconds without a frame after which a camera is lost.
+        exposure: Exposure of the colour camera in seconds; None for automatic.
+        gain: Gain of the colour camera in its own units; None for automatic.
+        white_balance: White balance of the colour camera in kelvin; None for automatic.
+        laser_power: Power of the projector in milliwatts; 0 for off, None to keep it.
+        preset: Preset of the depth camera: ``"default"``, ``"hand"``, ``"high_accuracy"``, ``"high_density"`` or
+            ``"medium_density"``; None to keep it.
+        filters: Depth filters, also for recordings: ``"temporal"``, ``"spatial"``, ``"threshold"``, ``"hole_filling"``,
+            or a pair of a name and parameters, ``("temporal", {"alpha": 0.4})``.
+        extrinsics: Pose of the camera, or a file that contains it.
+        record_to: New .db3 file to which everything from the camera is recorded. After a restart of the pipeline the
+            recording continues in a second file, ``NAME-2.db3``.
+        buffer: Largest number of frames that wait for a reader.
+        max_gap: Largest time in seconds between colour and depth of a pair; None for 3/4 of a frame interval.
+        patience: Seconds without a frame after which recovery starts; ``math.inf`` for never.
+        recover_timeout: Seconds without a frame after which a camera counts as lost.
 
     Attributes:
-        options: Exposure and the like, as they are set at `connect`.
+        options: Exposure and other options, as set by ``connect``.
         timings: Milliseconds that the last frame took: ``"register"``, to rectify colour and align depth to it.
 
     Raises:
-        ValueError: An argument that makes no sense.
-        FileNotFoundError: There is no such extrinsics file.
+        ValueError: An argument is invalid.
+        FileNotFoundError: The extrinsics file does not exist.
 
     Example:
         >>> camera = SoftwareD455()  # doctest: +SKIP
@@ -102,116 +100,116 @@ class RealSenseSource(Source):
     ) -> None:
         super().__init__(extrinsics)
         if recording is not None and (device is not None or serial is not None or record_to is not None):
-            raise ValueError("recording: a file is read instead of a camera; give no device, serial or record_to.")
+            raise ValueError("recording: a file is read instead of a camera; do not give device, serial or record_to.")
         for name, number in (("buffer", buffer), ("patience", patience), ("recover_timeout", recover_timeout)):
             if not number > 0:
                 raise ValueError(f"{name}: expected more than 0, got {number}.")
-        check_names(filters)
+        check_filters(filters)
         self.options = CameraOptions(exposure, gain, white_balance, laser_power, preset)
         self._setup = Setup(width, height, fps, self.options, tuple(filters), max_gap)
-        self._origin = _origin(device, serial, recording)
+        self._device = _device(device, serial, recording)
         self._record_to = None if record_to is None else Path(record_to)
         self._buffer, self._patience, self._recover_timeout = buffer, patience, recover_timeout
         self.timings: dict[str, float] = {}
-        self._feed: Feed | None = None
-        self._lock = threading.Lock()  # registration and the last frame, for readers in several threads
+        self._stream: FrameStream | None = None
+        self._lock = threading.Lock()  # guards registration and the last frame: several threads may read
         self._runs = 0
 
     @property
     def kind(self) -> str:
         """``"d455"``, ``"software"`` or ``"recording"``."""
-        return self._origin.kind
+        return self._device.kind
 
     @property
     def name(self) -> str:
         """``"d455:SERIAL"``, ``"software:SERIAL"`` or the path."""
-        known = self._origin.live and self._feed is not None and self.serial
-        return f"{self.kind}:{self.serial}" if known else self._origin.name
+        known = self._device.live and self._stream is not None and self.serial
+        return f"{self.kind}:{self.serial}" if known else self._device.name
 
     @property
     def serial(self) -> str | None:
-        """The camera's serial number; None before `connect`."""
-        return None if self._feed is None else self._identity.serial
+        """The camera's serial number; None before ``connect``."""
+        return None if self._stream is None else self._identity.serial
 
     @property
     def live(self) -> bool:
-        """Whether frames come at their own pace."""
-        return self._origin.live
+        """Whether frames come at their own rate."""
+        return self._device.live
 
     @property
     def has_depth(self) -> bool:
-        """Always."""
+        """True."""
         return True
 
     @property
     def dropped(self) -> int:
-        """Frames since `connect` that came and that nobody read in time."""
+        """Number of frames since ``connect`` that were not read in time."""
         return self._connected().dropped
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """Of every frame, a pinhole.
+        """Intrinsics of all frames, a pinhole.
 
         Raises:
-            NotConnected: Before `connect`.
+            NotConnected: ``connect`` has not been called.
         """
         self._connected()
         return self._register.output
 
     def connect(self) -> None:
-        """Find the camera or file and start it; nothing happens while it runs.
+        """Find the camera or file and start it, unless it is already running.
 
         Raises:
-            CameraNotFound: It is not there.
-            SeveralCameras: There are several, and no serial number says which.
-            BadRecording: The file is no recording, or a part of one.
-            SourceError: It is in use, or has no such mode or option.
-            ImportError: librealsense is missing.
+            CameraNotFound: The camera is not connected.
+            SeveralCameras: There are several cameras, and no serial number was given.
+            BadRecording: The file is not a recording, or incomplete.
+            SourceError: The camera is in use, or does not have the mode or an option.
+            ImportError: librealsense is not installed.
         """
-        if self._feed is not None:
-            if not self._feed.over:
+        if self._stream is not None:
+            if not self._stream.over:
                 return
-            self.disconnect()  # a camera that was lost
+            self.disconnect()  # the camera was lost
         librealsense()
         self._runs = 0
         if self.live:
-            self._feed = LiveFeed(self._origin, self._session, self._buffer, self._patience, self._recover_timeout)
+            self._stream = LiveStream(self._device, self._session, self._buffer, self._patience, self._recover_timeout)
         else:
-            self._feed = FileFeed(self._session())
+            self._stream = FileStream(self._session())
         self._model, self._last = self.camera, None
         atexit.register(self.disconnect)  # librealsense aborts a process that ends while it streams
 
     def read(self, timeout: float = 1.0, fresh: bool = False) -> Frame:
-        """Wait for the next frame that nobody has read.
+        """Wait for the next unread frame.
 
         Args:
-            timeout: Seconds to wait at most.
-            fresh: Take none whose exposure began before this call. With librealsense's global time (a D455 on USB) that
-                is known from stamp and exposure; without it, frames of the first two intervals after the call are
-                left out, which are about as long as a D455 takes from exposure to arrival. A software camera exposes
-                when it is pushed. Of a recording it is the next one.
+            timeout: Longest time to wait in seconds.
+            fresh: Skip frames whose exposure began before this call. With librealsense's global time (a D455 on USB)
+                the exposure is known; without it, frames of the first two intervals after the call are skipped, about
+                the time that a D455 takes from exposure to arrival. A software camera exposes when it is pushed. A
+                recording returns its next frame.
 
         Raises:
-            FrameTimeout: None came in time.
-            EndOfSource: A recording is over.
-            CameraLost: The camera is gone.
-            NotConnected: Before `connect`.
+            FrameTimeout: No frame came in time.
+            EndOfSource: The recording has ended.
+            CameraLost: The camera is lost.
+            NotConnected: ``connect`` has not been called.
         """
         called = time.monotonic()
         feed = self._connected()
         return self._frame(feed.next(timeout, called if fresh else None))
 
     def read_latest(self, max_age: float = 0.1) -> Frame:
-        """The newest frame, without waiting; the same one again until a newer one comes.
+        """Return the newest frame without waiting; the same frame again until a newer one comes.
 
         Args:
-            max_age: Seconds since it arrived, at most. A recording gives its next frame, whatever its age.
+            max_age: Largest time in seconds since it arrived. A recording returns its next frame, whatever its age.
 
         Raises:
-            StaleFrame: The newest is older, or there is none yet.
-            EndOfSource: A recording is over.
-            CameraLost: The camera is gone.
-            NotConnected: Before `connect`.
+            StaleFrame: The newest frame is older, or there is none yet.
+            EndOfSource: The recording has ended.
+            CameraLost: The camera is lost.
+            NotConnected: ``connect`` has not been called.
         """
         raw = self._connected().latest()
         age = math.inf if raw is None else time.monotonic() - raw.received
@@ -225,19 +223,19 @@ class RealSenseSource(Source):
         return self._frame(raw)
 
     def disconnect(self) -> None:
-        """Stop it; nothing happens when it is stopped already."""
-        feed, self._feed = self._feed, None
+        """Stop the camera or file; does nothing if it is stopped."""
+        feed, self._stream = self._stream, None
         if feed is not None:
             atexit.unregister(self.disconnect)
             feed.close()
 
-    def _connected(self) -> Feed:
-        if self._feed is None:
-            raise NotConnected(f"{self._origin.name}: not connected; call connect() first, or use it in a `with`.")
-        return self._feed
+    def _connected(self) -> FrameStream:
+        if self._stream is None:
+            raise NotConnected(f"{self._device.name}: not connected; call connect() first, or use `with source:`.")
+        return self._stream
 
     def _session(self) -> Session:
-        session = Session(self._origin, self._setup, self._next_file())
+        session = Session(self._device, self._setup, self._next_file())
         self._identity, geometry = session.identity, session.geometry
         if self._runs == 0:
             self._register = Registration(
@@ -257,7 +255,7 @@ class RealSenseSource(Source):
             number += 1
             path = first.with_name(f"{first.stem}-{number}{first.suffix}")
         if path.exists():
-            raise FileExistsError(f"record_to: {path} is there already: remove it, or take another name.")
+            raise FileExistsError(f"record_to: {path} exists already: remove it, or choose another name.")
         return path
 
     def _frame(self, raw: RawFrame) -> Frame:
@@ -272,11 +270,11 @@ class RealSenseSource(Source):
             return Frame(rgb.copy(), depth.copy(), self._model, raw.stamp, raw.received, raw.number, exposed)
 
 
-def _origin(
+def _device(
     device: SoftwareD455 | Sequence[SoftwareD455] | None, serial: str | None, recording: str | Path | None
-) -> Origin:
+) -> Device:
     if recording is not None:
-        return Recording(Path(recording))
+        return RecordingFile(Path(recording))
     if device is None:
-        return Camera(serial)
+        return UsbCamera(serial)
     return SoftwareCameras([device] if isinstance(device, SoftwareD455) else list(device), serial)

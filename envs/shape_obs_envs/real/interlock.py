@@ -1,0 +1,126 @@
+"""Interlock: allow motions only on recent images, and stop the robot from any thread."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from typing import Final
+
+from shape_obs.robot import Array, Robot
+
+_LOG: Final = logging.getLogger(__name__)
+
+
+class Interlock:
+    """Check each motion on its way to the robot, and end it in time.
+
+    A motion is sent only before its time limit and while the interlock is not tripped. A thread stops the robot at the
+    end of a motion that has not been replaced, even if the loop is blocked or the robot ignores ``until``.
+
+    After a trip, by a signal, a watchdog or a person, no motion is sent until ``arm`` is called.
+
+    Args:
+        robot: The robot.
+
+    Attributes:
+        tripped: Why no motion is sent; empty while motions are allowed.
+        expired: Number of motions that ended because they were not replaced in time.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self.tripped, self.expired = "", 0
+        self._until, self._closed = math.inf, False  # infinity: no motion is active
+        self._changed = threading.Condition()
+        self._thread: threading.Thread | None = None
+        self._failure: Exception | None = None
+
+    def arm(self) -> None:
+        """Allow motions again, at the start of a new episode."""
+        self.tripped, self._failure = "", None
+
+    def send(self, motion: Array, until: float) -> str:
+        """Send a motion, unless its time limit has passed or the interlock is tripped.
+
+        Args:
+            motion: Motion of shape ``(A,)`` in physical units.
+            until: ``time.monotonic()`` in seconds at which it must end.
+
+        Returns:
+            Why the motion was not sent; empty if it was.
+
+        Raises:
+            RobotError: The robot cannot move, or an earlier stop failed.
+        """
+        self._raise_failure()
+        refusal = self._refusal(until)
+        if not refusal:
+            self._expect_end(until)
+            self._robot.send(motion, until)
+            refusal = self._refusal(until)  # `send` may have been blocked, and may have moved the robot after all
+        if refusal:
+            self.stop()
+        return refusal
+
+    def stop(self) -> None:
+        """Stop the robot; the next motion may follow.
+
+        Raises:
+            RobotError: The robot cannot be stopped.
+        """
+        self._expect_end(math.inf)
+        self._robot.stop()
+        self._raise_failure()
+
+    def trip(self, reason: str) -> None:
+        """Stop the robot and refuse further motions. May be called by any thread; the next call raises its failure."""
+        self.tripped = self.tripped or reason
+        self._stop_robot()
+
+    def close(self) -> None:
+        """End the thread. The next motion starts another one."""
+        with self._changed:
+            thread, self._thread, self._closed = self._thread, None, True
+            self._changed.notify()
+        if thread is not None and thread is not threading.current_thread():
+            thread.join()
+
+    def _refusal(self, until: float) -> str:
+        return self.tripped or ("image old" if time.monotonic() >= until else "")
+
+    def _expect_end(self, until: float) -> None:
+        """Set the end of the motion. A later end needs no wake-up: the thread rechecks at the earlier one."""
+        with self._changed:
+            sooner, self._until = until < self._until, until
+            if self._thread is None and until < math.inf:
+                self._closed = False
+                self._thread = threading.Thread(target=self._watch, name="motion end", daemon=True)
+                self._thread.start()
+            elif sooner:
+                self._changed.notify()
+
+    def _watch(self) -> None:
+        while True:
+            with self._changed:
+                while not self._closed and (left := self._until - time.monotonic()) > 0:
+                    self._changed.wait(min(left, threading.TIMEOUT_MAX))
+                if self._closed:
+                    return
+                self._until = math.inf
+            self.expired += 1
+            self._stop_robot()
+
+    def _stop_robot(self) -> None:
+        """Stop the robot from a thread without a caller, and keep its error."""
+        try:
+            self._robot.stop()
+        except Exception as error:  # noqa: BLE001 - raised by the next `send` or `stop`
+            _LOG.exception("The robot could not be stopped.")
+            self._failure = error
+
+    def _raise_failure(self) -> None:
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure

@@ -1,0 +1,205 @@
+"""Streams of raw frames: from a file on demand, or from a camera through a reader thread."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Final, Protocol
+
+from shape_obs.source import CameraLost, FrameTimeout, SourceError
+from shape_obs_envs.sources.realsense.devices import Device
+from shape_obs_envs.sources.realsense.recovery_policy import RecoveryPolicy
+from shape_obs_envs.sources.realsense.session import RawFrame, Session
+
+#: Seconds that the thread waits for a frame before it checks whether to stop.
+_SLICE: Final = 0.05
+#: The first frame after a start may take longer, by this factor.
+_FIRST: Final = 3.0
+#: Seconds to wait for librealsense to stop.
+_CLOSING: Final = 10.0
+_LOG: Final = logging.getLogger(__name__)
+
+
+class FrameStream(Protocol):
+    """Raw frames, in order."""
+
+    dropped: int
+
+    def next(self, timeout: float, after: float | None) -> RawFrame:
+        """Return the next frame; see ``RealSenseSource.read``. ``after`` is a ``time.monotonic()`` of exposure."""
+        ...
+
+    def latest(self) -> RawFrame | None:
+        """Return the newest frame."""
+        ...
+
+    @property
+    def over(self) -> bool:
+        """Whether the stream delivers no more frames until it is reopened."""
+        ...
+
+    def close(self) -> None:
+        """Stop."""
+        ...
+
+
+class FileStream:
+    """A recording, played at the reader's pace: no frame is skipped.
+
+    Args:
+        session: Session of a recording.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session, self.dropped = session, 0
+
+    def next(self, timeout: float, after: float | None) -> RawFrame:
+        """Return the next frame of the file; ``after`` is ignored."""
+        raw = self._session.pull(timeout)
+        if raw is None:
+            raise FrameTimeout(f"The recording delivered no frame within {timeout:g} s: allow more time.")
+        return raw
+
+    def latest(self) -> RawFrame | None:
+        """Return the next frame of the file, however long reading takes."""
+        return self.next(float("inf"), None)
+
+    @property
+    def over(self) -> bool:
+        """False: after its last frame a recording stays connected."""
+        return False
+
+    def close(self) -> None:
+        """Stop."""
+        self._session.stop()
+
+
+class LiveStream:
+    """A camera, read by its own thread into a short queue that keeps the newest frames.
+
+    Args:
+        device: The camera.
+        open_session: Starts a session; the first one is started here.
+        capacity: Largest number of queued frames.
+        patience: Seconds without a frame after which recovery starts.
+        recover_timeout: Seconds without a frame after which the camera counts as lost.
+
+    Attributes:
+        dropped: Number of frames that were not read in time.
+
+    Raises:
+        SourceError: The first session did not start.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        open_session: Callable[[], Session],
+        capacity: int,
+        patience: float,
+        recover_timeout: float,
+    ) -> None:
+        self._patience, self._stopping = patience, threading.Event()
+        self._recovery = RecoveryPolicy(device, open_session, recover_timeout, self._stopping)
+        self._frames: deque[RawFrame] = deque(maxlen=capacity)
+        self._changed = threading.Condition()
+        self._newest: RawFrame | None = None
+        self._lost: str | None = None
+        self._last_frame = time.monotonic()
+        self.dropped = 0
+        self._session: Session | None = open_session()
+        self._who = self._session.identity
+        self._thread = threading.Thread(target=self._run, name=f"{device.name} reader", daemon=True)
+        self._thread.start()
+
+    def next(self, timeout: float, after: float | None) -> RawFrame:
+        """Return the oldest unread frame that was exposed after ``after``."""
+        deadline = time.monotonic() + timeout
+        with self._changed:
+            while True:
+                while self._frames:
+                    raw = self._frames.popleft()
+                    if after is None or raw.exposed >= after:
+                        return raw
+                self._check_not_lost()
+                left = deadline - time.monotonic()
+                if left <= 0:
+                    raise self._timeout_error(timeout)
+                self._changed.wait(left)
+
+    def latest(self) -> RawFrame | None:
+        """Return the newest frame, whether it was read before or not."""
+        with self._changed:
+            self._check_not_lost()
+            return self._newest
+
+    @property
+    def over(self) -> bool:
+        """Whether the camera was lost."""
+        return self._lost is not None
+
+    def close(self) -> None:
+        """Stop the thread and the camera."""
+        self._stopping.set()
+        self._thread.join(_CLOSING)
+        if self._thread.is_alive():
+            _LOG.error("%s: librealsense does not return from stopping the camera; giving up.", self._who)
+
+    def _check_not_lost(self) -> None:
+        if self._lost is not None:
+            raise CameraLost(self._lost, serial=self._who.serial, usb=self._who.usb)
+
+    def _timeout_error(self, timeout: float) -> FrameTimeout:
+        silent = time.monotonic() - self._last_frame
+        check = None if self._session is None else self._session.check
+        refused = f" {check.refused} pairs were refused since: {check.reason}." if check and check.refused else ""
+        return FrameTimeout(
+            f"{self._who}: no new frame within {timeout:g} s; the last one came {silent:.1f} s ago.{refused}"
+            f"{f' Recovery: {self._recovery.state}.' if self._recovery.state else ''}"
+            " Check cable, port and processor load, or allow more time.",
+            serial=self._who.serial,
+            usb=self._who.usb,
+        )
+
+    def _run(self) -> None:
+        end = "its reader ended with an internal error; see above"
+        try:
+            self._pump()
+            end = "it was disconnected"
+        except SourceError as error:
+            end = str(error)
+        finally:  # in any case: no reader may wait for a thread that has ended
+            if self._session is not None:
+                self._session.stop()
+                self._session = None
+            with self._changed:
+                self._lost = end
+                self._changed.notify_all()
+
+    def _pump(self) -> None:
+        allowed, since = _FIRST * self._patience, self._last_frame
+        while not self._stopping.is_set():
+            raw = self._session.pull(_SLICE) if self._session is not None else self._pause()
+            now = time.monotonic()
+            if raw is not None:
+                self._put(raw, now)
+                allowed, since = self._patience, now
+            elif now - since > allowed or self._session is None:
+                before = self._session
+                self._session = None  # a session that the recovery stops must not be stopped again
+                self._session = self._recovery.next_step(before, now - self._last_frame)
+                allowed, since = (1 if self._session is before else _FIRST) * self._patience, time.monotonic()
+
+    def _pause(self) -> None:
+        self._stopping.wait(_SLICE)
+
+    def _put(self, raw: RawFrame, now: float) -> None:
+        self._recovery.reset(self._who)
+        with self._changed:
+            self.dropped += len(self._frames) == self._frames.maxlen
+            self._frames.append(raw)
+            self._newest, self._last_frame = raw, now
+            self._changed.notify_all()

@@ -1,0 +1,283 @@
+"""Cameras of the simulated environments: compared with the truth and with each other, with and without OpenGL."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+from typing import Any, cast
+
+import cv2
+import gymnasium as gym
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from simulator_gl import RENDERERS, needs_gl
+
+import shape_obs_envs  # noqa: F401
+from shape_obs_envs.mujoco import cameras
+from shape_obs_envs.mujoco.cable import CableEnv
+
+SIZES = {"square": [84, 84], "rl": "rl", "d455": "d455"}
+NO_GL = """
+import ctypes, os
+for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
+    os.environ.pop(name, None)
+class Hidden(ctypes.CDLL):
+    def __init__(self, name, *args, **kwargs):
+        if name and any(word in str(name) for word in ("libEGL", "libOSMesa", "libGL")):
+            raise OSError(f"{name}: cannot open shared object file")
+        super().__init__(name, *args, **kwargs)
+ctypes.CDLL = Hidden
+"""
+
+
+def make(**kwargs: Any) -> CableEnv:
+    return cast(CableEnv, gym.make("ShapeObs/Cable-v0", **{"camera": [84, 84], **kwargs}).unwrapped)
+
+
+def views(env, seeds=3):
+    """Play a few bent shapes; after each, the picture and depth [m] of the environment's camera."""
+    rng = np.random.default_rng(0)
+    for seed in range(seeds):
+        env.reset(seed=seed)
+        action = rng.uniform(-1, 1, 6)
+        for _ in range(15):
+            env._move(action)
+        yield env._rendering.capture(env._body)
+
+
+def rope_mask(env, rgb):
+    rule = env.shape_obs_defaults["segmentation"]
+    low, high = (np.array(rule[key], np.uint8) for key in ("low", "high"))
+    return cv2.inRange(cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV), low, high) > 0
+
+
+def grown(mask, by=1):
+    return cv2.dilate(mask.astype(np.uint8), np.ones((2 * by + 1,) * 2, np.uint8)) > 0
+
+
+def shrunk(mask):
+    return ~grown(~mask)
+
+
+def run(code, tmp_path, **environment):
+    kept = {k: v for k, v in os.environ.items() if k != "MUJOCO_GL"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, timeout=100, capture_output=True, text=True, env=kept | environment
+    )
+    assert done.returncode == 0, done.stderr
+    assert not list(tmp_path.iterdir()), "something was left behind"
+    return done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_mask_is_the_true_rope(renderer, size):
+    env = make(camera=SIZES[size], renderer=renderer)
+    k = env.camera_model.intrinsics
+    for rgb, _ in views(env):
+        mask = rope_mask(env, rgb)
+        pixels, z = env.truth(400, frame="pixels"), env.truth(400, frame="camera")[:, 2].mean()
+        assert np.isin(np.rint(pixels).astype(int) @ [1, k.width], np.flatnonzero(grown(mask))).all()
+        vv, uu = np.nonzero(mask)
+        away = np.sqrt(((np.stack([uu, vv], 1)[:, None] - pixels) ** 2).sum(-1).min(1))
+        assert away.max() < k.fx * 0.008 / z * 1.15 + 0.8
+        # the mask reaches the tips: nothing of the gripper covers them
+        corners = np.rint(env.truth(30, frame="pixels")[[1, -2]]).astype(int)
+        assert mask[corners[:, 1], corners[:, 0]].all()
+        area = k.fx**2 / z**2 * 0.5 * 0.016
+        assert mask.sum() == pytest.approx(area, rel=0.12)
+    env.close()
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_depth_is_the_true_surface(renderer, size):
+    env = make(camera=SIZES[size], renderer=renderer)
+    camera = env.camera_model
+    v, u = np.mgrid[: camera.intrinsics.height, : camera.intrinsics.width]
+    for rgb, depth in views(env):
+        assert depth.dtype == np.float32
+        points = camera.to_base(camera.intrinsics.deproject(np.stack([u, v], -1).reshape(-1, 2), depth.ravel()))
+        table = ~grown((rgb.max(axis=2) < 150) | rope_mask(env, rgb), 2)
+        assert np.abs(points[table.ravel(), 2]).max() < 1e-3
+        rope = points[rope_mask(env, rgb).ravel()]
+        assert rope[:, 2].max() < 0.0165
+        axis = env.truth(501)[8:-8]  # without the 8 mm of the round caps
+        distance = np.sqrt(((rope[:, None] - axis) ** 2).sum(-1).min(1))
+        assert np.abs(distance - 0.008).max() < 1e-3
+        millimetres = env._observe()["depth"]
+        assert np.abs(millimetres / 1000 - depth).max() <= 0.000501
+    env.close()
+
+
+@needs_gl
+@pytest.mark.parametrize("size", SIZES)
+def test_gl_and_rays_agree(size):
+    envs = [make(camera=SIZES[size], renderer=renderer) for renderer in ("gl", "rays")]
+    for (rgb, depth), (rgb_rays, depth_rays) in zip(*map(views, envs), strict=True):
+        for one, two in (
+            (rope_mask(envs[0], rgb), rope_mask(envs[0], rgb_rays)),
+            (rgb.max(axis=2) < 75, rgb_rays.max(axis=2) < 75),  # the grippers
+        ):
+            assert not (one & ~grown(two)).any()
+            assert not (two & ~grown(one)).any()
+        masks = rope_mask(envs[0], rgb), rope_mask(envs[0], rgb_rays)
+        object_ = masks[0] | masks[1] | (rgb.max(axis=2) < 150) | (rgb_rays.max(axis=2) < 150)
+        inner = shrunk(masks[0] & masks[1]) | ~grown(object_)
+        assert np.abs(depth - depth_rays)[inner].max() < 1e-3
+        assert np.abs(rgb.astype(int) - rgb_rays)[inner].max() <= 24  # facets of GL's capsules
+    for env in envs:
+        env.close()
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_rope_keeps_one_hue_far_from_all_else(renderer):
+    env = make(camera="d455", renderer=renderer)
+    rule = env.shape_obs_defaults["segmentation"]
+    for rgb, _ in views(env):
+        hsv = cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV).astype(int)
+        blue = rgb[..., 2].astype(int) - rgb[..., 0] > 50
+        assert (hsv[blue] >= np.add(rule["low"], [8, 40, 20])).all()
+        assert (hsv[blue] <= np.subtract(rule["high"], [8, 0, 0])).all()
+        assert hsv[~blue][:, 1].max() < rule["low"][1] - 60
+    env.close()
+
+
+def test_camera_is_the_d455():
+    k = make(camera="d455").camera_model.intrinsics
+    assert (k.width, k.height, k.fx, k.fy, k.cx, k.cy) == (640, 480, 386.0, 386.0, 319.5, 239.5)
+    small = make(camera=[84, 84]).camera_model
+    assert small.intrinsics.fx == pytest.approx(386 * 84 / 480)
+    assert np.allclose(small.project_from_base(np.zeros((1, 3))), 41.5)
+    transform = small.transform_camera_to_base
+    assert transform is not None
+    assert 0.5 < transform[2, 3] < 0.6
+    assert np.degrees(np.arccos(-transform[2, 2])) == pytest.approx(10)
+    assert np.allclose(transform[:3, :3] @ transform[:3, :3].T, np.eye(3))
+    assert np.linalg.det(transform[:3, :3]) == pytest.approx(1)
+
+
+def test_render_returns_the_camera_picture():
+    env = make(renderer="rays", render_mode="rgb_array")
+    observation, _ = env.reset(seed=0)
+    picture = env.render()
+    assert picture is not None
+    assert np.array_equal(picture, observation["rgb"])
+    picture[:] = 0
+    again = env.render()
+    assert again is not None
+    assert np.array_equal(again, observation["rgb"])
+
+
+@needs_gl
+def test_many_gl_environments_live_together():
+    envs = [make(renderer="gl", camera=size) for size in ([84, 84], "rl", [84, 84])]
+    action = np.full(6, 0.5, np.float32)
+    for env in envs:
+        env.reset(seed=1)
+    frames = [env.step(action)[0]["rgb"] for env in envs]
+    assert np.array_equal(frames[0], frames[2])
+    envs[0].close()
+    envs[0].close()
+    after = envs[2].step(action)[0]["rgb"]
+    envs[0].reset(seed=1)  # opens its camera again
+    assert np.array_equal(envs[0].step(action)[0]["rgb"], frames[0])
+    assert np.array_equal(envs[0].step(action)[0]["rgb"], after)
+    for env in envs:
+        env.close()
+
+
+FORK = """
+import os
+import gymnasium as gym, numpy as np, shape_obs_envs
+names = ("MUJOCO_GL", "LP_NUM_THREADS")
+before = [os.environ.get(name) for name in names]
+action = np.full((2, 6), 0.5, np.float32)
+one = gym.make("ShapeObs/Cable-v0")
+one.reset(seed=1)
+picture = one.step(action[0])[0]["rgb"]
+envs = gym.make_vec("ShapeObs/Cable-v0", num_envs=2, vectorization_mode="async", vector_kwargs={"context": "fork"})
+envs.reset(seed=[1, 2])
+assert np.array_equal(envs.step(action)[0]["rgb"][0], picture)
+envs.close()
+pid = os.fork()
+if pid == 0:  # the environment itself, inherited
+    one.step(action[0])
+    one.close()
+    os._exit(0)
+assert os.waitpid(pid, 0)[1] == 0
+one.step(action[0])
+assert [os.environ.get(name) for name in names] == before
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_rendering_goes_on_in_forked_workers(tmp_path):
+    # The environment is left open: the process must end quietly all the same.
+    assert "Error" not in run(FORK, tmp_path)
+
+
+def test_auto_falls_back_on_rays_and_says_so_once(tmp_path):
+    code = (
+        NO_GL
+        + """
+import logging
+logging.basicConfig(level=logging.INFO)
+import gymnasium as gym, numpy as np, shape_obs_envs
+envs = [gym.make("ShapeObs/Cable-v0", camera=[84, 84], renderer=r).unwrapped for r in ("auto", "auto", "rays")]
+frames = [env.reset(seed=0)[0]["rgb"] for env in envs]
+assert all(np.array_equal(frame, frames[2]) for frame in frames)
+assert envs[0]._rendering.camera_name == "rays"
+try:
+    gym.make("ShapeObs/Cable-v0", renderer="gl").reset()
+except RuntimeError as error:
+    assert 'pass renderer="rays"' in str(error), error
+else:
+    raise SystemExit("GL was not hidden")
+"""
+    )
+    assert run(code, tmp_path).count("Rendering with rays, which is slower: OpenGL is not available") == 1
+
+
+def test_mujoco_gl_is_obeyed(tmp_path):
+    code = """
+import os
+import gymnasium as gym, shape_obs_envs
+env = gym.make("ShapeObs/Cable-v0", camera=[84, 84]).unwrapped
+env.reset(seed=0)
+assert env._rendering.camera_name == "rays"
+assert os.environ["MUJOCO_GL"] == "disable"
+"""
+    assert "MUJOCO_GL=disable turns OpenGL off" in run(code, tmp_path, MUJOCO_GL="disable")
+
+
+@needs_gl
+def test_auto_says_once_that_it_uses_gl(caplog, monkeypatch):
+    monkeypatch.setattr(cameras, "_logged", set())
+    with caplog.at_level(logging.INFO, "shape_obs_envs"):
+        for _ in range(2):
+            env = make(renderer="auto")
+            env.reset(seed=0)
+            env.close()
+    assert [record.message for record in caplog.records if record.name == "shape_obs_envs"] == [
+        "Rendering with OpenGL."
+    ]
+
+
+@needs_gl
+def test_torch_still_optimises_after_rendering(tmp_path):
+    """Mesa puts its LLVM into the global scope; triton, loaded by torch's first optimiser, must not take it."""
+    pytest.importorskip("torch")
+    code = """
+import gymnasium as gym, shape_obs_envs
+gym.make("ShapeObs/Cable-v0", camera=[84, 84], renderer="gl").reset(seed=0)
+import torch
+torch.optim.Adam(torch.nn.Linear(2, 2).parameters())
+print("optimises")
+"""
+    assert "optimises" in run(code, tmp_path)

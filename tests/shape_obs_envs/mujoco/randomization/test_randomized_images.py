@@ -1,0 +1,164 @@
+"""Cameras under domain randomisation: compared with each other and with the truth; their poses."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from randomized import ENVS, make, play  # pyright: ignore[reportMissingImports]
+from simulator_gl import needs_gl
+
+from shape_obs_envs.mujoco.cameras.rasterizer import Texture
+from shape_obs_envs.mujoco.cameras.ray_camera import outward_normals
+from shape_obs_envs.mujoco.scene import cast_rays, mujoco
+
+OFTEN = {"hand": {"probability": 1.0, "latest": 0, "speed": [0.2, 0.2]}, "distractors": {"most": 8}}
+
+
+def near_an_edge(*pictures: np.ndarray, least: int = 25) -> np.ndarray:
+    """Mask (H, W) of where any of the pictures changes by more than `least` within two pixels."""
+    out = np.zeros(pictures[0].shape[:2], bool)
+    for picture in pictures:
+        change = cv2.morphologyEx(picture, cv2.MORPH_GRADIENT, np.ones((5, 5), np.uint8))
+        out |= change.reshape(*out.shape, -1).max(axis=2) > least
+    return out
+
+
+@needs_gl
+@pytest.mark.parametrize("name", ENVS)
+@pytest.mark.parametrize("camera", ["rl", "d455"])
+def test_gl_and_rays_agree(name, camera):
+    envs = [make(name, OFTEN, renderer=renderer, camera=camera) for renderer in ("gl", "rays")]
+    for seed in range(3 if camera == "rl" else 1):
+        for one, two in list(zip(*(play(env, seed, 5) for env in envs), strict=True))[::5]:
+            apart = np.abs(one["rgb"].astype(int) - two["rgb"]).max(axis=2)
+            depths = [observation["depth"].astype(np.uint16) for observation in (one, two)]
+            inner = ~near_an_edge(one["rgb"], two["rgb"], *depths)
+            assert inner.mean() > 0.02  # of a fine pattern little is left
+            assert apart[inner].max() <= 30
+            assert (apart > 30).mean() < 0.01
+            level = ~near_an_edge(*depths, least=10)  # OpenGL's balls have corners
+            assert np.abs(depths[0].astype(int) - depths[1])[level].max() <= 5
+    for env in envs:
+        env.close()
+
+
+@needs_gl
+def test_a_print_lies_where_opengl_lays_it():
+    """A texture that tells places: red grows with x, green falls with y."""
+    pictures = []
+    for renderer in ("gl", "rays"):
+        env = make(
+            "Cable", {"others": False, "table": {"textured": 0.0, "shade": 0.0}, "camera": True}, renderer=renderer
+        )
+        play(env, 0, 0)
+        model = env._body.model
+        place = np.arange(512) / 2
+        red, green = np.meshgrid(place, place)
+        start = int(model.texture("table").adr[0])
+        model.tex_data[start : start + 512 * 512 * 3] = (
+            np.stack([red, green, 0 * red], axis=-1).astype(np.uint8).ravel()
+        )
+        env._rendering.refresh()
+        pictures.append(env._rendering.capture(env._body))
+        camera = env.camera_model
+        env.close()
+    (one, depth), (two, _) = pictures
+    table = ~near_an_edge(one)
+    v, u = np.nonzero(table)
+    points = camera.to_base(camera.intrinsics.deproject(np.stack([u, v], axis=1), depth[table]))
+    for picture in (one, two):
+        found = picture[table] / picture[table].max()
+        expected = np.stack([points[:, 0] / 1.6 + 0.5, 0.5 - points[:, 1] / 1.6], axis=1)
+        ratio = found[:, 0] / found[:, 1]
+        assert np.median(np.abs(ratio - expected[:, 0] / expected[:, 1])) < 0.03
+    assert np.abs(one.astype(int) - two)[table].max() <= 3
+
+
+def test_a_texture_is_repeated_and_shrunk():
+    picture = np.zeros((4, 8, 3), np.uint8)
+    picture[:, 4:] = 200
+    texture = Texture(picture)
+    assert texture.shape == (4, 8)
+    places = np.array([[0.25, 0.5], [0.75, 0.5], [1.75, -3.5], [-0.75, 7.5], [0.5, 0.1]])
+    colours = texture.sample(places, 1.0)[:, 0] * 255
+    assert np.allclose(colours, [0, 200, 200, 0, 100], atol=1)
+    assert np.allclose(texture.sample(places, 1000.0) * 255, 100, atol=2)  # from far away it is grey
+    assert texture.sample(np.zeros((2, 3, 2)), np.ones((2, 3))).shape == (2, 3, 3)
+
+
+@pytest.mark.parametrize("kind", ["box", "cylinder", "capsule", "sphere", "ellipsoid"])
+def test_surfaces_face_outwards(kind):
+    """Where a ray meets a surface, neighbouring rays meet its tangent plane."""
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><geom type="{kind}" size=".2 .15 .1" euler="30 50 10"/></worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    eye = np.array([0.3, -0.4, 1.5])
+    target = np.random.default_rng(0).uniform(-0.15, 0.15, (400, 3))
+    hits = []
+    for shift in ((0, 0, 0), (1e-5, 0, 0), (0, 1e-5, 0)):
+        rays = target + shift - eye
+        rays /= np.linalg.norm(rays, axis=1)[:, None]
+        distance, geom = cast_rays(model, data, eye, rays)
+        hits.append((eye + rays * distance[:, None], geom))
+    met = (hits[0][1] == 0) & (hits[1][1] == 0) & (hits[2][1] == 0)
+    assert met.sum() > 100
+    facing = outward_normals(model, data, np.zeros(met.sum(), np.int32), hits[0][0][met])
+    assert np.allclose(np.linalg.norm(facing, axis=1), 1)
+    assert (np.einsum("ij,ij->i", facing, eye - hits[0][0][met]) > 0).all()
+    for points, _ in hits[1:]:
+        along = points[met] - hits[0][0][met]
+        slope = np.abs(np.einsum("ij,ij->i", along, facing)) / np.linalg.norm(along, axis=1)
+        assert np.quantile(slope, 0.97) < 0.01  # all but those across an edge
+
+
+@pytest.mark.parametrize("name", ENVS)
+@pytest.mark.parametrize("camera", [[84, 84], "rl"])
+def test_the_workspace_stays_in_view(name, camera):
+    strong = {"others": False, "camera": {"tilt": 0.2, "turn": 0.4, "aim": 0.03, "roll": 0.1}}
+    env = make(name, strong, camera=camera, render_observation=False)
+    poses = []
+    corners = np.array(np.meshgrid(*zip(*env.REACH, strict=True))).reshape(3, -1).T
+    for seed in range(20):
+        play(env, seed, 0)
+        model = env.camera_model
+        pixels, size = model.project_from_base(corners), (model.intrinsics.width, model.intrinsics.height)
+        assert pixels.min() > -0.5
+        assert (pixels < np.array(size) - 0.5).all()
+        assert model.transform_camera_to_base is not None
+        poses.append(model.transform_camera_to_base)
+        aim = env.randomization["camera"]["aim"]
+        assert np.allclose(model.project_from_base(np.array([[*aim, 0.0]])), (np.array(size) - 1) / 2, atol=1e-6)
+    assert np.ptp(np.array(poses)[:, 2, 3]) > 0.03
+
+
+@pytest.mark.parametrize("name", ENVS)
+def test_the_camera_model_follows(name):
+    """The object is seen where the model of the moved camera says that it is."""
+    env = make(name, {"others": False, "camera": {"turn": 0.5}, "material": True}, camera="rl")
+    rule = env.shape_obs_defaults["segmentation"]  # type: ignore[attr-defined]
+    for seed in range(3):
+        observation = play(env, seed, 3)[-1]
+        hsv = cv2.cvtColor(observation["rgb"], cv2.COLOR_RGB2HSV)
+        mask = cv2.inRange(hsv, np.array(rule["low"], np.uint8), np.array(rule["high"], np.uint8)) > 0
+        true = env.truth(30, 60) if name == "Cloth" else env.truth(200)  # type: ignore[attr-defined]
+        pixels = env.camera_model.project_from_base(true)
+        vv, uu = np.nonzero(mask)
+        away = np.sqrt(((np.stack([uu, vv], axis=1)[:, None] - pixels) ** 2).sum(-1)).min(axis=0)
+        assert away.max() < 1.5
+
+
+def test_shown_pictures_follow_too():
+    env = make("Cable", {"others": False, "table": True}, render_mode="rgb_array", render_size="rl")
+    shown = []
+    for seed in range(2):
+        play(env, seed, 0)
+        shown.append(cast(np.ndarray, env.render()).astype(int))
+    assert np.abs(shown[0] - shown[1]).mean() > 10

@@ -1,0 +1,253 @@
+"""Domain randomisation: drawn values, seeds, and what must not change."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+
+pytest.importorskip("mujoco")
+
+from randomized import ENVS, make, play, reset, same  # pyright: ignore[reportMissingImports]
+
+from shape_obs_envs.mujoco.bodies import MaterialFactors
+from shape_obs_envs.mujoco.goal_env import ShapeGoalEnv
+from shape_obs_envs.mujoco.randomization import FACTORS, Randomization, Randomizer
+from shape_obs_envs.mujoco.scene import cast_rays
+
+LOOKS = {"material": False}
+ONLY_HAND = {"others": False, "hand": {"probability": 1.0, "latest": 2}}
+
+
+@pytest.fixture(scope="module", params=ENVS)
+def name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def env(name: str):
+    env = make(name)
+    yield env
+    env.close()
+
+
+# ---- the argument
+
+
+def test_off_it_adds_and_draws_nothing(name):
+    rng = np.random.default_rng(3)
+    before = rng.bit_generator.state
+    off = Randomizer(False)
+    off.draw_physics(rng)
+    assert not off.draw_appearance()
+    off.advance()
+    assert rng.bit_generator.state == before
+    assert off.bodies() == off.sections() == ""
+    env, on = make(name, False), make(name, True)
+    assert env.randomization == {}
+    assert env._body.model.ngeom < on._body.model.ngeom
+    assert not {"table", "hand"} & {env._body.model.texture(i).name for i in range(env._body.model.ntex)}
+    assert env.shape_obs_defaults["segmentation"] != on.shape_obs_defaults["segmentation"]  # type: ignore[attr-defined]
+    default = cast(ShapeGoalEnv, gym.make(f"ShapeObs/{name}-v0", camera=[84, 84], renderer="rays").unwrapped)
+    assert same(play(env, 5), play(default, 5))
+
+
+def test_a_mapping_chooses_factors_and_strengths():
+    everything = Randomization.of(True)
+    assert all(getattr(everything, factor) == FACTORS[factor]() for factor in FACTORS)
+    assert not Randomization.of(False).any
+    some = Randomization.of({"hand": False, "camera": {"tilt": 0.02}})
+    assert some.hand is None
+    assert some.camera is not None
+    assert some.camera.tilt == 0.02
+    assert some.light == everything.light
+    only = Randomization.of({"others": False, "light": True})
+    assert only == Randomization(light=everything.light)
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("yes", "randomize: expected True, False or a mapping of light, table"),
+        ({"lights": True}, "randomize: unknown factor 'lights'; did you mean 'light'"),
+        ({"hand": 3}, "randomize: hand: expected True, False or a mapping of its fields, got 3"),
+        ({"hand": {"cover": 0.9}}, "randomize: hand.cover: expected a number from 0 to 0.5, got 0.9"),
+        ({"hand": {"stay": [5, 2]}}, "randomize: hand.stay: expected two numbers within 0 ... 10000"),
+        ({"camera": {"tild": 0.1}}, "unknown field 'tild'; did you mean 'tilt'"),
+        ({"material": {"stiffness": 0.5}}, "material.stiffness: expected a number from 1 to 4"),
+        ({"table": {"cell": [0.1, 0.01]}}, "table.cell: expected two sizes within 0.004 ... 0.4 m"),
+        ({"others": 1}, "randomize: others: expected True or False, got 1"),
+    ],
+)
+def test_bad_arguments_are_told(argument, message):
+    with pytest.raises(ValueError, match="randomize: ") as error:
+        Randomizer(argument)
+    assert message in str(error.value)
+
+
+def test_rebuild_from_json_and_pickle():
+    randomize = {"hand": {"probability": 1.0}, "distractors": {"most": 2}, "camera": False}
+    one = gym.make("ShapeObs/Cable-v0", camera=[84, 84], renderer="rays", randomize=randomize)
+    assert one.spec is not None
+    two = gym.make(EnvSpec.from_json(json.dumps(json.loads(one.spec.to_json()))))
+    three = pickle.loads(pickle.dumps(one.unwrapped))
+    plays = [play(cast(ShapeGoalEnv, env.unwrapped), 2) for env in (one, two, three)]
+    assert same(plays[0], plays[1])
+    assert same(plays[0], plays[2])
+
+
+# ---- the seed
+
+
+def test_a_seed_gives_the_same_again_and_forgets_the_past(env, name):
+    first, drawn = play(env, 4), env.randomization
+    play(env, 5)
+    assert env.randomization != drawn
+    assert same(first, play(env, 4))
+    assert env.randomization == drawn
+    other = make(name)
+    assert same(first, play(other, 4))
+    json.dumps(drawn)
+    assert list(drawn) == ["material", *(factor for factor in FACTORS if factor != "material")]
+
+
+def test_one_factor_leaves_the_others_as_they_were():
+    everything = make("Cable", render_observation=False)
+    reset(everything, 7)
+    drawn = everything.randomization
+    for factor in ("light", "object", "material", "hand"):
+        less = make("Cable", {factor: False}, render_observation=False)
+        reset(less, 7)
+        left = {key: value for key, value in drawn.items() if key != factor}
+        if factor == "material":  # things lie clear of where the rope is, which has another bend
+            del left["distractors"]
+        assert {key: less.randomization[key] for key in left} == left
+
+
+def test_looks_change_nothing_but_the_pictures(name):
+    plain = make(name, {"others": False, "light": True})
+    dressed = make(name, LOOKS)
+    one, two = play(plain, 3), play(dressed, 3)
+    assert same(one, two, "achieved_goal", "gripper")
+    assert not same(one, two, "rgb")
+
+
+def test_episodes_look_different(env):
+    pictures = [reset(env, seed)[0]["rgb"].astype(int) for seed in range(4)]
+    for i, one in enumerate(pictures):
+        assert all(np.abs(one - other).mean() > 10 for other in pictures[:i])
+
+
+# ---- physics
+
+
+def test_factors_of_one_leave_the_model(name):
+    env = make(name, LOOKS)
+    model = env._body.model
+    names = ["body_pos", "body_ipos", "geom_pos", "geom_size", "geom_rbound", "eq_data", "jnt_stiffness", "dof_damping"]
+    names += ["skin_vert", "skin_bonebindpos", "tendon_stiffness", "tendon_damping"]
+    before = {key: np.array(getattr(model, key)) for key in names}
+    env._body.set_material(MaterialFactors(1.2, 0.7, 1.4, 1.3))
+    changed = {key for key in names if not np.allclose(before[key], getattr(model, key), atol=1e-9)}
+    assert changed >= (
+        {"tendon_stiffness", "tendon_damping"} if name == "Cloth" else {"geom_size", "skin_vert", "dof_damping"}
+    )
+    env._body.set_material(MaterialFactors())
+    for key in names:
+        np.testing.assert_allclose(getattr(model, key), before[key], atol=1e-9, err_msg=key)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_goals_are_reached_with_every_material(name, seed):
+    env = make(name, render_observation=False)
+    env.reset(seed=seed)
+    info: dict[str, Any] = {}
+    still = np.zeros(env.action_space.shape or (), np.float32)
+    for action in [*env.goal_actions, *20 * [still]]:
+        *_, info = env.step(action)
+    assert info["truth/mean_error"] < 0.005
+
+
+def test_a_rope_keeps_its_length_however_thick():
+    env = make("Cable", {"others": False, "material": {"thickness": 0.4}}, render_observation=False)
+    radii = []
+    for seed in range(4):
+        play(env, seed)
+        chain = cast(Any, env)._chain
+        radii.append(chain.spec.radius)
+        assert env.shape_obs_defaults["shapes"][0]["radius"] == 0.008  # type: ignore[attr-defined]
+        length = np.linalg.norm(np.diff(chain.vertices(), axis=0), axis=1).sum()
+        assert length == pytest.approx(0.5, abs=1e-9)
+        assert np.allclose(chain.vertices()[:, 2], chain.spec.radius)
+    assert max(radii) > 1.1 * min(radii)
+
+
+def test_a_state_is_taken_over_with_another_thickness():
+    env = make("Cable", {"others": False, "material": True}, render_observation=False)
+    reset(env, 0)
+    state, goal = env.get_state(), env._goal_points().astype(np.float32)
+    env.reset(seed=1, options={"start": state, "goal": goal})
+    for _ in range(5):
+        env.step(np.zeros(6, np.float32))
+    chain = cast(Any, env)._chain
+    assert np.abs(chain.tip_poses()[:, :2] - env._target[:, :2]).max() < 1e-3
+    assert np.allclose(chain.vertices()[:, 2], chain.spec.radius)
+
+
+# ---- things that lie about, and the hand
+
+
+def test_distractors_hide_nothing(name):
+    env = make(name, {"others": False, "distractors": {"most": 6}, "camera": True}, render_observation=False)
+    model, data = env._body.model, env._body.data
+    geoms = {int(model.body(f"distractor{i}_").geomadr[0]) for i in range(6)}
+    things = 0
+    for seed in range(6):
+        play(env, seed, 8)
+        things += len(env.randomization["distractors"]["things"])
+        eye = data.cam_xpos[0].copy()
+        rays = env._goal_points() - eye
+        rays /= np.linalg.norm(rays, axis=1)[:, None]
+        _, hit = cast_rays(model, data, eye, rays)
+        tall = {int(model.body(f"distractor{i}_").geomadr[0]) for i in range(6) if data.mocap_pos[-6:][i][2] > 0.003}
+        assert not set(hit.tolist()) & geoms & tall
+    assert things > 8
+
+
+def test_the_hand_comes_hides_a_part_and_goes(name):
+    env = make(name, ONLY_HAND, render_observation=False)
+    hidden, seen = [], []
+    for seed in range(5):
+        reset(env, seed)
+        plan, visit = env.randomization["hand"], env._randomizer._visit
+        assert visit is not None
+        shown = []
+        for _ in range(plan["end"] + 2):
+            env.step(np.zeros(env.action_space.shape or (), np.float32))
+            geom = int(env._body.model.body("hand").geomadr[0])
+            shown.append(bool(env._body.model.geom_rgba[geom, 3]))
+            if shown[-1]:
+                hidden.append(visit.hidden(env._goal_points()))
+                assert visit.hidden(env._body.landmarks()) == 0
+        seen.append(sum(shown))
+        assert not shown[-1]
+        assert not any(shown[: plan["start"]])
+    assert 0.03 <= max(hidden) <= 0.2
+    assert min(seen) >= 10
+
+
+def test_how_often_a_hand_comes():
+    env = make("Cable", {"others": False, "hand": {"probability": 0.3}}, render_observation=False)
+    came = []
+    for seed in range(60):
+        reset(env, seed)
+        came.append(env.randomization["hand"]["comes"])
+    assert 0.15 < np.mean(came) < 0.45
+    none = make("Cable", {"others": False, "hand": {"probability": 0.0}}, render_observation=False)
+    reset(none, 0)
+    assert none.randomization["hand"] == {"comes": False}

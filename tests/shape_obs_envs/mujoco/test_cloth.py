@@ -1,0 +1,273 @@
+"""The cloth environment against its own ground truth."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+import shape_obs_envs  # noqa: F401
+from shape_obs_envs.mujoco.bodies import MaterialFactors
+from shape_obs_envs.mujoco.cloth import COLS, ROWS, ClothEnv
+
+IDLE = np.zeros(6, np.float32)
+
+
+def make(**options: Any) -> ClothEnv:
+    return cast(
+        ClothEnv, gym.make("ShapeObs/Cloth-v0", **{"camera": [84, 84], "renderer": "rays", **options}).unwrapped
+    )
+
+
+def play(env: ClothEnv, moves: list[tuple[list[float], int]]) -> None:
+    """Move both grippers by the same part of a step (x, y, z), or each by its own (6,), for some steps."""
+    for move, steps in moves:
+        for _ in range(steps):
+            env._move(np.resize(np.asarray(move, np.float64), 6))
+
+
+def carry_over(env: ClothEnv) -> None:
+    """Fold the sheet: carry the held edge over the rest of it."""
+    play(env, [([0, -1, 0], 24), ([0, 0, 0], 20)])
+
+
+def crossings(masses: np.ndarray) -> int:
+    """How many edges of the mesh of masses (R, C, 3) pass through a triangle of it that lies clear of the table."""
+    rows, cols, _ = masses.shape
+    index = np.arange(rows * cols).reshape(rows, cols)
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
+    faces = np.concatenate([np.stack([a, d, b], axis=1), np.stack([b, d, c], axis=1)])
+    edges = np.concatenate([np.stack(pair, axis=1) for pair in ((a, b), (a, d), (b, d), (d, c), (b, c))])
+    points = masses.reshape(-1, 3)
+    start, end = points[edges[:, 0]], points[edges[:, 1]]
+    p, q, r = (points[faces[:, k]] for k in range(3))
+    normals = np.cross(q - p, r - p)
+    before, after = (np.einsum("fk,fek->fe", normals, ends[None] - p[:, None]) for ends in (start, end))
+    apart = ~(faces[:, None, :, None] == edges[None, :, None, :]).any(axis=(2, 3))
+    face, edge = np.nonzero((before * after < 0) & apart)
+    part = (before[face, edge] / (before[face, edge] - after[face, edge]))[:, None]
+    through = start[edge] + part * (end[edge] - start[edge])
+    inside = np.ones(len(face), bool)
+    for one, other in ((p, q), (q, r), (r, p)):
+        side = np.cross(other[face] - one[face], through - one[face])
+        inside &= np.einsum("ij,ij->i", side, normals[face]) > 0
+    return int(np.count_nonzero(inside & (through[:, 2] > 0.003)))
+
+
+@pytest.fixture(scope="module")
+def env():
+    env = make()
+    yield env
+    env.close()
+
+
+@pytest.fixture(scope="module")
+def episodes() -> dict[str, np.ndarray]:
+    """What 20 episodes of held actions, white noise and full strength do to the sheet."""
+    env = make(render_observation=False)
+    rng, action = np.random.default_rng(0), IDLE
+    seen: dict[str, list[Any]] = {name: [] for name in ("stretch", "crossings", "pixels", "surface", "grippers")}
+    for seed in range(20):
+        env.reset(seed=seed)
+        for step in range(50):
+            if step % 8 == 0 or seed % 3 == 0:
+                action = rng.uniform(-1, 1, 6)
+                action = np.sign(action) if seed % 3 == 1 else action
+            observation, *_ = env.step(action.astype(np.float32))
+            assert env.observation_space.contains(observation)
+            seen["stretch"].append(env._sheet.stretch())
+            seen["grippers"].append(observation["gripper"].reshape(2, 3))
+            if step % 5 == 4:
+                surface = env._sheet.vertices().reshape(-1, 3)
+                seen["surface"].append(surface)
+                seen["pixels"].append(env.camera_model.project_from_base(surface))
+                seen["crossings"].append(crossings(env._sheet.mesh.masses(env._body.data)))
+    assert not any(warning.number for warning in env._body.data.warning)
+    return {name: np.array(values) for name, values in seen.items()}
+
+
+def test_the_sheet_hardly_stretches(episodes):
+    assert episodes["stretch"].max() < 0.1
+    assert np.percentile(episodes["stretch"], 99) < 0.05
+
+
+def test_its_layers_do_not_pass_through_each_other(episodes):
+    assert np.mean(episodes["crossings"] > 0) < 0.01
+
+
+def test_crossings_are_counted():
+    x, y = np.meshgrid(np.arange(5.0), np.arange(4.0))
+    flat = np.stack([x, y, np.ones_like(x)], axis=-1)
+    assert crossings(flat) == 0
+    through = flat.copy()
+    through[2] += (0.0, -0.8, 1.0)
+    through[3] += (0.3, -2.5, -0.5)  # back down, and through the first row of cells
+    assert crossings(through) > 0
+
+
+def test_all_of_it_stays_in_the_smallest_image_and_above_the_table(episodes):
+    assert episodes["pixels"].min() > 3
+    assert episodes["pixels"].max() < 80
+    assert episodes["surface"][..., 2].min() >= 0.001
+    low, high = (np.array(corner) for corner in ClothEnv.REACH)
+    assert np.all((episodes["surface"] >= low) & (episodes["surface"] <= high))
+
+
+def test_grippers_keep_within_their_workspace(episodes):
+    env = make(render_observation=False)
+    low, high = env._workspace.bounds
+    grippers = episodes["grippers"]
+    assert np.all((grippers > low - 1e-4) & (grippers < high + 1e-4))
+    span = np.linalg.norm(grippers[:, 1] - grippers[:, 0], axis=1)
+    assert span.max() < 0.3501
+    assert span.min() > 0.1899
+    assert np.abs(np.diff(grippers[:, :, 1], axis=1)).max() < 0.0801
+
+
+def test_actions_move_each_gripper_and_its_corner_at_once(env):
+    env.reset(seed=0)
+    start = env._sheet.gripper_poses()
+    env.step(np.array([-0.5, 0.4, 0.3, 0, 0, 0], np.float32))
+    moved = env._sheet.gripper_poses()
+    assert np.allclose(moved - start, [[-0.003, 0.0024, 0.0018], [0, 0, 0]], atol=2e-5)
+    assert np.allclose(list(env.anchors.values()), moved, atol=1e-6)
+    with pytest.raises(ValueError, match=r"action: expected \(6,\) finite numbers"):
+        env.step(np.full(6, np.nan, np.float32))
+
+
+def test_it_falls_comes_to_rest_and_does_not_buzz(env):
+    moves = {
+        "lifted": [([0, 0, 1], 8)],
+        "dropped": [([0, 0, 1], 8), ([0, 0, -1], 8)],
+        "bunched": [([1, 0, 0.3, -1, 0, 0.3], 10)],
+        "dragged": [([0.7, 0.7, 0], 10)],
+    }
+    for seed, (name, motion) in enumerate(moves.items()):
+        env.reset(seed=seed)
+        play(env, motion)
+        play(env, [([0, 0, 0], 20)])
+        before = env._sheet.mesh.masses(env._body.data).copy()
+        play(env, [([0, 0, 0], 1)])
+        after = env._sheet.mesh.masses(env._body.data)
+        assert np.linalg.norm(after - before, axis=-1).max() < 2e-4, name
+        # whatever is not near the held edge lies on the table again
+        assert after[-1, 2:-2, 2].max() < 0.003, name
+
+
+def test_a_reset_forgets_the_past(env):
+    def rollout(seed: int) -> list[np.ndarray]:
+        rng = np.random.default_rng(seed)
+        first, _ = env.reset(seed=seed)
+        steps = [env.step(rng.uniform(-1, 1, 6).astype(np.float32))[0] for _ in range(5)]
+        return [first["desired_goal"], *(step["achieved_goal"] for step in steps), steps[-1]["rgb"]]
+
+    fresh = rollout(3)
+    rollout(4)
+    assert all(np.array_equal(a, b) for a, b in zip(fresh, rollout(3), strict=True))
+
+
+def test_starts_are_unfolded_and_far_goals_are_not():
+    env = make(render_observation=False, difficulty="far")
+    for seed in range(4):
+        env.reset(seed=seed)
+        assert env.unfolded
+        for action in [*env.goal_actions, *[IDLE] * 20]:
+            env.step(action)
+        assert not env.unfolded
+        assert crossings(env._sheet.mesh.masses(env._body.data)) == 0
+
+
+def test_a_fold_is_told(env):
+    env.reset(seed=1)
+    assert env.unfolded
+    carry_over(env)
+    assert not env.unfolded
+    shape = env.truth(7, 13).reshape(7, 13, 3)
+    assert (shape[0, :, 1] < shape[1, :, 1]).all(), "the held edge is not over the rest"
+    assert shape[0, :, 2].min() > shape[3, :, 2].max() + 0.01
+
+
+def test_truth_runs_over_the_material_from_the_held_corner(env):
+    env.reset(seed=2)
+    play(env, [([1, 0.5, 0.5, -1, 0.5, 0.5], 6)])
+    fine = env.truth(7, 13).reshape(7, 13, 3)
+    assert np.allclose(fine, np.maximum(env._sheet.mesh.masses(env._body.data), [-9, -9, 0.001]), atol=1e-9)
+    assert np.allclose(env.truth(4, 7).reshape(4, 7, 3), fine[::2, ::2])
+    assert np.allclose(env.truth(3, 6, ends="centers").reshape(3, 6, 3), fine[1::2, 1::2])
+    assert np.allclose([env.anchors["gripper0"], env.anchors["gripper1"]], fine[0, [0, -1]])
+    assert env.goal_layout == {"kind": "surface", "rows": ROWS, "cols": COLS}
+    observation, *_ = env.step(IDLE)
+    assert np.allclose(observation["achieved_goal"].reshape(-1, 3), env.truth(), atol=1e-6)
+    pixels = env.truth(frame="pixels").reshape(ROWS, COLS, 2)
+    assert np.unravel_index(pixels.sum(axis=-1).argmin(), (ROWS, COLS)) == (0, 0)
+    assert (np.diff(pixels[..., 0], axis=1) > 0).all()
+    assert (np.diff(pixels[..., 1], axis=0) > 0).all()
+
+
+def test_frames_of_the_truth_agree(env):
+    env.reset(seed=2)
+    camera = env.camera_model
+    local = env.truth(5, 6, frame="camera")
+    assert np.allclose(camera.to_base(local), env.truth(5, 6))
+    assert np.allclose(camera.intrinsics.project(local), env.truth(5, 6, frame="pixels"))
+    assert np.array_equal(env.truth(5, 6, surface=True), env.truth(5, 6))
+
+
+def test_truth_tells_what_it_takes(env):
+    with pytest.raises(ValueError, match=r"rows: expected a whole number, 2 or more, got 1"):
+        env.truth(1)
+    with pytest.raises(ValueError, match=r"cols: expected a whole number, 2 or more, got 2.5"):
+        env.truth(4, 2.5)
+    with pytest.raises(ValueError, match=r"frame: expected one of .* Did you mean 'pixels'"):
+        env.truth(frame="pixel")
+    with pytest.raises(ValueError, match=r"ends: expected one of 'tips', 'centers', got 'tip'"):
+        env.truth(ends="tip")
+
+
+def test_another_material_bends_otherwise_and_is_as_stable():
+    env = make(render_observation=False)
+    heights = []
+    for stiffness in (0.25, 4.0):
+        env._sheet.set_material(MaterialFactors(stiffness=stiffness, damping=1 / stiffness, friction=3.0))
+        env.np_random = np.random.default_rng(0)
+        env._target = env._draw_start()
+        play(env, [([1, 0, 0.2, -1, 0, 0.2], 12), ([0, 0, 0], 20)])  # a stiff sheet makes higher humps
+        heights.append(env.truth(7, 13)[:, 2].mean())
+        assert env._sheet.stretch() < 0.05
+    assert heights[1] > 1.1 * heights[0]
+    env._sheet.set_material(MaterialFactors())
+    assert env._sheet.spec == env._sheet.nominal
+
+
+@pytest.mark.parametrize(("hold", "mean"), [(1, 0.003), (8, 0.004)])
+def test_the_wrapper_sees_the_true_lattice(hold, mean):
+    wrapped = gym.make("ShapeObs/ClothShape-v0", camera="d455")
+    env = cast(ClothEnv, wrapped.unwrapped)
+    half_a_node = 0.5 * min(env._sheet.spec.width / (COLS - 1), env._sheet.spec.depth / (ROWS - 1))
+    rng, action = np.random.default_rng(0), IDLE
+    errors, slips, unfolded, found = [], 0, 0, 0
+    for seed in range(3):
+        wrapped.reset(seed=seed)
+        for step in range(25):
+            action = rng.uniform(-1, 1, 6).astype(np.float32) if step % hold == 0 else action
+            observation, _, _, _, info = wrapped.step(action)
+            if not env.unfolded:
+                continue
+            unfolded += 1
+            if not info["shape/ok"] or info["shape/age"] > 0:
+                continue
+            found += 1
+            seen = observation["achieved_goal"].reshape(-1, 3)
+            away = np.linalg.norm(seen - env.truth(), axis=1)
+            errors.append(away.mean())
+            slips += int(away.max() > half_a_node)
+    assert unfolded > 20
+    assert found > 0.9 * unfolded
+    assert np.mean(errors) < mean
+    assert max(errors) < 0.01
+    assert slips == 0
+    wrapped.close()

@@ -1,0 +1,104 @@
+"""The real path: a software D455 inside librealsense, its source, ``ShapeObs/D455-v0`` and the wrapper."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from camera_scene import camera, picture, source, streaming
+from cell_parts import ROPE, ListRobot
+from stable_baselines3.common.env_checker import check_env as check_sb3
+
+from shape_obs import ShapeObservation
+from shape_obs.source import CameraNotFound
+from shape_obs_envs.robots import SimulatedRobot
+from shape_obs_envs.sources.realsense.driver import recording_suffix
+
+
+def cell(eye: Any, robot: Any = None, **options: Any) -> Any:
+    given = {"size": [160, 120], "rate": 50.0, "timeout": 0.5, "disable_env_checker": True, **options}
+    return gym.make("shape_obs_envs:ShapeObs/D455-v0", source=eye, robot=robot, **given)
+
+
+@pytest.mark.skipif(not find_spec("mujoco"), reason="the simulated robot needs MuJoCo: pip install 'shape-obs[sim]'")
+def test_from_the_software_camera_to_sb3s_checker():
+    env = cell("robot", SimulatedRobot(seed=1), size=[640, 480], rate=30.0)
+    try:
+        check_sb3(ShapeObservation(env))
+        _, info = env.reset(seed=0)
+        assert info["frame"] > 0
+    finally:
+        env.close()
+
+
+def test_a_recording_gives_the_environment_the_same_images(tmp_path: Path):
+    path, device, frames = tmp_path / f"rope{recording_suffix()}", camera(), []
+    with source(device, record_to=path) as stream:
+        for number in range(12):
+            device.push_raw(*picture(number), stamp=10 + number / 30)
+            frames.append(stream.read(5))
+    env = cell(str(path))
+    observation, info = env.reset()
+    terminated = truncated = False
+    for frame in frames:
+        assert np.array_equal(observation["rgb"], frame.rgb)
+        assert np.array_equal(observation["depth"], frame.depth)
+        assert info["frame"] == frame.number
+        assert info["stamp"] == pytest.approx(frame.stamp, abs=1e-6)
+        observation, _, terminated, truncated, info = env.step(0)
+    assert (terminated, truncated) == (False, True)
+    assert "end of the recording" in info["camera_error"]
+    assert not observation["rgb"].any()
+    env.reset()  # from the beginning
+    assert env.unwrapped.frame.number == frames[0].number
+    env.close()
+
+
+def test_a_camera_that_is_pulled_out_ends_the_episode_and_a_reset_finds_it_again():
+    device, robot = camera(), ListRobot()
+    with streaming(device):
+        env = ShapeObservation(cell(source(device), robot), **ROPE)
+        env.reset()
+        for _ in range(3):
+            *_, truncated, info = env.step(np.zeros(2))
+            assert not truncated
+        device.unplug()
+        truncated, info = False, {}
+        for _ in range(3):  # one more may be under way
+            *_, truncated, info = env.step(np.zeros(2))
+            if truncated:
+                break
+        assert truncated
+        assert "455" in info["camera_error"]
+        assert robot.calls[-1] == "stop"
+        assert not info["shape/ok"] or info["shape/age"] > 0
+        with pytest.raises(CameraNotFound):
+            env.reset()
+        device.plug()
+        env.reset()
+        *_, truncated, info = env.step(np.zeros(2))
+        assert not truncated
+        env.close()
+
+
+def test_frozen_colours_end_the_episode_and_never_show_an_old_image():
+    device = camera()
+    with streaming(device):
+        env = cell(source(device))
+        env.reset()
+        device.freeze_colour()
+        numbers, truncated = [], False
+        for _ in range(4):
+            _, _, _, truncated, info = env.step(0)
+            if truncated:
+                break
+            numbers.append(info["frame"])
+        assert truncated
+        assert len(numbers) == len(set(numbers)) <= 2
+        device.freeze_colour(False)
+        env.reset()
+        env.close()

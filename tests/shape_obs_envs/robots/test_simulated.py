@@ -1,0 +1,254 @@
+"""Robots without hardware: one that does not move, and one simulated in real time in front of a software D455."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from importlib.util import find_spec
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from shape_obs import ShapeDetector
+from shape_obs.frame import Frame
+from shape_obs.robot import ActionSpec, Robot, RobotError, robot_anchors
+from shape_obs_envs.robots import NullRobot, SimulatedRobot
+
+simulated = pytest.mark.skipif(
+    not (find_spec("mujoco") and find_spec("pyrealsense2")),
+    reason="the simulated robot needs MuJoCo and librealsense: pip install 'shape-obs[sim,realsense]'",
+)
+
+
+# ---- NullRobot
+
+
+def test_the_null_robot_remembers_what_it_was_told() -> None:
+    robot = NullRobot(size=2)
+    assert isinstance(robot, Robot)
+    with pytest.raises(RobotError, match=r"not connected: call connect\(\) first"):
+        robot.reset()
+    robot.connect()
+    robot.reset()
+    robot.send(np.array([0.01, -0.02]), soon())
+    robot.send(np.array([0.01, 0.0]), soon())
+    assert robot.state() == pytest.approx([0.02, -0.02])
+    assert [motion.tolist() for _, motion in robot.sent] == [[0.01, -0.02], [0.01, 0.0]]
+    robot.stop()
+    robot.park()
+    robot.reset()
+    assert robot.state() == pytest.approx([0, 0])
+    with pytest.raises(RobotError, match=r"2 finite numbers \(x0, x1\)"):
+        robot.send(np.array([np.nan, 0.0]), soon())
+    robot.disconnect()
+    with pytest.raises(RobotError):
+        robot.send(np.zeros(2), soon())
+
+
+def test_the_null_robot_takes_any_spec() -> None:
+    fields = {"names": ["lift"], "units": ["m"], "scale": [0.1], "low": [0.0], "high": [1.0], "mode": "velocity"}
+    robot = NullRobot(spec=fields, period=0.5)
+    robot.connect()
+    robot.reset()
+    robot.send(np.array([0.1]), soon())
+    assert robot.action_spec == ActionSpec.from_dict(fields)
+    assert robot.state() == pytest.approx([0.55])
+    with pytest.raises(ValueError, match="size"):
+        NullRobot(size=0)
+
+
+# ---- SimulatedRobot
+
+
+def soon() -> float:
+    return time.monotonic() + 5.0
+
+
+class FirstStart(NamedTuple):
+    state: np.ndarray
+    goal: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def started() -> Iterator[tuple[SimulatedRobot, FirstStart]]:
+    robot = SimulatedRobot(seed=1)
+    robot.connect()
+    robot.reset()
+    yield robot, FirstStart(robot.state(), robot.goal)
+    robot.disconnect()
+
+
+@pytest.fixture
+def robot(started: tuple[SimulatedRobot, FirstStart]) -> SimulatedRobot:
+    return started[0]
+
+
+def frames(robot: SimulatedRobot, count: int) -> list[Frame]:
+    with robot.source() as source:
+        return [source.read(timeout=10.0) for _ in range(count)]
+
+
+@simulated
+def test_it_is_a_robot_that_moves_as_it_is_told(robot: SimulatedRobot) -> None:
+    assert isinstance(robot, Robot)
+    assert robot.action_spec.names[:3] == ("gripper0/x", "gripper0/y", "gripper0/yaw")
+    assert robot.action_spec.units == 2 * ("m", "m", "rad")
+    robot.reset()
+    start = robot.state()
+    before = np.array(robot_anchors(robot)["gripper0"])
+    motion = np.array([0.01, 0.012, 0.0, -0.01, 0.012, 0.0])
+    robot.send(motion, soon())
+    assert robot.state() == pytest.approx(start + motion)
+    frames(robot, 30)
+    assert np.array(robot.anchors["gripper0"]) - before == pytest.approx([0.01, 0.012, 0], abs=3e-3)
+
+    robot.send(np.full(6, 5.0), soon())  # no further than the workspace lets both grippers go
+    assert (robot.state() <= np.asarray(robot.action_spec.high) + 1e-9).all()
+    robot.stop()
+    told = robot.state()
+    robot.stop()
+    assert robot.state() == pytest.approx(told, abs=1e-9)
+    robot.park()
+    assert robot.state() == pytest.approx(start)
+    with pytest.raises(RobotError, match="finite numbers"):
+        robot.send(np.zeros(5), soon())
+
+
+@simulated
+def test_a_motion_ends_at_its_time_by_the_clock_of_the_simulation(robot: SimulatedRobot) -> None:
+    robot.reset()
+    frames(robot, 5)
+    start, before = robot.state(), np.array(robot.anchors["gripper0"])
+    motion = np.array([0.0, 0.02, 0.0, 0.0, 0.02, 0.0])
+    robot.send(motion, time.monotonic() + 0.02)  # of the 0.05 s that it takes
+    moved = robot.state() - start
+    assert 0.2 * motion[1] < moved[1] < 0.41 * motion[1]
+    frames(robot, 15)
+    assert np.array(robot.anchors["gripper0"]) - before == pytest.approx(moved[:3], abs=3e-3)
+    robot.send(motion, time.monotonic() - 0.01)  # its time is over
+    assert robot.state() - start == pytest.approx(moved)
+
+    stopping = threading.Timer(0.2, robot.stop)
+    stopping.start()
+    with pytest.raises(RobotError, match="was stopped or moved on its way"):
+        robot.park()
+
+
+@simulated
+def test_the_camera_sees_the_truth(robot: SimulatedRobot) -> None:
+    robot.reset()
+    defaults = robot.shape_obs_defaults
+    detector = ShapeDetector(shapes=defaults["shapes"], segmentation=defaults["segmentation"])
+    errors, numbers = [], []
+    with robot.source() as source:
+        for i in range(40):
+            frame = source.read(timeout=10.0)
+            assert frame.rgb is not None
+            assert frame.number is not None
+            assert frame.camera is not None
+            shape = detector.detect(
+                frame.rgb, frame.depth, frame.camera, stamp=frame.stamp, anchors=dict(robot.anchors)
+            ).shapes[0]
+            assert shape.ok
+            assert shape.points3d is not None
+            errors.append(np.linalg.norm(frame.camera.to_base(shape.points3d) - robot.truth(frame.number), axis=1))
+            numbers.append(frame.number)
+            robot.send(robot.action_spec.physical(0.5 * np.sin(i / 5) * np.array([1, 0.3, 0.5, -1, 0.3, -0.5])), soon())
+    assert np.nanmean(errors) < 3e-3  # a flipped or late shape is off by centimetres
+    assert np.nanmax(np.nanmean(errors, axis=1)) < 6e-3
+    assert (np.diff(numbers) > 0).all()
+    with pytest.raises(KeyError, match="no frame 123456789"):
+        robot.truth(123456789)
+
+
+@simulated
+def test_it_keeps_to_the_clock(robot: SimulatedRobot) -> None:
+    got = frames(robot, 30)
+    stamps = np.array([frame.stamp for frame in got])
+    numbers = np.array([frame.number for frame in got])
+    # Stamps are this machine's clock, and pictures lie whole periods apart, however busy the machine is.
+    periods = np.diff(stamps) * 30
+    assert periods == pytest.approx(np.maximum(1, np.rint(periods)), abs=0.5)
+    assert numbers[-1] - numbers[0] <= 30 * (stamps[-1] - stamps[0]) + 2
+    assert 0 < robot.pace < 33
+    assert all(abs(frame.received - frame.stamp) < 5 for frame in got if frame.received and frame.stamp)
+
+
+@simulated
+def test_what_goes_wrong_goes_wrong_and_is_told(robot: SimulatedRobot) -> None:
+    robot.reset()
+    robot.disturb(drop=0.2, freeze=0.2, black=0.2, occluder=0.8, seed=3)
+    got = frames(robot, 30)
+    robot.disturb()
+    affected = robot.affected
+    assert set(affected) == {"drop", "freeze", "black", "occluder"}
+    numbers = {frame.number: frame for frame in got}
+    assert not set(affected["drop"]) & set(numbers)
+    assert not set(affected["freeze"]) & set(numbers)
+    black = [number for number in affected["black"] if number in numbers]
+    assert black
+    assert all((numbers[number].rgb == 0).all() for number in black)  # type: ignore[union-attr]
+
+    clear = frames(robot, 10)[-1]
+    covered = [numbers[number] for number in affected["occluder"] if number in numbers and number not in black]
+    hands = [frame for frame in covered if (np.abs(frame.rgb.astype(int) - (205, 150, 125)).max(axis=2) < 20).any()]  # type: ignore[union-attr]
+    assert len(hands) > len(covered) // 2
+    hand = np.abs(hands[-1].rgb.astype(int) - (205, 150, 125)).max(axis=2) < 20  # type: ignore[union-attr]
+    both = hand & (hands[-1].depth > 0) & (clear.depth > 0)  # type: ignore[operator]
+    assert np.median(clear.depth[both].astype(int) - hands[-1].depth[both]) > 20  # type: ignore[index]
+    with pytest.raises(ValueError, match="shares from 0 to 1"):
+        robot.disturb(drop=0.7, black=0.7)
+    with pytest.raises(ValueError, match="occluder"):
+        robot.disturb(occluder=2.0)
+
+
+@simulated
+def test_the_death_of_the_simulation_is_an_error_and_connect_starts_the_same_anew(
+    started: tuple[SimulatedRobot, FirstStart],
+) -> None:
+    robot, first = started
+    robot.reset()
+    assert not np.allclose(robot.state(), first.state)
+    (child,) = (process for process in multiprocessing.active_children() if process.name == "simulated robot")
+    assert child.pid is not None
+    os.kill(child.pid, signal.SIGTERM)
+    child.join(20)
+    with pytest.raises(RobotError, match=r"has ended \(exit code -15.*disconnect, and connect"):
+        robot.send(np.zeros(6), soon())
+    with pytest.raises(RobotError):
+        robot.reset()
+    robot.stop()
+    assert robot.state().shape == (6,)
+    robot.connect()
+    robot.reset()
+    assert robot.state() == pytest.approx(first.state)
+    assert robot.goal == pytest.approx(first.goal)
+    assert robot.goal.shape == (20, 3)
+    assert robot.goal_layout == {"kind": "centerline"}
+
+
+@simulated
+def test_nothing_is_left_of_it_in_the_end(robot: SimulatedRobot) -> None:
+    robot.disconnect()
+    robot.disconnect()
+    assert not [process for process in multiprocessing.active_children() if process.name == "simulated robot"]
+    assert not [thread for thread in threading.enumerate() if thread.name == "simulated robot"]
+    robot.stop()
+    for call in (robot.reset, robot.park, lambda: robot.send(np.zeros(6), soon()), robot.disturb):
+        with pytest.raises(RobotError, match="not connected"):
+            call()
+
+
+@simulated
+def test_arguments_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(ValueError, match="fps"):
+        SimulatedRobot(fps=0)
+    with pytest.raises(ValueError, match="ramp"):
+        SimulatedRobot(ramp=-1.0)
+    with pytest.raises(ValueError, match="is not a simulated environment"):
+        SimulatedRobot("CartPole-v1")

@@ -1,0 +1,305 @@
+"""Sources other than cameras, and opening a source from a string."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from clock_env import Clock
+from gymnasium import spaces
+
+from shape_obs.extrinsics import Extrinsics
+from shape_obs.recording import record
+from shape_obs.recording.format import read_moments
+from shape_obs.source import BadRecording, CameraNotFound, EndOfSource, NotConnected, RGBDSource, SourceError
+from shape_obs_envs.sources import EnvSource, FolderSource, VideoSource, open_source
+from shape_obs_envs.sources.env import zero_action
+
+
+@pytest.fixture
+def photos(tmp_path):
+    """Photos 2, 10 and 1, one gray value each; and a file that is none."""
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    for number in (2, 10, 1):
+        cv2.imwrite(str(folder / f"shot{number}.png"), np.full((20, 30, 3), (0, 0, number), np.uint8))
+    (folder / "notes.txt").write_text("no photo")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory):
+    """Eight frames, 25 a second, each of one brightness."""
+    path = tmp_path_factory.mktemp("video") / "gray.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
+    assert writer.isOpened()
+    for i in range(8):
+        writer.write(np.full((48, 64, 3), 20 * i, np.uint8))
+    writer.release()
+    return path
+
+
+def rest(source):
+    """All frames."""
+    frames: list[Any] = [moment.frame for moment in read_moments(source)]
+    with pytest.raises(EndOfSource, match=f"end of its {len(frames)} frames"):
+        source.read()
+    return frames
+
+
+# ---- what every source promises
+
+
+@pytest.mark.parametrize("kind", ["photos", "recording", "video", "env"])
+def test_every_source_keeps_the_protocol(kind, photos, video, tmp_path):
+    source: RGBDSource
+    if kind == "photos":
+        source = FolderSource(photos)
+    elif kind == "video":
+        source = VideoSource(video)
+    elif kind == "env":
+        source = EnvSource(Clock())
+    else:
+        with EnvSource(Clock()) as env:
+            record(env, tmp_path / "recording", frames=3)
+        source = FolderSource(tmp_path / "recording")
+    with pytest.raises(NotConnected, match=re.escape(source.name)):
+        source.read()
+    with pytest.raises(NotConnected):
+        _ = source.intrinsics
+    with source:
+        assert isinstance(source, RGBDSource)
+        source.connect()
+        assert source.kind == ("folder" if kind in ("photos", "recording") else kind)
+        assert not source.live
+        frames: list[Any] = [source.read(), source.read_latest(), source.read(fresh=True)]
+        first, second, third = frames
+        assert [frame.number for frame in (first, second, third)] == [0, 1, 2]
+        assert first.rgb is not None
+        assert (first.depth is not None) == source.has_depth
+        assert (source.intrinsics is None) == (source.camera is None) == (first.camera is None)
+        kept = first.rgb.copy()
+        assert not np.array_equal(third.rgb, kept)
+        assert np.array_equal(first.rgb, kept)
+    with pytest.raises(NotConnected):
+        source.read()
+    source.disconnect()
+    with source:
+        again: Any = source.read()
+        assert again.number == 0
+        if kind != "env":  # which goes on where it was, since it is ours
+            assert np.array_equal(again.rgb, kept)
+
+
+# ---- photos
+
+
+def test_photos_come_in_the_order_of_their_numbers(photos):
+    with FolderSource(photos) as source:
+        assert len(source) == 3
+        frames = rest(source)
+    assert [int(frame.rgb[0, 0, 0]) for frame in frames] == [1, 2, 10]
+    assert all(frame.stamp is None and frame.depth is None and frame.camera is None for frame in frames)
+
+
+def test_a_damaged_photo_is_named(photos):
+    (photos / "shot2.png").write_bytes(b"this is no picture")
+    with FolderSource(photos) as source:
+        source.read()
+        with pytest.raises(BadRecording, match=r"shot2\.png: not an image that can be read"):
+            source.read()
+
+
+def test_a_part_of_a_folder_is_read_as_all_of_it_is(photos, tmp_path):
+    with EnvSource(Clock()) as env:
+        record(env, tmp_path / "recording", frames=3)
+    for folder in (photos, tmp_path / "recording"):
+        with FolderSource(folder) as source:
+            whole = rest(source)
+        for _ in range(2):  # the second time its lines are known
+            with FolderSource(folder, frames=(1, 2)) as part:
+                assert len(part) == 2
+                found = rest(part)
+            assert [frame.number for frame in found] == [1, 2]
+            assert all(np.array_equal(mine.rgb, its.rgb) for mine, its in zip(found, whole[1:], strict=True))
+        with (
+            pytest.raises(BadRecording, match=r"2 \.\.\. 3 were requested, there are 3"),
+            FolderSource(folder, frames=(2, 2)),
+        ):
+            pass
+    shutil.rmtree(tmp_path / "recording")  # another one takes its place
+    record(FolderSource(photos), tmp_path / "recording", frames=1)
+    with (
+        pytest.raises(BadRecording, match="were requested, there are 1"),
+        FolderSource(tmp_path / "recording", frames=(1, 2)),
+    ):
+        pass
+    several: Any = ((-1, 2), (0, 0), (3,), 5)
+    for wrong in several:
+        with pytest.raises(ValueError, match=r"frames: expected \(first, count\)"):
+            FolderSource(photos, frames=wrong)
+
+
+def test_folders_without_anything_are_refused(tmp_path):
+    with pytest.raises(BadRecording, match=r"none: no such folder"), FolderSource(tmp_path / "none"):
+        pass
+    with (
+        pytest.raises(BadRecording, match=r"expected a recording .* or images .*, found neither"),
+        FolderSource(tmp_path),
+    ):
+        pass
+
+
+# ---- videos
+
+
+def test_video_frames_carry_the_times_they_are_shown_at(video):
+    with VideoSource(video) as source:
+        frames = rest(source)
+    assert len(frames) == 8
+    assert np.allclose([frame.stamp for frame in frames], np.arange(8) / 25, atol=1e-3)
+    assert np.allclose([frame.rgb.mean() for frame in frames], 20 * np.arange(8), atol=3)
+
+
+def test_broken_videos_are_refused(video, tmp_path):
+    (tmp_path / "cut.avi").write_bytes(video.read_bytes()[:100])
+    for name, message in (("none.mp4", "no such file"), ("cut.avi", "not a video|holds no frame")):
+        with pytest.raises(BadRecording, match=f"{name}: .*({message})"), VideoSource(tmp_path / name) as source:
+            source.read()
+
+
+# ---- environments
+
+
+def test_an_environment_steps_and_starts_again():
+    env = Clock()
+    with EnvSource(env, seed=5) as source:
+        frames: list[Any] = []
+        episodes, anchors = [], []
+        for _ in range(9):
+            frames.append(source.read())
+            episodes.append(source.episode)
+            anchors.append(source.anchors["hand"][0])
+        assert source.camera is not None
+        assert np.array_equal(np.array(source.camera.transform_camera_to_base), np.eye(4))
+    assert [int(frame.rgb[0, 0, 0]) for frame in frames] == list(range(9)), "the first frame shows the reset"
+    assert [int(frame.depth[0, 0]) for frame in frames] == list(range(9))
+    assert episodes == [0, 0, 0, 0, 1, 1, 1, 1, 2]
+    assert env.seeds == [5, None, None]
+    assert np.allclose([frame.stamp for frame in frames], np.arange(9) / 20), "time goes on over resets"
+    assert np.allclose(anchors, 0.1 * np.arange(1, 10))
+    assert np.allclose(env.actions, 0.5), "the action nearest to none"
+
+
+def test_stamps_of_the_environment_win():
+    with EnvSource(Clock(stamped=True)) as source:
+        assert [source.read().stamp for _ in range(3)] == [101.0, 102.0, 103.0]
+
+
+def test_actions_are_random_by_seed_or_a_policys():
+    drawn = []
+    for _ in range(2):
+        env = Clock()
+        with EnvSource(env, actions="random", seed=3) as source:
+            for _ in range(4):
+                source.read()
+        drawn.append(env.actions)
+    assert np.array_equal(drawn[0], drawn[1])
+    assert np.ptp(drawn[0]) > 0
+    env = Clock()
+    with EnvSource(env, actions=lambda seen: np.full(2, 0.5 + 0.1 * seen["rgb"][0, 0, 0], np.float32)) as source:
+        for _ in range(4):
+            source.read()
+    assert np.allclose([action[0] for action in env.actions], [0.5, 0.6, 0.7])
+    with pytest.raises(ValueError, match="actions: expected 'zero', 'random' or a function, got 'none'"):
+        EnvSource(Clock(), actions="none")  # pyright: ignore[reportArgumentType]
+
+
+def test_the_zero_action_lies_in_every_space():
+    space = spaces.Dict(
+        {
+            "box": spaces.Box(0.5, 1.0, (2,)),
+            "one": spaces.Discrete(4, start=-1),
+            "many": spaces.Tuple([spaces.MultiDiscrete([3, 2]), spaces.MultiBinary(4)]),
+        }
+    )
+    assert space.contains(zero_action(space))
+    with pytest.raises(ValueError, match="give actions='random', or a function"):
+        zero_action(spaces.Text(3))
+
+
+def test_environments_without_images_are_refused():
+    with (
+        pytest.raises(SourceError, match=r"CartPole-v1: the observation must be an RGB image"),
+        EnvSource("CartPole-v1"),
+    ):
+        pass
+
+
+def test_extrinsics_of_the_user_win(tmp_path):
+    place = Extrinsics(T=((-1, 0, 0, 0), (0, -1, 0, 0), (0, 0, 1, 2), (0, 0, 0, 1)))
+    place.save(tmp_path / "place.json")
+    for given in (place, tmp_path / "place.json"):
+        with EnvSource(Clock(), given) as source:
+            frame = source.read()
+        assert frame.camera is not None
+        assert np.array_equal(np.array(frame.camera.transform_camera_to_base), place.matrix)
+    with EnvSource(Clock(), place) as source:
+        record(source, tmp_path / "r", frames=2)
+    for given, where in ((None, place.matrix), (Extrinsics(T=tuple(map(tuple, np.eye(4).tolist()))), np.eye(4))):
+        with FolderSource(tmp_path / "r", given) as source:
+            frame = source.read()
+            assert source.camera is not None
+            assert np.array_equal(np.array(source.camera.transform_camera_to_base), where)
+        assert frame.camera is not None
+        assert np.array_equal(np.array(frame.camera.transform_camera_to_base), where)
+
+
+# ---- opening
+
+
+def test_a_word_opens_what_it_names(photos, video):
+    assert isinstance(open_source(photos), FolderSource)
+    assert isinstance(open_source(str(video)), VideoSource)
+    for word in ("ShapeObs/Cable-v0", "shape_obs_envs:ShapeObs/Cable-v0", "CartPole-v1"):
+        source = open_source(word, actions="random", seed=1)
+        assert isinstance(source, EnvSource)
+        assert source.name == word
+
+
+@pytest.mark.parametrize(
+    ("word", "options", "error", "message"),
+    [
+        ("none/at/all", {}, BadRecording, "none/at/all: no such file or folder"),
+        ("none.db3", {}, BadRecording, "none.db3: no such file"),
+        ("none.bag", {}, BadRecording, "none.bag: no such file"),
+        ("none.mp4", {}, BadRecording, "none.mp4: no such file"),
+        ("notes.txt", {}, BadRecording, "expected .db3, .bag, .mp4, .* or a folder, got '.txt'"),
+        ("shot1.png", {}, BadRecording, "or a folder, got '.png'; for photos give the folder that contains them"),
+        ("d456", {}, CameraNotFound, "'d456' is not a camera, path or environment; did you mean 'd455'"),
+        ("ShapeObs/Cabel-v0", {}, SourceError, "not registered.*did you mean 'ShapeObs/Cable-v0'"),
+        (".", {"width": 640}, ValueError, "width are settings of a camera"),
+        (".", {"exposure": 3}, ValueError, r"a FolderSource does not take \['exposure'\]"),
+    ],
+)
+def test_bad_words_get_one_clear_line(word, options, error, message, photos, monkeypatch):
+    monkeypatch.chdir(photos)
+    with pytest.raises(error, match=message) as caught:
+        open_source(word, **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_environment_that_cannot_be_made_says_why():
+    pytest.importorskip("mujoco")
+    with (
+        pytest.raises(SourceError, match="renderer: expected one of") as caught,
+        open_source("ShapeObs/Cable-v0", renderer="rais"),
+    ):
+        pass
+    assert "\n" not in str(caught.value)
+    with pytest.raises(SourceError, match="no_such_module"), open_source("no_such_module:Some-v0"):
+        pass
