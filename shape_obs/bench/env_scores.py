@@ -13,7 +13,7 @@ from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_FINE: Final = 50  # places along the truth for each gap between points
+_PLACES_PER_GAP: Final = 50  # places along the truth for each gap between points
 
 
 class Place(NamedTuple):
@@ -58,13 +58,13 @@ def _along_curve(points: Array, simulator: Any, closed: bool) -> Array:
     """(N,) how far points lie from their own arc position, along the curve, in gaps."""
     count = len(points)
     if closed:
-        at = cdist(points, simulator.truth(_FINE * count)).argmin(axis=1) / _FINE
+        at = cdist(points, simulator.truth(_PLACES_PER_GAP * count)).argmin(axis=1) / _PLACES_PER_GAP
         return np.abs((at - np.arange(count) + count / 2) % count - count / 2)
-    line = simulator.truth(_FINE * (count - 1) + 1)
+    line = simulator.truth(_PLACES_PER_GAP * (count - 1) + 1)
     # Continued straight beyond its ends, so that points past a tip still have a place.
-    beyond = np.arange(1, _FINE + 1)[:, None]
+    beyond = np.arange(1, _PLACES_PER_GAP + 1)[:, None]
     before, behind = line[0] + (line[0] - line[1]) * beyond[::-1], line[-1] + (line[-1] - line[-2]) * beyond
-    at = cdist(points, np.concatenate([before, line, behind])).argmin(axis=1) / _FINE - 1
+    at = cdist(points, np.concatenate([before, line, behind])).argmin(axis=1) / _PLACES_PER_GAP - 1
     return np.abs(at - np.arange(count))
 
 

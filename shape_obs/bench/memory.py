@@ -15,11 +15,11 @@ from shape_obs.configurations import Centerline
 from shape_obs.detector import ShapeDetector
 from shape_obs.utils.threads import one_thread
 
-WARM_UP: Final = 1_000  # frames after which the process is weighed first
+MEMORY_WARM_UP: Final = 1_000  # frames after which the process is weighed first
 SIZE: Final = (320, 240)
 _SCENES: Final = 60  # played forwards and backwards
 _LOST: Final = 200  # each time after so many frames the object is out of sight
-_ASKED: Final = 5.0  # megabytes
+_MEMORY_TARGET: Final = 5.0  # megabytes
 _MEGABYTE: Final = 1e6
 
 
@@ -28,7 +28,7 @@ def memory_growth(
     seed: int,
     *,
     backend: Literal["auto", "numpy", "numba"] = "auto",
-    warm_up: int = WARM_UP,
+    warm_up: int = MEMORY_WARM_UP,
     tick: Callable[[], Any] = lambda: None,
 ) -> float | None:
     """Megabytes by which the process grows while a detector follows a rope, loses it and finds it again.
@@ -60,7 +60,7 @@ def memory_growth(
 
 def memory_claims(frames: int, grown: float | None) -> list[dict[str, Any]]:
     """What is asked of the memory, what was seen."""
-    return [at_most(f"growth of the process over {frames} frames through one detector", _ASKED, grown, " MB")]
+    return [at_most(f"growth of the process over {frames} frames through one detector", _MEMORY_TARGET, grown, " MB")]
 
 
 def resident() -> float | None:

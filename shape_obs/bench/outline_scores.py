@@ -15,7 +15,7 @@ from shape_obs.metrics import in_order, spacing_cv
 
 Array = npt.NDArray[np.float64]
 
-_FINE: Final = 0.1  # pixels
+_FINE_STEP: Final = 0.1  # pixels
 
 
 class OutlineScore(NamedTuple):
@@ -45,7 +45,7 @@ def outline_score(points: npt.ArrayLike, outline: Array) -> OutlineScore:
         outline: (P,2) pixels, closed, clockwise as seen, from where point 0 belongs.
     """
     found = np.asarray(points, dtype=np.float64)
-    fine = resample(np.concatenate([outline, outline[:1]]), _FINE)[:-1]
+    fine = resample(np.concatenate([outline, outline[:1]]), _FINE_STEP)[:-1]
     distance, nearest = KDTree(fine).query(found)
     place = np.asarray(nearest, dtype=np.float64) / len(fine)
     off = (place - np.arange(len(found)) / len(found) + 0.5) % 1.0 - 0.5

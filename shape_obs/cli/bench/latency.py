@@ -91,7 +91,7 @@ def _measure(args: Latency, sizes: list[tuple[int, int]]) -> tuple[dict[str, Any
         told("growth", "growth, tracked", growth.growth_rows(grown))
         asked += growth.growth_claims(grown)
     if args.memory:
-        with _bar("memory", args.memory + memory.WARM_UP) as bar:
+        with _bar("memory", args.memory + memory.MEMORY_WARM_UP) as bar:
             megabytes = memory.memory_growth(args.memory, args.seed, tick=bar.update)
         told("memory", "memory", [{"frames": args.memory, "growth_mb": megabytes}])
         asked += memory.memory_claims(args.memory, megabytes)
