@@ -1,171 +1,227 @@
-"""The accuracy that the project claims, measured: drawn ropes, moving ropes, the simulated cable.
-
-The tests run slices of these functions; ``shape-obs bench claims`` runs them whole.
-"""
+"""Every measurement of the accuracy that the project claims, group by group, as tables."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from shape_obs.bench.motion import moving_rope
-from shape_obs.bench.ropes import KINDS, Kind, random_rope
-from shape_obs.bench.scores import Score, score, tally
-from shape_obs.configurations import Centerline, Ends
-from shape_obs.detector import ShapeDetector
+from shape_obs.bench import cloud_claims, contour_claims, deploy_claims, env_claims, marker_claims, surface_claims
+from shape_obs.bench import env_physics as env_goals
+from shape_obs.bench import registration_claims as registration
+from shape_obs.bench import rope_claims as claims
+from shape_obs.bench import rope_claims as hard_claims
+from shape_obs.bench.env_speed import ENVS, Env
+from shape_obs.bench.growth import shared_passes
+from shape_obs.bench.robustness import bundles, files, inputs, killed_studies, stops
+from shape_obs.bench.synthetic.blobs import garments
+from shape_obs.bench.tangle_claims import tangled_ropes
 
-COUNTS: Final = (8, 20, 50, 100)
-_BOTH_ENDS: Final[tuple[Ends, ...]] = ("centers", "tips")
-
-
-class RopeResult(NamedTuple):
-    """One drawn rope, looked at cold. ``hairpin``: a gap is longer than the rope's narrowest bend is wide."""
-
-    kind: str
-    n: int
-    hairpin: bool
-    ends: Ends
-    ok: bool
-    score: Score
+Rows = list[dict[str, Any]]
+Tables = Iterator[tuple[str, Rows]]
 
 
-class MotionResult(NamedTuple):
-    """One moving rope, tracked; lengths in pixels, slips in gaps."""
+class Effort(NamedTuple):
+    """How much to measure.
 
-    speed: float
-    frames: int
-    flips: int
-    slips: int
-    not_ok: int
-    worst_slip: float
-    mean_distance: float
+    Args:
+        share: Of the full counts; 1 is the full run.
+        seed: Of everything drawn.
+        renderer: The simulator's camera.
+        garments: A file of annotated garment outlines; None leaves them out.
+        jobs: Processes for what takes long.
+        told: Called with how far a long group is.
+    """
 
-
-class CableResult(NamedTuple):
-    """Episodes of the simulated cable under random actions, visible surface against truth."""
-
-    camera: str
+    share: float
+    seed: int
     renderer: str
-    episodes: int
-    frames: int
-    flips: int
-    slips: int
-    not_ok: int
-    unflagged_wrong: int
-    mean_mm: float
-    worst_frame_mm: float
-    mean_px: float
-    worst_frame_px: float
+    garments: Path | None
+    jobs: int = 1
+    told: Callable[[str], object] = lambda text: None
+
+    def count(self, full: int) -> int:
+        """A share of a full count, at least one."""
+        return max(round(full * self.share), 1)
+
+    def seeds(self, full: int) -> range:
+        """As many seeds."""
+        return range(self.seed, self.seed + self.count(full))
 
 
-def drawn_ropes(
-    per_kind: int, seed: int = 0, counts: Sequence[int] = COUNTS, kinds: Sequence[Kind] = KINDS
-) -> Iterator[RopeResult]:
-    """Cold detections of random ropes with a known centreline, at each N and in both end modes."""
-    rng = np.random.default_rng(seed)
-    for kind in kinds:
-        for _ in range(per_kind):
-            rope = random_rope(rng, kind)
-            for n in counts:
-                for ends in _BOTH_ENDS:
-                    shape = ShapeDetector([Centerline(n=n, ends=ends)]).detect_mask(rope.mask).shapes[0]
-                    judged = score(shape.pixels, rope.curve, ends, directed=False)
-                    hairpin = rope.length / n > 2 * rope.bend_radius
-                    yield RopeResult(kind, n, hairpin, ends, shape.ok, judged)
+def _ropes(effort: Effort) -> Tables:
+    yield "drawn ropes, cold", claims.rope_table(claims.drawn_ropes(effort.count(40), effort.seed))
+    yield "moving ropes, tracked", _rows(claims.moving_ropes((10, 40), effort.seeds(6)))
+    yield "ropes at rest in masks that flicker", _rows(hard_claims.flickering_ropes(effort.count(4), effort.seed))
 
 
-def moving_ropes(
-    speeds: Iterable[float], seeds: Iterable[int], frames: int = 180, n: int = 20
-) -> Iterator[MotionResult]:
-    """Ropes that wander and bend, point 0 told once by an anchor at the first frame."""
-    for seed in seeds:
-        for speed in speeds:
-            scores: list[Score] = []
-            detector, not_ok = None, 0
-            for rope in moving_rope(np.random.default_rng(seed), speed, frames):
-                if detector is None:
-                    detector = ShapeDetector(
-                        [Centerline(n=n, ends="tips", anchor=(rope.curve[0][0], rope.curve[0][1]))]
-                    )
-                shape = detector.detect_mask(rope.mask).shapes[0]
-                not_ok += not shape.ok
-                scores.append(score(shape.pixels, rope.curve, "tips"))
-            yield MotionResult(
-                speed=speed,
-                **tally(scores),
-                not_ok=not_ok,
-                mean_distance=float(np.mean([s.distance for s in scores])),
-            )
+def _tangles(effort: Effort) -> Tables:
+    title = "ropes that cross themselves, are cut, or touch themselves, cold"
+    yield title, _rows(tangled_ropes(effort.count(100), effort.seed))
 
 
-def cable_episodes(camera: Any, renderer: str, seeds: Iterable[int], steps: int = 50) -> CableResult:
-    """Random actions on ``ShapeObs/Cable-v0``; the wrapper's visible surface against the simulator's truth."""
-    import gymnasium as gym
+def _hands(effort: Effort) -> Tables:
+    yield "moving ropes under a hand", _rows(hard_claims.ropes_under_hands(effort.seeds(3)))
+    middle = hard_claims.ropes_under_hands(effort.seeds(3), places=("middle",))
+    yield "moving ropes under a hand, in the middle", _rows(middle)
 
-    from shape_obs.wrappers import ShapeObservation
 
-    shapes = [{"kind": "centerline", "n": 20, "anchor": "gripper0", "ends": "tips", "spacing": "m"}]
-    env = ShapeObservation(gym.make("shape_obs_envs:ShapeObs/Cable-v0", camera=camera, renderer=renderer), shapes)
-    simulator: Any = env.unwrapped
-    flips = slips = not_ok = wrong = episodes = 0
-    mm: list[float] = []
-    px: list[float] = []
-    for seed in seeds:
-        episodes += 1
-        env.action_space.seed(seed)
-        env.reset(seed=seed)
-        for step in range(steps + 1):
-            assert env.detection is not None
-            shape = env.detection.shapes[0]
-            axis = simulator.truth(n=400, frame="camera", surface=True)
-            truth = simulator.truth(n=20, frame="camera", surface=True)
-            pixels = simulator.truth(n=20, frame="pixels", surface=True)
-            assert shape.points3d is not None
-            judged = score(shape.points3d, axis, "tips")
-            error = float(np.linalg.norm(shape.points3d - truth, axis=1).mean())
-            slipped = judged.slip > 0.5
-            flips, slips, not_ok = flips + judged.flipped, slips + slipped, not_ok + (not shape.ok)
-            wrong += shape.ok and (slipped or error > 0.015)
-            mm.append(1e3 * error)
-            px.append(float(np.linalg.norm(shape.pixels - pixels, axis=1).mean()))
-            if step < steps:
-                env.step(env.action_space.sample())
-    env.close()
-    name = camera if isinstance(camera, str) else f"{camera[0]}x{camera[1]}"
-    worst_mm, worst_px = max(mm), max(px)
-    mean_mm, mean_px = float(np.mean(mm)), float(np.mean(px))
-    return CableResult(
-        name, renderer, episodes, len(mm), flips, slips, not_ok, wrong, mean_mm, worst_mm, mean_px, worst_px
+def _noise(effort: Effort) -> Tables:
+    yield "drawn ropes in noise, cold", _rows(hard_claims.ropes_in_noise(effort.count(12), effort.seed))
+
+
+def _outlines(effort: Effort) -> Tables:
+    blobs = list(contour_claims.drawn_blobs(effort.count(8), effort.seed))
+    yield "drawn outlines, cold", contour_claims.outline_table(contour_claims.outlines(blobs))
+    if effort.garments is not None:
+        drawn = garments(effort.garments)
+        yield "garments, cold", contour_claims.outline_table(contour_claims.outlines(drawn))
+    yield "turning outlines, tracked", _rows(contour_claims.turning_blobs(seeds=effort.seeds(2)))
+    yield (
+        "outlines at rest in masks that flicker",
+        _rows(contour_claims.flickering_blobs(blobs[:: len(blobs) // 4 or 1])),
     )
 
 
-def rope_table(results: Iterable[RopeResult]) -> list[dict[str, Any]]:
-    """Worst and mean by kind of rope."""
-    rows: dict[str, list[RopeResult]] = {}
-    for result in results:
-        rows.setdefault(result.kind, []).append(result)
-    return [_rope_row(kind, found) for kind, found in rows.items()]
+def _sheets(effort: Effort) -> Tables:
+    drawn = surface_claims.drawn_sheets(effort.count(48), effort.seed)
+    yield "drawn sheets, cold", surface_claims.sheet_table(drawn)
+    yield "sheets that turn once around, in steps of a degree", _rows(surface_claims.turning_sheets(effort.seeds(6)))
+    yield "sheets that wander, turn and bend, tracked", _rows(surface_claims.moving_sheets((12,), effort.seeds(6)))
+    yield "sheets at rest in masks that flicker", _rows(surface_claims.noisy_sheets(effort.seeds(6)))
 
 
-def _rope_row(kind: str, found: list[RopeResult]) -> dict[str, Any]:
-    # Where a bend is narrower than a gap, equal chords would move points off their material.
-    spaced = [r.score.gap_cv for r in found if r.n >= 12 and not r.hairpin]
-    tight = [r.score.gap_cv for r in found if r.n >= 12 and r.hairpin]
-    tips = [r.score.tip for r in found if r.ends == "tips"]
-    distances = [r.score.distance for r in found]
-    return {
-        "kind": kind,
-        "ropes": len(found) // len({(r.n, r.ends) for r in found}),
-        "order_wrong": sum(not r.score.ordered for r in found),
-        "not_ok": sum(not r.ok for r in found),
-        "distance_mean_px": float(np.mean(distances)),
-        "distance_worst_px": float(np.max(distances)),
-        "tip_mean_px": float(np.mean(tips)),
-        "tip_worst_px": float(np.max(tips)),
-        "tips_over_1.5_px": float(np.mean(np.array(tips) > 1.5)),
-        "gap_cv_worst": float(np.max(spaced)),
-        "narrow_bends": len(tight),
-        "gap_cv_worst_there": float(np.max(tight, initial=0.0)),
+def _clouds(effort: Effort) -> Tables:
+    count, seed = effort.count(30), effort.seed
+    found = [*cloud_claims.rope_clouds(count, seed), *cloud_claims.ring_clouds(count, seed)]
+    found += cloud_claims.sheet_clouds(count, seed)
+    yield "clouds, cold", cloud_claims.cloud_table(found)
+    moved = cloud_claims.moving_rope_clouds((0.005, 0.015), effort.seeds(3))
+    yield "moving rope clouds, tracked", _rows(moved)
+    yield "images at a slant", cloud_claims.tilted_table(cloud_claims.tilted_images(count, seed))
+
+
+def _shapes(effort: Effort) -> Tables:
+    yield "several shapes in one pass", _rows(shared_passes(effort.count(60), effort.seed))
+
+
+def _markers(effort: Effort) -> Tables:
+    top = marker_claims.tops(effort.count(40), effort.seed)
+    yield "tables seen from above, by four markers", _rows([top])
+    placed = [marker_claims.touched(effort.count(20), effort.seed, depth) for depth in (True, False)]
+    yield "cameras placed by touching markers, 0.5 mm of noise along each axis", _rows(placed)
+    cameras = marker_claims.fitted(effort.count(10), effort.seed)
+    yield "cameras calibrated with a board", _rows([cameras])
+    yield "markers and calibration, asked and seen", marker_claims.marker_rows(top, placed[0], cameras)
+
+
+def _cable(effort: Effort) -> Tables:
+    cameras = ("d455", "rl", [84, 84])
+    title = "simulated cable, random actions, visible surface"
+    yield title, _rows(claims.cable_episodes(camera, effort.renderer, effort.seeds(20)) for camera in cameras)
+
+
+def _envs(effort: Effort) -> Tables:
+    """Simulated environments: points, physics, goals."""
+    every, seeds = env_claims.settings(effort.renderer), effort.seeds(150)
+    ticks = _counted("episode", len(every) * len(seeds), effort.told)
+    found = env_claims.all_episodes(every, seeds, effort.jobs, tick=ticks)
+    rows = [env_claims.claim_row(setting, some) for setting, some in found.items()]
+    yield "simulated environments, random actions, points against truth", rows
+    of: dict[Env, list[env_claims.Episode]] = {
+        env: [each for setting, some in found.items() if setting.env == env for each in some] for env in ENVS
     }
+    physics = [env_claims.physics_row(env, some) for env, some in of.items()]
+    yield "simulated environments, physics over these episodes", physics
+    drawn: list[tuple[Env, str]] = [(env, how) for env in ENVS for how in env_goals.DIFFICULTIES]
+    seeds = effort.seeds(50)
+    ticks = _counted("goal", len(drawn) * len(seeds), effort.told)
+    goals = [env_goals.goals(env, difficulty, seeds, ticks) for env, difficulty in drawn]
+    yield "simulated environments, goals, and where their own actions lead", _rows(goals)
+    asked = env_claims.asked_rows(rows, physics) + env_goals.asked_rows(goals)
+    yield "simulated environments, asked and seen", asked
+
+
+def _counted(what: str, total: int, told: Callable[[str], object]) -> Callable[[int], None]:
+    """What is to be called with how many more are done."""
+    done = 0
+
+    def tick(more: int) -> None:
+        nonlocal done
+        done += more
+        told(f"{what} {done} of {total}")
+
+    return tick
+
+
+def _camera(effort: Effort) -> Tables:
+    yield (
+        "depth registered to colour, ours and rs.align",
+        registration.registration_table(effort.count(10), effort.seed),
+    )
+    yield "the time that takes at 640 x 480", registration.time_table()
+
+
+def _deploy(effort: Effort) -> Tables:
+    seconds = deploy_claims.SECONDS * effort.share
+    for title, faults in (("clean", None), ("faulty", deploy_claims.FAULTS)):
+        report, seen = deploy_claims.run(seconds, faults, seed=effort.seed, renderer=effort.renderer, told=effort.told)
+        asked = deploy_claims.clean_table if faults is None else deploy_claims.faulty_table
+        yield f"deployment, {title}: asked and seen", asked(report, seen)
+        yield f"deployment, {title}: milliseconds by section", deploy_claims.section_table(report)
+
+
+def _robustness(effort: Effort) -> Tables:
+    """Signals and kills, random inputs, damaged and hostile files."""
+    stopped = list(stops.stops(effort.count(3), effort.seed, effort.told))
+    killed = list(stops.kills(effort.count(100), effort.seed, effort.told))
+    yield "deployments that were ended: longest time until the robot stood still", stops.stop_table(stopped)
+    asked = stops.asked_table(stopped, killed, list(stops.locked(effort.count(5))))
+    yield "stopping the robot: asked and seen", asked
+    for backend in ("numpy", "numba"):
+        effort.told(f"robustness: random inputs, {backend}")
+        yield (
+            f"random and degenerate inputs, {backend}",
+            inputs.inputs_table(effort.count(10_000), effort.seed, backend),
+        )
+    with TemporaryDirectory() as folder:
+        damaged, studies = Path(folder, "damaged"), Path(folder, "studies")
+        damaged.mkdir()
+        studies.mkdir()
+        effort.told("robustness: damaged files")
+        counts = (effort.count(2000), effort.count(3000), effort.count(500))
+        yield "damaged and hostile files", files.damaged_files(damaged, *counts, effort.seed)
+        effort.told("robustness: bundles")
+        mutated, kills = effort.count(1000), effort.count(30)
+        yield "damaged and hostile bundles", bundles.bundle_claims(mutated, 1, kills, effort.seed)
+        effort.told("robustness: killed studies")
+        yield "ablations that were killed and resumed", killed_studies.killed_studies(studies, kills, effort.seed)
+
+
+GROUPS: Final[dict[str, Callable[[Effort], Tables]]] = {
+    "ropes": _ropes,
+    "tangles": _tangles,
+    "hands": _hands,
+    "noise": _noise,
+    "outlines": _outlines,
+    "sheets": _sheets,
+    "clouds": _clouds,
+    "shapes": _shapes,
+    "markers": _markers,
+    "cable": _cable,
+    "envs": _envs,
+    "camera": _camera,
+    "deploy": _deploy,
+    "robustness": _robustness,
+}
+
+
+def _rows(results: Iterable[Any]) -> Rows:
+    return [{name: _plain(value) for name, value in result._asdict().items()} for result in results]
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value

@@ -14,10 +14,10 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 
-from shape_obs.bench.clouds import Side, moving_rope_cloud, ring_cloud, rope_cloud, sheet_cloud
-from shape_obs.bench.ropes import KINDS
 from shape_obs.bench.scores import score, tally
-from shape_obs.bench.tilted import CAMERA, tilted_rope, tilted_sheet
+from shape_obs.bench.synthetic.clouds import Side, moving_rope_cloud, ring_cloud, rope_cloud, sheet_cloud
+from shape_obs.bench.synthetic.ropes import KINDS
+from shape_obs.bench.synthetic.tilted import CAMERA, tilted_rope, tilted_sheet
 from shape_obs.configurations import Centerline, Configuration, Contour, Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import resample

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.blobs import KINDS, Blob, Kind, moving_blob, random_blob
-from shape_obs.bench.outline_scores import OutlineScore, outline_score
-from shape_obs.bench.ropes import resample
+from shape_obs.bench.scores import OutlineScore, outline_score
+from shape_obs.bench.synthetic.blobs import KINDS, Blob, Kind, moving_blob, random_blob
+from shape_obs.bench.synthetic.ropes import resample
 from shape_obs.configurations import Contour
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.form import Curve

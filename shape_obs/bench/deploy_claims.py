@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from shape_obs.bench.asked import at_most
-from shape_obs.bench.env_scores import place
+from shape_obs.bench.scores import place
+from shape_obs.bench.tables import at_most
 
 Row = dict[str, Any]
 Array = npt.NDArray[np.float64]

@@ -12,10 +12,10 @@ from typing import Any, Final, Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.asked import at_most
 from shape_obs.bench.env_physics import Strain, is_finite, strain, warnings
-from shape_obs.bench.env_runner import ENVS, EPISODE, Env, held_actions
-from shape_obs.bench.env_scores import place
+from shape_obs.bench.env_speed import ENVS, EPISODE, Env, held_actions
+from shape_obs.bench.scores import place
+from shape_obs.bench.tables import at_most
 from shape_obs.utils.threads import one_thread
 
 Row = dict[str, Any]

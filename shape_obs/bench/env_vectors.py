@@ -13,9 +13,8 @@ import cv2
 import gymnasium as gym
 import numpy as np
 
-from shape_obs.bench.env_runner import Actions, Env, Runner, held_actions, make_env
-from shape_obs.bench.env_speed import WARM_UP, Course, Row
-from shape_obs.bench.turns import Entrant, turns
+from shape_obs.bench.env_speed import WARM_UP, Actions, Course, Env, Row, Runner, held_actions, make_env
+from shape_obs.bench.interleaved_timing import Entrant, turns
 from shape_obs.utils.threads import one_thread
 from shape_obs.wrappers import ShapeObservation
 

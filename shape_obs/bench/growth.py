@@ -1,4 +1,7 @@
-"""How the time of a frame grows with the size of the object, the number of points and the number of shapes."""
+"""How the time of a frame grows with the size of the object, the number of points and the number of shapes.
+
+What a further shape costs in one pass over a frame.
+"""
 
 from __future__ import annotations
 
@@ -10,30 +13,42 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.asked import at_most
 from shape_obs.bench.backends import LABELS, Backend, backends
-from shape_obs.bench.ropes import SIZE, draw_rope
-from shape_obs.bench.sheets import draw_sheet
-from shape_obs.bench.streams import BLUE, RGBD, photo, pinhole
-from shape_obs.bench.turns import Clock, Entrant, turns
-from shape_obs.bench.workloads import cloths, ropes
+from shape_obs.bench.interleaved_timing import Clock, Entrant, turns
+from shape_obs.bench.synthetic.disturbances import photographed
+from shape_obs.bench.synthetic.ropes import SIZE, draw_rope
+from shape_obs.bench.synthetic.sheets import draw_sheet, random_sheet
+from shape_obs.bench.synthetic.streams import BLUE, RGBD, cloths, photo, pinhole, ropes
+from shape_obs.bench.tables import at_most
 from shape_obs.configurations import Centerline, Configuration, Contour, Surface
 from shape_obs.detector import ShapeDetector
+from shape_obs.image.segmentation import HSVRange
 from shape_obs.utils.threads import one_thread
 
 Array = npt.NDArray[np.float64]
+
 Row = dict[str, Any]
+
 Frame = dict[str, Any]  # name -> mask, (H,W) uint8, or RGB-D image
 
+
 WARM_UP: Final = 5  # frames that are not counted
+
 AREAS: Final = (0.1, 0.2, 0.5, 1.0)  # of the object's full area
+
 COUNTS: Final = (20, 50, 100, 200)
+
 ROPE: Final = "pixels of a rope"
+
 CLOTH: Final = "pixels of a cloth"
+
 POINTS: Final = "points on a rope"
+
 NUMBER: Final = "shapes in one RGB-D image"
+
 # What is asked: from the smallest to the largest a frame takes at most so many times as long.
 _ASKED: Final = {ROPE: 2.0, CLOTH: 2.0, POINTS: 1.5, NUMBER: 2.5}
+
 _SHAPES: Final[tuple[tuple[Configuration, ...], ...]] = (
     (Contour(),),
     (Contour(), Surface()),
@@ -165,3 +180,50 @@ def _entrant(name: str, case: _Case, backend: Backend) -> Entrant[Frame]:
         return detector.detect(*image) if isinstance(image, RGBD) else detector.detect_mask(image)
 
     return Entrant(name, run, touch=touch)
+
+
+_BLUE: Final = HSVRange(low=(100, 80, 25), high=(130, 255, 255))
+
+_LISTS: Final[tuple[tuple[str, tuple[Configuration, ...]], ...]] = (
+    ("contour", (Contour(),)),
+    ("surface", (Surface(),)),
+    ("contour + surface", (Contour(), Surface())),
+    ("2 contours + surface", (Contour(), Contour(name="coarse", n=12), Surface())),
+    ("2 contours + 2 surfaces", (Contour(), Contour(name="coarse", n=12), Surface(), Surface(name="fine", rows=8))),
+)
+
+
+class PassResult(NamedTuple):
+    """One detector over the same frames, 640 x 480, tracked; medians in milliseconds.
+
+    Args:
+        shapes: What it looks for.
+        number: How many shapes.
+        frame_ms: Segmentation and region, once a frame.
+        shapes_ms: Fitting and ordering, all shapes.
+        total_ms: All of it.
+        per_shape: The total over the first row's.
+    """
+
+    shapes: str
+    number: int
+    frame_ms: float
+    shapes_ms: float
+    total_ms: float
+    per_shape: float
+
+
+def shared_passes(frames: int = 60, seed: int = 0) -> Iterator[PassResult]:
+    """Lists of shapes of growing length over one sheet; the detectors take turns on every frame."""
+    rng = np.random.default_rng(seed)
+    image = photographed(rng, random_sheet(rng, 1.6, 20.0).mask, 1.5, 4.0)
+    detectors = [ShapeDetector(shapes, _BLUE) for _, shapes in _LISTS]
+    spent: list[list[tuple[float, float, float]]] = [[] for _ in detectors]
+    for _ in range(frames):
+        for times, detector in zip(spent, detectors, strict=True):
+            stages = detector.detect(image).timings
+            frame = stages["segmentation"]
+            times.append((frame, stages["fit"] + stages["lift"], stages["total"]))
+    medians = [np.median(times[1:], axis=0) for times in spent]
+    for (name, shapes), (frame, fit, total) in zip(_LISTS, medians, strict=True):
+        yield PassResult(name, len(shapes), float(frame), float(fit), float(total), float(total / medians[0][2]))

@@ -9,8 +9,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.asked import at_least, at_most
-from shape_obs.bench.marker_scenes import MarkerScene, marker_scene, photograph, random_pose
+from shape_obs.bench.synthetic.tabletop import MarkerScene, marker_scene, photograph, random_pose
+from shape_obs.bench.tables import at_least, at_most
 from shape_obs.calibration import Board, BoardViews, fit_base, fit_intrinsics, marker_points
 from shape_obs.calibration.intrinsics import IntrinsicsFit
 from shape_obs.camera import Intrinsics

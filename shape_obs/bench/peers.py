@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.cold_speed import longest_path
-from shape_obs.bench.workloads import Name, Scene, Work
+from shape_obs.bench.synthetic.streams import Name, Scene, Work
+from shape_obs.bench.tangle_claims import longest_path
 from shape_obs.geometry.samples import Samples
 
 Array = npt.NDArray[np.float64]

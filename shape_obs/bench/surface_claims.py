@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.sheets import Sheet, moving_sheet, noisy, random_sheet, turning_sheet
+from shape_obs.bench.synthetic.sheets import Sheet, moving_sheet, noisy, random_sheet, turning_sheet
 from shape_obs.configurations import Ends, Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.shape import Shape

@@ -9,10 +9,10 @@ from typing import Any, Final, Literal
 
 import gymnasium as gym
 
-from shape_obs.bench.asked import at_most
 from shape_obs.bench.backends import LABELS, backends
-from shape_obs.bench.env_runner import EPISODE
-from shape_obs.bench.turns import CLOCKS, Clock, Entrant, turns
+from shape_obs.bench.env_speed import EPISODE
+from shape_obs.bench.interleaved_timing import CLOCKS, Clock, Entrant, turns
+from shape_obs.bench.tables import at_most
 from shape_obs.utils.threads import one_thread
 from shape_obs.wrappers import ShapeObservation
 

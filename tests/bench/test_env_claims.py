@@ -11,11 +11,13 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from shape_obs.bench import env_claims, env_goals, report
+from shape_obs.bench import claims as report
+from shape_obs.bench import env_claims
+from shape_obs.bench import env_physics as env_goals
 from shape_obs.bench.env_claims import Setting, claim_row, episodes, physics_row
 from shape_obs.bench.env_physics import is_finite, strain, warnings
-from shape_obs.bench.env_runner import ENVS, held_actions, make_env
-from shape_obs.bench.env_scores import place
+from shape_obs.bench.env_speed import ENVS, held_actions, make_env
+from shape_obs.bench.scores import place
 from shape_obs.cli import main
 from shape_obs.geometry.topology import Chain, Grid, Ring
 

@@ -11,9 +11,8 @@ import pytest
 pytest.importorskip("mujoco")
 
 from shape_obs.bench.backends import LABELS, backends
-from shape_obs.bench.env_machine import no_opengl, opengl
-from shape_obs.bench.env_runner import EPISODE, Runner, Stopwatch
-from shape_obs.bench.env_speed import Speed, speed_claims
+from shape_obs.bench.env_speed import EPISODE, Runner, Speed, Stopwatch, speed_claims
+from shape_obs.bench.interleaved_timing import no_opengl, opengl
 from shape_obs.cli import main
 from shape_obs.cli.bench import envs
 

@@ -7,8 +7,7 @@ import pytest
 
 from shape_obs.bench.backends import backends, ours
 from shape_obs.bench.growth import AREAS, CLOTH, COUNTS, NUMBER, POINTS, ROPE
-from shape_obs.bench.latency import CLASSIC, ONE_PASS
-from shape_obs.bench.memory import memory_growth, resident
+from shape_obs.bench.latency import CLASSIC, ONE_PASS, memory_growth, resident
 from shape_obs.cli import main
 
 

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from shape_obs.bench.backends import backends, ours
-from shape_obs.bench.contest import Score
-from shape_obs.bench.peer_contest import ASKED
+from shape_obs.bench.interleaved_timing import Entrant, turns
+from shape_obs.bench.peer_comparison import ASKED, Score
 from shape_obs.bench.peers import PEERS, spread
-from shape_obs.bench.turns import Entrant, turns
-from shape_obs.bench.workloads import cloths, ropes
+from shape_obs.bench.synthetic.streams import cloths, ropes
 from shape_obs.cli import main
 from shape_obs.utils.threads import one_thread
 

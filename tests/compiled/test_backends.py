@@ -10,11 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Centerline, HSVRange, ShapeDetector
-from shape_obs.bench.disturbances import photographed
-from shape_obs.bench.hands import hidden_rope
-from shape_obs.bench.motion import moving_rope
-from shape_obs.bench.ropes import random_rope
-from shape_obs.bench.tangles import crossing_rope, cut_rope
+from shape_obs.bench.synthetic.disturbances import hidden_rope, photographed
+from shape_obs.bench.synthetic.ropes import moving_rope, random_rope
+from shape_obs.bench.synthetic.tangles import crossing_rope, cut_rope
 from shape_obs.compiled import NUMPY, choose
 from shape_obs.geometry.topology import Chain, Grid, Ring
 

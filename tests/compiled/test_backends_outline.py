@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from shape_obs import Contour, ShapeDetector, Surface
-from shape_obs.bench.blobs import KINDS, moving_blob, random_blob
-from shape_obs.bench.sheets import moving_sheet, random_sheet, turning_sheet
+from shape_obs.bench.synthetic.blobs import KINDS, moving_blob, random_blob
+from shape_obs.bench.synthetic.sheets import moving_sheet, random_sheet, turning_sheet
 from shape_obs.compiled import NUMPY, choose
 from shape_obs.geometry.form import Curve
 from shape_obs.geometry.outline import Border

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, ShapeDetector
-from shape_obs.bench.hands import hidden_rope
-from shape_obs.bench.hard_claims import ropes_in_noise, ropes_under_hands
-from shape_obs.bench.motion import moving_rope
+from shape_obs.bench.rope_claims import ropes_in_noise, ropes_under_hands
+from shape_obs.bench.synthetic.disturbances import hidden_rope
+from shape_obs.bench.synthetic.ropes import moving_rope
 
 
 @pytest.fixture(scope="module")

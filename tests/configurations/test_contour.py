@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Contour, ShapeDetector, SpecError
-from shape_obs.bench.blobs import KINDS, draw_blob, random_blob
-from shape_obs.bench.outline_scores import outline_score
+from shape_obs.bench.scores import outline_score
+from shape_obs.bench.synthetic.blobs import KINDS, draw_blob, random_blob
 from shape_obs.geometry.form import Curve
 from shape_obs.geometry.outline import Border, clockwise
 from shape_obs.geometry.polyline import arc_length, catmull_rom, equidistant_around

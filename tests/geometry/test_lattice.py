@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shape_obs.bench.sheets import rotation
+from shape_obs.bench.synthetic.sheets import rotation
 from shape_obs.compiled import NUMPY
 from shape_obs.compiled.numpy_plane import plane, points_of
 from shape_obs.compiled.numpy_sheet import coons

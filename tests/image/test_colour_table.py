@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import ColourRule, DepthRange, Frame, GrayRange, HSVRange, Polygon, ShapeDetector, Whole
-from shape_obs.bench.ropes import KINDS, random_rope
+from shape_obs.bench.synthetic.ropes import KINDS, random_rope
 from shape_obs.compiled import choose
 from shape_obs.image.colour_table import colour_table
 from shape_obs.image.region import find_region, prepare, segment
@@ -264,7 +264,7 @@ class TestSegment:
 
     def test_points_from_the_search_are_those_of_the_rule(self, kernels):
         """Through the detector, warm, over a moving rope: to 0.3 px on every point, and in fact to the last digit."""
-        from shape_obs.bench.motion import moving_rope
+        from shape_obs.bench.synthetic.ropes import moving_rope
 
         rng = np.random.default_rng(9)
         backend = "numba" if kernels.reads_tables else "numpy"

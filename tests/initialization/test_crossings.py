@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from shape_obs.bench.ropes import draw_rope, random_rope, resample
+from shape_obs.bench.synthetic.ropes import draw_rope, random_rope, resample
+from shape_obs.bench.synthetic.tangles import Tangle, crossing_rope, cut_rope, is_traversed
 from shape_obs.bench.tangle_claims import SETS, TangleResult, detected, tangled_ropes
-from shape_obs.bench.tangles import Tangle, crossing_rope, cut_rope, is_traversed
 from shape_obs.compiled.numpy_fold import fold
 from shape_obs.image.region import Region, find_region
 from shape_obs.image.roi import Window

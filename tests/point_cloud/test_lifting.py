@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import savgol_filter
 
 from shape_obs import CameraModel, Centerline, Frame, Intrinsics, ShapeDetector
-from shape_obs.bench.ropes import Rope, draw_rope
+from shape_obs.bench.synthetic.ropes import Rope, draw_rope
 from shape_obs.configurations.fitting import Fit
 from shape_obs.configurations.points import shape_of
 from shape_obs.geometry.form import Curve

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from shape_obs import ShapeDetector, Surface
-from shape_obs.bench.sheets import moving_sheet
+from shape_obs.bench.synthetic.sheets import moving_sheet
 from shape_obs.tracking.occlusion import strayed_corner
 
 

@@ -11,13 +11,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from shape_obs.bench.asked import at_least, at_most
 from shape_obs.bench.robustness.bundle_attacks import attacks
 from shape_obs.bench.robustness.bundle_bombs import bombs
 from shape_obs.bench.robustness.bundle_canary import VARIABLE, write_canary
 from shape_obs.bench.robustness.bundle_mutations import mutations
 from shape_obs.bench.robustness.bundle_sample import TRUSTED, members_of, save_sample
 from shape_obs.bench.robustness.bundle_sizes import sizes
+from shape_obs.bench.tables import at_least, at_most
 
 _SECONDS: Final = 2.0
 _MEGABYTES: Final = 300.0

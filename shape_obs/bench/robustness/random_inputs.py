@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.ropes import draw_rope
+from shape_obs.bench.synthetic.ropes import draw_rope
 from shape_obs.camera import CameraModel, Intrinsics
 
 Array = npt.NDArray[np.float64]

@@ -14,9 +14,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from shape_obs.bench.asked import at_least, at_most
 from shape_obs.bench.robustness.mutations import flip, mutate, mutate_bytes
 from shape_obs.bench.robustness.outcomes import Outcomes, opened_in
+from shape_obs.bench.tables import at_least, at_most
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.frame import Frame
 from shape_obs.recording import Moment, Recording, RecordingWriter

@@ -8,9 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from shape_obs.bench.asked import at_most
 from shape_obs.bench.robustness.mutations import flip
 from shape_obs.bench.robustness.outcomes import Outcomes
+from shape_obs.bench.tables import at_most
 from shape_obs.recording import ShapeTable
 
 SUFFIXES: Final = (".parquet", ".npz", ".csv")

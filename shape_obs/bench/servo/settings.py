@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from typing import Any, Final, Literal, NamedTuple, get_args
 
-from shape_obs.bench.env_runner import Env
+from shape_obs.bench.env_speed import Env
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
 Difficulty = Literal["near", "middle", "far"]

@@ -7,10 +7,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from shape_obs.bench.asked import at_most
-from shape_obs.bench.env_runner import Env, held_actions, make_env
+from shape_obs.bench.env_speed import Env, held_actions, make_env
+from shape_obs.bench.interleaved_timing import Clock, Entrant, turns
 from shape_obs.bench.servo.settings import FEATURES, LAYOUTS
-from shape_obs.bench.turns import Clock, Entrant, turns
+from shape_obs.bench.tables import at_most
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import Feature, View, read_features
 from shape_obs.geometry.topology import Grid

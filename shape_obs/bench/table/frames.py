@@ -1,24 +1,34 @@
-"""The frames of the table: any worker can make any chunk of them anew."""
+"""The frames of the table: any worker can make any chunk of them anew.
+
+What thinning and contour tracing give for the same frames: as many points as the pixels happen to make.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
+from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Any, Final, Literal, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.disturbances import photographed
-from shape_obs.bench.sheets import Sheet, draw_sheet, moving_sheet
+from shape_obs.bench.interleaved_timing import CLOCKS, Clock
+from shape_obs.bench.synthetic.disturbances import photographed
+from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, moving_sheet
 from shape_obs.configurations import Centerline, Configuration, Contour, Surface
 from shape_obs.frame import Frame
+from shape_obs.geometry.polyline import nearest_on
 from shape_obs.image.roi import Whole
 from shape_obs.image.segmentation import HSVRange, Segmentation
+from shape_obs.metrics import in_order
 
 Array = npt.NDArray[np.float64]
+
 Name = Literal["centerline", "contour", "surface"]
+
 
 CONFIGURATIONS: Final[dict[Name, Configuration[Any]]] = {
     "centerline": Centerline(n=20, ends="centers"),
@@ -26,13 +36,20 @@ CONFIGURATIONS: Final[dict[Name, Configuration[Any]]] = {
     # The rows run along the cloth's long side, however it lies; else the cells of some cloths would be slivers.
     "surface": Surface(rows=4, cols=8, ends="centers", anchor="corner"),
 }
+
 # Drawn cloths: aspect so that the cells of 4 x 8 are about square, size for some 20,000 pixels.
 _ASPECT: Final = 2.0
+
 _SHRUNK: Final = 0.84
+
 _SPEED: Final = 6.0  # pixels a frame
+
 _CLOTH: Final = HSVRange(low=(100, 80, 25), high=(130, 255, 255))
+
 _LIGHT: Final = 1.5  # brighter in one corner than in the other
+
 _NOISE: Final = 6.0  # gray levels
+
 _BLUR: Final = 0.7  # pixels
 
 
@@ -113,3 +130,88 @@ def _outline(sheet: Sheet) -> Array:
     """(P,2) the cloth's border from its top left corner, clockwise in the cloth's own frame, which is not mirrored."""
     points = sheet.points
     return np.concatenate([points[0, :-1], points[:-1, -1], points[-1, :0:-1], points[:0:-1, 0]])
+
+
+Mask = npt.NDArray[np.uint8]
+
+Tracing = Literal["thinning", "contours", "corners"]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One tracing of one frame.
+
+    Args:
+        frame: Which one of the run.
+        points: How many.
+        start: Where the first of them lies on the material, as a share of the known curve's length.
+        ordered: They follow each other along the known curve.
+        tips: Of a thinned mask, pixels with one neighbour: a rope has two ends; else 0.
+        ms: Milliseconds.
+    """
+
+    frame: int
+    points: int
+    start: float
+    ordered: bool
+    tips: int
+    ms: float
+
+
+def _thinned(mask: Mask) -> Array:
+    from skimage.morphology import skeletonize
+
+    left, top, width, height = cv2.boundingRect(mask)
+    rows, columns = np.nonzero(skeletonize(mask[top : top + height, left : left + width] > 0))
+    return np.stack([columns + left, rows + top], axis=1).astype(np.float64)
+
+
+def _traced(approximation: int) -> Callable[[Mask], Array]:
+    def trace(mask: Mask) -> Array:
+        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, approximation)
+        return np.asarray(max(contours, key=cv2.contourArea), dtype=np.float64).reshape(-1, 2)
+
+    return trace
+
+
+_RUN: Final[dict[Tracing, Callable[[Mask], Array]]] = {
+    "thinning": _thinned,
+    "contours": _traced(cv2.CHAIN_APPROX_NONE),
+    "corners": _traced(cv2.CHAIN_APPROX_SIMPLE),
+}
+
+OF: Final[dict[Tracing, Name]] = {"thinning": "centerline", "contours": "contour", "corners": "contour"}
+
+
+def missing(tracing: Tracing) -> str:
+    """Why a tracing cannot be run here; empty if it can."""
+    if tracing == "thinning" and find_spec("skimage") is None:
+        return "scikit-image is not installed (OpenCV's thinning is in opencv-contrib alone)"
+    return ""
+
+
+def traced(tracing: Tracing, chunk: Iterable[tuple[int, Scene]], clock: Clock = "wall") -> Iterator[Trace]:
+    """A tracing over the numbered frames of one chunk."""
+    run, now = _RUN[tracing], CLOCKS[clock]
+    for frame, scene in chunk:
+        assert not isinstance(scene.truth, Sheet)
+        begin = now()
+        points = run(scene.mask)
+        ms = 1e3 * (now() - begin)
+        closed = OF[tracing] == "contour"
+        curve = np.concatenate([scene.truth, scene.truth[:1]]) if closed else scene.truth
+        length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
+        arc = nearest_on(curve, points)[0]
+        ordered = any(in_order(way, length if closed else None) for way in (arc, arc[::-1]))
+        tips = 0 if closed else _tips(points)
+        yield Trace(frame, len(points), float(arc[0]) / length, ordered, tips, ms)
+
+
+def _tips(points: Array) -> int:
+    """How many of (P,2) pixels have one neighbour among them."""
+    low = points.min(axis=0).astype(int) - 1
+    column, row = (points.astype(int) - low).T
+    picture = np.zeros((row.max() + 2, column.max() + 2), np.uint8)
+    picture[row, column] = 1
+    around = cv2.filter2D(picture, -1, np.ones((3, 3), np.float32), borderType=cv2.BORDER_CONSTANT)
+    return int(np.sum(around[row, column] == 2))

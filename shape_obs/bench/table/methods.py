@@ -9,12 +9,11 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.outline_scores import outline_score
-from shape_obs.bench.scores import score
-from shape_obs.bench.sheets import Sheet
+from shape_obs.bench.interleaved_timing import CLOCKS, Clock
+from shape_obs.bench.scores import outline_score, score
 from shape_obs.bench.surface_claims import score_sheet
+from shape_obs.bench.synthetic.sheets import Sheet
 from shape_obs.bench.table.frames import CONFIGURATIONS, Name, Scene
-from shape_obs.bench.turns import CLOCKS, Clock
 from shape_obs.clustering import Centres, Clusterer, FuzzyCMeans, GaussianMixture, KMeans, Kohonen
 from shape_obs.configurations import Configuration, Surface
 from shape_obs.detector import ShapeDetector

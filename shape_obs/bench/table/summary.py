@@ -10,11 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
-from shape_obs.bench.table.frames import CONFIGURATIONS, Name
+from shape_obs.bench.table.frames import CONFIGURATIONS, OF, Name, Trace, Tracing, missing
 from shape_obs.bench.table.methods import METHODS, Method, Row
-from shape_obs.bench.table.parts import Parts
-from shape_obs.bench.table.run import Plan
-from shape_obs.bench.table.tracings import OF, Trace, Tracing, missing
+from shape_obs.bench.table.run import Parts, Plan
 
 Array = npt.NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import tyro
 from tqdm import tqdm
 
-from shape_obs.bench.report import GROUPS, Effort
+from shape_obs.bench.claims import GROUPS, Effort
 from shape_obs.cli.bench.printing import table
 
 Group = Literal[

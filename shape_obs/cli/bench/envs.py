@@ -12,12 +12,21 @@ import tyro
 from tqdm import tqdm
 
 from shape_obs.bench.backends import backends
-from shape_obs.bench.env_machine import no_opengl, opengl
-from shape_obs.bench.env_runner import ENVS, Env
-from shape_obs.bench.env_speed import RENDERERS, SIZES, WARM_UP, Course, Row, speed_claims, speed_row, speeds, stock_row
+from shape_obs.bench.env_speed import (
+    ENVS,
+    RENDERERS,
+    SIZES,
+    WARM_UP,
+    Course,
+    Env,
+    Row,
+    speed_claims,
+    speed_row,
+    speeds,
+    stock_row,
+)
 from shape_obs.bench.env_vectors import vector_row
-from shape_obs.bench.machine import machine
-from shape_obs.bench.turns import Clock
+from shape_obs.bench.interleaved_timing import Clock, machine, no_opengl, opengl
 from shape_obs.cli.bench.printing import table
 
 Part = Literal["single", "stock", "vector"]

@@ -11,11 +11,11 @@ from typing import Any, Literal
 import tyro
 from tqdm import tqdm
 
-from shape_obs.bench import growth, latency, memory
+from shape_obs.bench import growth, latency
+from shape_obs.bench import latency as memory
 from shape_obs.bench.backends import backends
-from shape_obs.bench.machine import machine
-from shape_obs.bench.streams import SIZES
-from shape_obs.bench.turns import Clock
+from shape_obs.bench.interleaved_timing import Clock, machine
+from shape_obs.bench.synthetic.streams import SIZES
 from shape_obs.cli.bench.printing import table
 
 Part = Literal["stages", "growth"]

@@ -11,11 +11,9 @@ from typing import Any, get_args
 import tyro
 from tqdm import tqdm
 
-from shape_obs.bench.contest import WARM_UP
-from shape_obs.bench.machine import machine
-from shape_obs.bench.peer_contest import Result, claims, missing, run_work
-from shape_obs.bench.turns import Clock
-from shape_obs.bench.workloads import Name
+from shape_obs.bench.interleaved_timing import Clock, machine
+from shape_obs.bench.peer_comparison import WARM_UP, Result, claims, missing, run_work
+from shape_obs.bench.synthetic.streams import Name
 from shape_obs.cli.bench.printing import table
 
 

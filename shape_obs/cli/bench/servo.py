@@ -12,11 +12,10 @@ from typing import Any, Literal
 import tyro
 from tqdm import tqdm
 
-from shape_obs.bench.env_runner import Env
-from shape_obs.bench.machine import machine
+from shape_obs.bench.env_speed import Env
+from shape_obs.bench.interleaved_timing import Clock, machine
 from shape_obs.bench.servo.episode import Episode
 from shape_obs.bench.servo.pictures import draw, need_matplotlib
-from shape_obs.bench.servo.results import lean, write_tables
 from shape_obs.bench.servo.settings import (
     DIFFICULTIES,
     SOURCES,
@@ -29,10 +28,9 @@ from shape_obs.bench.servo.settings import (
     image_size,
     missing,
 )
-from shape_obs.bench.servo.study import run
+from shape_obs.bench.servo.study import lean, run, write_tables
 from shape_obs.bench.servo.summary import paired_rows, summary_rows
 from shape_obs.bench.servo.times import WARM_UP, asked_rows, feature_times
-from shape_obs.bench.turns import Clock
 from shape_obs.cli.bench.printing import table
 from shape_obs.servo import LAWS
 from shape_obs.spec import did_you_mean

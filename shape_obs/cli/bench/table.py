@@ -12,13 +12,11 @@ from typing import Final, Literal
 import tyro
 from tqdm import tqdm
 
-from shape_obs.bench.machine import machine
+from shape_obs.bench.interleaved_timing import Clock, machine
 from shape_obs.bench.table.figures import draw, need_matplotlib
-from shape_obs.bench.table.parts import as_csv
-from shape_obs.bench.table.run import Plan, run
+from shape_obs.bench.table.report import as_values, markdown
+from shape_obs.bench.table.run import Plan, as_csv, run
 from shape_obs.bench.table.summary import every_row, rankings, results, tracings
-from shape_obs.bench.table.text import as_values, markdown
-from shape_obs.bench.turns import Clock
 from shape_obs.cli.files import make_folder
 from shape_obs.utils.files import write_text
 

@@ -12,8 +12,7 @@ import tyro
 from tqdm import tqdm
 
 from shape_obs.bench.backends import backends
-from shape_obs.bench.env_machine import opengl
-from shape_obs.bench.machine import machine
+from shape_obs.bench.interleaved_timing import Clock, machine, opengl
 from shape_obs.bench.training_overhead import (
     ALGORITHMS,
     SIZES,
@@ -23,7 +22,6 @@ from shape_obs.bench.training_overhead import (
     overhead_rows,
     overheads,
 )
-from shape_obs.bench.turns import Clock
 from shape_obs.cli.bench.printing import table
 
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.ndimage import minimum_filter1d
 from scipy.spatial import KDTree
 
-from shape_obs.bench.ropes import SIZE, Curve, _arcs, _place, draw_rope, resample
+from shape_obs.bench.synthetic.ropes import SIZE, Curve, _arcs, _place, draw_rope, resample
 
 _TRIES: Final = 20000
 _GAP: Final = 3  # pixels between strands that do not touch, as in `ropes`

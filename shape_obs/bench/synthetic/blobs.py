@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.ropes import SIZE, resample
+from shape_obs.bench.synthetic.ropes import SIZE, resample
 from shape_obs.geometry.outline import clockwise
 from shape_obs.utils.documents import read_json
 

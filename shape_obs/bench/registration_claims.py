@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.asked import at_most
-from shape_obs.bench.blocks import TOP, Block, rows_of_blocks, see
+from shape_obs.bench.synthetic.tabletop import TOP, Block, rows_of_blocks, see
+from shape_obs.bench.tables import at_most
 from shape_obs.camera import CameraModel
 from shape_obs.compiled import Backend
 

@@ -1,7 +1,11 @@
-"""Drawn ropes with a known centreline: the ground truth that tests and benchmarks measure against."""
+"""Drawn ropes with a known centreline: the ground truth that tests and benchmarks measure against.
+
+A drawn rope that moves and bends, every material point's place known in every frame.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -11,10 +15,15 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 Curve = npt.NDArray[np.float64]
+
 Kind = Literal["smooth", "u", "s", "hairpin", "loop", "spiral", "fat"]
+
 KINDS: Final[tuple[Kind, ...]] = ("smooth", "u", "s", "hairpin", "loop", "spiral", "fat")
+
 SIZE: Final = (480, 640)
+
 _STEP: Final = 1.0
+
 _SUPERSAMPLING: Final = 4
 
 
@@ -174,3 +183,61 @@ def _touches(curve: Curve, width: float) -> bool:
     """Whether strands come closer than the drawn width and a gap of 3 px, or bend tighter than the ribbon allows."""
     pairs = KDTree(curve).query_pairs(width + 3, output_type="ndarray")
     return bool(np.any(np.abs(pairs[:, 1] - pairs[:, 0]) * _STEP > np.pi / 2 * (width + 3) + 2))
+
+
+Array = npt.NDArray[np.float64]
+
+
+_HARMONICS: Final = 3
+
+_BISECTIONS: Final = 30
+
+
+def moving_rope(
+    rng: np.random.Generator, speed: float, frames: int = 180, *, length: float = 320.0, width: float = 11.0
+) -> Iterator[Rope]:
+    """A rope whose fastest point moves ``speed`` pixels from each frame to the next.
+
+    It wanders through the image, turns and bends at once: the heading along the rope is a sum of sines whose
+    amplitudes swing, the middle follows a Lissajous curve.
+
+    Args:
+        rng: Draws the motion.
+        speed: Pixels per frame.
+        frames: How many.
+        length: Of the rope, pixels.
+        width: Of the rope, pixels.
+    """
+    rates = rng.uniform(0.3, 0.9, _HARMONICS)
+    phases, bends = rng.uniform(0, 2 * np.pi, _HARMONICS), 1.1 / np.arange(1, _HARMONICS + 1)
+    turn = rng.uniform(0.1, 0.25) * rng.choice([-1, 1])
+    start = rng.uniform(0, 2 * np.pi, 3)
+
+    def curve_at(time: float) -> Array:
+        s = np.arange(0.0, length + 0.5)
+        along = s / length
+        heading = start[0] + turn * time
+        for k in range(_HARMONICS):
+            heading = heading + bends[k] * np.sin(rates[k] * time + phases[k]) * np.cos(np.pi * (k + 1) * along)
+        curve = np.cumsum(np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0)
+        room = (np.array([SIZE[1], SIZE[0]]) - length) / 2 - width
+        middle = np.array([SIZE[1], SIZE[0]]) / 2 + np.maximum(room, 20) * np.sin([0.7 * time, 0.5 * time] + start[1:])
+        return curve - curve.mean(axis=0) + middle
+
+    time, curve = 0.0, curve_at(0.0)
+    for _ in range(frames):
+        yield draw_rope(curve, width, flat_caps=True, kind="moving")
+        time = _after(curve_at, curve, time, speed)
+        curve = curve_at(time)
+
+
+def _after(curve_at: Callable[[float], Array], curve: Array, time: float, speed: float) -> float:
+    """The next time at which some point has moved ``speed`` pixels."""
+    low, high = 0.0, 0.05
+    while np.linalg.norm(curve_at(time + high) - curve, axis=1).max() < speed:
+        low, high = high, high * 1.5
+    for _ in range(_BISECTIONS):
+        step = (low + high) / 2
+        near = np.linalg.norm(curve_at(time + step) - curve, axis=1).max() < speed
+        low, high = (step, high) if near else (low, step)
+    return time + low

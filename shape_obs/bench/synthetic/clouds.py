@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from shape_obs.bench.ropes import resample
+from shape_obs.bench.synthetic.ropes import resample
 
 Array = npt.NDArray[np.float64]
 Side = Literal["all", "front"]

@@ -1,30 +1,122 @@
-"""The detector beside other ways to the same points: times, ratios and quality, and what is asked of them."""
+"""Methods in turn on the same work: what each takes, and how good its points are.
+
+The detector beside other ways to the same points: times, ratios and quality, and what is asked of them.
+
+How well N points in any order stand for a mask: silhouette, Calinski-Harabasz and how evenly they are spread.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, Final
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, NamedTuple
 
+import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import KDTree
 
-from shape_obs.bench.asked import at_least, at_most
+from shape_obs import metrics
 from shape_obs.bench.backends import LABELS, Backend, backends, ours
-from shape_obs.bench.contest import WARM_UP, Score, contest
+from shape_obs.bench.interleaved_timing import Clock, Entrant, turns
 from shape_obs.bench.peers import PEERS
-from shape_obs.bench.turns import Clock, Entrant
-from shape_obs.bench.workloads import Name, Scene, Work, work
+from shape_obs.bench.synthetic.streams import Name, Scene, Work, work
+from shape_obs.bench.tables import at_least, at_most
 from shape_obs.detector import ShapeDetector
+from shape_obs.geometry.polyline import nearest_on
+from shape_obs.geometry.topology import Topology
 from shape_obs.utils.threads import one_thread
+
+WARM_UP: Final = 5  # frames that are not counted: imports, compilation, the first cold start
+
+
+@dataclass
+class Score:
+    """What one method did.
+
+    Args:
+        milliseconds: Frame -> time.
+        quality: Of its points, on the frames on which every method ran.
+    """
+
+    milliseconds: dict[int, float] = field(default_factory=dict)
+    quality: list[Quality] = field(default_factory=list)
+
+    @property
+    def median(self) -> float:
+        """Milliseconds."""
+        return float(np.median([*self.milliseconds.values()]))
+
+    def mean(self, measure: str) -> float:
+        """Of a measure over the frames on which quality was looked at."""
+        return float(np.mean([getattr(quality, measure) for quality in self.quality]))
+
+    def times(self, other: Score) -> float:
+        """How many times slower than another method: the ratio of the medians over the frames of both."""
+        both = self.milliseconds.keys() & other.milliseconds.keys()
+        mine, theirs = (np.median([score.milliseconds[i] for i in both]) for score in (self, other))
+        return float(mine / theirs)
+
+
+def contest(
+    work: Work,
+    entrants: Sequence[Entrant[Scene]],
+    slow: set[str],
+    few: int,
+    clock: Clock = "wall",
+    burst: int = 1,
+    tick: Callable[[], Any] = lambda: None,
+) -> dict[str, Score]:
+    """Let every entrant run on every frame.
+
+    Args:
+        work: The frames; the first ``WARM_UP`` of them are not counted.
+        entrants: Who runs.
+        slow: Who runs on few frames only.
+        few: On how many; on these the quality of all is measured.
+        clock: What counts the time.
+        burst: Frames in a turn.
+        tick: Called after each frame.
+
+    Returns:
+        Name -> score.
+    """
+    scores = {entrant.name: Score() for entrant in entrants}
+    counted = range(WARM_UP, len(work.scenes))
+    chosen = {counted[i] for i in np.linspace(0, len(counted) - 1, min(few, len(counted))).astype(int)}
+    entered = [replace(each, touch=_touch, frames=chosen if each.name in slow else None) for each in entrants]
+    last = 0
+    for turn in turns(work.scenes, entered, clock, burst=burst):
+        if turn.frame > last:
+            tick()
+        last = max(last, turn.frame)
+        if turn.frame < WARM_UP:
+            continue
+        scores[turn.name].milliseconds[turn.frame] = turn.milliseconds
+        if turn.frame in chosen:
+            found = point_quality(work.scenes[turn.frame], turn.result, work.configuration.layout)
+            scores[turn.name].quality.append(found)
+    return scores
+
+
+def _touch(scene: Scene) -> None:
+    cv2.countNonZero(scene.mask)
+    scene.pixels.sum()
+
 
 Row = dict[str, Any]
 
+
 MINISOM: Final = "minisom, 1000 iterations"
+
 KMEANS: Final = "K-means, n_init 1"
+
 KMEANS_10: Final = "K-means, n_init 10"
+
 KMEANS_OURS: Final = "K-means from our points, 3 iterations"
+
 MIXTURE: Final = "Gaussian mixture"
+
 
 # (work, how we start, beside whom) -> times faster with NumPy, with Numba.
 ASKED: Final[tuple[tuple[Name, str, str, int, int], ...]] = (
@@ -35,8 +127,11 @@ ASKED: Final[tuple[tuple[Name, str, str, int, int], ...]] = (
     ("cloth", "warm", KMEANS, 150, 1000),
     ("contour", "warm", KMEANS, 8, 15),
 )
+
 _LOOKED_AT: Final = 5  # frames for quality where no slow method says how many
+
 _SILHOUETTE_SLACK: Final = 0.006
+
 _SPREAD_SHARE: Final[dict[Name, float]] = {"rope": 0.995, "contour": 0.995, "cloth": 0.96}
 
 
@@ -163,3 +258,51 @@ def _detector(task: Work, backend: Backend, start: str, refused: list[str]) -> E
 
     name = ours(backend, start)
     return Entrant(name, run, before=detector.reset) if start == "cold" else Entrant(name, run)
+
+
+Array = npt.NDArray[np.float64]
+
+
+EXACT: Final = 10_000  # pixels up to which every one's silhouette is computed
+
+SAMPLED: Final = 2_000  # else that of so many, each against all pixels
+
+
+class Quality(NamedTuple):
+    """Of N points on one frame.
+
+    Args:
+        silhouette: -1...1, the mean over all pixels, beyond ``EXACT`` of them over ``SAMPLED``, each against all.
+        calinski_harabasz: Over all pixels.
+        spacing: Standard deviation of the gaps over their mean: between successive points along the known line; on a
+            cloth the distance from each point to the nearest other.
+    """
+
+    silhouette: float
+    calinski_harabasz: float
+    spacing: float
+
+
+def point_quality(scene: Scene, points: Array, layout: Topology) -> Quality:
+    """The quality of one method's points; a pixel belongs to the nearest of them.
+
+    Args:
+        scene: The frame; its pixels are what is to be represented.
+        points: (N,2) in any order.
+        layout: How they would hang together, were they in order.
+    """
+    pixels, labels = scene.pixels, metrics.nearest(scene.pixels, points)
+    return Quality(
+        metrics.silhouette(pixels, labels, sample=None if len(pixels) <= EXACT else SAMPLED),
+        metrics.calinski_harabasz(pixels, labels),
+        _spacing(scene, points, layout),
+    )
+
+
+def _spacing(scene: Scene, points: Array, layout: Topology) -> float:
+    """The coefficient of variation of the gaps, see ``Quality``."""
+    if scene.curve is None:
+        gaps = np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
+        return float(gaps.std() / gaps.mean())
+    place, _ = nearest_on(scene.curve, points)
+    return metrics.spacing_cv(points[np.argsort(place, kind="stable")], layout)

@@ -7,11 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Final
 
-from shape_obs.bench.table.frames import CONFIGURATIONS
+from shape_obs.bench.table.frames import CONFIGURATIONS, OF, missing
 from shape_obs.bench.table.methods import SAMPLED, Method
 from shape_obs.bench.table.run import EXACT, Plan
 from shape_obs.bench.table.summary import LABELS, MEASURES, PAPER, TRACED, Mean, Ranking, Result, Traced
-from shape_obs.bench.table.tracings import OF, missing
 
 _SHOWN: Final[dict[str, tuple[float, int]]] = {"sc": (1, 3), "ch": (1, 0), "ms": (1e-3, 4)}  # factor, digits
 _HEADS: Final = {

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.ropes import Kind, random_rope
+from shape_obs.bench.synthetic.ropes import Kind, random_rope
 from shape_obs.camera import Intrinsics
 
 Array = npt.NDArray[np.float64]
