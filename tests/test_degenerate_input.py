@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shape_obs import CameraModel, Centerline, Contour, Intrinsics, Shape, ShapeDetector, Surface
-from shape_obs.bench.robustness.inputs import broken_contracts, declared, inputs_table, run_case
+from fuzzing.inputs import broken_contracts, declared, inputs_table, run_case
 from shape_obs.compiled import choose
 from shape_obs.geometry.topology import Chain
 

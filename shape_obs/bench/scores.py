@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from shape_obs.bench.synthetic.ropes import resample
+from shape_obs.bench.synthetic.ropes import resample as resample_by_step
 from shape_obs.configurations import Ends
 from shape_obs.geometry.outline import clockwise
 from shape_obs.geometry.polyline import arc_length, interpolate, resample
@@ -140,7 +140,7 @@ def outline_score(points: npt.ArrayLike, outline: Array) -> OutlineScore:
         outline: (P,2) pixels, closed, clockwise as seen, from where point 0 belongs.
     """
     found = np.asarray(points, dtype=np.float64)
-    fine = resample(np.concatenate([outline, outline[:1]]), _FINE_STEP)[:-1]
+    fine = resample_by_step(np.concatenate([outline, outline[:1]]), _FINE_STEP)[:-1]
     distance, nearest = KDTree(fine).query(found)
     place = np.asarray(nearest, dtype=np.float64) / len(fine)
     off = (place - np.arange(len(found)) / len(found) + 0.5) % 1.0 - 0.5

@@ -21,8 +21,8 @@ from shape_obs.ablation.run import Row
 from shape_obs.ablation.score import Score
 from shape_obs.ablation.scores_file import SCORES, scores_csv
 from shape_obs.ablation.work import Outcome, Task
-from shape_obs.bench.robustness.recordings import damaged_recordings, record_some
-from shape_obs.bench.robustness.tables import a_table, flipped_tables, same
+from fuzzing.recordings import damaged_recordings, record_some
+from fuzzing.tables import a_table, flipped_tables, same
 from shape_obs.cli import main
 from shape_obs.config import save_config
 from shape_obs.recording import Recording, ShapeTable

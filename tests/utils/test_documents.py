@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from shape_obs import Extrinsics, load_config
 from shape_obs.ablation import load_study
-from shape_obs.bench.robustness.documents import damaged_documents
+from fuzzing.documents import damaged_documents
 from shape_obs.calibration.intrinsics import IntrinsicsFit
 from shape_obs.calibration.touch_points import read_touches
 from shape_obs.cli.source import read_settings

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("stable_baselines3")
 
-from shape_obs.bench.robustness.bundles import bundle_claims
+from fuzzing.bundles import bundle_claims
 
 
 @pytest.mark.long

@@ -14,8 +14,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from shape_obs.bench.robustness.mutations import flip, mutate, mutate_bytes
-from shape_obs.bench.robustness.outcomes import Outcomes, opened_in
+from fuzzing.mutations import flip, mutate, mutate_bytes
+from fuzzing.outcomes import Outcomes, opened_in
 from shape_obs.bench.tables import at_least, at_most
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.frame import Frame

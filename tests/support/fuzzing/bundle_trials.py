@@ -1,6 +1,6 @@
 """Read hostile bundles, each in a process of its own, and report what they did.
 
-``python -m shape_obs.bench.robustness.bundle_trials FOLDER KILLS SEED`` reads ``FOLDER/files/*``, those named
+``python -m fuzzing.bundle_trials FOLDER KILLS SEED`` reads ``FOLDER/files/*``, those named
 ``*.trusted`` with ``trust=True``. The process has all libraries loaded and forks for each file, so that time and memory
 are those of the file alone. It prints one line of JSON for each, and one for the kills of processes that save a bundle.
 """
@@ -28,9 +28,9 @@ import gymnasium as gym
 import numpy as np
 
 from shape_obs import CameraModel, Intrinsics, load_bundle
-from shape_obs.bench.robustness.bundle_canary import VARIABLE
-from shape_obs.bench.robustness.bundle_kills import kill_savers
-from shape_obs.bench.robustness.bundle_sample import TRUSTED
+from fuzzing.bundle_canary import VARIABLE
+from fuzzing.bundle_kills import kill_savers
+from fuzzing.bundle_sample import TRUSTED
 from shape_obs.deploy.policy_bundle import Bundle, BundleError
 from shape_obs.deploy.policy_bundle.spaces import space_from_dict, zeros
 

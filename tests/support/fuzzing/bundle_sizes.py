@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from shape_obs.bench.robustness.bundle_sample import Members, edited, pack, pack_plain
+from fuzzing.bundle_sample import Members, edited, pack, pack_plain
 from shape_obs.deploy.policy_bundle.archive import CONFIG, ENV, RECORD
 
 Crafted = Iterator[tuple[str, bytes]]

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
-from shape_obs.bench.robustness.bundle_sample import Members, edited, pack
+from fuzzing.bundle_sample import Members, edited, pack
 from shape_obs.config import SECTIONS, schema_hash
 from shape_obs.deploy.policy_bundle.archive import CONFIG, ENV, RECORD, STATISTICS, WEIGHTS
 from shape_obs.deploy.policy_bundle.errors import MALFORMED

@@ -25,7 +25,7 @@ from typing import Any, Final, Literal, NamedTuple
 import cv2
 import numpy as np
 
-from shape_obs.bench.robustness.arm import Arm, ArmProcess
+from shape_obs.bench.remote_arm import Arm, ArmProcess
 from shape_obs.bench.tables import at_most
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.deploy import Interrupted, Limits, RunLog, deploy

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from shape_obs.bench.robustness.bundle_canary import MODULE, Touch
-from shape_obs.bench.robustness.bundle_sample import Members, edited, pack
+from fuzzing.bundle_canary import MODULE, Touch
+from fuzzing.bundle_sample import Members, edited, pack
 from shape_obs.deploy.policy_bundle.archive import CONFIG, ENV, RECORD, STATISTICS, WEIGHTS
 
 Crafted = Iterator[tuple[str, bytes]]

@@ -8,8 +8,8 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.robustness import random_inputs
-from shape_obs.bench.robustness.random_inputs import pick
+from fuzzing import random_inputs
+from fuzzing.random_inputs import pick
 
 
 class Scene:

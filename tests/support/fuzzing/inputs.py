@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 import shape_obs
-from shape_obs.bench.robustness import random_inputs
-from shape_obs.bench.robustness.random_inputs import pick
-from shape_obs.bench.robustness.random_scenes import RandomImages, Scene, colour_image
+from fuzzing import random_inputs
+from fuzzing.random_inputs import pick
+from fuzzing.random_scenes import RandomImages, Scene, colour_image
 from shape_obs.bench.tables import at_most
 from shape_obs.compiled import Backend
 from shape_obs.detector import ShapeDetector

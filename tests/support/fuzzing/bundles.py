@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from shape_obs.bench.robustness.bundle_attacks import attacks
-from shape_obs.bench.robustness.bundle_bombs import bombs
-from shape_obs.bench.robustness.bundle_canary import VARIABLE, write_canary
-from shape_obs.bench.robustness.bundle_mutations import mutations
-from shape_obs.bench.robustness.bundle_sample import TRUSTED, members_of, save_sample
-from shape_obs.bench.robustness.bundle_sizes import sizes
+from fuzzing.bundle_attacks import attacks
+from fuzzing.bundle_bombs import bombs
+from fuzzing.bundle_canary import VARIABLE, write_canary
+from fuzzing.bundle_mutations import mutations
+from fuzzing.bundle_sample import TRUSTED, members_of, save_sample
+from fuzzing.bundle_sizes import sizes
 from shape_obs.bench.tables import at_least, at_most
 
 _SECONDS: Final = 2.0
@@ -84,7 +84,7 @@ def read_all(
         for number, (_, content) in enumerate([*files, *trusted]):
             kind = TRUSTED if number >= len(files) else ".policy"
             (work / "files" / f"{number:05}{kind}").write_bytes(content)
-        module = "shape_obs.bench.robustness.bundle_trials"
+        module = "fuzzing.bundle_trials"
         path = os.pathsep.join([str(work / "path"), *filter(None, [os.environ.get("PYTHONPATH")])])
         threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         done = subprocess.run(

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from shape_obs.bench.robustness.documents import damaged_documents
-from shape_obs.bench.robustness.recordings import damaged_recordings
-from shape_obs.bench.robustness.tables import flipped_tables
+from fuzzing.documents import damaged_documents
+from fuzzing.recordings import damaged_recordings
+from fuzzing.tables import flipped_tables
 
 
 def damaged_files(

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from shape_obs.bench.robustness.mutations import flip
-from shape_obs.bench.robustness.outcomes import Outcomes
+from fuzzing.mutations import flip
+from fuzzing.outcomes import Outcomes
 from shape_obs.bench.tables import at_most
 from shape_obs.recording import ShapeTable
 
