@@ -1,9 +1,4 @@
-"""Timing in turns: every method on every frame, now one first and now another, so that none has the quieter machine.
-
-On what a measurement ran.
-
-What of OpenGL the simulated environments find here.
-"""
+"""Time several methods in turns on the same frames, and describe the machine on which they ran."""
 
 from __future__ import annotations
 
@@ -16,51 +11,40 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from itertools import count, islice
 from pathlib import Path
-from typing import Any, Final, Generic, Literal, NamedTuple, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from shape_obs.bench import Clock
+
 S = TypeVar("S")
 
-Clock = Literal["wall", "thread"]
-
-
-# Processor time of this thread alone is blind to others on a busy machine, and to threads of its own.
+# The processor time of this thread ignores other processes on a busy machine, and also other threads of this process.
 CLOCKS: Final[dict[Clock, Callable[[], float]]] = {"wall": time.perf_counter, "thread": time.thread_time}
-
-
-def _nothing() -> None:
-    """What most entrants need done before."""
+_PACKAGES: Final = ("numpy", "scipy", "opencv-python-headless", "opencv-python", "scikit-learn", "numba")
 
 
 @dataclass(frozen=True)
-class Entrant(Generic[S]):
-    """One method.
+class Method(Generic[S]):
+    """One method to be timed.
 
     Args:
-        name: As the tables call it.
-        run: What is timed, on one frame.
-        before: What it needs done before its clock starts.
-        touch: Brings what it reads into the cache, as if it had just been made: who ran before must not matter.
-        frames: In which it takes part; None is all.
+        name: Its name in the tables.
+        run: The timed call, on one frame.
+        before: Called before the clock starts.
+        touch: Reads a frame's data into the cache, so that it does not matter which method ran before.
+        frames: Numbers of the frames on which the method runs; None for all.
     """
 
     name: str
     run: Callable[[S], Any]
-    before: Callable[[], object] = _nothing
+    before: Callable[[], object] = lambda: None
     touch: Callable[[S], object] = lambda frame: None
     frames: Container[int] | None = None
 
 
 class Turn(NamedTuple):
-    """One method on one frame.
-
-    Args:
-        frame: Its number.
-        name: The entrant's.
-        milliseconds: What it took.
-        result: What came out.
-    """
+    """The time and the result of one method on one frame."""
 
     frame: int
     name: str
@@ -68,22 +52,22 @@ class Turn(NamedTuple):
     result: Any
 
 
-def turns(
+def interleaved_timing(
     frames: Iterable[S],
-    entrants: Sequence[Entrant[S]],
+    methods: Sequence[Method[S]],
     clock: Clock = "wall",
     seed: int | None = None,
     burst: int = 1,
 ) -> Iterator[Turn]:
-    """Let every entrant run on every frame in which it takes part.
+    """Run every method on every frame, in an order that changes from turn to turn.
 
     Args:
-        frames: In order.
-        entrants: Who runs.
-        clock: Counts the time that passes, or the processor time of this thread.
-        seed: Draws the order in each turn. Without one the order rotates: who begins changes, but all run after
-            the same one, which counts between methods that are nearly equal.
-        burst: Frames in a turn. With 1 every method finds the processor's caches full of another's work.
+        frames: The frames, in order.
+        methods: The methods.
+        clock: ``"wall"`` counts elapsed time, ``"thread"`` the processor time of this thread.
+        seed: Draws the order in each turn. Without a seed the order rotates: the first method changes, but each one
+            always runs after the same other one, which matters for methods that are nearly equal.
+        burst: Frames in a turn. With 1 every method runs with the caches that another method left behind.
     """
     now = CLOCKS[clock]
     rng = None if seed is None else np.random.default_rng(seed)
@@ -92,64 +76,43 @@ def turns(
         some = list(islice(numbered, burst))
         if not some:
             return
-        order = np.roll(np.arange(len(entrants)), -turn) if rng is None else rng.permutation(len(entrants))
-        for entrant in (entrants[place] for place in order.tolist()):
+        order = np.roll(np.arange(len(methods)), -turn) if rng is None else rng.permutation(len(methods))
+        for method in (methods[index] for index in order.tolist()):
             for i, frame in some:
-                if entrant.frames is not None and i not in entrant.frames:
+                if method.frames is not None and i not in method.frames:
                     continue
-                entrant.before()
-                entrant.touch(frame)
+                method.before()
+                method.touch(frame)
                 begin = now()
-                result = entrant.run(frame)
-                yield Turn(i, entrant.name, 1e3 * (now() - begin), result)
-
-
-_PACKAGES: Final = ("numpy", "scipy", "opencv-python-headless", "opencv-python", "scikit-learn", "numba")
+                result = method.run(frame)
+                yield Turn(i, method.name, 1e3 * (now() - begin), result)
 
 
 def machine(*more: str) -> dict[str, str]:
-    """What of hardware and software decides the speed: name -> what it is.
+    """Return the hardware and software that determine the speed: name -> description or version.
 
     Args:
-        more: Packages that have a say, beside those that always have.
+        more: Further packages whose versions are listed if they are installed.
     """
     found = {
         "processor": _processor(),
         "cores": str(os.cpu_count()),
         "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
     }
-    found["python"] = platform.python_version()
-    return found | {package: number for package in (*_PACKAGES, *more) if (number := _version(package))}
+    return found | {package: number for package in (*_PACKAGES, *more) if (number := package_version(package))}
 
 
-def _version(package: str) -> str:
+def package_version(package: str) -> str:
+    """Return the installed version of a package, or an empty string."""
     try:
         return version(package)
     except PackageNotFoundError:
         return ""
 
 
-def _processor() -> str:
-    table = Path("/proc/cpuinfo")
-    if table.is_file():
-        for line in table.read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or "unknown"
-
-
-def no_opengl() -> str:
-    """Why the environments cannot draw with OpenGL here; empty where they can."""
-    return _asked()[1]
-
-
-def opengl() -> str:
-    """What draws: the driver's own name for it; empty without OpenGL."""
-    return _asked()[0]
-
-
-def _asked() -> tuple[str, str]:
-    """What draws, and why nothing does: one of them is empty."""
+def opengl() -> tuple[str, str]:
+    """Return the name of the OpenGL driver, and why there is none; one of the two is empty."""
     from shape_obs_envs.mujoco.cameras.gl_context import GLUnavailableError, open_context
     from shape_obs_envs.mujoco.engine import mujoco
 
@@ -163,3 +126,12 @@ def _asked() -> tuple[str, str]:
     finally:
         context.free()
         gl.free()
+
+
+def _processor() -> str:
+    table = Path("/proc/cpuinfo")
+    if table.is_file():
+        for line in table.read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or "unknown"

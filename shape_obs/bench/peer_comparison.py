@@ -1,14 +1,9 @@
-"""Methods in turn on the same work: what each takes, and how good its points are.
-
-The detector beside other ways to the same points: times, ratios and quality, and what is asked of them.
-
-How well N points in any order stand for a mask: silhouette, Calinski-Harabasz and how evenly they are spread.
-"""
+"""Compare the detector with other ways to the same points: times, ratios, quality, and their targets."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
 import cv2
@@ -17,26 +12,73 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from shape_obs import metrics
-from shape_obs.bench.backends import LABELS, Backend, backends, ours
-from shape_obs.bench.interleaved_timing import Clock, Entrant, turns
+from shape_obs.bench import Clock
+from shape_obs.bench.interleaved_timing import Method, interleaved_timing
 from shape_obs.bench.peers import PEERS
 from shape_obs.bench.synthetic.streams import Name, Scene, Work, work
-from shape_obs.bench.tables import at_least, at_most
+from shape_obs.bench.tables import Row, at_least, at_most, mean
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import nearest_on
 from shape_obs.geometry.topology import Topology
 from shape_obs.utils.threads import one_thread
 
-WARM_UP: Final = 5  # frames that are not counted: imports, compilation, the first cold start
+WARM_UP: Final = 5  # frames that are not counted
+WARM, COLD = "shape_obs, warm", "shape_obs, cold"
+KMEANS: Final = "K-means, n_init 1"
+KMEANS_10: Final = "K-means, n_init 10"
+MIXTURE: Final = "Gaussian mixture"
+# (work, our start, the peer) -> how many times faster the detector has to be.
+TARGETS: Final[tuple[tuple[Name, str, str, int], ...]] = (
+    ("rope", WARM, "minisom, 1000 iterations", 250),
+    ("rope", WARM, KMEANS, 120),
+    ("rope", WARM, "K-means from our points, 3 iterations", 30),
+    ("rope", COLD, KMEANS, 20),
+    ("cloth", WARM, KMEANS, 1000),
+    ("contour", WARM, KMEANS, 15),
+)
+_EXACT: Final = 10_000  # up to this number of pixels the silhouette counts all of them
+_SAMPLED: Final = 2_000  # beyond, it counts so many of them, each against all
+_LOOKED_AT: Final = 5  # frames for quality if no slow method sets the number
+_SILHOUETTE_SLACK: Final = 0.006
+_SPREAD_SHARE: Final[dict[Name, float]] = {"rope": 0.995, "contour": 0.995, "cloth": 0.96}
+
+
+class Quality(NamedTuple):
+    """How well N points represent the pixels of one frame.
+
+    Args:
+        silhouette: Mean silhouette, -1 to 1.
+        calinski_harabasz: Calinski-Harabasz score over all pixels.
+        spacing: Standard deviation of the gaps over their mean: between successive points along the known line; on a
+            cloth from each point to the nearest other one.
+    """
+
+    silhouette: float
+    calinski_harabasz: float
+    spacing: float
+
+
+def point_quality(scene: Scene, points: npt.NDArray[np.float64], layout: Topology) -> Quality:
+    """Measure N points in any order; each pixel belongs to the nearest point."""
+    pixels, labels = scene.pixels, metrics.nearest(scene.pixels, points)
+    if scene.curve is None:
+        gaps = np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
+        spacing = float(gaps.std() / gaps.mean())
+    else:
+        along, _ = nearest_on(scene.curve, points)
+        spacing = metrics.spacing_cv(points[np.argsort(along, kind="stable")], layout)
+    sample = None if len(pixels) <= _EXACT else _SAMPLED
+    silhouette = metrics.silhouette(pixels, labels, sample=sample)
+    return Quality(silhouette, metrics.calinski_harabasz(pixels, labels), spacing)
 
 
 @dataclass
 class Score:
-    """What one method did.
+    """The results of one method.
 
     Args:
-        milliseconds: Frame -> time.
-        quality: Of its points, on the frames on which every method ran.
+        milliseconds: The time of each counted frame, by its number.
+        quality: The quality of its points on the frames on which every method ran.
     """
 
     milliseconds: dict[int, float] = field(default_factory=dict)
@@ -44,133 +86,59 @@ class Score:
 
     @property
     def median(self) -> float:
-        """Milliseconds."""
+        """The median time in milliseconds."""
         return float(np.median([*self.milliseconds.values()]))
 
     def mean(self, measure: str) -> float:
-        """Of a measure over the frames on which quality was looked at."""
-        return float(np.mean([getattr(quality, measure) for quality in self.quality]))
+        """Return the mean of a measure of quality."""
+        return mean(getattr(quality, measure) for quality in self.quality)
 
     def times(self, other: Score) -> float:
-        """How many times slower than another method: the ratio of the medians over the frames of both."""
+        """Return how many times slower this method is than another: the ratio of medians over their common frames."""
         both = self.milliseconds.keys() & other.milliseconds.keys()
         mine, theirs = (np.median([score.milliseconds[i] for i in both]) for score in (self, other))
         return float(mine / theirs)
 
 
-def contest(
-    work: Work,
-    entrants: Sequence[Entrant[Scene]],
-    slow: set[str],
-    few: int,
-    clock: Clock = "wall",
-    burst: int = 1,
-    tick: Callable[[], Any] = lambda: None,
-) -> dict[str, Score]:
-    """Let every entrant run on every frame.
-
-    Args:
-        work: The frames; the first ``WARM_UP`` of them are not counted.
-        entrants: Who runs.
-        slow: Who runs on few frames only.
-        few: On how many; on these the quality of all is measured.
-        clock: What counts the time.
-        burst: Frames in a turn.
-        tick: Called after each frame.
-
-    Returns:
-        Name -> score.
-    """
-    scores = {entrant.name: Score() for entrant in entrants}
-    counted = range(WARM_UP, len(work.scenes))
-    chosen = {counted[i] for i in np.linspace(0, len(counted) - 1, min(few, len(counted))).astype(int)}
-    entered = [replace(each, touch=_touch, frames=chosen if each.name in slow else None) for each in entrants]
-    last = 0
-    for turn in turns(work.scenes, entered, clock, burst=burst):
-        if turn.frame > last:
-            tick()
-        last = max(last, turn.frame)
-        if turn.frame < WARM_UP:
-            continue
-        scores[turn.name].milliseconds[turn.frame] = turn.milliseconds
-        if turn.frame in chosen:
-            found = point_quality(work.scenes[turn.frame], turn.result, work.configuration.layout)
-            scores[turn.name].quality.append(found)
-    return scores
-
-
-def _touch(scene: Scene) -> None:
-    cv2.countNonZero(scene.mask)
-    scene.pixels.sum()
-
-
-Row = dict[str, Any]
-
-
-MINISOM: Final = "minisom, 1000 iterations"
-
-KMEANS: Final = "K-means, n_init 1"
-
-KMEANS_10: Final = "K-means, n_init 10"
-
-KMEANS_OURS: Final = "K-means from our points, 3 iterations"
-
-MIXTURE: Final = "Gaussian mixture"
-
-
-# (work, how we start, beside whom) -> times faster with NumPy, with Numba.
-ASKED: Final[tuple[tuple[Name, str, str, int, int], ...]] = (
-    ("rope", "warm", MINISOM, 50, 250),
-    ("rope", "warm", KMEANS, 25, 120),
-    ("rope", "warm", KMEANS_OURS, 6, 30),
-    ("rope", "cold", KMEANS, 10, 20),
-    ("cloth", "warm", KMEANS, 150, 1000),
-    ("contour", "warm", KMEANS, 8, 15),
-)
-
-_LOOKED_AT: Final = 5  # frames for quality where no slow method says how many
-
-_SILHOUETTE_SLACK: Final = 0.006
-
-_SPREAD_SHARE: Final[dict[Name, float]] = {"rope": 0.995, "contour": 0.995, "cloth": 0.96}
-
-
 @dataclass(frozen=True)
 class Result:
-    """Of one work.
+    """The results of one work.
 
     Args:
-        work: Which, with its frames.
-        scores: Method -> what it did, the detector first.
-        refused: Frames in which the detector found nothing, all its entrants together.
+        work: The work with its frames.
+        scores: Method -> results, the detector first.
+        refused: Number of detections without a shape, warm and cold together.
     """
 
     work: Work
     scores: Mapping[str, Score]
     refused: int
 
-    @property
-    def frames(self) -> int:
-        """How many are counted."""
-        return len(self.work.scenes) - WARM_UP
-
-    def rows(self) -> list[Row]:
-        """One row a method."""
-        rows = []
-        for name, score in self.scores.items():
-            row: Row = {"method": name, "frames": len(score.milliseconds), "median_ms": score.median}
-            for backend in LABELS:
-                mine = self.scores.get(ours(backend, "warm"))
-                row[f"over_{backend}"] = None if mine is None else score.times(mine)
-            row |= {"sc": score.mean("silhouette"), "ch": score.mean("calinski_harabasz")}
-            rows.append(row | {"spacing_cv": score.mean("spacing")})
-        return rows
+    def to_dict(self) -> dict[str, Any]:
+        """Return the results as JSON-able values, with one row for each method."""
+        return {
+            "points": self.work.n,
+            "samples": self.work.samples,
+            "frames": len(self.work.scenes) - WARM_UP,
+            "refused": self.refused,
+            "rows": [
+                {
+                    "method": name,
+                    "frames": len(score.milliseconds),
+                    "median_ms": score.median,
+                    "over_ours": score.times(self.scores[WARM]),
+                    "sc": score.mean("silhouette"),
+                    "ch": score.mean("calinski_harabasz"),
+                    "spacing_cv": score.mean("spacing"),
+                }
+                for name, score in self.scores.items()
+            ],
+        }
 
 
 def missing() -> dict[str, str]:
-    """Module -> what to install, for every peer that is not here; and Numba."""
-    away = {} if "numba" in backends() else {"numba": "shape-obs[fast]"}
-    return away | {peer.module.partition(".")[0]: peer.package for peer in PEERS if peer.load() is None}
+    """Return the package to install for every peer that is not installed, by module."""
+    return {peer.module.partition(".")[0]: peer.package for peer in PEERS if peer.load() is None}
 
 
 def run_work(
@@ -182,73 +150,49 @@ def run_work(
     burst: int = 1,
     tick: Callable[[], Any] = lambda: None,
 ) -> Result:
-    """Let the detector and every installed peer run on one work.
+    """Run the detector and every installed peer on one work.
 
     Args:
-        name: Which work.
-        frames: How many are counted.
-        slow_frames: On how many of them slow methods run; 0 leaves these out. Quality is looked at on as many.
-        seed: Of the motion, and of the methods that draw.
-        clock: What counts the time.
+        name: The work.
+        frames: Number of counted frames.
+        slow_frames: Frames on which slow methods run and the quality is measured; 0 leaves slow methods out.
+        seed: Seed of the motion, and of the methods that draw at random.
+        clock: The clock.
         burst: Frames in a turn.
         tick: Called after each frame.
     """
     task = work(name, frames + WARM_UP, seed)
+    counted = range(WARM_UP, len(task.scenes))
+    chosen = np.linspace(0, len(counted) - 1, min(slow_frames or _LOOKED_AT, len(counted))).astype(int)
+    looked_at = {counted[i] for i in chosen}
     refused: list[str] = []
-    entrants = [_detector(task, backend, start, refused) for start in ("warm", "cold") for backend in backends()]
-    entered = [peer for peer in PEERS if name in peer.works and (slow_frames or not peer.slow)]
-    modules = [(peer, peer.load()) for peer in entered]
-    entrants += [Entrant(peer.name, peer.make(task, module, seed)) for peer, module in modules if module is not None]
-    slow = {peer.name for peer in entered if peer.slow}
+    methods = [_detector(task, start, refused) for start in (WARM, COLD)]
+    for peer in PEERS:
+        module = peer.load() if name in peer.works and (slow_frames or not peer.slow) else None
+        if module is not None:
+            some = looked_at if peer.slow else None
+            methods.append(Method(peer.name, peer.make(task, module, seed), touch=_touch, frames=some))
+    scores, last = {method.name: Score() for method in methods}, 0
     with one_thread():
-        scores = contest(task, entrants, slow, slow_frames or _LOOKED_AT, clock, burst, tick)
+        for turn in interleaved_timing(task.scenes, methods, clock, burst=burst):
+            if turn.frame > last:
+                tick()
+            last = max(last, turn.frame)
+            if turn.frame >= WARM_UP:
+                scores[turn.name].milliseconds[turn.frame] = turn.milliseconds
+            if turn.frame in looked_at:
+                found = point_quality(task.scenes[turn.frame], turn.result, task.configuration.layout)
+                scores[turn.name].quality.append(found)
     return Result(task, scores, len(refused))
 
 
-def claims(results: Mapping[Name, Result]) -> list[Row]:
-    """What is asked, what was seen."""
-    rows = []
-    for name, start, peer, *bounds in ASKED:
-        for backend, bound in zip(LABELS, bounds, strict=True):
-            what = f"{name}, {start}, {LABELS[backend]}: times faster than {peer}"
-            rows.append(at_least(what, bound, _ratio(results.get(name), ours(backend, start), peer)))
-    for name, result in results.items():
-        rows += _quality(name, result)
-    return rows
+def _touch(scene: Scene) -> None:
+    cv2.countNonZero(scene.mask)
+    scene.pixels.sum()
 
 
-def _quality(name: Name, result: Result) -> list[Row]:
-    mine = result.scores[ours("numpy", "warm")]
-    spread = mine.mean("calinski_harabasz")
-    rows = []
-
-    def beside(peer: str, share: float) -> Row:
-        other = result.scores.get(peer)
-        seen = None if other is None else spread / other.mean("calinski_harabasz")
-        return at_least(f"{name}: Calinski-Harabasz beside {peer}", share, seen)
-
-    rows.append(beside(KMEANS_10, _SPREAD_SHARE[name]))
-    if name != "cloth":
-        rows.append(beside(MIXTURE, 1.0))
-        best = max(score.mean("silhouette") for score in result.scores.values())
-        lost = best - mine.mean("silhouette")
-        rows.append(at_most(f"{name}: silhouette below the best", _SILHOUETTE_SLACK, lost, ""))
-        theirs = ""
-        if KMEANS in result.scores:
-            theirs = f" where K-means has {100 * result.scores[KMEANS].mean('spacing'):.0f} %"
-        rows.append(at_most(f"{name}: spacing CV{theirs}", 1.0, 100 * mine.mean("spacing"), " %"))
-    return rows
-
-
-def _ratio(result: Result | None, mine: str, peer: str) -> float | None:
-    if result is None or mine not in result.scores or peer not in result.scores:
-        return None
-    return result.scores[peer].times(result.scores[mine])
-
-
-def _detector(task: Work, backend: Backend, start: str, refused: list[str]) -> Entrant[Scene]:
-    """The detector as an entrant; frames without a shape are noted in ``refused``."""
-    detector = ShapeDetector([task.configuration], backend=backend)
+def _detector(task: Work, start: str, refused: list[str]) -> Method[Scene]:
+    detector = ShapeDetector([task.configuration])
 
     def run(scene: Scene) -> npt.NDArray[np.float32]:
         shape = detector.detect_mask(scene.mask).shapes[0]
@@ -256,53 +200,35 @@ def _detector(task: Work, backend: Backend, start: str, refused: list[str]) -> E
             refused.append(shape.reason)
         return shape.pixels
 
-    name = ours(backend, start)
-    return Entrant(name, run, before=detector.reset) if start == "cold" else Entrant(name, run)
+    return Method(start, run, detector.reset if start == COLD else lambda: None, _touch)
 
 
-Array = npt.NDArray[np.float64]
+def targets(results: Mapping[Name, Result]) -> list[Row]:
+    """Compare times and quality with their targets."""
+    rows = []
+    for name, start, peer, bound in TARGETS:
+        scores = results[name].scores if name in results else {}
+        ratio = scores[peer].times(scores[start]) if peer in scores else None
+        rows.append(at_least(f"{name}, {start.partition(', ')[2]}: times faster than {peer}", bound, ratio))
+    for name, result in results.items():
+        rows += _quality_targets(name, result.scores)
+    return rows
 
 
-EXACT: Final = 10_000  # pixels up to which every one's silhouette is computed
+def _quality_targets(name: Name, scores: Mapping[str, Score]) -> list[Row]:
+    mine = scores[WARM]
 
-SAMPLED: Final = 2_000  # else that of so many, each against all pixels
+    def relative(peer: str, share: float) -> Row:
+        own, other = mine.mean("calinski_harabasz"), scores.get(peer)
+        seen = None if other is None else own / other.mean("calinski_harabasz")
+        return at_least(f"{name}: Calinski-Harabasz beside {peer}", share, seen)
 
-
-class Quality(NamedTuple):
-    """Of N points on one frame.
-
-    Args:
-        silhouette: -1...1, the mean over all pixels, beyond ``EXACT`` of them over ``SAMPLED``, each against all.
-        calinski_harabasz: Over all pixels.
-        spacing: Standard deviation of the gaps over their mean: between successive points along the known line; on a
-            cloth the distance from each point to the nearest other.
-    """
-
-    silhouette: float
-    calinski_harabasz: float
-    spacing: float
-
-
-def point_quality(scene: Scene, points: Array, layout: Topology) -> Quality:
-    """The quality of one method's points; a pixel belongs to the nearest of them.
-
-    Args:
-        scene: The frame; its pixels are what is to be represented.
-        points: (N,2) in any order.
-        layout: How they would hang together, were they in order.
-    """
-    pixels, labels = scene.pixels, metrics.nearest(scene.pixels, points)
-    return Quality(
-        metrics.silhouette(pixels, labels, sample=None if len(pixels) <= EXACT else SAMPLED),
-        metrics.calinski_harabasz(pixels, labels),
-        _spacing(scene, points, layout),
-    )
-
-
-def _spacing(scene: Scene, points: Array, layout: Topology) -> float:
-    """The coefficient of variation of the gaps, see ``Quality``."""
-    if scene.curve is None:
-        gaps = np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
-        return float(gaps.std() / gaps.mean())
-    place, _ = nearest_on(scene.curve, points)
-    return metrics.spacing_cv(points[np.argsort(place, kind="stable")], layout)
+    rows = [relative(KMEANS_10, _SPREAD_SHARE[name])]
+    if name != "cloth":
+        rows.append(relative(MIXTURE, 1.0))
+        best = max(score.mean("silhouette") for score in scores.values())
+        lost = best - mine.mean("silhouette")
+        rows.append(at_most(f"{name}: silhouette below the best", _SILHOUETTE_SLACK, lost, ""))
+        theirs = f" where K-means has {100 * scores[KMEANS].mean('spacing'):.0f} %" if KMEANS in scores else ""
+        rows.append(at_most(f"{name}: spacing CV{theirs}", 1.0, 100 * mine.mean("spacing"), " %"))
+    return rows

@@ -4,7 +4,6 @@ Measure how soon a robot stands still when its process is asked to end, fails or
 """
 
 from __future__ import annotations
-
 import hashlib
 import multiprocessing
 import os
@@ -21,10 +20,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
-
 import cv2
 import numpy as np
-
 from shape_obs.bench.remote_arm import Arm, ArmProcess
 from shape_obs.bench.tables import at_most
 from shape_obs.camera import CameraModel, Intrinsics
@@ -33,17 +30,21 @@ from shape_obs.frame import Frame
 from shape_obs.source import FrameTimeout, Source, StaleFrame
 
 State = Literal["idle", "moving", "send", "read", "log", "C", "C with the lock"]
-
 STATES: Final[tuple[State, ...]] = ("idle", "moving", "send", "read", "log", "C")
-
 #: Seconds that a blocked call stays blocked: much longer than any limit.
 _BLOCKED: Final = 3.0
-
 _STALL: Final = 0.2
-
 _WIDTH, _HEIGHT = 160, 120
-
 _LENS: Final = Intrinsics(_WIDTH, _HEIGHT, 100.0, 100.0, 79.5, 59.5)
+SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+#: What ends a run without a signal.
+FAILURES: Final = ("exception", "closed stdout")
+_ASKED: Final = 0.05  # seconds
+#: Longer than any measurement, so that the arm's own limit does not help.
+_LONG: Final = 10.0
+#: Of an image, in a deployment that is killed.
+MAX_AGE: Final = 0.2
+_START: Final = 60.0
 
 
 class DrawnRope(Source):
@@ -192,22 +193,6 @@ def run_cell(port: int, state: State, max_age: float, folder: str, parent: Conne
         sys.exit(128 + interrupted.signum)
     except (ZeroDivisionError, BrokenPipeError):
         sys.exit(1)
-
-
-SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
-
-#: What ends a run without a signal.
-FAILURES: Final = ("exception", "closed stdout")
-
-_ASKED: Final = 0.05  # seconds
-
-#: Longer than any measurement, so that the arm's own limit does not help.
-_LONG: Final = 10.0
-
-#: Of an image, in a deployment that is killed.
-MAX_AGE: Final = 0.2
-
-_START: Final = 60.0
 
 
 class Stopped(NamedTuple):

@@ -4,14 +4,12 @@ The files of a study: tables, for people and for programs.
 """
 
 from __future__ import annotations
-
 import csv
 import io
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
-
 from shape_obs import __version__
 from shape_obs.bench.servo.episode import STEPS, Episode, episodes
 from shape_obs.bench.servo.settings import Setting
@@ -20,11 +18,10 @@ from shape_obs.utils.documents import read_json
 from shape_obs.utils.files import make_folder, write_text
 
 Found = Mapping[Setting, Sequence[Episode]]
-
-
 _CHUNK: Final = 5  # episodes for which a world is made
-
 _PARTS: Final = "parts"
+Row = Mapping[str, Any]
+_IF_ANY: Final = ("failed", "invalid")
 
 
 def run(
@@ -126,12 +123,6 @@ def _made_with(setting: Setting, steps: int) -> dict[str, Any]:
 
 def _path(folder: Path, setting: Setting) -> Path:
     return folder / _PARTS / f"{setting.name}.json"
-
-
-Row = Mapping[str, Any]
-
-
-_IF_ANY: Final = ("failed", "invalid")
 
 
 def write_tables(found: Found, folder: Path) -> None:

@@ -4,15 +4,12 @@ The two worlds in which a law is put to the test: what a D455 sees, and what the
 """
 
 from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
-
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
-
 from shape_obs.bench.env_speed import make_env
 from shape_obs.bench.servo.settings import Disturbance, Setting, feature_set
 from shape_obs.configurations import Configuration
@@ -25,10 +22,10 @@ from shape_obs.wrappers.placing import shape_at
 from shape_obs.wrappers.shape_goal import record_goal
 
 Mask = npt.NDArray[np.bool_]
-
-
 #: Keeps what is lost apart from what the environment draws from the same seed.
 _STREAM: Final = 0x1057
+#: Steps at rest after which an environment's goal is as it is recorded.
+SETTLING: Final = 20
 
 
 class Disturbed(gym.ObservationWrapper[Any, Any, Any]):
@@ -107,10 +104,6 @@ def without(shape: Shape, lost: Mask) -> Shape:
         visible=shape.visible & ~lost,
         valid=left,
     )
-
-
-#: Steps at rest after which an environment's goal is as it is recorded.
-SETTLING: Final = 20
 
 
 class World(NamedTuple):

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Generate scenes with known truth; tests and measurements share them."""

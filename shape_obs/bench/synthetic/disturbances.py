@@ -1,27 +1,24 @@
-"""What a camera and a table do to a drawn rope: salt and pepper, ragged edges, uneven light, image noise.
-
-A moving rope and a hand that hides a part of it: which points can be seen, and where they are, is known.
-"""
+"""Disturb drawn objects: salt and pepper, ragged edges, uneven light, image noise, and a hand over a moving rope."""
 
 from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Final, Literal, NamedTuple
-
 import cv2
 import numpy as np
 import numpy.typing as npt
-
 from shape_obs.bench.synthetic.ropes import Rope, moving_rope
+from shape_obs.image.segmentation import HSVRange
 
 Mask = npt.NDArray[np.uint8]
-
 Image = npt.NDArray[np.uint8]
-
-
+# Segments the objects of ``photographed``.
+BLUE: Final = HSVRange(low=(100, 80, 25), high=(130, 255, 255))
 _ROPE: Final = (40.0, 80.0, 200.0)
-
 _TABLE: Final = (150.0, 150.0, 145.0)
+Array = npt.NDArray[np.float64]
+Where = Literal["start", "end", "middle"]
+_HAND: Final = 34.0  # width of the hand in pixels
+_AWAY: Final = 0.2  # share of the frames before the hand arrives, and after it has left
 
 
 def salted(rng: np.random.Generator, mask: Mask, share: float) -> Mask:
@@ -39,13 +36,13 @@ def ragged(rng: np.random.Generator, mask: Mask, depth: float) -> Mask:
 
 
 def photographed(rng: np.random.Generator, mask: Mask, contrast: float, noise: float) -> Image:
-    """A blue rope on a gray table, as an (H,W,3) uint8 RGB image.
+    """Draw a blue rope on a gray table as an (H, W, 3) uint8 RGB image.
 
     Args:
-        rng: Draws the direction of the light, and the noise.
-        mask: (H,W) the rope.
-        contrast: The light is this many times brighter in one corner of the image than in the other.
-        noise: Of the image, gray levels rms.
+        rng: Draws the direction of the light and the noise.
+        mask: The rope, (H, W).
+        contrast: Ratio of the light in the brightest corner of the image to the light in the darkest one.
+        noise: RMS noise of the image in gray levels.
     """
     height, width = mask.shape
     angle = rng.uniform(0, 2 * np.pi)
@@ -57,23 +54,13 @@ def photographed(rng: np.random.Generator, mask: Mask, contrast: float, noise: f
     return np.clip(np.rint(scene + rng.normal(0, noise, scene.shape)), 0, 255).astype(np.uint8)
 
 
-Array = npt.NDArray[np.float64]
-
-Where = Literal["start", "end", "middle"]
-
-
-_HAND: Final = 34.0  # pixels across
-
-_AWAY: Final = 0.2  # of the frames, before the hand comes and after it has left
-
-
 class Hidden(NamedTuple):
-    """One frame.
+    """One frame of a rope under a hand.
 
     Args:
-        rope: The rope; its mask is the whole one.
-        mask: (H,W) uint8, what the hand leaves to see.
-        share: How much of the rope's length the hand covers.
+        rope: The rope with its whole mask.
+        mask: The visible part of the mask, (H, W) uint8.
+        share: Covered share of the rope's length.
     """
 
     rope: Rope
@@ -84,15 +71,15 @@ class Hidden(NamedTuple):
 def hidden_rope(
     rng: np.random.Generator, speed: float, share: float, where: Where, *, creep: int = 0, frames: int = 180
 ) -> Iterator[Hidden]:
-    """A moving rope of which a hand covers a share for the middle three fifths of the frames.
+    """Draw a moving rope with a hand over a part of it during the middle three fifths of the frames.
 
     Args:
         rng: Draws the motion.
-        speed: Of the fastest point, pixels per frame.
-        share: Of the length that the hand covers.
-        where: Which end, or the middle.
-        creep: Frames over which the hand comes and goes; 0 for at once.
-        frames: How many.
+        speed: Speed of the fastest point in pixels per frame.
+        share: Share of the length that the hand covers.
+        where: The covered part.
+        creep: Frames over which the hand comes and goes; 0 at once.
+        frames: Number of frames.
     """
     for index, rope in enumerate(moving_rope(rng, speed, frames)):
         inside = min(index - _AWAY * frames, (1 - _AWAY) * frames - index)

@@ -1,30 +1,23 @@
-"""Drawn ropes with a known centreline: the ground truth that tests and benchmarks measure against.
-
-A drawn rope that moves and bends, every material point's place known in every frame.
-"""
+"""Draw ropes with a known centreline, at rest and moving."""
 
 from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final, Literal
-
 import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
 Curve = npt.NDArray[np.float64]
-
 Kind = Literal["smooth", "u", "s", "hairpin", "loop", "spiral", "fat"]
-
 KINDS: Final[tuple[Kind, ...]] = ("smooth", "u", "s", "hairpin", "loop", "spiral", "fat")
-
 SIZE: Final = (480, 640)
-
 _STEP: Final = 1.0
-
 _SUPERSAMPLING: Final = 4
+Array = npt.NDArray[np.float64]
+_HARMONICS: Final = 3
+_BISECTIONS: Final = 30
 
 
 @dataclass(frozen=True)
@@ -32,9 +25,9 @@ class Rope:
     """A drawn rope.
 
     Args:
-        curve: (P,2) pixels, the centreline from tip to tip at steps of about a pixel (round caps included).
+        curve: The centreline from tip to tip, round caps included: (P, 2) pixels, at steps of about a pixel.
         width: Thickness in pixels.
-        mask: (H,W) uint8, 0 or 255.
+        mask: (H, W) uint8, 0 or 255.
         kind: How the curve was made.
     """
 
@@ -45,12 +38,12 @@ class Rope:
 
     @property
     def length(self) -> float:
-        """Arc length from tip to tip, pixels."""
+        """Arc length from tip to tip, in pixels."""
         return float(np.linalg.norm(np.diff(self.curve, axis=0), axis=1).sum())
 
     @property
     def bend_radius(self) -> float:
-        """Radius of the tightest bend, pixels, measured over half a turn of it."""
+        """Radius of the tightest bend in pixels, measured over half a turn of it."""
         step = np.diff(self.curve, axis=0)
         heading = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
         reach = max(round(1.5 * self.width), 1)
@@ -59,7 +52,7 @@ class Rope:
 
 
 def random_rope(rng: np.random.Generator, kind: Kind = "smooth", size: tuple[int, int] = SIZE) -> Rope:
-    """A rope 8 to 16 px thick that neither crosses nor touches itself, well inside an image of ``size`` = (H, W)."""
+    """Draw a rope 8 to 16 px thick that neither crosses nor touches itself, inside an image of ``size`` (H, W)."""
     for _ in range(2000):
         width = float(rng.uniform(8, 16))
         curve = _place(resample(_MAKERS[kind](rng, width), _STEP), rng, size, width)
@@ -72,7 +65,7 @@ def random_rope(rng: np.random.Generator, kind: Kind = "smooth", size: tuple[int
 def draw_rope(
     curve: Curve, width: float, *, flat_caps: bool = True, size: tuple[int, int] = SIZE, kind: str = "given"
 ) -> Rope:
-    """Draw a ribbon of ``width`` about a curve of (P,2) pixels; round caps lengthen it by half a width at both ends."""
+    """Draw a ribbon of ``width`` about a curve of (P, 2) pixels; round caps add half a width at both ends."""
     scale = _SUPERSAMPLING
     canvas = np.zeros((size[0] * scale, size[1] * scale), np.uint8)
     tangent = np.gradient(curve, axis=0)
@@ -92,14 +85,14 @@ def draw_rope(
 
 
 def resample(curve: Curve, step: float) -> Curve:
-    """A curve at equal arc-length steps of about ``step``."""
+    """Resample a curve at equal arc-length steps of about ``step``."""
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
     at = np.linspace(0, arc[-1], max(round(arc[-1] / step) + 1, 2))
     return np.stack([np.interp(at, arc, curve[:, d]) for d in range(curve.shape[1])], axis=1)
 
 
 def _subpixel(points: Curve) -> npt.NDArray[np.int32]:
-    """Pixel centres at integers -> OpenCV's fixed point on the supersampled canvas."""
+    """Convert pixels to OpenCV's fixed-point coordinates on the supersampled canvas."""
     return np.round(((points + 0.5) * _SUPERSAMPLING - 0.5) * 256).astype(np.int32)
 
 
@@ -115,7 +108,7 @@ def _smooth(rng: np.random.Generator, width: float) -> Curve:
 
 
 def _arcs(*pieces: tuple[float, float]) -> Curve:
-    """Pieces of (length, turned angle), joined with one tangent."""
+    """Join pieces of (length, turned angle) smoothly."""
     turn = np.concatenate([np.full(int(length), angle / int(length)) for length, angle in pieces])
     return _from_heading(np.cumsum(turn), 1.0)
 
@@ -166,7 +159,7 @@ _MAKERS: Final = {
 
 
 def _place(curve: Curve, rng: np.random.Generator, size: tuple[int, int], width: float) -> Curve | None:
-    """Turn the curve at random and put it inside the image; None when it does not fit."""
+    """Turn the curve at random and move it inside the image; None if it does not fit."""
     angle = rng.uniform(0, 2 * np.pi)
     rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     curve = curve @ rotation.T
@@ -180,33 +173,25 @@ def _place(curve: Curve, rng: np.random.Generator, size: tuple[int, int], width:
 
 
 def _touches(curve: Curve, width: float) -> bool:
-    """Whether strands come closer than the drawn width and a gap of 3 px, or bend tighter than the ribbon allows."""
+    """Return whether strands are closer than the width and a gap of 3 px, or bend tighter than the ribbon allows."""
     pairs = KDTree(curve).query_pairs(width + 3, output_type="ndarray")
     return bool(np.any(np.abs(pairs[:, 1] - pairs[:, 0]) * _STEP > np.pi / 2 * (width + 3) + 2))
-
-
-Array = npt.NDArray[np.float64]
-
-
-_HARMONICS: Final = 3
-
-_BISECTIONS: Final = 30
 
 
 def moving_rope(
     rng: np.random.Generator, speed: float, frames: int = 180, *, length: float = 320.0, width: float = 11.0
 ) -> Iterator[Rope]:
-    """A rope whose fastest point moves ``speed`` pixels from each frame to the next.
+    """Draw a rope that wanders, turns and bends; its fastest point moves ``speed`` pixels per frame.
 
-    It wanders through the image, turns and bends at once: the heading along the rope is a sum of sines whose
-    amplitudes swing, the middle follows a Lissajous curve.
+    The heading along the rope is a sum of sines whose amplitudes swing; the middle follows a Lissajous curve. Point i
+    of the curve is the same material point in every frame.
 
     Args:
         rng: Draws the motion.
-        speed: Pixels per frame.
-        frames: How many.
-        length: Of the rope, pixels.
-        width: Of the rope, pixels.
+        speed: Speed in pixels per frame.
+        frames: Number of frames.
+        length: Length of the rope in pixels.
+        width: Width of the rope in pixels.
     """
     rates = rng.uniform(0.3, 0.9, _HARMONICS)
     phases, bends = rng.uniform(0, 2 * np.pi, _HARMONICS), 1.1 / np.arange(1, _HARMONICS + 1)
@@ -232,7 +217,7 @@ def moving_rope(
 
 
 def _after(curve_at: Callable[[float], Array], curve: Array, time: float, speed: float) -> float:
-    """The next time at which some point has moved ``speed`` pixels."""
+    """Return the next time at which some point has moved ``speed`` pixels."""
     low, high = 0.0, 0.05
     while np.linalg.norm(curve_at(time + high) - curve, axis=1).max() < speed:
         low, high = high, high * 1.5

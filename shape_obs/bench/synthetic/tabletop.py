@@ -4,40 +4,30 @@ Blocks on a table, seen by any camera: an analytic scene in which the place of e
 """
 
 from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
-
 import cv2
 import numpy as np
 import numpy.typing as npt
-
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.markers import MarkerLayout
 from shape_obs.markers.finder import dictionary_named
 
 Array = npt.NDArray[np.float64]
-
 Image = npt.NDArray[np.uint8]
-
-
 CAMERA: Final = Intrinsics(640, 480, 386.0, 386.0, 321.3, 244.6)
-
 LAYOUT: Final = MarkerLayout.rectangle(marker=0.06, width=0.6, height=0.42)
-
 DISTANCE: Final = (0.65, 0.9)  # metres from the camera to the middle of the rectangle
-
 TILT: Final = 35.0  # degrees, at most
-
 _RASTER: Final = 2000  # pixels a metre, of the drawn table
-
 _MARGIN: Final = 0.35  # metres of table around the markers
-
 _FINER: Final = 4  # each pixel is the mean of so many squared
-
 _BLUR: Final = 0.6  # pixels, of the lens
-
 _NOISE: Final = 3.0  # gray levels
+TABLE: Final = (200, 195, 185)
+TOP: Final = (30, 60, 200)
+FOOT: Final = (90, 90, 90)
+_THICK, _INSET = 0.001, 0.01  # metres
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,15 +139,6 @@ def _table(layout: MarkerLayout, hidden: tuple[int, ...], rng: np.random.Generat
         drawn = cv2.warpPerspective(sheet, lay, (int(width), int(height)), flags=cv2.INTER_AREA)
         table = np.where(cover > 127, drawn, table)
     return table, low
-
-
-TABLE: Final = (200, 195, 185)
-
-TOP: Final = (30, 60, 200)
-
-FOOT: Final = (90, 90, 90)
-
-_THICK, _INSET = 0.001, 0.01  # metres
 
 
 @dataclass(frozen=True)

@@ -4,17 +4,14 @@ What thinning and contour tracing give for the same frames: as many points as th
 """
 
 from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any, Final, Literal, NamedTuple
-
 import cv2
 import numpy as np
 import numpy.typing as npt
-
 from shape_obs.bench.interleaved_timing import CLOCKS, Clock
 from shape_obs.bench.synthetic.disturbances import photographed
 from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, moving_sheet
@@ -26,31 +23,24 @@ from shape_obs.image.segmentation import HSVRange, Segmentation
 from shape_obs.metrics import in_order
 
 Array = npt.NDArray[np.float64]
-
 Name = Literal["centerline", "contour", "surface"]
-
-
 CONFIGURATIONS: Final[dict[Name, Configuration[Any]]] = {
     "centerline": Centerline(n=20, ends="centers"),
     "contour": Contour(n=32),
     # The rows run along the cloth's long side, however it lies; else the cells of some cloths would be slivers.
     "surface": Surface(rows=4, cols=8, ends="centers", anchor="corner"),
 }
-
 # Drawn cloths: aspect so that the cells of 4 x 8 are about square, size for some 20,000 pixels.
 _ASPECT: Final = 2.0
-
 _SHRUNK: Final = 0.84
-
 _SPEED: Final = 6.0  # pixels a frame
-
 _CLOTH: Final = HSVRange(low=(100, 80, 25), high=(130, 255, 255))
-
 _LIGHT: Final = 1.5  # brighter in one corner than in the other
-
 _NOISE: Final = 6.0  # gray levels
-
 _BLUR: Final = 0.7  # pixels
+Mask = npt.NDArray[np.uint8]
+Tracing = Literal["thinning", "contours", "corners"]
+OF: Final[dict[Tracing, Name]] = {"thinning": "centerline", "contours": "contour", "corners": "contour"}
 
 
 class Scene(NamedTuple):
@@ -132,11 +122,6 @@ def _outline(sheet: Sheet) -> Array:
     return np.concatenate([points[0, :-1], points[:-1, -1], points[-1, :0:-1], points[:0:-1, 0]])
 
 
-Mask = npt.NDArray[np.uint8]
-
-Tracing = Literal["thinning", "contours", "corners"]
-
-
 @dataclass(frozen=True)
 class Trace:
     """One tracing of one frame.
@@ -179,8 +164,6 @@ _RUN: Final[dict[Tracing, Callable[[Mask], Array]]] = {
     "contours": _traced(cv2.CHAIN_APPROX_NONE),
     "corners": _traced(cv2.CHAIN_APPROX_SIMPLE),
 }
-
-OF: Final[dict[Tracing, Name]] = {"thinning": "centerline", "contours": "contour", "corners": "contour"}
 
 
 def missing(tracing: Tracing) -> str:

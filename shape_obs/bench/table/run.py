@@ -4,7 +4,6 @@ The whole table: what is still to be measured, chunk by chunk, here or in severa
 """
 
 from __future__ import annotations
-
 import csv
 import json
 import shutil
@@ -13,10 +12,8 @@ from dataclasses import asdict, dataclass, fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
-
 import numpy as np
 import numpy.typing as npt
-
 from shape_obs import __version__
 from shape_obs.bench.interleaved_timing import Clock
 from shape_obs.bench.table.frames import CONFIGURATIONS, OF, Name, Scene, Trace, Tracing, missing, scenes, traced
@@ -26,6 +23,11 @@ from shape_obs.utils.files import write_text
 from shape_obs.utils.threads import one_thread
 
 T = TypeVar("T")
+EXACT: Final = 50  # frames of each configuration whose silhouette is taken of all pixels
+_CHUNKS: Final = 20  # for each configuration, of 5 to 50 frames
+_FORMAT: Final = 1  # of the files; another one cannot be gone on with
+_PACKAGES: Final = ("numpy", "scipy", "scikit-learn", "opencv-python-headless", "numba", "mujoco")
+_WARM: Final[set[tuple[str, str]]] = set()  # what has run once in this process: imports and caches are behind it
 
 
 class Parts:
@@ -108,17 +110,6 @@ def as_csv(rows: list[dict[str, Any]]) -> str:
 def _parsed(text: str, annotation: Any) -> Any:
     """A value as its field is annotated: annotations are strings here."""
     return {"bool": lambda: text == "1", "int": lambda: int(text), "float": lambda: float(text)}[str(annotation)]()
-
-
-EXACT: Final = 50  # frames of each configuration whose silhouette is taken of all pixels
-
-_CHUNKS: Final = 20  # for each configuration, of 5 to 50 frames
-
-_FORMAT: Final = 1  # of the files; another one cannot be gone on with
-
-_PACKAGES: Final = ("numpy", "scipy", "scikit-learn", "opencv-python-headless", "numba", "mujoco")
-
-_WARM: Final[set[tuple[str, str]]] = set()  # what has run once in this process: imports and caches are behind it
 
 
 @dataclass(frozen=True)
