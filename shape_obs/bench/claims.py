@@ -14,8 +14,8 @@ from shape_obs.bench.tables import Row, rows_of
 
 Tables = Iterator[tuple[str, list[Row]]]
 Group = Literal[
-    "ropes", "tangles", "hands", "noise", "outlines", "sheets", "clouds", "shapes", "markers", "cable", "envs", "camera",
-    "deploy", "robustness",
+    "ropes", "tangles", "hands", "noise", "outlines", "sheets", "clouds", "shapes", "markers", "cable", "envs",
+    "camera", "deploy", "robustness",
 ]  # fmt: skip
 
 

@@ -28,7 +28,7 @@ def make_env(name: Env, options: Mapping[str, Any]) -> gym.Env[Any, Any]:
 
 
 def held_actions(rng: np.random.Generator, shape: tuple[int, ...], steps: int, held: int = 1) -> Actions:
-    """Draw (steps, *shape) random actions, each of which is held for ``held`` steps; white noise moves grippers less."""
+    """Draw (steps, *shape) random actions, each held for ``held`` steps; white noise moves grippers less."""
     drawn = rng.uniform(-1, 1, (-(-steps // held), *shape))
     return np.repeat(drawn, held, axis=0)[:steps].astype(np.float32)
 

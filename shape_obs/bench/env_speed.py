@@ -197,7 +197,9 @@ def speed_targets(rows: Sequence[Row]) -> list[Row]:
             continue
         if row["env"] == "Cable" and row["image"] == _TRAINING:
             share = row["wrapped_of_no_drawing"]
-            compared.append(at_least(f"{what}, wrapped: of the steps per second without drawing", _OF_NO_RENDERING, share))
+            compared.append(
+                at_least(f"{what}, wrapped: of the steps per second without drawing", _OF_NO_RENDERING, share)
+            )
         if row["image"] == _USUAL:
             percent = row["wrapper_percent"]
             compared.append(at_most(f"{what}: the wrapper's share of a wrapped step", _WRAPPER_PERCENT, percent, " %"))

@@ -105,10 +105,11 @@ def growth_rows(frames: int, seed: int, clock: Clock = "wall", tick: Callable[[]
 
 def growth_targets(rows: list[Row]) -> list[Row]:
     """Compare the growth with its targets."""
-    return [
-        at_most(f"{grows} from {curve[0]['amount']} to {curve[-1]['amount']}", _TARGETS[grows], curve[-1]["times_smallest"])
-        for grows, curve in grouped(rows, lambda row: row["grows"]).items()
-    ]  # fmt: skip
+    compared = []
+    for grows, curve in grouped(rows, lambda row: row["grows"]).items():
+        what = f"{grows} from {curve[0]['amount']} to {curve[-1]['amount']}"
+        compared.append(at_most(what, _TARGETS[grows], curve[-1]["times_smallest"]))
+    return compared
 
 
 def _frames(frames: int, seed: int) -> Iterator[Frame]:

@@ -31,7 +31,7 @@ class Peer:
         name: Its name in the tables.
         module: The module that must be importable.
         package: The package to install for it.
-        make: Takes the work, the module and a seed; returns the method: a scene -> (N, 2) points in no particular order.
+        make: Takes the work, the module and a seed; returns a function of a scene that returns (N, 2) points.
         works: The works for which it can be used.
         slow: Whether it runs only on a few frames.
     """

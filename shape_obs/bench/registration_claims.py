@@ -1,4 +1,4 @@
-"""How well depth lies under colour: Registration beside librealsense's own alignment, on a scene with known edges."""
+"""Measure how well depth is registered to colour, next to librealsense's alignment, on a scene with known edges."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.synthetic.tabletop import TOP, Block, rows_of_blocks, see
-from shape_obs.bench.tables import at_most
+from shape_obs.bench.tables import Row, at_most
 from shape_obs.camera import CameraModel
-from shape_obs.compiled import Backend
 
 Array = npt.NDArray[np.float64]
 
@@ -25,33 +24,32 @@ _HEIGHT: Final = 0.62  # metres over the table
 
 @dataclass(frozen=True)
 class RegistrationError:
-    """How far depth is from colour, and blocks from where they stand.
+    """Distances between depth and colour, and of blocks from their true positions.
 
     Args:
-        edges: (M,) distance of each edge pixel of a block in depth from the block's true edge in colour [px].
-        centres: (B,) distance of each block's centre, deprojected from colour and depth, from the truth [m].
+        edges: Distance of each edge pixel of a block in depth from the block's true edge in colour, (M,) pixels.
+        centres: Distance of each block's centre, deprojected from colour and depth, from the truth, (B,) metres.
     """
 
     edges: Array
     centres: Array
 
 
-def registration_errors(seed: int = 0, backend: Backend = "auto") -> dict[str, RegistrationError]:
-    """Errors of "ours" and of "librealsense", ``rs.align`` with the raw colour image, on the same raw images of a D455.
+def registration_errors(seed: int = 0) -> dict[str, RegistrationError]:
+    """Return the errors of "ours" and of "librealsense" (``rs.align``) on the same raw images of a D455.
 
     Args:
-        seed: Of the blocks.
-        backend: Of our inner loop.
+        seed: Seed of the blocks.
 
     Raises:
-        ImportError: librealsense is missing.
+        ImportError: librealsense is not installed.
     """
     from shape_obs_envs.sources.librealsense_align import LibrealsenseAlign
     from shape_obs_envs.sources.realsense import SoftwareD455
     from shape_obs_envs.sources.registration import Registration
 
     scene = _Scene(seed)
-    ours = Registration(*scene.geometry, backend=backend)
+    ours = Registration(*scene.geometry)
     pinhole = replace(scene.colour_camera, intrinsics=ours.output)
     theirs = LibrealsenseAlign(SoftwareD455(depth_unit=_UNIT))
     try:
@@ -65,20 +63,19 @@ def registration_errors(seed: int = 0, backend: Backend = "auto") -> dict[str, R
 
 
 def registration_times(runs: int = 30) -> dict[str, float]:
-    """Median milliseconds of each way at 640 x 480, one thread: our parts on either backend, and ``rs.align``."""
+    """Return the median milliseconds of our parts and of ``rs.align`` at 640 x 480."""
     from shape_obs_envs.sources.librealsense_align import LibrealsenseAlign
     from shape_obs_envs.sources.realsense import SoftwareD455
     from shape_obs_envs.sources.registration import Registration
 
     scene = _Scene(0)
     theirs = LibrealsenseAlign(SoftwareD455(depth_unit=_UNIT))
-    numpy, best = (Registration(*scene.geometry, backend=name) for name in ("numpy", "auto"))
+    ours = Registration(*scene.geometry)
     try:
         frames = theirs.pair(scene.colour, scene.depth)
         ways: dict[str, Callable[[], Any]] = {
-            "rectify": lambda: best.rectify(scene.colour),
-            "align, numpy": lambda: numpy.align(scene.depth),
-            "align, auto": lambda: best.align(scene.depth),
+            "rectify": lambda: ours.rectify(scene.colour),
+            "align": lambda: ours.align(scene.depth),
             "rs.align": lambda: theirs.align(frames),
         }
         return {name: _median(way, runs) for name, way in ways.items()}
@@ -86,8 +83,8 @@ def registration_times(runs: int = 30) -> dict[str, float]:
         theirs.close()
 
 
-def registration_table(scenes: int, seed: int = 0) -> list[dict[str, Any]]:
-    """Errors over some scenes, ours held against what is asked, and librealsense's beside them."""
+def registration_table(scenes: int, seed: int = 0) -> list[Row]:
+    """Compare the errors over some scenes with their targets, ours first."""
     found = [registration_errors(seed + i) for i in range(scenes)]
     edges = {way: np.concatenate([errors[way].edges for errors in found]) for way in found[0]}
     centres = {way: 1e3 * np.concatenate([errors[way].centres for errors in found]) for way in found[0]}
@@ -101,14 +98,14 @@ def registration_table(scenes: int, seed: int = 0) -> list[dict[str, Any]]:
     return rows
 
 
-def time_table() -> list[dict[str, Any]]:
-    """Median milliseconds, and as a multiple of ``rs.align`` in the same run."""
+def time_table() -> list[Row]:
+    """Return the median milliseconds, also as a multiple of ``rs.align`` in the same run."""
     times = registration_times()
     return [{"what": what, "ms": ms, "x rs.align": ms / times["rs.align"]} for what, ms in times.items()]
 
 
 class _Scene:
-    """Blocks on a table under a D455 that looks down, a little tilted, and its two raw images."""
+    """Blocks on a table under a slightly tilted D455 that looks down, and its two raw images."""
 
     def __init__(self, seed: int) -> None:
         from shape_obs_envs.sources.realsense.d455 import d455_geometry
@@ -143,7 +140,7 @@ def _errors(
     rgb: npt.NDArray[np.uint8],
     depth: npt.NDArray[np.uint16],
 ) -> RegistrationError:
-    """Of images that ``shown`` made, to whoever deprojects them with ``believed``, which knows of no distortion."""
+    """Return the errors of images of the camera ``shown`` that are deprojected with the pinhole camera ``believed``."""
     height, width = depth.shape
     rows, columns = np.mgrid[:height, :width]
     points = believed.to_base(believed.intrinsics.deproject(np.stack([columns, rows], axis=-1), depth / 1000.0))
@@ -154,7 +151,7 @@ def _errors(
         outline = shown.project_from_base(block.top_outline())
         (left, top), (right, bottom) = outline.min(axis=0), outline.max(axis=0)
         if min(left, top) < 8 or right > width - 9 or bottom > height - 9:
-            continue  # not whole in the picture
+            continue  # not completely in the image
         near = np.zeros(depth.shape, bool)
         near[int(top) - 6 : int(bottom) + 8, int(left) - 6 : int(right) + 8] = True
         edges += [abs(_from_outline(outline, at)) for at in _crossings(on_top & near)]
@@ -165,7 +162,7 @@ def _errors(
 
 
 def _crossings(mask: npt.NDArray[np.bool_]) -> Array:
-    """(M,2) pixels, half way between each two neighbours of which one is in the mask."""
+    """Return the points between neighbouring pixels of which one is in the mask, (M, 2) pixels."""
     across, down = np.argwhere(mask[:, 1:] != mask[:, :-1]), np.argwhere(mask[1:] != mask[:-1])
     return np.concatenate(
         [across[:, ::-1] + np.array([0.5, 0.0]), down[:, ::-1] + np.array([0.0, 0.5])], dtype=np.float64

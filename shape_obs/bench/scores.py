@@ -187,7 +187,7 @@ def _along_curve(points: Array, simulator: Any, closed: bool) -> Array:
 
 
 def _off_lattice(away: Array, true: Array) -> Array:
-    """Return the distances of points from their true positions on a sheet, (N,): the larger of down and across, in gaps.
+    """Return the distances of points from their true positions on a sheet, (N,), in gaps down or across.
 
     Args:
         away: From the true positions to the found ones, (rows, cols, 3).

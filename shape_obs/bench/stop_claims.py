@@ -4,6 +4,7 @@ Measure how soon a robot stands still when its process is asked to end, fails or
 """
 
 from __future__ import annotations
+
 import hashlib
 import multiprocessing
 import os
@@ -20,8 +21,10 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
+
 import cv2
 import numpy as np
+
 from shape_obs.bench.remote_arm import Arm, ArmProcess
 from shape_obs.bench.tables import at_most
 from shape_obs.camera import CameraModel, Intrinsics

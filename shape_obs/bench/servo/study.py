@@ -1,27 +1,20 @@
-"""All episodes of all settings, here or in several processes; what is done is kept, so that a run can go on.
-
-The files of a study: tables, for people and for programs.
-"""
+"""Play all episodes of all settings, here or in several processes, and keep them so that a run can continue."""
 
 from __future__ import annotations
-import csv
-import io
+
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
+
 from shape_obs import __version__
-from shape_obs.bench.servo.episode import STEPS, Episode, episodes
+from shape_obs.bench.servo.episode import STEPS, Episode, Found, episodes
 from shape_obs.bench.servo.settings import Setting
-from shape_obs.bench.servo.summary import episode_rows, paired_rows, summary_rows
 from shape_obs.utils.documents import read_json
 from shape_obs.utils.files import make_folder, write_text
 
-Found = Mapping[Setting, Sequence[Episode]]
 _CHUNK: Final = 5  # episodes for which a world is made
 _PARTS: Final = "parts"
-Row = Mapping[str, Any]
-_IF_ANY: Final = ("failed", "invalid")
 
 
 def run(
@@ -37,13 +30,13 @@ def run(
     """Play the same goals under every setting.
 
     Args:
-        settings: What is compared.
-        seeds: One for each goal; equal for all settings.
-        steps: Of an episode.
-        jobs: Processes.
-        folder: Where episodes are kept as they are done; None keeps them nowhere.
-        resume: Take from there what was kept before, but what broke off.
-        tick: Called with each episode, also with those that were kept.
+        settings: The settings to compare.
+        seeds: One seed for each goal, the same for all settings.
+        steps: Steps of an episode.
+        jobs: Number of processes.
+        folder: Where finished episodes are kept; None keeps them nowhere.
+        resume: Use the episodes in the folder, except those that broke off.
+        tick: Called with each episode, kept ones included.
 
     Returns:
         The episodes of each setting, in the order of the seeds.
@@ -63,15 +56,17 @@ def run(
                 tick(setting, done[seed])
         left = [seed for seed in seeds if seed not in done]
         tasks += [(setting, left[first : first + _CHUNK], steps) for first in range(0, len(left), _CHUNK)]
-    for setting, episode in _worked_off(tasks, jobs):
+    for setting, episode in _played(tasks, jobs):
         kept[setting][episode.seed] = episode
         if folder is not None:
-            _write(folder, setting, steps, kept[setting])
+            done = [kept[setting][seed].to_dict() for seed in sorted(kept[setting])]
+            document = {"made_with": _made_with(setting, steps), "episodes": done}
+            write_text(_path(folder, setting), json.dumps(document, separators=(",", ":")) + "\n")
         tick(setting, episode)
     return {setting: [done[seed] for seed in seeds] for setting, done in kept.items()}
 
 
-def _worked_off(tasks: Sequence[tuple[Setting, list[int], int]], jobs: int) -> Iterator[tuple[Setting, Episode]]:
+def _played(tasks: Sequence[tuple[Setting, list[int], int]], jobs: int) -> Iterator[tuple[Setting, Episode]]:
     if jobs == 1:
         for setting, seeds, steps in tasks:
             for episode in episodes(setting, seeds, steps):
@@ -80,17 +75,17 @@ def _worked_off(tasks: Sequence[tuple[Setting, list[int], int]], jobs: int) -> I
         from joblib import Parallel, delayed
 
         workers: Any = Parallel(n_jobs=jobs, return_as="generator_unordered")
-        for setting, found in workers(delayed(_work)(*task) for task in tasks):
+        for setting, found in workers(delayed(_chunk)(*task) for task in tasks):
             for episode in found:
                 yield setting, episode
 
 
-def _work(setting: Setting, seeds: Sequence[int], steps: int) -> tuple[Setting, list[Episode]]:
+def _chunk(setting: Setting, seeds: Sequence[int], steps: int) -> tuple[Setting, list[Episode]]:
     return setting, list(episodes(setting, seeds, steps))
 
 
 def _read(folder: Path, setting: Setting, steps: int) -> dict[int, Episode]:
-    """The episodes of a setting that were kept, by their seeds; what broke off is to be tried again."""
+    """Return the kept episodes of a setting by seed, without those that broke off."""
     path = _path(folder, setting)
     if not path.exists():
         return {}
@@ -101,7 +96,7 @@ def _read(folder: Path, setting: Setting, steps: int) -> dict[int, Episode]:
             if before.get(name) != now:
                 raise ValueError(
                     f"{path} holds episodes with {name} = {before.get(name)}, this run has {now}: choose "
-                    "another folder, or leave out --resume to write them anew."
+                    "another folder, or leave out --resume to play them again."
                 )
         found = [Episode.from_dict(values) for values in kept]
     except (KeyError, TypeError, AttributeError) as error:
@@ -109,65 +104,9 @@ def _read(folder: Path, setting: Setting, steps: int) -> dict[int, Episode]:
     return {episode.seed: episode for episode in found if not episode.failure}
 
 
-def _write(folder: Path, setting: Setting, steps: int, done: Mapping[int, Episode]) -> None:
-    document = {
-        "made_with": _made_with(setting, steps),
-        "episodes": [done[seed].to_dict() for seed in sorted(done)],
-    }
-    write_text(_path(folder, setting), json.dumps(document, separators=(",", ":")) + "\n")
-
-
-def _made_with(setting: Setting, steps: int) -> dict[str, Any]:
+def _made_with(setting: Setting, steps: int) -> Mapping[str, Any]:
     return {"shape_obs": __version__, "steps": steps, "renderer": setting.renderer, "pca": setting.pca}
 
 
 def _path(folder: Path, setting: Setting) -> Path:
     return folder / _PARTS / f"{setting.name}.json"
-
-
-def write_tables(found: Found, folder: Path) -> None:
-    """Write ``episodes.csv``, ``summary.csv`` and ``table.md``, and ``paired.csv`` where there are pairs."""
-    rows, pairs = summary_rows(found), paired_rows(found)
-    write_text(folder / "episodes.csv", as_csv(episode_rows(found)))
-    write_text(folder / "summary.csv", as_csv(rows))
-    if pairs:
-        write_text(folder / "paired.csv", as_csv(pairs))
-    page = "# Shape servoing\n\n" + as_markdown(lean(rows))
-    if pairs:
-        page += "\n\n## The camera beside the true points\n\n" + as_markdown(lean(pairs))
-    write_text(folder / "table.md", page + "\n")
-
-
-def lean(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Rows without the columns that hold nothing: no disturbance, no failure, no detector."""
-    if not rows:
-        return []
-    kept = [name for name in rows[0] if any(row[name] not in (None, "") for row in rows)]
-    kept = [name for name in kept if name not in _IF_ANY or any(row[name] for row in rows)]
-    return [{name: row[name] for name in kept} for row in rows]
-
-
-def as_csv(rows: Sequence[Row]) -> str:
-    """Rows of equal keys, the keys first; None is an empty cell."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
-
-
-def as_markdown(rows: Sequence[Row]) -> str:
-    """Rows of equal keys as a table in Markdown, shares and millimetres to one decimal."""
-    names = list(rows[0])
-    numeric = [all(isinstance(row[name], (int, float, type(None))) for row in rows) for name in names]
-    lines = [names, ["---:" if right else "---" for right in numeric]]
-    lines += [[_cell(value) for value in row.values()] for row in rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return "-"
-    if isinstance(value, float):
-        return f"{value:.3g}" if abs(value) < 10 else f"{value:.0f}"
-    return str(value)

@@ -1,28 +1,49 @@
-"""A row for each episode, for each combination, and for the camera beside the truth."""
+"""Summarise episodes: a row for each episode, for each setting, and for the camera next to the truth."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import DegenerateDataWarning, binomtest, bootstrap
 
-from shape_obs.bench.servo.episode import REACHED, Episode
+from shape_obs.bench.servo.episode import REACHED, Episode, Found
 from shape_obs.bench.servo.settings import Disturbance, Setting
-from shape_obs.bench.servo.study import Found
-
-Row = dict[str, Any]
+from shape_obs.bench.tables import Row, as_csv, as_markdown, grouped, median
+from shape_obs.utils.files import write_text
 
 _RESAMPLES: Final = 4000
 _CONFIDENCE: Final = 0.95
-_LONG: Final = ("errors_mm", "start", "goal", "final")  # of an episode: what fills no cell
+_LONG: Final = ("errors_mm", "start", "goal", "final")  # fields of an episode that do not fit in a cell
+_IF_ANY: Final = ("failed", "invalid")
+
+
+def write_tables(found: Found, folder: Path) -> None:
+    """Write ``episodes.csv``, ``summary.csv`` and ``table.md``, and ``paired.csv`` if there are pairs."""
+    rows, pairs = summary_rows(found), paired_rows(found)
+    write_text(folder / "episodes.csv", as_csv(episode_rows(found)))
+    write_text(folder / "summary.csv", as_csv(rows))
+    page = "# Shape servoing\n\n" + as_markdown(without_empty(rows))
+    if pairs:
+        write_text(folder / "paired.csv", as_csv(pairs))
+        page += "\n\n## The camera and the true points\n\n" + as_markdown(without_empty(pairs))
+    write_text(folder / "table.md", page + "\n")
+
+
+def without_empty(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """Return the rows without columns that are empty in all of them: no disturbance, no failure, no detector."""
+    names = rows[0] if rows else ()
+    kept = [name for name in names if any(row[name] not in (None, "") for row in rows)]
+    kept = [name for name in kept if name not in _IF_ANY or any(row[name] for row in rows)]
+    return [{name: row[name] for name in kept} for row in rows]
 
 
 def episode_rows(found: Found) -> list[Row]:
-    """A row for each episode: what it was, and all of its numbers."""
+    """Return a row for each episode with its setting and all of its numbers."""
     return [
         _named(setting) | {name: value for name, value in episode.to_dict().items() if name not in _LONG}
         for setting, some in found.items()
@@ -31,25 +52,26 @@ def episode_rows(found: Found) -> list[Row]:
 
 
 def summary_rows(found: Found) -> list[Row]:
-    """A row for each setting.
+    """Return a row for each setting.
 
     ``success`` is the percentage of goals whose final error is below 10 mm, ``low`` and ``high`` its Wilson interval of
-    95 %; ``ever`` counts goals that were within 10 mm at any time; ``steps`` is the median over those that were
-    reached. What broke off counts nowhere but in ``failed``.
+    95 %; ``ever`` counts goals that were within 10 mm at any time; ``steps`` is the median over the reached goals.
+    Episodes that broke off count only in ``failed``.
     """
     return [_named(setting) | _summary(some) for setting, some in found.items()]
 
 
 def paired_rows(found: Found, seed: int = 0) -> list[Row]:
-    """The camera beside the truth on the same goals, by difficulty and in all where there are several.
+    """Compare the camera with the truth on the same goals, by difficulty and over all if there are several.
 
-    ``ratio`` is the camera's number of goals reached over the truth's; ``low`` and ``high`` are its 95 % interval by a
-    paired percentile bootstrap over goals (Efron & Tibshirani, 'An introduction to the bootstrap', ch. 13). None where
-    the true points reached none, or so few that more than a tail of the resamples has none; fewer are left out.
+    ``ratio`` is the number of goals reached from the camera over the number reached from the true points; ``low`` and
+    ``high`` are its 95 % interval by a paired percentile bootstrap over goals (Efron & Tibshirani, 'An introduction to
+    the bootstrap', ch. 13). The interval is None if more than one tail of the resamples has no success of the truth;
+    if fewer have none, they are left out.
 
     Args:
         found: All episodes.
-        seed: Of the resampling.
+        seed: Seed of the resampling.
     """
     pairs: dict[Setting, npt.NDArray[np.bool_]] = {}
     for setting, seen in found.items():
@@ -58,11 +80,8 @@ def paired_rows(found: Found, seed: int = 0) -> list[Row]:
             continue
         both = [(a, b) for a, b in zip(seen, found[twin], strict=True) if not (a.failure or b.failure)]
         pairs[setting] = np.array([(a.success, b.success) for a, b in both], bool).reshape(-1, 2)
-    groups: dict[tuple[Any, ...], list[Setting]] = {}
-    for setting in pairs:
-        groups.setdefault(setting._replace(difficulty="near"), []).append(setting)
     rows = []
-    for settings in groups.values():
+    for settings in grouped(pairs, lambda setting: setting._replace(difficulty="near")).values():
         rows += [_paired(setting, setting.difficulty, pairs[setting], seed) for setting in settings]
         if len(settings) > 1:
             rows.append(_paired(settings[0], "all", np.concatenate([pairs[each] for each in settings]), seed))
@@ -91,14 +110,14 @@ def _summary(some: Sequence[Episode]) -> Row:
         "low": low,
         "high": high,
         "ever": _percent(sum(ever), len(whole)),
-        "steps": _median(episode.steps if episode.success else None for episode in whole),
-        "start_mm": _median(episode.start_mm for episode in whole),
-        "median_mm": _median(final),
+        "steps": median(episode.steps if episode.success else None for episode in whole),
+        "start_mm": median(episode.start_mm for episode in whole),
+        "median_mm": median(final),
         "p90_mm": float(np.percentile(final, 90)) if final else None,
-        "prediction": _median(episode.prediction for episode in whole),
-        "seen_mm": _median(episode.seen_mm for episode in whole),
-        "detector_ms": _median(episode.detector_ms for episode in whole),
-        "feature_ms": _median(episode.feature_ms for episode in whole),
+        "prediction": median(episode.prediction for episode in whole),
+        "seen_mm": median(episode.seen_mm for episode in whole),
+        "detector_ms": median(episode.detector_ms for episode in whole),
+        "feature_ms": median(episode.feature_ms for episode in whole),
         "blackout_action": max((e.blackout_action for e in whole if e.blackout_action is not None), default=None),
         "blackout_mm": max((e.blackout_mm for e in whole if e.blackout_mm is not None), default=None),
     }
@@ -119,7 +138,7 @@ def _paired(setting: Setting, difficulty: str, pairs: npt.NDArray[np.bool_], see
 
 
 def _ratio_interval(pairs: npt.NDArray[np.bool_], seed: int) -> tuple[float | None, float | None]:
-    """The interval of the ratio of two counts; None where too many resamples have no success of the truth."""
+    """Return the interval of the ratio of two counts; None if too many resamples have no success of the truth."""
     if len(pairs) < 2 or not pairs[:, 1].any():
         return None, None
 
@@ -131,7 +150,7 @@ def _ratio_interval(pairs: npt.NDArray[np.bool_], seed: int) -> tuple[float | No
     fixed: Any = {"method": "percentile", "random_state": np.random.default_rng(seed)}
     values = tuple(pairs.T.astype(np.float64))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DegenerateDataWarning)  # what NaN means is told here
+        warnings.simplefilter("ignore", DegenerateDataWarning)  # NaN is handled below
         found = bootstrap(
             values, ratio, paired=True, vectorized=True, n_resamples=_RESAMPLES, confidence_level=_CONFIDENCE, **fixed
         )
@@ -151,8 +170,3 @@ def _wilson(reached: int, count: int) -> tuple[float | None, float | None]:
 
 def _percent(part: int, whole: int) -> float | None:
     return 100 * part / whole if whole else None
-
-
-def _median(values: Any) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.median(known)) if known else None

@@ -1,11 +1,14 @@
 """Disturb drawn objects: salt and pepper, ragged edges, uneven light, image noise, and a hand over a moving rope."""
 
 from __future__ import annotations
+
 from collections.abc import Iterator
 from typing import Final, Literal, NamedTuple
+
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from shape_obs.bench.synthetic.ropes import Rope, moving_rope
 from shape_obs.image.segmentation import HSVRange
 

@@ -1,9 +1,11 @@
 """Draw ropes with a known centreline, at rest and moving."""
 
 from __future__ import annotations
+
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final, Literal
+
 import cv2
 import numpy as np
 import numpy.typing as npt

@@ -4,11 +4,14 @@ Blocks on a table, seen by any camera: an analytic scene in which the place of e
 """
 
 from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Final
+
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.markers import MarkerLayout
 from shape_obs.markers.finder import dictionary_named

@@ -1,4 +1,4 @@
-"""The table as Markdown, and as values for a program."""
+"""Write the table as Markdown and as values for a program."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from shape_obs.bench.table.frames import CONFIGURATIONS, OF, missing
 from shape_obs.bench.table.methods import SAMPLED, Method
 from shape_obs.bench.table.run import EXACT, Plan
 from shape_obs.bench.table.summary import LABELS, MEASURES, PAPER, TRACED, Mean, Ranking, Result, Traced
+from shape_obs.bench.tables import as_markdown
 
+_COLUMNS: Final = {"sc": "SC", "ch": "CH", "ms": "time [s]"}
 _SHOWN: Final[dict[str, tuple[float, int]]] = {"sc": (1, 3), "ch": (1, 0), "ms": (1e-3, 4)}  # factor, digits
 _HEADS: Final = {
     "centerline": "Centerline, N = 20: the simulated cable, every pixel of the mask",
@@ -23,7 +25,7 @@ _HEADS: Final = {
 def markdown(
     plan: Plan, machine: Mapping[str, str], found: Sequence[Result], ranked: Sequence[Ranking], traces: Sequence[Traced]
 ) -> str:
-    """All of it, as one page."""
+    """Return the results as one page."""
     blocks = [_preface(plan, found), _ran_on(machine), _overall(found), *map(_verdict, ranked), _beaten(found)]
     blocks += [_configuration(name, found) for name in CONFIGURATIONS]
     blocks.append(_tracings(traces))
@@ -33,7 +35,7 @@ def markdown(
 def as_values(
     plan: Plan, machine: Mapping[str, str], found: Sequence[Result], ranked: Sequence[Ranking], traces: Sequence[Traced]
 ) -> dict[str, Any]:
-    """All of it as JSON-able values; what is not known is None."""
+    """Return the results as JSON-able values; None is unknown."""
     return _plain(
         {
             "settings": plan.settings(),
@@ -80,24 +82,24 @@ def _overall(found: Sequence[Result]) -> str:
         result = next((r for r in found if r.configuration == "all" and r.method == method), None)
         if result is None:
             continue
-        cells = [LABELS[method]]
-        for measure in MEASURES:
-            cells += [_of_paper(method, measure), _shown(getattr(result, measure), measure)]
-        rows.append([*cells, f"{100 * result.cv:.1f} %", f"{100 * result.ordered:.1f} %"])
-    heads = ["", "SC, paper", "SC", "CH, paper", "CH", "time [s], paper", "time [s]", "gap CV", "order right"]
-    return "## All three configurations\n\n" + _table(heads, rows) if rows else ""
+        row = {"": LABELS[method]}
+        for measure, head in _COLUMNS.items():
+            row |= {f"{head}, paper": _of_paper(method, measure), head: _shown(getattr(result, measure), measure)}
+        rows.append({**row, "gap CV": f"{100 * result.cv:.1f} %", "order right": f"{100 * result.ordered:.1f} %"})
+    return "## All three configurations\n\n" + as_markdown(rows) if rows else ""
 
 
 def _configuration(name: str, found: Sequence[Result]) -> str:
     rows = []
     of = [result for result in found if result.configuration == name]
     for result in of:
-        settled = "" if result.method in ("som", "kohonen") else f"{100 * result.settled:.0f} %"
-        own = f"{100 * result.own_order:.1f} %" if result.method in ("som", "kohonen") else "none"
-        row = [LABELS[result.method], *(_shown(getattr(result, measure), measure) for measure in MEASURES)]
-        rows.append([*row, f"{100 * result.cv:.1f} %", f"{100 * result.ordered:.1f} %", own, settled])
-    heads = ["", "SC", "CH", "time [s]", "gap CV", "order right", "own order right", "settled"]
-    return f"## {_HEADS[name]}, M = {of[0].pixels:.0f}\n\n" + _table(heads, rows) if rows else ""
+        has_order = result.method in ("som", "kohonen")
+        row = {"": LABELS[result.method]}
+        row |= {head: _shown(getattr(result, measure), measure) for measure, head in _COLUMNS.items()}
+        row |= {"gap CV": f"{100 * result.cv:.1f} %", "order right": f"{100 * result.ordered:.1f} %"}
+        row["own order right"] = f"{100 * result.own_order:.1f} %" if has_order else "none"
+        rows.append({**row, "settled": "" if has_order else f"{100 * result.settled:.0f} %"})
+    return f"## {_HEADS[name]}, M = {of[0].pixels:.0f}\n\n" + as_markdown(rows) if rows else ""
 
 
 def _ran_on(machine: Mapping[str, str]) -> str:
@@ -107,8 +109,8 @@ def _ran_on(machine: Mapping[str, str]) -> str:
 
 
 def _beaten(found: Sequence[Result]) -> str:
-    """Where another method has the better mean than ours."""
-    told = []
+    """List the measures by which another method has a better mean than ours."""
+    lines = []
     for name in CONFIGURATIONS:
         of = {result.method: result for result in found if result.configuration == name}
         ours = of.pop("som", None)
@@ -119,11 +121,11 @@ def _beaten(found: Sequence[Result]) -> str:
             best = max(of.values(), key=lambda result, m=measure, s=sign: s * getattr(result, m).value)
             theirs, own = getattr(best, measure), getattr(ours, measure)
             if sign * (theirs.value - own.value) > 0:
-                told.append(
+                lines.append(
                     f"- {name}, {MEASURES[measure]}: {LABELS[best.method]} {_shown(theirs, measure)}, ours "
                     f"{_shown(own, measure)}"
                 )
-    return "Ours does not have the best mean in:\n\n" + "\n".join(told) if told else ""
+    return "Ours does not have the best mean in:\n\n" + "\n".join(lines) if lines else ""
 
 
 def _verdict(ranking: Ranking) -> str:
@@ -139,24 +141,22 @@ def _verdict(ranking: Ranking) -> str:
 
 def _tracings(traces: Sequence[Traced]) -> str:
     rows = [
-        [
-            TRACED[trace.tracing],
-            OF[trace.tracing],
-            " / ".join(map(str, trace.points)),
-            f"{100 * trace.changed:.0f} %",
-            f"{100 * trace.moved[0]:.1f} %, {100 * trace.moved[1]:.1f} %",
-            f"{100 * trace.ordered:.0f} %",
-            str(trace.tips) if OF[trace.tracing] == "centerline" else "",
-            f"{trace.ms * 1e-3:.4f}",
-        ]
+        {
+            "": TRACED[trace.tracing],
+            "of": OF[trace.tracing],
+            "points: least / median / most": " / ".join(map(str, trace.points)),
+            "another number than the frame before": f"{100 * trace.changed:.0f} %",
+            "first point wanders over the material: median, most": ", ".join(f"{100 * x:.1f} %" for x in trace.moved),
+            "order right": f"{100 * trace.ordered:.0f} %",
+            "ends, most": str(trace.tips) if OF[trace.tracing] == "centerline" else "",
+            "time [s]": f"{trace.ms * 1e-3:.4f}",
+        }
         for trace in traces
     ]
-    heads = ["", "of", "points: least / median / most", "another number than the frame before"]
-    heads += ["first point wanders over the material: median, most", "order right", "ends, most", "time [s]"]
     skipped = [f"{TRACED[tracing]}: skipped, {missing(tracing)}." for tracing in OF if missing(tracing)]
     if not rows and not skipped:
         return ""
-    return "\n\n".join(["## Tracing has no fixed sampling", *([_table(heads, rows)] if rows else []), *skipped])
+    return "\n\n".join(["## Tracing has no fixed sampling", *([as_markdown(rows)] if rows else []), *skipped])
 
 
 def _of_paper(method: Method, measure: str) -> str:
@@ -169,11 +169,6 @@ def _shown(mean: Mean, measure: str) -> str:
     factor, digits = _SHOWN[measure]
     half = "" if math.isnan(mean.half) else f" ± {mean.half * factor:.{digits}f}"
     return f"{mean.value * factor:.{digits}f}{half}"
-
-
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def _plain(value: Any) -> Any:

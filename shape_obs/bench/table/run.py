@@ -1,41 +1,42 @@
-"""What a run has measured so far, in files: an interrupted run goes on where it stopped.
-
-The whole table: what is still to be measured, chunk by chunk, here or in several processes.
-"""
+"""Measure the whole table chunk by chunk, here or in several processes; an interrupted run continues."""
 
 from __future__ import annotations
+
 import csv
 import json
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
+
 import numpy as np
 import numpy.typing as npt
+
 from shape_obs import __version__
-from shape_obs.bench.interleaved_timing import Clock
+from shape_obs.bench import Clock
+from shape_obs.bench.interleaved_timing import package_version
 from shape_obs.bench.table.frames import CONFIGURATIONS, OF, Name, Scene, Trace, Tracing, missing, scenes, traced
 from shape_obs.bench.table.methods import METHODS, Method, Row, measured
+from shape_obs.bench.tables import as_csv
 from shape_obs.utils.documents import read_json
 from shape_obs.utils.files import write_text
 from shape_obs.utils.threads import one_thread
 
 T = TypeVar("T")
-EXACT: Final = 50  # frames of each configuration whose silhouette is taken of all pixels
+EXACT: Final = 50  # frames of each configuration whose silhouette counts all pixels
 _CHUNKS: Final = 20  # for each configuration, of 5 to 50 frames
-_FORMAT: Final = 1  # of the files; another one cannot be gone on with
+_FORMAT: Final = 1  # of the files; runs with another format cannot be continued
 _PACKAGES: Final = ("numpy", "scipy", "scikit-learn", "opencv-python-headless", "numba", "mujoco")
-_WARM: Final[set[tuple[str, str]]] = set()  # what has run once in this process: imports and caches are behind it
+_WARM: Final[set[tuple[str, str]]] = set()  # what this process has run once, imports and compilation included
 
 
 class Parts:
     """A folder with one small CSV file for each configuration, method and chunk of frames.
 
     Args:
-        folder: Where; made if it is not there.
-        settings: What all files of a run have in common. A folder that was begun with others is refused.
+        folder: The folder; it is made if necessary.
+        settings: The settings of the run. A folder with other settings is refused.
 
     Raises:
         ValueError: The folder holds a run with other settings.
@@ -60,15 +61,15 @@ class Parts:
         write_text(note, json.dumps(dict(settings), indent=2) + "\n")
 
     def has(self, configuration: str, method: str, chunk: int) -> bool:
-        """Whether a chunk is done."""
+        """Return whether a chunk is done."""
         return self._path(configuration, method, chunk).exists()
 
     def forget(self, configuration: str, method: str) -> None:
-        """Throw away all that was measured of a method."""
+        """Delete all results of a method."""
         shutil.rmtree(self._path(configuration, method, 0).parent, ignore_errors=True)
 
     def write(self, configuration: str, method: str, chunk: int, rows: Iterable[Any]) -> None:
-        """Write a chunk's rows, instances of a dataclass, whole or not at all."""
+        """Write a chunk's rows, instances of a dataclass, atomically."""
         path = self._path(configuration, method, chunk)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, as_csv([asdict(row) for row in rows]))
@@ -98,32 +99,23 @@ class Parts:
         return self._folder / configuration / method / f"{chunk:04d}.csv"
 
 
-def as_csv(rows: list[dict[str, Any]]) -> str:
-    """Rows of equal keys as CSV, the keys first; truth is 1 and 0."""
-    lines = [",".join(rows[0])] if rows else []
-    lines += [
-        ",".join(str(int(value)) if isinstance(value, bool) else str(value) for value in row.values()) for row in rows
-    ]
-    return "\n".join(lines) + "\n"
-
-
 def _parsed(text: str, annotation: Any) -> Any:
-    """A value as its field is annotated: annotations are strings here."""
+    """Return a value of the field's type; annotations are strings here."""
     return {"bool": lambda: text == "1", "int": lambda: int(text), "float": lambda: float(text)}[str(annotation)]()
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What to measure.
+    """The frames, configurations and methods to measure.
 
     Args:
-        frames: Of each configuration.
-        seed: Of all frames.
-        renderer: The simulator's camera: ``"auto"``, ``"gl"`` or ``"rays"``.
+        frames: Number of frames of each configuration.
+        seed: Seed of all frames.
+        renderer: The simulator's renderer: ``"auto"``, ``"gl"`` or ``"rays"``.
         names: Configurations.
         methods: Clusterers.
         tracings: Thinning and contour tracing.
-        clock: What counts the time.
+        clock: The clock.
     """
 
     frames: int
@@ -142,12 +134,11 @@ class Plan:
 
     @property
     def exact(self) -> npt.NDArray[np.int_]:
-        """Frames whose silhouette is taken of all pixels."""
+        """The frames whose silhouette counts all pixels."""
         return np.linspace(0, self.frames - 1, min(EXACT, self.frames)).astype(int)
 
     def settings(self) -> dict[str, Any]:
-        """What decides the figures, and may not change while a run goes on."""
-        packages = {name: _version(name) for name in _PACKAGES}
+        """Return everything that determines the figures and may not change when a run continues."""
         own = {"format": _FORMAT, "shape_obs": __version__}
         return {
             **own,
@@ -155,26 +146,26 @@ class Plan:
             "seed": self.seed,
             "renderer": self.renderer,
             "clock": self.clock,
-            **packages,
+            **{name: package_version(name) or "none" for name in _PACKAGES},
         }
 
     def of(self, name: Name) -> list[Method | Tracing]:
-        """Everything that is measured on a configuration."""
+        """Return the methods and tracings of a configuration."""
         return [*self.methods, *(tracing for tracing in self.tracings if OF[tracing] == name and not missing(tracing))]
 
 
 def run(plan: Plan, folder: Path, *, jobs: int = 1, redo: bool = False, tick: Callable[[int, int], Any]) -> Parts:
-    """Measure what the folder does not hold yet.
+    """Measure everything that the folder does not hold yet.
 
     Args:
         plan: What to measure.
-        folder: Where the results go.
-        jobs: Processes.
-        redo: Measure what the plan names anew.
-        tick: Called with (chunks done, chunks in all), at the start too.
+        folder: The folder of the results.
+        jobs: Number of processes.
+        redo: Measure what the plan names again.
+        tick: Called with the number of finished chunks and of all chunks, also at the start.
 
     Returns:
-        All that the folder holds.
+        All results in the folder.
 
     Raises:
         ValueError: The folder holds a run with other settings.
@@ -184,22 +175,22 @@ def run(plan: Plan, folder: Path, *, jobs: int = 1, redo: bool = False, tick: Ca
         for name in plan.names:
             for what in plan.of(name):
                 parts.forget(name, what)
-    open_ones = []
+    tasks = []
     for chunk in range(len(plan.chunks)):
         for name in plan.names:
             left = [what for what in plan.of(name) if not parts.has(name, what, chunk)]
             if left:
-                open_ones.append((plan, folder, name, chunk, left))
+                tasks.append((plan, folder, name, chunk, left))
     total = len(plan.chunks) * len(plan.names)
-    done = total - len(open_ones)
+    done = total - len(tasks)
     tick(done, total)
-    for _ in _worked_off(open_ones, jobs):
+    for _ in _finished(tasks, jobs):
         done += 1
         tick(done, total)
     return parts
 
 
-def _worked_off(tasks: list[tuple[Any, ...]], jobs: int) -> Iterator[None]:
+def _finished(tasks: list[tuple[Any, ...]], jobs: int) -> Iterator[None]:
     if jobs == 1 or len(tasks) < 2:
         for task in tasks:
             yield _work(*task)
@@ -210,9 +201,9 @@ def _worked_off(tasks: list[tuple[Any, ...]], jobs: int) -> Iterator[None]:
 
 
 def _work(plan: Plan, folder: Path, name: Name, chunk: int, left: list[Method | Tracing]) -> None:
-    """One chunk of one configuration: the frames are made once, and every method sees all of them in turn."""
+    """Measure one chunk of one configuration: the frames are drawn once, and the methods run on them in turn."""
     import sklearn.cluster
-    import sklearn.mixture  # noqa: F401  # what is loaded now can be held to one thread
+    import sklearn.mixture  # noqa: F401  # loaded before the threads are limited
 
     parts, numbers = Parts(folder, plan.settings()), plan.chunks[chunk]
     with one_thread():
@@ -229,14 +220,7 @@ def _rows(name: Name, what: Any, chunk: list[tuple[int, Scene]], plan: Plan) -> 
 
 
 def _warm_up(name: Name, what: Method | Tracing, first: tuple[int, Scene], plan: Plan) -> None:
-    """Run once without being timed, the first time that a process does."""
+    """Run once without timing, the first time in a process."""
     if (name, what) not in _WARM:
         _WARM.add((name, what))
         list(_rows(name, what, [first], plan))
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "none"
