@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
-from shape_obs.bench import ENVS
+from shape_obs.bench import ENVS, Env
 from shape_obs.bench.tables import Row, rows_of
 
 Tables = Iterator[tuple[str, list[Row]]]
@@ -144,10 +144,12 @@ def _envs(effort: Effort) -> Tables:
     found = envs.all_episodes(settings, seeds, effort.jobs, tick=tick)
     rows = [envs.claim_row(setting, some) for setting, some in found.items()]
     yield "simulated environments, random actions, points against truth", rows
-    by_env = {env: [each for setting, some in found.items() if setting.env == env for each in some] for env in ENVS}
+    by_env: dict[Env, list[envs.Episode]] = {
+        env: [each for setting, some in found.items() if setting.env == env for each in some] for env in ENVS
+    }
     physics = [envs.physics_row(env, some) for env, some in by_env.items()]
     yield "simulated environments, physics over these episodes", physics
-    drawn = [(env, difficulty) for env in ENVS for difficulty in env_physics.DIFFICULTIES]
+    drawn: list[tuple[Env, str]] = [(env, difficulty) for env in ENVS for difficulty in env_physics.DIFFICULTIES]
     seeds = effort.seeds(50)
     tick = _counter("goal", len(drawn) * len(seeds), effort.report)
     goals = [env_physics.goals(env, difficulty, seeds, tick) for env, difficulty in drawn]

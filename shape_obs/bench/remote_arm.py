@@ -1,7 +1,7 @@
-"""An arm in a process of its own, with its own clock, that outlives whoever drives it; and the driver for it.
+"""A simulated arm that runs in a separate process with its own clock, and its driver.
 
-The arm stands for the controller box of a real robot: it takes velocities with a time to live over the network, ends
-each motion by itself, and notes when it moved. Run as a script, it needs the standard library alone.
+Like the controller of a real robot, the arm takes velocities with a time to live over the network, ends each motion by
+itself, and records when it moved. As a script it needs only the standard library.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _LOCAL: Final = "127.0.0.1"
 def run_arm(box: socket.socket) -> None:
     """Control the arm until it is asked to quit.
 
-    Messages are JSON: ``["move", velocity, seconds]``, ``["stop"]``, ``["mark"]`` (only noted), ``["notes"]``
+    Messages are JSON: ``["move", velocity, seconds]``, ``["stop"]``, ``["mark"]`` (only recorded), ``["notes"]``
     (answered with all notes since the last ``["clear"]``), ``["clear"]``, ``["quit"]``. Notes are ``[what, time]`` with
-    ``time.monotonic()``: ``"move"``, ``"stop"`` and ``"mark"`` when these arrived, ``"still"`` when a motion ended.
+    ``time.monotonic()``: ``"move"``, ``"stop"`` and ``"mark"`` when they arrived, ``"still"`` when a motion ended.
     """
     notes: list[tuple[str, float]] = []
     end, position, ticked = 0.0, 0.0, time.monotonic()
@@ -60,7 +60,7 @@ def run_arm(box: socket.socket) -> None:
 
 
 class ArmProcess:
-    """Start the arm in a process and ask it what it did. A context manager."""
+    """Run the arm in a process, as a context manager, and read its notes."""
 
     def __enter__(self) -> Self:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as box:
@@ -94,11 +94,11 @@ class Arm:
     """Drive the arm: a robot with one coordinate, a velocity in metres per second.
 
     Args:
-        port: Of the arm.
+        port: Port of the arm.
 
     Attributes:
         acknowledge: Seconds for which ``send`` waits, blocked in C, for an answer that never comes.
-        delay: Seconds for which ``send`` is blocked before it passes the motion on.
+        delay: Seconds for which ``send`` is blocked before it sends the motion.
     """
 
     name = "arm"
@@ -108,17 +108,16 @@ class Arm:
 
         self.action_spec = ActionSpec(("x",), ("m",), (0.05,), (-10.0,), (10.0,), mode="velocity")
         self._socket, self._stopping = _connected(port), _connected(port)
-        self._told = 0.0
         self.acknowledge = self.delay = 0.0
 
     def connect(self) -> None:
-        """Do nothing: datagrams need no connection."""
+        """Do nothing; datagrams need no connection."""
 
     def reset(self) -> None:
-        """Do nothing: the arm begins where it is."""
+        """Do nothing; the arm starts where it is."""
 
     def send(self, action: Any, until: float) -> None:
-        """Begin a motion that the arm ends by itself."""
+        """Start a motion that the arm ends by itself."""
         time.sleep(self.delay)
         left = until - time.monotonic()
         if left > 0:
@@ -131,21 +130,21 @@ class Arm:
                 self.acknowledge = 0.0
 
     def mark(self) -> None:
-        """Have the arm note the time."""
+        """Make the arm record the time."""
         self._stopping.send(b'["mark"]')
 
     def state(self) -> Any:
-        """Return a position: the arm has room enough."""
+        """Return a position; the arm has no limits."""
         import numpy as np
 
         return np.zeros(1)
 
     def stop(self) -> None:
-        """Stop, through a connection of its own."""
+        """Stop, through a separate connection."""
         self._stopping.send(b'["stop"]')
 
     def park(self) -> None:
-        """Stay: it may be left alone anywhere."""
+        """Do nothing; any position is safe."""
 
     def disconnect(self) -> None:
         """Do nothing."""

@@ -1,7 +1,4 @@
-"""Deploy before a drawn camera, and come into the state in which a fault is to hit.
-
-Measure how soon a robot stands still when its process is asked to end, fails or is killed, by the robot's clock.
-"""
+"""Measure by the robot's clock how soon it stops when its process is asked to end, fails or is killed."""
 
 from __future__ import annotations
 
@@ -26,7 +23,7 @@ import cv2
 import numpy as np
 
 from shape_obs.bench.remote_arm import Arm, ArmProcess
-from shape_obs.bench.tables import at_most
+from shape_obs.bench.tables import Row, at_most
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.deploy import Interrupted, Limits, RunLog, deploy
 from shape_obs.frame import Frame
@@ -34,28 +31,28 @@ from shape_obs.source import FrameTimeout, Source, StaleFrame
 
 State = Literal["idle", "moving", "send", "read", "log", "C", "C with the lock"]
 STATES: Final[tuple[State, ...]] = ("idle", "moving", "send", "read", "log", "C")
-#: Seconds that a blocked call stays blocked: much longer than any limit.
+#: Duration of a blocked call in seconds, much longer than any limit.
 _BLOCKED: Final = 3.0
 _STALL: Final = 0.2
 _WIDTH, _HEIGHT = 160, 120
 _LENS: Final = Intrinsics(_WIDTH, _HEIGHT, 100.0, 100.0, 79.5, 59.5)
 SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
-#: What ends a run without a signal.
+#: Faults that end a run without a signal.
 FAILURES: Final = ("exception", "closed stdout")
-_ASKED: Final = 0.05  # seconds
-#: Longer than any measurement, so that the arm's own limit does not help.
+_TARGET: Final = 0.05  # seconds
+#: Seconds, longer than any measurement, so that the arm's own limit has no effect.
 _LONG: Final = 10.0
-#: Of an image, in a deployment that is killed.
+#: Maximum age of an image in seconds, in a deployment that is killed.
 MAX_AGE: Final = 0.2
 _START: Final = 60.0
 
 
 class DrawnRope(Source):
-    """A camera at 60 Hz that sees a blue rope.
+    """A 60 Hz camera in front of a blue rope.
 
     Attributes:
-        dark: Images are black.
-        frozen: No frame comes any more.
+        dark: Whether images are black.
+        frozen: Whether frames have stopped.
     """
 
     kind, name, live, has_depth = "drawn", "drawn rope", True, True
@@ -71,7 +68,7 @@ class DrawnRope(Source):
         return _LENS
 
     def connect(self) -> None:
-        """Do nothing: it is always there."""
+        """Do nothing; the camera is always connected."""
 
     def disconnect(self) -> None:
         """Do nothing."""
@@ -113,7 +110,7 @@ class SlowLog(RunLog):
 
 
 class Push:
-    """A controller that moves on, and comes into the state that is wanted at a step."""
+    """A controller that moves, and brings the deployment into a state at a given step."""
 
     def __init__(self, state: State, arm: Arm, camera: DrawnRope, ready: Any, fail: threading.Event) -> None:
         self._state, self._arm, self._camera, self._ready, self._fail = state, arm, camera, ready, fail
@@ -144,12 +141,12 @@ def run_cell(port: int, state: State, max_age: float, folder: str, parent: Conne
     """Deploy until something ends it; the target of a child process.
 
     Args:
-        port: Of the arm.
-        state: Into which to come; ``parent`` is told when it is there.
-        max_age: Of the limits, in seconds.
-        folder: For the log.
-        parent: Told ``"ready"``; any answer makes the controller raise.
-        output: In place of stdout, where a line is printed at each step.
+        port: Port of the arm.
+        state: The state to reach.
+        max_age: Limit of an image's age in seconds.
+        folder: Folder for the log.
+        parent: Receives ``"ready"`` in that state; any answer makes the controller raise.
+        output: Replaces stdout, where a line is printed at each step.
     """
     import gymnasium as gym
 
@@ -164,7 +161,7 @@ def run_cell(port: int, state: State, max_age: float, folder: str, parent: Conne
             parent.recv()
             fail.set()
         except EOFError:
-            return  # the measuring process needs nothing more
+            return  # the measuring process has ended
 
     def on_step(moment: Any) -> None:
         try:
@@ -202,10 +199,10 @@ class Stopped(NamedTuple):
     """How a run ended.
 
     Attributes:
-        fault: What ended it.
-        state: What it was doing.
-        seconds: From the fault until the arm stood still; 0 if it did not move.
-        moved_again: Whether a motion was begun after that.
+        fault: The fault.
+        state: The state of the deployment.
+        seconds: Time from the fault until the arm stood still; 0 if it did not move.
+        moved_again: Whether a motion began after that.
         code: The exit code.
         report: Whether the log has a report.
     """
@@ -219,19 +216,19 @@ class Stopped(NamedTuple):
 
 
 def stop(arm: ArmProcess, fault: str, state: State, *, wait: float = 0.15, max_age: float = _LONG) -> Stopped:
-    """Run a deployment, bring a fault over it, and see when the arm stands still.
+    """Run a deployment, cause a fault, and measure when the arm stands still.
 
     Args:
-        arm: What it moves.
-        fault: A signal's name, or one of ``FAILURES``.
-        state: What the deployment is doing then.
+        arm: The arm that the deployment moves.
+        fault: Name of a signal, or one of ``FAILURES``.
+        state: State of the deployment at the fault.
         wait: Seconds between the state and the fault.
-        max_age: Of an image, in seconds: after that the arm stops by itself.
+        max_age: Maximum age of an image in seconds, after which the arm stops by itself.
     """
     arm.tell("clear")
     with tempfile.TemporaryDirectory() as folder, _running(arm, state, max_age, folder) as (child, fail, close):
         time.sleep(wait)
-        # A failure is noted by the process in which it happens, a signal here.
+        # A failure is recorded by the process in which it happens, a signal here.
         begin = time.monotonic()
         if fault == "exception":
             fail()
@@ -248,40 +245,40 @@ def stop(arm: ArmProcess, fault: str, state: State, *, wait: float = 0.15, max_a
         return Stopped(fault, state, *_after(notes, begin), child.exitcode, report)
 
 
-def stops(count: int, seed: int, told: Callable[[str], object] = lambda text: None) -> Iterator[Stopped]:
-    """Bring every signal over every state, and every failure over those in which it can happen."""
+def stops(count: int, seed: int, progress: Callable[[str], object] = lambda text: None) -> Iterator[Stopped]:
+    """Send every signal in every state, and cause every failure in the states where it can happen."""
     chance = random.Random(seed)
     states: dict[str, tuple[State, ...]] = dict.fromkeys(SIGNALS, STATES)
     states |= dict.fromkeys(FAILURES, ("moving", "log"))
     pairs: list[tuple[str, State]] = [(fault, state) for fault, of in states.items() for state in of]
     with ArmProcess() as arm:
         for number, (fault, state) in enumerate(pair for pair in pairs for _ in range(count)):
-            told(f"robustness: stop {number + 1} of {count * len(pairs)}")
+            progress(f"robustness: stop {number + 1} of {count * len(pairs)}")
             yield stop(arm, fault, state, wait=chance.uniform(0.1, 0.2))
 
 
-def kills(count: int, seed: int, told: Callable[[str], object] = lambda text: None) -> Iterator[Stopped]:
-    """Kill deployments outright, at random instants."""
+def kills(count: int, seed: int, progress: Callable[[str], object] = lambda text: None) -> Iterator[Stopped]:
+    """Kill deployments with SIGKILL at random instants."""
     chance = random.Random(seed)
     with ArmProcess() as arm:
         for number in range(count):
-            told(f"robustness: kill {number + 1} of {count}")
+            progress(f"robustness: kill {number + 1} of {count}")
             yield stop(arm, "SIGKILL", "moving", wait=chance.uniform(0.0, 0.5), max_age=MAX_AGE)
 
 
 def locked(count: int) -> Iterator[Stopped]:
-    """Signal deployments whose main thread is in C code that lets no other thread run."""
+    """Send SIGTERM to deployments whose main thread runs C code that holds Python's lock."""
     with ArmProcess() as arm:
         for _ in range(count):
             yield stop(arm, "SIGTERM", "C with the lock", max_age=MAX_AGE)
 
 
-def stop_table(found: Sequence[Stopped]) -> list[dict[str, Any]]:
+def stop_table(found: Sequence[Stopped]) -> list[Row]:
     """Return a row for each fault with the longest time in each state, in milliseconds."""
     rows = []
     for fault in dict.fromkeys(each.fault for each in found):
         of = [each for each in found if each.fault == fault]
-        row: dict[str, Any] = {"fault": fault, "runs": len(of)}
+        row: Row = {"fault": fault, "runs": len(of)}
         for state in STATES:
             times = [1e3 * each.seconds for each in of if each.state == state]
             row[f"{state} [ms]"] = round(max(times), 1) if times else None
@@ -289,13 +286,11 @@ def stop_table(found: Sequence[Stopped]) -> list[dict[str, Any]]:
     return rows
 
 
-def asked_table(
-    stopped: Sequence[Stopped], killed: Sequence[Stopped], locked_: Sequence[Stopped]
-) -> list[dict[str, Any]]:
-    """Compare what was seen with what is asked."""
+def targets(stopped: Sequence[Stopped], killed: Sequence[Stopped], locked_: Sequence[Stopped]) -> list[Row]:
+    """Compare the stops with their targets."""
     orderly = [each for each in stopped if each.fault in SIGNALS]
     return [
-        at_most("longest time to stand still, process alive", 1e3 * _ASKED, _longest(stopped), " ms"),
+        at_most("longest time to stand still, process alive", 1e3 * _TARGET, _longest(stopped), " ms"),
         at_most("motions begun after the stop", 0, sum(each.moved_again for each in stopped), ""),
         at_most("signals without report or exit code 128 + n", 0, sum(not _orderly(each) for each in orderly), ""),
         at_most(f"longest time to stand still, {len(killed)} kills", 1e3 * MAX_AGE, _longest(killed), " ms"),
@@ -326,7 +321,7 @@ def _after(notes: Sequence[tuple[str, float]], begin: float) -> tuple[float, boo
 def _running(
     arm: ArmProcess, state: State, max_age: float, folder: str
 ) -> Iterator[tuple[BaseProcess, Callable[[], None], Callable[[], None]]]:
-    """Run a deployment that has come into a state: its process, how to make it raise, how to close its stdout."""
+    """Run a deployment up to a state; yield its process, a call that makes it raise, and one that closes its stdout."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([run_cell.__module__, "shape_obs.wrappers", "shape_obs_envs", "gymnasium"])
     here, there = context.Pipe()

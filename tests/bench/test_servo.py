@@ -15,7 +15,7 @@ pytest.importorskip("mujoco")
 
 from PIL import Image
 
-from shape_obs.bench.env_speed import ENVS
+from shape_obs.bench import ENVS
 from shape_obs.bench.servo import study
 from shape_obs.bench.servo.episode import Episode, settled
 from shape_obs.bench.servo.settings import FEATURES, LAYOUTS, Disturbance, Setting, combinations

@@ -227,7 +227,7 @@ class TestCommand:
         [
             (["--frames", 9], "--frames: expected at least 10, got 9."),
             (["--jobs", 0], "--jobs: expected at least 1, got 0."),
-            (["--seed", -1], "--seed: expected 0 or more, got -1."),
+            (["--seed", -1], "--seed: expected at least 0, got -1."),
         ],
     )
     def test_bad_arguments_get_one_clear_line(self, capsys, tmp_path, arguments, message):

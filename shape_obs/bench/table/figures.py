@@ -122,7 +122,7 @@ def _panel(axis: Any, name: Name, scene: Scene, result: tuple[Array | None, Row]
 
 
 def _tinted(scene: Scene, pixels: Array, points: Array, *, thick: bool) -> npt.NDArray[np.uint8]:
-    """Draw the mask with each clustered pixel in the tint of its cluster, (H, W, 3); an outline is three pixels thick."""
+    """Draw the mask with each clustered pixel in the tint of its cluster; an outline is three pixels thick."""
     tints = np.array([[int(tint[i : i + 2], 16) for i in (1, 3, 5)] for tint in _TINTS])
     paper = np.array([int(_PAPER[i : i + 2], 16) for i in (1, 3, 5)])
     picture = np.where(scene.mask[..., None] > 0, 228 if thick else 205, paper).astype(np.uint8)

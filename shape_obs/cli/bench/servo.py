@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from shape_obs.bench import Clock, Env
+from shape_obs.bench import Clock, Env, Size
 from shape_obs.cli.bench.output import Output, check_minimum, image_size, progress
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ def _study(args: Servo, settings: Sequence[Setting], output: Output) -> int:
 def _times(args: Servo, output: Output) -> None:
     from shape_obs.bench.servo.times import WARM_UP, feature_times, targets
 
-    sizes = [(env, image_size(size, 16)) for env in args.envs for size in args.sizes]
+    sizes: list[tuple[Env, Size]] = [(env, image_size(size, 16)) for env in args.envs for size in args.sizes]
     rows = []
     with progress("times", "frame", len(sizes) * (args.frames + WARM_UP)) as bar:
         for env, size in sizes:

@@ -27,10 +27,10 @@ from typing import Any, Final
 import gymnasium as gym
 import numpy as np
 
-from shape_obs import CameraModel, Intrinsics, load_bundle
 from fuzzing.bundle_canary import VARIABLE
 from fuzzing.bundle_kills import kill_savers
 from fuzzing.bundle_sample import TRUSTED
+from shape_obs import CameraModel, Intrinsics, load_bundle
 from shape_obs.deploy.policy_bundle import Bundle, BundleError
 from shape_obs.deploy.policy_bundle.spaces import space_from_dict, zeros
 

@@ -1,4 +1,4 @@
-"""Hostile and damaged bundles, and kills while a bundle is saved: ``shape-obs bench claims --only robustness``."""
+"""Read hostile and damaged bundles, and kill processes that save one."""
 
 from __future__ import annotations
 
@@ -85,7 +85,9 @@ def read_all(
             kind = TRUSTED if number >= len(files) else ".policy"
             (work / "files" / f"{number:05}{kind}").write_bytes(content)
         module = "fuzzing.bundle_trials"
-        path = os.pathsep.join([str(work / "path"), *filter(None, [os.environ.get("PYTHONPATH")])])
+        path = os.pathsep.join(
+            [str(work / "path"), str(Path(__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+        )
         threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         done = subprocess.run(
             [sys.executable, "-m", module, str(work), str(kills), str(seed)],

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from shape_obs.ablation import load_study
 from fuzzing.mutations import mutate, mutate_bytes
 from fuzzing.outcomes import Outcomes
+from shape_obs.ablation import load_study
 from shape_obs.bench.tables import at_least, at_most
 from shape_obs.calibration.extrinsics import Extrinsics
 from shape_obs.calibration.intrinsics import IntrinsicsFit

@@ -10,9 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from shape_obs.bench.backends import backends, ours
-from shape_obs.bench.interleaved_timing import Entrant, turns
-from shape_obs.bench.peer_comparison import ASKED, Score
+from shape_obs.bench.interleaved_timing import Method, interleaved_timing
+from shape_obs.bench.peer_comparison import COLD, TARGETS, WARM, Score
 from shape_obs.bench.peers import PEERS, spread
 from shape_obs.bench.synthetic.streams import cloths, ropes
 from shape_obs.cli import main
@@ -40,30 +39,30 @@ def document():
 @pytest.mark.parametrize("work", ["rope", "contour"])
 def test_everyone_who_is_installed_takes_part_with_finite_figures(document, work):
     rows = {row["method"]: row for row in document["works"][work]["rows"]}
-    mine = {ours(backend, start) for backend in backends() for start in ("warm", "cold")}
+    mine = {WARM, COLD}
     installed = {peer.name for peer in PEERS if work in peer.works and peer.load() is not None}
     assert set(rows) == mine | installed
     assert len(installed) >= 6
     slow = {peer.name for peer in PEERS if peer.slow}
     for name, row in rows.items():
         assert row["frames"] == (1 if name in slow else 2)
-        figures = [row[key] for key in ("median_ms", "over_numpy", "sc", "ch", "spacing_cv")]
+        figures = [row[key] for key in ("median_ms", "over_ours", "sc", "ch", "spacing_cv")]
         assert all(math.isfinite(figure) for figure in figures), name
         assert row["median_ms"] > 0
     assert document["works"][work]["refused"] == 0
-    assert rows[ours("numpy", "warm")]["over_numpy"] == 1
-    assert rows[ours("numpy", "warm")]["spacing_cv"] < 0.01 < rows["K-means, n_init 1"]["spacing_cv"]
+    assert rows[WARM]["over_ours"] == 1
+    assert rows[WARM]["spacing_cv"] < 0.01 < rows["K-means, n_init 1"]["spacing_cv"]
 
 
 def test_what_is_asked_stands_beside_what_was_seen(document):
     asked = {row["what"]: row for row in document["claims"]}
-    for work, start, peer, *bounds in ASKED:
-        row = asked[f"{work}, {start}, NumPy: times faster than {peer}"]
-        assert row["asked"] == f">= {bounds[0]}x"
+    for work, start, peer, bound in TARGETS:
+        row = asked[f"{work}, {start.removeprefix('shape_obs, ')}: times faster than {peer}"]
+        assert row["asked"] == f">= {bound}x"
         if work == "cloth":
             assert (row["seen"], row["reached"]) == (None, "not measured")
         else:
-            assert row["reached"] == ("yes" if row["seen"] >= bounds[0] else "no")
+            assert row["reached"] == ("yes" if row["seen"] >= bound else "no")
     assert asked["contour: Calinski-Harabasz beside K-means, n_init 10"]["seen"] > 0.9
 
 
@@ -75,7 +74,7 @@ def test_what_is_not_installed_is_left_out_and_told(capsys, monkeypatch):
     assert "minisom, 1000 iterations" not in table
     assert "K-means, n_init 1 " in table
     assert "n_init 10" not in table
-    assert "rope, warm, NumPy: times faster than minisom, 1000 iterations" in asked
+    assert "rope, warm: times faster than minisom, 1000 iterations" in asked
 
 
 def test_ratios_are_over_the_frames_of_both():
@@ -85,12 +84,12 @@ def test_ratios_are_over_the_frames_of_both():
 
 
 def test_all_run_on_every_frame_and_who_begins_changes():
-    entrants = [Entrant(name, lambda frame, name=name: f"{name}{frame}") for name in "abc"]
-    assert [turn.result for turn in turns("xy", entrants)] == ["ax", "bx", "cx", "by", "cy", "ay"]
-    assert [turn.frame for turn in turns("x", entrants, "thread")] == [0, 0, 0]
-    drawn = [turn.result for turn in turns("xy", entrants, seed=1)]
+    methods = [Method(name, lambda frame, name=name: f"{name}{frame}") for name in "abc"]
+    assert [turn.result for turn in interleaved_timing("xy", methods)] == ["ax", "bx", "cx", "by", "cy", "ay"]
+    assert [turn.frame for turn in interleaved_timing("x", methods, "thread")] == [0, 0, 0]
+    drawn = [turn.result for turn in interleaved_timing("xy", methods, seed=1)]
     assert sorted(drawn) == ["ax", "ay", "bx", "by", "cx", "cy"]
-    assert drawn == [turn.result for turn in turns("xy", entrants, seed=1)]
+    assert drawn == [turn.result for turn in interleaved_timing("xy", methods, seed=1)]
 
 
 def test_threads_are_given_back():
