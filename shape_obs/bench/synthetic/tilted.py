@@ -20,8 +20,8 @@ Mask = npt.NDArray[np.uint8]
 
 CAMERA: Final = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 _LEAN: Final = (np.radians(30), np.radians(45))
-_NOISE: Final = 0.0015  # metres
-_TABLE: Final = 0.012  # metres behind the object
+_DEPTH_NOISE: Final = 0.0015  # metres
+_BEHIND: Final = 0.012  # metres behind the object
 _FLYING: Final = 0.10  # metres behind it, at most
 _SPECKLE: Final = 0.10  # of the pixels have no depth,
 _HOLES: Final = (6, 9)  # and so many squares of so many pixels on the object have none
@@ -109,7 +109,7 @@ def _plane(rng: np.random.Generator, distance: float) -> tuple[Array, Array]:
 def _depth(rng: np.random.Generator, mask: Mask, normal: Array, point: Array) -> Array:
     v, u = np.mgrid[: mask.shape[0], : mask.shape[1]]
     plane = (point @ normal) / (CAMERA.rays(np.stack([u, v], axis=-1)) @ normal)
-    depth = np.where(mask > 0, plane, plane + _TABLE) + rng.normal(0, _NOISE, plane.shape)
+    depth = np.where(mask > 0, plane, plane + _BEHIND) + rng.normal(0, _DEPTH_NOISE, plane.shape)
     cross = np.ones((3, 3), np.uint8)
     edge = (cv2.dilate(mask, cross) > 0) & (cv2.erode(mask, cross) == 0)
     depth[edge] += rng.uniform(0, _FLYING, int(edge.sum()))
