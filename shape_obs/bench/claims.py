@@ -14,7 +14,7 @@ from shape_obs.bench.tables import Row, rows_of
 
 Tables = Iterator[tuple[str, list[Row]]]
 Group = Literal[
-    "ropes", "tangles", "hands", "noise", "outlines", "sheets", "clouds", "shapes", "markers", "cable", "envs",
+    "ropes", "tangles", "hands", "noise", "outlines", "sheets", "clouds", "markers", "cable", "envs",
     "camera", "deploy", "robustness",
 ]  # fmt: skip
 
@@ -107,12 +107,6 @@ def _clouds(effort: Effort) -> Tables:
     yield "clouds, cold", clouds.cloud_table(found)
     yield "moving rope clouds, tracked", rows_of(clouds.moving_rope_clouds((0.005, 0.015), effort.seeds(3)))
     yield "images at a slant", clouds.tilted_table(clouds.tilted_images(count, seed))
-
-
-def _shapes(effort: Effort) -> Tables:
-    from shape_obs.bench.growth import shared_passes
-
-    yield "several shapes in one pass", rows_of(shared_passes(effort.count(60), effort.seed))
 
 
 def _markers(effort: Effort) -> Tables:
@@ -208,7 +202,6 @@ GROUPS: Final[dict[Group, Callable[[Effort], Tables]]] = {
     "outlines": _outlines,
     "sheets": _sheets,
     "clouds": _clouds,
-    "shapes": _shapes,
     "markers": _markers,
     "cable": _cable,
     "envs": _envs,

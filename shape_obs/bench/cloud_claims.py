@@ -14,8 +14,8 @@ from scipy.spatial.distance import pdist
 
 from shape_obs.bench.scores import score, tally
 from shape_obs.bench.synthetic.clouds import Side, moving_rope_cloud, ring_cloud, rope_cloud, sheet_cloud
+from shape_obs.bench.synthetic.images import CAMERA, tilted_rope, tilted_sheet
 from shape_obs.bench.synthetic.ropes import KINDS
-from shape_obs.bench.synthetic.tilted import CAMERA, tilted_rope, tilted_sheet
 from shape_obs.bench.tables import Row, grouped, mean
 from shape_obs.configurations import Centerline, Configuration, Contour, Surface
 from shape_obs.detector import ShapeDetector

@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from shape_obs.bench import Clock
 from shape_obs.bench.interleaved_timing import Method, interleaved_timing
-from shape_obs.bench.synthetic.disturbances import BLUE, photographed
+from shape_obs.bench.synthetic.images import BLUE
 from shape_obs.bench.synthetic.ropes import SIZE, draw_rope
-from shape_obs.bench.synthetic.sheets import draw_sheet, random_sheet
+from shape_obs.bench.synthetic.sheets import draw_sheet
 from shape_obs.bench.synthetic.streams import RGBD, cloths, photo, pinhole, ropes
 from shape_obs.bench.tables import Row, at_most, grouped
 from shape_obs.configurations import Centerline, Configuration, Contour, Surface
@@ -36,13 +36,6 @@ NUMBER: Final = "shapes in one RGB-D image"
 _TARGETS: Final = {ROPE: 2.0, CLOTH: 2.0, POINTS: 1.5, NUMBER: 2.5}
 _COARSE: Final = Contour(name="coarse", n=12)
 _NUMBERS: Final[tuple[Shapes, ...]] = ((Contour(),), (Contour(), Surface()), (Contour(), _COARSE, Surface()))
-_LISTS: Final[dict[str, Shapes]] = {
-    "contour": (Contour(),),
-    "surface": (Surface(),),
-    "contour + surface": (Contour(), Surface()),
-    "2 contours + surface": (Contour(), _COARSE, Surface()),
-    "2 contours + 2 surfaces": (Contour(), _COARSE, Surface(), Surface(name="fine", rows=8)),
-}
 
 
 class _Case(NamedTuple):
@@ -142,40 +135,3 @@ def _method(name: str, case: _Case) -> Method[Frame]:
         return detector.detect(*image) if isinstance(image, RGBD) else detector.detect_mask(image)
 
     return Method(name, run, touch=touch)
-
-
-class PassResult(NamedTuple):
-    """One detector over the same 640 x 480 frames, tracked; medians in milliseconds.
-
-    Args:
-        shapes: The shapes that it detects.
-        number: Number of shapes.
-        frame_ms: Segmentation and region, once per frame.
-        shapes_ms: Fitting and ordering of all shapes.
-        total_ms: The whole frame.
-        per_shape: The total over the first row's total.
-    """
-
-    shapes: str
-    number: int
-    frame_ms: float
-    shapes_ms: float
-    total_ms: float
-    per_shape: float
-
-
-def shared_passes(frames: int = 60, seed: int = 0) -> Iterator[PassResult]:
-    """Time lists of shapes of growing length over one sheet; the detectors take turns on every frame."""
-    rng = np.random.default_rng(seed)
-    image = photographed(rng, random_sheet(rng, 1.6, 20.0).mask, 1.5, 4.0)
-    detectors = {name: ShapeDetector(shapes, BLUE) for name, shapes in _LISTS.items()}
-    spent: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
-    for _ in range(frames):
-        for name, detector in detectors.items():
-            stages = detector.detect(image).timings
-            spent[name].append((stages["segmentation"], stages["fit"] + stages["lift"], stages["total"]))
-    first = None
-    for name, times in spent.items():
-        frame, fit, total = (float(value) for value in np.median(times[1:], axis=0))
-        first = first or total
-        yield PassResult(name, len(_LISTS[name]), frame, fit, total, total / first)

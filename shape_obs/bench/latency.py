@@ -16,7 +16,7 @@ import numpy as np
 
 from shape_obs.bench import Clock, Size
 from shape_obs.bench.interleaved_timing import Method, interleaved_timing
-from shape_obs.bench.synthetic.disturbances import BLUE
+from shape_obs.bench.synthetic.images import BLUE
 from shape_obs.bench.synthetic.streams import RGBD, classic, streams
 from shape_obs.bench.tables import Row, at_least, at_most
 from shape_obs.configurations import Centerline

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.scores import Score, score, tally
-from shape_obs.bench.synthetic.disturbances import BLUE, Where, hidden_rope, photographed, ragged, salted
+from shape_obs.bench.synthetic.images import BLUE, Where, hidden_rope, photographed, ragged, salted
 from shape_obs.bench.synthetic.ropes import KINDS, Kind, moving_rope, random_rope
 from shape_obs.bench.synthetic.sheets import noisy
 from shape_obs.bench.tables import Row, grouped, mean, worst

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Centerline, HSVRange, ShapeDetector
-from shape_obs.bench.synthetic.disturbances import hidden_rope, photographed
+from shape_obs.bench.synthetic.images import hidden_rope, photographed
 from shape_obs.bench.synthetic.ropes import moving_rope, random_rope
 from shape_obs.bench.synthetic.tangles import crossing_rope, cut_rope
 from shape_obs.compiled import NUMPY, choose

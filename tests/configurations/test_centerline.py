@@ -5,7 +5,7 @@ import pytest
 
 from shape_obs import Centerline, ShapeDetector
 from shape_obs.bench.rope_claims import ropes_in_noise, ropes_under_hands
-from shape_obs.bench.synthetic.disturbances import hidden_rope
+from shape_obs.bench.synthetic.images import hidden_rope
 from shape_obs.bench.synthetic.ropes import moving_rope
 
 

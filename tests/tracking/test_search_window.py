@@ -8,7 +8,7 @@ import pytest
 
 from shape_obs import Centerline, Contour, HSVRange, ShapeDetector, Surface
 from shape_obs import detector as detector_module
-from shape_obs.bench.synthetic.disturbances import photographed
+from shape_obs.bench.synthetic.images import photographed
 from shape_obs.bench.synthetic.ropes import moving_rope
 from shape_obs.bench.synthetic.sheets import moving_sheet
 

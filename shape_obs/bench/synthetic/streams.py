@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from shape_obs.bench import Size
 from shape_obs.bench.synthetic.blobs import moving_blob
-from shape_obs.bench.synthetic.disturbances import BLUE, photographed
+from shape_obs.bench.synthetic.images import BLUE, photographed
 from shape_obs.bench.synthetic.ropes import Rope, draw_rope, moving_rope
 from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, moving_sheet
 from shape_obs.camera import Intrinsics

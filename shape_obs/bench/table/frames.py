@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from shape_obs.bench import Clock
 from shape_obs.bench.interleaved_timing import CLOCKS
-from shape_obs.bench.synthetic.disturbances import BLUE, photographed
+from shape_obs.bench.synthetic.images import BLUE, photographed
 from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, moving_sheet
 from shape_obs.configurations import Centerline, Configuration, Contour, Surface
 from shape_obs.frame import Frame

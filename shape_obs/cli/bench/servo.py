@@ -129,8 +129,7 @@ def _study(args: Servo, settings: Sequence[Setting], output: Output) -> int:
     """Play all episodes, write and print the results, and return the number of episodes that broke off."""
     from shape_obs.bench.servo.episode import Episode
     from shape_obs.bench.servo.pictures import draw
-    from shape_obs.bench.servo.study import run
-    from shape_obs.bench.servo.summary import paired_rows, summary_rows, without_empty, write_tables
+    from shape_obs.bench.servo.study import paired_rows, run, summary_rows, without_empty, write_tables
 
     broken: list[str] = []
     seeds = range(args.seed, args.seed + args.goals)
