@@ -118,7 +118,7 @@ def _markers(effort: Effort) -> Tables:
     yield "cameras placed by touching markers, 0.5 mm of noise along each axis", rows_of(placed)
     cameras = markers.fitted(effort.count(10), effort.seed)
     yield "cameras calibrated with a board", rows_of([cameras])
-    yield "markers and calibration, asked and seen", markers.marker_rows(top, placed[0], cameras)
+    yield "markers and calibration, asked and seen", markers.targets(top, placed[0], cameras)
 
 
 def _cable(effort: Effort) -> Tables:

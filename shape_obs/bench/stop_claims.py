@@ -12,7 +12,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import repeat
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 
 from shape_obs.bench.remote_arm import Arm, ArmProcess
-from shape_obs.bench.tables import Row, at_most
+from shape_obs.bench.tables import Row, at_most, grouped
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.deploy import Interrupted, Limits, RunLog, deploy
 from shape_obs.frame import Frame
@@ -31,8 +31,7 @@ from shape_obs.source import FrameTimeout, Source, StaleFrame
 
 State = Literal["idle", "moving", "send", "read", "log", "C", "C with the lock"]
 STATES: Final[tuple[State, ...]] = ("idle", "moving", "send", "read", "log", "C")
-#: Duration of a blocked call in seconds, much longer than any limit.
-_BLOCKED: Final = 3.0
+_BLOCKED: Final = 3.0  # duration of a blocked call in seconds, much longer than any limit
 _STALL: Final = 0.2
 _WIDTH, _HEIGHT = 160, 120
 _LENS: Final = Intrinsics(_WIDTH, _HEIGHT, 100.0, 100.0, 79.5, 59.5)
@@ -40,20 +39,13 @@ SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 #: Faults that end a run without a signal.
 FAILURES: Final = ("exception", "closed stdout")
 _TARGET: Final = 0.05  # seconds
-#: Seconds, longer than any measurement, so that the arm's own limit has no effect.
-_LONG: Final = 10.0
-#: Maximum age of an image in seconds, in a deployment that is killed.
-MAX_AGE: Final = 0.2
+_LONG: Final = 10.0  # seconds, longer than any measurement, so that the arm's own limit has no effect
+MAX_AGE: Final = 0.2  # seconds, of an image in a deployment that is killed
 _START: Final = 60.0
 
 
 class DrawnRope(Source):
-    """A 60 Hz camera in front of a blue rope.
-
-    Attributes:
-        dark: Whether images are black.
-        frozen: Whether frames have stopped.
-    """
+    """A 60 Hz camera in front of a blue rope; images may be ``dark``, or ``frozen``: no frame arrives."""
 
     kind, name, live, has_depth = "drawn", "drawn rope", True, True
 
@@ -138,15 +130,9 @@ class Push:
 
 
 def run_cell(port: int, state: State, max_age: float, folder: str, parent: Connection, output: Connection) -> None:
-    """Deploy until something ends it; the target of a child process.
+    """Deploy in a child process, from a state on which ``parent`` receives ``"ready"``, until something ends it.
 
-    Args:
-        port: Port of the arm.
-        state: The state to reach.
-        max_age: Limit of an image's age in seconds.
-        folder: Folder for the log.
-        parent: Receives ``"ready"`` in that state; any answer makes the controller raise.
-        output: Replaces stdout, where a line is printed at each step.
+    Any answer of ``parent`` makes the controller raise. ``output`` replaces stdout, where each step prints a line.
     """
     import gymnasium as gym
 
@@ -157,11 +143,9 @@ def run_cell(port: int, state: State, max_age: float, folder: str, parent: Conne
     arm, camera, fail = Arm(port), DrawnRope(), threading.Event()
 
     def listen() -> None:
-        try:
+        with suppress(EOFError):  # the measuring process has ended
             parent.recv()
             fail.set()
-        except EOFError:
-            return  # the measuring process has ended
 
     def on_step(moment: Any) -> None:
         try:
@@ -171,20 +155,10 @@ def run_cell(port: int, state: State, max_age: float, folder: str, parent: Conne
             raise
 
     threading.Thread(target=listen, daemon=True).start()
-    env = gym.make(
-        "shape_obs_envs:ShapeObs/D455-v0",
-        source=camera,
-        robot=arm,
-        rate=30.0,
-        size=[_WIDTH, _HEIGHT],
-        timeout=_BLOCKED,
-        disable_env_checker=True,
-    )
-    env = ShapeObservation(
-        env,
-        shapes=[{"kind": "centerline", "n": 10}],
-        segmentation={"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]},
-    )
+    options: dict[str, Any] = {"size": [_WIDTH, _HEIGHT], "timeout": _BLOCKED, "disable_env_checker": True}
+    env = gym.make("shape_obs_envs:ShapeObs/D455-v0", source=camera, robot=arm, rate=30.0, **options)
+    hsv = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
+    env = ShapeObservation(env, shapes=[{"kind": "centerline", "n": 10}], segmentation=hsv)
     log = (SlowLog if state == "log" else RunLog)(Path(folder) / "run", {})
     controller = Push(state, arm, camera, lambda: parent.send("ready"), fail)
     try:
@@ -196,16 +170,7 @@ def run_cell(port: int, state: State, max_age: float, folder: str, parent: Conne
 
 
 class Stopped(NamedTuple):
-    """How a run ended.
-
-    Attributes:
-        fault: The fault.
-        state: The state of the deployment.
-        seconds: Time from the fault until the arm stood still; 0 if it did not move.
-        moved_again: Whether a motion began after that.
-        code: The exit code.
-        report: Whether the log has a report.
-    """
+    """How a run ended: the seconds until the arm stood still, whether it moved again, exit code, and report."""
 
     fault: str
     state: State
@@ -276,13 +241,10 @@ def locked(count: int) -> Iterator[Stopped]:
 def stop_table(found: Sequence[Stopped]) -> list[Row]:
     """Return a row for each fault with the longest time in each state, in milliseconds."""
     rows = []
-    for fault in dict.fromkeys(each.fault for each in found):
-        of = [each for each in found if each.fault == fault]
-        row: Row = {"fault": fault, "runs": len(of)}
-        for state in STATES:
-            times = [1e3 * each.seconds for each in of if each.state == state]
-            row[f"{state} [ms]"] = round(max(times), 1) if times else None
-        rows.append(row)
+    for fault, some in grouped(found, lambda each: each.fault).items():
+        times = {state: [1e3 * each.seconds for each in some if each.state == state] for state in STATES}
+        longest = {f"{state} [ms]": round(max(ms), 1) if ms else None for state, ms in times.items()}
+        rows.append({"fault": fault, "runs": len(some), **longest})
     return rows
 
 

@@ -1,7 +1,4 @@
-"""Play all episodes of all settings, here or in several processes, and keep them so that a run can continue.
-
-Summarise episodes: a row for each episode, for each setting, and for the camera next to the truth.
-"""
+"""Play the episodes of all settings, keep them so that a run can continue, and summarise them."""
 
 from __future__ import annotations
 

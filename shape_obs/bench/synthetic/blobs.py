@@ -1,4 +1,4 @@
-"""Drawn blobs with a known outline, garments among them: the ground truth for contours."""
+"""Draw blobs and garments with a known outline, at rest and moving."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Blob:
     """A drawn blob.
 
     Args:
-        outline: (P,2) pixels, closed, clockwise as seen; of a moving blob, point i stays the same material point.
-        mask: (H,W) uint8, 0 or 255.
+        outline: (P, 2) pixels, closed, clockwise as seen; point i of a moving blob stays the same material point.
+        mask: (H, W) uint8, 0 or 255.
         kind: How the outline was made.
-        hole: (Q,2) pixels, the outline of its hole, likewise; None without one.
-        corners: Of a garment: name -> (u, v) of the annotated keypoints that are visible.
+        hole: The outline of the hole in the same form, (Q, 2) pixels; None without a hole.
+        corners: Visible annotated keypoints of a garment: name -> (u, v).
     """
 
     outline: Array
@@ -41,7 +41,7 @@ class Blob:
 
 
 def random_blob(rng: np.random.Generator, kind: Kind = "smooth", size: tuple[int, int] = SIZE) -> Blob:
-    """A blob with rounded corners, well inside an image of ``size`` = (H, W)."""
+    """Draw a blob with rounded corners inside an image of ``size`` (H, W)."""
     for _ in range(2000):
         outline = _MAKERS[kind](rng)
         angle = rng.uniform(0, 2 * np.pi)
@@ -54,7 +54,7 @@ def random_blob(rng: np.random.Generator, kind: Kind = "smooth", size: tuple[int
 
 
 def draw_blob(outline: Array, hole: Array | None = None, *, size: tuple[int, int] = SIZE, kind: str = "given") -> Blob:
-    """Draw what lies within a closed outline of (P,2) pixels, and not within a hole: a pixel is in if its centre is."""
+    """Fill a closed outline of (P, 2) pixels, except a hole: a pixel is inside if its centre is."""
     inside = _inside(outline, size)
     if hole is not None:
         inside &= ~_inside(hole, size)
@@ -67,11 +67,11 @@ def _clockwise(outline: Array) -> Array:
 
 
 def garments(path: str | Path, size: tuple[int, int] = SIZE) -> Iterator[Blob]:
-    """Annotated garment outlines, drawn into images of ``size`` = (H, W).
+    """Draw annotated garment outlines into images of ``size`` (H, W).
 
     Args:
         path: A JSON list of ``{kind, width, height, polygon: [[u, v], ...], keypoints: {name: [u, v, hidden]}}``.
-        size: Of the image, pixels; the annotated photo is shrunk to fit.
+        size: Size of the image in pixels; the annotated photo is shrunk to fit.
     """
     for item in read_json(path, "outlines"):
         scale = min(size[1] / item["width"], size[0] / item["height"])
@@ -92,16 +92,16 @@ def moving_blob(
     hole: bool = False,
     frames: int = 180,
 ) -> Iterator[Blob]:
-    """A blob that turns, wanders and deforms; point i of its outlines is the same material point in every frame.
+    """Draw a blob that turns, wanders and deforms; point i of its outline is the same material point in every frame.
 
     Args:
         rng: Draws the shape.
         turn: Radians per frame, clockwise as seen.
         speed: Pixels per frame, along a circle about the middle of the image.
-        swell: Share by which its waves grow and shrink, each at a pace of its own, once in 60 to 120 frames.
-        bumps: Size of the waves against the radius; 0 is a circle.
-        hole: Whether it is a ring, its hole of another shape.
-        frames: How many.
+        swell: Share by which its waves grow and shrink, each with a period of 60 to 120 frames.
+        bumps: Size of the waves relative to the radius; 0 is a circle.
+        hole: Whether the blob has a hole of another shape.
+        frames: Number of frames.
     """
     middle, radius = np.array([SIZE[1], SIZE[0]]) / 2, 100.0
     waves, inner = _waves(rng, bumps), _waves(rng, bumps)
@@ -118,9 +118,9 @@ def moving_blob(
 
 
 def _inside(outline: Array, size: tuple[int, int]) -> npt.NDArray[np.bool_]:
-    """(H,W) whether the centre of each pixel lies within, by the crossings to its left.
+    """Return whether the centre of each pixel is inside, (H, W), by counting crossings to its left.
 
-    OpenCV's fillPoly draws the border too, which makes things 0.15 px larger even with supersampling.
+    OpenCV's ``fillPoly`` also fills the border, which makes objects 0.15 px larger even with supersampling.
     """
     following = np.roll(outline, -1, axis=0)
     first, last = (np.ceil(end(outline[:, 1], following[:, 1])).astype(int) for end in (np.minimum, np.maximum))
@@ -135,12 +135,12 @@ def _inside(outline: Array, size: tuple[int, int]) -> npt.NDArray[np.bool_]:
 
 
 def _waves(rng: np.random.Generator, size: float) -> Array:
-    """(3,2) amplitudes and phases of the second to the fourth wave around a circle."""
+    """Draw amplitudes and phases of the second to the fourth wave around a circle, (3, 2)."""
     return np.stack([size * rng.uniform(0.5, 1, 3) / np.array([1, 1.5, 2]), rng.uniform(0, 2 * np.pi, 3)], axis=1)
 
 
 def _radial(waves: Array) -> Array:
-    """(1440,2) a circle of radius 1 with waves."""
+    """Return a circle of radius 1 with waves, (1440, 2)."""
     radius = 1 + sum(size * np.cos((k + 2) * _ANGLES + phase) for k, (size, phase) in enumerate(waves))
     return np.asarray(radius)[:, None] * np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 
@@ -170,7 +170,7 @@ def _horseshoe(rng: np.random.Generator) -> Array:
 
 
 def _thick(line: Array, width: float) -> Array:
-    """The outline of a ribbon about (P,2), round at its ends."""
+    """Return the outline of a ribbon with round ends about a line of (P, 2)."""
     along = np.gradient(line, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     side = width / 2 * np.stack([-along[:, 1], along[:, 0]], axis=1)

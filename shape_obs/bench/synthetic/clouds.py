@@ -1,6 +1,6 @@
-"""Sampled clouds with a known shape: ropes, rings and bent sheets in space, and a rope that moves.
+"""Sample clouds with a known shape: ropes, rings, bent sheets and a moving rope.
 
-All lie about a metre before a camera in the origin (x right, y down, z forward).
+All are about a metre in front of a camera at the origin (x right, y down, z forward).
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ Side = Literal["all", "front"]
 NOISE: Final = 0.003  # metres, standard deviation in each direction
 _STEP: Final = 0.002
 _HARMONICS: Final = 3
-# Metres: strands keep this far from one another (their clouds would touch), measured between points of the curve that
-# are farther apart along it; and the tightest bend.
+# In metres: the smallest distance between strands, whose clouds must not touch; the distance along the curve beyond
+# which points belong to different strands; and the radius of the tightest bend.
 _CLEAR: Final = 0.06
 _ALONG: Final = 0.12
 _BEND: Final = 0.05
@@ -34,9 +34,9 @@ class RopeCloud:
     """A cloud of a rope.
 
     Args:
-        points: (M,3) metres, in no order.
-        curve: (P,3) metres, the axis from tip to tip; of a ring closed, the first point not repeated.
-        radius: Metres.
+        points: (M, 3) metres, unordered.
+        curve: The axis from tip to tip, (P, 3) metres; that of a ring is closed without repeating the first point.
+        radius: Radius in metres.
     """
 
     points: Array
@@ -49,11 +49,11 @@ class SheetCloud:
     """A cloud of a bent sheet.
 
     Args:
-        points: (M,3) metres, in no order.
-        size: Width and height of the sheet laid flat, metres.
-        bend: Radians by which it turns from one side to the other.
-        axis: Radians, the direction of the bend's axis in the flat sheet.
-        place: (3,4) rotation and translation of the bent sheet.
+        points: (M, 3) metres, unordered.
+        size: Width and height of the flat sheet in metres.
+        bend: Turn from one side to the other in radians.
+        axis: Direction of the bend's axis in the flat sheet in radians.
+        place: Rotation and translation of the bent sheet, (3, 4).
     """
 
     points: Array
@@ -63,11 +63,11 @@ class SheetCloud:
     place: Array
 
     def at(self, share: Array) -> Array:
-        """(N,2) shares 0...1 of width (left to right) and height (top to bottom) -> (N,3) metres."""
+        """Return points at shares of width (left to right) and height (top to bottom): (N, 2) -> (N, 3) metres."""
         return _bent(share, self.size, self.bend, self.axis) @ self.place[:, :3].T + self.place[:, 3]
 
     def lattice(self, rows: int, cols: int) -> Array:
-        """(rows*cols,3) metres, row by row from the top left, the border included."""
+        """Return a lattice up to the border, (rows*cols, 3) metres, row by row from the top left."""
         v, u = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, cols), indexing="ij")
         return self.at(np.stack([u.ravel(), v.ravel()], axis=1))
 
@@ -75,7 +75,7 @@ class SheetCloud:
 def rope_cloud(
     rng: np.random.Generator, *, count: int = 6000, noise: float = NOISE, holes: int = 3, side: Side = "all"
 ) -> RopeCloud:
-    """A rope of 0.4 to 1.2 m and 4 to 8 mm radius, seen all round or from the origin, with holes and speckle."""
+    """Sample a rope of 0.4 to 1.2 m and 4 to 8 mm radius from all sides or from the origin, with holes and speckle."""
     radius = float(rng.uniform(0.004, 0.008))
     for _ in range(_TRIES):
         curve = _place(_heading_curve(rng.uniform(0.4, 1.2), _amplitudes(rng)), rng)
@@ -87,7 +87,7 @@ def rope_cloud(
 def ring_cloud(
     rng: np.random.Generator, *, count: int = 6000, noise: float = NOISE, holes: int = 0, side: Side = "all"
 ) -> RopeCloud:
-    """A closed rope, 0.09 to 0.2 m in radius, bent out of its plane."""
+    """Sample a closed rope of 0.09 to 0.2 m radius, bent out of its plane."""
     radius = float(rng.uniform(0.004, 0.008))
     phase = np.arange(0, 2 * np.pi, 0.005)
     swing = sum(rng.normal(0, 0.12 / k) * np.cos(k * phase + rng.uniform(0, 2 * np.pi)) for k in (2, 3))
@@ -99,7 +99,7 @@ def ring_cloud(
 
 
 def sheet_cloud(rng: np.random.Generator, *, count: int = 6000, noise: float = NOISE, bend: float = 1.2) -> SheetCloud:
-    """A sheet of 0.2 to 0.4 m, bent by at most ``bend`` radians about an axis in it, its front towards the camera."""
+    """Sample a sheet of 0.2 to 0.4 m, bent by at most ``bend`` radians, with its front towards the camera."""
     size = (float(rng.uniform(0.3, 0.4)), float(rng.uniform(0.2, 0.28)))
     turn = _rotation(rng.uniform(-np.pi / 5, np.pi / 5, 3) * (1, 1, 0.3))
     place = np.column_stack([turn, rng.uniform(-0.1, 0.1, 3) + (0, 0, 0.9)])
@@ -111,7 +111,7 @@ def sheet_cloud(rng: np.random.Generator, *, count: int = 6000, noise: float = N
 def moving_rope_cloud(
     rng: np.random.Generator, speed: float, frames: int = 180, *, count: int = 6000, side: Side = "all", holes: int = 2
 ) -> Iterator[RopeCloud]:
-    """A rope of 0.7 m that turns, bends and wanders; its fastest point moves about ``speed`` metres a frame."""
+    """Sample a rope of 0.7 m that turns, bends and wanders; its fastest point moves ``speed`` metres per frame."""
     base, swing = _amplitudes(rng), _amplitudes(rng)
     rates, turn = rng.uniform(0.4, 1.0, swing.shape), rng.uniform(-0.3, 0.3, 3)
     start, phases = rng.uniform(0, 2 * np.pi, 3), rng.uniform(0, 2 * np.pi, 3)
@@ -131,12 +131,12 @@ def moving_rope_cloud(
 
 
 def _amplitudes(rng: np.random.Generator) -> Array:
-    """(2, harmonics, 2): of yaw and pitch, cosine and sine."""
+    """Draw amplitudes of yaw and pitch, (2, harmonics, 2): cosine and sine."""
     return rng.normal(0, 1, (2, _HARMONICS, 2)) * 0.9 / np.arange(1, _HARMONICS + 1)[None, :, None]
 
 
 def _heading_curve(length: float, amplitudes: Array) -> Array:
-    """A curve whose heading swings along it: (P,3) metres at even steps."""
+    """Return a curve whose heading swings along it, (P, 3) metres at even steps."""
     count = max(round(length / _STEP), 2)
     along = np.linspace(0, 1, count)
     order = np.pi * np.arange(1, _HARMONICS + 1)[:, None] * along
@@ -148,7 +148,7 @@ def _heading_curve(length: float, amplitudes: Array) -> Array:
 
 
 def _is_clear(curve: Array) -> bool:
-    """Whether strands keep away from each other and bends are no tighter than ropes bend."""
+    """Return whether strands keep their distance and no bend is too tight."""
     pairs = KDTree(curve).query_pairs(_CLEAR, output_type="ndarray")
     if np.any((pairs[:, 1] - pairs[:, 0]) * _STEP > _ALONG):
         return False
@@ -157,14 +157,14 @@ def _is_clear(curve: Array) -> bool:
 
 
 def _place(curve: Array, rng: np.random.Generator, turn: float = np.pi) -> Array:
-    """Turned at random, about a metre before the camera."""
+    """Turn a curve at random and move it about a metre in front of the camera."""
     return (
         (curve - curve.mean(axis=0)) @ _rotation(rng.uniform(-turn, turn, 3)).T + rng.uniform(-0.1, 0.1, 3) + (0, 0, 1)
     )
 
 
 def _rotation(angles: Array) -> Array:
-    """Turns about x, y, z, radians."""
+    """Return the rotation by angles about x, y and z, in radians."""
     (a, b, c), (d, e, f) = np.cos(angles), np.sin(angles)
     about_x = np.array([[1, 0, 0], [0, a, -d], [0, d, a]])
     about_y = np.array([[b, 0, e], [0, 1, 0], [-e, 0, b]])
@@ -173,7 +173,7 @@ def _rotation(angles: Array) -> Array:
 
 
 def _tube(rng: np.random.Generator, curve: Array, radius: float, count: int, noise: float, side: Side) -> Array:
-    """Points on a tube's surface: all around, or the half that the origin sees, spread evenly as it sees them."""
+    """Sample a tube's surface: all of it, or the half that is visible from the origin, evenly in the image."""
     fine = resample(curve, _STEP / 4)
     at = rng.integers(len(fine), size=count)
     tangent = np.gradient(fine, axis=0)[at]
@@ -192,7 +192,7 @@ def _tube(rng: np.random.Generator, curve: Array, radius: float, count: int, noi
 
 
 def _without(rng: np.random.Generator, points: Array, curve: Array, holes: int) -> Array:
-    """The points but for stretches of 1 to 5 cm, which leave 4 cm at the tips, and 20 specks of 4 to 8 mm radius."""
+    """Remove stretches of 1 to 5 cm, at least 4 cm from the tips, and 20 specks of 4 to 8 mm radius."""
     fine = resample(curve, _STEP)
     arc = KDTree(fine).query(points)[1] * _STEP
     length = len(fine) * _STEP
@@ -208,7 +208,7 @@ def _without(rng: np.random.Generator, points: Array, curve: Array, holes: int) 
 
 
 def _bent(share: Array, size: tuple[float, float], bend: float, axis: float) -> Array:
-    """A flat sheet rolled about a cylinder whose axis lies in it: (N,3) metres, isometric."""
+    """Roll a flat sheet about a cylinder whose axis lies in it, isometrically: (N, 3) metres."""
     flat = (share - 0.5) * size
     direction = np.array([np.cos(axis), np.sin(axis)])
     normal = np.array([-direction[1], direction[0]])

@@ -1,8 +1,7 @@
-"""Disturb drawn objects: salt and pepper, ragged edges, uneven light, image noise, and a hand over a moving rope.
+"""Draw images of ropes and sheets: disturbed masks, photos in uneven light, a hand over a rope, and depth at a slant.
 
-Simulated depth images of drawn ropes and of sheets on a plane that leans away: noise, holes, flying pixels, a table.
-
-The table lies a centimetre behind; at the object's border, pixels mix both depths or fly off behind.
+The depth images have noise, holes and flying pixels: at the object's border, pixels mix the depths of the object and of
+the table behind it, or lie farther behind.
 """
 
 from __future__ import annotations
@@ -32,10 +31,10 @@ _AWAY: Final = 0.2  # share of the frames before the hand arrives, and after it 
 CAMERA: Final = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 _LEAN: Final = (np.radians(30), np.radians(45))
 _DEPTH_NOISE: Final = 0.0015  # metres
-_BEHIND: Final = 0.012  # metres behind the object
-_FLYING: Final = 0.10  # metres behind it, at most
-_SPECKLE: Final = 0.10  # of the pixels have no depth,
-_HOLES: Final = (6, 9)  # and so many squares of so many pixels on the object have none
+_BEHIND: Final = 0.012  # distance of the table behind the object in metres
+_FLYING: Final = 0.10  # largest distance of flying pixels behind it in metres
+_SPECKLE: Final = 0.10  # share of single pixels without depth
+_HOLES: Final = (6, 9)  # number and side of squares on the object without depth
 _SUPERSAMPLING: Final = 4
 
 
@@ -120,9 +119,9 @@ class TiltedRope:
     """A rope seen at a slant.
 
     Args:
-        mask: (480,640) uint8.
-        depth: (480,640) metres, 0 where there is none.
-        curve: (P,3) metres, camera frame.
+        mask: (480, 640) uint8.
+        depth: (480, 640) metres, 0 = invalid.
+        curve: (P, 3) metres, camera frame.
         hairpin: Whether a bend is narrower than a gap of 20 points, so that equal chords leave the rope.
     """
 
@@ -137,9 +136,9 @@ class TiltedSheet:
     """A sheet of 0.36 x 0.24 m seen at a slant.
 
     Args:
-        mask: (480,640) uint8.
-        depth: (480,640) metres, 0 where there is none.
-        corners: (4,3) metres, camera frame: top left, top right, bottom right, bottom left.
+        mask: (480, 640) uint8.
+        depth: (480, 640) metres, 0 = invalid.
+        corners: (4, 3) metres, camera frame: top left, top right, bottom right, bottom left.
     """
 
     mask: Mask
@@ -147,7 +146,7 @@ class TiltedSheet:
     corners: Array
 
     def lattice(self, rows: int, cols: int) -> Array:
-        """(rows*cols,3) metres, row by row from the top left, the border included."""
+        """Return a lattice up to the border, (rows*cols, 3) metres, row by row from the top left."""
         v, u = (
             share[..., None] for share in np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, cols), indexing="ij")
         )
@@ -155,14 +154,14 @@ class TiltedSheet:
         return (first + u * (right - first) + v * (down - first)).reshape(-1, 3)
 
     def border(self, count: int = 2000) -> Array:
-        """(count,3) metres, around the sheet."""
+        """Return points around the sheet, (count, 3) metres."""
         at = np.linspace(0, 4, count, endpoint=False)
         closed = np.concatenate([self.corners, self.corners[:1]])
         return np.stack([np.interp(at, np.arange(5), closed[:, d]) for d in range(3)], axis=1)
 
 
 def tilted_rope(rng: np.random.Generator, kind: Kind = "smooth") -> TiltedRope:
-    """A drawn rope on a plane that leans 30 to 45 degrees."""
+    """Draw a rope on a plane that leans by 30 to 45 degrees."""
     rope = random_rope(rng, kind)
     normal, point = _plane(rng, 0.9)
     rays = CAMERA.rays(rope.curve)
@@ -171,7 +170,7 @@ def tilted_rope(rng: np.random.Generator, kind: Kind = "smooth") -> TiltedRope:
 
 
 def tilted_sheet(rng: np.random.Generator) -> TiltedSheet:
-    """A flat sheet on a plane that leans 30 to 45 degrees, turned by at most 20 degrees in it."""
+    """Draw a flat sheet on a plane that leans by 30 to 45 degrees, turned by at most 20 degrees in the plane."""
     normal, point = _plane(rng, 0.8)
     right = np.array([1.0, 0, 0]) - normal * normal[0]
     right /= np.linalg.norm(right)
@@ -187,13 +186,14 @@ def tilted_sheet(rng: np.random.Generator) -> TiltedSheet:
 
 
 def _plane(rng: np.random.Generator, distance: float) -> tuple[Array, Array]:
-    """Normal and a point of a plane that leans in a random direction."""
+    """Return the normal and a point of a plane that leans in a random direction."""
     lean, towards = rng.uniform(*_LEAN), rng.uniform(0, 2 * np.pi)
     normal = np.array([np.sin(lean) * np.cos(towards), np.sin(lean) * np.sin(towards), np.cos(lean)])
     return normal, np.array([0.0, 0.0, distance])
 
 
 def _depth(rng: np.random.Generator, mask: Mask, normal: Array, point: Array) -> Array:
+    """Return the depth image of an object in a plane, with all faults."""
     v, u = np.mgrid[: mask.shape[0], : mask.shape[1]]
     plane = (point @ normal) / (CAMERA.rays(np.stack([u, v], axis=-1)) @ normal)
     depth = np.where(mask > 0, plane, plane + _BEHIND) + rng.normal(0, _DEPTH_NOISE, plane.shape)

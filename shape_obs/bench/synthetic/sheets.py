@@ -1,7 +1,6 @@
-"""Drawn cloths with every material point's place known: the ground truth of surfaces, at rest and moving.
+"""Draw cloths whose every material point is known, at rest and moving.
 
-Nothing here is made the way the library finds it: a regular lattice is bent by smooth fields and put under a
-projection; no Coons patch is involved.
+The cloths are independent of the library's method: smooth fields bend a regular lattice, without a Coons patch.
 """
 
 from __future__ import annotations
@@ -25,12 +24,12 @@ SIZE: Final = (480, 640)
 _FINE: Final = 65  # points along each side of the known lattice
 _SUPERSAMPLING: Final = 4
 _MARGIN: Final = 12.0
-_MOVING: Final = 0.8  # of the size at rest, so that there is room to move
-# Cloth bends and shears in the image plane and hardly stretches: sides bend by up to so much of the short side (one
-# standard deviation), while points slide along their own side by a fifth of it.
+_MOVING: Final = 0.8  # size of a moving cloth relative to one at rest, so that there is room to move
+# Cloth bends and shears in the image plane and hardly stretches: the standard deviation by which sides bend, as a share
+# of the short side; points slide along their side by a fifth of it.
 _BEND: Final = 0.035
 _SLIDE: Final = 0.2
-_CORNER_TURN: Final = 55.0  # degrees by which the outline turns at the least of the four corners
+_CORNER_TURN: Final = 55.0  # smallest turn of the outline at a corner in degrees
 
 
 @dataclass(frozen=True)
@@ -38,23 +37,23 @@ class Sheet:
     """A drawn cloth.
 
     Args:
-        points: (65,65,2) pixels, the material lattice: rows from top to bottom, columns from left to right in the
-            cloth's own frame, the border included.
-        mask: (H,W) uint8, 0 or 255.
+        points: The material lattice up to the border, (65, 65, 2) pixels: rows from top to bottom, columns from left to
+            right in the cloth's frame.
+        mask: (H, W) uint8, 0 or 255.
     """
 
     points: Array
     mask: Mask
 
     def lattice(self, rows: int, cols: int, ends: Ends) -> Array:
-        """(rows, cols, D) where the points of a lattice belong, in the cloth's own frame."""
+        """Return the true positions of a lattice's points in the cloth's frame, (rows, cols, D)."""
         patch = Patch(self.points.reshape(_FINE * _FINE, -1), np.zeros(_FINE * _FINE, bool), _FINE)
         v, u = (places(count, ends) * (_FINE - 1) for count in (rows, cols))
         return patch.at(v, u).reshape(rows, cols, -1)
 
 
 def places(count: int, ends: Ends) -> Array:
-    """(count,) 0...1, the centres of equal pieces, or from border to border."""
+    """Return positions from 0 to 1, (count,): the centres of equal pieces, or from border to border."""
     return np.linspace(0, 1, count) if ends == "tips" else (np.arange(count) + 0.5) / count
 
 
@@ -67,15 +66,15 @@ def random_sheet(
     bend: float = _BEND,
     size: tuple[int, int] = SIZE,
 ) -> Sheet:
-    """A cloth with bent sides and corners that are no right angles, well inside an image of ``size`` = (H, W).
+    """Draw a cloth with bent sides and corners that are not right angles, inside an image of ``size`` (H, W).
 
     Args:
         rng: Draws the deformation.
-        aspect: Width over height in the cloth's own frame.
-        degrees: By which it is turned, clockwise as seen.
+        aspect: Width over height in the cloth's frame.
+        degrees: Rotation, clockwise as seen.
         tilt: Perspective: how much nearer the near edge is than the far one, as a share.
         bend: Standard deviation of each bending mode, in short sides.
-        size: Of the image.
+        size: Size of the image.
     """
     for _ in range(200):
         flat = regular(aspect)
@@ -87,7 +86,7 @@ def random_sheet(
 
 
 def turning_sheet(rng: np.random.Generator, aspect: float, step: float = 1.0) -> Iterator[Sheet]:
-    """A bent cloth that turns on the spot, once around, ``step`` degrees a frame."""
+    """Draw a bent cloth that turns once around on the spot by ``step`` degrees per frame."""
     points = random_sheet(rng, aspect, 0.0).points
     points = points - points.mean(axis=(0, 1))
     reach = np.linalg.norm(points, axis=-1).max()
@@ -97,7 +96,7 @@ def turning_sheet(rng: np.random.Generator, aspect: float, step: float = 1.0) ->
 
 
 def moving_sheet(rng: np.random.Generator, speed: float, frames: int = 180, *, aspect: float = 1.5) -> Iterator[Sheet]:
-    """A cloth that wanders through the image, turns and bends; its fastest point moves ``speed`` pixels a frame."""
+    """Draw a cloth that wanders, turns and bends; its fastest point moves ``speed`` pixels per frame."""
     flat = regular(aspect) * _MOVING
     while True:
         field, turn = _field(rng, flat, _BEND), rng.uniform(0.15, 0.4) * rng.choice([-1, 1])
@@ -118,7 +117,7 @@ def moving_sheet(rng: np.random.Generator, speed: float, frames: int = 180, *, a
 
 
 def draw_sheet(points: Array, size: tuple[int, int] = SIZE) -> Sheet:
-    """Draw the cloth with this (65,65,2) lattice, pixels."""
+    """Draw the cloth with a given lattice, (65, 65, 2) pixels."""
     scale = _SUPERSAMPLING
     border = np.concatenate([points[0, :-1], points[:-1, -1], points[-1, :0:-1], points[:0:-1, 0]])
     low = np.clip(np.floor(border.min(axis=0)).astype(int) - 1, 0, (size[1] - 1, size[0] - 1))
@@ -134,26 +133,26 @@ def draw_sheet(points: Array, size: tuple[int, int] = SIZE) -> Sheet:
 
 
 def noisy(mask: Mask, rng: np.random.Generator, sigma: float = 0.15) -> Mask:
-    """The mask as a threshold would cut it from a soft, noisy image; only the border suffers."""
+    """Return the mask that a threshold cuts from a blurred, noisy image; only the border changes."""
     soft = cv2.GaussianBlur(mask, (0, 0), 1.2) / 255.0
     return np.where(soft + rng.normal(0, sigma, mask.shape) > 0.5, np.uint8(255), np.uint8(0))
 
 
 def regular(aspect: float) -> Array:
-    """(65,65,2) pixels, a flat cloth about the origin whose diagonal fits an image at any angle."""
+    """Return a flat cloth about the origin whose diagonal fits an image at any angle, (65, 65, 2) pixels."""
     width = 330.0 * aspect / np.hypot(1.0, aspect)
     across, down = np.linspace(-0.5, 0.5, _FINE) * width, np.linspace(-0.5, 0.5, _FINE) * width / aspect
     return np.stack(np.meshgrid(across, down), axis=-1)
 
 
 def rotation(degrees: float) -> Array:
-    """(2,2) clockwise as seen, since v points down."""
+    """Return a rotation that is clockwise as seen, since v points down, (2, 2)."""
     angle = np.radians(degrees)
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
 def is_cloth(points: Array) -> bool:
-    """Whether a lattice folds nowhere and keeps its four corners."""
+    """Return whether a lattice has no folds and four corners."""
     right, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
     area = right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]
     lengths = np.linalg.norm(right, axis=-1) * np.linalg.norm(down, axis=-1)
@@ -162,7 +161,7 @@ def is_cloth(points: Array) -> bool:
 
 
 def _field(rng: np.random.Generator, flat: Array, bend: float) -> Callable[[float], Array]:
-    """A smooth field of displacements that swings with time: time -> (65,65,2) pixels."""
+    """Return a smooth displacement field that swings with time: time -> (65, 65, 2) pixels."""
     width, height = np.ptp(flat[..., 0]), np.ptp(flat[..., 1])
     u, v = flat[..., 0] / width + 0.5, flat[..., 1] / height + 0.5
     modes = []
@@ -170,7 +169,7 @@ def _field(rng: np.random.Generator, flat: Array, bend: float) -> Callable[[floa
         for down in range(4):
             if 1 <= across + down <= 3:
                 wave = np.cos(np.pi * across * u) * np.cos(np.pi * down * v)
-                # Displacing along a direction in which the wave runs would stretch the cloth.
+                # A displacement along the direction of the wave would stretch the cloth.
                 shares = np.array([1.0 if across == 0 else _SLIDE, 1.0 if down == 0 else _SLIDE])
                 amplitude = rng.normal(0, bend, 2) * shares * min(width, height) / (across + down)
                 modes.append((wave[..., None] * amplitude, rng.uniform(0, 2 * np.pi), rng.uniform(0.3, 0.9)))
@@ -182,21 +181,21 @@ def _field(rng: np.random.Generator, flat: Array, bend: float) -> Callable[[floa
 
 
 def _projected(points: Array, tilt: float, direction: float) -> Array:
-    """Seen under a tilt towards ``direction``, radians."""
+    """Project points that are tilted towards ``direction``, in radians."""
     along = points @ np.array([np.cos(direction), np.sin(direction)])
     depth = 1 - tilt * along / np.ptp(along)
     return points / depth[..., None]
 
 
 def _fitted(points: Array, size: tuple[int, int], rng: np.random.Generator) -> Array:
-    """Moved to a random place inside the image."""
+    """Move points to a random position inside the image."""
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
     room = np.array([size[1], size[0]]) - 2 * _MARGIN - (high - low)
     return points - low + _MARGIN + np.maximum(room, 0) * rng.uniform(size=2)
 
 
 def _after(at: Callable[[float], Array], time: float, speed: float) -> float:
-    """The next time at which some point has moved ``speed`` pixels."""
+    """Return the next time at which some point has moved ``speed`` pixels."""
     before = at(time)
 
     def beyond(step: float) -> float:

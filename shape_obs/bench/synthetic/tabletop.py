@@ -1,6 +1,6 @@
-"""Images of a table with four markers, as a camera like the D455 sees them: true poses, blur, noise, uneven light.
+"""Draw a table with four markers, with known pose, blur, noise and uneven light; and a table with blocks.
 
-Blocks on a table, seen by any camera: an analytic scene in which the place of every edge is known.
+The blocks are an analytic scene for any camera, in which the position of every edge is known.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ CAMERA: Final = Intrinsics(640, 480, 386.0, 386.0, 321.3, 244.6)
 LAYOUT: Final = MarkerLayout.rectangle(marker=0.06, width=0.6, height=0.42)
 DISTANCE: Final = (0.65, 0.9)  # metres from the camera to the middle of the rectangle
 TILT: Final = 35.0  # degrees, at most
-_RASTER: Final = 2000  # pixels a metre, of the drawn table
+_RASTER: Final = 2000  # pixels per metre of the drawn table
 _MARGIN: Final = 0.35  # metres of table around the markers
-_FINER: Final = 4  # each pixel is the mean of so many squared
-_BLUR: Final = 0.6  # pixels, of the lens
+_FINER: Final = 4  # supersampling in each direction
+_BLUR: Final = 0.6  # blur of the lens in pixels
 _NOISE: Final = 3.0  # gray levels
 TABLE: Final = (200, 195, 185)
 TOP: Final = (30, 60, 200)
@@ -35,13 +35,13 @@ _THICK, _INSET = 0.001, 0.01  # metres
 
 @dataclass(frozen=True, eq=False)
 class MarkerScene:
-    """A table with markers, seen by a camera.
+    """A table with markers in front of a camera.
 
     Args:
-        rgb: (480,640,3) uint8.
-        transform: (4,4) metres: p_camera = T p_table.
-        intrinsics: Of the camera.
-        layout: Where the markers lie on the table.
+        rgb: (480, 640, 3) uint8.
+        transform: (4, 4), metres: p_camera = T p_table.
+        intrinsics: Intrinsics of the camera.
+        layout: Positions of the markers on the table.
     """
 
     rgb: Image
@@ -50,34 +50,34 @@ class MarkerScene:
     layout: MarkerLayout
 
     def to_camera(self, points: Array) -> Array:
-        """(..., 2) metres on the table -> (..., 3) metres, camera frame."""
+        """Convert (..., 2) metres on the table to (..., 3) metres, camera frame."""
         return points @ self.transform[:3, :2].T + self.transform[:3, 3]
 
     def to_pixels(self, points: Array) -> Array:
-        """(..., 2) metres on the table -> (..., 2) pixels."""
+        """Convert (..., 2) metres on the table to (..., 2) pixels."""
         return self.intrinsics.project(self.to_camera(points))
 
     def grid(self, steps: int = 12) -> Array:
-        """(steps*steps, 2) metres: places all over the rectangle."""
+        """Return positions all over the rectangle, (steps*steps, 2) metres."""
         low, high = self.layout.box
         axes = [np.linspace(a, b, steps) for a, b in zip(low, high, strict=True)]
         return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
 
     def depth(self, rng: np.random.Generator) -> Array:
-        """(480,640) metres, with a D455's noise."""
+        """Return a depth image with the noise of a D455, (480, 640) metres."""
         rows, columns = np.mgrid[: self.intrinsics.height, : self.intrinsics.width]
         rays = self.intrinsics.rays(np.stack([columns, rows], axis=-1))
         normal = self.transform[:3, 2]
         depth = (normal @ self.transform[:3, 3]) / (rays @ normal)
-        sigma = depth**2 * 0.08 / (self.intrinsics.fx * 0.095)  # a disparity error of 0.08 px at a base line of 95 mm
-        noise = cv2.GaussianBlur(rng.normal(size=depth.shape), (0, 0), 1.0)  # stereo matching ties neighbours together
+        sigma = depth**2 * 0.08 / (self.intrinsics.fx * 0.095)  # disparity error 0.08 px, baseline 95 mm
+        noise = cv2.GaussianBlur(rng.normal(size=depth.shape), (0, 0), 1.0)  # stereo matching correlates neighbours
         return depth + sigma * noise / noise.std()
 
 
 def marker_scene(
     seed: int, hidden: tuple[int, ...] = (), layout: MarkerLayout = LAYOUT, intrinsics: Intrinsics = CAMERA
 ) -> MarkerScene:
-    """Draw a scene: distance, tilt, turn, light and noise are the seed's."""
+    """Draw a scene whose distance, tilt, turn, light and noise depend on the seed."""
     rng = np.random.default_rng(seed)
     transform = random_pose(rng, np.mean(layout.box, axis=0), DISTANCE, TILT)
     table, origin = _table(layout, hidden, rng)
@@ -87,7 +87,7 @@ def marker_scene(
 def random_pose(
     rng: np.random.Generator, middle: Array, distance: tuple[float, float], tilt: float, aside: float = 0.03
 ) -> Array:
-    """(4,4) p_camera = T p_table, of a table whose ``middle`` is looked at from so far, and so tilted at most."""
+    """Draw a pose p_camera = T p_table, (4, 4), of a table by the distance of its ``middle`` and the largest tilt."""
     lean, towards, turn = np.radians(rng.uniform(0, tilt)), rng.uniform(0, 2 * np.pi), rng.uniform(-0.4, 0.4)
     axis = lean * np.array([np.cos(towards), np.sin(towards), 0])
     rotation = cv2.Rodrigues(axis)[0] @ cv2.Rodrigues(np.array([0, 0, turn]))[0]
@@ -101,7 +101,7 @@ def random_pose(
 def photograph(
     table: Image, origin: Array, raster: float, transform: Array, intrinsics: Intrinsics, rng: np.random.Generator
 ) -> Image:
-    """(H,W,3) what the camera sees of a drawn (h,w) table whose upper left corner lies at ``origin``, metres."""
+    """Return the camera's image, (H, W, 3), of a drawn (h, w) table whose upper left corner is at ``origin``."""
     to_metres = np.array(
         [[1 / raster, 0, origin[0] + 0.5 / raster], [0, 1 / raster, origin[1] + 0.5 / raster], [0, 0, 1]]
     )
@@ -119,7 +119,7 @@ def photograph(
 
 
 def _table(layout: MarkerLayout, hidden: tuple[int, ...], rng: np.random.Generator) -> tuple[Image, Array]:
-    """A speckled table with the markers on white paper, and where its upper left corner lies, metres."""
+    """Draw a speckled table with the markers on white paper; return it and its upper left corner in metres."""
     low, high = np.array(layout.box[0]) - _MARGIN, np.array(layout.box[1]) + _MARGIN
     width, height = np.ceil((high - low) * _RASTER).astype(int)
     coarse = rng.normal(165, 12, (height // 40, width // 40))
@@ -146,15 +146,15 @@ def _table(layout: MarkerLayout, hidden: tuple[int, ...], rng: np.random.Generat
 
 @dataclass(frozen=True)
 class Block:
-    """A thin lid on a foot that is smaller all around, on the table, z = 0.
+    """A thin lid on a foot that is smaller on all sides, on the table at z = 0.
 
-    From above the upper half of its height shows nothing but the lid, so that each edge of the lid is a jump in depth
-    and its place is the same for every camera.
+    From above, the upper half of its height shows only the lid, so that each edge of the lid is a jump in depth at the
+    same position for every camera.
 
     Args:
-        centre: (x, y) of its footprint [m], base frame.
-        size: The lid's edges along its own x and y, and its height [m].
-        yaw: Turn about the vertical [rad].
+        centre: (x, y) of its footprint in metres, base frame.
+        size: The lid's edges along its x and y, and its height, in metres.
+        yaw: Rotation about the vertical in radians.
     """
 
     centre: tuple[float, float]
@@ -163,11 +163,11 @@ class Block:
 
     @property
     def top_centre(self) -> Array:
-        """(3,) the middle of the lid [m], base frame."""
+        """The middle of the lid, (3,) metres, base frame."""
         return np.array([*self.centre, self.size[2]])
 
     def top_outline(self, n: int = 20) -> Array:
-        """(4 n, 3) points along the edges of the lid [m], base frame: n a side, since lenses bend edges."""
+        """Return n points on each edge of the lid, (4 n, 3) metres, base frame; lenses bend edges."""
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2 * self.size[:2] @ self.rotation.T + self.centre
         share = np.arange(n)[:, None] / n
         edges = [a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
@@ -175,13 +175,13 @@ class Block:
 
     @property
     def rotation(self) -> Array:
-        """(2,2) block -> base."""
+        """Rotation from block to base, (2, 2)."""
         cos, sin = np.cos(self.yaw), np.sin(self.yaw)
         return np.array([[cos, -sin], [sin, cos]])
 
 
 def rows_of_blocks(rng: np.random.Generator, height: float = 0.03) -> list[Block]:
-    """Twelve blocks of 45 mm to 60 mm, turned any way, in three rows that fill a D455's picture at 0.62 m."""
+    """Draw twelve blocks of 45 to 60 mm at any angle, in three rows that fill the image of a D455 at 0.62 m."""
     return [
         Block((x, y), (rng.uniform(0.045, 0.06), rng.uniform(0.045, 0.06), height), rng.uniform(0, np.pi))
         for y in (-0.22, 0.0, 0.22)
@@ -190,16 +190,16 @@ def rows_of_blocks(rng: np.random.Generator, height: float = 0.03) -> list[Block
 
 
 def see(blocks: list[Block], camera: CameraModel) -> tuple[npt.NDArray[np.uint8], Array]:
-    """What a camera sees, ray by ray through the middle of every raw pixel, lens distortion and all.
+    """Render blocks by a ray through the middle of every raw pixel, including lens distortion.
 
     Returns:
-        RGB (H,W,3) uint8, and depth along the optical axis (H,W) [m].
+        RGB, (H, W, 3) uint8, and depth along the optical axis, (H, W) metres.
     """
     intrinsics = camera.intrinsics
     height, width = intrinsics.size
     rays = intrinsics.rays(np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1))
     eye = camera.to_base(np.zeros(3))
-    along = camera.to_base(rays) - eye  # a ray's parameter is depth, since rays have z = 1
+    along = camera.to_base(rays) - eye  # rays have z = 1, so that their parameter is the depth
     with np.errstate(divide="ignore"):
         depth = np.where(along[..., 2] < 0, -eye[2] / along[..., 2], np.nan)
     rgb = np.empty((height, width, 3), np.uint8)
@@ -217,7 +217,7 @@ def see(blocks: list[Block], camera: CameraModel) -> tuple[npt.NDArray[np.uint8]
 
 
 def _window(block: Block, camera: CameraModel) -> tuple[slice, slice]:
-    """Rows and columns in which a block may be seen."""
+    """Return the rows and columns in which a block may be visible."""
     lid = block.top_outline()
     pixels = camera.project_from_base(np.concatenate([lid, lid * (1, 1, 0)]))
     (left, top), (right, bottom) = np.floor(pixels.min(axis=0)) - 1, np.ceil(pixels.max(axis=0)) + 2
@@ -225,7 +225,7 @@ def _window(block: Block, camera: CameraModel) -> tuple[slice, slice]:
 
 
 def _hit(block: Block, size: tuple[float, float, float], base: float, eye: Array, along: Array) -> Array:
-    """Where rays enter a box of this size over the block's place, inf where they miss: (...,) in lengths of the ray."""
+    """Return where rays enter a box at the block's position, (...,) in ray lengths; inf where they miss."""
     half = np.array(size) / 2
     start, step = eye.copy(), along.copy()
     start[:2] = (eye[:2] - block.centre) @ block.rotation

@@ -1,4 +1,4 @@
-"""Drawn ropes that are no simple ribbon: crossing themselves, cut by an occluder, strands side by side."""
+"""Draw ropes that cross themselves, are cut by an occluder, or have strands side by side."""
 
 from __future__ import annotations
 
@@ -13,40 +13,40 @@ from scipy.spatial import KDTree
 from shape_obs.bench.synthetic.ropes import SIZE, Curve, _arcs, _place, draw_rope, resample
 
 _TRIES: Final = 20000
-_GAP: Final = 3  # pixels between strands that do not touch, as in `ropes`
-# In widths: crossings keep this far from one another, and this much of the rope lies beyond the last one.
+_GAP: Final = 3  # pixels between strands that do not touch, as in ``ropes``
+# In widths: the smallest distance between crossings, and the shortest piece of rope beyond the last one.
 _APART: Final = 4.0
 _TAIL: Final = 4.0
-_BESIDE: Final = (0.85, 1.15)  # of strands that touch, in widths: from centre to centre,
-_STRETCH: Final = (2.0, 12.0)  # and for how long
+_BESIDE: Final = (0.85, 1.15)  # distance of the centres of touching strands, in widths
+_STRETCH: Final = (2.0, 12.0)  # length over which they touch, in widths
 _TIGHTEST: Final = 1.5  # the smallest bend radius, in widths
 _MIN_ANGLE: Final = np.deg2rad(25)
-# Of a cut: how much longer than the occluder is wide a hidden stretch may be; the shortest stretch seen, in widths and
-# of all that is seen (less is dropped as noise, see `find_region`); from the occluder to the next crossing, in widths.
+# Cuts: the longest hidden stretch over the occluder's width; the shortest visible stretch, in widths and as a share of
+# everything visible (``find_region`` drops less as noise); the distance from the occluder to a crossing, in widths.
 _HIDDEN: Final = 1.5
 _SEEN: Final = 3.0
 _SEEN_SHARE: Final = 0.06
 _CLEAR: Final = 2.0
-# Of the judge, in widths: how far from its strand a right curve may run, how far from it where it is hidden, and how
-# much of the tips it may miss.
+# ``is_traversed``, in widths: the largest distance of a right curve from its strand, the same where it is hidden, and
+# the length by which it may miss a tip.
 _OFF: Final = 0.5
 _OFF_HIDDEN: Final = 2.0
 _MISSED_TIP: Final = 2.0
-_TIP: Final = 1.0  # and how much of the found curve at its tips is not looked at: tips are judged by `scores`
+_TIP: Final = 1.0  # ignored length of the found curve at its tips, which ``scores`` measures
 # Steps along the truth over steps along the found curve.
 _PACE: Final = (0.1, 3.0)
 
 
 @dataclass(frozen=True)
 class Tangle:
-    """A drawn rope with a mask that is no simple ribbon.
+    """A drawn rope whose mask is not a simple ribbon.
 
     Args:
-        curve: (P,2) pixels, the centreline from tip to tip at steps of about a pixel.
-        width: Thickness, pixels.
-        mask: (H,W) uint8, 0 or 255, what is seen of it.
-        crossings: (C,2) pixels, where it crosses itself.
-        hidden: (P,) bool, the points of ``curve`` under an occluder.
+        curve: The centreline from tip to tip, (P, 2) pixels, at steps of about a pixel.
+        width: Thickness in pixels.
+        mask: The visible part, (H, W) uint8, 0 or 255.
+        crossings: Positions of the self-crossings, (C, 2) pixels.
+        hidden: The points of ``curve`` under an occluder, (P,) bool.
     """
 
     curve: Curve
@@ -57,7 +57,7 @@ class Tangle:
 
 
 class Meeting(NamedTuple):
-    """A self-crossing: arc indices of both strands, the place and the acute angle there."""
+    """A self-crossing: arc indices of both strands, the position and the acute angle."""
 
     first: int
     second: int
@@ -66,9 +66,9 @@ class Meeting(NamedTuple):
 
 
 def crossing_rope(rng: np.random.Generator, crossings: int, size: tuple[int, int] = SIZE) -> Tangle:
-    """A rope 8 to 16 px thick that crosses itself ``crossings`` times, at 25 degrees or more.
+    """Draw a rope 8 to 16 px thick that crosses itself ``crossings`` times, at 25 degrees or more.
 
-    Crossings lie at least four widths apart and from the tips along the rope; elsewhere strands do not touch.
+    Crossings are at least four widths apart, and from the tips along the rope; elsewhere strands do not touch.
     """
     for _ in range(_TRIES):
         width = float(rng.uniform(8, 16))
@@ -84,10 +84,10 @@ def crossing_rope(rng: np.random.Generator, crossings: int, size: tuple[int, int
 
 
 def cut_rope(rng: np.random.Generator, crossings: int, band: float, size: tuple[int, int] = SIZE) -> Tangle:
-    """A rope with an occluder lying across: a straight band, ``band`` pixels wide, as long as the image.
+    """Draw a rope under an occluder: a straight band, ``band`` pixels wide, as long as the image.
 
-    Every stretch under the band passes from one side of it to the other, every stretch between is long enough to be
-    seen as rope, and the band covers no crossing.
+    Every stretch under the band passes from one side to the other, every visible stretch is long enough to be
+    recognised as rope, and the band covers no crossing.
     """
     for _ in range(_TRIES):
         whole = crossing_rope(rng, crossings, size)
@@ -107,10 +107,10 @@ def cut_rope(rng: np.random.Generator, crossings: int, band: float, size: tuple[
 
 
 def touching_rope(rng: np.random.Generator, size: tuple[int, int] = SIZE) -> Tangle:
-    """A rope that runs beside itself, 0.85 to 1.15 widths from centre to centre over 2 to 12 widths, and parts again.
+    """Draw a rope with two touching strands, 0.85 to 1.15 widths from centre to centre over 2 to 12 widths.
 
-    It comes back from a bend (a keyhole) or once around (a spiral), so that the strands run against or along each
-    other.
+    The rope returns from a bend (a keyhole) or goes once around (a spiral), so that the strands run in opposite or in
+    equal directions.
     """
     for _ in range(_TRIES):
         width = float(rng.uniform(8, 16))
@@ -123,14 +123,13 @@ def touching_rope(rng: np.random.Generator, size: tuple[int, int] = SIZE) -> Tan
 
 
 def is_traversed(found: npt.ArrayLike, tangle: Tangle) -> bool:
-    """Whether a found curve runs along the rope as the rope runs, in either direction.
+    """Return whether a found curve follows the rope from tip to tip, in either direction.
 
-    Both are walked from tip to tip, neither ever backwards nor leaping; the leash must never be longer than half a
-    width, or two widths where the rope is hidden (the discrete Frechet distance of Eiter and Mannila, 1994, with a
-    bound on the pace). A loop walked the wrong way around, a strand left out or two of them swapped make it longer.
+    The discrete Frechet distance (Eiter and Mannila, 1994), with a bound on the pace, must not exceed half a width, or
+    two widths where the rope is hidden. A loop in the wrong direction, a missing strand or swapped strands exceed it.
 
     Args:
-        found: (N,2) pixels, evenly spaced.
+        found: (N, 2) pixels, evenly spaced.
         tangle: The truth.
     """
     points = np.asarray(found, dtype=np.float64)
@@ -142,7 +141,7 @@ def is_traversed(found: npt.ArrayLike, tangle: Tangle) -> bool:
 
 
 def meetings(curve: Curve) -> list[Meeting]:
-    """Where a curve with steps of about a pixel crosses itself."""
+    """Return where a curve with steps of about a pixel crosses itself."""
     stride = 4
     at = np.arange(0, len(curve), stride)
     start, end = curve[at[:-1]], curve[at[1:]]
@@ -163,19 +162,19 @@ def meetings(curve: Curve) -> list[Meeting]:
 
 
 def _leash(points: Curve, tangle: Tangle) -> float:
-    """The longest leash of the best walk along the truth; where it is hidden the leash counts a quarter."""
+    """Return the Frechet distance from the truth; distances count a quarter where the rope is hidden."""
     step = float(np.linalg.norm(np.diff(tangle.curve, axis=0), axis=1).mean())
     distance = np.linalg.norm(points[:, None] - tangle.curve[None], axis=2)
     distance[:, tangle.hidden] *= _OFF / _OFF_HIDDEN
     pace = len(tangle.curve) / max(len(points) - 1, 1)
     slow, fast = max(int(_PACE[0] * pace), 1), max(int(np.ceil(_PACE[1] * pace)), 3)
-    # A gap more than the tips may be missed by, for few points.
+    # A gap is added for curves of few points.
     free = int((_MISSED_TIP + _TIP) * tangle.width / step + pace)
     leash = np.full(len(tangle.curve), np.inf)
     leash[:free] = distance[0, :free]
     window = fast - slow + 1
     for row in distance[1:]:
-        # The best of what lies slow...fast steps behind.
+        # The smallest value ``slow`` to ``fast`` steps behind.
         padded = np.concatenate([np.full(fast, np.inf), leash])
         behind = minimum_filter1d(padded, window, mode="constant", cval=np.inf, origin=(window - 1) // 2 - window + 1)
         leash = np.maximum(behind[: len(leash)], row)
@@ -183,7 +182,7 @@ def _leash(points: Curve, tangle: Tangle) -> float:
 
 
 def _curly(rng: np.random.Generator, width: float, crossings: int) -> Curve:
-    """A heading of a few slow waves and a steady turn; more of both where more crossings are wanted."""
+    """Return a curve whose heading has slow waves and a steady turn, stronger for more crossings."""
     length = rng.uniform(300, 600) + 150 * crossings
     t = np.linspace(0, 1, int(length))
     waves = sum(rng.normal(0, 2.2 / k**0.7) * np.sin(np.pi * k * t + rng.uniform(0, 2 * np.pi)) for k in range(1, 6))
@@ -203,7 +202,7 @@ def _keyhole(rng: np.random.Generator, width: float) -> Curve:
 
 
 def _once_around(rng: np.random.Generator, width: float) -> Curve:
-    """Along a line, once around, along the line again on its outer side, and away."""
+    """Return a curve along a line, once around, and along the outer side of the line again."""
     beside, stretch = rng.uniform(*_BESIDE) * width, rng.uniform(*_STRETCH) * width
     inner, out = rng.uniform(4.5, 8) * width, rng.uniform(4, 8) * width
     part, radius = rng.uniform(0.5, 1.0, size=2), rng.uniform(2.5, 4) * width
@@ -216,7 +215,7 @@ def _once_around(rng: np.random.Generator, width: float) -> Curve:
 
 
 def _bent(curve: Curve, rng: np.random.Generator) -> Curve:
-    """The plane rolled up about a far centre: lines become arcs, distances across them stay."""
+    """Bend the plane about a far centre: lines become arcs, the distances across them stay."""
     radius = rng.uniform(400, 1500) * rng.choice([-1, 1])
     curve = curve - curve.mean(axis=0)
     angle, reach = curve[:, 0] / radius, radius - curve[:, 1]
@@ -224,7 +223,7 @@ def _bent(curve: Curve, rng: np.random.Generator) -> Curve:
 
 
 def _is_clear(curve: Curve, width: float, found: list[Meeting]) -> bool:
-    """Whether crossings lie apart and away from the tips, and strands meet nowhere else."""
+    """Return whether crossings keep their distances, and strands meet nowhere else."""
     if any(meeting.angle < _MIN_ANGLE for meeting in found):
         return False
     at = np.sort([index for meeting in found for index in (meeting.first, meeting.second)])
@@ -239,14 +238,14 @@ def _is_clear(curve: Curve, width: float, found: list[Meeting]) -> bool:
     near = near[np.abs(near[:, 1] - near[:, 0]) > np.pi / 2 * (width + _GAP) + 2]
     explained = np.zeros(len(near), bool)
     for meeting in found:
-        # Straight strands at this angle are apart by ``width + gap`` at this distance from where they cross.
+        # Straight strands at this angle are ``width + gap`` apart at this distance from their crossing.
         reach = 1.3 * (width + _GAP) / (2 * np.sin(meeting.angle / 2)) + width / 2
         explained |= (np.abs(near - (meeting.first, meeting.second)) < reach).all(axis=1)
     return bool(explained.all())
 
 
 def _is_passed(across: npt.NDArray[np.float64], hidden: npt.NDArray[np.bool_], width: float, band: float) -> bool:
-    """Whether a band, at distances ``across`` from its middle line, cuts the rope cleanly and leaves both tips."""
+    """Return whether a band, at distances ``across`` from its middle line, cuts the rope cleanly between its tips."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(int)))
     if len(edges) == 0:
         return False
