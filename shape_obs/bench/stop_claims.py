@@ -181,14 +181,10 @@ class Stopped(NamedTuple):
 
 
 def stop(arm: ArmProcess, fault: str, state: State, *, wait: float = 0.15, max_age: float = _LONG) -> Stopped:
-    """Run a deployment, cause a fault, and measure when the arm stands still.
+    """Run a deployment, cause a fault ``wait`` seconds after a state is reached, and measure when the arm stands still.
 
-    Args:
-        arm: The arm that the deployment moves.
-        fault: Name of a signal, or one of ``FAILURES``.
-        state: State of the deployment at the fault.
-        wait: Seconds between the state and the fault.
-        max_age: Maximum age of an image in seconds, after which the arm stops by itself.
+    The fault is the name of a signal, or one of ``FAILURES``. The arm stops by itself ``max_age`` seconds after the
+    exposure of the last image.
     """
     arm.tell("clear")
     with tempfile.TemporaryDirectory() as folder, _running(arm, state, max_age, folder) as (child, fail, close):

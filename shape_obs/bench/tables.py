@@ -1,4 +1,7 @@
-"""Rows of results, rows that compare a result with its target, and the one printer of tables."""
+"""Rows of results, rows that compare a result with its target, and the printer of all tables.
+
+NumPy is imported in functions, so that commands print their help quickly.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,6 @@ import csv
 import io
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
-
-import numpy as np
 
 K = TypeVar("K", bound=Hashable)
 T = TypeVar("T")
@@ -36,7 +37,7 @@ def _compared(what: str, target: str, seen: float | None, reached: bool) -> Row:
 def rows_of(results: Iterable[Any]) -> list[Row]:
     """Return one row of plain values for each named tuple."""
     return [
-        {name: value.item() if isinstance(value, np.generic) else value for name, value in result._asdict().items()}
+        {name: value.item() if hasattr(value, "item") else value for name, value in result._asdict().items()}
         for result in results
     ]
 
@@ -51,16 +52,22 @@ def grouped(values: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
 
 def mean(values: Iterable[float]) -> float:
     """Return the mean of some numbers."""
+    import numpy as np
+
     return float(np.mean(list(values)))
 
 
 def worst(values: Iterable[float], default: float = 0.0) -> float:
     """Return the largest of some numbers that are not negative, or the default if there are none."""
+    import numpy as np
+
     return float(np.max(list(values), initial=default))
 
 
 def median(values: Iterable[float | None]) -> float | None:
     """Return the median of the numbers that are known and finite, or None if there are none."""
+    import numpy as np
+
     known = [value for value in values if value is not None and np.isfinite(value)]
     return float(np.median(known)) if known else None
 
