@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -19,7 +20,8 @@ Array = npt.NDArray[np.float64]
 
 _SIZE: Final = 640, 480
 _UNIT: Final = 0.001  # metres
-_HEIGHT: Final = 0.62  # metres over the table
+_HEIGHT: Final = 0.62  # metres above the table
+_TIMEOUT: Final = 2000  # milliseconds
 
 
 @dataclass(frozen=True)
@@ -44,43 +46,17 @@ def registration_errors(seed: int = 0) -> dict[str, RegistrationError]:
     Raises:
         ImportError: librealsense is not installed.
     """
-    from shape_obs_envs.sources.librealsense_align import LibrealsenseAlign
-    from shape_obs_envs.sources.realsense import SoftwareD455
     from shape_obs_envs.sources.registration import Registration
 
     scene = _Scene(seed)
     ours = Registration(*scene.geometry)
     pinhole = replace(scene.colour_camera, intrinsics=ours.output)
-    theirs = LibrealsenseAlign(SoftwareD455(depth_unit=_UNIT))
-    try:
-        aligned = theirs(scene.colour, scene.depth)
-    finally:
-        theirs.close()
+    with _librealsense() as (pair, align):
+        aligned = np.array(align(pair(scene)).get_depth_frame().get_data())
     return {
         "ours": _errors(scene.blocks, pinhole, pinhole, *ours(scene.colour, scene.depth)),
         "librealsense": _errors(scene.blocks, scene.colour_camera, pinhole, scene.colour, aligned),
     }
-
-
-def registration_times(runs: int = 30) -> dict[str, float]:
-    """Return the median milliseconds of our parts and of ``rs.align`` at 640 x 480."""
-    from shape_obs_envs.sources.librealsense_align import LibrealsenseAlign
-    from shape_obs_envs.sources.realsense import SoftwareD455
-    from shape_obs_envs.sources.registration import Registration
-
-    scene = _Scene(0)
-    theirs = LibrealsenseAlign(SoftwareD455(depth_unit=_UNIT))
-    ours = Registration(*scene.geometry)
-    try:
-        frames = theirs.pair(scene.colour, scene.depth)
-        ways: dict[str, Callable[[], Any]] = {
-            "rectify": lambda: ours.rectify(scene.colour),
-            "align": lambda: ours.align(scene.depth),
-            "rs.align": lambda: theirs.align(frames),
-        }
-        return {name: _median(way, runs) for name, way in ways.items()}
-    finally:
-        theirs.close()
 
 
 def registration_table(scenes: int, seed: int = 0) -> list[Row]:
@@ -98,10 +74,50 @@ def registration_table(scenes: int, seed: int = 0) -> list[Row]:
     return rows
 
 
-def time_table() -> list[Row]:
-    """Return the median milliseconds, also as a multiple of ``rs.align`` in the same run."""
-    times = registration_times()
+def time_table(runs: int = 30) -> list[Row]:
+    """Return median milliseconds of our parts and of ``rs.align`` at 640 x 480, also as multiples of the latter."""
+    from shape_obs_envs.sources.registration import Registration
+
+    scene = _Scene(0)
+    ours = Registration(*scene.geometry)
+    with _librealsense() as (pair, align):
+        frames = pair(scene)
+        calls: dict[str, Callable[[], Any]] = {
+            "rectify": lambda: ours.rectify(scene.colour),
+            "align": lambda: ours.align(scene.depth),
+            "rs.align": lambda: align(frames),
+        }
+        times = {name: _median(call, runs) for name, call in calls.items()}
     return [{"what": what, "ms": ms, "x rs.align": ms / times["rs.align"]} for what, ms in times.items()]
+
+
+@contextmanager
+def _librealsense() -> Iterator[tuple[Callable[[_Scene], Any], Callable[[Any], Any]]]:
+    """Yield functions of librealsense: from a scene to a frameset, through a software camera, and ``rs.align``."""
+    from shape_obs_envs.sources.realsense import SoftwareD455
+    from shape_obs_envs.sources.realsense.driver import librealsense
+
+    camera, rs = SoftwareD455(depth_unit=_UNIT), librealsense()
+    pipeline, config, geometry = rs.pipeline(rs.context()), rs.config(), camera.geometry
+    for stream, pixels, lens in (
+        (rs.stream.depth, rs.format.z16, geometry.depth),
+        (rs.stream.color, rs.format.rgb8, geometry.colour),
+    ):
+        config.enable_stream(stream, lens.width, lens.height, pixels, camera.fps)
+
+    def pair(scene: _Scene) -> Any:
+        camera.push_raw(scene.colour, scene.depth)
+        arrived, frames = pipeline.try_wait_for_frames(_TIMEOUT)
+        if not arrived or frames.size() < 2:
+            raise TimeoutError("librealsense did not return the pair of images that was pushed.")
+        return frames
+
+    pipeline.set_device(camera.device)
+    pipeline.start(config)
+    try:
+        yield pair, rs.align(rs.stream.color).process
+    finally:
+        pipeline.stop()
 
 
 class _Scene:
@@ -123,12 +139,12 @@ class _Scene:
         self.depth = np.rint(np.nan_to_num(metres) / _UNIT).astype(np.uint16)
 
 
-def _median(way: Callable[[], Any], runs: int) -> float:
-    way()
+def _median(call: Callable[[], Any], runs: int) -> float:
+    call()
     spent = []
     for _ in range(runs):
         begin = time.perf_counter()
-        way()
+        call()
         spent.append(1e3 * (time.perf_counter() - begin))
     return float(np.median(spent))
 
@@ -164,9 +180,8 @@ def _errors(
 def _crossings(mask: npt.NDArray[np.bool_]) -> Array:
     """Return the points between neighbouring pixels of which one is in the mask, (M, 2) pixels."""
     across, down = np.argwhere(mask[:, 1:] != mask[:, :-1]), np.argwhere(mask[1:] != mask[:-1])
-    return np.concatenate(
-        [across[:, ::-1] + np.array([0.5, 0.0]), down[:, ::-1] + np.array([0.0, 0.5])], dtype=np.float64
-    )
+    off = across[:, ::-1] + np.array([0.5, 0.0]), down[:, ::-1] + np.array([0.0, 0.5])
+    return np.concatenate(off, dtype=np.float64)
 
 
 def _from_outline(outline: Array, at: Array) -> float:
