@@ -5,13 +5,13 @@ The images are clean, with the camera's noise, or randomised with and without a 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench import ENVS, Env
+from shape_obs.bench import ENVS, Env, run_tasks
 from shape_obs.bench.env_physics import EPISODE, Strain, held_actions, is_finite, strain, warnings
 from shape_obs.bench.scores import simulator_score
 from shape_obs.bench.tables import Row, at_most
@@ -119,7 +119,7 @@ def all_episodes(
     chunks = [list(seeds[first : first + _CHUNK]) for first in range(0, len(seeds), _CHUNK)]
     tasks = [(setting, chunk, steps) for setting in settings for chunk in chunks]
     found: dict[Setting, list[Episode]] = {setting: [] for setting in settings}
-    for setting, some in _worked_off(tasks, jobs):
+    for setting, some in run_tasks(_chunk, tasks, jobs):
         found[setting] += some
         tick(len(some))
     return found
@@ -187,18 +187,7 @@ def targets(rows: Sequence[Row], physics: Sequence[Row]) -> list[Row]:
     return compared
 
 
-def _worked_off(tasks: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[tuple[Setting, list[Episode]]]:
-    if jobs == 1:
-        for task in tasks:
-            yield _work(*task)
-    else:
-        from joblib import Parallel, delayed
-
-        workers: Any = Parallel(n_jobs=jobs, return_as="generator_unordered")
-        yield from workers(delayed(_work)(*task) for task in tasks)
-
-
-def _work(setting: Setting, seeds: Sequence[int], steps: int) -> tuple[Setting, list[Episode]]:
+def _chunk(setting: Setting, seeds: Sequence[int], steps: int) -> tuple[Setting, list[Episode]]:
     return setting, episodes(setting, seeds, steps)
 
 

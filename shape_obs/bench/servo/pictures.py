@@ -26,16 +26,6 @@ _DPI: Final = 110
 _FINEST: Final = 0.3  # millimetres; only the true points get below it
 
 
-def need_matplotlib() -> None:
-    """Raise ImportError if matplotlib is not installed."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise ImportError(
-            "the pictures need matplotlib: pip install 'shape-obs[viz]', or leave them out with --no-figures."
-        ) from error
-
-
 def draw(found: Found, folder: Path) -> list[Path]:
     """Draw both pictures of the episodes that did not break off; return the paths, none without such episodes."""
     whole = {setting: [each for each in some if not each.failure] for setting, some in found.items()}

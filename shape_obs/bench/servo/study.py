@@ -13,6 +13,7 @@ import numpy.typing as npt
 from scipy.stats import DegenerateDataWarning, binomtest, bootstrap
 
 from shape_obs import __version__
+from shape_obs.bench import run_tasks
 from shape_obs.bench.servo.episode import REACHED, STEPS, Episode, Found, episodes
 from shape_obs.bench.servo.settings import Disturbance, Setting
 from shape_obs.bench.tables import Row, as_csv, as_markdown, grouped, median
@@ -77,17 +78,10 @@ def run(
 
 
 def _played(tasks: Sequence[tuple[Setting, list[int], int]], jobs: int) -> Iterator[tuple[Setting, Episode]]:
-    if jobs == 1:
-        for setting, seeds, steps in tasks:
-            for episode in episodes(setting, seeds, steps):
-                yield setting, episode
-    else:
-        from joblib import Parallel, delayed
-
-        workers: Any = Parallel(n_jobs=jobs, return_as="generator_unordered")
-        for setting, found in workers(delayed(_chunk)(*task) for task in tasks):
-            for episode in found:
-                yield setting, episode
+    chunks: Any = ((task[0], episodes(*task)) for task in tasks) if jobs == 1 else run_tasks(_chunk, tasks, jobs)
+    for setting, found in chunks:
+        for episode in found:
+            yield setting, episode
 
 
 def _chunk(setting: Setting, seeds: Sequence[int], steps: int) -> tuple[Setting, list[Episode]]:

@@ -34,16 +34,6 @@ _MARGIN: Final = 14  # pixels around the object
 _DPI: Final = 105
 
 
-def need_matplotlib() -> None:
-    """Raise ImportError if matplotlib is not installed."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise ImportError(
-            "the figures need matplotlib: pip install 'shape-obs[viz]', or leave them out with --no-figures."
-        ) from error
-
-
 def draw(plan: Plan, found: Sequence[Result], folder: Path) -> list[Path]:
     """Draw both figures into a folder and return their paths."""
     sheets = (_side_by_side(plan), _bars(found))

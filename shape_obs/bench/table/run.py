@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs import __version__
-from shape_obs.bench import Clock
+from shape_obs.bench import Clock, run_tasks
 from shape_obs.bench.interleaved_timing import package_version
 from shape_obs.bench.table.frames import CONFIGURATIONS, OF, Name, Scene, Trace, Tracing, missing, scenes, traced
 from shape_obs.bench.table.methods import METHODS, Method, Row, measured
@@ -184,20 +184,10 @@ def run(plan: Plan, folder: Path, *, jobs: int = 1, redo: bool = False, tick: Ca
     total = len(plan.chunks) * len(plan.names)
     done = total - len(tasks)
     tick(done, total)
-    for _ in _finished(tasks, jobs):
+    for _ in run_tasks(_work, tasks, jobs if len(tasks) > 1 else 1):
         done += 1
         tick(done, total)
     return parts
-
-
-def _finished(tasks: list[tuple[Any, ...]], jobs: int) -> Iterator[None]:
-    if jobs == 1 or len(tasks) < 2:
-        for task in tasks:
-            yield _work(*task)
-    else:
-        from joblib import Parallel, delayed
-
-        yield from Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(_work)(*task) for task in tasks)
 
 
 def _work(plan: Plan, folder: Path, name: Name, chunk: int, left: list[Method | Tracing]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from typing import Any
 
 from tqdm import tqdm
@@ -58,6 +59,14 @@ def check_minimum(args: Any, **minimum: int) -> None:
         value = getattr(args, name)
         if value < least:
             raise ValueError(f"--{name.replace('_', '-')}: expected at least {least}, got {value}.")
+
+
+def need_matplotlib() -> None:
+    """Raise ImportError if matplotlib is not installed."""
+    if find_spec("matplotlib") is None:
+        raise ImportError(
+            "the figures need matplotlib: pip install 'shape-obs[viz]', or leave them out with --no-figures."
+        )
 
 
 def image_size(text: str, least: int, landscape: bool = True) -> tuple[int, int]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import tyro
 
 from shape_obs.bench import Clock, Env, Size
-from shape_obs.cli.bench.output import Output, check_minimum, image_size, progress
+from shape_obs.cli.bench.output import Output, check_minimum, image_size, need_matplotlib, progress
 
 if TYPE_CHECKING:
     from shape_obs.bench.servo.settings import Setting
@@ -92,7 +92,6 @@ def main(argv: Sequence[str]) -> int:
 
 def _settings(args: Servo) -> list[Setting]:
     """Return the settings of the study; every mistake in the options is reported before anything runs."""
-    from shape_obs.bench.servo.pictures import need_matplotlib
     from shape_obs.bench.servo.settings import Disturbance, combinations, missing
     from shape_obs.servo import LAWS
     from shape_obs.spec import did_you_mean

@@ -11,7 +11,7 @@ from typing import Literal
 import tyro
 
 from shape_obs.bench import Clock
-from shape_obs.cli.bench.output import check_minimum, progress
+from shape_obs.cli.bench.output import check_minimum, need_matplotlib, progress
 
 Only = Literal[
     "centerline", "contour", "surface", "gmm", "fcm", "kmeans", "kohonen", "som", "thinning", "contours", "corners"
@@ -53,7 +53,7 @@ def main(argv: Sequence[str]) -> int:
     args = tyro.cli(Table, args=list(argv), prog="shape-obs bench table")
     check_minimum(args, frames=10, jobs=1, seed=0)  # ten frames are two chunks, the fewest that give an interval
     from shape_obs.bench.interleaved_timing import machine
-    from shape_obs.bench.table.figures import draw, need_matplotlib
+    from shape_obs.bench.table.figures import draw
     from shape_obs.bench.table.report import as_values, markdown
     from shape_obs.bench.table.run import Plan, run
     from shape_obs.bench.table.summary import every_row, rankings, results, tracings
