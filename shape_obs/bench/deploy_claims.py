@@ -151,7 +151,7 @@ def faulty_targets(report: Any, seen: Seen) -> list[Row]:
         at_most("wrong shapes that were acted on", 0, seen.wrong, ""),
         at_most("actions on a stale shape", 0, seen.stale, ""),
         at_most("mean error of what was acted on", 5.0, mean(seen.mm), " mm"),
-        _without_target("mean error of the points that were told hidden", mean(seen.hidden or [np.nan]), " mm"),
+        _without_target("mean error of the points that were reported hidden", mean(seen.hidden or [np.nan]), " mm"),
         _without_target("most seconds from an exposure to its arrival", seen.oldest, " s"),
         _without_target("steps without an action", report.held),
     ]

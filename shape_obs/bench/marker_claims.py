@@ -79,7 +79,7 @@ class Fitted(NamedTuple):
         centre_px: The largest error of the principal point in pixels.
         rms_px: The largest RMS of the corners in pixels.
         good: Cameras whose true projection was accepted.
-        told: Wrong projections (3 % of the focal length, or a lens that bends lines) that were reported.
+        reported: Detected wrong projections: 3 % of the focal length, or a lens that bends lines.
     """
 
     cameras: int
@@ -87,7 +87,7 @@ class Fitted(NamedTuple):
     centre_px: float
     rms_px: float
     good: int
-    told: int
+    reported: int
 
 
 def tops(count: int = 40, seed: int = 0) -> TopViews:
@@ -176,7 +176,7 @@ def fitted(count: int = 3, seed: int = 0, views: int = 25) -> Fitted:
     """Calibrate cameras of different focal lengths with a board, and check that wrong projections are reported."""
     board = Board()
     results: list[tuple[Intrinsics, IntrinsicsFit]] = []
-    told = 0
+    reported = 0
     for i in range(count):
         rng = np.random.default_rng((seed, i))
         focal = rng.uniform(370, 400)
@@ -190,14 +190,14 @@ def fitted(count: int = 3, seed: int = 0, views: int = 25) -> Fitted:
             640, 480, camera.fx, camera.fy, camera.cx, camera.cy, "brown_conrady", (-0.055, 0.066, 0.0, 0.0, -0.02)
         )
         for wrong in (longer, bent):
-            told += not fit_intrinsics(seen.taken, seen.size, board, wrong).good
+            reported += not fit_intrinsics(seen.taken, seen.size, board, wrong).good
     return Fitted(
         count,
         100 * max(abs(fit.intrinsics.fx / camera.fx - 1) for camera, fit in results),
         max(float(np.hypot(fit.intrinsics.cx - at.cx, fit.intrinsics.cy - at.cy)) for at, fit in results),
         max(fit.rms for _, fit in results),
         sum(fit.good for _, fit in results),
-        told,
+        reported,
     )
 
 

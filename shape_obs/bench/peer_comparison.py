@@ -221,7 +221,7 @@ def _quality_targets(name: Name, scores: Mapping[str, Score]) -> list[Row]:
     def relative(peer: str, share: float) -> Row:
         own, other = mine.mean("calinski_harabasz"), scores.get(peer)
         seen = None if other is None else own / other.mean("calinski_harabasz")
-        return at_least(f"{name}: Calinski-Harabasz beside {peer}", share, seen)
+        return at_least(f"{name}: Calinski-Harabasz relative to {peer}", share, seen)
 
     rows = [relative(KMEANS_10, _SPREAD_SHARE[name])]
     if name != "cloth":

@@ -178,7 +178,7 @@ def _errors(
 
 
 def _crossings(mask: npt.NDArray[np.bool_]) -> Array:
-    """Return the points between neighbouring pixels of which one is in the mask, (M, 2) pixels."""
+    """Return the midpoints of neighbouring pixels where only one is in the mask, (M, 2) pixels."""
     across, down = np.argwhere(mask[:, 1:] != mask[:, :-1]), np.argwhere(mask[1:] != mask[:-1])
     off = across[:, ::-1] + np.array([0.5, 0.0]), down[:, ::-1] + np.array([0.0, 0.5])
     return np.concatenate(off, dtype=np.float64)

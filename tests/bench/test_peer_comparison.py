@@ -63,7 +63,7 @@ def test_what_is_asked_stands_beside_what_was_seen(document):
             assert (row["seen"], row["reached"]) == (None, "not measured")
         else:
             assert row["reached"] == ("yes" if row["seen"] >= bound else "no")
-    assert asked["contour: Calinski-Harabasz beside K-means, n_init 10"]["seen"] > 0.9
+    assert asked["contour: Calinski-Harabasz relative to K-means, n_init 10"]["seen"] > 0.9
 
 
 def test_what_is_not_installed_is_left_out_and_told(capsys, monkeypatch):

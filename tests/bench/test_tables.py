@@ -68,7 +68,7 @@ def test_csv_can_be_read_again():
 
 
 def test_results_become_plain_values():
-    (row,) = rows_of([Result("a", np.float32(0.5))])
+    (row,) = rows_of([Result("a", np.float64(0.5))])
     assert row == {"name": "a", "error": 0.5}
     assert type(row["error"]) is float
 

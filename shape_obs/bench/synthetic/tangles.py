@@ -191,7 +191,7 @@ def _curly(rng: np.random.Generator, width: float, crossings: int) -> Curve:
 
 
 def _keyhole(rng: np.random.Generator, width: float) -> Curve:
-    """Out along a line, around a bulb, back beside the line, and off to the side."""
+    """Return a curve along a line, around a bulb, back next to the line, and to the side."""
     beside, stretch = rng.uniform(*_BESIDE) * width, rng.uniform(*_STRETCH) * width
     out, tail = rng.uniform(4, 10) * width, rng.uniform(5, 12) * width
     opening, radius, part = rng.uniform(0.8, 1.1), rng.uniform(2.5, 4) * width, rng.uniform(0.5, 1.4)

@@ -1,4 +1,4 @@
-"""What the measurements share: their options are checked, their tables printed and their progress shown in one way."""
+"""Check the options of the measurements, print their tables, and show their progress."""
 
 from __future__ import annotations
 
