@@ -10,7 +10,7 @@ import numpy as np
 from stages import SIZE, cloth, photograph, ring, rope, write
 
 from shape_obs import Centerline, Contour, Intrinsics, Shape, ShapeDetector, Surface
-from shape_obs.bench.ropes import draw_rope
+from shape_obs.bench.synthetic.ropes import draw_rope
 from shape_obs.drawing import draw_detection
 from shape_obs.shape import Detection
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from shape_obs import HSVRange, Markers, Polygon, ShapeDetector, TopView
-from shape_obs.bench.marker_scenes import LAYOUT, MarkerScene, marker_scene
+from shape_obs.bench.synthetic.tabletop import LAYOUT, MarkerScene, marker_scene
 from shape_obs.calibration import Board
 from shape_obs.cli.markers import board_words
 from shape_obs.drawing import draw_curve, draw_detection, draw_text

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from shape_obs import Centerline, Configuration, Contour, HSVRange, ShapeDetector, Surface
-from shape_obs.bench.ropes import draw_rope
+from shape_obs.bench.synthetic.ropes import draw_rope
 from shape_obs.compiled import NUMPY
 from shape_obs.configurations.fitting import fit
 from shape_obs.drawing import draw_curve, draw_detection, draw_text

@@ -1,1 +1,27 @@
-"""Ground truth and scores: what the tests and ``shape-obs bench`` measure with."""
+"""Measure accuracy and speed against known truth: ``shape-obs bench``.
+
+The options below are defined here so that a command can print its help without importing a measurement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from itertools import starmap
+from typing import Any, Final, Literal, TypeVar
+
+T = TypeVar("T")
+Clock = Literal["wall", "thread"]
+Env = Literal["Cable", "Ring", "Cloth"]
+ENVS: Final[tuple[Env, ...]] = ("Cable", "Ring", "Cloth")
+Size = tuple[int, int]  # (width, height) of an image, in pixels
+
+
+def run_tasks(work: Callable[..., T], tasks: Iterable[tuple[Any, ...]], jobs: int = 1) -> Iterator[T]:
+    """Call ``work(*task)`` for every task, in this process or in several ones, and yield the results as they come."""
+    if jobs == 1:
+        yield from starmap(work, tasks)
+    else:
+        from joblib import Parallel, delayed
+
+        workers: Any = Parallel(n_jobs=jobs, return_as="generator_unordered")
+        yield from workers(delayed(work)(*task) for task in tasks)

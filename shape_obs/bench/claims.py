@@ -1,171 +1,211 @@
-"""The accuracy that the project claims, measured: drawn ropes, moving ropes, the simulated cable.
+"""Every measurement of the accuracy that the project claims, group by group, as tables.
 
-The tests run slices of these functions; ``shape-obs bench claims`` runs them whole.
+A group imports its module when it runs, so that the command can list the groups quickly.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final, Literal, NamedTuple
 
-import numpy as np
+from shape_obs.bench import ENVS, Env
+from shape_obs.bench.tables import Row, rows_of
 
-from shape_obs.bench.motion import moving_rope
-from shape_obs.bench.ropes import KINDS, Kind, random_rope
-from shape_obs.bench.scores import Score, score, tally
-from shape_obs.configurations import Centerline, Ends
-from shape_obs.detector import ShapeDetector
-
-COUNTS: Final = (8, 20, 50, 100)
-_BOTH_ENDS: Final[tuple[Ends, ...]] = ("centers", "tips")
-
-
-class RopeResult(NamedTuple):
-    """One drawn rope, looked at cold. ``hairpin``: a gap is longer than the rope's narrowest bend is wide."""
-
-    kind: str
-    n: int
-    hairpin: bool
-    ends: Ends
-    ok: bool
-    score: Score
+Tables = Iterator[tuple[str, list[Row]]]
+Group = Literal[
+    "ropes", "tangles", "hands", "noise", "outlines", "sheets", "clouds", "markers", "cable", "envs",
+    "camera", "deploy", "robustness",
+]  # fmt: skip
 
 
-class MotionResult(NamedTuple):
-    """One moving rope, tracked; lengths in pixels, slips in gaps."""
+class Effort(NamedTuple):
+    """How much to measure.
 
-    speed: float
-    frames: int
-    flips: int
-    slips: int
-    not_ok: int
-    worst_slip: float
-    mean_distance: float
+    Args:
+        share: Share of the full counts; 1 is the full run.
+        seed: Seed of everything that is drawn at random.
+        renderer: The simulator's renderer.
+        garments: A file of annotated garment outlines; None leaves them out.
+        jobs: Processes for long measurements.
+        report: Called with the progress of a long group.
+    """
 
-
-class CableResult(NamedTuple):
-    """Episodes of the simulated cable under random actions, visible surface against truth."""
-
-    camera: str
+    share: float
+    seed: int
     renderer: str
-    episodes: int
-    frames: int
-    flips: int
-    slips: int
-    not_ok: int
-    unflagged_wrong: int
-    mean_mm: float
-    worst_frame_mm: float
-    mean_px: float
-    worst_frame_px: float
+    garments: Path | None
+    jobs: int = 1
+    report: Callable[[str], object] = lambda text: None
+
+    def count(self, full: int) -> int:
+        """Return the share of a full count, at least one."""
+        return max(round(full * self.share), 1)
+
+    def seeds(self, full: int) -> range:
+        """Return the share of a full number of seeds."""
+        return range(self.seed, self.seed + self.count(full))
 
 
-def drawn_ropes(
-    per_kind: int, seed: int = 0, counts: Sequence[int] = COUNTS, kinds: Sequence[Kind] = KINDS
-) -> Iterator[RopeResult]:
-    """Cold detections of random ropes with a known centreline, at each N and in both end modes."""
-    rng = np.random.default_rng(seed)
-    for kind in kinds:
-        for _ in range(per_kind):
-            rope = random_rope(rng, kind)
-            for n in counts:
-                for ends in _BOTH_ENDS:
-                    shape = ShapeDetector([Centerline(n=n, ends=ends)]).detect_mask(rope.mask).shapes[0]
-                    judged = score(shape.pixels, rope.curve, ends, directed=False)
-                    hairpin = rope.length / n > 2 * rope.bend_radius
-                    yield RopeResult(kind, n, hairpin, ends, shape.ok, judged)
+def _ropes(effort: Effort) -> Tables:
+    from shape_obs.bench import rope_claims as ropes
+
+    yield "drawn ropes, cold", ropes.rope_table(ropes.drawn_ropes(effort.count(40), effort.seed))
+    yield "moving ropes, tracked", rows_of(ropes.moving_ropes((10, 40), effort.seeds(6)))
+    yield "ropes at rest in masks that flicker", rows_of(ropes.flickering_ropes(effort.count(4), effort.seed))
 
 
-def moving_ropes(
-    speeds: Iterable[float], seeds: Iterable[int], frames: int = 180, n: int = 20
-) -> Iterator[MotionResult]:
-    """Ropes that wander and bend, point 0 told once by an anchor at the first frame."""
-    for seed in seeds:
-        for speed in speeds:
-            scores: list[Score] = []
-            detector, not_ok = None, 0
-            for rope in moving_rope(np.random.default_rng(seed), speed, frames):
-                if detector is None:
-                    detector = ShapeDetector(
-                        [Centerline(n=n, ends="tips", anchor=(rope.curve[0][0], rope.curve[0][1]))]
-                    )
-                shape = detector.detect_mask(rope.mask).shapes[0]
-                not_ok += not shape.ok
-                scores.append(score(shape.pixels, rope.curve, "tips"))
-            yield MotionResult(
-                speed=speed,
-                **tally(scores),
-                not_ok=not_ok,
-                mean_distance=float(np.mean([s.distance for s in scores])),
-            )
+def _tangles(effort: Effort) -> Tables:
+    from shape_obs.bench.tangle_claims import tangled_ropes
+
+    title = "ropes that cross themselves, are cut, or touch themselves, cold"
+    yield title, rows_of(tangled_ropes(effort.count(100), effort.seed))
 
 
-def cable_episodes(camera: Any, renderer: str, seeds: Iterable[int], steps: int = 50) -> CableResult:
-    """Random actions on ``ShapeObs/Cable-v0``; the wrapper's visible surface against the simulator's truth."""
-    import gymnasium as gym
+def _hands(effort: Effort) -> Tables:
+    from shape_obs.bench.rope_claims import ropes_under_hands
 
-    from shape_obs.wrappers import ShapeObservation
-
-    shapes = [{"kind": "centerline", "n": 20, "anchor": "gripper0", "ends": "tips", "spacing": "m"}]
-    env = ShapeObservation(gym.make("shape_obs_envs:ShapeObs/Cable-v0", camera=camera, renderer=renderer), shapes)
-    simulator: Any = env.unwrapped
-    flips = slips = not_ok = wrong = episodes = 0
-    mm: list[float] = []
-    px: list[float] = []
-    for seed in seeds:
-        episodes += 1
-        env.action_space.seed(seed)
-        env.reset(seed=seed)
-        for step in range(steps + 1):
-            assert env.detection is not None
-            shape = env.detection.shapes[0]
-            axis = simulator.truth(n=400, frame="camera", surface=True)
-            truth = simulator.truth(n=20, frame="camera", surface=True)
-            pixels = simulator.truth(n=20, frame="pixels", surface=True)
-            assert shape.points3d is not None
-            judged = score(shape.points3d, axis, "tips")
-            error = float(np.linalg.norm(shape.points3d - truth, axis=1).mean())
-            slipped = judged.slip > 0.5
-            flips, slips, not_ok = flips + judged.flipped, slips + slipped, not_ok + (not shape.ok)
-            wrong += shape.ok and (slipped or error > 0.015)
-            mm.append(1e3 * error)
-            px.append(float(np.linalg.norm(shape.pixels - pixels, axis=1).mean()))
-            if step < steps:
-                env.step(env.action_space.sample())
-    env.close()
-    name = camera if isinstance(camera, str) else f"{camera[0]}x{camera[1]}"
-    worst_mm, worst_px = max(mm), max(px)
-    mean_mm, mean_px = float(np.mean(mm)), float(np.mean(px))
-    return CableResult(
-        name, renderer, episodes, len(mm), flips, slips, not_ok, wrong, mean_mm, worst_mm, mean_px, worst_px
-    )
+    yield "moving ropes under a hand", rows_of(ropes_under_hands(effort.seeds(3)))
+    middle = ropes_under_hands(effort.seeds(3), places=("middle",))
+    yield "moving ropes under a hand, in the middle", rows_of(middle)
 
 
-def rope_table(results: Iterable[RopeResult]) -> list[dict[str, Any]]:
-    """Worst and mean by kind of rope."""
-    rows: dict[str, list[RopeResult]] = {}
-    for result in results:
-        rows.setdefault(result.kind, []).append(result)
-    return [_rope_row(kind, found) for kind, found in rows.items()]
+def _noise(effort: Effort) -> Tables:
+    from shape_obs.bench.rope_claims import ropes_in_noise
+
+    yield "drawn ropes in noise, cold", rows_of(ropes_in_noise(effort.count(12), effort.seed))
 
 
-def _rope_row(kind: str, found: list[RopeResult]) -> dict[str, Any]:
-    # Where a bend is narrower than a gap, equal chords would move points off their material.
-    spaced = [r.score.gap_cv for r in found if r.n >= 12 and not r.hairpin]
-    tight = [r.score.gap_cv for r in found if r.n >= 12 and r.hairpin]
-    tips = [r.score.tip for r in found if r.ends == "tips"]
-    distances = [r.score.distance for r in found]
-    return {
-        "kind": kind,
-        "ropes": len(found) // len({(r.n, r.ends) for r in found}),
-        "order_wrong": sum(not r.score.ordered for r in found),
-        "not_ok": sum(not r.ok for r in found),
-        "distance_mean_px": float(np.mean(distances)),
-        "distance_worst_px": float(np.max(distances)),
-        "tip_mean_px": float(np.mean(tips)),
-        "tip_worst_px": float(np.max(tips)),
-        "tips_over_1.5_px": float(np.mean(np.array(tips) > 1.5)),
-        "gap_cv_worst": float(np.max(spaced)),
-        "narrow_bends": len(tight),
-        "gap_cv_worst_there": float(np.max(tight, initial=0.0)),
+def _outlines(effort: Effort) -> Tables:
+    from shape_obs.bench import contour_claims as contours
+    from shape_obs.bench.synthetic.blobs import garments
+
+    blobs = list(contours.drawn_blobs(effort.count(8), effort.seed))
+    yield "drawn outlines, cold", contours.outline_table(contours.outlines(blobs))
+    if effort.garments is not None:
+        yield "garments, cold", contours.outline_table(contours.outlines(garments(effort.garments)))
+    yield "turning outlines, tracked", rows_of(contours.turning_blobs(seeds=effort.seeds(2)))
+    some = blobs[:: len(blobs) // 4 or 1]
+    yield "outlines at rest in masks that flicker", rows_of(contours.flickering_blobs(some))
+
+
+def _sheets(effort: Effort) -> Tables:
+    from shape_obs.bench import surface_claims as surfaces
+
+    seeds = effort.seeds(6)
+    yield "drawn sheets, cold", surfaces.sheet_table(surfaces.drawn_sheets(effort.count(48), effort.seed))
+    yield "sheets that turn once around, in steps of a degree", rows_of(surfaces.turning_sheets(seeds))
+    yield "sheets that wander, turn and bend, tracked", rows_of(surfaces.moving_sheets((12,), seeds))
+    yield "sheets at rest in masks that flicker", rows_of(surfaces.noisy_sheets(seeds))
+
+
+def _clouds(effort: Effort) -> Tables:
+    from shape_obs.bench import cloud_claims as clouds
+
+    count, seed = effort.count(30), effort.seed
+    found = [*clouds.rope_clouds(count, seed), *clouds.ring_clouds(count, seed), *clouds.sheet_clouds(count, seed)]
+    yield "clouds, cold", clouds.cloud_table(found)
+    yield "moving rope clouds, tracked", rows_of(clouds.moving_rope_clouds((0.005, 0.015), effort.seeds(3)))
+    yield "images at a slant", clouds.tilted_table(clouds.tilted_images(count, seed))
+
+
+def _markers(effort: Effort) -> Tables:
+    from shape_obs.bench import marker_claims as markers
+
+    top = markers.tops(effort.count(40), effort.seed)
+    yield "tables seen from above, by four markers", rows_of([top])
+    placed = [markers.touched(effort.count(20), effort.seed, depth) for depth in (True, False)]
+    yield "cameras placed by touching markers, 0.5 mm of noise along each axis", rows_of(placed)
+    cameras = markers.fitted(effort.count(10), effort.seed)
+    yield "cameras calibrated with a board", rows_of([cameras])
+    yield "markers and calibration, asked and seen", markers.targets(top, placed[0], cameras)
+
+
+def _cable(effort: Effort) -> Tables:
+    from shape_obs.bench.rope_claims import cable_episodes
+
+    cameras = ("d455", "rl", [84, 84])
+    title = "simulated cable, random actions, visible surface"
+    yield title, rows_of(cable_episodes(camera, effort.renderer, effort.seeds(20)) for camera in cameras)
+
+
+def _envs(effort: Effort) -> Tables:
+    from shape_obs.bench import env_claims as envs
+    from shape_obs.bench import env_physics
+
+    settings, seeds = envs.settings(effort.renderer), effort.seeds(150)
+    tick = _counter("episode", len(settings) * len(seeds), effort.report)
+    found = envs.all_episodes(settings, seeds, effort.jobs, tick=tick)
+    rows = [envs.claim_row(setting, some) for setting, some in found.items()]
+    yield "simulated environments, random actions, points against truth", rows
+    by_env: dict[Env, list[envs.Episode]] = {
+        env: [each for setting, some in found.items() if setting.env == env for each in some] for env in ENVS
     }
+    physics = [envs.physics_row(env, some) for env, some in by_env.items()]
+    yield "simulated environments, physics over these episodes", physics
+    drawn: list[tuple[Env, str]] = [(env, difficulty) for env in ENVS for difficulty in env_physics.DIFFICULTIES]
+    seeds = effort.seeds(50)
+    tick = _counter("goal", len(drawn) * len(seeds), effort.report)
+    goals = [env_physics.goals(env, difficulty, seeds, tick) for env, difficulty in drawn]
+    yield "simulated environments, goals, and where their own actions lead", rows_of(goals)
+    yield "simulated environments, asked and seen", envs.targets(rows, physics) + env_physics.targets(goals)
+
+
+def _counter(what: str, total: int, report: Callable[[str], object]) -> Callable[[int], None]:
+    """Return a function that takes how many more are done, and reports how many are done in all."""
+    done = 0
+
+    def tick(more: int) -> None:
+        nonlocal done
+        done += more
+        report(f"{what} {done} of {total}")
+
+    return tick
+
+
+def _camera(effort: Effort) -> Tables:
+    from shape_obs.bench import registration_claims as registration
+
+    table = registration.registration_table(effort.count(10), effort.seed)
+    yield "depth registered to colour, ours and rs.align", table
+    yield "the time that takes at 640 x 480", registration.time_table()
+
+
+def _deploy(effort: Effort) -> Tables:
+    from shape_obs.bench import deploy_claims as deployment
+
+    seconds = deployment.SECONDS * effort.share
+    for title, faults in (("clean", None), ("faulty", deployment.FAULTS)):
+        report, seen = deployment.run(
+            seconds, faults, seed=effort.seed, renderer=effort.renderer, progress=effort.report
+        )
+        targets = deployment.clean_targets if faults is None else deployment.faulty_targets
+        yield f"deployment, {title}: asked and seen", targets(report, seen)
+        yield f"deployment, {title}: milliseconds by section", deployment.section_table(report)
+
+
+def _robustness(effort: Effort) -> Tables:
+    from shape_obs.bench import stop_claims
+
+    stopped = list(stop_claims.stops(effort.count(3), effort.seed, effort.report))
+    killed = list(stop_claims.kills(effort.count(100), effort.seed, effort.report))
+    yield "deployments that were ended: longest time until the robot stood still", stop_claims.stop_table(stopped)
+    locked = list(stop_claims.locked(effort.count(5)))
+    yield "stopping the robot: asked and seen", stop_claims.targets(stopped, killed, locked)
+
+
+GROUPS: Final[dict[Group, Callable[[Effort], Tables]]] = {
+    "ropes": _ropes,
+    "tangles": _tangles,
+    "hands": _hands,
+    "noise": _noise,
+    "outlines": _outlines,
+    "sheets": _sheets,
+    "clouds": _clouds,
+    "markers": _markers,
+    "cable": _cable,
+    "envs": _envs,
+    "camera": _camera,
+    "deploy": _deploy,
+    "robustness": _robustness,
+}

@@ -1,12 +1,10 @@
-"""The accuracy that the project claims for clouds, measured: ropes, rings and sheets in space, images at a slant.
-
-The tests run slices of these functions; ``shape-obs bench claims`` runs them whole.
-"""
+"""Measure the accuracy of shapes in space: clouds of ropes, rings and sheets, and images at a slant."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -14,10 +12,11 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 
-from shape_obs.bench.clouds import Side, moving_rope_cloud, ring_cloud, rope_cloud, sheet_cloud
-from shape_obs.bench.ropes import KINDS
 from shape_obs.bench.scores import score, tally
-from shape_obs.bench.tilted import CAMERA, tilted_rope, tilted_sheet
+from shape_obs.bench.synthetic.clouds import Side, moving_rope_cloud, ring_cloud, rope_cloud, sheet_cloud
+from shape_obs.bench.synthetic.images import CAMERA, tilted_rope, tilted_sheet
+from shape_obs.bench.synthetic.ropes import KINDS
+from shape_obs.bench.tables import Row, grouped, mean
 from shape_obs.configurations import Centerline, Configuration, Contour, Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import resample
@@ -32,20 +31,20 @@ _WAYS: Final[dict[str, dict[str, Any]]] = {"px": {}, "m": {"spacing": "m"}, "clo
 
 
 class CloudResult(NamedTuple):
-    """One cloud, looked at cold and once more.
+    """One cloud, detected cold and then warm.
 
     Args:
-        what: What it is a cloud of.
-        n: How many points.
+        what: The object.
+        n: Number of points.
         ok: Whether it was found.
-        ordered: Whether its order is right.
-        curve_mm: Mean distance of valid points from the true curve (axis, border); for a surface as ``place_mm``.
-        place_mm: Mean distance of valid points from their own places on the material, at equal arc length; NaN where
-            the shape has no first point.
+        ordered: Whether the order is right.
+        curve_mm: Mean distance of valid points from the true curve (axis or border); for a surface as ``place_mm``.
+        place_mm: Mean distance of valid points from their positions on the material, at equal arc length; NaN if the
+            shape has no first point.
         gap_cv: Standard deviation over mean of the gaps.
-        valid: The share of valid points.
-        cold_ms: Time of the first frame.
-        warm_ms: Time of the second.
+        valid: Share of valid points.
+        cold_ms: Time of the first frame, in milliseconds.
+        warm_ms: Time of the second frame, in milliseconds.
     """
 
     what: str
@@ -74,7 +73,7 @@ class CloudMotion(NamedTuple):
 
 
 class TiltedResult(NamedTuple):
-    """One image at a slant: ``way`` is "px" and "m" (spacing) under ``lift="points"``, or "cloud"."""
+    """One image at a slant; ``way`` is the spacing, "px" or "m", with ``lift="points"``, or "cloud"."""
 
     what: str
     way: str
@@ -88,7 +87,7 @@ class TiltedResult(NamedTuple):
 def rope_clouds(
     count: int, seed: int = 0, counts: Sequence[int] = COUNTS, sides: Sequence[Side] = SIDES
 ) -> Iterator[CloudResult]:
-    """Cold detections of rope clouds with 3 mm noise and holes, from tip to tip."""
+    """Detect rope clouds with 3 mm noise and holes cold, from tip to tip."""
     rng = np.random.default_rng(seed)
     for side in sides:
         for _ in range(count):
@@ -99,22 +98,14 @@ def rope_clouds(
                 tree: Any = KDTree(resample(rope.curve, 4000))
                 distance, nearest = tree.query(_points(shape)[shape.valid])
                 steps = np.diff(nearest)
-                yield CloudResult(
-                    what=f"rope, seen {'all round' if side == 'all' else 'from the front'}",
-                    n=n,
-                    ok=shape.ok,
-                    ordered=bool(len(steps) and (np.all(steps > 0) or np.all(steps < 0))),
-                    curve_mm=_mm(distance),
-                    place_mm=_either_way(shape, resample(rope.curve, n)),
-                    gap_cv=_gap_cv(shape),
-                    valid=float(shape.valid.mean()),
-                    cold_ms=cold,
-                    warm_ms=warm,
-                )
+                what = f"rope, seen {'all round' if side == 'all' else 'from the front'}"
+                ordered = bool(len(steps) and (np.all(steps > 0) or np.all(steps < 0)))
+                along = _either_way(shape, resample(rope.curve, n))
+                yield _result(what, shape, ordered, _mm(distance), along, cold, warm)
 
 
 def ring_clouds(count: int, seed: int = 0, n: int = 32) -> Iterator[CloudResult]:
-    """Cold detections of closed ropes, every third whole, the others with two and four holes."""
+    """Detect closed ropes cold: every third one is whole, the others have two or four holes."""
     rng = np.random.default_rng(seed)
     for index in range(count):
         ring = ring_cloud(rng, holes=index % 3 * 2)
@@ -123,25 +114,15 @@ def ring_clouds(count: int, seed: int = 0, n: int = 32) -> Iterator[CloudResult]
 
 
 def sheet_clouds(count: int, seed: int = 0) -> Iterator[CloudResult]:
-    """Cold detections of flat and bent sheets: the lattice of 4 x 8 points up to the border, and the outline."""
+    """Detect flat and bent sheets cold: the lattice of 4 x 8 points up to the border, and the outline."""
     rng = np.random.default_rng(seed)
     for index in range(count):
         sheet = sheet_cloud(rng, bend=(0.2, 0.8, 2.0)[index % 3])
         shape, cold, warm = _twice(Surface(rows=4, cols=8, ends="tips"), sheet.points)
         true = sheet.lattice(4, 8)
         apart = np.linalg.norm(_points(shape) - true, axis=1)
-        yield CloudResult(
-            "sheet, lattice",
-            len(shape),
-            shape.ok,
-            bool(apart.max() < pdist(true).min() / 2),
-            _mm(apart[shape.valid]),
-            _mm(apart[shape.valid]),
-            _gap_cv(shape),
-            float(shape.valid.mean()),
-            cold,
-            warm,
-        )
+        mm, right = _mm(apart[shape.valid]), bool(apart.max() < pdist(true).min() / 2)
+        yield _result("sheet, lattice", shape, right, mm, mm, cold, warm)
         share = np.linspace(0, 1, 500)
         zero, one = np.zeros_like(share), np.ones_like(share)
         sides = [(share, zero), (one, share), (share[::-1], one), (zero, share[::-1])]
@@ -152,30 +133,29 @@ def sheet_clouds(count: int, seed: int = 0) -> Iterator[CloudResult]:
 def moving_rope_clouds(
     speeds: Iterable[float], seeds: Iterable[int], frames: int = 180, n: int = 20
 ) -> Iterator[CloudMotion]:
-    """Rope clouds that wander and bend, point 0 told once by an anchor at the first frame."""
-    for seed in seeds:
-        for speed in speeds:
-            detector, scores, times, not_ok = ShapeDetector(), [], [], 0
-            for index, rope in enumerate(moving_rope_cloud(np.random.default_rng(seed), speed, frames)):
-                if index == 0:
-                    x, y, z = (float(value) for value in rope.curve[0])
-                    spec = Centerline(n=n, ends="tips", anchor=(x, y, z))
-                    detector = ShapeDetector([spec], on_invalid="interpolate")
-                detection = detector.detect_cloud(rope.points)
-                not_ok += not detection.ok
-                times.append(detection.timings["total"])
-                scores.append(score(_points(detection.shapes[0]), rope.curve, "tips"))
-            yield CloudMotion(
-                speed=speed,
-                **tally(scores),
-                not_ok=not_ok,
-                mean_mm=1e3 * float(np.mean([s.distance for s in scores])),
-                warm_ms=float(np.median(times[1:])),
-            )
+    """Track rope clouds that wander and bend; an anchor gives point 0 in the first frame."""
+    for seed, speed in product(seeds, speeds):
+        detector, scores, times, not_ok = ShapeDetector(), [], [], 0
+        for index, rope in enumerate(moving_rope_cloud(np.random.default_rng(seed), speed, frames)):
+            if index == 0:
+                x, y, z = (float(value) for value in rope.curve[0])
+                spec = Centerline(n=n, ends="tips", anchor=(x, y, z))
+                detector = ShapeDetector([spec], on_invalid="interpolate")
+            detection = detector.detect_cloud(rope.points)
+            not_ok += not detection.ok
+            times.append(detection.timings["total"])
+            scores.append(score(_points(detection.shapes[0]), rope.curve, "tips"))
+        yield CloudMotion(
+            speed=speed,
+            **tally(scores),
+            not_ok=not_ok,
+            mean_mm=1e3 * mean(s.distance for s in scores),
+            warm_ms=float(np.median(times[1:])),
+        )
 
 
 def tilted_images(count: int, seed: int = 0) -> Iterator[TiltedResult]:
-    """Ropes (20 points, tip to tip) and sheets (4 x 8) at a slant, in every way of lifting."""
+    """Detect ropes (20 points, tip to tip) and sheets (4 x 8) at a slant with every way of lifting."""
     rng = np.random.default_rng(seed)
     for index in range(count):
         rope, sheet = tilted_rope(rng, KINDS[index % len(KINDS)]), tilted_sheet(rng)
@@ -191,11 +171,8 @@ def tilted_images(count: int, seed: int = 0) -> Iterator[TiltedResult]:
             yield TiltedResult("sheet", way, False, shape.ok, _gap_cv(shape), place, warm)
 
 
-def cloud_table(results: Iterable[CloudResult]) -> list[dict[str, Any]]:
-    """Worst and mean by what it is and by N."""
-    rows: dict[tuple[str, int], list[CloudResult]] = {}
-    for result in results:
-        rows.setdefault((result.what, result.n), []).append(result)
+def cloud_table(results: Iterable[CloudResult]) -> list[Row]:
+    """Return the mean and the worst result of each object and N."""
     return [
         {
             "cloud": what,
@@ -205,22 +182,19 @@ def cloud_table(results: Iterable[CloudResult]) -> list[dict[str, Any]]:
             "order_wrong": sum(not r.ordered for r in found),
             "curve_mean_mm": float(np.nanmean([r.curve_mm for r in found])),
             "curve_worst_mm": float(np.nanmax([r.curve_mm for r in found])),
-            "place_mean_mm": float(np.mean([r.place_mm for r in found])),
+            "place_mean_mm": mean(r.place_mm for r in found),
             "place_worst_mm": float(np.max([r.place_mm for r in found])),
             "gap_cv_worst": float(np.nanmax([r.gap_cv for r in found])),
-            "valid": float(np.mean([r.valid for r in found])),
+            "valid": mean(r.valid for r in found),
             "cold_ms": float(np.median([r.cold_ms for r in found])),
             "warm_ms": float(np.median([r.warm_ms for r in found])),
         }
-        for (what, n), found in rows.items()
+        for (what, n), found in grouped(results, lambda result: (result.what, result.n)).items()
     ]
 
 
-def tilted_table(results: Iterable[TiltedResult]) -> list[dict[str, Any]]:
-    """Worst and mean by what it is and by the way of lifting; gaps where no bend is narrower than one."""
-    rows: dict[tuple[str, str], list[TiltedResult]] = {}
-    for result in results:
-        rows.setdefault((result.what, result.way), []).append(result)
+def tilted_table(results: Iterable[TiltedResult]) -> list[Row]:
+    """Return the mean and the worst result of each object and way; gaps only where no bend is narrower than one."""
     return [
         {
             "image": what,
@@ -233,34 +207,31 @@ def tilted_table(results: Iterable[TiltedResult]) -> list[dict[str, Any]]:
             "place_worst_mm": float(np.nanmax([r.place_mm for r in found if not r.hairpin])),
             "warm_ms": float(np.median([r.warm_ms for r in found])),
         }
-        for (what, way), found in rows.items()
+        for (what, way), found in grouped(results, lambda result: (result.what, result.way)).items()
     ]
 
 
 def _around(what: str, spec: Configuration[Any], points: Array, border: Array) -> CloudResult:
-    """A closed shape against its true curve, given by close points."""
+    """Compare a closed shape with its true curve, which is given by close points."""
     shape, cold, warm = _twice(spec, points)
     found = _points(shape)
     tree: Any = KDTree(border)
     distance, nearest = tree.query(found)
     step = np.roll(nearest, -1).astype(int) - nearest
     wrapped = (step + len(border) // 2) % len(border) - len(border) // 2
-    return CloudResult(
-        what,
-        len(shape),
-        shape.ok,
-        bool(np.all(wrapped > 0) or np.all(wrapped < 0)),
-        _mm(distance[shape.valid]),
-        np.nan,
-        _gap_cv(shape),
-        float(shape.valid.mean()),
-        cold,
-        warm,
-    )
+    ordered = bool(np.all(wrapped > 0) or np.all(wrapped < 0))
+    return _result(what, shape, ordered, _mm(distance[shape.valid]), np.nan, cold, warm)
+
+
+def _result(
+    what: str, shape: Shape, ordered: bool, curve: float, place: float, cold: float, warm: float
+) -> CloudResult:
+    spacing, valid = _gap_cv(shape), float(shape.valid.mean())
+    return CloudResult(what, len(shape), shape.ok, ordered, curve, place, spacing, valid, cold, warm)
 
 
 def _twice(spec: Configuration[Any], body: Any, depth: Any = None) -> tuple[Shape, float, float]:
-    """The shape at a cold start, and the time of that frame and of the next."""
+    """Return the shape at a cold start, and the times of that frame and of the next one."""
     detector = ShapeDetector([spec], on_invalid="interpolate", on_missing="nan")
     if depth is None:
         first, second = (detector.detect_cloud(body) for _ in range(2))
@@ -270,7 +241,7 @@ def _twice(spec: Configuration[Any], body: Any, depth: Any = None) -> tuple[Shap
 
 
 def _points(shape: Shape) -> Array:
-    """(N,3); all zero where nothing was found."""
+    """Return the points in space, (N, 3); zeros where nothing was found."""
     assert shape.points3d is not None
     return np.nan_to_num(shape.points3d.astype(np.float64))
 
@@ -280,10 +251,10 @@ def _mm(distance: Array) -> float:
 
 
 def _either_way(shape: Shape, true: Array) -> float:
-    """Mean distance of valid points from their true places, whichever end came first; millimetres."""
+    """Return the mean distance of valid points from their true positions in mm, whichever end comes first."""
     return min(_mm(np.linalg.norm(_points(shape) - order, axis=1)[shape.valid]) for order in (true, true[::-1]))
 
 
 def _gap_cv(shape: Shape) -> float:
-    """Over the gaps between valid neighbours."""
+    """Return the coefficient of variation of the gaps between valid neighbours."""
     return spacing_cv(_points(shape), shape.layout, shape.valid)

@@ -1,8 +1,7 @@
-"""The whole real path without hardware: a simulated robot before a software D455, run by the deployment loop.
+"""Measure the deployment loop without hardware: a simulated robot in front of a software D455.
 
-What the camera saw is held against the simulator's truth of the same frame; clean, and with frames that are lost,
-late, frozen or black and a hand over the object. The tests run slices; ``shape-obs bench claims --only deploy`` runs
-all of it.
+The detected points are compared with the simulator's truth of the same frame, in a clean run and in a run with lost,
+late, frozen and black frames and a hand over the object.
 """
 
 from __future__ import annotations
@@ -15,10 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from shape_obs.bench.asked import at_most
-from shape_obs.bench.env_scores import place
+from shape_obs.bench.scores import simulator_score
+from shape_obs.bench.tables import Row, at_most, mean
 
-Row = dict[str, Any]
 Array = npt.NDArray[np.float64]
 
 SECONDS: Final = 60.0
@@ -31,18 +29,18 @@ _OVERRUNS: Final = 1.0  # percent
 
 @dataclass
 class Seen:
-    """What the loop saw of the object, step by step, and what it did on that.
+    """Compare every frame on which the loop acts with the truth.
 
     Args:
-        robot: The simulated robot, which knows the truth.
+        robot: The simulated robot, which has the truth.
 
     Attributes:
-        mm: Mean error of the measured points of each frame that was acted on.
-        slips: Frames that were acted on with a valid point more than half a gap off its place.
-        wrong: Frames that were acted on with a slip, or a mean error of the measured points above 15 mm.
-        hidden: Errors of single points that were hidden, and told so.
-        stale: Actions on a frame that was shown before, on one that the camera had not taken anew, or on a black one.
-        oldest: Most seconds from the exposure of an image to the decision to act on it.
+        mm: Mean error of the measured points of each frame that led to an action.
+        slips: Frames that led to an action with a valid point more than half a gap from its position.
+        wrong: Frames that led to an action with a slip, or a mean error of the measured points above 15 mm.
+        hidden: Errors of single points that were reported hidden.
+        stale: Actions on a frame that was used before, on a frozen one, or on a black one.
+        oldest: Longest time from the exposure of an image to the decision to act on it, in seconds.
     """
 
     robot: Any
@@ -55,7 +53,7 @@ class Seen:
     _numbers: set[int] = field(default_factory=set)
 
     def step(self, moment: Any) -> None:
-        """Look at a step; the loop calls it."""
+        """Record one step of the loop."""
         frame, affected = moment.frame, self.robot.affected
         if moment.judgement.move != "act":
             return
@@ -67,7 +65,7 @@ class Seen:
         self._numbers.add(frame.number)
         self.oldest = max(self.oldest, frame.received - frame.stamp)
         points, truth = frame.camera.to_base(shape.points3d), _At(self.robot.truth(frame.number))
-        found = place(points, shape.valid, shape.layout, truth)
+        found = simulator_score(points, shape.valid, shape.layout, truth)
         off = np.linalg.norm(points - truth.truth(len(points)), axis=1)
         mm = 1e3 * float(off[shape.valid].mean())
         self.mm.append(mm)
@@ -78,14 +76,14 @@ class Seen:
 
 
 class _At:
-    """The truth of a moment, as the simulator tells that of the present."""
+    """The truth at the time of a frame, with the method ``truth`` of a simulator."""
 
     def __init__(self, points: Array) -> None:
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         self._curve, self._length = CubicSpline(along, points), along[-1]
 
     def truth(self, n: int) -> Array:
-        """(n,3) metres, base frame, equidistant."""
+        """Return (n, 3) equidistant points in metres, base frame."""
         return np.asarray(self._curve(np.linspace(0, self._length, n)))
 
 
@@ -97,21 +95,21 @@ def run(
     renderer: str = "auto",
     rate: float = 30.0,
     noise: bool = False,
-    told: Callable[[str], object] = lambda text: None,
+    progress: Callable[[str], object] = lambda text: None,
 ) -> tuple[Any, Seen]:
-    """Run the loop for a while.
+    """Run the loop.
 
     Args:
-        seconds: How long.
-        faults: What goes wrong, as ``SimulatedRobot.disturb`` takes it; None for nothing.
-        seed: Of the scene and of the faults.
-        renderer: The simulator's camera.
-        rate: Of the loop and the camera, hertz.
-        noise: Whether images have a D455's noise.
-        told: Called with how far it is.
+        seconds: Duration.
+        faults: Arguments of ``SimulatedRobot.disturb``; None for a clean run.
+        seed: Seed of the scene and of the faults.
+        renderer: The simulator's renderer.
+        rate: Rate of the loop and the camera in hertz.
+        noise: Whether images have the noise of a D455.
+        progress: Called with the progress.
 
     Returns:
-        The loop's report, and what was seen.
+        The loop's report and the comparison with the truth.
     """
     import gymnasium as gym
 
@@ -127,42 +125,42 @@ def run(
         if moment.step == 0 and faults is not None:
             robot.disturb(**faults, seed=seed)
         if moment.step % 30 == 0:
-            told(f"deploy: {moment.step / rate:.0f} of {seconds:.0f} s")
+            progress(f"deploy: {moment.step / rate:.0f} of {seconds:.0f} s")
         seen.step(moment)
 
     env = gym.make("ShapeObs/D455-v0", source="robot", robot=robot, rate=rate, disable_env_checker=True)
-    # A hand may stay for a second; the run is to go on after it.
+    # A hand may stay for a second, after which the run has to continue.
     report = deploy(ShapeObservation(env), Sway(share=0.25), Limits(hold=5.0), seconds=seconds, on_step=step)
     return report, seen
 
 
-def clean_table(report: Any, seen: Seen) -> list[Row]:
-    """What is asked of a run in which nothing goes wrong."""
+def clean_targets(report: Any, seen: Seen) -> list[Row]:
+    """Compare a clean run with its targets."""
     return [
         at_most("overruns", _OVERRUNS, 100 * report.overruns / report.steps, " %"),
         at_most("image to action, own share, 95th percentile", _OWN, report.sections["own"].p95, " ms"),
-        at_most("mean error", 5.0, float(np.mean(seen.mm)), " mm"),
+        at_most("mean error", 5.0, mean(seen.mm), " mm"),
         at_most("frames with an index slip", 0, seen.slips, ""),
         at_most("steps without an action", 0, report.held, ""),
     ]
 
 
-def faulty_table(report: Any, seen: Seen) -> list[Row]:
-    """What is asked of a run in which much goes wrong."""
+def faulty_targets(report: Any, seen: Seen) -> list[Row]:
+    """Compare a run with faults with its targets; rows without a target are for information."""
     return [
         at_most("wrong shapes that were acted on", 0, seen.wrong, ""),
         at_most("actions on a stale shape", 0, seen.stale, ""),
-        at_most("mean error of what was acted on", 5.0, float(np.mean(seen.mm)), " mm"),
-        _told("mean error of the points that were told hidden", float(np.mean(seen.hidden or [np.nan])), " mm"),
-        _told("most seconds from an exposure to its arrival", seen.oldest, " s"),
-        _told("steps without an action", report.held),
+        at_most("mean error of what was acted on", 5.0, mean(seen.mm), " mm"),
+        _without_target("mean error of the points that were reported hidden", mean(seen.hidden or [np.nan]), " mm"),
+        _without_target("most seconds from an exposure to its arrival", seen.oldest, " s"),
+        _without_target("steps without an action", report.held),
     ]
 
 
-def _told(what: str, seen: float, unit: str = "") -> Row:
+def _without_target(what: str, seen: float, unit: str = "") -> Row:
     return {"what": what, "asked": "-" + unit, "seen": float(seen), "reached": "-"}
 
 
 def section_table(report: Any) -> list[Row]:
-    """Milliseconds by part of the loop."""
+    """Return the milliseconds of each section of the loop."""
     return [{"section": name, **vars(section)} for name, section in report.sections.items()]

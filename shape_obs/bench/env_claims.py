@@ -1,45 +1,43 @@
-"""The accuracy that is claimed over the simulated environments: what the camera saw against the simulator's truth.
+"""Measure the accuracy on the simulated environments: the camera's points against the simulator's truth.
 
-Clean, behind the camera's noise, and randomised, with a hand in the image and without. The tests run slices of these
-functions; ``shape-obs bench claims --only envs`` runs them whole.
+The images are clean, with the camera's noise, or randomised with and without a hand in the image.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.asked import at_most
-from shape_obs.bench.env_physics import Strain, is_finite, strain, warnings
-from shape_obs.bench.env_runner import ENVS, EPISODE, Env, held_actions
-from shape_obs.bench.env_scores import place
+from shape_obs.bench import ENVS, Env, run_tasks
+from shape_obs.bench.env_physics import EPISODE, Strain, held_actions, is_finite, strain, warnings
+from shape_obs.bench.scores import simulator_score
+from shape_obs.bench.tables import Row, at_most
 from shape_obs.utils.threads import one_thread
 
-Row = dict[str, Any]
 Condition = Literal["clean", "noise", "randomised", "randomised, no hand"]
 Camera = Literal["d455", "rl"]
 
 CONDITIONS: Final[tuple[Condition, ...]] = get_args(Condition)
-_RANDOMIZE: Final[dict[Condition, Any]] = {"randomised": True, "randomised, no hand": {"hand": False}}
 CAMERAS: Final[tuple[Camera, ...]] = get_args(Camera)
+_RANDOMIZE: Final[dict[Condition, Any]] = {"randomised": True, "randomised, no hand": {"hand": False}}
 _CHUNK: Final = 10  # episodes for which an environment is made
 _SLIP: Final = 0.5  # gaps
-_DAY: Final = 0xE9  # keeps the actions apart from what else is drawn from an episode's seed
-# Millimetres that are asked for, mean over all judged frames, in the order of the conditions.
-_ASKED: Final[dict[Env, tuple[float, ...]]] = {"Cable": (3, 5, 8, 8), "Ring": (3, 5, 8, 8), "Cloth": (6, 8, 12, 12)}
+_ACTIONS: Final = 0xE9  # separates the actions from everything else that is drawn from an episode's seed
+# Targets of the mean error over all judged frames in millimetres, in the order of the conditions.
+_TARGETS: Final[dict[Env, tuple[float, ...]]] = {"Cable": (3, 5, 8, 8), "Ring": (3, 5, 8, 8), "Cloth": (6, 8, 12, 12)}
 _SLIPPED: Final = (0, 0, 0.5, 0.5)  # percent of the episodes
 
 
 class Setting(NamedTuple):
-    """What is looked at, and how.
+    """An environment and its images.
 
     Args:
         env: The environment.
         camera: ``"d455"`` (640 x 480) or ``"rl"`` (160 x 120).
-        condition: ``"clean"``, ``"noise"`` (a D455's), or one of the randomised ones, which have no noise.
+        condition: ``"clean"``, ``"noise"`` (that of a D455), or a randomised one without noise.
         renderer: ``"auto"``, ``"gl"`` or ``"rays"``.
     """
 
@@ -53,17 +51,17 @@ class Episode(NamedTuple):
     """One episode of random actions.
 
     Args:
-        frames: How many, the first one too.
-        mm: Mean error of the points in each frame that is judged: the shape is ok, and no sheet folded.
-        held_mm: Those of them in which the shape was not found, and the last one is held for a while.
-        slips: Judged frames with a valid point more than half a gap off its place on the material.
-        worst_slip: The farthest, in gaps.
-        flips: Judged frames whose points are numbered otherwise than the object's.
-        not_ok: Frames in which the shape was told not to be ok.
-        folded: Frames of a sheet that hides a part of itself; they are not judged, found or not.
+        frames: Number of frames, including the first one.
+        mm: Mean error of the points in each judged frame: the shape is ok, and no sheet is folded.
+        held_mm: Those errors of frames in which the shape was not found and the last one was held.
+        slips: Judged frames with a valid point more than half a gap from its position on the material.
+        worst_slip: The largest such distance, in gaps.
+        flips: Judged frames whose points are numbered differently from the object's.
+        not_ok: Frames in which the shape was reported not ok.
+        folded: Frames of a sheet that hides a part of itself; they are not judged.
         broken: Frames in which the physics state was not finite.
-        warnings: Of MuJoCo.
-        strain: The largest.
+        warnings: Warnings of MuJoCo.
+        strain: The largest strain.
     """
 
     frames: int
@@ -80,7 +78,7 @@ class Episode(NamedTuple):
 
 
 def episodes(setting: Setting, seeds: Sequence[int], steps: int = EPISODE) -> list[Episode]:
-    """Random actions, held for eight steps where the seed is odd, else drawn anew in every step."""
+    """Run an episode of random actions for each seed; odd seeds hold each action for eight steps."""
     import gymnasium as gym
 
     from shape_obs.wrappers import ShapeObservation
@@ -93,7 +91,7 @@ def episodes(setting: Setting, seeds: Sequence[int], steps: int = EPISODE) -> li
     )
     env = ShapeObservation(D455Noise(env) if setting.condition == "noise" else env)
     simulator: Any = env.unwrapped
-    # Any goal that can be seen does: to draw one takes longer than the episode.
+    # The goal does not matter, and drawing one takes longer than the episode.
     goal = simulator.truth()
     try:
         with one_thread():
@@ -109,33 +107,33 @@ def all_episodes(
     steps: int = EPISODE,
     tick: Callable[[int], object] = lambda done: None,
 ) -> dict[Setting, list[Episode]]:
-    """The same episodes under several settings.
+    """Run the same episodes under several settings.
 
     Args:
-        settings: What is looked at, and how.
-        seeds: One for each episode.
-        jobs: Processes.
-        steps: Of an episode.
-        tick: Called with how many more episodes are done.
+        settings: The settings.
+        seeds: One seed for each episode.
+        jobs: Number of processes.
+        steps: Steps of an episode.
+        tick: Called with the number of further episodes that are done.
     """
     chunks = [list(seeds[first : first + _CHUNK]) for first in range(0, len(seeds), _CHUNK)]
     tasks = [(setting, chunk, steps) for setting in settings for chunk in chunks]
     found: dict[Setting, list[Episode]] = {setting: [] for setting in settings}
-    for setting, some in _worked_off(tasks, jobs):
+    for setting, some in run_tasks(_chunk, tasks, jobs):
         found[setting] += some
         tick(len(some))
     return found
 
 
 def settings(renderer: str, envs: Sequence[Env] = ENVS) -> list[Setting]:
-    """Every environment, camera and condition."""
+    """Return the settings of every environment, camera and condition."""
     return [Setting(env, camera, how, renderer) for env in envs for camera in CAMERAS for how in CONDITIONS]
 
 
 def claim_row(setting: Setting, found: Sequence[Episode]) -> Row:
-    """All episodes of a setting; shares are percent of all frames, or of all episodes.
+    """Summarise all episodes of a setting; shares are in percent of all frames or of all episodes.
 
-    ``mean_mm`` is of all judged frames, ``found_mean_mm`` of those in which the shape was found and not held.
+    ``mean_mm`` is over all judged frames, ``found_mean_mm`` over those in which the shape was found and not held.
     """
     frames = sum(each.frames for each in found)
     judged, held = [mm for each in found for mm in each.mm], [mm for each in found for mm in each.held_mm]
@@ -161,7 +159,7 @@ def claim_row(setting: Setting, found: Sequence[Episode]) -> Row:
 
 
 def physics_row(env: Env, found: Sequence[Episode]) -> Row:
-    """What the physics did over all episodes of an environment; strain is percent."""
+    """Summarise the physics over all episodes of an environment; strains are in percent."""
     return {
         "env": env,
         "episodes": len(found),
@@ -173,40 +171,29 @@ def physics_row(env: Env, found: Sequence[Episode]) -> Row:
     }
 
 
-def asked_rows(rows: Sequence[Row], physics: Sequence[Row]) -> list[Row]:
-    """What is asked of the D455's image size and of the physics, what was seen."""
-    asked: list[Row] = []
+def targets(rows: Sequence[Row], physics: Sequence[Row]) -> list[Row]:
+    """Compare the errors at the D455's image size and the physics with their targets."""
+    compared: list[Row] = []
     for row in rows:
         if row["camera"] != "d455":
             continue
         which, what = CONDITIONS.index(row["condition"]), f"{row['env']}, {row['condition']}"
-        asked.append(at_most(f"{what}: mean error", _ASKED[row["env"]][which], row["mean_mm"], " mm"))
+        compared.append(at_most(f"{what}: mean error", _TARGETS[row["env"]][which], row["mean_mm"], " mm"))
         share = row["episodes_with_slips_percent"]
-        asked.append(at_most(f"{what}: episodes in which the index slips", _SLIPPED[which], share, " %"))
+        compared.append(at_most(f"{what}: episodes in which the index slips", _SLIPPED[which], share, " %"))
     for row in physics:
         for name, what in (("not_finite", "states that are not finite"), ("warnings", "warnings of MuJoCo")):
-            asked.append(at_most(f"{row['env']}: {what}", 0, row[name], ""))
-    return asked
+            compared.append(at_most(f"{row['env']}: {what}", 0, row[name], ""))
+    return compared
 
 
-def _worked_off(tasks: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[tuple[Setting, list[Episode]]]:
-    if jobs == 1:
-        for task in tasks:
-            yield _work(*task)
-    else:
-        from joblib import Parallel, delayed
-
-        workers: Any = Parallel(n_jobs=jobs, return_as="generator_unordered")
-        yield from workers(delayed(_work)(*task) for task in tasks)
-
-
-def _work(setting: Setting, seeds: Sequence[int], steps: int) -> tuple[Setting, list[Episode]]:
+def _chunk(setting: Setting, seeds: Sequence[int], steps: int) -> tuple[Setting, list[Episode]]:
     return setting, episodes(setting, seeds, steps)
 
 
 def _episode(env: Any, seed: int, steps: int, goal: npt.NDArray[Any]) -> Episode:
     simulator = env.unwrapped
-    actions = held_actions(np.random.default_rng((_DAY, seed)), env.action_space.shape, steps, 8 if seed % 2 else 1)
+    actions = held_actions(np.random.default_rng((_ACTIONS, seed)), env.action_space.shape, steps, 8 if seed % 2 else 1)
     mm: list[float] = []
     held: list[float] = []
     slips: list[float] = []
@@ -218,7 +205,7 @@ def _episode(env: Any, seed: int, steps: int, goal: npt.NDArray[Any]) -> Episode
         not_ok, folded = not_ok + (not shape.ok), folded + (not flat)
         if shape.ok and flat:
             points = observation["achieved_goal"].astype(np.float64).reshape(-1, 3)
-            seen = place(points, shape.valid, shape.layout, simulator)
+            seen = simulator_score(points, shape.valid, shape.layout, simulator)
             mm.append(seen.mm)
             if shape.reason:
                 held.append(seen.mm)

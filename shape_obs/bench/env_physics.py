@@ -1,21 +1,44 @@
-"""Whether the simulated objects behave: states stay finite, the engine does not complain, nothing stretches."""
+"""Make simulated environments for measurements, and check their physics and their goals."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench import Env
+from shape_obs.bench.tables import Row, at_most, mean
+
 Array = npt.NDArray[np.float64]
+Actions = npt.NDArray[np.float32]
+
+EPISODE: Final = 50  # steps
+DIFFICULTIES: Final = ("near", "middle", "far")
+_REST: Final = 20  # steps after which the object should have come to rest
+_FARTHEST: Final = {"near": 50, "middle": 100}  # target in millimetres, in every episode
+_KEPT: Final = 5  # target in millimetres
+
+
+def make_env(name: Env, options: Mapping[str, Any]) -> gym.Env[Any, Any]:
+    """Make an environment as trainers do, without Gymnasium's checker; it never ends an episode by itself."""
+    return gym.make(f"shape_obs_envs:ShapeObs/{name}-v0", disable_env_checker=True, max_episode_steps=-1, **options)
+
+
+def held_actions(rng: np.random.Generator, shape: tuple[int, ...], steps: int, held: int = 1) -> Actions:
+    """Draw (steps, *shape) random actions, each held for ``held`` steps; white noise moves grippers less."""
+    drawn = rng.uniform(-1, 1, (-(-steps // held), *shape))
+    return np.repeat(drawn, held, axis=0)[:steps].astype(np.float32)
 
 
 class Strain(NamedTuple):
-    """How much longer an object is than at rest; 0.05 is five hundredths.
+    """How much longer an object is than at rest; 0.05 is five percent.
 
     Args:
-        whole: Of its length from end to end or once around; of a sheet, the same as ``local``.
-        local: Of the piece between two neighbouring joints or masses that is stretched most.
+        whole: Strain of the length from end to end or once around; of a sheet, the same as ``local``.
+        local: Largest strain between two neighbouring joints or masses.
     """
 
     whole: float
@@ -23,29 +46,84 @@ class Strain(NamedTuple):
 
 
 def is_finite(simulator: Any) -> bool:
-    """Whether the whole physics state is."""
+    """Return whether the whole physics state is finite."""
     return bool(np.isfinite(simulator.get_state()).all())
 
 
 def warnings(simulator: Any) -> int:
-    """How often MuJoCo has warned since the object was last put down."""
+    """Return the number of MuJoCo's warnings since the last reset of the object."""
     return int(np.sum(simulator._body.data.warning.number))
 
 
 def strain(simulator: Any) -> Strain:
-    """Of a rope's or band's middle line, or of the edges between a sheet's masses."""
+    """Return the strain of a rope's or band's middle line, or of the edges between a sheet's masses."""
     body, kind = simulator._body, simulator.goal_layout["kind"]
     if kind == "surface":
         return Strain(body.stretch(), body.stretch())
     if kind == "contour":
         line = body.axis()
-        return _of_pieces(np.concatenate([line, line[:1]]), np.full(len(line), body.spec.link_length))
-    line, spec = body.vertices(), body.spec
-    rest = np.full(len(line) - 1, spec.link_length)
-    rest[[0, -1]] += spec.radius
-    return _of_pieces(line, rest)
-
-
-def _of_pieces(line: Array, rest: Array) -> Strain:
+        line, rest = np.concatenate([line, line[:1]]), np.full(len(line), body.spec.link_length)
+    else:
+        line = body.vertices()
+        rest = np.full(len(line) - 1, body.spec.link_length)
+        rest[[0, -1]] += body.spec.radius
     pieces = np.linalg.norm(np.diff(line, axis=0), axis=1)
     return Strain(float(pieces.sum() / rest.sum() - 1), float((pieces / rest).max() - 1))
+
+
+class GoalResult(NamedTuple):
+    """Goals of one difficulty; all distances are means between corresponding points, in millimetres.
+
+    Args:
+        env: The environment.
+        difficulty: The difficulty.
+        episodes: Number of episodes.
+        start_mm: Distance of the start from the goal, mean over the episodes.
+        farthest_mm: The largest such distance.
+        played_mm: Distance left after the goal's own actions and a second of rest, mean over the episodes.
+        worst_played_mm: The largest such distance.
+        warnings: Warnings of MuJoCo.
+    """
+
+    env: Env
+    difficulty: str
+    episodes: int
+    start_mm: float
+    farthest_mm: float
+    played_mm: float
+    worst_played_mm: float
+    warnings: int
+
+
+def goals(
+    env: Env, difficulty: str, seeds: Sequence[int], tick: Callable[[int], object] = lambda done: None
+) -> GoalResult:
+    """Draw a goal in each episode and play the actions that lead to it, without rendering."""
+    simulated = make_env(env, {"render_observation": False, "difficulty": difficulty})
+    simulator: Any = simulated.unwrapped
+    starts: list[float] = []
+    ends: list[float] = []
+    warned = 0
+    for seed in seeds:
+        _, info = simulated.reset(seed=seed)
+        starts.append(1e3 * info["truth/mean_error"])
+        idle = np.zeros((_REST, *simulator.action_space.shape), np.float32)
+        for action in [*simulator.goal_actions, *idle]:
+            *_, info = simulated.step(action)
+        ends.append(1e3 * info["truth/mean_error"])
+        warned += warnings(simulator)
+        tick(1)
+    simulated.close()
+    return GoalResult(env, difficulty, len(starts), mean(starts), max(starts), mean(ends), max(ends), warned)
+
+
+def targets(found: Sequence[GoalResult]) -> list[Row]:
+    """Compare goals with their targets."""
+    rows: list[Row] = []
+    for each in found:
+        what = f"{each.env}, {each.difficulty}"
+        if each.difficulty in _FARTHEST:
+            farthest = f"{what}: the farthest goal from its start"
+            rows.append(at_most(farthest, _FARTHEST[each.difficulty], each.farthest_mm, " mm"))
+        rows.append(at_most(f"{what}: off the worst goal after its actions", _KEPT, each.worst_played_mm, " mm"))
+    return rows

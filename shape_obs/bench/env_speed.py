@@ -1,4 +1,4 @@
-"""Steps per second of the simulated environments: without drawing, with images, wrapped, and as MuJoCo draws them."""
+"""Measure the steps per second of the simulated environments: without rendering, with images, and wrapped."""
 
 from __future__ import annotations
 
@@ -8,44 +8,35 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+import gymnasium as gym
 import numpy as np
 
-from shape_obs.bench.asked import at_least, at_most
-from shape_obs.bench.backends import LABELS, Backend, backends
-from shape_obs.bench.env_runner import Actions, Env, Runner, Stopwatch, held_actions, make_env
-from shape_obs.bench.env_stock import StockDrawing
-from shape_obs.bench.turns import Clock, Entrant, turns
+from shape_obs.bench import Clock, Env, Size
+from shape_obs.bench.env_physics import EPISODE, Actions, held_actions, make_env
+from shape_obs.bench.interleaved_timing import CLOCKS, Method, interleaved_timing
+from shape_obs.bench.tables import Row, at_least, at_most
 from shape_obs.utils.threads import one_thread
 from shape_obs.wrappers import ShapeObservation
 
-Row = dict[str, Any]
-Size = tuple[int, int]
-
-SIZES: Final[tuple[Size, ...]] = ((84, 84), (160, 120), (640, 480))
-RENDERERS: Final = ("gl", "rays")
 WARM_UP: Final = 10  # steps that are not counted
-NOTHING, BARE, STOCK, PLAIN = "no drawing", "bare", "stock", "stock, no shadows"
-# What is asked of the wrapped environment, as a share of the steps per second without drawing.
-_TRAINING: Final = (84, 84)
-_OF_NOTHING: Final[dict[Backend, float]] = {"numpy": 0.3, "numba": 0.4}
-# What the wrapper may take of a wrapped step.
-_USUAL: Final = (160, 120)
-_SHARE: Final[dict[Backend, float]] = {"numpy": 35, "numba": 10}
-_OVER_STOCK: Final = 5
+NO_RENDERING, BARE, WRAPPED = "no_drawing", "bare", "wrapped"
+_TRAINING: Final = "84 x 84"
+_OF_NO_RENDERING: Final = 0.4  # target: share of the steps per second without rendering
+_USUAL: Final = "160 x 120"
+_WRAPPER_PERCENT: Final = 10  # target: the wrapper's share of a wrapped step
 
 
 @dataclass(frozen=True)
 class Course:
-    """What is run.
+    """The environment that is measured.
 
     Args:
         env: The environment.
-        size: (width, height) of its images, pixels.
+        size: (width, height) of its images in pixels.
         renderer: ``"gl"`` or ``"rays"``.
-        steps: How many are counted.
-        slow: On how many of them MuJoCo's own settings run too; 0 leaves them out.
-        seed: Of episodes and actions.
-        clock: What counts the time.
+        steps: Number of counted steps.
+        seed: Seed of episodes and actions.
+        clock: The clock.
         burst: Steps in a turn.
     """
 
@@ -53,29 +44,78 @@ class Course:
     size: Size
     renderer: str
     steps: int
-    slow: int = 0
     seed: int = 0
     clock: Clock = "wall"
     burst: int = 10
 
     @property
     def image(self) -> str:
-        """As the tables call it."""
+        """The image size as in the tables."""
         return f"{self.size[0]} x {self.size[1]}"
 
-    @property
-    def options(self) -> dict[str, Any]:
-        """Of the environment."""
-        return {"camera": [*self.size], "renderer": self.renderer}
+
+class Runner:
+    """Step an environment, and reset it when an episode is over.
+
+    Args:
+        env: The environment.
+        seed: Seed of the first episode; the seeds of later ones follow, so that equal runners see equal episodes.
+        clock: The clock for resets.
+
+    Attributes:
+        resets: Milliseconds of each reset.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], seed: int, clock: Clock) -> None:
+        self.env, self.resets = env, list[float]()
+        self._seed, self._now, self._left = seed, CLOCKS[clock], 0
+
+    def ready(self) -> None:
+        """Reset if the next step needs it."""
+        if self._left:
+            return
+        begin = self._now()
+        self.env.reset(seed=self._seed + 1000 * len(self.resets))
+        self.resets.append(1e3 * (self._now() - begin))
+        self._left = EPISODE
+
+    def step(self, action: Actions) -> None:
+        """Take one step."""
+        self._left -= 1
+        self.env.step(action)
+
+
+class Stopwatch(gym.Wrapper[Any, Any, Any, Any]):
+    """Time the steps of an environment inside its wrapper.
+
+    Args:
+        env: The environment.
+        clock: The clock.
+
+    Attributes:
+        milliseconds: Time of the last step.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], clock: Clock) -> None:
+        super().__init__(env)
+        self.milliseconds = 0.0
+        self._now = CLOCKS[clock]
+
+    def step(self, action: Any) -> Any:
+        """Step the environment."""
+        begin = self._now()
+        result = self.env.step(action)
+        self.milliseconds = 1e3 * (self._now() - begin)
+        return result
 
 
 @dataclass
 class Speed:
-    """What one contestant took.
+    """The times of one way of running an environment.
 
     Args:
         steps: Milliseconds of each step.
-        wrapper: The share of each step that is not the environment's own; empty for those that are not wrapped.
+        wrapper: Share of each step outside the environment's own step; empty if it is not wrapped.
         resets: Milliseconds of each reset.
     """
 
@@ -85,38 +125,29 @@ class Speed:
 
     @property
     def rate(self) -> float:
-        """Steps per second, of the median step."""
+        """Steps per second at the median step."""
         return 1e3 / float(np.median(self.steps))
 
 
-Speeds = dict[str, Speed]
-
-
-def speeds(course: Course, tick: Callable[[], Any] = lambda: None) -> Speeds:
-    """Let every way of running an environment live through the same episodes, in turns of a few steps.
+def speeds(course: Course, tick: Callable[[], Any] = lambda: None) -> dict[str, Speed]:
+    """Run the same episodes without rendering, with images and wrapped, in turns of a few steps.
 
     Args:
-        course: What is run.
+        course: The environment that is measured.
         tick: Called after each step of all.
 
     Returns:
-        Contestant -> times, first without drawing, then with images, wrapped on each backend, and as MuJoCo draws.
+        Name of the way -> times.
     """
-    found: Speeds = defaultdict(Speed)
+    found: dict[str, Speed] = defaultdict(Speed)
     with ExitStack() as stack, one_thread():
-        runners = {name: Runner(env, course.seed, course.clock) for name, env in _contestants(course, stack)}
+        runners = {name: Runner(env, course.seed, course.clock) for name, env in _ways(course, stack)}
         (shape,) = {runner.env.action_space.shape for runner in runners.values()}
         assert shape is not None
         actions = held_actions(np.random.default_rng(course.seed), shape, WARM_UP + course.steps)
-        seldom = {*np.linspace(WARM_UP, len(actions) - 1, min(course.slow, course.steps)).astype(int).tolist()}
-        # Once before, or its first step would be the only one that finds nothing ready.
-        seldom.update(range(min(course.slow, 2)))
-        entrants = [
-            Entrant[Actions](name, runner.step, runner.ready, frames=seldom if name in (STOCK, PLAIN) else None)
-            for name, runner in runners.items()
-        ]
+        methods = [Method[Actions](name, runner.step, runner.ready) for name, runner in runners.items()]
         last = -1
-        for turn in turns(actions, entrants, course.clock, burst=course.burst):
+        for turn in interleaved_timing(actions, methods, course.clock, burst=course.burst):
             if turn.frame > last:
                 tick()
                 last = turn.frame
@@ -129,82 +160,47 @@ def speeds(course: Course, tick: Callable[[], Any] = lambda: None) -> Speeds:
                 speed.wrapper.append(1 - inside.milliseconds / turn.milliseconds)
         for name, runner in runners.items():
             found[name].resets = runner.resets
-    return {name: found[name] for name in runners}
+    return dict(found)
 
 
-def speed_row(course: Course, found: Speeds) -> Row:
-    """Steps per second of each way, their ratios, the wrapper's share of a step, and what a reset takes."""
-    row: Row = {"env": course.env, "image": course.image, "renderer": course.renderer}
-    row |= {"no_drawing": found[NOTHING].rate, "bare": found[BARE].rate}
-    row |= {backend: _rate(found, backend) for backend in LABELS}
-    row |= {f"{backend}_of_no_drawing": _over(_rate(found, backend), found[NOTHING].rate) for backend in LABELS}
-    row |= {f"{backend}_wrapper_percent": _percent(found.get(backend)) for backend in LABELS}
-    return row | {"reset_ms": float(np.median(found[BARE].resets))}
+def _ways(course: Course, stack: ExitStack) -> Iterator[tuple[str, gym.Env[Any, Any]]]:
+    """Make the environments by name; each is closed with the stack."""
+    options = {"camera": [*course.size], "renderer": course.renderer}
+    for name, render in ((NO_RENDERING, False), (BARE, True), (WRAPPED, True)):
+        env = make_env(course.env, options if render else {**options, "render_observation": False})
+        if name == WRAPPED:
+            env = ShapeObservation(Stopwatch(env, course.clock))
+        stack.callback(env.close)
+        yield name, env
 
 
-def stock_row(course: Course, found: Speeds) -> Row:
-    """Steps per second as MuJoCo draws by itself, and how many times faster the environment draws."""
-    row: Row = {"env": course.env, "image": course.image, "bare": found[BARE].rate}
-    row |= {"stock": found[STOCK].rate, "stock_no_shadows": found[PLAIN].rate}
-    row |= {"faster": found[BARE].rate / found[STOCK].rate}
-    return row | {"faster_no_shadows": found[BARE].rate / found[PLAIN].rate}
+def speed_row(course: Course, found: dict[str, Speed]) -> Row:
+    """Return the steps per second of each way, the wrapper's share of a step, and the time of a reset."""
+    rates: Row = {name: found[name].rate for name in (NO_RENDERING, BARE, WRAPPED)}
+    return {
+        "env": course.env,
+        "image": course.image,
+        "renderer": course.renderer,
+        **rates,
+        "wrapped_of_no_drawing": rates[WRAPPED] / rates[NO_RENDERING],
+        "wrapper_percent": 100 * float(np.median(found[WRAPPED].wrapper)),
+        "reset_ms": float(np.median(found[BARE].resets)),
+    }
 
 
-def speed_claims(rows: Sequence[Row], stock: Sequence[Row]) -> list[Row]:
-    """What is asked of training with OpenGL, what was seen.
-
-    Args:
-        rows: Of ``speed_row``.
-        stock: Of ``stock_row``.
-    """
-    asked: list[Row] = []
+def speed_targets(rows: Sequence[Row]) -> list[Row]:
+    """Compare the rows of ``speed_row`` with the targets for training with OpenGL."""
+    compared: list[Row] = []
     for row in rows:
+        what = f"{row['env']}, {row['image']}, OpenGL"
         if row["renderer"] != "gl":
             continue
-        what = f"{row['env']}, {row['image']}, OpenGL"
-        for backend, label in LABELS.items():
-            if row["env"] == "Cable" and row["image"] == _name(_TRAINING):
-                told = f"{what}, wrapped, {label}: of the steps per second without drawing"
-                asked.append(at_least(told, _OF_NOTHING[backend], row[f"{backend}_of_no_drawing"]))
-            if row["image"] == _name(_USUAL):
-                told = f"{what}: the wrapper's share of a wrapped step, {label}"
-                asked.append(at_most(told, _SHARE[backend], row[f"{backend}_wrapper_percent"], " %"))
-    for row in stock:
-        what = f"{row['env']}, {row['image']}, OpenGL: times the steps per second of stock mujoco.Renderer"
-        asked.append(at_least(what, _OVER_STOCK, row["faster"]))
-    return asked
-
-
-def _contestants(course: Course, stack: ExitStack) -> Iterator[tuple[str, Any]]:
-    """Name -> environment; each is closed with the stack."""
-
-    def opened(env: Any) -> Any:
-        stack.callback(env.close)
-        return env
-
-    def bare(**options: Any) -> Any:
-        return make_env(course.env, {**course.options, **options})
-
-    yield NOTHING, opened(bare(render_observation=False))
-    yield BARE, opened(bare())
-    for backend in backends():
-        yield backend, opened(ShapeObservation(Stopwatch(bare(), course.clock), backend=backend))
-    if course.slow and course.renderer == "gl":
-        for name in (STOCK, PLAIN):
-            yield name, opened(StockDrawing(bare(render_observation=False), *course.size, shadows=name == STOCK))
-
-
-def _rate(found: Speeds, name: str) -> float | None:
-    return found[name].rate if name in found else None
-
-
-def _over(value: float | None, other: float) -> float | None:
-    return None if value is None else value / other
-
-
-def _percent(speed: Speed | None) -> float | None:
-    return None if speed is None else 100 * float(np.median(speed.wrapper))
-
-
-def _name(size: Size) -> str:
-    return f"{size[0]} x {size[1]}"
+        if row["env"] == "Cable" and row["image"] == _TRAINING:
+            share = row["wrapped_of_no_drawing"]
+            compared.append(
+                at_least(f"{what}, wrapped: of the steps per second without drawing", _OF_NO_RENDERING, share)
+            )
+        if row["image"] == _USUAL:
+            percent = row["wrapper_percent"]
+            compared.append(at_most(f"{what}: the wrapper's share of a wrapped step", _WRAPPER_PERCENT, percent, " %"))
+    return compared

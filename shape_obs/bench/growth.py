@@ -1,4 +1,4 @@
-"""How the time of a frame grows with the size of the object, the number of points and the number of shapes."""
+"""Measure how the time of a frame grows with the size of the object, the number of points and of shapes."""
 
 from __future__ import annotations
 
@@ -10,43 +10,40 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.asked import at_most
-from shape_obs.bench.backends import LABELS, Backend, backends
-from shape_obs.bench.ropes import SIZE, draw_rope
-from shape_obs.bench.sheets import draw_sheet
-from shape_obs.bench.streams import BLUE, RGBD, photo, pinhole
-from shape_obs.bench.turns import Clock, Entrant, turns
-from shape_obs.bench.workloads import cloths, ropes
+from shape_obs.bench import Clock
+from shape_obs.bench.interleaved_timing import Method, interleaved_timing
+from shape_obs.bench.synthetic.images import BLUE
+from shape_obs.bench.synthetic.ropes import SIZE, draw_rope
+from shape_obs.bench.synthetic.sheets import draw_sheet
+from shape_obs.bench.synthetic.streams import RGBD, cloths, photo, pinhole, ropes
+from shape_obs.bench.tables import Row, at_most, grouped
 from shape_obs.configurations import Centerline, Configuration, Contour, Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.utils.threads import one_thread
 
 Array = npt.NDArray[np.float64]
-Row = dict[str, Any]
-Frame = dict[str, Any]  # name -> mask, (H,W) uint8, or RGB-D image
+Shapes = tuple[Configuration, ...]
+Frame = dict[str, Any]  # name -> mask, (H, W) uint8, or RGB-D image
 
 WARM_UP: Final = 5  # frames that are not counted
-AREAS: Final = (0.1, 0.2, 0.5, 1.0)  # of the object's full area
+AREAS: Final = (0.1, 0.2, 0.5, 1.0)  # shares of the object's full area
 COUNTS: Final = (20, 50, 100, 200)
 ROPE: Final = "pixels of a rope"
 CLOTH: Final = "pixels of a cloth"
 POINTS: Final = "points on a rope"
 NUMBER: Final = "shapes in one RGB-D image"
-# What is asked: from the smallest to the largest a frame takes at most so many times as long.
-_ASKED: Final = {ROPE: 2.0, CLOTH: 2.0, POINTS: 1.5, NUMBER: 2.5}
-_SHAPES: Final[tuple[tuple[Configuration, ...], ...]] = (
-    (Contour(),),
-    (Contour(), Surface()),
-    (Contour(), Contour(name="coarse", n=12), Surface()),
-)
+# Targets: by how many times a frame may take longer from the smallest to the largest.
+_TARGETS: Final = {ROPE: 2.0, CLOTH: 2.0, POINTS: 1.5, NUMBER: 2.5}
+_COARSE: Final = Contour(name="coarse", n=12)
+_NUMBERS: Final[tuple[Shapes, ...]] = ((Contour(),), (Contour(), Surface()), (Contour(), _COARSE, Surface()))
 
 
 class _Case(NamedTuple):
-    """One point of a growth curve: what grows, how much of it there is, what is looked for, and in which image."""
+    """One point of a growth curve; an ``amount`` of None is the number of pixels of the mask."""
 
     grows: str
-    amount: int | None  # None: as many as the mask has pixels
-    shapes: tuple[Configuration, ...]
+    amount: int | None
+    shapes: Shapes
     image: str
 
 
@@ -54,89 +51,62 @@ _CASES: Final = (
     *(_Case(ROPE, None, (Centerline(n=20),), f"rope {area}") for area in AREAS),
     *(_Case(CLOTH, None, (Surface(rows=4, cols=8),), f"cloth {area}") for area in AREAS),
     *(_Case(POINTS, n, (Centerline(n=n),), f"rope {AREAS[-1]}") for n in COUNTS),
-    *(_Case(NUMBER, len(shapes), shapes, "photo") for shapes in _SHAPES),
+    *(_Case(NUMBER, len(shapes), shapes, "photo") for shapes in _NUMBERS),
 )
 
 
-class Growth(NamedTuple):
-    """One point of a growth curve, measured.
-
-    Args:
-        grows: What grows.
-        amount: How much of it there is; of pixels the median over the frames.
-        backend: What the detector ran on.
-        median: Milliseconds of a frame.
-    """
-
-    grows: str
-    amount: int
-    backend: Backend
-    median: float
-
-
-def growths(frames: int, seed: int, clock: Clock = "wall", tick: Callable[[], Any] = lambda: None) -> list[Growth]:
-    """Time tracked detectors on growing objects, points and shapes, 640 x 480, all in turn, on one thread.
+def growth_rows(frames: int, seed: int, clock: Clock = "wall", tick: Callable[[], Any] = lambda: None) -> list[Row]:
+    """Time tracked detectors on growing objects, points and shapes, 640 x 480, in turns on one thread.
 
     Pixels and points are timed from the mask to the points, shapes from the RGB-D image on.
 
     Args:
-        frames: How many are counted.
-        seed: Of the motions.
-        clock: What counts the time.
+        frames: Number of counted frames.
+        seed: Seed of the motions.
+        clock: The clock.
         tick: Called after each frame.
+
+    Returns:
+        A row for each point of a growth curve: what grows, its amount (the median number of pixels), the median
+        milliseconds of a frame, and the ratio to the smallest amount.
     """
-    cases: dict[str, tuple[_Case, Backend]] = {
-        f"{i} {backend}": (case, backend) for i, case in enumerate(_CASES) for backend in backends()
-    }
     spent: dict[str, list[float]] = defaultdict(list)
     pixels: dict[str, list[int]] = defaultdict(list)
 
-    def instants() -> Iterator[Frame]:
+    def seen() -> Iterator[Frame]:
         for frame in _frames(frames + WARM_UP, seed):
-            for name, mask in frame.items():
-                if not isinstance(mask, RGBD):
-                    pixels[name].append(cv2.countNonZero(mask))
+            for name, image in frame.items():
+                if not isinstance(image, RGBD):
+                    pixels[name].append(cv2.countNonZero(image))
             yield frame
             tick()
 
     with one_thread():
-        for turn in turns(instants(), [_entrant(name, *case) for name, case in cases.items()], clock, seed):
+        methods = [_method(str(i), case) for i, case in enumerate(_CASES)]
+        for turn in interleaved_timing(seen(), methods, clock, seed):
             if turn.frame >= WARM_UP:
                 spent[turn.name].append(turn.milliseconds)
-    return [
-        Growth(case.grows, case.amount or int(np.median(pixels[case.image])), backend, float(np.median(spent[name])))
-        for name, (case, backend) in cases.items()
-    ]
-
-
-def growth_rows(found: list[Growth]) -> list[Row]:
-    """A row for each point of a growth curve."""
-    rows = []
-    for point in found:
-        smallest = _curve(found, point.grows, point.backend)[0]
-        row = {"grows": point.grows, "amount": point.amount, "backend": LABELS[point.backend]}
-        rows.append(row | {"median_ms": point.median, "times_smallest": point.median / smallest.median})
+    rows: list[Row] = []
+    smallest: dict[str, float] = {}
+    for i, case in enumerate(_CASES):
+        median = float(np.median(spent[str(i)]))
+        amount = case.amount or int(np.median(pixels[case.image]))
+        ratio = median / smallest.setdefault(case.grows, median)
+        rows.append({"grows": case.grows, "amount": amount, "median_ms": median, "times_smallest": ratio})
     return rows
 
 
-def growth_claims(found: list[Growth]) -> list[Row]:
-    """What is asked of the growth, what was seen."""
-    rows = []
-    for grows, bound in _ASKED.items():
-        for backend, label in LABELS.items():
-            curve = _curve(found, grows, backend)
-            seen = curve[-1].median / curve[0].median if curve else None
-            ends = f" from {curve[0].amount} to {curve[-1].amount}" if curve else ""
-            rows.append(at_most(f"{grows}{ends}, {label}", bound, seen))
-    return rows
-
-
-def _curve(found: list[Growth], grows: str, backend: Backend) -> list[Growth]:
-    return [point for point in found if (point.grows, point.backend) == (grows, backend)]
+def growth_targets(rows: list[Row]) -> list[Row]:
+    """Compare the growth with its targets."""
+    compared = []
+    for grows, curve in grouped(rows, lambda row: row["grows"]).items():
+        what = f"{grows} from {curve[0]['amount']} to {curve[-1]['amount']}"
+        compared.append(at_most(what, _TARGETS[grows], curve[-1]["times_smallest"]))
+    return compared
 
 
 def _frames(frames: int, seed: int) -> Iterator[Frame]:
-    """A rope and a cloth at every size, about the middle of the image, and a photo of the cloth at its largest."""
+    """Draw a rope and a cloth at every size about the middle of the image, and a photo of the largest cloth."""
     rng, camera = np.random.default_rng(seed), pinhole((SIZE[1], SIZE[0]))
     for rope, sheet in zip(ropes(frames, seed), cloths(frames, seed), strict=True):
         frame: Frame = {}
@@ -153,8 +123,8 @@ def _shrunk(points: Array, scale: float) -> Array:
     return (points - middle) * scale + middle
 
 
-def _entrant(name: str, case: _Case, backend: Backend) -> Entrant[Frame]:
-    detector = ShapeDetector(case.shapes, BLUE, backend=backend)
+def _method(name: str, case: _Case) -> Method[Frame]:
+    detector = ShapeDetector(case.shapes, BLUE)
 
     def touch(frame: Frame) -> None:
         image = frame[case.image]
@@ -164,4 +134,4 @@ def _entrant(name: str, case: _Case, backend: Backend) -> Entrant[Frame]:
         image = frame[case.image]
         return detector.detect(*image) if isinstance(image, RGBD) else detector.detect_mask(image)
 
-    return Entrant(name, run, touch=touch)
+    return Method(name, run, touch=touch)

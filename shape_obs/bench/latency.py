@@ -1,45 +1,56 @@
-"""How long the stages take from an RGB-D frame to 20 points in space, at the sizes of real cameras."""
+"""Measure the stages from an RGB-D frame to 20 points in space, at the sizes of real cameras, and the memory."""
 
 from __future__ import annotations
 
+import gc
+import os
+import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
 
-from shape_obs.bench.asked import at_least, at_most
-from shape_obs.bench.backends import LABELS, Backend, backends, ours
-from shape_obs.bench.streams import BLUE, RGBD, Size, classic, streams
-from shape_obs.bench.turns import Clock, Entrant, turns
+from shape_obs.bench import Clock, Size
+from shape_obs.bench.interleaved_timing import Method, interleaved_timing
+from shape_obs.bench.synthetic.images import BLUE
+from shape_obs.bench.synthetic.streams import RGBD, classic, streams
+from shape_obs.bench.tables import Row, at_least, at_most
 from shape_obs.configurations import Centerline
 from shape_obs.detector import ShapeDetector
 from shape_obs.shape import Detection
 from shape_obs.utils.threads import one_thread
 
-Row = dict[str, Any]
 Frame = Mapping[Size, RGBD]
+Tick = Callable[[], Any]
 
 WARM_UP: Final = 5  # frames that are not counted
 ONE_PASS: Final = "one pass: sumElems"
 CLASSIC: Final = "classic segmentation, full frame"
+WARM, COLD = "shape_obs, warm", "shape_obs, cold"
 SMALL: Final[Size] = (640, 480)
 LARGE: Final[Size] = (1280, 800)
-# What is asked at 640 x 480, warm: at most so many passes, and so many times faster than the classic segmentation.
-_PASSES: Final[dict[Backend, float]] = {"numpy": 40, "numba": 6}
-_FASTER: Final[dict[Backend, float]] = {"numpy": 4, "numba": 20}
-_LARGER: Final = 3.0
+# Targets of a warm frame at 640 x 480: passes over the image, and times faster than classic segmentation.
+_PASSES: Final = 6
+_FASTER: Final = 20
+_LARGER: Final = 3.0  # times longer at 1280 x 800
+_MEGABYTE: Final = 1e6
+_MEMORY_TARGET: Final = 5.0  # megabytes
+_MEMORY_SIZE: Final[Size] = (320, 240)
+_SCENES: Final = 60  # played forwards and backwards
+_LOST: Final = 200  # the object is out of sight once in this number of frames
 
 
 @dataclass
 class Latency:
-    """What one method took at one size.
+    """The times of one method at one size.
 
     Args:
-        milliseconds: Of each frame.
-        stages: Milliseconds by stage of each frame, as the detector tells them.
+        milliseconds: The time of each frame.
+        stages: Milliseconds by stage of each frame, as the detector reports them.
         refused: Frames without a shape.
     """
 
@@ -49,131 +60,150 @@ class Latency:
 
     @property
     def median(self) -> float:
-        """Milliseconds."""
+        """The median time in milliseconds."""
         return float(np.median(self.milliseconds))
-
-    @property
-    def late(self) -> float:
-        """Milliseconds that 95 % of the frames keep to."""
-        return float(np.percentile(self.milliseconds, 95))
 
 
 Latencies = dict[tuple[Size, str], Latency]
 
 
 def latencies(
-    sizes: tuple[Size, ...],
-    frames: int,
-    seed: int,
-    clock: Clock = "wall",
-    burst: int = 1,
-    tick: Callable[[], Any] = lambda: None,
+    sizes: tuple[Size, ...], frames: int, seed: int, clock: Clock = "wall", burst: int = 1, tick: Tick = lambda: None
 ) -> Latencies:
-    """Time the whole pipeline beside one pass over the image and beside the classic segmentation.
-
-    Every method at every size runs on every frame, in turn, on one thread.
+    """Time the pipeline, one pass over the image and classic segmentation at every size, in turns on one thread.
 
     Args:
-        sizes: (width, height) of the images, pixels.
-        frames: How many are counted.
-        seed: Of motion, light and noise.
-        clock: What counts the time; the stages are told by the detector, in time that passes.
+        sizes: (width, height) of the images in pixels.
+        frames: Number of counted frames.
+        seed: Seed of motion, light and noise.
+        clock: The clock. The detector's own stages are always timed by the wall clock.
         burst: Frames in a turn.
         tick: Called after each frame.
 
     Returns:
-        Size, method -> times.
+        The times by size and method.
     """
     found: Latencies = defaultdict(Latency)
-    keys: dict[str, tuple[Size, str]] = {}
-    entrants: list[Entrant[Frame]] = []
-    for size in sizes:
-        for entrant in _entrants(size):
-            keys[entrant.name] = size, entrant.name.split(" | ")[1]
-            entrants.append(entrant)
+    methods = {f"{_name(size)} | {each.name}": (size, each) for size in sizes for each in _methods(size)}
+    timed = [Method(key, each.run, each.before, each.touch) for key, (_, each) in methods.items()]
     with one_thread():
-        for turn in turns(_ticking(streams(sizes, frames + WARM_UP, seed), tick), entrants, clock, burst=burst):
+        seen = _ticking(streams(sizes, frames + WARM_UP, seed), tick)
+        for turn in interleaved_timing(seen, timed, clock, burst=burst):
             if turn.frame < WARM_UP:
                 continue
-            latency = found[keys[turn.name]]
+            size, method = methods[turn.name]
+            latency = found[size, method.name]
             latency.milliseconds.append(turn.milliseconds)
             if isinstance(turn.result, Detection):
                 latency.stages.append(turn.result.timings)
                 latency.refused += not turn.result.ok
-    return {key: found[key] for key in keys.values()}
+    return {(size, method.name): found[size, method.name] for size, method in methods.values()}
 
 
-def total_rows(found: Latencies) -> list[Row]:
-    """A row for each size and method."""
-    rows = []
-    for (size, method), latency in found.items():
-        passes, segmented = found[size, ONE_PASS].median, found[size, CLASSIC].median
-        row = {"image": _name(size), "method": method, "median_ms": latency.median, "p95_ms": latency.late}
-        row |= {"passes": latency.median / passes, "faster_than_classic": segmented / latency.median}
-        rows.append(row | {"refused": latency.refused})
-    return rows
-
-
-def stage_rows(found: Latencies) -> list[Row]:
-    """A row for each size and way of running the detector: the median of each stage, milliseconds."""
-    told = {key: latency.stages for key, latency in found.items() if latency.stages}
-    names = list(dict.fromkeys(stage for stages in told.values() for timings in stages for stage in timings))
-    return [
-        {"image": _name(size), "method": method}
-        | {name: float(np.median([timings.get(name, 0.0) for timings in stages])) for name in names}
-        for (size, method), stages in told.items()
-    ]
-
-
-def latency_claims(found: Latencies) -> list[Row]:
-    """What is asked of the whole pipeline, what was seen."""
-    rows = []
-
-    def median(size: Size, method: str) -> float | None:
-        return found[size, method].median if (size, method) in found else None
-
-    for backend, label in LABELS.items():
-        mine, larger = median(SMALL, ours(backend, "warm")), median(LARGE, ours(backend, "warm"))
-        what = f"{_name(SMALL)} image to 20 points in 3D, {label}, warm"
-        passes = _over(mine, median(SMALL, ONE_PASS))
-        rows.append(at_most(f"{what}: times one pass over the image", _PASSES[backend], passes))
-        faster = _over(median(SMALL, CLASSIC), mine)
-        rows.append(at_least(f"{what}: times faster than classic segmentation", _FASTER[backend], faster))
-        rows.append(at_most(f"{_name(LARGE)} against {_name(SMALL)}, {label}, warm", _LARGER, _over(larger, mine)))
-    return rows
-
-
-def _entrants(size: Size) -> Iterator[Entrant[Frame]]:
+def _methods(size: Size) -> Iterator[Method[Frame]]:
     def touch(frame: Frame) -> None:
         cv2.sumElems(frame[size].rgb)
         frame[size].depth.max()
 
-    def name(method: str) -> str:
-        return f"{_name(size)} | {method}"
-
-    yield Entrant(name(ONE_PASS), lambda frame: cv2.sumElems(frame[size].rgb), touch=touch)
-    yield Entrant(name(CLASSIC), lambda frame: classic(frame[size].rgb), touch=touch)
-    for start in ("warm", "cold"):
-        for backend in backends():
-            detector = ShapeDetector([Centerline(n=20)], BLUE, backend=backend)
-            run = _detection(detector, size)
-            entrant = Entrant(name(ours(backend, start)), run, touch=touch)
-            yield entrant if start == "warm" else Entrant(entrant.name, run, detector.reset, touch)
+    yield Method(ONE_PASS, lambda frame: cv2.sumElems(frame[size].rgb), touch=touch)
+    yield Method(CLASSIC, lambda frame: classic(frame[size].rgb), touch=touch)
+    warm, cold = ShapeDetector([Centerline(n=20)], BLUE), ShapeDetector([Centerline(n=20)], BLUE)
+    yield Method(WARM, lambda frame: warm.detect(*frame[size]), touch=touch)
+    yield Method(COLD, lambda frame: cold.detect(*frame[size]), cold.reset, touch)
 
 
-def _detection(detector: ShapeDetector, size: Size) -> Callable[[Frame], Detection]:
-    return lambda frame: detector.detect(*frame[size])
+def total_rows(found: Latencies) -> list[Row]:
+    """Return a row for each size and method."""
+    return [
+        {
+            "image": _name(size),
+            "method": method,
+            "median_ms": latency.median,
+            "p95_ms": float(np.percentile(latency.milliseconds, 95)),
+            "passes": latency.median / found[size, ONE_PASS].median,
+            "faster_than_classic": found[size, CLASSIC].median / latency.median,
+            "refused": latency.refused,
+        }
+        for (size, method), latency in found.items()
+    ]
 
 
-def _over(value: float | None, other: float | None) -> float | None:
-    return None if value is None or other is None else value / other
+def stage_rows(found: Latencies) -> list[Row]:
+    """Return a row for each size and start with the median of each stage in milliseconds."""
+    staged = {key: latency.stages for key, latency in found.items() if latency.stages}
+    names = list(dict.fromkeys(stage for stages in staged.values() for timings in stages for stage in timings))
+    return [
+        {"image": _name(size), "method": method}
+        | {name: float(np.median([timings.get(name, 0.0) for timings in stages])) for name in names}
+        for (size, method), stages in staged.items()
+    ]
+
+
+def latency_targets(found: Latencies) -> list[Row]:
+    """Compare the pipeline with its targets."""
+
+    def ratio(one: tuple[Size, str], other: tuple[Size, str]) -> float | None:
+        return found[one].median / found[other].median if one in found and other in found else None
+
+    mine, what = (SMALL, WARM), f"{_name(SMALL)} image to 20 points in 3D, warm"
+    return [
+        at_most(f"{what}: times one pass over the image", _PASSES, ratio(mine, (SMALL, ONE_PASS))),
+        at_least(f"{what}: times faster than classic segmentation", _FASTER, ratio((SMALL, CLASSIC), mine)),
+        at_most(f"{_name(LARGE)} against {_name(SMALL)}, warm", _LARGER, ratio((LARGE, WARM), mine)),
+    ]
+
+
+def memory_growth(frames: int, seed: int, *, warm_up: int = 1000, tick: Tick = lambda: None) -> float | None:
+    """Return by how many megabytes the process grows while a detector tracks a rope, loses it and finds it again.
+
+    Args:
+        frames: Number of RGB-D frames, 320 x 240.
+        seed: Seed of motion, light and noise.
+        warm_up: Frames before the first measurement of the process.
+        tick: Called after each frame.
+
+    Returns:
+        None where the system does not report the size of a process.
+    """
+    scenes = [frame[_MEMORY_SIZE] for frame in streams((_MEMORY_SIZE,), _SCENES, seed)]
+    scenes += scenes[-2:0:-1]
+    gone = scenes[0]._replace(rgb=scenes[0].rgb[..., ::-1].copy())  # red instead of blue
+    detector = ShapeDetector([Centerline(n=20)], BLUE)
+    before: float | None = None
+    with one_thread():
+        for i in range(warm_up + frames):
+            if i == warm_up:
+                before = resident()
+            detector.detect(*(gone if i % _LOST == _LOST - 1 else scenes[i % len(scenes)]))
+            tick()
+    after = resident()
+    return None if before is None or after is None else after - before
+
+
+def memory_target(frames: int, grown: float | None) -> Row:
+    """Compare the growth of the process with its target."""
+    return at_most(f"growth of the process over {frames} frames through one detector", _MEMORY_TARGET, grown, " MB")
+
+
+def resident() -> float | None:
+    """Return the resident memory of the process in megabytes; None where the system does not report it."""
+    gc.collect()
+    table = Path("/proc/self/statm")
+    if table.is_file():
+        return int(table.read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE") / _MEGABYTE
+    if sys.platform == "win32":
+        return None
+    import resource
+
+    # This is the peak: growth shows once the process exceeds it. macOS counts bytes.
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _MEGABYTE
 
 
 def _name(size: Size) -> str:
     return f"{size[0]} x {size[1]}"
 
 
-def _ticking(frames: Iterable[Frame], tick: Callable[[], Any]) -> Iterator[Frame]:
+def _ticking(frames: Iterable[Frame], tick: Tick) -> Iterator[Frame]:
     for frame in frames:
         yield frame
         tick()

@@ -1,4 +1,4 @@
-"""The accuracy of markers and calibration, on drawn scenes with known poses."""
+"""Measure the accuracy of markers and calibration on drawn scenes with known poses."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.asked import at_least, at_most
-from shape_obs.bench.marker_scenes import MarkerScene, marker_scene, photograph, random_pose
+from shape_obs.bench.synthetic.tabletop import MarkerScene, marker_scene, photograph, random_pose
+from shape_obs.bench.tables import Row, at_least, at_most
 from shape_obs.calibration import Board, BoardViews, fit_base, fit_intrinsics, marker_points
 from shape_obs.calibration.intrinsics import IntrinsicsFit
 from shape_obs.camera import Intrinsics
@@ -20,22 +20,22 @@ from shape_obs.utils.threads import one_thread
 Array = npt.NDArray[np.float64]
 
 TOUCH_NOISE: Final = 0.0005  # metres, along each axis
-_DEPTH_FRAMES: Final = 5  # of which the median is taken, as `calibrate base` does it with more
+_DEPTH_FRAMES: Final = 5  # frames of which the median is taken, as in ``calibrate base``
 _BOARD_RASTER: Final = 4000  # pixels a metre
 
 
 class TopViews(NamedTuple):
-    """Tables seen from above.
+    """Homographies of tables from above.
 
     Args:
-        scenes: How many.
-        found: Of them, with all four markers.
-        worst_mm: The largest error of any place in any rectangle, mm.
-        mean_mm: Over all places and scenes, mm.
-        corner_px: Mean error of the markers' corners, pixels.
-        fourth_px: Largest error of a marker's middle that was worked out from the three others, pixels.
-        median_ms: From image to homography.
-        late_ms: The 95th percentile.
+        scenes: Number of scenes.
+        found: Scenes in which all four markers were found.
+        worst_mm: The largest error of any position in any rectangle, in millimetres.
+        mean_mm: Mean error over all positions and scenes, in millimetres.
+        corner_px: Mean error of the markers' corners in pixels.
+        fourth_px: Largest error of a marker's centre that was computed from the other three, in pixels.
+        median_ms: Median time from image to homography.
+        late_ms: The 95th percentile of that time.
     """
 
     scenes: int
@@ -49,15 +49,15 @@ class TopViews(NamedTuple):
 
 
 class Touched(NamedTuple):
-    """Cameras placed by touching markers.
+    """Extrinsics that were calibrated by touching markers.
 
     Args:
-        placements: How many.
-        touches: Of each.
-        rms_mm: Of all residuals, mm.
-        worst_rms_mm: Of the worst placement, mm.
-        table_rms_mm: By how much places on the table are off in the base frame, rms over all placements, mm.
-        table_worst_mm: The worst place of the worst placement, mm.
+        placements: Number of calibrations.
+        touches: Touches of each calibration.
+        rms_mm: RMS of all residuals in millimetres.
+        worst_rms_mm: RMS of the worst calibration.
+        table_rms_mm: RMS error of positions on the table in the base frame, in millimetres.
+        table_worst_mm: The largest such error.
         depth: Whether the camera had depth, or only the markers' size.
     """
 
@@ -74,12 +74,12 @@ class Fitted(NamedTuple):
     """Cameras calibrated with a board.
 
     Args:
-        cameras: How many.
-        focal_percent: The largest error of a focal length, %.
-        centre_px: The largest error of the principal point, pixels.
-        rms_px: The largest rms of the corners, pixels.
-        good: Cameras whose own projection was found good, and which is.
-        told: Wrong projections, by 3 % of the focal length or of a lens that bends lines, that were told.
+        cameras: Number of cameras.
+        focal_percent: The largest error of a focal length in percent.
+        centre_px: The largest error of the principal point in pixels.
+        rms_px: The largest RMS of the corners in pixels.
+        good: Cameras whose true projection was accepted.
+        reported: Detected wrong projections: 3 % of the focal length, or a lens that bends lines.
     """
 
     cameras: int
@@ -87,11 +87,11 @@ class Fitted(NamedTuple):
     centre_px: float
     rms_px: float
     good: int
-    told: int
+    reported: int
 
 
 def tops(count: int = 40, seed: int = 0) -> TopViews:
-    """Tables at 0.65 to 0.9 m, tilted by up to 35 degrees, seen by a camera like the D455 at 640 x 480."""
+    """Find homographies of tables at 0.65 to 0.9 m, tilted by up to 35 degrees, with a D455 at 640 x 480."""
     scenes = [marker_scene(seed + i) for i in range(count)]
     off: list[Array] = []
     corner: list[Array] = []
@@ -133,7 +133,7 @@ def tops(count: int = 40, seed: int = 0) -> TopViews:
 
 
 def touched(count: int = 20, seed: int = 0, depth: bool = True) -> Touched:
-    """Cameras that look at four markers, and a robot that touches their 16 corners with an error of 0.5 mm an axis."""
+    """Calibrate extrinsics from the 16 corners of four markers, touched with an error of 0.5 mm along each axis."""
     rms: list[float] = []
     off: list[Array] = []
     number = 0
@@ -162,7 +162,7 @@ def touched(count: int = 20, seed: int = 0, depth: bool = True) -> Touched:
 
 
 def camera_points(scene: MarkerScene, rng: np.random.Generator, depth: bool) -> Array:
-    """(16,3) metres: the markers' corners as the camera tells them."""
+    """Return the markers' corners as the camera measures them, (16, 3) metres."""
     seen = find_markers(scene.rgb)
     size = float(np.linalg.norm(scene.layout.array[0, 1] - scene.layout.array[0, 0]))
     images = [scene.depth(rng) for _ in range(_DEPTH_FRAMES)] if depth else [None]
@@ -173,10 +173,10 @@ def camera_points(scene: MarkerScene, rng: np.random.Generator, depth: bool) -> 
 
 
 def fitted(count: int = 3, seed: int = 0, views: int = 25) -> Fitted:
-    """Cameras with other focal lengths, each shown a board in different poses; then told a wrong projection."""
+    """Calibrate cameras of different focal lengths with a board, and check that wrong projections are reported."""
     board = Board()
     results: list[tuple[Intrinsics, IntrinsicsFit]] = []
-    told = 0
+    reported = 0
     for i in range(count):
         rng = np.random.default_rng((seed, i))
         focal = rng.uniform(370, 400)
@@ -190,19 +190,19 @@ def fitted(count: int = 3, seed: int = 0, views: int = 25) -> Fitted:
             640, 480, camera.fx, camera.fy, camera.cx, camera.cy, "brown_conrady", (-0.055, 0.066, 0.0, 0.0, -0.02)
         )
         for wrong in (longer, bent):
-            told += not fit_intrinsics(seen.taken, seen.size, board, wrong).good
+            reported += not fit_intrinsics(seen.taken, seen.size, board, wrong).good
     return Fitted(
         count,
         100 * max(abs(fit.intrinsics.fx / camera.fx - 1) for camera, fit in results),
         max(float(np.hypot(fit.intrinsics.cx - at.cx, fit.intrinsics.cy - at.cy)) for at, fit in results),
         max(fit.rms for _, fit in results),
         sum(fit.good for _, fit in results),
-        told,
+        reported,
     )
 
 
 def board_images(board: Board, camera: Intrinsics, count: int, rng: np.random.Generator) -> Iterable[Any]:
-    """(480,640,3) uint8 each: the board in different poses."""
+    """Draw the board in different poses, (480, 640, 3) uint8 each."""
     margin = round(0.02 * _BOARD_RASTER)
     drawn = np.pad(board.picture(_BOARD_RASTER), margin, constant_values=255)
     drawn = np.clip(drawn, 20, 235).astype(np.uint8)
@@ -213,8 +213,8 @@ def board_images(board: Board, camera: Intrinsics, count: int, rng: np.random.Ge
         yield photograph(drawn, origin, _BOARD_RASTER, pose, camera, rng)
 
 
-def marker_rows(top: TopViews, placed: Touched, cameras: Fitted) -> list[dict[str, Any]]:
-    """What is asked of markers and calibration, and what was seen."""
+def targets(top: TopViews, placed: Touched, cameras: Fitted) -> list[Row]:
+    """Compare markers and calibration with their targets."""
     return [
         at_least("tables with all four markers found", 100, 100 * top.found / top.scenes, " %"),
         at_most("worst place on a table", 2, top.worst_mm, " mm"),
@@ -227,7 +227,7 @@ def marker_rows(top: TopViews, placed: Touched, cameras: Fitted) -> list[dict[st
 
 
 def _somewhere(rng: np.random.Generator) -> Array:
-    """(4,4) a camera's place above a robot's table."""
+    """Draw a camera's pose above a robot's table, (4, 4)."""
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     transform = np.eye(4)
     transform[:3, :3] = turn * np.sign(np.linalg.det(turn))

@@ -1,4 +1,4 @@
-"""Other ways from a mask to N points, as their users would call them; each is skipped where it is not installed."""
+"""Other ways from a mask to N points, called as their users would; a peer that is not installed is skipped."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.cold_speed import longest_path
-from shape_obs.bench.workloads import Name, Scene, Work
+from shape_obs.bench.synthetic.streams import Name, Scene, Work
+from shape_obs.bench.tangle_claims import longest_path
 from shape_obs.geometry.samples import Samples
 
 Array = npt.NDArray[np.float64]
@@ -25,15 +25,15 @@ _ALL: Final[tuple[Name, ...]] = ("rope", "contour", "cloth")
 
 @dataclass(frozen=True)
 class Peer:
-    """A method beside ours.
+    """A method to compare the detector with.
 
     Args:
-        name: As the tables call it.
-        module: What must be importable.
-        package: What to install for it.
-        make: The work, the module and a seed -> the method: a scene -> (N,2) points, in no particular order.
-        works: What it can be used for.
-        slow: Whether it takes so long that a few frames must do.
+        name: Its name in the tables.
+        module: The module that must be importable.
+        package: The package to install for it.
+        make: Takes the work, the module and a seed; returns a function of a scene that returns (N, 2) points.
+        works: The works for which it can be used.
+        slow: Whether it runs only on a few frames.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Peer:
     slow: bool = False
 
     def load(self) -> Any:
-        """The module; None where it is not installed."""
+        """Return the module, or None if it is not installed."""
         try:
             return import_module(self.module)
         except ImportError:
@@ -62,10 +62,7 @@ def _minisom(work: Work, module: Any, seed: int) -> Run:
 
 
 def _kmeans(n_init: int) -> Callable[[Work, Any, int], Run]:
-    def make(work: Work, module: Any, seed: int) -> Run:
-        return _centres(lambda scene: module.KMeans(work.n, n_init=n_init, random_state=seed))
-
-    return make
+    return lambda work, module, seed: _centres(lambda scene: module.KMeans(work.n, n_init=n_init, random_state=seed))
 
 
 def _kmeans_from_ours(work: Work, module: Any, seed: int) -> Run:
@@ -77,7 +74,7 @@ def _minibatch(work: Work, module: Any, seed: int) -> Run:
 
 
 def _centres(estimator: Callable[[Scene], Any]) -> Run:
-    """The cluster centres of scikit-learn's estimators."""
+    """Return the cluster centres of an estimator of scikit-learn."""
     return lambda scene: estimator(scene).fit(scene.pixels).cluster_centers_
 
 
@@ -125,7 +122,7 @@ PEERS: Final = (
 
 
 def spread(path: Array, n: int, *, closed: bool = False) -> Array:
-    """(n,2) points at equal arc length along a path of (P,2), the centres of equal pieces; or around it."""
+    """Return (n, 2) points at equal arc length along a (P, 2) path, in the middle of equal pieces, or around it."""
     if closed:
         path = np.concatenate([path, path[:1]])
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])

@@ -1,4 +1,4 @@
-"""Found points against a known curve."""
+"""Compare found points with a known curve, a known outline, or the truth of a simulator."""
 
 from __future__ import annotations
 
@@ -8,28 +8,32 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
+from shape_obs.bench.synthetic.ropes import resample as resample_by_step
 from shape_obs.configurations import Ends
+from shape_obs.geometry.outline import clockwise
 from shape_obs.geometry.polyline import arc_length, interpolate, resample
-from shape_obs.geometry.topology import Chain
+from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.metrics import in_order, spacing_cv
 
 Array = npt.NDArray[np.float64]
 
-_FINE: Final = 0.1
-_BEYOND: Final = 100
+_FINE_STEP: Final = 0.1  # pixels
+_BEYOND: Final = 100  # points by which a curve is continued at its ends
+_PER_GAP: Final = 50  # points of a simulator's truth for each gap
 
 
 class Score(NamedTuple):
     """How well ordered points follow a curve; lengths in the curve's unit.
 
     Args:
-        ordered: The points' places along the curve strictly increase.
-        flipped: They run against the curve's direction.
-        distance: Mean distance of the points to the curve.
-        tip: Larger distance of the first and last point to the curve's ends.
+        ordered: Whether the points' positions along the curve strictly increase.
+        flipped: Whether they run against the curve's direction.
+        distance: Mean distance of the points from the curve.
+        tip: The larger distance of the first and last point from the curve's ends.
         gap_cv: Standard deviation over mean of the distances between neighbours.
-        slip: Largest distance of a point from its own arc position, along the curve, in gaps.
+        slip: Largest distance of a point from its true arc position, along the curve, in gaps.
     """
 
     ordered: bool
@@ -44,38 +48,41 @@ def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = T
     """Compare N found points with a known curve.
 
     Args:
-        points: (N,D).
-        curve: (P,D), from end to end.
-        ends: Where the points belong: ``"centers"`` of N equal pieces or from tip to tip (``"tips"``).
-        directed: Whether point 0 belongs to the curve's start; else either direction is right.
+        points: (N, D).
+        curve: (P, D), from end to end.
+        ends: Where the points belong: ``"centers"`` of N equal pieces, or from tip to tip (``"tips"``).
+        directed: Whether point 0 belongs to the curve's start; otherwise either direction is right.
     """
     found = np.asarray(points, dtype=np.float64)
-    forward, backward = (float(np.sum((found - _places(c, len(found), ends)) ** 2)) for c in (curve, curve[::-1]))
-    flipped = backward < forward
+    size = len(found)
+    share = (np.arange(size) + 0.5) / size if ends == "centers" else np.linspace(0, 1, size)
+
+    def off(way: Array) -> float:
+        arc = arc_length(way)
+        return float(np.sum((found - interpolate(way, arc, share * arc[-1])) ** 2))
+
+    flipped = off(curve[::-1]) < off(curve)
     if flipped and not directed:
         curve, flipped = curve[::-1], False
     arc = arc_length(curve)
-    fine = resample(curve, max(int(arc[-1] / _FINE * _unit_of(arc)), 2))
+    scale = 1.0 if arc[-1] > 10 else 1000.0  # a curve in metres gets as many fine points as one in pixels
+    fine = resample(curve, max(int(arc[-1] / _FINE_STEP * scale), 2))
     distance = KDTree(fine).query(found)[0]
-    # Continued beyond its ends, so that points past a tip still have an order.
-    longer = np.concatenate([_beyond(fine), fine, _beyond(fine[::-1])[::-1]])
     step = arc[-1] / (len(fine) - 1)
-    place = (KDTree(longer).query(found)[1] - _BEYOND) * step
-    size = len(found)
-    true_place = arc[-1] * ((np.arange(size) + 0.5) / size if ends == "centers" else np.linspace(0, 1, size))
+    along = (KDTree(_continued(fine, _BEYOND)).query(found)[1] - _BEYOND) * step
     gap = arc[-1] / (size if ends == "centers" else size - 1)
     return Score(
-        ordered=in_order(place),
+        ordered=in_order(along),
         flipped=bool(flipped),
         distance=float(distance.mean()),
         tip=float(max(np.linalg.norm(found[0] - curve[0]), np.linalg.norm(found[-1] - curve[-1]))),
         gap_cv=spacing_cv(found, Chain(size)),
-        slip=float(np.abs(place - true_place).max() / gap),
+        slip=float(np.abs(along - arc[-1] * share).max() / gap),
     )
 
 
 def tally(scores: Sequence[Score]) -> dict[str, Any]:
-    """The frames of one track, and how many of them have their order reversed or a point half a gap off its place."""
+    """Count the frames of one track, those in reversed order, and those with a point half a gap from its position."""
     return {
         "frames": len(scores),
         "flips": sum(s.flipped for s in scores),
@@ -84,17 +91,118 @@ def tally(scores: Sequence[Score]) -> dict[str, Any]:
     }
 
 
-def _beyond(curve: Array) -> Array:
-    """(100,D) a straight continuation before the curve's first point, at its steps."""
-    return curve[0] + (curve[0] - curve[1]) * np.arange(_BEYOND, 0, -1)[:, None]
+def _continued(curve: Array, count: int) -> Array:
+    """Return a curve continued straight by ``count`` points at both ends, so that points past a tip have an order."""
+    steps = np.arange(1, count + 1)[:, None]
+    before, behind = curve[0] + (curve[0] - curve[1]) * steps[::-1], curve[-1] + (curve[-1] - curve[-2]) * steps
+    return np.concatenate([before, curve, behind])
 
 
-def _unit_of(arc: Array) -> float:
-    """1 for curves in pixels; for curves in metres a factor that gives them as many fine points."""
-    return 1.0 if arc[-1] > 10 else 1000.0
+class OutlineScore(NamedTuple):
+    """How well ordered points follow a closed outline; lengths in pixels.
+
+    Args:
+        ordered: Whether the points' positions along the outline strictly increase, once around.
+        clockwise: Whether they run clockwise as seen in the image.
+        distance: Mean distance of the points from the outline.
+        gap_cv: Standard deviation over mean of the distances between neighbours, including last to first.
+        slip: Largest distance of a point from its true arc position, along the outline, in gaps; it has no meaning
+            where the outline does not begin where point 0 belongs.
+    """
+
+    ordered: bool
+    clockwise: bool
+    distance: float
+    gap_cv: float
+    slip: float
 
 
-def _places(curve: Array, count: int, ends: Ends) -> Array:
-    arc = arc_length(curve)
-    share = (np.arange(count) + 0.5) / count if ends == "centers" else np.linspace(0, 1, count)
-    return interpolate(curve, arc, share * arc[-1])
+def outline_score(points: npt.ArrayLike, outline: Array) -> OutlineScore:
+    """Compare N found points with a known outline.
+
+    Args:
+        points: (N, 2) pixels.
+        outline: (P, 2) pixels, closed, clockwise as seen, from where point 0 belongs.
+    """
+    found = np.asarray(points, dtype=np.float64)
+    fine = resample_by_step(np.concatenate([outline, outline[:1]]), _FINE_STEP)[:-1]
+    distance, nearest = KDTree(fine).query(found)
+    along = np.asarray(nearest, dtype=np.float64) / len(fine)
+    off = (along - np.arange(len(found)) / len(found) + 0.5) % 1.0 - 0.5
+    return OutlineScore(
+        ordered=in_order(along, period=1.0),
+        clockwise=clockwise(found),
+        distance=float(distance.mean()),
+        gap_cv=spacing_cv(found, Ring(len(found))),
+        slip=float(np.abs(off).max() * len(found)),
+    )
+
+
+class SimulatorScore(NamedTuple):
+    """How far found points are from their true positions on a simulated object.
+
+    Args:
+        mm: Mean distance of all points from their true positions, in millimetres.
+        slip: Largest distance of a valid point from its material, in gaps along the curve or the lattice.
+        flipped: Whether another numbering of the same points (from the other end, the other way round, from another
+            corner) would be nearer.
+    """
+
+    mm: float
+    slip: float
+    flipped: bool
+
+
+def simulator_score(points: Array, valid: npt.NDArray[np.bool_], layout: Topology, simulator: Any) -> SimulatorScore:
+    """Compare found points with the truth of a simulator.
+
+    Args:
+        points: (N, 3) metres, base frame.
+        valid: (N,) the measured points.
+        layout: The topology of the points.
+        simulator: The environment; ``truth`` returns its points in the same frame.
+    """
+    if isinstance(layout, Grid):
+        true = simulator.truth(layout.rows, layout.cols)
+        slips = _off_lattice(layout.lattice(points - true), layout.lattice(true))
+    elif isinstance(layout, (Chain, Ring)):
+        true = simulator.truth(layout.size)
+        slips = _along_curve(points, simulator, isinstance(layout, Ring))
+    else:
+        raise ValueError(f"expected a chain, a ring or a lattice, got {type(layout).__name__}.")
+    distance = np.linalg.norm(points - true, axis=1)
+    others = min(float(np.sum((other - true) ** 2)) for other in _renumbered(points, layout))
+    slip = float(slips[valid].max(initial=0.0))
+    return SimulatorScore(1e3 * float(distance.mean()), slip, others < float(np.sum(distance**2)))
+
+
+def _along_curve(points: Array, simulator: Any, closed: bool) -> Array:
+    """Return the distances of points from their true arc positions, (N,), along the curve in gaps."""
+    count = len(points)
+    if closed:
+        at = cdist(points, simulator.truth(_PER_GAP * count)).argmin(axis=1) / _PER_GAP
+        return np.abs((at - np.arange(count) + count / 2) % count - count / 2)
+    line = _continued(simulator.truth(_PER_GAP * (count - 1) + 1), _PER_GAP)
+    return np.abs(cdist(points, line).argmin(axis=1) / _PER_GAP - 1 - np.arange(count))
+
+
+def _off_lattice(away: Array, true: Array) -> Array:
+    """Return the distances of points from their true positions on a sheet, (N,), in gaps down or across.
+
+    Args:
+        away: From the true positions to the found ones, (rows, cols, 3).
+        true: The true positions, (rows, cols, 3).
+    """
+    gaps = np.stack([np.gradient(true, axis=0), np.gradient(true, axis=1)], axis=-1)
+    off = np.linalg.pinv(gaps) @ away[..., None]
+    return np.asarray(np.abs(off).max(axis=(-2, -1)).ravel(), dtype=np.float64)
+
+
+def _renumbered(points: Array, layout: Topology) -> list[Array]:
+    """Return the same points in every other order that a shape of this layout could have."""
+    if isinstance(layout, Grid):
+        lattice = layout.lattice(points)
+        turned = (lattice[::-1], lattice[:, ::-1], lattice[::-1, ::-1])
+        return [other.reshape(points.shape) for other in turned]
+    backwards = points[::-1]
+    return [np.roll(backwards, 1, axis=0) if isinstance(layout, Ring) else backwards]

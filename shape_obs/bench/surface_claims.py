@@ -1,17 +1,16 @@
-"""The accuracy that the project claims for surfaces, measured on drawn cloths: at rest, turning, moving, noisy.
-
-The tests run slices of these functions; ``shape-obs bench claims`` runs them whole.
-"""
+"""Measure the accuracy of surfaces on drawn cloths: at rest, turning, moving, noisy."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, Final, NamedTuple
+from itertools import product
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.sheets import Sheet, moving_sheet, noisy, random_sheet, turning_sheet
+from shape_obs.bench.synthetic.sheets import Sheet, moving_sheet, noisy, random_sheet, turning_sheet
+from shape_obs.bench.tables import Row, grouped, mean
 from shape_obs.configurations import Ends, Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.shape import Shape
@@ -21,18 +20,18 @@ Array = npt.NDArray[np.float64]
 ASPECTS: Final = (1.0, 1.5, 2.0, 3.0, 1 / 2, 1 / 3)
 LATTICES: Final = ((4, 8), (2, 2), (3, 3), (8, 8), (6, 10))
 _BOTH_ENDS: Final[tuple[Ends, ...]] = ("centers", "tips")
-# Nearer to half a quarter turn than this, two corners are the top left one equally well.
+# In degrees. This close to an eighth of a turn, either of two corners may count as the top left one.
 _UNDECIDED: Final = 2.0
 _SLIP: Final = 0.5  # cells
 
 
 class SheetScore(NamedTuple):
-    """Found points against the known material.
+    """The distance of found points from their material.
 
     Args:
-        mean: Mean distance from where the points belong, pixels.
-        worst: The largest.
-        slip: The farthest that a point lies from its own material, in gaps of the lattice along a row or a column.
+        mean: Mean distance of the points from their true positions, in pixels.
+        worst: The largest such distance.
+        slip: The largest distance of a point from its material, in gaps of the lattice along a row or a column.
     """
 
     mean: float
@@ -41,7 +40,7 @@ class SheetScore(NamedTuple):
 
 
 class SheetResult(NamedTuple):
-    """One drawn cloth, looked at cold. ``corner_right``: point 0 is at the corner that the paper's rule tells."""
+    """One drawn cloth, detected cold. ``corner_right``: point 0 is at the corner that the paper's rule gives."""
 
     aspect: float
     degrees: float
@@ -55,7 +54,7 @@ class SheetResult(NamedTuple):
 
 
 class TurnResult(NamedTuple):
-    """One cloth turned once around, a degree a frame: tracked, and each frame cold."""
+    """One cloth that turns once around by one degree per frame, tracked and also detected cold in each frame."""
 
     aspect: float
     frames: int
@@ -69,7 +68,7 @@ class TurnResult(NamedTuple):
 
 
 class WanderResult(NamedTuple):
-    """One moving cloth, tracked; lengths in pixels, slips in gaps, milliseconds a warm frame."""
+    """One moving cloth, tracked; lengths in pixels, slips in gaps, milliseconds of a warm frame."""
 
     speed: float
     frames: int
@@ -82,7 +81,7 @@ class WanderResult(NamedTuple):
 
 
 class JitterResult(NamedTuple):
-    """One cloth at rest under a mask with a noisy border, tracked: rms movement of its points, pixels."""
+    """One tracked cloth at rest under a mask with a noisy border: RMS movement of its points, in pixels."""
 
     aspect: float
     frames: int
@@ -92,7 +91,7 @@ class JitterResult(NamedTuple):
 
 
 def score_sheet(points: npt.ArrayLike, sheet: Sheet, rows: int, cols: int, ends: Ends, quarters: int) -> SheetScore:
-    """Compare (N,2) found points with a cloth whose ``quarters``-th corner, clockwise, is the first."""
+    """Compare (N, 2) found points with a cloth whose first corner is number ``quarters``, counted clockwise."""
     true = _turned(sheet, quarters).lattice(rows, cols, ends)
     distance = np.linalg.norm(np.asarray(points, dtype=np.float64).reshape(true.shape) - true, axis=-1)
     slip = np.abs(_off(points, sheet, rows, cols, ends, quarters)).max()
@@ -100,10 +99,10 @@ def score_sheet(points: npt.ArrayLike, sheet: Sheet, rows: int, cols: int, ends:
 
 
 def first_corner(sheet: Sheet) -> tuple[int, bool]:
-    """Which corner the paper's rule tells to be the first (0...3, clockwise), and whether another is as good."""
+    """Return the first corner by the paper's rule (0 to 3, clockwise), and whether another one is as good."""
     right = (sheet.points[:, -1] - sheet.points[:, 0]).mean(axis=0)
     down = (sheet.points[-1] - sheet.points[0]).mean(axis=0)
-    # Both axes' angles off the image's, averaged as directions.
+    # The mean, as directions, of the angles between the cloth's axes and the image's.
     right, down = right / np.linalg.norm(right), down / np.linalg.norm(down)
     degrees = np.degrees(np.angle(complex(*right) + complex(*down) / 1j))
     quarters = round(degrees / 90)
@@ -117,24 +116,23 @@ def drawn_sheets(
     aspects: Sequence[float] = ASPECTS,
     tilt: float = 0.02,
 ) -> Iterator[SheetResult]:
-    """Cold detections of ``count`` bent cloths, turned all round, with each lattice and in both end modes."""
+    """Detect ``count`` bent cloths cold at all angles, with each lattice and in both end modes."""
     rng = np.random.default_rng(seed)
     for number in range(count):
         aspect, degrees = aspects[number % len(aspects)], 360 * number / count + rng.uniform(-5, 5)
         sheet = random_sheet(rng, aspect, degrees, tilt=tilt)
         expected, undecided = first_corner(sheet)
-        for rows, cols in lattices:
-            for ends in _BOTH_ENDS:
-                shape = _cold(sheet, rows, cols, ends)
-                corner, score = _best(shape, sheet, rows, cols, ends)
-                right = corner == expected or (undecided and (corner - expected) % 2 == 1)
-                yield SheetResult(aspect, degrees, rows, cols, ends, shape.ok, right, shape.quality, score)
+        for (rows, cols), ends in product(lattices, _BOTH_ENDS):
+            shape = _cold(sheet, rows, cols, ends)
+            corner, score = _best(shape, sheet, rows, cols, ends)
+            right = corner == expected or (undecided and (corner - expected) % 2 == 1)
+            yield SheetResult(aspect, degrees, rows, cols, ends, shape.ok, right, shape.quality, score)
 
 
 def turning_sheets(
     seeds: Iterable[int], aspects: Sequence[float] = ASPECTS, rows: int = 4, cols: int = 8, step: float = 1.0
 ) -> Iterator[TurnResult]:
-    """Bent cloths that turn once around on the spot."""
+    """Track bent cloths that turn once around on the spot, and detect each frame cold."""
     for seed in seeds:
         aspect = aspects[seed % len(aspects)]
         detector = ShapeDetector([Surface(rows=rows, cols=cols)])
@@ -174,36 +172,35 @@ def turning_sheets(
 def moving_sheets(
     speeds: Iterable[float], seeds: Iterable[int], frames: int = 180, rows: int = 4, cols: int = 8
 ) -> Iterator[WanderResult]:
-    """Cloths that wander, turn and bend."""
-    for seed in seeds:
-        for speed in speeds:
-            detector, first = ShapeDetector([Surface(rows=rows, cols=cols)]), -1
-            scores: list[SheetScore] = []
-            times: list[float] = []
-            not_ok = 0
-            aspect = ASPECTS[seed % len(ASPECTS)]
-            for sheet in moving_sheet(np.random.default_rng(seed), speed, frames, aspect=aspect):
-                detection = detector.detect_mask(sheet.mask)
-                shape = detection.shapes[0]
-                if first < 0:
-                    first = _best(shape, sheet, rows, cols, "centers")[0]
-                not_ok += bool(shape.reason)
-                times.append(detection.timings["fit"] + detection.timings["lift"])
-                scores.append(score_sheet(shape.pixels, sheet, rows, cols, "centers", first))
-            yield WanderResult(
-                speed=speed,
-                frames=len(scores),
-                slips=sum(s.slip > _SLIP for s in scores),
-                not_ok=not_ok,
-                worst_slip=max(s.slip for s in scores),
-                mean_distance=float(np.mean([s.mean for s in scores])),
-                worst_distance=max(s.worst for s in scores),
-                milliseconds=float(np.median(times)),
-            )
+    """Track cloths that wander, turn and bend."""
+    for seed, speed in product(seeds, speeds):
+        detector, first = ShapeDetector([Surface(rows=rows, cols=cols)]), -1
+        scores: list[SheetScore] = []
+        times: list[float] = []
+        not_ok = 0
+        aspect = ASPECTS[seed % len(ASPECTS)]
+        for sheet in moving_sheet(np.random.default_rng(seed), speed, frames, aspect=aspect):
+            detection = detector.detect_mask(sheet.mask)
+            shape = detection.shapes[0]
+            if first < 0:
+                first = _best(shape, sheet, rows, cols, "centers")[0]
+            not_ok += bool(shape.reason)
+            times.append(detection.timings["fit"] + detection.timings["lift"])
+            scores.append(score_sheet(shape.pixels, sheet, rows, cols, "centers", first))
+        yield WanderResult(
+            speed=speed,
+            frames=len(scores),
+            slips=sum(s.slip > _SLIP for s in scores),
+            not_ok=not_ok,
+            worst_slip=max(s.slip for s in scores),
+            mean_distance=mean(s.mean for s in scores),
+            worst_distance=max(s.worst for s in scores),
+            milliseconds=float(np.median(times)),
+        )
 
 
 def noisy_sheets(seeds: Iterable[int], frames: int = 60, rows: int = 4, cols: int = 8) -> Iterator[JitterResult]:
-    """Cloths at rest whose mask is cut anew from a noisy image in every frame."""
+    """Track cloths at rest whose mask is cut from another noisy image in every frame."""
     for seed in seeds:
         rng, aspect = np.random.default_rng(seed), ASPECTS[seed % len(ASPECTS)]
         sheet = random_sheet(rng, aspect, float(rng.uniform(0, 360)))
@@ -220,11 +217,8 @@ def noisy_sheets(seeds: Iterable[int], frames: int = 60, rows: int = 4, cols: in
         )
 
 
-def sheet_table(results: Iterable[SheetResult]) -> list[dict[str, Any]]:
-    """Worst and mean by lattice."""
-    rows: dict[str, list[SheetResult]] = {}
-    for result in results:
-        rows.setdefault(f"{result.rows}x{result.cols}", []).append(result)
+def sheet_table(results: Iterable[SheetResult]) -> list[Row]:
+    """Return the mean and the worst result of each lattice."""
     return [
         {
             "lattice": lattice,
@@ -233,11 +227,11 @@ def sheet_table(results: Iterable[SheetResult]) -> list[dict[str, Any]]:
             "corner_wrong": sum(not r.corner_right for r in found),
             "slips": sum(r.score.slip > _SLIP for r in found),
             "worst_slip": max(r.score.slip for r in found),
-            "distance_mean_px": float(np.mean([r.score.mean for r in found])),
+            "distance_mean_px": mean(r.score.mean for r in found),
             "worst_sheet_px": max(r.score.mean for r in found),
             "worst_point_px": max(r.score.worst for r in found),
         }
-        for lattice, found in rows.items()
+        for lattice, found in grouped(results, lambda result: f"{result.rows}x{result.cols}").items()
     ]
 
 
@@ -250,14 +244,14 @@ def _cold(sheet: Sheet, rows: int, cols: int, ends: Ends) -> Shape:
 
 
 def _best(shape: Shape, sheet: Sheet, rows: int, cols: int, ends: Ends) -> tuple[int, SheetScore]:
-    """At which corner of the cloth the points begin, and how well they fit then."""
+    """Return the corner of the cloth at which the points fit best, and how well they fit there."""
     scores = [score_sheet(shape.pixels, sheet, rows, cols, ends, quarters) for quarters in range(4)]
     best = int(np.argmin([score.mean for score in scores]))
     return best, scores[best]
 
 
 def _off(points: npt.ArrayLike, sheet: Sheet, rows: int, cols: int, ends: Ends, quarters: int) -> Array:
-    """(rows,cols,2) how far each point lies from its material, in gaps of the lattice down and across."""
+    """Return the distance of each point from its material, (rows, cols, 2), in gaps of the lattice down and across."""
     true = _turned(sheet, quarters).lattice(rows, cols, ends)
     away = np.asarray(points, dtype=np.float64).reshape(true.shape) - true
     gaps = np.stack([np.gradient(true, axis=0), np.gradient(true, axis=1)], axis=-1)

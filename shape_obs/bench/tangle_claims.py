@@ -1,7 +1,4 @@
-"""Ropes that cross themselves, are cut by an occluder, or run beside themselves: how they are found cold, how fast.
-
-The tests run slices of this; the timings are for reading only.
-"""
+"""Measure cold starts on ropes that cross themselves, are cut by an occluder, or run next to themselves."""
 
 from __future__ import annotations
 
@@ -13,9 +10,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 
-from shape_obs.bench.cold_speed import longest_path
-from shape_obs.bench.tangles import Tangle, crossing_rope, cut_rope, is_traversed, touching_rope
+from shape_obs.bench.synthetic.tangles import Tangle, crossing_rope, cut_rope, is_traversed, touching_rope
 from shape_obs.configurations import Centerline
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import arc_length
@@ -37,26 +35,25 @@ SETS: Final[dict[str, Callable[[np.random.Generator], Tangle]]] = {
     "crossing and cut, 50 px": partial(cut_rope, crossings=1, band=50),
     "side by side": touching_rope,
 }
-# Points, as many as tell which way a curve runs; the judge's pace needs them no farther apart than a width or two.
+# The comparison with the truth needs points no farther apart than a width or two.
 N: Final = 60
 
 
 class TangleResult(NamedTuple):
-    """Drawn ropes of one kind, each looked at cold.
+    """Drawn ropes of one kind, each detected cold.
 
     Args:
-        rope: Which kind.
-        masks: How many.
+        rope: The kind.
+        masks: Number of masks.
         right: Share that was found as the rope runs.
         refused: Share that was refused.
         silently_wrong: Share that was accepted and does not run as the rope does.
-        hidden: Points that lie under the occluder, on the ropes that were found right.
-        called_visible: How many of them were called visible.
-        cold_ms: Of `find_region` and the start of the centerline, median.
-        detector_ms: Of the whole `detect_mask`, median.
-        peer_ms: Of thinning by scikit-image and the longest path through the skeleton, median; None where scikit-image
-            is not installed (pip install scikit-image).
-        ratio: Median over the masks of cold_ms over peer_ms on the same mask; None with it.
+        hidden: Points under the occluder, on the ropes that were found right.
+        called_visible: How many of them were reported visible.
+        cold_ms: Median time of ``find_region`` and the start of the centerline.
+        detector_ms: Median time of ``detect_mask``.
+        peer_ms: Median time of thinning by scikit-image and the longest path; None without scikit-image.
+        ratio: Median over the masks of cold_ms over peer_ms on the same mask; None without scikit-image.
     """
 
     rope: str
@@ -73,43 +70,69 @@ class TangleResult(NamedTuple):
 
 
 def tangled_ropes(per_set: int, seed: int = 0) -> Iterator[TangleResult]:
-    """Draw and find ropes of every kind, ``per_set`` of each."""
-    for place, (name, draw) in enumerate(SETS.items()):
-        rng = np.random.default_rng([seed, place])
+    """Draw and detect ``per_set`` ropes of every kind."""
+    for index, (name, draw) in enumerate(SETS.items()):
+        rng = np.random.default_rng([seed, index])
         yield _measured(name, [draw(rng) for _ in range(per_set)])
 
 
 def detected(mask: Mask) -> Shape:
-    """A centerline of 60 points, found without a past."""
+    """Detect a centerline of 60 points without a track."""
     return ShapeDetector([Centerline(n=N)]).detect_mask(mask).shapes[0]
 
 
 def points_hidden(shape: Shape, tangle: Tangle) -> npt.NDArray[np.bool_]:
-    """Which points of a shape that was found right belong under the occluder: (N,) bool.
+    """Return which points of a rightly found shape belong under the occluder: (N,) bool.
 
-    By their share of the rope's length, so that a bridge that bows differently makes no difference. A point within a
-    gap of the occluder's edge may have slid across, and does not count.
+    A point is located by its share of the rope's length, so that the form of a bridge makes no difference. Points
+    within a gap of the occluder's edge do not count.
     """
     arc = arc_length(tangle.curve)
     gap = arc[-1] / len(shape)
     at = (np.arange(len(shape)) + 0.5) * gap
     reached = [tangle.hidden[np.searchsorted(arc, np.clip(at + off, 0, arc[-1]))] for off in (-gap, 0.0, gap)]
     inside = np.logical_and.reduce(reached)
-    forwards = np.linalg.norm(shape.pixels[[0, -1]] - tangle.curve[[0, -1]], axis=1).sum()
-    backwards = np.linalg.norm(shape.pixels[[0, -1]] - tangle.curve[[-1, 0]], axis=1).sum()
+    ends = shape.pixels[[0, -1]]
+    forwards, backwards = (np.linalg.norm(ends - tangle.curve[way], axis=1).sum() for way in ([0, -1], [-1, 0]))
     return inside if forwards <= backwards else inside[::-1]
 
 
+def longest_path(skeleton: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
+    """Return the longest shortest path between pixels of a skeleton, by two sweeps: (P, 2) pixels (u, v)."""
+    rows, columns = np.nonzero(skeleton)
+    index = np.full((skeleton.shape[0] + 2, skeleton.shape[1] + 2), -1)
+    index[rows + 1, columns + 1] = np.arange(len(rows))
+    first, second, length = [], [], []
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        there = index[rows + 1 + down, columns + 1 + right]
+        first.append(np.flatnonzero(there >= 0))
+        second.append(there[there >= 0])
+        length.append(np.full(len(second[-1]), np.hypot(down, right)))
+    # The graph functions of older SciPy versions take only 32-bit integers.
+    pairs = tuple(np.concatenate(ends).astype(np.int32) for ends in (first, second))
+    graph = coo_array((np.concatenate(length), pairs), shape=(len(rows), len(rows))).tocsr()
+    reached = dijkstra(graph, directed=False, indices=0)
+    start = int(np.argmax(np.where(np.isfinite(reached), reached, -1)))
+    reached, previous = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+    path = [int(np.argmax(np.where(np.isfinite(reached), reached, -1)))]
+    while previous[path[-1]] >= 0:
+        path.append(int(previous[path[-1]]))
+    return np.stack([columns[path], rows[path]], axis=1).astype(np.float64)
+
+
 def _measured(name: str, tangles: list[Tangle]) -> TangleResult:
-    peer = _peer()
-    runs = [_cold, detected] if peer is None else [_cold, detected, peer]
-    # In turn on every mask: whatever else the machine does slows all of them.
-    taken = np.array([[_seconds(run, tangle.mask) for run in runs] for tangle in tangles]) * 1e3
+    runs: list[Callable[[Mask], object]] = [_start, detected]
+    if find_spec("skimage") is not None:
+        from skimage.morphology import skeletonize
+
+        runs.append(lambda mask: longest_path(np.asarray(skeletonize(mask > 0))))
+    # All methods run on every mask in turn, so that other load on the machine slows all of them.
+    taken = np.array([[_milliseconds(run, tangle.mask) for run in runs] for tangle in tangles])
     shapes = [detected(tangle.mask) for tangle in tangles]
-    pairs = list(zip(shapes, tangles, strict=True))
-    found = [(shape, tangle) for shape, tangle in pairs if shape.ok]
+    found = [(shape, tangle) for shape, tangle in zip(shapes, tangles, strict=True) if shape.ok]
     right = [(shape, tangle) for shape, tangle in found if is_traversed(shape.pixels, tangle)]
     hidden = [points_hidden(shape, tangle) for shape, tangle in right]
+    times = [float(time) for time in np.median(taken, axis=0)]
     return TangleResult(
         name,
         len(tangles),
@@ -117,31 +140,20 @@ def _measured(name: str, tangles: list[Tangle]) -> TangleResult:
         refused=1 - len(found) / len(tangles),
         silently_wrong=(len(found) - len(right)) / len(tangles),
         hidden=int(sum(inside.sum() for inside in hidden)),
-        called_visible=int(
-            sum((inside & shape.visible).sum() for inside, (shape, _) in zip(hidden, right, strict=True))
-        ),
-        cold_ms=float(np.median(taken[:, 0])),
-        detector_ms=float(np.median(taken[:, 1])),
-        peer_ms=None if peer is None else float(np.median(taken[:, 2])),
-        ratio=None if peer is None else float(np.median(taken[:, 0] / taken[:, 2])),
+        called_visible=int(sum((some & each.visible).sum() for some, (each, _) in zip(hidden, right, strict=True))),
+        cold_ms=times[0],
+        detector_ms=times[1],
+        peer_ms=times[2] if len(runs) > 2 else None,
+        ratio=float(np.median(taken[:, 0] / taken[:, 2])) if len(runs) > 2 else None,
     )
 
 
-def _cold(mask: Mask) -> object:
+def _start(mask: Mask) -> object:
     window = Window(0, 0, mask.shape[1], mask.shape[0])
     return medial_axis(find_region(mask, window, Segmentation.min_area, Segmentation.min_share))
 
 
-def _peer() -> Callable[[Mask], object] | None:
-    """Thinning by scikit-image and the longest path; None without scikit-image."""
-    if find_spec("skimage") is None:
-        return None
-    from skimage.morphology import skeletonize
-
-    return lambda mask: longest_path(np.asarray(skeletonize(mask > 0)))
-
-
-def _seconds(run: Callable[[Mask], object], mask: Mask) -> float:
-    start = time.perf_counter()
+def _milliseconds(run: Callable[[Mask], object], mask: Mask) -> float:
+    begin = time.perf_counter()
     run(mask)
-    return time.perf_counter() - start
+    return 1e3 * (time.perf_counter() - begin)

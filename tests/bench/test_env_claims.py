@@ -11,11 +11,10 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from shape_obs.bench import env_claims, env_goals, report
+from shape_obs.bench import ENVS, claims, env_claims, env_physics
 from shape_obs.bench.env_claims import Setting, claim_row, episodes, physics_row
-from shape_obs.bench.env_physics import is_finite, strain, warnings
-from shape_obs.bench.env_runner import ENVS, held_actions, make_env
-from shape_obs.bench.env_scores import place
+from shape_obs.bench.env_physics import held_actions, is_finite, make_env, strain, warnings
+from shape_obs.bench.scores import simulator_score
 from shape_obs.cli import main
 from shape_obs.geometry.topology import Chain, Grid, Ring
 
@@ -56,11 +55,11 @@ ALL = np.ones(32, bool)
     ids=["chain", "ring", "grid"],
 )
 def test_points_where_they_belong_have_no_error(layout, simulator, truth):
-    found = place(truth, ALL[: len(truth)], layout, simulator)
+    found = simulator_score(truth, ALL[: len(truth)], layout, simulator)
     assert found.mm == pytest.approx(0, abs=1e-9)
     assert found.slip == pytest.approx(0, abs=1e-6)
     assert not found.flipped
-    assert place(truth + (0, 0, 0.002), ALL[: len(truth)], layout, simulator).mm == pytest.approx(2)
+    assert simulator_score(truth + (0, 0, 0.002), ALL[: len(truth)], layout, simulator).mm == pytest.approx(2)
 
 
 def test_a_slip_is_told_along_the_material_and_counts_for_valid_points_alone():
@@ -68,21 +67,21 @@ def test_a_slip_is_told_along_the_material_and_counts_for_valid_points_alone():
     points[3, 0] += 0.06  # six tenths of a gap along the rope
     points[5, 1] += 0.06  # and six tenths beside it, which is no slip
     valid = np.ones(11, bool)
-    assert place(points, valid, Chain(11), Line()).slip == pytest.approx(0.6, abs=0.02)
+    assert simulator_score(points, valid, Chain(11), Line()).slip == pytest.approx(0.6, abs=0.02)
     valid[3] = False
-    assert place(points, valid, Chain(11), Line()).slip == pytest.approx(0, abs=0.02)
+    assert simulator_score(points, valid, Chain(11), Line()).slip == pytest.approx(0, abs=0.02)
     beyond = Line().truth(11)
     beyond[0, 0] = -0.07
-    assert place(beyond, np.ones(11, bool), Chain(11), Line()).slip == pytest.approx(0.7, abs=0.02)
+    assert simulator_score(beyond, np.ones(11, bool), Chain(11), Line()).slip == pytest.approx(0.7, abs=0.02)
 
 
 def test_a_ring_that_begins_elsewhere_slips_and_a_sheet_does_in_both_directions():
     shifted = np.roll(Circle().truth(32), 1, axis=0)
-    assert place(shifted, ALL, Ring(32), Circle()).slip == pytest.approx(1, abs=0.02)
+    assert simulator_score(shifted, ALL, Ring(32), Circle()).slip == pytest.approx(1, abs=0.02)
     for axis, gap in ((0, 2 / 7), (1, 1 / 3)):
         points = Sheet().truth(4, 8)
         points[:, axis] += 0.7 * gap
-        assert place(points, ALL, Grid(4, 8), Sheet()).slip == pytest.approx(0.7)
+        assert simulator_score(points, ALL, Grid(4, 8), Sheet()).slip == pytest.approx(0.7)
 
 
 @pytest.mark.parametrize(
@@ -96,7 +95,7 @@ def test_a_ring_that_begins_elsewhere_slips_and_a_sheet_does_in_both_directions(
     ids=["chain", "ring", "turned sheet", "mirrored sheet"],
 )
 def test_points_that_are_numbered_otherwise_are_flipped(points, layout, simulator):
-    assert place(points, ALL[: len(points)], layout, simulator).flipped
+    assert simulator_score(points, ALL[: len(points)], layout, simulator).flipped
 
 
 @pytest.mark.parametrize("name", ENVS)
@@ -155,18 +154,18 @@ def test_noise_and_randomised_scenes_are_looked_at_too(condition):
 
 def test_goals_are_as_far_as_they_are_said_to_be_and_are_reached():
     for difficulty, farthest in (("near", 50), ("middle", 100)):
-        found = env_goals.goals("Cable", difficulty, (0, 1))
+        found = env_physics.goals("Cable", difficulty, (0, 1))
         assert found.episodes == 2
         assert 0 < found.start_mm <= found.farthest_mm <= farthest
         assert found.played_mm <= found.worst_played_mm < 5
 
 
 def test_the_command_tells_points_physics_goals_and_what_was_asked(capsys, monkeypatch):
-    monkeypatch.setattr(report, "ENVS", ("Cable",))
+    monkeypatch.setattr(claims, "ENVS", ("Cable",))
     monkeypatch.setattr(
         env_claims, "settings", lambda renderer: [Setting("Cable", "d455", how, renderer) for how in ("clean", "noise")]
     )
-    monkeypatch.setattr(env_goals, "DIFFICULTIES", ("near",))
+    monkeypatch.setattr(env_physics, "DIFFICULTIES", ("near",))
     monkeypatch.setattr(env_claims.episodes, "__defaults__", (4,))
     monkeypatch.setattr(env_claims.all_episodes, "__defaults__", (1, 4, lambda done: None))
     with pytest.raises(SystemExit) as stop:

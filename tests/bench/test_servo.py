@@ -15,14 +15,13 @@ pytest.importorskip("mujoco")
 
 from PIL import Image
 
-from shape_obs.bench.env_runner import ENVS
+from shape_obs.bench import ENVS
 from shape_obs.bench.servo import study
-from shape_obs.bench.servo.disturbing import without
 from shape_obs.bench.servo.episode import Episode, settled
 from shape_obs.bench.servo.settings import FEATURES, LAYOUTS, Disturbance, Setting, combinations
-from shape_obs.bench.servo.summary import paired_rows, summary_rows
+from shape_obs.bench.servo.study import paired_rows, summary_rows
 from shape_obs.bench.servo.times import closed_forms, feature_times
-from shape_obs.bench.servo.worlds import world
+from shape_obs.bench.servo.worlds import without, world
 from shape_obs.cli import main
 from shape_obs.features import read_features
 from shape_obs.geometry.topology import Chain

@@ -12,15 +12,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from shape_obs.bench.sheets import Sheet
+from shape_obs.bench.synthetic.sheets import Sheet
 from shape_obs.bench.table import methods
-from shape_obs.bench.table.frames import CONFIGURATIONS, scenes
+from shape_obs.bench.table.frames import CONFIGURATIONS, OF, scenes
 from shape_obs.bench.table.methods import METHODS, Row, Runner
-from shape_obs.bench.table.parts import Parts
-from shape_obs.bench.table.run import Plan, run
+from shape_obs.bench.table.report import markdown
+from shape_obs.bench.table.run import Parts, Plan, run
 from shape_obs.bench.table.summary import PAPER, rankings, results
-from shape_obs.bench.table.text import markdown
-from shape_obs.bench.table.tracings import OF
 from shape_obs.cli import main
 from shape_obs.clustering import KMeans
 
@@ -229,7 +227,7 @@ class TestCommand:
         [
             (["--frames", 9], "--frames: expected at least 10, got 9."),
             (["--jobs", 0], "--jobs: expected at least 1, got 0."),
-            (["--seed", -1], "--seed: expected 0 or more, got -1."),
+            (["--seed", -1], "--seed: expected at least 0, got -1."),
         ],
     )
     def test_bad_arguments_get_one_clear_line(self, capsys, tmp_path, arguments, message):
@@ -280,7 +278,7 @@ def test_the_ranking_counts_pairs_on_equal_frames(tmp_path):
 def test_thinning_gives_another_number_of_points_in_every_frame(tmp_path):
     pytest.importorskip("skimage")
     pytest.importorskip("mujoco")
-    from shape_obs.bench.table.tracings import traced
+    from shape_obs.bench.table.frames import traced
 
     found = list(traced("thinning", enumerate(scenes("centerline", 0, 4, 0, "auto"))))
     assert OF["thinning"] == "centerline"

@@ -8,7 +8,7 @@ import pytest
 
 from shape_obs import TopView, find_markers
 from shape_obs.bench.marker_claims import board_images
-from shape_obs.bench.marker_scenes import LAYOUT, marker_scene
+from shape_obs.bench.synthetic.tabletop import LAYOUT, marker_scene
 from shape_obs.calibration import Board, BoardViews, fit_base, fit_intrinsics, marker_points
 from shape_obs_envs.sources import RealSenseSource, SoftwareD455
 from shape_obs_envs.sources.registration import RawImages

@@ -14,7 +14,7 @@ from drawn_frames import Frames, run
 
 from shape_obs import Extrinsics, SpecError
 from shape_obs.bench.marker_claims import touched
-from shape_obs.bench.marker_scenes import CAMERA, LAYOUT, MarkerScene, marker_scene
+from shape_obs.bench.synthetic.tabletop import CAMERA, LAYOUT, MarkerScene, marker_scene
 from shape_obs.calibration import (
     Touch,
     fit_base,

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from PIL import Image
 
-from shape_obs.bench.ropes import draw_rope
+from shape_obs.bench.synthetic.ropes import draw_rope
 from shape_obs.cli import main
 
 BLUE = (30, 60, 200)

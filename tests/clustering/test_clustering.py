@@ -11,13 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Centerline, Contour, ShapeDetector, Surface
-from shape_obs.bench.blobs import draw_blob, moving_blob, random_blob
-from shape_obs.bench.clouds import ring_cloud, rope_cloud, sheet_cloud
-from shape_obs.bench.motion import moving_rope
-from shape_obs.bench.outline_scores import outline_score
-from shape_obs.bench.scores import score
-from shape_obs.bench.sheets import Sheet, draw_sheet, moving_sheet, random_sheet
+from shape_obs.bench.scores import outline_score, score
 from shape_obs.bench.surface_claims import score_sheet
+from shape_obs.bench.synthetic.blobs import draw_blob, moving_blob, random_blob
+from shape_obs.bench.synthetic.clouds import ring_cloud, rope_cloud, sheet_cloud
+from shape_obs.bench.synthetic.ropes import moving_rope
+from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, moving_sheet, random_sheet
 from shape_obs.clustering import Clusterer, FuzzyCMeans, GaussianMixture, KMeans, Kohonen
 from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Chain, Grid

@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Intrinsics, ShapeDetector, SpecError, Surface
-from shape_obs.bench.sheets import Sheet, draw_sheet, random_sheet, regular, rotation
 from shape_obs.bench.surface_claims import (
     ASPECTS,
     drawn_sheets,
@@ -24,6 +23,7 @@ from shape_obs.bench.surface_claims import (
     sheet_table,
     turning_sheets,
 )
+from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, random_sheet, regular, rotation
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "real"
 

@@ -12,7 +12,7 @@ import pytest
 
 from shape_obs import HSVRange, MarkerLayout, Markers, Polygon, ShapeDetector, ShapeLostError, SpecError, TopView
 from shape_obs.bench.marker_claims import tops
-from shape_obs.bench.marker_scenes import CAMERA, LAYOUT, MarkerScene, marker_scene
+from shape_obs.bench.synthetic.tabletop import CAMERA, LAYOUT, MarkerScene, marker_scene
 from shape_obs.markers import MarkersNotSeen, find_markers, fourth_marker
 
 BLUE = HSVRange((100, 80, 40), (130, 255, 255))

@@ -9,9 +9,9 @@ import pytest
 
 from shape_obs import Centerline, Contour, Intrinsics, ShapeDetector, Surface
 from shape_obs.bench import cloud_claims
-from shape_obs.bench.clouds import SheetCloud, sheet_cloud
-from shape_obs.bench.tangles import crossing_rope
-from shape_obs.bench.tilted import CAMERA, tilted_rope, tilted_sheet
+from shape_obs.bench.synthetic.clouds import SheetCloud, sheet_cloud
+from shape_obs.bench.synthetic.images import CAMERA, tilted_rope, tilted_sheet
+from shape_obs.bench.synthetic.tangles import crossing_rope
 from shape_obs.geometry.polyline import resample
 from shape_obs.image.region import find_region
 from shape_obs.image.roi import Window

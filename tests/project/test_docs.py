@@ -68,7 +68,6 @@ def test_the_readme_has_the_two_commands_as_they_are_promised():
         "fit-features",
         "extract",
         "bench servo",
-        "bench training",
         "ablate",
     ],
 )

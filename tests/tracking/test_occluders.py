@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, Intrinsics, ShapeDetector
-from shape_obs.bench.ropes import draw_rope
+from shape_obs.bench.synthetic.ropes import draw_rope
 
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 TABLE, ROPE, HAND = 0.6, 0.585, 0.5

@@ -6,12 +6,13 @@ import json
 
 import pytest
 import yaml
+from fuzzing.documents import damaged_documents
 from hypothesis import given
 from hypothesis import strategies as st
+from sweep import sweep
 
 from shape_obs import Extrinsics, load_config
 from shape_obs.ablation import load_study
-from shape_obs.bench.robustness.documents import damaged_documents
 from shape_obs.calibration.intrinsics import IntrinsicsFit
 from shape_obs.calibration.touch_points import read_touches
 from shape_obs.cli.options import read_settings
@@ -124,6 +125,6 @@ def test_settings_of_the_command_line():
 
 
 def test_damaged_documents_raise_only_declared_errors(tmp_path):
-    rows = damaged_documents(tmp_path, 30, seed=1)
+    rows = damaged_documents(tmp_path, sweep(30, 500), seed=1)
     assert len(rows) == 18
     assert [row for row in rows if row["reached"] != "yes"] == []

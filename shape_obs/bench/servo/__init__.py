@@ -1,1 +1,1 @@
-"""Shape servoing measured: features, laws and goals, from the camera and from the true points, on the same episodes."""
+"""Compare features and laws of shape servoing on simulated objects."""

@@ -1,4 +1,4 @@
-"""One goal: a law that knows nothing yet, and so many steps."""
+"""Bring a shape to one goal, with a law that starts without any knowledge of the object."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from shape_obs.bench.servo.settings import Setting
 from shape_obs.bench.servo.worlds import World, world
+from shape_obs.bench.tables import median
 from shape_obs.features import FeatureVector
 from shape_obs.servo import ShapeServo, geometric_weights, make_law
 from shape_obs.utils.threads import one_thread
@@ -28,27 +29,25 @@ class Episode:
     """How one goal was approached. Errors are mean distances of the true points from the true goal's, millimetres.
 
     Args:
-        seed: Of the start, the goal and the noise.
+        seed: Seed of the start, the goal and the noise.
         start_mm: Error before the first step.
         final_mm: Mean error of the last five steps.
-        best_mm: The smallest error on the way.
-        success: ``final_mm`` is below 10.
-        steps: The first step after which the error stays below 10 mm; None where it does not.
-        prediction: Median share of a change of features that was not foreseen, over the motions after the excitation
-            that were learnt from until the error stayed below 10 mm: at the goal all that changes is noise. None where
-            there were none.
-        seen_mm: Median over the frames of the mean distance of the points that the law was shown from the true ones;
-            frames before the shape was first found have none.
-        detector_ms: Median time of the detector in a frame; None without one.
+        best_mm: The smallest error of the episode.
+        success: Whether ``final_mm`` is below 10.
+        steps: The first step after which the error stays below 10 mm, or None.
+        prediction: Median share of a change of features that was not predicted, over the learnt motions after the
+            excitation until the error stayed below 10 mm (at the goal, changes are only noise); None without any.
+        seen_mm: Median over the frames of the mean distance of the detected points from the true ones.
+        detector_ms: Median time of the detector in a frame; None without a detector.
         feature_ms: Median time of the features of a shape.
-        held: Observations that were not acted on.
-        blackout_action: The largest coordinate of an action that was chosen in the dark; None where it never was dark.
-        blackout_mm: How far the true points came from where they were in the first dark frame, mean over the points.
-        errors_mm: (T+1,) over time.
-        start: (N,3) true points at the start, millimetres, base frame.
-        goal: (N,3) true goal.
-        final: (N,3) true points at the end.
-        failure: Why the episode broke off; empty if it did not. All numbers are None or empty then.
+        held: Observations without an action.
+        blackout_action: The largest coordinate of an action that was chosen in a black frame, or None.
+        blackout_mm: Mean distance of the true points from their positions in the first black frame, or None.
+        errors_mm: The error over time, (T+1,).
+        start: True points at the start, (N, 3), millimetres, base frame.
+        goal: True points of the goal, (N, 3).
+        final: True points at the end, (N, 3).
+        failure: Why the episode broke off, or empty. All numbers are None or empty then.
     """
 
     seed: int
@@ -71,21 +70,24 @@ class Episode:
     failure: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able."""
+        """Return JSON-able values."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Episode:
-        """Back from JSON."""
+        """Return the episode from the values of ``to_dict``."""
         lines = {name: tuple(map(tuple, values[name])) for name in ("start", "goal", "final")}
         return cls(**{**values, **lines, "errors_mm": tuple(values["errors_mm"])})
 
 
+Found = Mapping[Setting, Sequence[Episode]]
+
+
 def episodes(setting: Setting, seeds: Sequence[int], steps: int = STEPS) -> Iterator[Episode]:
-    """One episode for each seed, on one thread. What breaks off is told in ``failure``, and the next one begins.
+    """Play one episode for each seed, on one thread; an episode that breaks off has a ``failure``.
 
     Raises:
-        ValueError: A setting that is not understood.
+        ValueError: The setting is not understood.
     """
     made = world(setting)
     try:
@@ -100,17 +102,17 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
     """Bring the shape to the goal of a seed.
 
     Args:
-        world: Where.
+        world: The world.
         law: A name of ``shape_obs.servo.LAWS``.
-        seed: Of the start, the goal and the noise.
-        steps: How many.
+        seed: Seed of the start, the goal and the noise.
+        steps: Number of steps.
     """
     servo = _servo(world, law)
     vector = FeatureVector(world.features, [world.spec], world.view())
     observation, info = world.env.reset(seed=seed)
     goal, start = 1e3 * info["truth/goal"], 1e3 * info["truth/points"]
     errors, points, blackout = [1e3 * info["truth/mean_error"]], start, _Blackout()
-    foreseen: list[tuple[int, float]] = []
+    predicted: list[tuple[int, float]] = []
     seen: list[float] = []
     detector: list[float | None] = []
     feature: list[float] = []
@@ -121,7 +123,7 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
         exciting, learnt = servo.exciting, servo.law.learnt
         action = servo.act(observation)
         if servo.law.learnt > learnt and not exciting:
-            foreseen.append((step, servo.law.estimator.error))
+            predicted.append((step, servo.law.estimator.error))
         dark = world.dark()
         observation, _, _, _, info = world.env.step(action)
         if dark:
@@ -129,7 +131,7 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
         points = 1e3 * info["truth/points"]
         errors.append(1e3 * info["truth/mean_error"])
     final, there = float(np.mean(errors[-_LAST:])), settled(errors)
-    on_the_way = [error for step, error in foreseen if there is None or step <= there]
+    before_goal = [error for step, error in predicted if there is None or step <= there]
     return Episode(
         seed=seed,
         start_mm=errors[0],
@@ -137,10 +139,10 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
         best_mm=min(errors),
         success=final < REACHED,
         steps=there,
-        prediction=_median(on_the_way),
-        seen_mm=_median(seen),
-        detector_ms=_median(detector),
-        feature_ms=_median(feature),
+        prediction=median(before_goal),
+        seen_mm=median(seen),
+        detector_ms=median(detector),
+        feature_ms=median(feature),
         held=servo.held,
         blackout_action=blackout.action,
         blackout_mm=blackout.moved,
@@ -152,7 +154,7 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
 
 
 def settled(errors: Sequence[float]) -> int | None:
-    """The first step after which errors (T+1,), millimetres, stay below 10; None where they do not."""
+    """Return the first step after which errors (T+1,), in millimetres, stay below 10, or None."""
     above = np.flatnonzero(np.asarray(errors) >= REACHED)
     first = int(above[-1]) + 1 if len(above) else 0
     return first if first < len(errors) else None
@@ -166,7 +168,7 @@ def _tried(world: World, law: str, seed: int, steps: int) -> Episode:
 
 
 class _Blackout:
-    """The largest motion while it is dark."""
+    """The largest action and motion during black frames."""
 
     def __init__(self) -> None:
         self.action: float | None = None
@@ -174,16 +176,11 @@ class _Blackout:
         self._before: Array | None = None
 
     def watch(self, action: npt.NDArray[np.float32], before: Array, after: Array) -> None:
-        """A step that was chosen in the dark, and the true points before and after it."""
+        """Add an action that was chosen in a black frame, and the true points before and after it."""
         self._before = before if self._before is None else self._before
         moved = float(np.linalg.norm(after - self._before, axis=1).mean())
         self.action = max(self.action or 0.0, float(np.abs(action).max()))
         self.moved = max(self.moved or 0.0, moved)
-
-
-def _median(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None and np.isfinite(value)]
-    return float(np.median(known)) if known else None
 
 
 def _servo(world: World, law: str) -> ShapeServo:
@@ -208,7 +205,7 @@ def _milliseconds(vector: FeatureVector, world: World) -> float:
 
 
 def _apart(world: World, truth: Array) -> float:
-    """Mean distance of the seen points from the true ones, millimetres."""
+    """Return the mean distance of the detected points from the true ones in millimetres."""
     points, camera = world.seen().points3d, world.view().camera
     assert points is not None
     assert camera is not None

@@ -1,4 +1,4 @@
-"""The pictures of a study: the error over time, and where shapes started, should end and did end."""
+"""Draw the results of a study: the error over time, and the shapes at the start, at the end and at the goal."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.servo.episode import REACHED, Episode
+from shape_obs.bench.servo.episode import REACHED, Episode, Found
 from shape_obs.bench.servo.settings import LAYOUTS, Difficulty, Setting
-from shape_obs.bench.servo.study import Found
 from shape_obs.utils.files import write_whole
 
 Array = npt.NDArray[np.float64]
@@ -24,21 +23,11 @@ _COLOURS: Final = (
 _FINAL: Final = _COLOURS[1]
 _STYLES: Final = {"camera": "-", "truth": (0, (4, 2))}
 _DPI: Final = 110
-_FINEST: Final = 0.3  # millimetres; below it the truth alone gets, and nobody cares
-
-
-def need_matplotlib() -> None:
-    """Raises ImportError where there is no matplotlib, before any work is done."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise ImportError(
-            "the pictures need matplotlib: pip install 'shape-obs[viz]', or leave them out with --no-figures."
-        ) from error
+_FINEST: Final = 0.3  # millimetres; only the true points get below it
 
 
 def draw(found: Found, folder: Path) -> list[Path]:
-    """Draw both pictures of what did not break off into a folder; returns their paths, none where there is nothing."""
+    """Draw both pictures of the episodes that did not break off; return the paths, none without such episodes."""
     whole = {setting: [each for each in some if not each.failure] for setting, some in found.items()}
     whole = {setting: some for setting, some in whole.items() if some}
     if not whole:
@@ -50,7 +39,7 @@ def draw(found: Found, folder: Path) -> list[Path]:
 
 
 def _curves(found: Found) -> Any:
-    """Median and quartiles of the error over time: a line for each law or each set of features, whichever are more."""
+    """Draw median and quartiles of the error over time, a line for each law or each feature set, whichever are more."""
     from matplotlib.figure import Figure
 
     many = _distinct(setting.features for setting in found), _distinct(setting.law for setting in found)
@@ -101,7 +90,7 @@ def _legend(lines: Sequence[str], found: Found) -> list[Any]:
 
 
 def _overlays(found: Found) -> Any:
-    """A good goal, the median one and the worst, by final error, of the best combination of each env and difficulty."""
+    """Draw a good goal, the median one and the worst of the best setting of each environment and difficulty."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
@@ -132,13 +121,13 @@ def _overlays(found: Found) -> Any:
 
 
 def _worth(setting: Setting, some: Sequence[Episode]) -> tuple[bool, int, float]:
-    """The camera before the truth, then by goals reached, then by the final error."""
+    """Return the rank of a setting: the camera first, then by goals reached, then by the final error."""
     final = float(np.median([episode.final_mm or 0.0 for episode in some]))
     return setting.source == "camera", sum(episode.success for episode in some), -final
 
 
 def _shapes(axis: Any, setting: Setting, episode: Episode) -> None:
-    """Start grey, end in colour, goal dotted, from above; point 0 has a mark."""
+    """Draw the start in grey, the end in colour and the goal dotted, from above; point 0 is marked."""
     edges = LAYOUTS[setting.env].edges()
     styles: dict[str, dict[str, Any]] = {
         "start": {"color": _START, "linewidth": 2.0},

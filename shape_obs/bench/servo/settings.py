@@ -1,4 +1,4 @@
-"""What an episode of shape servoing is made of: an environment, features, a law, and where the points come from."""
+"""The settings of an episode of shape servoing: environment, features, law, and the source of the points."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from typing import Any, Final, Literal, NamedTuple, get_args
 
-from shape_obs.bench.env_runner import Env
+from shape_obs.bench import Env
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
 Difficulty = Literal["near", "middle", "far"]
@@ -18,7 +18,7 @@ FeatureSet = Literal[
 DIFFICULTIES: Final[tuple[Difficulty, ...]] = get_args(Difficulty)
 SOURCES: Final[tuple[Source, ...]] = ("camera", "truth")
 SETS: Final[tuple[FeatureSet, ...]] = get_args(FeatureSet)
-#: How the points of each environment hang together, as it publishes it.
+#: The topology of each environment's points, as it publishes it.
 LAYOUTS: Final[Mapping[Env, Topology]] = {"Cable": Chain(20), "Ring": Ring(32), "Cloth": Grid(4, 8)}
 
 
@@ -26,7 +26,7 @@ def _base(kind: str, **more: Any) -> dict[str, Any]:
     return {"kind": kind, "frame": "base", **more}
 
 
-# What does not tell where the shape is, gets the centroid; what does not tell how it is turned, the orientation.
+# Features without position are joined by the centroid, those without rotation by the orientation.
 _PLACE: Final = (_base("orientation"), _base("centroid"))
 _EVERYWHERE: Final[Mapping[FeatureSet, tuple[dict[str, Any], ...]]] = {
     "points3d": (_base("points3d"),),
@@ -37,7 +37,7 @@ _LINES: Final[Mapping[FeatureSet, tuple[dict[str, Any], ...]]] = {
     "curvature": (_base("curvature"), *_PLACE),
     "turning_angles": (_base("turning_angles"), *_PLACE),
 }
-#: The sets of features that there are for each environment, but ``"pca"``, which needs a file.
+#: The sets of features of each environment, except ``"pca"``, which needs a file.
 FEATURES: Final[Mapping[Env, Mapping[FeatureSet, tuple[dict[str, Any], ...]]]] = {
     "Cable": {
         **_EVERYWHERE,
@@ -65,18 +65,18 @@ FEATURES: Final[Mapping[Env, Mapping[FeatureSet, tuple[dict[str, Any], ...]]]] =
 
 
 class Disturbance(NamedTuple):
-    """What goes wrong in the images of an episode.
+    """Disturbances of the images of an episode.
 
     Args:
-        invalid: Share of the points that are lost, drawn anew in every frame, and filled in from the others.
-        blackout: The first black frame, the one after so many steps, and how many there are; None for none.
+        invalid: Share of the points that are lost, drawn again in every frame, and interpolated from the others.
+        blackout: The step after which black frames begin, and their number; None for none.
     """
 
     invalid: float = 0.0
     blackout: tuple[int, int] | None = None
 
     def check(self) -> None:
-        """Raises ValueError: a share outside of 0...1, or a blackout that is none."""
+        """Raise ValueError if the share or the blackout is out of range."""
         if not 0 <= self.invalid < 1:
             raise ValueError(f"invalid: expected a share of the points from 0, below 1, got {self.invalid}.")
         if self.blackout is not None and (self.blackout[0] < 1 or self.blackout[1] < 1):
@@ -84,18 +84,18 @@ class Disturbance(NamedTuple):
 
 
 class Setting(NamedTuple):
-    """One combination of what is compared.
+    """One combination of an environment, features, a law and a source of points.
 
     Args:
         env: The environment.
-        difficulty: How far goals are from the start.
-        source: ``"camera"``: points found in the images of a D455; ``"truth"``: those of the simulator; ``"taught"``:
-            the camera's, and the goal too is what the camera saw of it, as one records a goal on a real table.
-        size: Of the images, ``"160x120"``; the truth has none, but features in pixels need it.
+        difficulty: Distance of the goals from the start.
+        source: ``"camera"``: points detected in the images of a D455; ``"truth"``: the points of the simulator;
+            ``"taught"``: the camera for the points and also for the goal, as a goal is recorded on a real table.
+        size: Image size such as ``"160x120"``; features in pixels need it for the truth as well.
         features: A name of ``FEATURES``, or ``"pca"``.
         law: A name of ``shape_obs.servo.LAWS``.
-        disturbance: Of the images.
-        renderer: The simulator's camera.
+        disturbance: The disturbance of the images.
+        renderer: The simulator's renderer.
         pca: The file for ``"pca"``.
     """
 
@@ -116,7 +116,7 @@ class Setting(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What tells it from all others, for files and messages."""
+        """A unique name for files and messages."""
         parts = [self.env, self.difficulty, self.source, self.size, self.features, self.law]
         if self.disturbance.invalid:
             parts.append(f"invalid{self.disturbance.invalid:g}")
@@ -126,10 +126,10 @@ class Setting(NamedTuple):
 
 
 def image_size(text: str) -> tuple[int, int]:
-    """(width, height) from ``"160x120"``.
+    """Return (width, height) from text such as ``"160x120"``.
 
     Raises:
-        ValueError: It is no size.
+        ValueError: The text is not a size.
     """
     width, x, height = text.partition("x")
     if not (x and width.isdigit() and height.isdigit()):
@@ -138,7 +138,7 @@ def image_size(text: str) -> tuple[int, int]:
 
 
 def feature_set(env: Env, name: FeatureSet, pca: str | None = None) -> tuple[dict[str, Any], ...] | None:
-    """The specs of a set of features; None where there is no such set for an environment.
+    """Return the specs of a set of features, or None if the environment has no such set.
 
     Raises:
         ValueError: ``"pca"`` without a file.
@@ -161,7 +161,7 @@ def combinations(
     renderer: str = "auto",
     pca: str | None = None,
 ) -> Iterator[Setting]:
-    """Every combination that there is; the camera's images alone are disturbed.
+    """Generate every existing combination; disturbances apply only to the camera's images.
 
     Raises:
         ValueError: ``"pca"`` without a file.
@@ -174,5 +174,5 @@ def combinations(
 
 
 def missing(envs: Sequence[Env], features: Sequence[FeatureSet]) -> list[str]:
-    """What was asked for and cannot be had: ``"bezier of Ring"``."""
+    """Return the requested feature sets that do not exist, such as ``"bezier of Ring"``."""
     return [f"{name} of {env}" for env in envs for name in features if name != "pca" and name not in FEATURES[env]]

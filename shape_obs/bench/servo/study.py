@@ -1,22 +1,31 @@
-"""All episodes of all settings, here or in several processes; what is done is kept, so that a run can go on."""
+"""Play the episodes of all settings, keep them so that a run can continue, and summarise them."""
 
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import DegenerateDataWarning, binomtest, bootstrap
+
 from shape_obs import __version__
-from shape_obs.bench.servo.episode import STEPS, Episode, episodes
-from shape_obs.bench.servo.settings import Setting
+from shape_obs.bench import run_tasks
+from shape_obs.bench.servo.episode import REACHED, STEPS, Episode, Found, episodes
+from shape_obs.bench.servo.settings import Disturbance, Setting
+from shape_obs.bench.tables import Row, as_csv, as_markdown, grouped, median
 from shape_obs.utils.documents import read_json
 from shape_obs.utils.files import make_folder, write_text
 
-Found = Mapping[Setting, Sequence[Episode]]
-
 _CHUNK: Final = 5  # episodes for which a world is made
 _PARTS: Final = "parts"
+_RESAMPLES: Final = 4000
+_CONFIDENCE: Final = 0.95
+_LONG: Final = ("errors_mm", "start", "goal", "final")  # fields of an episode that do not fit in a cell
+_IF_ANY: Final = ("failed", "invalid")
 
 
 def run(
@@ -32,13 +41,13 @@ def run(
     """Play the same goals under every setting.
 
     Args:
-        settings: What is compared.
-        seeds: One for each goal; equal for all settings.
-        steps: Of an episode.
-        jobs: Processes.
-        folder: Where episodes are kept as they are done; None keeps them nowhere.
-        resume: Take from there what was kept before, but what broke off.
-        tick: Called with each episode, also with those that were kept.
+        settings: The settings to compare.
+        seeds: One seed for each goal, the same for all settings.
+        steps: Steps of an episode.
+        jobs: Number of processes.
+        folder: Where finished episodes are kept; None keeps them nowhere.
+        resume: Use the episodes in the folder, except those that broke off.
+        tick: Called with each episode, kept ones included.
 
     Returns:
         The episodes of each setting, in the order of the seeds.
@@ -58,34 +67,29 @@ def run(
                 tick(setting, done[seed])
         left = [seed for seed in seeds if seed not in done]
         tasks += [(setting, left[first : first + _CHUNK], steps) for first in range(0, len(left), _CHUNK)]
-    for setting, episode in _worked_off(tasks, jobs):
+    for setting, episode in _played(tasks, jobs):
         kept[setting][episode.seed] = episode
         if folder is not None:
-            _write(folder, setting, steps, kept[setting])
+            done = [kept[setting][seed].to_dict() for seed in sorted(kept[setting])]
+            document = {"made_with": _made_with(setting, steps), "episodes": done}
+            write_text(_path(folder, setting), json.dumps(document, separators=(",", ":")) + "\n")
         tick(setting, episode)
     return {setting: [done[seed] for seed in seeds] for setting, done in kept.items()}
 
 
-def _worked_off(tasks: Sequence[tuple[Setting, list[int], int]], jobs: int) -> Iterator[tuple[Setting, Episode]]:
-    if jobs == 1:
-        for setting, seeds, steps in tasks:
-            for episode in episodes(setting, seeds, steps):
-                yield setting, episode
-    else:
-        from joblib import Parallel, delayed
-
-        workers: Any = Parallel(n_jobs=jobs, return_as="generator_unordered")
-        for setting, found in workers(delayed(_work)(*task) for task in tasks):
-            for episode in found:
-                yield setting, episode
+def _played(tasks: Sequence[tuple[Setting, list[int], int]], jobs: int) -> Iterator[tuple[Setting, Episode]]:
+    chunks: Any = ((task[0], episodes(*task)) for task in tasks) if jobs == 1 else run_tasks(_chunk, tasks, jobs)
+    for setting, found in chunks:
+        for episode in found:
+            yield setting, episode
 
 
-def _work(setting: Setting, seeds: Sequence[int], steps: int) -> tuple[Setting, list[Episode]]:
+def _chunk(setting: Setting, seeds: Sequence[int], steps: int) -> tuple[Setting, list[Episode]]:
     return setting, list(episodes(setting, seeds, steps))
 
 
 def _read(folder: Path, setting: Setting, steps: int) -> dict[int, Episode]:
-    """The episodes of a setting that were kept, by their seeds; what broke off is to be tried again."""
+    """Return the kept episodes of a setting by seed, without those that broke off."""
     path = _path(folder, setting)
     if not path.exists():
         return {}
@@ -96,7 +100,7 @@ def _read(folder: Path, setting: Setting, steps: int) -> dict[int, Episode]:
             if before.get(name) != now:
                 raise ValueError(
                     f"{path} holds episodes with {name} = {before.get(name)}, this run has {now}: choose "
-                    "another folder, or leave out --resume to write them anew."
+                    "another folder, or leave out --resume to play them again."
                 )
         found = [Episode.from_dict(values) for values in kept]
     except (KeyError, TypeError, AttributeError) as error:
@@ -104,17 +108,159 @@ def _read(folder: Path, setting: Setting, steps: int) -> dict[int, Episode]:
     return {episode.seed: episode for episode in found if not episode.failure}
 
 
-def _write(folder: Path, setting: Setting, steps: int, done: Mapping[int, Episode]) -> None:
-    document = {
-        "made_with": _made_with(setting, steps),
-        "episodes": [done[seed].to_dict() for seed in sorted(done)],
-    }
-    write_text(_path(folder, setting), json.dumps(document, separators=(",", ":")) + "\n")
-
-
-def _made_with(setting: Setting, steps: int) -> dict[str, Any]:
+def _made_with(setting: Setting, steps: int) -> Mapping[str, Any]:
     return {"shape_obs": __version__, "steps": steps, "renderer": setting.renderer, "pca": setting.pca}
 
 
 def _path(folder: Path, setting: Setting) -> Path:
     return folder / _PARTS / f"{setting.name}.json"
+
+
+def write_tables(found: Found, folder: Path) -> None:
+    """Write ``episodes.csv``, ``summary.csv`` and ``table.md``, and ``paired.csv`` if there are pairs."""
+    rows, pairs = summary_rows(found), paired_rows(found)
+    write_text(folder / "episodes.csv", as_csv(episode_rows(found)))
+    write_text(folder / "summary.csv", as_csv(rows))
+    page = "# Shape servoing\n\n" + as_markdown(without_empty(rows))
+    if pairs:
+        write_text(folder / "paired.csv", as_csv(pairs))
+        page += "\n\n## The camera and the true points\n\n" + as_markdown(without_empty(pairs))
+    write_text(folder / "table.md", page + "\n")
+
+
+def without_empty(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """Return the rows without columns that are empty in all of them: no disturbance, no failure, no detector."""
+    names = rows[0] if rows else ()
+    kept = [name for name in names if any(row[name] not in (None, "") for row in rows)]
+    kept = [name for name in kept if name not in _IF_ANY or any(row[name] for row in rows)]
+    return [{name: row[name] for name in kept} for row in rows]
+
+
+def episode_rows(found: Found) -> list[Row]:
+    """Return a row for each episode with its setting and all of its numbers."""
+    return [
+        _named(setting) | {name: value for name, value in episode.to_dict().items() if name not in _LONG}
+        for setting, some in found.items()
+        for episode in some
+    ]
+
+
+def summary_rows(found: Found) -> list[Row]:
+    """Return a row for each setting.
+
+    ``success`` is the percentage of goals whose final error is below 10 mm, ``low`` and ``high`` its Wilson interval of
+    95 %; ``ever`` counts goals that were within 10 mm at any time; ``steps`` is the median over the reached goals.
+    Episodes that broke off count only in ``failed``.
+    """
+    return [_named(setting) | _summary(some) for setting, some in found.items()]
+
+
+def paired_rows(found: Found, seed: int = 0) -> list[Row]:
+    """Compare the camera with the truth on the same goals, by difficulty and over all if there are several.
+
+    ``ratio`` is the number of goals reached from the camera over the number reached from the true points; ``low`` and
+    ``high`` are its 95 % interval by a paired percentile bootstrap over goals (Efron & Tibshirani, 'An introduction to
+    the bootstrap', ch. 13). The interval is None if more than one tail of the resamples has no success of the truth;
+    if fewer have none, they are left out.
+
+    Args:
+        found: All episodes.
+        seed: Seed of the resampling.
+    """
+    pairs: dict[Setting, npt.NDArray[np.bool_]] = {}
+    for setting, seen in found.items():
+        twin = setting._replace(source="truth", disturbance=Disturbance())
+        if setting.source == "truth" or twin not in found:
+            continue
+        both = [(a, b) for a, b in zip(seen, found[twin], strict=True) if not (a.failure or b.failure)]
+        pairs[setting] = np.array([(a.success, b.success) for a, b in both], bool).reshape(-1, 2)
+    rows = []
+    for settings in grouped(pairs, lambda setting: setting._replace(difficulty="near")).values():
+        rows += [_paired(setting, setting.difficulty, pairs[setting], seed) for setting in settings]
+        if len(settings) > 1:
+            rows.append(_paired(settings[0], "all", np.concatenate([pairs[each] for each in settings]), seed))
+    return rows
+
+
+def _named(setting: Setting) -> Row:
+    wrong = setting.disturbance
+    blackout = "" if wrong.blackout is None else "{}+{}".format(*wrong.blackout)
+    return {
+        "env": setting.env, "difficulty": setting.difficulty, "source": setting.source, "size": setting.size,
+        "features": setting.features, "law": setting.law, "invalid": wrong.invalid, "blackout": blackout,
+    }  # fmt: skip
+
+
+def _summary(some: Sequence[Episode]) -> Row:
+    whole = [episode for episode in some if not episode.failure]
+    reached = sum(episode.success for episode in whole)
+    low, high = _wilson(reached, len(whole))
+    final = [episode.final_mm for episode in whole if episode.final_mm is not None]
+    ever = [episode.best_mm is not None and episode.best_mm < REACHED for episode in whole]
+    return {
+        "n": len(whole),
+        "failed": len(some) - len(whole),
+        "success": _percent(reached, len(whole)),
+        "low": low,
+        "high": high,
+        "ever": _percent(sum(ever), len(whole)),
+        "steps": median(episode.steps if episode.success else None for episode in whole),
+        "start_mm": median(episode.start_mm for episode in whole),
+        "median_mm": median(final),
+        "p90_mm": float(np.percentile(final, 90)) if final else None,
+        "prediction": median(episode.prediction for episode in whole),
+        "seen_mm": median(episode.seen_mm for episode in whole),
+        "detector_ms": median(episode.detector_ms for episode in whole),
+        "feature_ms": median(episode.feature_ms for episode in whole),
+        "blackout_action": max((e.blackout_action for e in whole if e.blackout_action is not None), default=None),
+        "blackout_mm": max((e.blackout_mm for e in whole if e.blackout_mm is not None), default=None),
+    }
+
+
+def _paired(setting: Setting, difficulty: str, pairs: npt.NDArray[np.bool_], seed: int) -> Row:
+    low, high = _ratio_interval(pairs, seed)
+    camera, truth = pairs.sum(axis=0).tolist()
+    return _named(setting) | {
+        "difficulty": difficulty,
+        "n": len(pairs),
+        "camera": _percent(camera, len(pairs)),
+        "truth": _percent(truth, len(pairs)),
+        "ratio": camera / truth if truth else None,
+        "low": low,
+        "high": high,
+    }
+
+
+def _ratio_interval(pairs: npt.NDArray[np.bool_], seed: int) -> tuple[float | None, float | None]:
+    """Return the interval of the ratio of two counts; None if too many resamples have no success of the truth."""
+    if len(pairs) < 2 or not pairs[:, 1].any():
+        return None, None
+
+    def ratio(camera: Any, truth: Any, axis: int) -> Any:
+        below = truth.sum(axis=axis)
+        return np.divide(camera.sum(axis=axis), below, out=np.full(np.shape(below), np.nan), where=below > 0)
+
+    # `rng` came with SciPy 1.15.
+    fixed: Any = {"method": "percentile", "random_state": np.random.default_rng(seed)}
+    values = tuple(pairs.T.astype(np.float64))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DegenerateDataWarning)  # NaN is handled below
+        found = bootstrap(
+            values, ratio, paired=True, vectorized=True, n_resamples=_RESAMPLES, confidence_level=_CONFIDENCE, **fixed
+        )
+    ratios, tail = found.bootstrap_distribution, (1 - _CONFIDENCE) / 2
+    if np.isnan(ratios).mean() > tail:
+        return None, None
+    low, high = np.nanquantile(ratios, [tail, 1 - tail])
+    return float(low), float(high)
+
+
+def _wilson(reached: int, count: int) -> tuple[float | None, float | None]:
+    if not count:
+        return None, None
+    interval = binomtest(reached, count).proportion_ci(_CONFIDENCE, method="wilson")
+    return 100 * float(interval.low), 100 * float(interval.high)
+
+
+def _percent(part: int, whole: int) -> float | None:
+    return 100 * part / whole if whole else None

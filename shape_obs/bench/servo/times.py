@@ -1,4 +1,4 @@
-"""How long each feature takes beside the NumPy detector, on the same frames."""
+"""Measure the time of each feature relative to the detector, on the same frames."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from shape_obs.bench.asked import at_most
-from shape_obs.bench.env_runner import Env, held_actions, make_env
+from shape_obs.bench import Clock, Env, Size
+from shape_obs.bench.env_physics import held_actions, make_env
+from shape_obs.bench.interleaved_timing import Method, interleaved_timing
 from shape_obs.bench.servo.settings import FEATURES, LAYOUTS
-from shape_obs.bench.turns import Clock, Entrant, turns
+from shape_obs.bench.tables import Row, at_most, grouped
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import Feature, read_features
 from shape_obs.features import FeatureContext as View
@@ -19,16 +20,14 @@ from shape_obs.shape import Shape
 from shape_obs.utils.threads import one_thread
 from shape_obs.wrappers import env_protocol
 
-Row = dict[str, Any]
-
 WARM_UP: Final = 10  # frames that are not counted
-_ASKED: Final = 10  # percent
+_TARGET: Final = 10  # percent of the detector's time
 _BURST: Final = 10  # frames in a turn
 _DETECTOR: Final = "detector"
 
 
 class _Look(NamedTuple):
-    """One frame, and what was found in it."""
+    """One frame, and the shape that was detected in it."""
 
     rgb: Any
     depth: Any
@@ -37,7 +36,7 @@ class _Look(NamedTuple):
 
 
 def closed_forms(env: Env) -> list[Feature]:
-    """Every feature that is computed in closed form and that there is of an environment's shape."""
+    """Return every feature of an environment's shape that is computed in closed form."""
     specs = [spec for some in FEATURES[env].values() for spec in some]
     specs += [{"kind": "points2d_normalized"}]
     if not isinstance(LAYOUTS[env], Grid):
@@ -47,7 +46,7 @@ def closed_forms(env: Env) -> list[Feature]:
 
 def feature_times(
     env: Env,
-    size: tuple[int, int],
+    size: Size,
     frames: int = 60,
     *,
     seed: int = 0,
@@ -55,16 +54,16 @@ def feature_times(
     clock: Clock = "wall",
     tick: Callable[[int], object] = lambda done: None,
 ) -> list[Row]:
-    """A row for each feature: median microseconds, and the share of the tracking detector's median, percent.
+    """Return a row for each feature: median microseconds, and percent of the tracking detector's median time.
 
     Args:
-        env: The environment that is moved at random.
-        size: (width, height) of the images, which have a D455's noise.
-        frames: How many are counted.
-        seed: Of the episode, its actions and its noise.
-        renderer: The simulator's camera.
-        clock: Counts the time that passes, or the processor time of the one thread.
-        tick: Called with how many more frames are done.
+        env: The environment, which is moved at random.
+        size: (width, height) of the images, which have the noise of a D455.
+        frames: Number of counted frames.
+        seed: Seed of the episode, its actions and its noise.
+        renderer: The simulator's renderer.
+        clock: The clock.
+        tick: Called with the number of further frames that are done.
     """
     looks, detector = _looks(env, size, frames + WARM_UP, seed, renderer)
 
@@ -75,10 +74,10 @@ def feature_times(
         return lambda look: feature.compute(look.shape, look.view)
 
     features = {_label(feature): feature for feature in closed_forms(env)}
-    entrants = [Entrant(_DETECTOR, detect), *(Entrant(name, computing(each)) for name, each in features.items())]
-    taken: dict[str, list[float]] = {entrant.name: [] for entrant in entrants}
+    methods = [Method(_DETECTOR, detect), *(Method(name, computing(each)) for name, each in features.items())]
+    taken: dict[str, list[float]] = {method.name: [] for method in methods}
     with one_thread():
-        for turn in turns(looks, entrants, clock, burst=_BURST):
+        for turn in interleaved_timing(looks, methods, clock, burst=_BURST):
             if turn.frame >= WARM_UP:
                 taken[turn.name].append(turn.milliseconds)
             if turn.name == _DETECTOR:
@@ -99,25 +98,23 @@ def feature_times(
     ]
 
 
-def asked_rows(rows: Sequence[Row]) -> list[Row]:
-    """What is asked of features, and what the slowest of each environment and size takes."""
-    asked = []
-    for env, image in dict.fromkeys((row["env"], row["image"]) for row in rows):
-        slowest = max((row for row in rows if (row["env"], row["image"]) == (env, image)), key=lambda row: row["us"])
+def targets(rows: Sequence[Row]) -> list[Row]:
+    """Compare the slowest feature of each environment and image size with the target."""
+    compared = []
+    for (env, image), some in grouped(rows, lambda row: (row["env"], row["image"])).items():
+        slowest = max(some, key=lambda row: row["us"])
         what = f"{env} {image}: {slowest['feature']}, of the detector's time"
-        asked.append(at_most(what, _ASKED, slowest["percent"], " %"))
-    return asked
+        compared.append(at_most(what, _TARGET, slowest["percent"], " %"))
+    return compared
 
 
-def _looks(env: Env, size: tuple[int, int], frames: int, seed: int, renderer: str) -> tuple[list[_Look], ShapeDetector]:
-    """The frames of one episode with what a NumPy detector finds in them; and the detector."""
+def _looks(env: Env, size: Size, frames: int, seed: int, renderer: str) -> tuple[list[_Look], ShapeDetector]:
+    """Return the frames of one episode with their detected shapes, and the detector."""
     from shape_obs_envs.d455 import D455Noise
 
     simulated = D455Noise(make_env(env, {"camera": size, "renderer": renderer}))
     defaults = env_protocol.defaults(simulated)
-    detector = ShapeDetector(
-        defaults["shapes"], defaults["segmentation"], dt=defaults["dt"], on_invalid="interpolate", backend="numpy"
-    )
+    detector = ShapeDetector(defaults["shapes"], defaults["segmentation"], dt=defaults["dt"], on_invalid="interpolate")
     actions = held_actions(np.random.default_rng(seed), simulated.action_space.shape or (), frames, 8)
     observation, _ = simulated.reset(seed=seed)
     looks = []

@@ -1,4 +1,4 @@
-"""The two worlds in which a law is put to the test: what a D455 sees, and what the simulator knows."""
+"""The worlds in which laws are tested: the images of a D455, with disturbances, and the points of the simulator."""
 
 from __future__ import annotations
 
@@ -8,38 +8,118 @@ from typing import Any, Final, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+import numpy.typing as npt
 
-from shape_obs.bench.env_runner import make_env
-from shape_obs.bench.servo.disturbing import Disturbed, LosingDetector
-from shape_obs.bench.servo.settings import Setting, feature_set
+from shape_obs.bench.env_physics import make_env
+from shape_obs.bench.servo.settings import Disturbance, Setting, feature_set
 from shape_obs.configurations import Configuration
-from shape_obs.features import Feature, read_features
-from shape_obs.features import FeatureContext as View
-from shape_obs.shape import Shape
+from shape_obs.detector import ShapeDetector
+from shape_obs.features import Feature, View, read_features
+from shape_obs.shape import Detection, Shape
 from shape_obs.wrappers import ShapeGoal, ShapeObservation, env_protocol
-from shape_obs.wrappers.goal_points import shape_at
 from shape_obs.wrappers.goals import EnvGoal, GoalVector
+from shape_obs.wrappers.placing import shape_at
 from shape_obs.wrappers.shape_goal import record_goal
 
-#: Steps at rest after which an environment's goal is as it is recorded.
+Mask = npt.NDArray[np.bool_]
+#: Separates the lost points from everything that the environment draws from the same seed.
+_STREAM: Final = 0x1057
+#: Steps at rest before a goal is recorded.
 SETTLING: Final = 20
 
 
-class World(NamedTuple):
-    """An env whose observation has ``achieved_goal`` and ``desired_goal`` in the features that are asked for.
-
-    In either, ``info`` has ``truth/mean_error``, the mean distance of the true points from the true goal's, metres: the
-    common geometric metric; ``truth/points`` and ``truth/goal``, (N,3) metres, base frame. Equal seeds give equal
-    episodes in both.
+class Disturbed(gym.ObservationWrapper[Any, Any, Any]):
+    """Black out frames of an RGB-D env, and draw the lost points, equal in all episodes of one seed.
 
     Args:
-        env: The env; it ends no episode by itself.
-        features: Of the goals.
-        spec: The configuration of the shape.
-        seen: The shape in the last observation.
-        view: What surrounds it.
-        milliseconds: What the detector took for it; None where there is none.
+        env: An environment whose observation has ``rgb`` and ``depth``.
+        disturbance: The disturbance.
+
+    Attributes:
         dark: Whether the last frame was black.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], disturbance: Disturbance) -> None:
+        super().__init__(env)
+        disturbance.check()
+        self._disturbance = disturbance
+        self._rng = np.random.default_rng(_STREAM)
+        self._step = 0
+        self.dark = False
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Reset the env; a seed also seeds the lost points."""
+        if seed is not None:
+            self._rng = np.random.default_rng((_STREAM, seed))
+        self._step = -1
+        return super().reset(seed=seed, options=options)
+
+    def observation(self, observation: Any) -> Any:
+        """Return the observation, or black images, and advance the disturbance by one frame."""
+        self._step += 1
+        first, count = self._disturbance.blackout or (0, 0)
+        self.dark = first <= self._step < first + count
+        if not self.dark:
+            return observation
+        return {**observation, **{key: np.zeros_like(observation[key]) for key in ("rgb", "depth")}}
+
+    def lost(self, count: int) -> Mask:
+        """Draw the points that are lost in this frame, (count,)."""
+        return self._rng.random(count) < self._disturbance.invalid
+
+
+class LosingDetector(ShapeDetector):
+    """A detector that loses detected points and interpolates them from the others.
+
+    Args:
+        lost: Takes N, returns the lost points, (N,).
+        config: The arguments of ``ShapeDetector``.
+    """
+
+    def __init__(self, lost: Callable[[int], Mask], **config: Any) -> None:
+        self._lost = lost
+        super().__init__(**config)
+
+    def detect(self, *args: Any, **options: Any) -> Detection:
+        """Detect the shapes and lose points."""
+        detection = super().detect(*args, **options)
+        return replace(detection, shapes=tuple(without(shape, self._lost(len(shape))) for shape in detection))
+
+
+def without(shape: Shape, lost: Mask) -> Shape:
+    """Return a shape in which some points are interpolated and neither visible nor valid; a held shape is unchanged.
+
+    Args:
+        shape: The detected shape.
+        lost: The lost points, (N,); ignored if no valid point would be left.
+    """
+    left = shape.valid & ~lost
+    if shape.reason or not left.any():
+        return shape
+    known = ~lost
+    return replace(
+        shape,
+        points2d=shape.layout.interpolate(shape.pixels, known),
+        points3d=None if shape.points3d is None else shape.layout.interpolate(shape.points3d, known),
+        visible=shape.visible & ~lost,
+        valid=left,
+    )
+
+
+class World(NamedTuple):
+    """An env whose observation has ``achieved_goal`` and ``desired_goal`` in the features of a setting.
+
+    ``info`` has ``truth/mean_error``, the mean distance of the true points from the true goal in metres, and
+    ``truth/points`` and ``truth/goal``, (N, 3) metres, base frame. Equal seeds give equal episodes in all worlds.
+
+    Args:
+        env: The env; it never ends an episode by itself.
+        features: The features of the goals.
+        spec: The configuration of the shape.
+        seen: Returns the shape of the last observation.
+        view: Returns the context of its features.
+        milliseconds: Returns the detector's time for it; None without a detector.
+        dark: Returns whether the last frame was black.
     """
 
     env: gym.Env[Any, Any]
@@ -52,10 +132,10 @@ class World(NamedTuple):
 
 
 def world(setting: Setting) -> World:
-    """The world of a setting.
+    """Make the world of a setting.
 
     Raises:
-        ValueError: There are no such features of this environment, or something else that is not understood.
+        ValueError: The setting has features that do not exist for the environment, or is otherwise not understood.
     """
     specs = feature_set(setting.env, setting.features, setting.pca)
     if specs is None:
@@ -65,7 +145,7 @@ def world(setting: Setting) -> World:
 
 
 class Witness(gym.Wrapper[Any, Any, Any, Any]):
-    """Tells the true goal in ``info``, where no policy looks."""
+    """Add the true goal to ``info``, which no policy reads."""
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the env."""
@@ -75,14 +155,14 @@ class Witness(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class Taught(gym.Wrapper[Any, Any, Any, Any]):
-    """Before each episode the goal's own motion is played, and what the camera sees in the end becomes the goal.
+    """Play the goal's own motion before each episode, and use the final image of it as the goal.
 
     Args:
         env: A simulated environment in a ``ShapeGoal``.
     """
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Play, look, and reset to the same start."""
+        """Play, record the goal, and reset to the same start."""
         self.env.reset(seed=seed, options=options)
         motion = self.get_wrapper_attr("goal_actions")
         for action in [*motion, *np.zeros((SETTLING, motion.shape[1]), np.float32)]:
@@ -92,17 +172,17 @@ class Taught(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class TrueGoal(gym.Wrapper[Any, Any, Any, Any]):
-    """Goals in features of the true points, by the code that ``ShapeGoal`` uses for those that a camera sees.
+    """Express goals in features of the true points, with the code that ``ShapeGoal`` uses for detected points.
 
     Args:
-        env: A simulated environment; it need not draw.
-        features: Of the goals.
-        size: (width, height) of the image that features in pixels are of.
+        env: A simulated environment, which need not render.
+        features: The features of the goals.
+        size: (width, height) of the image for features in pixels.
 
     Attributes:
-        configuration: Of the shape.
+        configuration: The configuration of the shape.
         shape: The true points as a shape, after ``reset``.
-        view: What surrounds it.
+        view: The context of the features.
     """
 
     def __init__(self, env: gym.Env[Any, Any], features: Sequence[Feature], size: tuple[int, int]) -> None:
@@ -114,7 +194,7 @@ class TrueGoal(gym.Wrapper[Any, Any, Any, Any]):
         self._vector = GoalVector(features, self.configuration, self.view)
         space = env.observation_space
         assert isinstance(space, gym.spaces.Dict)
-        # The target is placed by the same code as that of ShapeObservation, whatever the features are.
+        # The target is located by the code of ShapeObservation, whatever the features are.
         metric = read_features(defaults["features"])
         known = EnvGoal.find(space, metric, [self.configuration], self.view, env_protocol.goal_layout(env))
         assert known is not None
@@ -167,7 +247,7 @@ def _camera_world(setting: Setting, features: Sequence[Feature]) -> World:
     observing = ShapeObservation(disturbed)
     if setting.disturbance.invalid:
         observing.detector = LosingDetector(disturbed.lost, **observing.detector.config.to_dict())
-    # A reward needs a threshold, but nobody looks at it here.
+    # A reward needs a threshold, but the reward is not used here.
     env: gym.Env[Any, Any] = ShapeGoal(observing, features=features, threshold=0.01)
     if setting.source == "taught":
         env = Taught(env)
@@ -181,4 +261,4 @@ def _camera_world(setting: Setting, features: Sequence[Feature]) -> World:
         return observing.detection.timings["total"]
 
     spec = observing.detector.shapes[0]
-    return World(env, tuple(features), spec, seen, lambda: observing.contexts[0], milliseconds, lambda: disturbed.dark)
+    return World(env, tuple(features), spec, seen, lambda: observing.views[0], milliseconds, lambda: disturbed.dark)

@@ -1,1 +1,1 @@
-"""The paper's table and figure: clusterers side by side on the same frames, chunk by chunk."""
+"""Reproduce the paper's table and figure: clusterers side by side on the same frames."""

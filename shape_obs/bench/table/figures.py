@@ -1,4 +1,4 @@
-"""The figures of the table: the methods side by side on the same masks, and bars of the three measures."""
+"""Draw the figures of the table: the methods side by side on the same masks, and bars of the three measures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from shape_obs.utils.files import write_whole
 Array = npt.NDArray[np.float64]
 
 PICTURES: Final = ("side_by_side.jpg", "bars.png")
-_FRAME: Final = 4  # of the first chunk: the tracker has settled, and every run has it
+_FRAME: Final = 4  # of the first chunk, which every run has, when the track has settled
 _TINTS: Final = ("#a8c8e8", "#f6cfa5", "#b9dfb6", "#e9b8c4", "#cdbfe3", "#e8e0a2")
 _COLOURS: Final[dict[Method, str]] = {
     "gmm": "#8c9db5",
@@ -34,18 +34,8 @@ _MARGIN: Final = 14  # pixels around the object
 _DPI: Final = 105
 
 
-def need_matplotlib() -> None:
-    """Raises ImportError where there is no matplotlib, before any work is done."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise ImportError(
-            "the figures need matplotlib: pip install 'shape-obs[viz]', or leave them out with --no-figures."
-        ) from error
-
-
 def draw(plan: Plan, found: Sequence[Result], folder: Path) -> list[Path]:
-    """Draw both figures into a folder; returns their paths."""
+    """Draw both figures into a folder and return their paths."""
     sheets = (_side_by_side(plan), _bars(found))
     paths = [folder / name for name in PICTURES]
     for sheet, path in zip(sheets, paths, strict=True):
@@ -55,7 +45,7 @@ def draw(plan: Plan, found: Sequence[Result], folder: Path) -> list[Path]:
 
 
 def _side_by_side(plan: Plan) -> Any:
-    """Every method on one frame of every configuration."""
+    """Draw every method on one frame of every configuration."""
     from matplotlib.figure import Figure
 
     found = {name: _looked_at(plan, name) for name in plan.names}
@@ -80,7 +70,7 @@ def _side_by_side(plan: Plan) -> Any:
 
 
 def _looked_at(plan: Plan, name: Name) -> tuple[Scene, dict[Method, tuple[Array | None, Row]]]:
-    """The frame that is drawn, and the points of every method on it with its measures."""
+    """Return the drawn frame, and the points and measures of every method on it."""
     numbers = plan.chunks[0][: _FRAME + 1]
     made = list(scenes(name, 0, len(numbers), plan.seed, plan.renderer))
     found: dict[Method, tuple[Array | None, Row]] = {}
@@ -122,7 +112,7 @@ def _panel(axis: Any, name: Name, scene: Scene, result: tuple[Array | None, Row]
 
 
 def _tinted(scene: Scene, pixels: Array, points: Array, *, thick: bool) -> npt.NDArray[np.uint8]:
-    """(H,W,3) the mask, every clustered pixel in the tint of its cluster; an outline is drawn three pixels thick."""
+    """Draw the mask with each clustered pixel in the tint of its cluster; an outline is three pixels thick."""
     tints = np.array([[int(tint[i : i + 2], 16) for i in (1, 3, 5)] for tint in _TINTS])
     paper = np.array([int(_PAPER[i : i + 2], 16) for i in (1, 3, 5)])
     picture = np.where(scene.mask[..., None] > 0, 228 if thick else 205, paper).astype(np.uint8)
@@ -141,7 +131,7 @@ def _caption(method: Method, row: Row) -> str:
 
 
 def _window(scene: Scene) -> tuple[int, int, int, int]:
-    """Left, top, width, height of the object with a margin."""
+    """Return left, top, width and height of the object with a margin."""
     rows, columns = np.nonzero(scene.mask)
     low = np.maximum([columns.min() - _MARGIN, rows.min() - _MARGIN], 0)
     high = np.minimum([columns.max() + _MARGIN + 1, rows.max() + _MARGIN + 1], scene.mask.shape[::-1])
@@ -149,7 +139,7 @@ def _window(scene: Scene) -> tuple[int, int, int, int]:
 
 
 def _bars(found: Sequence[Result]) -> Any:
-    """The three measures by configuration, with intervals, and the paper's own beside them."""
+    """Draw the three measures by configuration with intervals, and those of the paper."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 

@@ -1,48 +1,55 @@
-"""The frames of the table: any worker can make any chunk of them anew."""
+"""Draw the frames of the table, and trace them: thinning and contours give as many points as there are pixels."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
+from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Any, Final, Literal, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.disturbances import photographed
-from shape_obs.bench.sheets import Sheet, draw_sheet, moving_sheet
+from shape_obs.bench import Clock
+from shape_obs.bench.interleaved_timing import CLOCKS
+from shape_obs.bench.synthetic.images import BLUE, photographed
+from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, moving_sheet
 from shape_obs.configurations import Centerline, Configuration, Contour, Surface
 from shape_obs.frame import Frame
+from shape_obs.geometry.polyline import nearest_on
 from shape_obs.image.roi import Whole
-from shape_obs.image.segmentation import HSVRange, Segmentation
+from shape_obs.image.segmentation import Segmentation
+from shape_obs.metrics import in_order
 
 Array = npt.NDArray[np.float64]
 Name = Literal["centerline", "contour", "surface"]
-
 CONFIGURATIONS: Final[dict[Name, Configuration[Any]]] = {
     "centerline": Centerline(n=20, ends="centers"),
     "contour": Contour(n=32),
-    # The rows run along the cloth's long side, however it lies; else the cells of some cloths would be slivers.
+    # The anchor makes the rows run along the cloth's long side; otherwise the cells of some cloths would be slivers.
     "surface": Surface(rows=4, cols=8, ends="centers", anchor="corner"),
 }
-# Drawn cloths: aspect so that the cells of 4 x 8 are about square, size for some 20,000 pixels.
+# Drawn cloths: the aspect makes the cells of 4 x 8 about square, the size gives some 20,000 pixels.
 _ASPECT: Final = 2.0
 _SHRUNK: Final = 0.84
 _SPEED: Final = 6.0  # pixels a frame
-_CLOTH: Final = HSVRange(low=(100, 80, 25), high=(130, 255, 255))
 _LIGHT: Final = 1.5  # brighter in one corner than in the other
 _NOISE: Final = 6.0  # gray levels
 _BLUR: Final = 0.7  # pixels
+Mask = npt.NDArray[np.uint8]
+Tracing = Literal["thinning", "contours", "corners"]
+OF: Final[dict[Tracing, Name]] = {"thinning": "centerline", "contours": "contour", "corners": "contour"}
 
 
 class Scene(NamedTuple):
     """One frame.
 
     Args:
-        rgb: (H,W,3) uint8.
-        mask: (H,W) uint8, what the segmentation made of it.
-        truth: (P,2) pixels: the known axis from end to end, or the known outline, clockwise as seen; of a surface the
+        rgb: (H, W, 3) uint8.
+        mask: The segmented mask, (H, W) uint8.
+        truth: The known axis from end to end, or the known outline, clockwise as seen, (P, 2) pixels; of a surface the
             known cloth.
     """
 
@@ -52,7 +59,7 @@ class Scene(NamedTuple):
 
     @property
     def anchors(self) -> dict[str, tuple[float, float]]:
-        """Pixels by name: of a cloth the corner at which its lattice begins."""
+        """Anchors in pixels by name: the corner at which a cloth's lattice begins."""
         if not isinstance(self.truth, Sheet):
             return {}
         u, v = self.truth.points[0, 0]
@@ -60,22 +67,22 @@ class Scene(NamedTuple):
 
 
 def scenes(name: Name, chunk: int, count: int, seed: int, renderer: str) -> Iterator[Scene]:
-    """The frames of one chunk: an episode of its own, one frame after the other.
+    """Draw the frames of one chunk, which is an episode; any process draws the same ones.
 
     Args:
-        name: ``"centerline"``: the simulated cable under random actions, seen by the simulated D455. ``"contour"`` and
-            ``"surface"``: a drawn cloth that wanders, turns and bends; there is no simulated one yet.
-        chunk: Which one.
-        count: Frames in it.
-        seed: Of the whole run.
-        renderer: The simulator's camera: ``"auto"``, ``"gl"`` or ``"rays"``.
+        name: ``"centerline"``: the simulated cable under random actions in front of the simulated D455. ``"contour"``
+            and ``"surface"``: a drawn cloth that wanders, turns and bends.
+        chunk: Number of the chunk.
+        count: Number of frames in it.
+        seed: Seed of the whole run.
+        renderer: The simulator's renderer: ``"auto"``, ``"gl"`` or ``"rays"``.
     """
     source = np.random.SeedSequence([seed, list(CONFIGURATIONS).index(name), chunk])
     if name == "centerline":
         yield from _cable(source, count, renderer)
     else:
         for photo, sheet in _cloth(np.random.default_rng(source), count):
-            yield Scene(photo, _segmented(_CLOTH, photo), _outline(sheet) if name == "contour" else sheet)
+            yield Scene(photo, _segmented(BLUE, photo), _outline(sheet) if name == "contour" else sheet)
 
 
 def _cable(source: np.random.SeedSequence, count: int, renderer: str) -> Iterator[Scene]:
@@ -110,6 +117,84 @@ def _segmented(rule: Segmentation, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np
 
 
 def _outline(sheet: Sheet) -> Array:
-    """(P,2) the cloth's border from its top left corner, clockwise in the cloth's own frame, which is not mirrored."""
+    """Return the cloth's border from its top left corner, (P, 2), clockwise in the cloth's frame."""
     points = sheet.points
     return np.concatenate([points[0, :-1], points[:-1, -1], points[-1, :0:-1], points[:0:-1, 0]])
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One tracing of one frame.
+
+    Args:
+        frame: Number of the frame.
+        points: Number of points.
+        start: Position of the first point on the material, as a share of the known curve's length.
+        ordered: Whether the points follow each other along the known curve.
+        tips: Pixels of a thinned mask with one neighbour, two for a rope; 0 for a contour.
+        ms: Milliseconds.
+    """
+
+    frame: int
+    points: int
+    start: float
+    ordered: bool
+    tips: int
+    ms: float
+
+
+def _thinned(mask: Mask) -> Array:
+    from skimage.morphology import skeletonize
+
+    left, top, width, height = cv2.boundingRect(mask)
+    rows, columns = np.nonzero(skeletonize(mask[top : top + height, left : left + width] > 0))
+    return np.stack([columns + left, rows + top], axis=1).astype(np.float64)
+
+
+def _traced(approximation: int) -> Callable[[Mask], Array]:
+    def trace(mask: Mask) -> Array:
+        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, approximation)
+        return np.asarray(max(contours, key=cv2.contourArea), dtype=np.float64).reshape(-1, 2)
+
+    return trace
+
+
+_RUN: Final[dict[Tracing, Callable[[Mask], Array]]] = {
+    "thinning": _thinned,
+    "contours": _traced(cv2.CHAIN_APPROX_NONE),
+    "corners": _traced(cv2.CHAIN_APPROX_SIMPLE),
+}
+
+
+def missing(tracing: Tracing) -> str:
+    """Return why a tracing cannot run here, or an empty string."""
+    if tracing == "thinning" and find_spec("skimage") is None:
+        return "scikit-image is not installed (OpenCV's thinning is in opencv-contrib alone)"
+    return ""
+
+
+def traced(tracing: Tracing, chunk: Iterable[tuple[int, Scene]], clock: Clock = "wall") -> Iterator[Trace]:
+    """Trace the numbered frames of one chunk."""
+    run, now = _RUN[tracing], CLOCKS[clock]
+    for frame, scene in chunk:
+        assert not isinstance(scene.truth, Sheet)
+        begin = now()
+        points = run(scene.mask)
+        ms = 1e3 * (now() - begin)
+        closed = OF[tracing] == "contour"
+        curve = np.concatenate([scene.truth, scene.truth[:1]]) if closed else scene.truth
+        length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
+        arc = nearest_on(curve, points)[0]
+        ordered = any(in_order(way, length if closed else None) for way in (arc, arc[::-1]))
+        tips = 0 if closed else _tips(points)
+        yield Trace(frame, len(points), float(arc[0]) / length, ordered, tips, ms)
+
+
+def _tips(points: Array) -> int:
+    """Return how many of (P, 2) pixels have exactly one neighbour among them."""
+    low = points.min(axis=0).astype(int) - 1
+    column, row = (points.astype(int) - low).T
+    picture = np.zeros((row.max() + 2, column.max() + 2), np.uint8)
+    picture[row, column] = 1
+    around = cv2.filter2D(picture, -1, np.ones((3, 3), np.float32), borderType=cv2.BORDER_CONSTANT)
+    return int(np.sum(around[row, column] == 2))

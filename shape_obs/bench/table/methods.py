@@ -1,4 +1,4 @@
-"""The methods of the table, and what is measured of each on a frame."""
+"""The methods of the table, and the measures of each one on a frame."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.outline_scores import outline_score
-from shape_obs.bench.scores import score
-from shape_obs.bench.sheets import Sheet
+from shape_obs.bench import Clock
+from shape_obs.bench.interleaved_timing import CLOCKS
+from shape_obs.bench.scores import outline_score, score
 from shape_obs.bench.surface_claims import score_sheet
+from shape_obs.bench.synthetic.sheets import Sheet
 from shape_obs.bench.table.frames import CONFIGURATIONS, Name, Scene
-from shape_obs.bench.turns import CLOCKS, Clock
 from shape_obs.clustering import Centres, Clusterer, FuzzyCMeans, GaussianMixture, KMeans, Kohonen
 from shape_obs.configurations import Configuration, Surface
 from shape_obs.detector import ShapeDetector
@@ -28,7 +28,7 @@ from shape_obs.metrics import calinski_harabasz, nearest, silhouette, spacing_cv
 Array = npt.NDArray[np.float64]
 Method = Literal["gmm", "fcm", "kmeans", "kohonen", "som"]
 
-# In the paper's order, each with the settings that its spec has of itself; None is the detector as it comes.
+# In the paper's order, each with the default settings of its spec; None is the detector with its defaults.
 METHODS: Final[dict[Method, Clusterer | None]] = {
     "gmm": GaussianMixture(),
     "fcm": FuzzyCMeans(),
@@ -36,7 +36,7 @@ METHODS: Final[dict[Method, Clusterer | None]] = {
     "kohonen": Kohonen(),
     "som": None,
 }
-SAMPLED: Final = 2000  # pixels of which the silhouette is taken where it is not taken of all
+SAMPLED: Final = 2000  # pixels that the silhouette counts where it does not count all
 _SLIP: Final = 0.5  # cells
 
 
@@ -45,19 +45,19 @@ class Row:
     """One method on one frame.
 
     Args:
-        frame: Which one of the run.
-        pixels: M, how many pixels were to be clustered.
-        ok: Whether the shape was found; else the rest means nothing.
+        frame: Number of the frame.
+        pixels: M, the number of clustered pixels.
+        ok: Whether the shape was found; otherwise the other values have no meaning.
         sc: Silhouette.
-        exact: Whether it is the mean over all pixels, not over ``SAMPLED`` of them.
-        ch: Calinski-Harabasz, over all pixels.
+        exact: Whether the silhouette counts all pixels, not ``SAMPLED`` of them.
+        ch: Calinski-Harabasz over all pixels.
         ms: Milliseconds: of a clusterer from the pixels to its centres; of ours from the mask to the ordered points.
         cv: Standard deviation over mean of the gaps.
-        ordered: Points follow each other as on the known curve; on a surface, each lies within half a cell of its own
-            place on the material.
-        own_order: The same of the order in which the method itself gives them.
+        ordered: Whether the points follow each other along the known curve; on a surface, whether each is within half a
+            cell of its position on the material.
+        own_order: The same for the order that the method itself returns.
         steps: Iterations of a clusterer.
-        settled: It stopped by itself.
+        settled: Whether it converged.
     """
 
     frame: int
@@ -76,12 +76,12 @@ class Row:
 
 @dataclass(frozen=True)
 class _Watched(Clusterer):
-    """A clusterer that remembers what it found last, and how long it took.
+    """A clusterer that stores its last result and its time.
 
     Args:
         inner: The clusterer.
-        seen: What is remembered, filled in.
-        now: Counts seconds.
+        seen: Where the result and the time are stored.
+        now: Returns seconds.
     """
 
     inner: Any
@@ -89,7 +89,7 @@ class _Watched(Clusterer):
     now: Any
 
     def centres(self, samples: Samples, layout: Topology, seed: int) -> Centres:
-        """The inner one's."""
+        """Return the centres of the clusterer."""
         begin = self.now()
         found = self.inner.centres(samples, layout, seed)
         self.seen["ms"] = 1e3 * (self.now() - begin)
@@ -98,12 +98,12 @@ class _Watched(Clusterer):
 
 
 class Runner:
-    """One method, frame after frame: ours tracks; a clusterer starts anew, and its centres are sorted along our form.
+    """Run one method frame by frame: ours tracks; a clusterer starts cold, and its centres are sorted along our curve.
 
     Args:
-        name: The configuration's.
-        method: The method's.
-        clock: What counts the time.
+        name: Name of the configuration.
+        method: Name of the method.
+        clock: The clock.
     """
 
     def __init__(self, name: Name, method: Method, clock: Clock = "wall") -> None:
@@ -115,16 +115,16 @@ class Runner:
         self._detector = ShapeDetector([self._spec], **options)
 
     def points(self, scene: Scene) -> Array | None:
-        """(N,2) the ordered points on a frame; None where the shape was not found."""
+        """Return the ordered points on a frame, (N, 2), or None if the shape was not found."""
         return self._found(scene)[0]
 
     def measure(self, scene: Scene, frame: int, exact: bool) -> tuple[Array | None, Row]:
-        """The points, and everything about them.
+        """Return the points and their measures.
 
         Args:
             scene: The frame.
-            frame: Its number.
-            exact: Whether the silhouette is taken of all pixels.
+            frame: Number of the frame.
+            exact: Whether the silhouette counts all pixels.
         """
         points, ms, centres = self._found(scene)
         if points is None:
@@ -159,21 +159,21 @@ class Runner:
 def measured(
     name: Name, method: Method, chunk: Iterable[tuple[int, Scene]], exact: npt.NDArray[np.int_], clock: Clock = "wall"
 ) -> Iterator[Row]:
-    """A method over the numbered frames of one chunk; the silhouette is exact on those of ``exact``."""
+    """Measure a method on the numbered frames of one chunk; the silhouette is exact on the frames in ``exact``."""
     runner = Runner(name, method, clock)
     for frame, scene in chunk:
         yield runner.measure(scene, frame, bool(np.isin(frame, exact)))[1]
 
 
 def clustered_pixels(spec: Configuration[Any], scene: Scene) -> Array:
-    """(M,2) what is clustered: the pixels of the mask, or of a contour those that its outline runs through."""
+    """Return the pixels that are clustered, (M, 2): those of the mask, or of a contour's outline."""
     height, width = scene.mask.shape
     region = find_region(scene.mask, Whole().window((height, width)), Segmentation.min_area, Segmentation.min_share)
     return spec.all_samples(region).points
 
 
 def in_order(spec: Configuration[Any], points: Array, scene: Scene) -> bool:
-    """Whether points follow each other as they should, wherever they begin and in either direction."""
+    """Return whether points are in the right order, from any start and in either direction."""
     if isinstance(scene.truth, Sheet):
         assert isinstance(spec, Surface)
         found = [score_sheet(points, scene.truth, spec.rows, spec.cols, "centers", quarters) for quarters in range(4)]

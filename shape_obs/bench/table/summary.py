@@ -1,4 +1,4 @@
-"""Means with intervals over the frames of a run, beside the paper's, and whether its ranking holds."""
+"""Summarise a run: means with intervals, and whether the ranking is that of the paper."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
-from shape_obs.bench.table.frames import CONFIGURATIONS, Name
+from shape_obs.bench.table.frames import CONFIGURATIONS, OF, Name, Trace, Tracing, missing
 from shape_obs.bench.table.methods import METHODS, Method, Row
-from shape_obs.bench.table.parts import Parts
-from shape_obs.bench.table.run import Plan
-from shape_obs.bench.table.tracings import OF, Trace, Tracing, missing
+from shape_obs.bench.table.run import Parts, Plan
 
 Array = npt.NDArray[np.float64]
 
@@ -41,7 +39,7 @@ MEASURES: Final = {"sc": "silhouette", "ch": "Calinski-Harabasz", "ms": "time"}
 
 
 class Mean(NamedTuple):
-    """A mean and half its 95 % interval; NaN where there are too few chunks for one."""
+    """A mean and half its 95 % interval, which is NaN if there are too few chunks."""
 
     value: float
     half: float
@@ -52,18 +50,18 @@ class Result:
     """One method on one configuration, or on all.
 
     Args:
-        configuration: Its name, or ``"all"``.
-        method: Its name.
-        frames: How many were looked at.
-        refused: On how many no shape was found; the rest is over the others.
-        pixels: M, mean.
+        configuration: Name of the configuration, or ``"all"``.
+        method: Name of the method.
+        frames: Number of frames.
+        refused: Frames without a shape, which the other values leave out.
+        pixels: Mean of M.
         sc: Silhouette.
         ch: Calinski-Harabasz.
         ms: Milliseconds.
         cv: Standard deviation over mean of the gaps.
         ordered: Share of the frames with the order right.
-        own_order: Share of the frames with the order right as the method itself gives it.
-        settled: Share of the frames on which it stopped by itself.
+        own_order: Share of the frames on which the method itself returns the right order.
+        settled: Share of the frames on which it converged.
     """
 
     configuration: str
@@ -85,14 +83,13 @@ class Traced:
     """A tracing over all frames of its configuration.
 
     Args:
-        tracing: Its name.
-        points: How many it gave: least, median, most.
-        changed: Share of the frames with another number than the frame before.
-        moved: How far its first point has moved over the material within an episode, shares of the known curve: median
-            and most.
+        tracing: Name of the tracing.
+        points: Least, median and largest number of points.
+        changed: Share of the frames with another number of points than the previous frame.
+        moved: Median and largest motion of the first point over the material within an episode, as shares of the curve.
         ordered: Share of the frames whose points follow each other along the known curve.
-        tips: Most ends of a thinned mask; a rope has two.
-        ms: Milliseconds, mean.
+        tips: Largest number of ends of a thinned mask; a rope has two.
+        ms: Mean milliseconds.
     """
 
     tracing: Tracing
@@ -108,12 +105,12 @@ class Ranking(NamedTuple):
     """The paper's four methods by one measure, best first.
 
     Args:
-        measure: Its name.
-        paper: As the paper has them.
-        here: As they are here.
-        pairs: How many of the six pairs come out as in the paper: the mean difference on equal frames is farther from
-            zero than half its 95 % interval.
-        against: How many come out the other way round; the others are undecided.
+        measure: Name of the measure.
+        paper: The order in the paper.
+        here: The order in this run.
+        pairs: How many of the six pairs are ordered as in the paper: the mean difference on equal frames is farther
+            from zero than half its 95 % interval.
+        against: How many are ordered the other way round; the others are undecided.
     """
 
     measure: str
@@ -124,12 +121,12 @@ class Ranking(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether the order is the paper's."""
+        """Whether the order is that of the paper."""
         return self.paper == self.here
 
 
 def results(parts: Parts, plan: Plan) -> list[Result]:
-    """Every method that is complete on a configuration, and over all where it is complete on each."""
+    """Summarise every method that is complete on a configuration, and over all if it is complete on each."""
     found: list[Result] = []
     for method in METHODS:
         strata = _strata(parts, plan, method)
@@ -140,7 +137,7 @@ def results(parts: Parts, plan: Plan) -> list[Result]:
 
 
 def tracings(parts: Parts, plan: Plan) -> list[Traced]:
-    """Every tracing that is complete."""
+    """Summarise every tracing that is complete."""
     found, chunks = [], range(len(plan.chunks))
     for tracing, name in OF.items():
         if not missing(tracing) and all(parts.has(name, tracing, chunk) for chunk in chunks):
@@ -149,7 +146,7 @@ def tracings(parts: Parts, plan: Plan) -> list[Traced]:
 
 
 def rankings(parts: Parts, plan: Plan) -> list[Ranking]:
-    """By each measure over all configurations; none unless all of the paper's methods are there."""
+    """Rank the methods by each measure over all configurations, if all of the paper's methods are complete."""
     strata = {method: list(_strata(parts, plan, method).values()) for method in PAPER}
     if any(len(of) < len(CONFIGURATIONS) for of in strata.values()):
         return []
@@ -169,7 +166,7 @@ def rankings(parts: Parts, plan: Plan) -> list[Ranking]:
 
 
 def every_row(parts: Parts, plan: Plan) -> list[dict[str, Any]]:
-    """All frames of all methods that are there, as flat rows."""
+    """Return all frames of all measured methods as flat rows."""
     rows = []
     for name in CONFIGURATIONS:
         for method in METHODS:
@@ -181,7 +178,7 @@ def every_row(parts: Parts, plan: Plan) -> list[dict[str, Any]]:
 
 
 def _result(name: str, method: Method, strata: list[list[list[Row]]]) -> Result:
-    """Over strata (configurations) of chunks of rows."""
+    """Summarise strata (configurations) of chunks of rows."""
     rows = [row for chunks in strata for chunk in chunks for row in chunk]
     good = [row for row in rows if row.ok]
     if not good:
@@ -202,7 +199,7 @@ def _result(name: str, method: Method, strata: list[list[list[Row]]]) -> Result:
 
 
 def _strata(parts: Parts, plan: Plan, method: Method) -> dict[Name, list[list[Row]]]:
-    """The rows of a method, chunk by chunk, of the configurations on which it is complete."""
+    """Return the rows of a method, chunk by chunk, of the configurations on which it is complete."""
     chunks = range(len(plan.chunks))
     return {
         name: [parts.read(name, method, chunk, Row) for chunk in chunks]
@@ -212,13 +209,13 @@ def _strata(parts: Parts, plan: Plan, method: Method) -> dict[Name, list[list[Ro
 
 
 def _chunk_means(chunks: list[list[Row]], measure: str) -> Array:
-    """(C,) the mean over the frames of each chunk; NaN where no shape was found in any."""
+    """Return the mean over the frames of each chunk, (C,); NaN for a chunk without any shape."""
     values = [[getattr(row, measure) for row in chunk if row.ok] for chunk in chunks]
     return np.array([np.mean(of) if of else np.nan for of in values])
 
 
 def _mean(strata: list[Array]) -> Mean:
-    """The mean of the strata's means, and its interval: frames of one episode are alike, so its mean counts as one."""
+    """Return the mean of the strata's means with its interval; each chunk counts as one sample."""
     values, squares, freedom = [], [], 0
     for means in strata:
         known = means[np.isfinite(means)]
@@ -247,6 +244,6 @@ def _traced(tracing: Tracing, chunks: list[list[Trace]]) -> Traced:
 
 
 def _reach(start: Array, *, closed: bool) -> float:
-    """The farthest from its first place that a start comes, as a share of the curve; round a ring the shorter way."""
+    """Return the largest distance of a start from its first position as a share of the curve, the shorter way round."""
     off = np.abs(start - start[0])
     return float(np.max(np.minimum(off, 1 - off) if closed else off))

@@ -1,4 +1,4 @@
-"""``shape-obs bench``: measurements. Only the one that runs is imported."""
+"""``shape-obs bench``: run one of the measurements; only its module is imported."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ from shape_obs.cli import run_part
 MEASUREMENTS: Final = {
     "claims": "the accuracy that the project claims, against known truth",
     "table": "the paper's table and figure: clusterers side by side on simulated frames",
-    "peers": "time and quality beside other ways to the same points, on the same masks",
+    "peers": "time and quality compared with other ways to the same points, on the same masks",
     "latency": "the time of every stage from image to 3D points, and how it grows",
-    "envs": "steps per second of the simulated environments, bare, wrapped and in vectors",
-    "training": "the wrapper's share of the time that a training takes",
+    "envs": "steps per second of the simulated environments: bare, with images, wrapped",
     "servo": "shape servoing: features and laws on the same goals, from the camera and from the true points",
 }
+_SPEED: Final = ("peers", "latency", "envs")
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command and return its exit code."""
+    if argv and argv[0] in _SPEED:
+        from shape_obs.cli.bench import speed
+
+        return speed.main(argv[0], argv[1:])
     return run_part("bench", "measurement", MEASUREMENTS, argv)

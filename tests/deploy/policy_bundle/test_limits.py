@@ -7,11 +7,12 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("stable_baselines3")
 
-from shape_obs.bench.robustness.bundles import bundle_claims
+from fuzzing.bundles import bundle_claims
+from sweep import sweep
 
 
 @pytest.mark.long
 def test_a_bundle_is_data():
-    rows = bundle_claims(mutated=30, every=8, kills=4)
+    rows = bundle_claims(mutated=sweep(30, 1000), every=1 if sweep(0, 1) else 8, kills=sweep(4, 30))
     assert [row for row in rows if row["reached"] != "yes"] == []
     assert len(rows) == 15

@@ -1,1 +1,0 @@
-"""Measure what must hold under faults, attacks and kills: ``shape-obs bench claims --only robustness``."""

@@ -1,0 +1,1 @@
+"""Generate scenes with known truth; tests and measurements share them."""

@@ -1,0 +1,106 @@
+"""Rows of results, rows that compare a result with its target, and the printer of all tables.
+
+NumPy is imported in functions, so that commands print their help quickly.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from typing import Any, TypeVar
+
+K = TypeVar("K", bound=Hashable)
+T = TypeVar("T")
+Row = dict[str, Any]
+
+
+def at_least(what: str, target: float, seen: float | None, unit: str = "x") -> Row:
+    """Return a row for a figure that must reach its target; ``seen`` is None if it was not measured."""
+    return _compared(what, f">= {target:g}{unit}", seen, seen is not None and seen >= target)
+
+
+def at_most(what: str, target: float, seen: float | None, unit: str = "x") -> Row:
+    """Return a row for a figure that must not exceed its target; ``seen`` is None if it was not measured."""
+    return _compared(what, f"<= {target:g}{unit}", seen, seen is not None and seen <= target)
+
+
+def _compared(what: str, target: str, seen: float | None, reached: bool) -> Row:
+    return {
+        "what": what,
+        "asked": target,
+        "seen": None if seen is None else float(seen),
+        "reached": "not measured" if seen is None else "yes" if reached else "no",
+    }
+
+
+def rows_of(results: Iterable[Any]) -> list[Row]:
+    """Return one row of plain values for each named tuple."""
+    return [
+        {name: value.item() if hasattr(value, "item") else value for name, value in result._asdict().items()}
+        for result in results
+    ]
+
+
+def grouped(values: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
+    """Return the values by key, in the order in which the keys first appear."""
+    groups: dict[K, list[T]] = {}
+    for value in values:
+        groups.setdefault(key(value), []).append(value)
+    return groups
+
+
+def mean(values: Iterable[float]) -> float:
+    """Return the mean of some numbers."""
+    import numpy as np
+
+    return float(np.mean(list(values)))
+
+
+def worst(values: Iterable[float], default: float = 0.0) -> float:
+    """Return the largest of some numbers that are not negative, or the default if there are none."""
+    import numpy as np
+
+    return float(np.max(list(values), initial=default))
+
+
+def median(values: Iterable[float | None]) -> float | None:
+    """Return the median of the numbers that are known and finite, or None if there are none."""
+    import numpy as np
+
+    known = [value for value in values if value is not None and np.isfinite(value)]
+    return float(np.median(known)) if known else None
+
+
+def as_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return rows of equal keys as aligned columns."""
+    cells = [[*rows[0]], *([_cell(value) for value in row.values()] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return "\n".join("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in cells)
+
+
+def as_markdown(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return rows of equal keys as a Markdown table with three significant digits."""
+    numeric = [all(isinstance(row[name], (int, float, type(None))) for row in rows) for name in rows[0]]
+    lines = [[*rows[0]], ["---:" if right else "---" for right in numeric]]
+    lines += [[_cell(value, short=True) for value in row.values()] for row in rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return rows of equal keys as CSV: None is an empty cell, booleans are 1 and 0."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({k: int(v) if isinstance(v, bool) else v for k, v in row.items()} for row in rows)
+    return text.getvalue()
+
+
+def _cell(value: Any, short: bool = False) -> str:
+    if value is None:
+        return "-"
+    if not isinstance(value, float):
+        return str(value)
+    if short:
+        return f"{value:.3g}" if abs(value) < 10 else f"{value:.0f}"
+    return f"{value:.3f}"

@@ -1,0 +1,189 @@
+"""``shape-obs bench latency``, ``peers`` and ``envs``: measure speed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, get_args
+
+import tyro
+
+from shape_obs.bench import ENVS, Clock, Env
+from shape_obs.cli.bench.output import Output, check_minimum, image_size, progress
+
+Work = Literal["rope", "contour", "cloth"]
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Time every stage from an RGB-D image to 20 points in space, warm and cold, and how the time grows.
+
+    One pass over the same image and the usual segmentation are timed with it. All methods take turns on every frame, on
+    one thread.
+    """
+
+    only: tuple[Literal["stages", "growth"], ...] = ("stages", "growth")
+    """Parts to measure: the stages at every image size; the growth with pixels, points and shapes."""
+    frames: int = 60
+    """Number of counted frames."""
+    seed: int = 0
+    """Seed of motion, light and noise."""
+    sizes: tuple[str, ...] = ("320x240", "640x480", "848x480", "1280x720", "1280x800")
+    """Image sizes."""
+    memory: int = 0
+    """Frames over which the growth of the process is measured; 0 leaves it out."""
+    clock: Clock = "wall"
+    """Clock: elapsed time, or the processor time of the thread, which hardly depends on other load."""
+    burst: int = 10
+    """Frames in a turn. With 1 every method runs with the caches that another one left behind."""
+    json: bool = False
+    """Print JSON instead of tables."""
+
+
+@dataclass(frozen=True)
+class Peers:
+    """Compare the detector with other ways to the same points: same masks, same N, in turns, on one thread.
+
+    A method's clock starts when the mask, or the mask's pixels as floats, are ready. Clusterers are not charged for
+    selecting the pixels, nor for an order, which they do not provide.
+    """
+
+    only: tuple[Work, ...] = get_args(Work)
+    """Works to measure."""
+    frames: int = 100
+    """Number of counted frames."""
+    slow_frames: int = 5
+    """Frames on which slow methods run (n_init 10, mixture, fuzzy); 0 leaves these out."""
+    seed: int = 0
+    """Seed of the motions, and of the methods that draw at random."""
+    clock: Clock = "wall"
+    """Clock: elapsed time, or the processor time of the thread, which hardly depends on other load."""
+    burst: int = 10
+    """Frames in a turn. With 1 every method runs with the caches that another one left behind."""
+    json: bool = False
+    """Print JSON instead of tables."""
+
+
+@dataclass(frozen=True)
+class Envs:
+    """Count the steps per second of each environment: without drawing, with images, and wrapped.
+
+    All ways take turns through the same episodes, on one thread. Rates are those of the median step; resets have a
+    column of their own.
+    """
+
+    envs: tuple[Env, ...] = ENVS
+    """Environments."""
+    sizes: tuple[str, ...] = ("84x84", "160x120", "640x480")
+    """Image sizes."""
+    renderers: tuple[Literal["gl", "rays"], ...] = ("gl", "rays")
+    """Renderers; without OpenGL only rays are measured."""
+    steps: int = 200
+    """Number of counted steps."""
+    seed: int = 0
+    """Seed of episodes and actions."""
+    clock: Clock = "wall"
+    """Clock: elapsed time, or the processor time of the thread, which hardly depends on other load."""
+    burst: int = 10
+    """Steps in a turn. With 1 every environment runs with the caches that another one left behind."""
+    json: bool = False
+    """Print JSON instead of tables."""
+
+
+def main(name: str, argv: Sequence[str]) -> int:
+    """Run one of the commands and return its exit code."""
+    options, run = _COMMANDS[name]
+    args = tyro.cli(options, args=list(argv), prog=f"shape-obs bench {name}")
+    run(args).close()
+    return 0
+
+
+def _output(name: str, args: Any, *packages: str) -> Output:
+    from shape_obs.bench.interleaved_timing import machine
+
+    run = {key: getattr(args, key) for key in ("frames", "steps", "seed", "clock", "burst") if hasattr(args, key)}
+    return Output(args.json, measurement=name, machine=machine(*packages), **run)
+
+
+def _latency(args: Latency) -> Output:
+    check_minimum(args, frames=1, memory=0, burst=1)
+    sizes = tuple(image_size(text, 64, landscape=False) for text in args.sizes)
+    from shape_obs.bench import growth, latency
+
+    output, targets = _output("latency", args), []
+    if "stages" in args.only:
+        with progress("stages", "frame", args.frames + latency.WARM_UP) as bar:
+            found = latency.latencies(sizes, args.frames, args.seed, args.clock, args.burst, bar.update)
+        output.table("image to points in 3D", latency.total_rows(found), "totals")
+        output.table("stages, median milliseconds", latency.stage_rows(found), "stages")
+        targets += latency.latency_targets(found)
+    if "growth" in args.only:
+        with progress("growth", "frame", args.frames + growth.WARM_UP) as bar:
+            grown = growth.growth_rows(args.frames, args.seed, args.clock, bar.update)
+        output.table("growth, tracked", grown, "growth")
+        targets += growth.growth_targets(grown)
+    if args.memory:
+        with progress("memory", "frame") as bar:
+            megabytes = latency.memory_growth(args.memory, args.seed, tick=bar.update)
+        output.table("memory", [{"frames": args.memory, "growth_mb": megabytes}])
+        targets.append(latency.memory_target(args.memory, megabytes))
+    output.claims(targets)
+    return output
+
+
+def _peers(args: Peers) -> Output:
+    check_minimum(args, frames=1, slow_frames=0, burst=1)
+    from shape_obs.bench import peer_comparison as peers
+
+    output, results = _output("peers", args), {}
+    output.document |= {"missing": peers.missing(), "works": {}}
+    for module, package in output.document["missing"].items():
+        output.note(f"{module} is not installed and left out: pip install {package}")
+    for name in args.only:
+        with progress(name, "frame", args.frames + peers.WARM_UP) as bar:
+            results[name] = peers.run_work(
+                name, args.frames, args.slow_frames, args.seed, args.clock, args.burst, bar.update
+            )
+        work = output.document["works"][name] = results[name].to_dict()
+        refused = f", {work['refused']} refused" if work["refused"] else ""
+        title = f"{name}: {work['points']} points from {work['samples']} pixels, {work['frames']} frames{refused}"
+        output.table(title, work["rows"], "")
+    output.claims(peers.targets(results))
+    return output
+
+
+def _envs(args: Envs) -> Output:
+    check_minimum(args, steps=1, burst=1)
+    sizes = [image_size(text, 16) for text in args.sizes]
+    from shape_obs.bench.env_speed import WARM_UP, Course, speed_row, speed_targets, speeds
+    from shape_obs.bench.interleaved_timing import opengl
+
+    driver, no_opengl = opengl()
+    output = _output("envs", args, "mujoco", "gymnasium")
+    output.document["machine"]["opengl"] = driver or "none"
+    output.document["missing"] = {"gl": no_opengl} if no_opengl else {}
+    output.note("\n".join(f"{name}: {what}" for name, what in output.document["machine"].items()))
+    renderers = [name for name in args.renderers if name != "gl" or driver]
+    if no_opengl and "gl" in args.renderers:
+        output.note(f"no OpenGL here, rays alone: {no_opengl}")
+    courses = [
+        Course(env, size, renderer, args.steps, args.seed, args.clock, args.burst)
+        for env in args.envs
+        for size in sizes
+        for renderer in renderers
+    ]
+    rows = []
+    with progress("envs", "step", len(courses) * (args.steps + WARM_UP)) as bar:
+        for course in courses:
+            bar.set_postfix_str(f"{course.env} {course.image} {course.renderer}")
+            rows.append(speed_row(course, speeds(course, bar.update)))
+    output.table("steps per second", rows, "single")
+    output.claims(speed_targets(rows))
+    return output
+
+
+_COMMANDS: Final[dict[str, tuple[type, Callable[[Any], Output]]]] = {
+    "latency": (Latency, _latency),
+    "peers": (Peers, _peers),
+    "envs": (Envs, _envs),
+}

@@ -1,0 +1,1 @@
+"""Random, damaged and hostile input: generators, and counts of broken promises."""

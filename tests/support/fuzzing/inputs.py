@@ -1,0 +1,246 @@
+"""Feed random, mostly degenerate inputs to the detector and the wrapper and count broken promises."""
+
+from __future__ import annotations
+
+import copy
+import linecache
+import pickle
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+import shape_obs
+from fuzzing import random_inputs
+from fuzzing.random_inputs import pick
+from fuzzing.random_scenes import RandomImages, Scene, colour_image
+from shape_obs.bench.tables import at_most
+from shape_obs.compiled import Backend
+from shape_obs.detector import ShapeDetector
+from shape_obs.shape import Detection, Shape
+from shape_obs.tracking.missing import ShapeLostError
+from shape_obs.wrappers import ShapeObservation
+
+#: What is counted, each asked to be zero.
+PROMISES: Final = ("undeclared exceptions", "warnings", "broken contracts of a Shape", "bad observations")
+_EXCEPTION, _WARNING, _CONTRACT, _OBSERVATION = PROMISES
+_PACKAGE: Final = str(Path(shape_obs.__file__).parent)
+_FRAMES: Final = (1, 1, 2, 4, 8)
+_WRAPPED: Final = 0.2  # of the cases go through ``ShapeObservation``
+_FEATURES: Final = (
+    "points2d", "points2d_normalized", "points3d", "ok", "age", "valid", "centroid", "length", "orientation",
+    "tangents", "turning_angles", "curvature", "fourier", "elliptic_fourier", "bezier", "bspline", "contour_moments",
+    "region_moments",
+)  # fmt: skip
+
+
+class Failure(NamedTuple):
+    """A promise that was broken.
+
+    Args:
+        promise: One of ``PROMISES``.
+        case: Repeat it with ``run_case(seed, case, backend)``.
+        what: What happened, in words.
+    """
+
+    promise: str
+    case: int
+    what: str
+
+
+def inputs_table(count: int, seed: int = 0, backend: Backend = "auto") -> list[dict[str, Any]]:
+    """Return a row for each promise: how often it was broken by ``count`` random inputs."""
+    inputs, failures = random_inputs_run(count, seed, backend)
+    broken = {promise: [failure for failure in failures if failure.promise == promise] for promise in PROMISES}
+    return [
+        at_most(f"{promise}, {inputs} random inputs, {backend}", 0, len(found), "")
+        | {"first": f"case {found[0].case}: {found[0].what}" if found else ""}
+        for promise, found in broken.items()
+    ]
+
+
+def random_inputs_run(count: int, seed: int = 0, backend: Backend = "auto") -> tuple[int, list[Failure]]:
+    """Run random cases until ``count`` frames were seen; return how many were, and every broken promise."""
+    inputs, case, failures = 0, 0, []
+    while inputs < count:
+        frames, broken = run_case(seed, case, backend)
+        inputs, case = inputs + frames, case + 1
+        failures += broken
+    return inputs, failures
+
+
+def run_case(seed: int, case: int, backend: Backend) -> tuple[int, list[Failure]]:
+    """Run one detector or wrapper over a few random frames; return how many, and every broken promise."""
+    rng = np.random.default_rng((seed, case))
+    failures: list[Failure] = []
+    run = _run_wrapper if rng.random() < _WRAPPED else _run_detector
+    return run(rng, backend, _Log(case, failures)), failures
+
+
+class _Log(NamedTuple):
+    case: int
+    failures: list[Failure]
+
+    def add(self, promise: str, what: str) -> None:
+        self.failures.append(Failure(promise, self.case, what))
+
+    @contextmanager
+    def watching(self) -> Iterator[None]:
+        """Record warnings and undeclared exceptions; a declared exception ends the block silently."""
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            # Declared: the scene is larger than the bounds of the features.
+            warnings.filterwarnings("ignore", message="features: .* values lie outside of their bounds")
+            try:
+                yield
+            except Exception as error:  # noqa: BLE001
+                if not declared(error):  # every other kind is counted
+                    self.add(_EXCEPTION, f"{type(error).__name__}: {error} ({_origin(error)})")
+        for warning in caught:
+            where = f"{Path(warning.filename).name}:{warning.lineno}"
+            self.add(_WARNING, f"{warning.category.__name__}: {warning.message} ({where})")
+
+
+def declared(error: Exception) -> bool:
+    """Return whether an exception is one that the package raises on purpose: by a ``raise`` in its own code."""
+    if isinstance(error, ShapeLostError):
+        return True
+    if not isinstance(error, (TypeError, ValueError)) or isinstance(error, np.linalg.LinAlgError):
+        return False
+    file, line = _last_line(error)
+    return file.startswith(_PACKAGE) and linecache.getline(file, line).strip().startswith("raise ")
+
+
+def broken_contracts(shape: Shape, size: int, *, in_2d: bool, in_3d: bool) -> list[str]:
+    """Return what a shape breaks of the contract in the docstring of ``Shape``."""
+    kinds = (("points2d", np.float32, (size, 2)), ("points3d", np.float32, (size, 3)), ("visible", bool, (size,)))
+    broken = []
+    for name, dtype, form in (*kinds, ("valid", bool, (size,))):
+        array = getattr(shape, name)
+        if array is None:
+            continue
+        if array.dtype != dtype or array.shape != form:
+            broken.append(f"{name} is {array.dtype} {array.shape}")
+            return broken
+        if array.flags.writeable:
+            broken.append(f"{name} is writable")
+    points2d, points3d = shape.points2d, shape.points3d
+    promises = {
+        "points2d where there are pixels only": (points2d is not None) == in_2d,
+        "points3d with depth and a camera only": bool(shape.reason) or (points3d is not None) == in_3d,
+        "valid where visible only": not (shape.valid & ~shape.visible).any(),
+        "points3d finite where valid": points3d is None or bool(np.isfinite(points3d[shape.valid]).all()),
+        "points3d never infinite": points3d is None or not np.isinf(points3d).any(),
+        "points2d finite if ok": points2d is None or not shape.ok or bool(np.isfinite(points2d).all()),
+        "points2d finite, or all of it NaN": points2d is None
+        or bool(np.isfinite(points2d).all() or np.isnan(points2d).all()),
+        "quality in 0...1": 0 <= shape.quality <= 1,
+        "age finite, at least 0": 0 <= shape.age < np.inf,
+        "ok and no reason, or a reason": shape.ok or bool(shape.reason),
+        "nothing visible with a reason": not shape.reason or not shape.visible.any(),
+        "age 0 without a reason": bool(shape.reason) or shape.age == 0,
+    }
+    return broken + [promise for promise, kept in promises.items() if not kept]
+
+
+def _run_detector(rng: np.random.Generator, backend: Backend, log: _Log) -> int:
+    names = [f"shape{i}" for i in range(pick(rng, (1, 1, 1, 2)))]
+    specs = [random_inputs.configuration(rng, name) for name in names]
+    detector: Any = None
+    with log.watching():
+        detector = ShapeDetector(specs, backend=backend, **random_inputs.detector_options(rng))
+    if detector is None:
+        return 1
+    frames, stamp = pick(rng, _FRAMES), 0.0
+    scene, call = Scene(rng, specs), pick(rng, ("detect", "mask", "mask", "cloud", "any"))
+    returned: list[tuple[Shape, bytes]] = []
+    for _ in range(frames):
+        if rng.random() < 0.1:
+            scene = Scene(rng, specs)
+        detector = _between_frames(rng, detector)
+        at = random_inputs.stamp(rng, stamp)
+        stamp = stamp if at is None else at
+        with log.watching():
+            detection, in_3d = _detect(rng, detector, scene, at, call)
+            for shape, spec in zip(detection, detector.shapes, strict=True):
+                in_2d = in_3d is not None
+                for text in broken_contracts(shape, spec.count, in_2d=in_2d, in_3d=in_3d is not False):
+                    log.add(_CONTRACT, f"{text}: {shape.name}, {spec.kind}")
+                returned.append((shape, pickle.dumps(shape)))
+    if any(pickle.dumps(shape) != before for shape, before in returned):
+        log.add(_CONTRACT, "a later frame changed a shape")
+    return frames
+
+
+def _between_frames(rng: np.random.Generator, detector: ShapeDetector) -> ShapeDetector:
+    """Return the detector after what its owner may do between two frames."""
+    what = pick(rng, ("nothing",) * 9 + ("reset", "copy", "pickle"))
+    if what == "reset":
+        detector.reset()
+    elif what == "copy":
+        return copy.deepcopy(detector)
+    elif what == "pickle":
+        return pickle.loads(pickle.dumps(detector))
+    return detector
+
+
+def _detect(
+    rng: np.random.Generator, detector: ShapeDetector, scene: Scene, stamp: float | None, call: str
+) -> tuple[Detection, bool | None]:
+    """Return what one random input gives, and whether points in space were due; None for a cloud."""
+    scene.next_frame(rng)
+    call = pick(rng, ("detect", "mask", "cloud")) if call == "any" else call
+    known: dict[str, Any] = {"stamp": stamp, "anchors": scene.anchors}
+    if call == "cloud":
+        return detector.detect_cloud(scene.cloud, camera=scene.camera, **known), None
+    if call == "mask":
+        detection = detector.detect_mask(scene.mask, scene.depth, scene.camera, **known)
+    else:
+        detection = detector.detect(colour_image(rng, scene.mask), scene.depth, scene.camera, **known)
+    return detection, scene.depth is not None and scene.camera is not None
+
+
+def _run_wrapper(rng: np.random.Generator, backend: Backend, log: _Log) -> int:
+    spec, frames = random_inputs.configuration(rng, "shape"), pick(rng, _FRAMES)
+    scene = Scene(rng, [spec])
+    env = RandomImages(rng, scene)
+    features = [pick(rng, _FEATURES) for _ in range(pick(rng, (1, 2, 3)))]
+    options = {**random_inputs.detector_options(rng), "backend": backend}
+    for policy in ("on_missing", "on_invalid"):  # NaN is refused in observations
+        options[policy] = "hold" if options[policy] == "nan" else options[policy]
+    wrapped: Any = None
+    with log.watching():
+        wrapped = ShapeObservation(env, [spec], features=features, **options)
+    if wrapped is None:
+        return 1
+    seen: list[tuple[npt.NDArray[Any], bytes]] = []
+    for frame in range(frames):
+        with log.watching():
+            values, info = wrapped.reset() if not frame else wrapped.step(0)[::4]
+            if not np.isfinite(values).all() or values not in wrapped.observation_space:
+                log.add(_OBSERVATION, f"outside of its space: {features}")
+            if not values.flags.writeable or any(np.shares_memory(values, before) for before, _ in seen):
+                log.add(_OBSERVATION, f"not a writable copy: {features}")
+            if not all(np.isfinite(value) for value in info.values() if isinstance(value, (bool, float, int))):
+                log.add(_OBSERVATION, f"info {info}")
+            seen.append((values, values.tobytes()))
+    if any(values.tobytes() != before for values, before in seen):
+        log.add(_OBSERVATION, "a later frame changed an observation")
+    return frames
+
+
+def _last_line(error: BaseException) -> tuple[str, int]:
+    trace = error.__traceback__
+    assert trace is not None
+    while trace.tb_next is not None:
+        trace = trace.tb_next
+    return trace.tb_frame.f_code.co_filename, trace.tb_lineno
+
+
+def _origin(error: BaseException) -> str:
+    file, line = _last_line(error)
+    return f"{Path(file).name}:{line}"

@@ -1,0 +1,166 @@
+"""Kill ``shape-obs ablate`` at random instants: finished runs stay, and what is resumed equals an undisturbed study."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+import yaml
+
+from shape_obs.bench.tables import at_least, at_most
+
+#: As small as a study can be: the simulator's points, near goals, tiny networks. It takes about twenty seconds.
+STUDY: Final[Mapping[str, Any]] = {
+    "version": 1,
+    "episode": 10,
+    "difficulties": ["near"],
+    "seeds": [0, 1],
+    "steps": 60,
+    "hyperparameters": {"batch_size": 8, "learning_starts": 20, "buffer_size": 100},
+    "her": {},
+    "normalize": {},
+    "evaluation": {"every": 30, "goals": 1, "final_goals": 2, "difficulties": ["near", "middle"]},
+    "arms": {
+        "small": {"observation": "truth", "hyperparameters": {"net_arch": [8]}},
+        "smaller": {"observation": "truth", "hyperparameters": {"net_arch": [4]}},
+    },
+}
+_COMMAND: Final = (sys.executable, "-c", "from shape_obs.cli import main; main()", "ablate")
+_PATIENCE: Final = 300.0  # seconds; far more than the study takes
+_POLL: Final = 0.002  # seconds
+
+Files = dict[Path, bytes]
+Ended = Literal["killed", "finished", "failed"]
+
+_LOG: Final = logging.getLogger(__name__)
+
+
+def killed_studies(
+    folder: Path, kills: int = 30, seed: int = 0, tick: Callable[[int], object] = lambda kills: None
+) -> list[dict[str, Any]]:
+    """Kill a study again and again, resume it, and compare it with one that was left alone.
+
+    Every other kill comes at a random time. The others come right after a random one of the files that the study makes
+    appeared, temporary ones too: the instants in which something could be half-written. A study that gets finished is
+    compared, and the next one begins.
+
+    Args:
+        folder: An empty folder for the studies.
+        kills: How many kills.
+        seed: Of the instants.
+        tick: Called after each kill with their number.
+
+    Returns:
+        Rows of what was asked and what was seen.
+    """
+    file, draw = folder / "study.yaml", np.random.default_rng(seed)
+    file.write_text(yaml.safe_dump(dict(STUDY)), encoding="utf-8")
+    begin = time.monotonic()
+    _run(file, folder / "undisturbed", _never)
+    seconds, wanted = time.monotonic() - begin, _results(folder / "undisturbed")
+    files = len(_files(folder / "undisturbed"))
+    done, lost, different, compared = 0, 0, 0, 0
+    while done < kills:
+        root, kept = folder / f"killed{compared}", Files()
+        while True:
+            if done == kills:
+                stop = _never
+            elif done % 2:
+                stop = _after_files(root, int(draw.integers(1, 2 * files)))
+            else:
+                stop = _after_seconds(float(draw.uniform(0.0, seconds)))
+            ended = _run(file, root, stop)
+            lost += sum(root.joinpath(name).read_bytes() != data for name, data in kept.items() if _there(root, name))
+            lost += sum(not _there(root, name) for name in kept)
+            kept = _finished(root)
+            if ended != "killed":
+                break
+            done += 1
+            tick(done)
+        different += ended == "failed" or _results(root) != wanted
+        compared += 1
+    return [
+        at_least("kill -9 of shape-obs ablate at random instants", kills, done, ""),
+        at_most("files of finished runs that a kill or a resumption lost or changed", 0, lost, ""),
+        at_most(f"of {compared} resumed studies, those that fail or differ from an undisturbed one", 0, different, ""),
+    ]
+
+
+def _run(file: Path, root: Path, stop: Callable[[], bool]) -> Ended:
+    """Run the study until it ends, or until ``stop`` is true or it took far too long; return what became of it."""
+    log = root.with_suffix(".log")
+    with (
+        log.open("w", encoding="utf-8") as errors,
+        subprocess.Popen(
+            [*_COMMAND, str(file), "--out", str(root)],
+            stdout=subprocess.DEVNULL, stderr=errors, start_new_session=True,
+        ) as process,
+    ):  # fmt: skip
+        begin = time.monotonic()
+        while process.poll() is None and not stop():
+            if time.monotonic() - begin > _PATIENCE:
+                break
+            time.sleep(_POLL)
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)  # its workers too
+            process.wait()
+            return "killed" if stop() else "failed"
+        if process.returncode != 0:
+            _LOG.warning("%s failed: %s", root, log.read_text(encoding="utf-8")[-2000:])
+            return "failed"
+        return "finished"
+
+
+def _never() -> bool:
+    return False
+
+
+def _after_seconds(seconds: float) -> Callable[[], bool]:
+    end = time.monotonic() + seconds
+    return lambda: time.monotonic() > end
+
+
+def _after_files(root: Path, count: int) -> Callable[[], bool]:
+    """Wait until that many files were seen to appear, also those that vanish again."""
+    seen, before = 0, set(_files(root))
+
+    def stop() -> bool:
+        nonlocal seen, before
+        now = set(_files(root))
+        seen, before = seen + len(now - before), now
+        return seen >= count
+
+    return stop
+
+
+def _files(root: Path) -> list[Path]:
+    found = []
+    for path, _, names in os.walk(root):
+        found += [Path(path, name) for name in names]
+    return found
+
+
+def _finished(root: Path) -> Files:
+    """Return the files of the finished runs: paths in the folder, and bytes."""
+    done = [path.parent for path in root.glob("*/seed*/run.json")]
+    return {path.relative_to(root): path.read_bytes() for run in done for path in run.iterdir()}
+
+
+def _there(root: Path, name: Path) -> bool:
+    return (root / name).is_file()
+
+
+def _results(root: Path) -> dict[str, list[str]]:
+    """Return the lines of the study's tables without the times that its steps took."""
+    scores = (root / "results.csv").read_text(encoding="utf-8").splitlines()
+    table = (root / "table.md").read_text(encoding="utf-8").split("**Milliseconds of a step")
+    without = table[0].splitlines() + table[1].split("**Against", 1)[-1].splitlines()
+    return {"results.csv": [line.rpartition(",")[0] for line in scores], "table.md": without}

@@ -1,0 +1,205 @@
+"""Damage and forge recorded folders: only ``BadRecording`` comes out, and nothing outside the folder is read."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from fuzzing.mutations import flip, mutate, mutate_bytes
+from fuzzing.outcomes import Outcomes, opened_in
+from shape_obs.bench.tables import at_least, at_most
+from shape_obs.camera import CameraModel, Intrinsics
+from shape_obs.frame import Frame
+from shape_obs.recording import Moment, Recording, RecordingWriter
+from shape_obs.recording.format import CAMERA_FILE, FRAMES_FILE
+from shape_obs.source import BadRecording
+
+_SIZE: Final = (12, 16)  # pixels, (H, W)
+_FRAMES: Final = 3
+_SECRET: Final = "000000.png"
+
+Draw = np.random.Generator
+Tick = Callable[[], object]
+
+
+def damaged_recordings(folder: Path, count: int, seed: int = 0, tick: Tick = lambda: None) -> list[dict[str, Any]]:
+    """Change one thing in a recording at a time, with its checksums put right, and read it.
+
+    Args:
+        folder: An empty folder for the recordings.
+        count: How many changes.
+        seed: Of the changes.
+        tick: Called after each.
+
+    Returns:
+        Rows of what was asked and what was seen.
+    """
+    draw, outcomes, outside, left = np.random.default_rng(seed), Outcomes(BadRecording), folder / "outside", 0
+    whole, changed = folder / "whole", folder / "changed"
+    record_some(whole)
+    # A right image with right checksums: whoever followed a path to it would read it without complaint.
+    shutil.copytree(whole / "rgb", outside)
+    damages = (_document, _text, _image, _path, _swap)
+    hostile = 0
+    for i in range(count):
+        shutil.rmtree(changed, ignore_errors=True)
+        shutil.copytree(whole, changed)
+        damage = damages[i % len(damages)]
+        damage(changed, outside, draw)
+        hostile += damage is _path
+        with opened_in(outside) as opened:
+            outcomes.try_out(f"{damage.__name__} {i}", lambda: _read(changed))
+        left += bool(opened)
+        tick()
+    return [
+        at_most(f"of {count} damaged recordings, undeclared errors", 0, outcomes.counts["undeclared"], ""),
+        at_most(f"of {hostile} recordings with paths that lead outside, files read there", 0, left, ""),
+        at_least("damaged recordings that are refused, of a hundred", 50, 100 * outcomes.counts["refused"] / count, ""),
+    ]
+
+
+def record_some(folder: Path) -> None:
+    """Record three small frames: colour, depth as millimetres, and in the last one depth as metres."""
+    draw = np.random.default_rng(0)
+    camera = CameraModel(Intrinsics(_SIZE[1], _SIZE[0], 20.0, 20.0, 7.5, 5.5), np.eye(4))
+    source: Any = _Still(camera)  # all that a writer asks of a source
+    with RecordingWriter(folder, source) as writer:
+        for i in range(_FRAMES):
+            rgb = draw.integers(0, 256, (*_SIZE, 3), dtype=np.uint8)
+            millimetres = draw.integers(300, 900, _SIZE, dtype=np.uint16)
+            depth = millimetres if i + 1 < _FRAMES else (millimetres / 1000).astype(np.float32)
+            writer.add(Moment(Frame(rgb, depth, camera, i / 30, None, i), {"gripper": (0.1, 0.2, 0.3)}))
+
+
+class _Still:
+    """A source that only tells what it is."""
+
+    kind, name, serial = "test", "still", None
+
+    def __init__(self, camera: CameraModel) -> None:
+        self.camera = camera
+
+
+def _read(folder: Path) -> None:
+    recording = Recording(folder)
+    for i in range(len(recording)):
+        _ = recording[i]
+
+
+def _document(folder: Path, outside: Path, draw: Draw) -> None:
+    """Change values of ``camera.json`` or of a line of ``frames.jsonl``."""
+    if draw.integers(2):
+        path = folder / CAMERA_FILE
+        path.write_text(_json(mutate(json.loads(path.read_text()), draw)))
+    else:
+        _change_line(folder, draw, lambda line: mutate(line, draw))
+
+
+def _text(folder: Path, outside: Path, draw: Draw) -> None:
+    """Change the text of ``camera.json`` or ``frames.jsonl``."""
+    path = folder / (CAMERA_FILE if draw.integers(2) else FRAMES_FILE)
+    path.write_bytes(mutate_bytes(path.read_bytes(), draw))
+
+
+def _image(folder: Path, outside: Path, draw: Draw) -> None:
+    """Damage an image file and put its checksum right; in a PNG also the checksum of its header, which is enlarged."""
+
+    def change(line: dict[str, Any]) -> dict[str, Any]:
+        entry = line["rgb" if draw.integers(2) else "depth"]
+        path = folder / entry["file"]
+        data, action = path.read_bytes(), draw.integers(5)
+        if path.suffix == ".png" and action == 0:
+            data = _enlarged(data, draw)
+        elif path.suffix == ".npy" and action < 3:
+            data = _other_header(data, draw)
+        elif action == 1:
+            data = b""
+        elif action == 2:
+            data = data[: draw.integers(len(data))]
+        elif action == 3:
+            data = mutate_bytes(data, draw)
+        else:
+            data = flip(data, int(draw.integers(8 * len(data))))
+        path.write_bytes(data)
+        entry["file_crc32"] = zlib.crc32(data)
+        return line
+
+    _change_line(folder, draw, change)
+
+
+def _path(folder: Path, outside: Path, draw: Draw) -> None:
+    """Let an image's entry lead to an image outside, with that image's own checksums."""
+    name, inner = os.path.relpath(outside, folder), folder / "rgb"
+    hostile = [
+        f"{name}/{_SECRET}", str(outside / _SECRET), f"rgb/../{name}/{_SECRET}", f"./{name}/{_SECRET}",
+        f"rgb/../../{folder.name}/../{outside.name}/{_SECRET}", "/etc/passwd", "/dev/null", ".", "rgb", "rgb/", "\0",
+        "~", "link/000000.png", "rgb/link.png", "x" * 5000, f"file://{outside / _SECRET}",
+        f"..\\{outside.name}\\{_SECRET}",
+    ]  # fmt: skip
+    (folder / "link").symlink_to(outside, target_is_directory=True)
+    (inner / "link.png").symlink_to(outside / _SECRET)
+    if draw.integers(6) == 0:  # the folder of the images itself
+        shutil.rmtree(inner)
+        inner.symlink_to(outside, target_is_directory=True)
+        return
+    first = json.loads((folder / FRAMES_FILE).read_text().splitlines()[0])["rgb"]
+    file = hostile[draw.integers(len(hostile))]
+    _change_line(folder, draw, lambda line: {**line, "rgb": {**first, "file": file}})
+
+
+def _swap(folder: Path, outside: Path, draw: Draw) -> None:
+    """Exchange images, entries or lines."""
+    if draw.integers(2):
+        kinds = ("rgb", "depth") if draw.integers(2) else ("depth", "rgb")
+        _change_line(folder, draw, lambda line: {**line, kinds[0]: line[kinds[1]]})
+        return
+    files = sorted(folder.glob("*/*.*"))
+    one, other = (files[i] for i in draw.choice(len(files), 2, replace=False))
+    data = one.read_bytes()
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(data)
+
+
+def _change_line(folder: Path, draw: Draw, change: Callable[[dict[str, Any]], Any]) -> None:
+    """Change a line of ``frames.jsonl``, never its end: that would only look like an interruption."""
+    path = folder / FRAMES_FILE
+    lines = path.read_text().splitlines()
+    at = int(draw.integers(_FRAMES))
+    lines[at] = _json(change(json.loads(lines[at])))
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value)
+
+
+def _enlarged(data: bytes, draw: Draw) -> bytes:
+    """Return a PNG whose header speaks of a huge image; its checksum is right."""
+    sides = (2**31 - 1, 100_000, 40_000, 20_000, 0, 1)
+    size = struct.pack(">II", *(sides[draw.integers(len(sides))] for _ in range(2)))
+    header = b"IHDR" + size + data[24:29]
+    return data[:12] + header + struct.pack(">I", zlib.crc32(header)) + data[33:]
+
+
+def _other_header(data: bytes, draw: Draw) -> bytes:
+    """Return a .npy file with another header over the same values."""
+    shape = [(2**40, 2**20), (-1, 5), (10**30,), (12, 16, 1), (0,), (1e9,), ("a",), None, 5]
+    types = ["<f4", "|O", "<f8", "V4", "<U9999999", "nonsense", "<i4,<f4", ["a"], 5]
+    header = {
+        "descr": types[draw.integers(len(types))],
+        "fortran_order": bool(draw.integers(2)),
+        "shape": shape[draw.integers(len(shape))],
+    }
+    text = repr(header).encode() + b"\n"
+    stream = io.BytesIO()
+    stream.write(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + data[128:])
+    return stream.getvalue()
