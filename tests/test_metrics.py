@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
-from shape_obs.bench.blobs import random_blob
-from shape_obs.bench.ropes import random_rope
-from shape_obs.bench.sheets import draw_sheet, random_sheet
+from shape_obs.bench.synthetic.blobs import random_blob
+from shape_obs.bench.synthetic.ropes import random_rope
+from shape_obs.bench.synthetic.sheets import draw_sheet
+from shape_obs.bench.synthetic.sheets import random_sheet
 from shape_obs.geometry.topology import Chain, Grid, Ring
 from shape_obs.metrics import (
     calinski_harabasz,

@@ -13,10 +13,13 @@ from shape_obs.compiled import NUMPY
 from shape_obs.configurations.fitting import fit
 from shape_obs.drawing import draw_curve, draw_detection, draw_text
 from shape_obs.frame import Frame
-from shape_obs.geometry.form import Curve, Form, Patch
+from shape_obs.bench.synthetic.ropes import Curve
+from shape_obs.geometry.form import Form
+from shape_obs.geometry.form import Patch
 from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Topology
-from shape_obs.image.region import Region, find_region
+from shape_obs.image.region import Region
+from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Whole
 
 IMAGES = Path(__file__).parent.parent / "images"

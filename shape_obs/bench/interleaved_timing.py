@@ -113,8 +113,9 @@ def package_version(package: str) -> str:
 
 def opengl() -> tuple[str, str]:
     """Return the name of the OpenGL driver, and why there is none; one of the two is empty."""
-    from shape_obs_envs.mujoco.cameras.gl_context import GLUnavailableError, open_context
-    from shape_obs_envs.mujoco.engine import mujoco
+    from shape_obs_envs.mujoco.cameras.gl_camera import GLUnavailableError
+    from shape_obs_envs.mujoco.cameras.gl_camera import open_context
+    from shape_obs_envs.mujoco.scene import mujoco
 
     try:
         gl, context = open_context(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16)

@@ -124,7 +124,7 @@ class _Scene:
     """Blocks on a table under a slightly tilted D455 that looks down, and its two raw images."""
 
     def __init__(self, seed: int) -> None:
-        from shape_obs_envs.sources.realsense.d455 import d455_geometry
+        from shape_obs_envs.sources.realsense.driver import d455_geometry
 
         d455 = d455_geometry(*_SIZE, _UNIT)
         self.geometry = d455.colour, d455.depth, d455.rotation, d455.translation, d455.depth_unit

@@ -17,7 +17,7 @@ from shape_obs.bench.synthetic.tangles import Tangle, crossing_rope, cut_rope, i
 from shape_obs.configurations import Centerline
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import arc_length
-from shape_obs.image.region import find_region
+from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.initialization.medial_axis import medial_axis

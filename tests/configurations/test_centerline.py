@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, ShapeDetector
-from shape_obs.bench.hard_claims import ropes_in_noise
-from shape_obs.bench.motion import moving_rope
+from shape_obs.bench.rope_claims import ropes_in_noise
+from shape_obs.bench.synthetic.ropes import moving_rope
 
 
 @pytest.mark.parametrize("speed", [10, 40])

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, Configuration, Contour, ShapeDetector, Surface
-from shape_obs.bench.blobs import moving_blob
-from shape_obs.bench.motion import moving_rope
-from shape_obs.bench.sheets import turning_sheet
+from shape_obs.bench.synthetic.blobs import moving_blob
+from shape_obs.bench.synthetic.ropes import moving_rope
+from shape_obs.bench.synthetic.sheets import turning_sheet
 from shape_obs.geometry.curve import FittedCurve
 
 

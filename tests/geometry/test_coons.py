@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
-from shape_obs.bench.sheets import rotation
+from shape_obs.bench.synthetic.sheets import rotation
 from shape_obs.geometry.coons import FINE
 from shape_obs.geometry.lattice import FittedLattice
 from shape_obs.initialization.corners import Rim

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from shape_obs.bench.sheets import rotation
+from shape_obs.bench.synthetic.sheets import rotation
 from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, outer_corners, sample_lattice
 from shape_obs.initialization.corners import Rim
 

@@ -11,10 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import ColourRule, DepthRange, Frame, GrayRange, HSVRange, Polygon, ShapeDetector, Whole
-from shape_obs.bench.ropes import KINDS, random_rope
+from shape_obs.bench.ropes import KINDS
+from shape_obs.bench.synthetic.ropes import random_rope
 from shape_obs.image.colour_search import find_by_colour, table_mask
 from shape_obs.image.colour_table import colour_table
-from shape_obs.image.region import find_region, prepare, segment
+from shape_obs.image.find_region import find_region
+from shape_obs.image.find_region import prepare
+from shape_obs.image.find_region import segment
 from shape_obs.image.roi import Window
 
 BLUE = HSVRange((100, 120, 60), (125, 255, 255))
@@ -269,7 +272,7 @@ class TestSegment:
 
     def test_points_from_the_search_are_those_of_the_rule(self):
         """Through the detector, warm, over a moving rope: to 0.3 px on every point, and in fact to the last digit."""
-        from shape_obs.bench.motion import moving_rope
+        from shape_obs.bench.synthetic.ropes import moving_rope
 
         rng = np.random.default_rng(9)
         by_colour, by_mask = ShapeDetector(segmentation=BLUE), ShapeDetector(segmentation=BLUE)

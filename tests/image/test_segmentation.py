@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from shape_obs import DepthRange, Frame, GrayRange, HSVRange, Polygon, Rectangle, ShapeDetector, Whole
-from shape_obs.image.region import find_region
+from shape_obs.image.find_region import find_region
 
 
 def mask_of(rule, rgb=None, depth=None):

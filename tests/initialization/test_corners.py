@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shape_obs.bench.sheets import rotation
+from shape_obs.bench.synthetic.sheets import rotation
 from shape_obs.initialization.corners import Rim
 
 

@@ -13,7 +13,7 @@ from shape_obs.bench.synthetic.clouds import SheetCloud, sheet_cloud
 from shape_obs.bench.synthetic.images import CAMERA, tilted_rope, tilted_sheet
 from shape_obs.bench.synthetic.tangles import crossing_rope
 from shape_obs.geometry.polyline import resample
-from shape_obs.image.region import find_region
+from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.point_cloud.cloud import Cloud
 from shape_obs.point_cloud.deprojection import deproject

@@ -9,11 +9,12 @@ import pytest
 from scipy.signal import savgol_filter
 
 from shape_obs import CameraModel, Centerline, Frame, Intrinsics, ShapeDetector
-from shape_obs.bench.ropes import Rope, draw_rope
+from shape_obs.bench.synthetic.ropes import Rope
+from shape_obs.bench.synthetic.ropes import draw_rope
 from shape_obs.configurations.shape_points import shape_of
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import straightened
-from shape_obs.image.region import find_region
+from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.point_cloud.lifting import lift_form
 from shape_obs.tracking.prediction import Fit

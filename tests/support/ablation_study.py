@@ -13,7 +13,7 @@ from pathlib import Path
 
 from shape_obs.ablation.executors import Outcome, Task, work
 from shape_obs.ablation.scores import read_scores
-from shape_obs.bench.robustness.killed_studies import STUDY as STUDY
+from fuzzing.killed_studies import STUDY as STUDY
 
 
 def numbers(root: Path) -> dict[str, list[tuple]]:

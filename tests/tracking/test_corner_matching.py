@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from shape_obs import ShapeDetector, Surface
-from shape_obs.bench.sheets import moving_sheet
+from shape_obs.bench.synthetic.sheets import moving_sheet
 from shape_obs.tracking.corner_matching import STRAYED, match_corners, match_corners_in_space, stray_reason
 
 

@@ -12,7 +12,7 @@ from shape_obs import Centerline, ShapeDetector
 from shape_obs.configurations import centerline
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.topology import Chain
-from shape_obs.image.region import find_region
+from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.tracking.prediction import Fit, Prediction, Track, advance, predict, size_jump
 from shape_obs.tracking.search_window import predict_search_window

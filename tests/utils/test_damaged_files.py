@@ -15,11 +15,13 @@ import numpy as np
 import pytest
 
 from shape_obs.ablation import Study, load_study
+from sweep import sweep
+
 from shape_obs.ablation.executors import Outcome, Task
 from shape_obs.ablation.results import RunFolder, finished_runs
 from shape_obs.ablation.scores import SCORES, Row, Score, scores_csv
-from shape_obs.bench.robustness.recordings import damaged_recordings, record_some
-from shape_obs.bench.robustness.tables import a_table, flipped_tables, same
+from fuzzing.recordings import damaged_recordings, record_some
+from fuzzing.tables import a_table, flipped_tables, same
 from shape_obs.cli import main
 from shape_obs.config import save_config
 from shape_obs.recording import Recording, ShapeTable
@@ -32,7 +34,7 @@ from shape_obs.source import BadRecording
 def test_no_flipped_bit_loads_as_other_values(tmp_path, suffix):
     if suffix == ".parquet":
         pytest.importorskip("pyarrow")
-    rows = flipped_tables(tmp_path, 100, seed=5, suffixes=(suffix,))
+    rows = flipped_tables(tmp_path, sweep(100, 2000), seed=5, suffixes=(suffix,))
     assert [row["seen"] for row in rows] == [0, 0]
 
 
@@ -244,7 +246,7 @@ def test_lines_with_wrong_values_are_named(folder, changes, message):
 
 
 def test_damaged_recordings_raise_only_bad_recording(tmp_path):
-    rows = damaged_recordings(tmp_path, 200, seed=7)
+    rows = damaged_recordings(tmp_path, sweep(200, 3000), seed=7)
     assert [row["reached"] for row in rows] == ["yes"] * 3
 
 

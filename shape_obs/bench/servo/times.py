@@ -14,7 +14,7 @@ from shape_obs.bench.servo.settings import FEATURES, LAYOUTS
 from shape_obs.bench.tables import Row, at_most, grouped
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import Feature, read_features
-from shape_obs.features import FeatureContext as View
+from shape_obs.features import FeatureContext
 from shape_obs.geometry.topology import Grid
 from shape_obs.shape import Shape
 from shape_obs.utils.threads import one_thread
@@ -31,7 +31,7 @@ class _Look(NamedTuple):
 
     rgb: Any
     depth: Any
-    view: View
+    view: FeatureContext
     shape: Shape
 
 
@@ -121,7 +121,7 @@ def _looks(env: Env, size: Size, frames: int, seed: int, renderer: str) -> tuple
     for action in actions:
         named, camera = dict(env_protocol.anchors(simulated)), env_protocol.camera_model(simulated)
         point = env_protocol.base_point(detector.shapes[0], named)
-        view = View(*size, camera, defaults["workspace"], anchor=point, anchors=named)
+        view = FeatureContext(*size, camera, defaults["workspace"], anchor=point, anchors=named)
         shape = detector.detect(observation["rgb"], observation["depth"], camera, anchors=named).shapes[0]
         looks.append(_Look(observation["rgb"], observation["depth"], view, shape))
         observation = simulated.step(action)[0]

@@ -14,11 +14,11 @@ from shape_obs.bench.env_physics import make_env
 from shape_obs.bench.servo.settings import Disturbance, Setting, feature_set
 from shape_obs.configurations import Configuration
 from shape_obs.detector import ShapeDetector
-from shape_obs.features import Feature, View, read_features
+from shape_obs.features import Feature, FeatureContext, read_features
 from shape_obs.shape import Detection, Shape
 from shape_obs.wrappers import ShapeGoal, ShapeObservation, env_protocol
 from shape_obs.wrappers.goals import EnvGoal, GoalVector
-from shape_obs.wrappers.placing import shape_at
+from shape_obs.wrappers.goal_points import shape_at
 from shape_obs.wrappers.shape_goal import record_goal
 
 Mask = npt.NDArray[np.bool_]
@@ -126,7 +126,7 @@ class World(NamedTuple):
     features: tuple[Feature, ...]
     spec: Configuration
     seen: Callable[[], Shape]
-    view: Callable[[], View]
+    view: Callable[[], FeatureContext]
     milliseconds: Callable[[], float | None]
     dark: Callable[[], bool]
 
@@ -189,7 +189,7 @@ class TrueGoal(gym.Wrapper[Any, Any, Any, Any]):
         super().__init__(env)
         defaults = env_protocol.defaults(env)
         self.configuration = Configuration.from_dict(defaults["shapes"][0])
-        self.view = View(*size, env_protocol.camera_model(env), defaults["workspace"])
+        self.view = FeatureContext(*size, env_protocol.camera_model(env), defaults["workspace"])
         self._place()
         self._vector = GoalVector(features, self.configuration, self.view)
         space = env.observation_space

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.optimize import brentq
 
 from shape_obs.configurations import Ends
-from shape_obs.geometry.form import Patch
+from shape_obs.geometry.lattice import FittedLattice
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
@@ -47,7 +47,7 @@ class Sheet:
 
     def lattice(self, rows: int, cols: int, ends: Ends) -> Array:
         """Return the true positions of a lattice's points in the cloth's frame, (rows, cols, D)."""
-        patch = Patch(self.points.reshape(_FINE * _FINE, -1), np.zeros(_FINE * _FINE, bool), _FINE)
+        patch = FittedLattice.over(self.points.reshape(_FINE * _FINE, -1), np.zeros(_FINE * _FINE, bool), _FINE)
         v, u = (places(count, ends) * (_FINE - 1) for count in (rows, cols))
         return patch.at(v, u).reshape(rows, cols, -1)
 

@@ -19,7 +19,6 @@ from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, moving_sheet
 from shape_obs.camera import Intrinsics
 from shape_obs.configurations import Centerline, Configuration, Contour, Surface
 from shape_obs.detector import ShapeDetector
-from shape_obs.geometry.samples import mask_pixels
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
@@ -102,7 +101,7 @@ def work(name: Name, frames: int, seed: int) -> Work:
         spec, drawn = Surface(rows=4, cols=8), ((sheet.mask, None) for sheet in cloths(frames, seed))
     detector, scenes = ShapeDetector([spec]), []
     for mask, curve in drawn:
-        pixels = outline_pixels(mask) if name == "contour" else mask_pixels(mask).astype(np.float64)
+        pixels = outline_pixels(mask) if name == "contour" else np.argwhere(mask)[:, ::-1].astype(np.float64)
         scenes.append(Scene(mask, pixels, curve, detector.detect_mask(mask).shapes[0].pixels.astype(np.float64)))
     return Work(name, spec, tuple(scenes))
 

@@ -20,7 +20,7 @@ from shape_obs.configurations import Configuration, Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Ring, Topology
-from shape_obs.image.region import find_region
+from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Whole
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.metrics import calinski_harabasz, nearest, silhouette, spacing_cv

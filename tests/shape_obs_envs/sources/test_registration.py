@@ -1,4 +1,4 @@
-"""Registration: depth lies under the colour that it belongs to, and nothing is invented."""
+"""Registration: depth is aligned to colour, and nothing is invented."""
 
 from __future__ import annotations
 
@@ -9,20 +9,16 @@ import numpy as np
 import pytest
 
 from shape_obs import CameraModel, Intrinsics
-from shape_obs.bench.registration_claims import registration_errors
-from shape_obs.bench.synthetic.tabletop import rows_of_blocks, see
-from shape_obs.compiled import Backend
-from shape_obs_envs.sources.raw_images import RawImages
-from shape_obs_envs.sources.realsense.d455 import d455_geometry
-from shape_obs_envs.sources.registration import Registration
+from shape_obs.bench.blocks import rows_of_blocks, see
+from shape_obs.bench.registration import registration_errors
+from shape_obs_envs.sources.realsense.driver import d455_geometry
+from shape_obs_envs.sources.registration import RawImages, Registration
 
 D455 = d455_geometry(640, 480, 0.001)
 COLOUR, DEPTH, PLACE = D455.colour, D455.depth, (D455.rotation, D455.translation)
 PINHOLE = replace(COLOUR, model="pinhole", coeffs=(0.0,) * 5)
 SMALL = Intrinsics(160, 120, 97.0, 97.0, 80.5, 59.3)
 ASIDE = (-0.059, 0.0, 0.0)
-
-backends = pytest.mark.parametrize("backend", ["numpy", "numba"] if find_spec("numba") else ["numpy"])
 
 
 def plane(camera: Intrinsics, tilt: float, distance: float = 0.62) -> np.ndarray:
@@ -48,10 +44,9 @@ def test_depth_lies_under_colour_and_blocks_stand_where_they_are_unlike_without_
     assert theirs.centres.max() > 4e-3
 
 
-@backends
 @pytest.mark.parametrize("tilt", [0, 20, 40])
-def test_a_surface_has_no_cracks(backend: Backend, tilt: float) -> None:
-    registration = Registration(COLOUR, DEPTH, *PLACE, backend=backend)
+def test_a_surface_has_no_cracks(tilt: float) -> None:
+    registration = Registration(COLOUR, DEPTH, *PLACE)
     aligned = registration.align(plane(DEPTH, np.radians(tilt)))
     inside = aligned[40:-40, 60:-100]  # what both cameras have in view
     assert (inside > 0).all()
@@ -59,9 +54,8 @@ def test_a_surface_has_no_cracks(backend: Backend, tilt: float) -> None:
     assert np.median(np.abs(np.diff(inside.astype(int) - truth))) <= 1
 
 
-@backends
-def test_the_nearest_counts_and_holes_stay_holes(backend: Backend) -> None:
-    registration = Registration(SMALL, SMALL, np.eye(3), ASIDE, backend=backend)
+def test_the_nearest_counts_and_holes_stay_holes() -> None:
+    registration = Registration(SMALL, SMALL, np.eye(3), ASIDE)
     depth = np.full((120, 160), 900, np.uint16)
     depth[40:80, 80:120] = 400  # a block before a wall
     depth[10:20, 60:80] = 0
@@ -81,23 +75,6 @@ def test_the_nearest_counts_and_holes_stay_holes(backend: Backend) -> None:
     hole = aligned[11:19, int(62 - far) : int(78 - far)]
     assert (hole == 0).all()
     assert set(np.unique(aligned)) == {0, 400, 900}
-
-
-@pytest.mark.skipif(not find_spec("numba"), reason="compares the backends; Numba is not installed")
-@pytest.mark.parametrize("size", [(640, 480), (1280, 720)])
-def test_both_backends_give_the_same_pixels(size: tuple[int, int]) -> None:
-    rng = np.random.default_rng(3)
-    depth = plane(DEPTH, np.radians(10)) + rng.normal(0, 3, DEPTH.size)
-    depth[100:200, 300:400] -= 200
-    depth = depth.astype(np.uint16)
-    depth[rng.random(DEPTH.size) < 0.05] = 0
-    depth[rng.random(DEPTH.size) < 0.01] = rng.integers(1, 65536)
-    depth[0, :20] = np.arange(20)
-    depth[1, :2] = 65535
-    colour = replace(COLOUR, width=size[0], height=size[1], fx=600.0 * size[1] / 720, cx=size[0] / 2, cy=size[1] / 2)
-    first, second = (Registration(colour, DEPTH, *PLACE, backend=name).align(depth) for name in ("numpy", "numba"))
-    assert (first == second).all()
-    assert (first > 0).mean() > 0.4
 
 
 def test_depth_is_that_of_the_colour_camera_in_millimetres() -> None:

@@ -17,7 +17,7 @@ from fuzzing.mutations import mutate, mutate_bytes
 from fuzzing.outcomes import Outcomes
 from shape_obs.ablation import load_study
 from shape_obs.bench.tables import at_least, at_most
-from shape_obs.calibration.extrinsics import Extrinsics
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.calibration.intrinsics import IntrinsicsFit
 from shape_obs.calibration.touch_points import read_touches
 from shape_obs.camera import Intrinsics

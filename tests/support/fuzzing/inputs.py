@@ -19,7 +19,6 @@ from fuzzing import random_inputs
 from fuzzing.random_inputs import pick
 from fuzzing.random_scenes import RandomImages, Scene, colour_image
 from shape_obs.bench.tables import at_most
-from shape_obs.compiled import Backend
 from shape_obs.detector import ShapeDetector
 from shape_obs.shape import Detection, Shape
 from shape_obs.tracking.missing import ShapeLostError
@@ -43,7 +42,7 @@ class Failure(NamedTuple):
 
     Args:
         promise: One of ``PROMISES``.
-        case: Repeat it with ``run_case(seed, case, backend)``.
+        case: Repeat it with ``run_case(seed, case)``.
         what: What happened, in words.
     """
 
@@ -52,33 +51,33 @@ class Failure(NamedTuple):
     what: str
 
 
-def inputs_table(count: int, seed: int = 0, backend: Backend = "auto") -> list[dict[str, Any]]:
+def inputs_table(count: int, seed: int = 0) -> list[dict[str, Any]]:
     """Return a row for each promise: how often it was broken by ``count`` random inputs."""
-    inputs, failures = random_inputs_run(count, seed, backend)
+    inputs, failures = random_inputs_run(count, seed)
     broken = {promise: [failure for failure in failures if failure.promise == promise] for promise in PROMISES}
     return [
-        at_most(f"{promise}, {inputs} random inputs, {backend}", 0, len(found), "")
+        at_most(f"{promise}, {inputs} random inputs", 0, len(found), "")
         | {"first": f"case {found[0].case}: {found[0].what}" if found else ""}
         for promise, found in broken.items()
     ]
 
 
-def random_inputs_run(count: int, seed: int = 0, backend: Backend = "auto") -> tuple[int, list[Failure]]:
+def random_inputs_run(count: int, seed: int = 0) -> tuple[int, list[Failure]]:
     """Run random cases until ``count`` frames were seen; return how many were, and every broken promise."""
     inputs, case, failures = 0, 0, []
     while inputs < count:
-        frames, broken = run_case(seed, case, backend)
+        frames, broken = run_case(seed, case)
         inputs, case = inputs + frames, case + 1
         failures += broken
     return inputs, failures
 
 
-def run_case(seed: int, case: int, backend: Backend) -> tuple[int, list[Failure]]:
+def run_case(seed: int, case: int) -> tuple[int, list[Failure]]:
     """Run one detector or wrapper over a few random frames; return how many, and every broken promise."""
     rng = np.random.default_rng((seed, case))
     failures: list[Failure] = []
     run = _run_wrapper if rng.random() < _WRAPPED else _run_detector
-    return run(rng, backend, _Log(case, failures)), failures
+    return run(rng, _Log(case, failures)), failures
 
 
 class _Log(NamedTuple):
@@ -147,12 +146,12 @@ def broken_contracts(shape: Shape, size: int, *, in_2d: bool, in_3d: bool) -> li
     return broken + [promise for promise, kept in promises.items() if not kept]
 
 
-def _run_detector(rng: np.random.Generator, backend: Backend, log: _Log) -> int:
+def _run_detector(rng: np.random.Generator, log: _Log) -> int:
     names = [f"shape{i}" for i in range(pick(rng, (1, 1, 1, 2)))]
     specs = [random_inputs.configuration(rng, name) for name in names]
     detector: Any = None
     with log.watching():
-        detector = ShapeDetector(specs, backend=backend, **random_inputs.detector_options(rng))
+        detector = ShapeDetector(specs, **random_inputs.detector_options(rng))
     if detector is None:
         return 1
     frames, stamp = pick(rng, _FRAMES), 0.0
@@ -204,12 +203,12 @@ def _detect(
     return detection, scene.depth is not None and scene.camera is not None
 
 
-def _run_wrapper(rng: np.random.Generator, backend: Backend, log: _Log) -> int:
+def _run_wrapper(rng: np.random.Generator, log: _Log) -> int:
     spec, frames = random_inputs.configuration(rng, "shape"), pick(rng, _FRAMES)
     scene = Scene(rng, [spec])
     env = RandomImages(rng, scene)
     features = [pick(rng, _FEATURES) for _ in range(pick(rng, (1, 2, 3)))]
-    options = {**random_inputs.detector_options(rng), "backend": backend}
+    options = random_inputs.detector_options(rng)
     for policy in ("on_missing", "on_invalid"):  # NaN is refused in observations
         options[policy] = "hold" if options[policy] == "nan" else options[policy]
     wrapped: Any = None
