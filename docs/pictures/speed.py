@@ -22,7 +22,7 @@ mpl.use("Agg")
 
 DOCS = Path(__file__).parent.parent
 PAGE, IMAGES = DOCS / "speed.md", DOCS / "images"
-OURS, THEIRS, SECOND, INK = "#2d55c8", "#c8cdd6", "#e17828", "#1e1e1e"
+OURS, THEIRS, INK = "#2d55c8", "#c8cdd6", "#1e1e1e"
 STAGES = ("#2d55c8", "#7f9be8", "#e17828", "#f0b98d", "#3c9650", "#c8cdd6")
 BLOCK = r"(<!-- {name} -->\n).*?(<!-- end -->)"
 Document = dict[str, Any]
@@ -117,14 +117,14 @@ def _asked(claims: list[Row]) -> str:
 
 def _peers(part: Document) -> str:
     head = (
-        "Method", "Frames", "Median [ms]", "Over NumPy", "Over Numba", "Silhouette", "Calinski-Harabasz", "Spacing CV"
+        "Method", "Frames", "Median [ms]", "Over ours", "Silhouette", "Calinski-Harabasz", "Spacing CV"
     )  # fmt: skip
     rows = [
         (
             f"**{row['method']}**" if _is_ours(row) else row["method"],
             str(row["frames"]),
             number(row["median_ms"]),
-            *(f"{number(row[f'over_{backend}'])}" for backend in ("numpy", "numba")),
+            number(row["over_ours"]),
             f"{row['sc']:.3f}",
             number(row["ch"]),
             f"{100 * row['spacing_cv']:.1f} %",
@@ -143,17 +143,15 @@ def _losses(document: Document) -> str:
         for row in part["rows"]:
             if _is_ours(row):
                 continue
-            told = [
-                f"takes {number(row[f'over_{backend}'])} times as long as ours with {label}"
-                for backend, label in (("numpy", "NumPy"), ("numba", "Numba"))
-                if (row[f"over_{backend}"] or 1) < 1
-            ]
+            better = []
+            if row["over_ours"] < 1:
+                better.append(f"takes {number(row['over_ours'])} times as long as ours")
             if row["ch"] > 1.0005 * mine["ch"]:
-                told.append(f"has a Calinski-Harabasz score {100 * (row['ch'] / mine['ch'] - 1):.1f} % higher")
+                better.append(f"has a Calinski-Harabasz score {100 * (row['ch'] / mine['ch'] - 1):.1f} % higher")
             if row["sc"] > mine["sc"] + 5e-4:
-                told.append(f"has a silhouette {row['sc'] - mine['sc']:.3f} higher")
-            if told:
-                lines.append(f"- {work}: {row['method']} {', '.join(told)}.")
+                better.append(f"has a silhouette {row['sc'] - mine['sc']:.3f} higher")
+            if better:
+                lines.append(f"- {work}: {row['method']} {', '.join(better)}.")
     return "\n".join(lines) or "Nowhere in this run."
 
 
@@ -170,13 +168,10 @@ def _stages(rows: list[Row]) -> str:
 
 
 def _growth(rows: list[Row]) -> str:
-    head = ("What grows", "To", "Backend", "Median [ms]", "Times the smallest")
+    head = ("What grows", "To", "Median [ms]", "Times the smallest")
     return table(
         head,
-        (
-            (row["grows"], str(row["amount"]), row["backend"], number(row["median_ms"]), number(row["times_smallest"]))
-            for row in rows
-        ),
+        ((row["grows"], str(row["amount"]), number(row["median_ms"]), number(row["times_smallest"])) for row in rows),
     )
 
 
@@ -201,44 +196,41 @@ def draw_peers(works: dict[str, Document]) -> Any:
 
 def draw_stages(latency: Document) -> Any:
     """Stacked bars of the stages of a tracked frame, and one pass over the image."""
-    figure, axes = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
-    for axis, label in zip(axes, ("NumPy", "Numba"), strict=True):
-        rows = [row for row in latency["stages"] if row["method"] == f"shape_obs, {label}, warm"]
-        names = [name for name in (list(rows[0])[2:] if rows else []) if name != "total"]
-        sizes, base = [row["image"] for row in rows], [0.0] * len(rows)
-        for name, colour in zip(names, STAGES, strict=False):
-            axis.bar(sizes, [row[name] for row in rows], bottom=base, color=colour, label=name)
-            base = [low + row[name] for low, row in zip(base, rows, strict=True)]
-        floor = [row["median_ms"] for row in latency["totals"] if row["method"].startswith("one pass")]
-        axis.plot(sizes, floor[: len(sizes)], "_", color=INK, markersize=30, label="one pass over the image")
-        axis.set_title(f"{label}, tracked", fontsize=9)
-        axis.tick_params(labelsize=7)
-        axis.spines[["top", "right"]].set_visible(False)
-        axis.legend(fontsize=7, loc="upper left", reverse=True, markerscale=0.4)
-    axes[0].set_ylabel("milliseconds per frame", fontsize=8)
+    figure, axis = plt.subplots(figsize=(5.5, 3.4), layout="constrained")
+    rows = [row for row in latency["stages"] if row["method"] == "shape_obs, warm"]
+    names = [name for name in (list(rows[0])[2:] if rows else []) if name != "total"]
+    sizes, base = [row["image"] for row in rows], [0.0] * len(rows)
+    for name, colour in zip(names, STAGES, strict=False):
+        axis.bar(sizes, [row[name] for row in rows], bottom=base, color=colour, label=name)
+        base = [low + row[name] for low, row in zip(base, rows, strict=True)]
+    floor = [row["median_ms"] for row in latency["totals"] if row["method"].startswith("one pass")]
+    axis.plot(sizes, floor[: len(sizes)], "_", color=INK, markersize=30, label="one pass over the image")
+    axis.set_ylabel("milliseconds per frame", fontsize=8)
+    axis.tick_params(labelsize=8)
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.legend(fontsize=8, loc="upper left", reverse=True, markerscale=0.4)
     return figure
 
 
 def draw_growth(rows: list[Row]) -> Any:
-    """One panel for each thing that grows, both backends; dotted is proportional growth."""
+    """One panel for each thing that grows; dotted is proportional growth."""
     grown = list(dict.fromkeys(row["grows"] for row in rows))
-    figure, axes = plt.subplots(1, len(grown), figsize=(2.8 * len(grown), 2.6), layout="constrained", sharey=True)
-    for axis, grows in zip(axes, grown, strict=True):
-        for label, colour in (("NumPy", OURS), ("Numba", SECOND)):
-            curve = [row for row in rows if row["grows"] == grows and row["backend"] == label]
-            if curve:
-                amounts, times = ([row[key] for row in curve] for key in ("amount", "median_ms"))
-                axis.loglog(amounts, times, "o-", color=colour, label=label, markersize=4)
-                axis.loglog(amounts, [times[0] * amount / amounts[0] for amount in amounts], ":", color=colour)
-                axis.set_xticks(amounts, [f"{amount}" for amount in amounts], fontsize=7)
+    figure, axes = plt.subplots(
+        1, len(grown), figsize=(2.8 * len(grown), 2.6), layout="constrained", sharey=True, squeeze=False
+    )
+    for axis, grows in zip(axes[0], grown, strict=True):
+        curve = [row for row in rows if row["grows"] == grows]
+        amounts, times = ([row[key] for row in curve] for key in ("amount", "median_ms"))
+        axis.loglog(amounts, times, "o-", color=OURS, markersize=4)
+        axis.loglog(amounts, [times[0] * amount / amounts[0] for amount in amounts], ":", color=OURS)
+        axis.set_xticks(amounts, [f"{amount}" for amount in amounts], fontsize=7)
         axis.xaxis.set_minor_formatter(NullFormatter())
         axis.yaxis.set_major_formatter("{x:g}")
         axis.yaxis.set_minor_formatter(NullFormatter())
         axis.tick_params(labelsize=7)
         axis.set_title(grows, fontsize=9)
         axis.spines[["top", "right"]].set_visible(False)
-    axes[0].set_ylabel("milliseconds per frame", fontsize=8)
-    axes[0].legend(fontsize=7)
+    axes[0][0].set_ylabel("milliseconds per frame", fontsize=8)
     return figure
 
 
