@@ -10,11 +10,12 @@ import hashlib
 import json
 import math
 import os
+import warnings
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import yaml
 
@@ -28,24 +29,28 @@ from shape_obs.tracking.missing import OnInvalid, OnMissing
 from shape_obs.utils.documents import read_yaml
 from shape_obs.utils.files import write_text
 
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
 VERSION: Final = 1
 SECTIONS: Final = {
     "shape": ("shapes", "features", "order", "ends", "anchor", "clustering"),
     "scene": ("segmentation", "roi", "workspace"),
     "runtime": ("on_missing", "on_invalid", "max_age", "dt"),
 }
+_NO_BACKEND: Final = "backend={!r} is ignored: the inner loops are always compiled with Numba. Remove it."
 _WRAPPER_ONLY: Final = ("features", "workspace")
 
 
 @dataclass(frozen=True)
 class DetectorConfig(Spec):
-    """Everything a ``ShapeDetector`` is told.
+    """The arguments of a ``ShapeDetector``.
 
     Args:
         shapes: The configurations to find, all in one pass.
         segmentation: The pixel rule; None when masks are given, or every shape has its own.
         roi: Where to look.
-        order: ``"tracked"`` keeps point 0 on its material point; ``"image"`` numbers each frame anew.
+        order: ``"tracked"`` keeps point 0 on its material point; ``"image"`` numbers each frame again.
         ends: Default for shapes with ends or a border: ``"centers"`` or ``"tips"``.
         anchor: Default for shapes without one: where point 0 belongs.
         clustering: Where the points come from: ``"som"`` spreads them evenly over the form that the map is fitted with;
@@ -67,6 +72,18 @@ class DetectorConfig(Spec):
     on_invalid: OnInvalid = "nan"
     max_age: float = 0.5
     dt: float = 1 / 30
+
+    @classmethod
+    def from_dict(cls, value: Any) -> Self:
+        """Build the configuration as ``Spec.from_dict`` does; a ``backend`` of an older version is ignored.
+
+        Warns:
+            UserWarning: There is a ``backend``: the inner loops are always compiled now.
+        """
+        if isinstance(value, Mapping) and "backend" in value:
+            warnings.warn(_NO_BACKEND.format(value["backend"]), stacklevel=2)
+            value = {name: field for name, field in value.items() if name != "backend"}
+        return super().from_dict(value)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -120,6 +137,9 @@ def load_config(path: str | os.PathLike[str]) -> dict[str, Any]:
         if not isinstance(content, Mapping):
             raise SpecError(f"{path}: section {section!r} must be a mapping, got {type(content).__name__}.")
         for name, value in content.items():
+            if section == "runtime" and name == "backend":
+                warnings.warn(f"{path}: {_NO_BACKEND.format(value)}", stacklevel=2)
+                continue
             if name not in SECTIONS[section]:
                 raise SpecError(f"{path}: {section}: unknown field {name!r}{did_you_mean(name, SECTIONS[section])}")
             arguments[name] = value

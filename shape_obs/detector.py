@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,17 +23,19 @@ from shape_obs.configurations.cluster_assignment import assign_centres
 from shape_obs.configurations.shape_points import shape_of
 from shape_obs.frame import Frame, check_mask
 from shape_obs.geometry.observed import Observed
-from shape_obs.image.region import prepare
+from shape_obs.image.find_region import prepare
+from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.point_cloud.lifting import median_depth
 from shape_obs.point_cloud.reading import read_cloud
 from shape_obs.shape import Detection, Shape
 from shape_obs.tracking.missing import lost_shape
 from shape_obs.tracking.prediction import Fit, Track, advance, predict
-from shape_obs.tracking.search_window import RegionSearch, SearchWindow, locate, predict_search_window
+from shape_obs.tracking.search_window import RegionSearch
 from shape_obs.utils.threads import use_no_threads_in_forked_children
 
 Array = npt.NDArray[np.float64]
+ShapeLike = Configuration | Mapping[str, Any] | str
 
 # Frames after which all of the image is searched, though every shape is tracked: what was hidden may be back.
 _SEARCH_ALL: Final = 30
@@ -42,8 +44,18 @@ _MIN_SAMPLES: Final = 16  # pixels or points of an object
 use_no_threads_in_forked_children()
 
 
+class _Moment(NamedTuple):
+    """A frame on its way: images, seconds, milliseconds by stage, and whether points get pixels and metres."""
+
+    frame: Frame
+    stamp: float
+    timings: dict[str, float]
+    in_2d: bool
+    in_3d: bool
+
+
 class ShapeDetector:
-    """Finds shapes in frames and keeps the index of their points from one frame to the next.
+    """Find shapes in frames and keep the index of their points from one frame to the next.
 
     Args:
         shapes: Configurations, as specs, mappings or names: ``[Centerline(n=20)]``, ``["centerline"]``.
@@ -66,22 +78,15 @@ class ShapeDetector:
 
     def __init__(
         self,
-        shapes: Iterable[Configuration | Mapping[str, Any] | str]
-        | Configuration
-        | Mapping[str, Any]
-        | str
-        | None = None,
+        shapes: Iterable[ShapeLike] | ShapeLike | None = None,
         segmentation: Segmentation | Mapping[str, Any] | None = None,
         **options: Any,
     ) -> None:
-        given: dict[str, Any] = dict(options)
-        if shapes is not None:
-            given["shapes"] = shapes
-        if segmentation is not None:
-            given["segmentation"] = segmentation
+        named = {"shapes": shapes, "segmentation": segmentation}
+        given = options | {name: value for name, value in named.items() if value is not None}
         self.config = DetectorConfig.from_dict(given)
         self.shapes = self.config.resolved()
-        self._anchored = any(spec.anchor is not None for spec in self.shapes)
+        self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
         functions = [*prepare(spec.segmentation for spec in self.shapes), median_depth]
         compile_now([*functions, *(function for spec in self.shapes for function in spec.compiled)])
         self.reset()
@@ -109,8 +114,7 @@ class ShapeDetector:
 
         Args:
             rgb: ``(H, W, 3)`` uint8, RGB order; may be None for a segmentation by depth.
-            depth: ``(H, W)`` uint16 millimetres or floating metres, aligned to rgb; 0, negative or non-finite =
-                invalid.
+            depth: ``(H, W)`` uint16 millimetres or floating metres, aligned to rgb; 0, negative, NaN = invalid.
             camera: Intrinsics, or a camera model with its place in the base frame; with depth it gives 3D.
             stamp: In seconds; without stamps frames are ``dt`` apart.
             anchors: Name -> pixel (u, v) or base-frame point (x, y, z), for configurations with a named anchor.
@@ -125,12 +129,11 @@ class ShapeDetector:
         frame = Frame(rgb, depth, camera, stamp)
         if rgb is None and depth is None:
             raise ValueError("detect needs an rgb or a depth image, got neither.")
-        for spec in self.shapes:
-            if spec.segmentation is None:
-                raise ValueError(
-                    f"shape {spec.name!r} has no segmentation: pass segmentation=HSVRange(low=..., high=...) to the "
-                    "detector, or a mask of your own to detect_mask."
-                )
+        for name in self._without_rule:
+            raise ValueError(
+                f"shape {name!r} has no segmentation: pass segmentation=HSVRange(low=..., high=...) to the detector, "
+                "or a mask of your own to detect_mask."
+            )
         return self._detect_in_image(frame, None, anchors, begin)
 
     def detect_mask(
@@ -173,66 +176,56 @@ class ShapeDetector:
             ShapeLostError: A shape was not found and ``on_missing="raise"``.
         """
         begin = time.perf_counter()
-        frame, timings = Frame(None, None, as_camera_model(camera), stamp), dict[str, float]()
+        frame = Frame(None, None, as_camera_model(camera), stamp)
         cloud = read_cloud(points)
-        now = _lap(timings, "cloud", begin)
+        now = _lap(timings := {}, "cloud", begin)
         targets = [anchor_point(spec, anchors, frame.camera) for spec in self.shapes]
-        stamp, shapes = self._next_stamp(frame), []
+        moment, shapes = _Moment(frame, self._next_stamp(frame), timings, in_2d=False, in_3d=True), []
         for spec, target in zip(self.shapes, targets, strict=True):
-            found = self._fit(spec, cloud, target, stamp, None)
+            found = self._fit(spec, cloud, target, moment)
             _lap(timings, "fit", now)
-            shapes.append(self._finish(spec, found, frame, stamp, (False, True), timings))
+            shapes.append(self._finish(spec, found, moment))
+            now = time.perf_counter()
         _lap(timings, "total", begin)
-        return Detection(tuple(shapes), stamp, timings)
+        return Detection(tuple(shapes), moment.stamp, timings)
 
     def _detect_in_image(
         self, frame: Frame, mask: npt.NDArray[np.uint8] | None, anchors: Anchors, begin: float
     ) -> Detection:
         """Find each shape in its mask, or in the cloud under it."""
         with_depth, timings = frame.depth is not None and frame.camera is not None, dict[str, float]()
-        for spec in self.shapes:
-            asked = "lift='cloud'" if spec.lift == "cloud" else "spacing='m'" if spec.spacing == "m" else ""
-            if asked and not with_depth:
-                instead = "lift='points'" if spec.lift == "cloud" else "spacing='px'"
-                raise ValueError(f"shape {spec.name!r}: {asked} needs depth and a camera; give both, or {instead}.")
-        targets: list[Array | None] = len(self.shapes) * [None]
-        if self._anchored:
-            targets = [anchor_pixel(spec, anchors, frame.camera) for spec in self.shapes]
-        now = time.perf_counter()
-        roi, self._roi_memory, reason = locate(self.config.roi, frame, self._roi_memory)
-        if roi is not self.config.roi:
+        if not with_depth:
+            for spec in self.shapes:
+                spec.check_without_depth()
+        targets = [None if spec.anchor is None else anchor_pixel(spec, anchors, frame.camera) for spec in self.shapes]
+        roi, reason = self.config.roi, ""
+        if type(roi).place is not ROI.place:
+            now = time.perf_counter()
+            roi, self._roi_memory, reason = roi.place(frame.rgb, self._roi_memory)
             _lap(timings, "roi", now)
-        search = None if roi is None else RegionSearch(frame, mask, roi, self._expected_windows())
-        stamp, shapes = self._next_stamp(frame), []
+        search = None if roi is None else RegionSearch(frame, mask, roi, self._tracks_by_rule())
+        moment, shapes = _Moment(frame, self._next_stamp(frame), timings, in_2d=True, in_3d=with_depth), []
         for spec, target in zip(self.shapes, targets, strict=True):
-            found = Fit(reason=reason) if search is None else self._find(spec, search, target, stamp, frame, timings)
-            shapes.append(self._finish(spec, found, frame, stamp, (True, with_depth), timings))
+            found = Fit(reason=reason) if search is None else self._find(spec, search, target, moment)
+            shapes.append(self._finish(spec, found, moment))
         _lap(timings, "total", begin)
-        return Detection(tuple(shapes), stamp, timings)
+        return Detection(tuple(shapes), moment.stamp, timings)
 
-    def _find(
-        self,
-        spec: Configuration,
-        search: RegionSearch,
-        target: Array | None,
-        stamp: float,
-        frame: Frame,
-        timings: dict[str, float],
-    ) -> Fit:
+    def _find(self, spec: Configuration, search: RegionSearch, target: Array | None, moment: _Moment) -> Fit:
         """Find one shape in an image: near where the track expects it, and if that fails everywhere."""
         while True:
-            now = time.perf_counter()
+            now, timings = time.perf_counter(), moment.timings
             observed: Observed = search.region(spec.segmentation)  # image -> region
-            now = _lap(timings, "segmentation" if spec.segmentation is not None else "region", now)
+            now = _lap(timings, "segmentation" if search.mask is None else "region", now)
             if spec.lift == "cloud":
                 observed = search.cloud(spec.segmentation)  # depth enters: region -> cloud
                 now = _lap(timings, "cloud", now)
-            found = self._fit(spec, observed, target, stamp, frame.depth)  # -> form, matched and validated
+            found = self._fit(spec, observed, target, moment)  # -> form, matched and validated
             _lap(timings, "fit", now)
             if not found.reason or not search.widen(spec.segmentation):
                 return found
 
-    def _fit(self, spec: Configuration, observed: Observed, target: Array | None, stamp: float, depth: Any) -> Fit:
+    def _fit(self, spec: Configuration, observed: Observed, target: Array | None, moment: _Moment) -> Fit:
         """Fit a configuration to an object, from its track if there is one, and advance the track."""
         if self._kinds.setdefault(spec.name, type(observed)) is not type(observed):
             self._tracks.pop(spec.name, None)  # pixels say nothing about metres
@@ -244,9 +237,9 @@ class ShapeDetector:
             have = f"the {observed.noun} has {observed.area} {observed.sample_unit}"
             return Fit(reason=f"{have}, at least {_MIN_SAMPLES} are needed")
         track = self._tracks.get(spec.name)
-        found = spec.fit(observed, predict(track, observed, stamp), target, depth)
+        found = spec.fit(observed, predict(track, observed, moment.stamp), target, moment.frame.depth)
         if not found.reason:
-            self._tracks[spec.name] = advance(track, found, observed, stamp)
+            self._tracks[spec.name] = advance(track, found, observed, moment.stamp)
             if spec.order == "image":
                 seen = observed.seen(found.form.points, target)
                 found = found._replace(form=spec.apply_index_order(found.form, seen, target))
@@ -254,50 +247,37 @@ class ShapeDetector:
             found = assign_centres(found, observed, spec, self.config.clustering)
         return found
 
-    def _finish(
-        self,
-        spec: Configuration,
-        found: Fit,
-        frame: Frame,
-        stamp: float,
-        wanted: tuple[bool, bool],
-        timings: dict[str, float],
-    ) -> Shape:
+    def _finish(self, spec: Configuration, found: Fit, moment: _Moment) -> Shape:
         """Turn a form into ordered points, in space if there is depth; or apply the policy for a lost shape."""
         now = time.perf_counter()
         last, seen_at = self._last.get(spec.name, (None, self._begin))
-        in_2d, in_3d = wanted
         shape, reason = None, found.reason
         if not found.reason:
-            shape = shape_of(spec, found, frame, last, self.config.on_invalid)  # depth enters: form -> points in space
+            shape = shape_of(spec, found, moment.frame, last, self.config.on_invalid)  # depth enters: -> points
             in_sight = shape.points2d is None or np.isfinite(shape.points2d).all()
-            if not in_sight or (in_3d and not shape.valid.any()):
+            if not in_sight or (moment.in_3d and not shape.valid.any()):
                 shape, reason = None, "no point has depth under it" if in_sight else "it runs out of the camera's sight"
         if shape is not None:
-            self._last[spec.name] = (shape, stamp)
+            self._last[spec.name] = (shape, moment.stamp)
         else:
-            age = max(stamp - seen_at, 0.0)
+            age = max(moment.stamp - seen_at, 0.0)
             shape = lost_shape(
-                spec.name, spec.layout, reason=reason, in_2d=in_2d, in_3d=in_3d, last=last, age=age,
-                max_age=self.config.max_age, policy=self.config.on_missing,
+                spec.name, spec.layout, reason=reason, in_2d=moment.in_2d, in_3d=moment.in_3d,
+                last=last, age=age, max_age=self.config.max_age, policy=self.config.on_missing,
             )  # fmt: skip
             if last is not None and age > self.config.max_age:
                 self._tracks.pop(spec.name, None)
-        _lap(timings, "lift", now)
+        _lap(moment.timings, "lift", now)
         return shape
 
-    def _expected_windows(self) -> dict[Segmentation | None, SearchWindow | None]:
-        """Predict where the mask of each segmentation will be; every 30 frames all of the image is searched."""
+    def _tracks_by_rule(self) -> dict[Segmentation | None, list[Track | None]]:
+        """Return the tracks of the shapes of each segmentation; every 30 frames none, to search all of the image."""
         self._frames += 1
-        if self._frames % _SEARCH_ALL == 0:
-            return {}
         rules: dict[Segmentation | None, list[Track | None]] = {}
-        for spec in self.shapes:
-            rules.setdefault(spec.segmentation, []).append(self._tracks.get(spec.name))
-        expected = {}
-        for rule, tracks in rules.items():
-            expected[rule] = predict_search_window(tracks)
-        return expected
+        if self._frames % _SEARCH_ALL:
+            for spec in self.shapes:
+                rules.setdefault(spec.segmentation, []).append(self._tracks.get(spec.name))
+        return rules
 
     def _next_stamp(self, frame: Frame) -> float:
         """Return the frame's time; frames without stamps follow each other by ``dt``."""

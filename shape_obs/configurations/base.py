@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -73,7 +74,7 @@ class Configuration(Spec, family="configuration"):
         if self.radius < 0 or not np.isfinite(self.radius):
             raise ValueError(f"{self.kind}: radius must be >= 0 metres, got {self.radius}.")
 
-    @property
+    @cached_property
     @abstractmethod
     def layout(self) -> Topology:
         """How the shape's points are connected."""
@@ -82,6 +83,20 @@ class Configuration(Spec, family="configuration"):
     def count(self) -> int:
         """How many points the shape has, N."""
         return self.layout.size
+
+    def check_without_depth(self) -> None:
+        """Raise an error if the shape needs what a frame without depth or camera does not have.
+
+        Raises:
+            ValueError: ``lift="cloud"`` or ``spacing="m"``.
+        """
+        if self.lift == "cloud":
+            asked, instead = "lift='cloud'", "lift='points'"
+        elif self.spacing == "m":
+            asked, instead = "spacing='m'", "spacing='px'"
+        else:
+            return
+        raise ValueError(f"shape {self.name!r}: {asked} needs depth and a camera; give both, or {instead}.")
 
     @abstractmethod
     def fit(

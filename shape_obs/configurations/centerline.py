@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, ClassVar, Final
+from functools import cached_property, lru_cache
+from typing import Any, ClassVar, Final, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -20,9 +20,10 @@ from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.region import Region
 from shape_obs.image.rope_tip import extend_chain
 from shape_obs.initialization.medial_axis import medial_axis
+from shape_obs.point_cloud.cloud import Cloud
 from shape_obs.tracking.occluders import uncover_ends
 from shape_obs.tracking.occlusion import match_chain, shown
-from shape_obs.tracking.prediction import Fit, Prediction, size_jump
+from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.validation import MAX_HIDDEN, sample_spread, validate_ribbon
 
 Array = npt.NDArray[np.float64]
@@ -61,7 +62,7 @@ class Centerline(Configuration, kind="centerline"):
         if not 2 <= self.n <= 1000:
             raise ValueError(f"centerline: n must lie in 2...1000, got {self.n}.")
 
-    @property
+    @cached_property
     def layout(self) -> Chain:
         """A chain of n points."""
         return Chain(self.n)
@@ -81,16 +82,16 @@ class Centerline(Configuration, kind="centerline"):
             sigmas = _SIGMAS_STEADY if prediction.steady else _SIGMAS_AREA_CHANGED
             start = prediction.nodes, prediction.topology
             found = self._refine(observed, *start, sigmas, width, MAX_HIDDEN, prediction, occluders)
-            hints = found.form.hints if found.form is not None else None
-            if found.reason or size_jump(prediction, found.form.arc[-1]):
+            curve: FittedCurve = found.form
+            if found.reason or abs(curve.arc[-1] / prediction.size - 1) > MAX_SIZE_CHANGE:
                 found = self._fit_initial(observed, prediction, occluders)
-            elif hints is not None and sum(hints.hidden) > sum(prediction.hints.hidden) + hints.slack:
+            elif sum(curve.hints.hidden) > sum(prediction.hints.hidden) + curve.hints.slack:
                 # Something came over an end, or the chain lost its way there: an initial axis decides.
                 again = self._fit_initial(observed, prediction, occluders)
                 found = again if not again.reason and _hidden(again) < _hidden(found) else found
         if found.reason:
             return found
-        curve: FittedCurve = found.form
+        curve = found.form
         if occluders is not None and _hidden(found) > curve.hints.slack:
             curve = uncover_ends(curve, occluders, observed.width)
         if prediction is None:
@@ -98,7 +99,8 @@ class Centerline(Configuration, kind="centerline"):
         assert found.topology is not None
         nodes = _at_shares(curve.points, curve.arc, _middles(found.topology))
         seen_width = max(observed.area / max(_seen_length(curve), 1e-9), 1.0) if observed.dimension == 2 else 0.0
-        return found._replace(form=curve, nodes=nodes, width=seen_width)
+        size = curve.hints.size or float(curve.arc[-1])
+        return found._replace(form=curve, nodes=nodes, size=size, width=seen_width)
 
     def _fit_initial(self, observed: Observed, prediction: Prediction | None, depth: npt.NDArray[Any] | None) -> Fit:
         """Fit from an initial axis, in the predicted rope's direction if there is one."""
@@ -133,12 +135,12 @@ class Centerline(Configuration, kind="centerline"):
             points, arc, on_object, spread = fit_chain_in_mask(observed.runs, cell, start, *moments, share, *place)
             square, area = spread + min(cell, width) ** 2 / 12, observed.area
         else:
-            samples = observed.samples
-            nodes = observed.extend_to_tips(run_som(samples, start, topology, sigmas))
+            cloud, samples = cast(Cloud, observed), observed.samples
+            nodes = cloud.extend_to_tips(run_som(samples, start, topology, sigmas))
             points = catmull_rom(nodes, 4, False)
-            arc, on_object = arc_length(points), observed.carries(points)
-            square = sample_spread(samples.points, samples.weight, points) + observed.hidden_variance
-            width, area = observed.ribbon_width, 0
+            arc, on_object = arc_length(points), cloud.carries(points)
+            square = sample_spread(samples.points, samples.weight, points) + cloud.hidden_variance
+            width, area = cloud.ribbon_width, 0
         curve = FittedCurve(points, ~on_object, arc)
         if prediction is not None:
             curve = match_chain(curve, prediction, depth)  # an end under a hand is put back here

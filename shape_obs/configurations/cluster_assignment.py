@@ -65,7 +65,7 @@ def _arcs(curve: FittedCurve, centres: Array) -> Array:
 
 
 def _around(curve: FittedCurve, centres: Array) -> Indices:
-    """Return the order along a closed curve, from the centre that leaves all of them nearest to equal shares from its first point.
+    """Return the order along a closed curve that leaves the centres nearest to equal shares from its first point.
 
     Beginning with the first centre after the curve's first point, all indices would move by one whenever a centre
     passes it.
@@ -79,7 +79,7 @@ def _around(curve: FittedCurve, centres: Array) -> Indices:
 
 
 def _places(patch: FittedLattice, centres: Array) -> Array:
-    """Return ``(N, 2)`` how far down and across a patch, 0...1, the places on it lie that are nearest to (N,D) centres."""
+    """Return how far down and across a lattice, 0...1, the places nearest to ``(N, D)`` centres lie: ``(N, 2)``."""
     lattice = patch.lattice
     row, column = np.divmod(np.argmin(cdist(centres, patch.points), axis=1), lattice.shape[1])
     # From the nearest of the patch's points a step over the plane that touches it there.

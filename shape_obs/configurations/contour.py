@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.clustering.som import batch_epochs, run_ring_som, run_som
+from shape_obs.clustering.som import run_ring_som, run_som
+from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Points
-from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.observed import Observed
-from shape_obs.geometry.outline import clockwise, material_outline, pairs
-from shape_obs.geometry.polyline import arc_length, catmull_rom, equidistant_around, interpolate
+from shape_obs.geometry.outline import SAMPLED, clockwise, material_outline, pairs
+from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, equidistant, interpolate
 from shape_obs.geometry.samples import Samples
-from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
-from shape_obs.tracking.prediction import Fit, Prediction, size_jump
-from shape_obs.tracking.registration import blend, index_shift, match_outline, renumber_outline
+from shape_obs.geometry.topology import Ring, Topology
+from shape_obs.image.region import Region
+from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
+from shape_obs.tracking.registration import FORGETTING, match_outline, renumber_outline
 from shape_obs.tracking.validation import outline_miss, ring_miss, validate_outline
 
 Array = npt.NDArray[np.float64]
@@ -60,74 +63,91 @@ class Contour(Configuration, kind="contour"):
         if self.hole is not None and self.hole < 0:
             raise ValueError(f"contour: hole must be None or >= 0, got {self.hole}.")
 
-    @property
+    @cached_property
     def layout(self) -> Ring:
         """A ring of n points."""
         return Ring(self.n)
-
-    def rejection_reason(self, observed: Observed) -> str:
-        """Return why an object has no such outline: no such hole, a few pixels, or two sides too close together."""
-        if self.hole is not None and self.hole >= observed.holes:
-            return f"hole {self.hole} was asked for, the {observed.noun} has {observed.holes}"
-        if self.ring and observed.hollow_share < _HOLLOW:
-            return f"the {observed.noun} encloses no hole: something lies over the ring, or it is open"
-        samples = observed.outline_samples(self.hole)
-        if len(samples) < _MIN_SAMPLES:
-            return f"the outline is too small: {len(samples)} samples, at least {_MIN_SAMPLES} are needed"
-        thin, width = _MIN_WIDTH * samples.scale, observed.outline_width(self.hole)
-        if width < thin:
-            return f"the {observed.noun} is {width:.2g} {observed.unit} wide: too thin for an outline (at least {thin:.2g})"
-        return ""
 
     def fit(
         self, observed: Observed, prediction: Prediction | None, target: Array | None, depth: npt.NDArray[Any] | None
     ) -> Fit:
         """Fit a ring of nodes to this frame's own outline; number it as the track does, or by the paper's rule."""
-        reason = self.rejection_reason(observed)
+        reason = self._rejection_reason(observed)
         if reason:
             return Fit(reason=reason)
         width = observed.width if observed.dimension == 2 else 0.0
-        outline = observed.outline_curve(self.hole)
         if prediction is None:
-            curve, quality, reason = self._refine(
-                observed, outline, outline.points[0], self._topology(observed, outline)
-            )
-            curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
+            outline = observed.outline_curve(self.hole)
             topology = self._topology(observed, outline)
-            return Fit(curve, quality, reason, curve.even(topology.size), topology, width, observed, width)
-        topology = prediction.topology
-        curve, quality, reason = self._refine(observed, outline, prediction.nodes[0], topology)
-        curve, nodes = match_outline(curve, prediction)
-        if reason or size_jump(prediction, curve.size):
-            start = match_outline(outline, prediction)[0].points[0]
-            curve, quality, reason = self._refine(observed, outline, start, topology)
-            curve, nodes = match_outline(curve, prediction)
-        return Fit(curve, quality, reason, nodes, topology, width, observed, width)
-
-    def _refine(
-        self, observed: Observed, outline: FittedCurve, start: Array, topology: Topology
-    ) -> tuple[FittedCurve, float, str]:
-        """Run the self-organising map on the outline from its place nearest to ``start``; finish, validate."""
-        samples, traced = observed.outline_samples(self.hole), observed.traced_outline(self.hole)
-        if traced is not None:
-            nodes, unit = run_ring_som(samples.points, traced.smooth, start, topology.size, _SIGMA)
-            points = catmull_rom(nodes, _PIECES, True)
-            miss = ring_miss(samples.points, unit, points, _PIECES)
+            curve, miss = self._run_som(observed, outline.points[0], topology)
+            curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
+            nodes, (reason, quality) = curve.even(topology.size), validate_outline(observed, miss)
         else:
+            topology = prediction.topology
+            curve, nodes, miss = self._track(observed, prediction.nodes[0], prediction)
+            reason, quality = validate_outline(observed, miss)
+            if reason or abs(curve.arc[-1] / prediction.size - 1) > MAX_SIZE_CHANGE:
+                outline = observed.outline_curve(self.hole)
+                start = self._match(outline, prediction)[0].points[0]
+                curve, nodes, miss = self._track(observed, start, prediction)
+                reason, quality = validate_outline(observed, miss)
+        return Fit(curve, quality, reason, nodes, topology, float(curve.arc[-1]), width, observed, width)
+
+    def _track(self, observed: Observed, start: Array, prediction: Prediction) -> tuple[FittedCurve, Array, float]:
+        """Run the self-organising map from a start and renumber the curve from where it began before."""
+        if isinstance(observed, Region):
+            traced, reference = observed.traced_outline(self.hole), prediction.hints.reference
+            reference = prediction.nodes if reference is None else reference
+            points, arc, nodes, blended, miss = track_ring_in_mask(
+                traced.traced, traced.hole, start, reference, prediction.nodes, _SIGMA, _PIECES, FORGETTING
+            )
+            flags, hints = np.zeros(len(points), bool), TrackHints(reference=blended)
+            return FittedCurve(points, flags, arc, True, hints=hints), nodes, miss
+        curve, miss = self._run_som(observed, start, prediction.topology)
+        return *match_outline(curve, prediction), miss
+
+    def _match(self, outline: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, Array]:
+        """Renumber an outline of this frame from the place where the predicted one begins."""
+        if outline.points.shape[1] == 3:
+            return match_outline(outline, prediction)
+        reference = prediction.nodes if prediction.hints.reference is None else prediction.hints.reference
+        points, arc, nodes, _ = renumber_outline(outline.points, reference, prediction.nodes, FORGETTING)
+        return FittedCurve(points, np.zeros(len(points), bool), arc, True), nodes
+
+    def _run_som(self, observed: Observed, start: Array, topology: Topology) -> tuple[FittedCurve, float]:
+        """Run the self-organising map on the outline from its place nearest to ``start``; return curve and miss."""
+        if isinstance(observed, Region):
+            traced = observed.traced_outline(self.hole)
+            points, miss = fit_ring_in_mask(traced.traced, traced.hole, start, topology.size, _SIGMA, _PIECES)
+        else:
+            samples, outline = observed.outline_samples(), observed.outline_curve()
             nearest = np.argmin(np.sum((outline.points - start) ** 2, axis=1))
             begin = outline.starting_at(float(outline.arc[nearest])).even(topology.size)
             points = catmull_rom(run_som(samples, begin, topology, (_SIGMA,)), _PIECES, True)
             size = float(arc_length(np.concatenate([points, points[:1]]))[-1])
-            miss = outline_miss(samples.points, points, size)
-        curve = FittedCurve.through(points, np.zeros(len(points), bool), closed=True)
-        reason, quality = validate_outline(observed, miss / samples.scale)
-        return curve, quality, reason
+            miss = outline_miss(samples.points, points, size) / samples.scale
+        return FittedCurve.through(points, np.zeros(len(points), bool), True), miss
 
     def _topology(self, observed: Observed, outline: FittedCurve) -> Ring:
         """Return a ring with a node every three samples, 24 to 192 of them; closer on what is thin."""
         scale = observed.outline_samples(self.hole).scale
         spacing = min(_NODE_SPACING * scale, _THIN * observed.outline_width(self.hole))
         return Ring(int(np.clip(round(outline.size / spacing), *_NODES)))
+
+    def _rejection_reason(self, observed: Observed) -> str:
+        """Return why an object has no such outline: no such hole, a few pixels, or two sides too close together."""
+        if self.hole is not None and self.hole >= observed.holes:
+            return f"hole {self.hole} was asked for, the {observed.noun} has {observed.holes}"
+        if self.ring and observed.hollow_share < _HOLLOW:
+            return f"the {observed.noun} encloses no hole: something lies over the ring, or it is open"
+        count, scale = observed.outline_sampling(self.hole)
+        if count < _MIN_SAMPLES:
+            return f"the outline is too small: {count} samples, at least {_MIN_SAMPLES} are needed"
+        thin, width = _MIN_WIDTH * scale, observed.outline_width(self.hole)
+        if width < thin:
+            wide = f"the {observed.noun} is {width:.2g} {observed.unit} wide"
+            return f"{wide}: too thin for an outline (at least {thin:.2g})"
+        return ""
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
         """Return the curve clockwise as seen, from the place nearest the target, else from the least u + v."""
@@ -138,34 +158,80 @@ class Contour(Configuration, kind="contour"):
 
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
         """Return points with equal chords around, from the form's first point."""
-        at = equidistant_around(metric.points, metric.arc, self.n)
-        return Points(
-            form.at(at if form is metric else np.interp(at, metric.arc, form.arc)), metric.interpolated_at(at)
-        )
+        places = _equal_chords_around(form.points, form.arc, metric.points, metric.arc, self.n)
+        return Points(places, np.zeros(self.n, bool))
 
     def clusterer_samples(self, observed: Observed) -> Samples:
         """Return every pixel that the outline runs through; around a cloud, points at equal distances."""
         return observed.outline_points(self.hole)
 
-    compiled: ClassVar[tuple[Any, ...]] = (
-        arc_length,
-        batch_epochs,
-        blend,
-        catmull_rom,
-        index_shift,
-        interpolate,
-        material_outline,
-        outline_miss,
-        pairs,
-        renumber_outline,
-        ring_miss,
-        run_ring_som,
-        undo_shrinkage,
-    )
+    compiled: ClassVar[tuple[Any, ...]] = ()
+
+
+@compiled
+def fit_ring_in_mask(
+    traced: Array, hole: bool, start: Array, count: int, sigma: float, pieces: int
+) -> tuple[Array, float]:
+    """Run the self-organising map of a ring on the outline of a mask and finish its curve, all in one call.
+
+    Args:
+        traced: ``(P, 2)`` pixels, through the centres of the border pixels.
+        hole: Whether the material lies outside.
+        start: ``(2,)`` the first node starts at the outline's point nearest to it.
+        count: How many nodes.
+        sigma: Width of the neighbourhood, node units.
+        pieces: Of the curve between two nodes.
+
+    Returns:
+        ``(count * pieces, 2)`` the closed curve, and how far the outline misses it, in distances of its samples.
+    """
+    points, smooth = material_outline(traced, hole)
+    samples = pairs(points)
+    nodes, unit = run_ring_som(samples, smooth, start, count, sigma)
+    curve = catmull_rom(nodes, pieces, True)
+    return curve, ring_miss(samples, unit, curve, pieces) / SAMPLED
+
+
+@compiled
+def track_ring_in_mask(
+    traced: Array,
+    hole: bool,
+    start: Array,
+    reference: Array,
+    predicted: Array,
+    sigma: float,
+    pieces: int,
+    forgetting: float,
+) -> tuple[Array, Array, Array, Array, float]:
+    """Fit a ring as ``fit_ring_in_mask`` does and renumber it as ``renumber_outline`` does, all in one call."""
+    curve, miss = fit_ring_in_mask(traced, hole, start, len(predicted), sigma, pieces)
+    points, arc, nodes, blended = renumber_outline(curve, reference, predicted, forgetting)
+    return points, arc, nodes, blended, miss
+
+
+@compiled
+def _equal_chords_around(points: Array, arc: Array, metric: Array, metric_arc: Array, count: int) -> Array:
+    """Return ``count`` points of a closed curve with equal chords in a metric, from its first point."""
+    size = len(points)
+    form, around = np.empty((size + 1, points.shape[1])), np.empty((size + 1, metric.shape[1]))
+    for p in range(size + 1):
+        for d in range(points.shape[1]):
+            form[p, d] = points[p % size, d]
+        for d in range(metric.shape[1]):
+            around[p, d] = metric[p % size, d]
+    at = equidistant(around, metric_arc, count + 1, 0.0, MAX_SHIFT_AROUND)
+    along, before = np.empty(count), 0
+    for n in range(count):
+        while before < size - 1 and metric_arc[before + 1] < at[n]:
+            before += 1
+        gap = metric_arc[before + 1] - metric_arc[before]
+        part = (at[n] - metric_arc[before]) / gap if gap > 0 else 0.0
+        along[n] = arc[before] + part * (arc[before + 1] - arc[before])
+    return interpolate(form, arc, along)
 
 
 def _least(values: Array, form: FittedCurve) -> float:
-    """Return the arc position of the least of ``(P,)`` values on a form's points, by a parabola through its neighbours."""
+    """Return the arc position of the least of ``(P,)`` values, by a parabola through it and its neighbours."""
     at = int(np.argmin(values))
     before, after = form.arc[at] - form.arc[at - 1] if at else form.arc[-1] - form.arc[-2], np.diff(form.arc)[at]
     fall, rise = (values[at - 1] - values[at]) / before, (values[(at + 1) % len(values)] - values[at]) / after

@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
-from shape_obs.clustering.som import batch_epochs, run_som
+from shape_obs.clustering.som import run_som
+from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.geometry.coons import FINE, coons_patch
 from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, outer_corners, sample_lattice
 from shape_obs.geometry.observed import Observed
-from shape_obs.geometry.outline import material_outline, pairs
-from shape_obs.geometry.polyline import arc_length, interpolate
-from shape_obs.geometry.topology import Grid, undo_shrinkage
+from shape_obs.geometry.outline import material_outline
+from shape_obs.geometry.topology import Grid
+from shape_obs.image.connected_runs import near_mask
+from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim, nearest_corners, rim_of
-from shape_obs.tracking.corner_matching import STRAYED, match_corners, match_corners_plane
-from shape_obs.tracking.prediction import Fit, Prediction, size_jump
+from shape_obs.tracking.corner_matching import STRAYED, match_corners, match_corners_in_space
+from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.validation import validate_sheet
 
 Array = npt.NDArray[np.float64]
@@ -31,6 +34,9 @@ _MAX_ASPECT: Final = 8.0  # length over width; what is longer is a ribbon, whose
 _CELL: Final = 8  # pixels
 _SIGMA: Final = 0.5  # width of the map's neighbourhood, node units
 _MAX_CUT: Final = 0.03  # of the outline
+_NO_CORNERS: Final = "the outline's corners are not where the lattice's are"
+_ANY_CORNERS: Final = np.empty(0, np.int64)
+_NOTHING_EXPECTED: Final = np.empty((0, 0, 2))
 _MIN_PIECE: Final = 0.8  # of the mask: the largest piece, since a sheet cannot be connected over a gap
 
 
@@ -68,14 +74,82 @@ class Surface(Configuration, kind="surface"):
         if not 0 < self.freedom <= 1:
             raise ValueError(f"surface: freedom must lie above 0, up to 1, got {self.freedom}.")
 
-    @property
+    @cached_property
     def layout(self) -> Grid:
         """A lattice of rows x cols points."""
         return Grid(self.rows, self.cols)
 
-    def rejection_reason(self, observed: Observed) -> str:
+    def fit(
+        self, observed: Observed, prediction: Prediction | None, target: Array | None, depth: npt.NDArray[Any] | None
+    ) -> Fit:
+        """Lay a Coons patch between the corners nearest to the predicted ones, else between the best four corners."""
+        reason = self._rejection_reason(observed)
+        if reason:
+            return Fit(reason=reason)
+        found = Fit(reason="no corners were predicted")
+        expected = None if prediction is None else prediction.nodes.reshape(_GRID.rows, _GRID.cols, -1)
+        if expected is not None:
+            found = self._lay_patch(observed, None, expected)
+        if found.reason or (prediction is not None and abs(found.size / prediction.size - 1) > MAX_SIZE_CHANGE):
+            rim = Rim.along(*observed.sheet_outline())
+            corners = rim.corners()
+            if corners is None:
+                return Fit(reason=f"the outline has {len(rim.candidates)} corners, a sheet has four")
+            found = self._lay_patch(observed, corners, expected)
+        if found.reason or prediction is not None:
+            return found
+        form = self.apply_index_order(found.form, observed.seen(found.form.points, target), target)
+        return found._replace(form=form, nodes=form.evenly(_GRID.rows, _GRID.cols, centers=True))
+
+    def _lay_patch(self, observed: Observed, corners: Indices | None, expected: Array | None) -> Fit:
+        """Lay the patch, move its inside with the map if that is asked for, match it to the track, validate it.
+
+        Args:
+            observed: The sheet.
+            corners: ``(4,)`` points of its rim; None for those nearest to the predicted ones.
+            expected: ``(R, C, D)`` the predicted nodes; None at a cold start.
+        """
+        if isinstance(observed, Region) and not self.epochs:
+            traced = observed.traced_outline(None)
+            laid = corners if corners is not None else _ANY_CORNERS
+            predicted = expected if expected is not None else _NOTHING_EXPECTED
+            left, top = observed.window[:2]
+            points, on_object, kink, stray, share, measures, down, right, nodes = fit_patch_in_mask(
+                traced.traced, observed.mask, left, top, laid, predicted
+            )
+            if not len(points):
+                return Fit(reason=_NO_CORNERS)
+            form = FittedLattice(points, ~on_object, (down, right), FINE, kink)
+        else:
+            rim = Rim.along(*observed.sheet_outline())
+            if corners is None and expected is not None:
+                corners = rim.corners_near(outer_corners(expected))
+            if corners is None:
+                return Fit(reason=_NO_CORNERS)
+            flat, kink = rim.patch(corners)
+            form = FittedLattice.over(observed.to_space(flat), np.zeros(len(flat), bool), FINE, kink)
+            if self.epochs:
+                form = form.with_points(form.points + self._moved_inside(form, observed))
+            form = replace(form, interpolated=~observed.carries(form.points))
+            stray, share = 0, 0.0
+            if expected is not None:
+                match = match_corners if observed.dimension == 2 else match_corners_in_space
+                quarters, stray, share = match(outer_corners(expected), form.corners)
+                form = form.turned(quarters)
+            # A cloud is assessed as it lies unrolled, where a bent side does not wind.
+            measures = assess_lattice((form.points if observed.dimension == 2 else flat).reshape(FINE, FINE, 2))
+            nodes = form.evenly(_GRID.rows, _GRID.cols, centers=True)
+        off = np.count_nonzero(form.interpolated) / len(form.interpolated)
+        degrees, strays = math.degrees(kink), (stray, share)
+        reason, quality = validate_sheet(off, measures, observed.noun, degrees, strays, self.freedom)
+        size = float(form.gauges[0][-1] + form.gauges[1][-1])
+        width = observed.width if observed.dimension == 2 else 0.0
+        return Fit(form, quality, reason, nodes, _GRID, size, width, observed, width)
+
+    def _rejection_reason(self, observed: Observed) -> str:
         """Return why an object cannot be a sheet: a speck, a ribbon, pieces, corners out of sight, or no outline."""
-        length, width, unit = observed.length, observed.width, observed.unit
+        width, unit = observed.width, observed.unit
+        length = observed.area / width if observed.dimension == 2 else observed.length
         if width < _MIN_SIDE * observed.resolution:
             return f"the {observed.noun} is {width:.3g} {unit} wide: too small for a sheet"
         if length > _MAX_ASPECT * width:
@@ -89,49 +163,6 @@ class Surface(Configuration, kind="surface"):
         elif not np.ptp(observed.sheet_outline()[1], axis=0).any():
             return f"the outline of the {observed.noun} has no extent"
         return ""
-
-    def fit(
-        self, observed: Observed, prediction: Prediction | None, target: Array | None, depth: npt.NDArray[Any] | None
-    ) -> Fit:
-        """Lay a Coons patch between the corners nearest to the predicted ones, else between the best four corners."""
-        reason = self.rejection_reason(observed)
-        if reason:
-            return Fit(reason=reason)
-        rim, found = Rim.along(*observed.sheet_outline()), Fit()
-        if prediction is not None:
-            corners = rim.corners_near(outer_corners(_GRID.lattice(prediction.nodes)))
-            if corners is not None:
-                found = self._refine(observed, rim, corners, prediction)
-        if not found.ok or (prediction is not None and size_jump(prediction, found.form.size)):
-            corners = rim.corners()
-            if corners is None:
-                return Fit(reason=f"the outline has {len(rim.candidates)} corners, a sheet has four")
-            found = self._refine(observed, rim, corners, prediction)
-        if not found.ok:
-            return found
-        form: FittedLattice = found.form
-        if prediction is None:
-            form = self.apply_index_order(form, observed.seen(form.points, target), target)
-        nodes = form.evenly(_GRID.rows, _GRID.cols, centers=True)
-        width = observed.width if observed.dimension == 2 else 0.0
-        return found._replace(form=form, nodes=nodes, topology=_GRID, width=width, object_width=width)
-
-    def _refine(self, observed: Observed, rim: Rim, corners: Indices, prediction: Prediction | None) -> Fit:
-        """Lay the patch, move its inside with the map if that is asked for, match it to the track, validate it."""
-        flat, kink = rim.patch(corners)
-        points = observed.to_space(flat)
-        form = FittedLattice(points, np.zeros(len(points), bool), rows=FINE, kink=kink)
-        if self.epochs:
-            form = form.with_points(points + self._moved_inside(form, observed))
-        form = replace(form, interpolated=~observed.carries(form.points))
-        if prediction is not None:
-            form = match_corners(form, _GRID.lattice(prediction.nodes), self.freedom)
-        if form.ambiguity:
-            return Fit(form, 0.0, form.ambiguity)
-        # A cloud is validated as it lies unrolled, where a bent side does not wind.
-        judged = form if observed.dimension == 2 else form.with_points(flat)
-        reason, quality = validate_sheet(judged, observed, math.degrees(kink))
-        return Fit(form, quality, reason, observed=observed)
 
     def _moved_inside(self, form: FittedLattice, observed: Observed) -> Array:
         """Return how the self-organising map moves the points of a patch: ``(P, D)``, nothing at its border."""
@@ -161,27 +192,69 @@ class Surface(Configuration, kind="surface"):
     def resample(self, form: FittedLattice, metric: FittedLattice) -> Points:
         """Return points with equal gaps down and across, on the mean over the lattice."""
         ends = self.ends or "centers"
-        if form is metric and form.whole:
-            return Points(form.evenly(self.rows, self.cols, centers=ends == "centers"), np.zeros(self.count, bool))
+        if form is metric and not form.interpolated.any():
+            lattice = form.points.reshape(form.rows, -1, form.points.shape[1])
+            places = _evenly(lattice, *form.gauges, self.rows, self.cols, ends == "centers")
+            return Points(places, np.zeros(len(places), bool))
         at = _equal_gaps(metric, self.rows, self.cols, ends)
         return Points(form.at(*at), form.interpolated_at(*at))
 
-    compiled: ClassVar[tuple[Any, ...]] = (
-        arc_length,
-        assess_lattice,
-        batch_epochs,
-        coons_patch,
-        interpolate,
-        lattice_gauges,
-        match_corners_plane,
-        material_outline,
-        nearest_corners,
-        outer_corners,
-        pairs,
-        rim_of,
-        sample_lattice,
-        undo_shrinkage,
-    )
+    compiled: ClassVar[tuple[Any, ...]] = ()
+
+
+@compiled
+def fit_patch_in_mask(
+    traced: Array, mask: npt.NDArray[np.uint8], left: int, top: int, corners: Indices, expected: Array
+) -> tuple[Array, npt.NDArray[np.bool_], float, int, float, tuple[float, float, float, float], Array, Array, Array]:
+    """Lay the Coons patch of a sheet in a mask, match it to the track and measure it, all in one call.
+
+    Args:
+        traced: ``(P, 2)`` pixels, through the centres of the outline's border pixels.
+        mask: ``(h, w)`` uint8, C-contiguous.
+        left: Image column of its first pixel.
+        top: Image row of its first pixel.
+        corners: ``(4,)`` points of the rim; ``(0,)`` for those nearest to the predicted ones.
+        expected: ``(R, C, 2)`` the predicted nodes; ``(0, 0, 2)`` at a cold start.
+
+    Returns:
+        ``(625, 2)`` points, numbered as predicted, none if the corners are not in order; whether the mask has a pixel
+        there; the kink, radians; the corner that strays most, and by which share of half a diagonal; see
+        ``assess_lattice``; ``lattice_gauges``; ``(64, 2)`` the nodes.
+    """
+    _, smooth = material_outline(traced, False)
+    rim, turn, candidates, step, grain = rim_of(smooth)
+    if len(corners) == 0:
+        corners = nearest_corners(rim, candidates, step, outer_corners(expected))
+    if len(corners) == 0:
+        nothing = np.empty((0, 2))
+        return nothing, np.empty(0, np.bool_), 0.0, 0, 0.0, (0.0, 0.0, 0.0, 0.0), step * turn[:0], turn[:0], nothing
+    patch, kink = coons_patch(rim, turn, corners, step, grain)
+    corner, share = 0, 0.0
+    if len(expected):
+        last = FINE - 1
+        found = np.empty((4, 2))
+        for d in range(2):
+            found[0, d], found[1, d] = patch[0, d], patch[last, d]
+            found[2, d], found[3, d] = patch[FINE * FINE - 1, d], patch[FINE * last, d]
+        quarters, corner, share = match_corners(outer_corners(expected), found)
+        for _ in range(quarters):
+            turned = np.empty_like(patch)
+            for row in range(FINE):
+                for col in range(FINE):
+                    for d in range(2):
+                        turned[(last - col) * FINE + row, d] = patch[row * FINE + col, d]
+            patch = turned
+    lattice = patch.reshape(FINE, FINE, 2)
+    down, right = lattice_gauges(lattice)
+    nodes = sample_lattice(lattice, down, right, 8, 8, True)
+    on_mask = near_mask(mask, left, top, patch, 1)
+    return patch, on_mask, kink, corner, share, assess_lattice(lattice), down, right, nodes
+
+
+@compiled
+def _evenly(lattice: Array, down: Array, right: Array, rows: int, cols: int, centers: bool) -> Array:
+    """Return what ``sample_lattice`` returns."""
+    return sample_lattice(lattice, down, right, rows, cols, centers)
 
 
 def _equal_gaps(form: FittedLattice, rows: int, cols: int, ends: Ends) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """Fitted forms: ordered points laid over an observed object. A curve here; ``lattice`` holds the form of a sheet.
 
-A form gives order to what has none, and measures equal distances: along a curve by arc length, over a lattice by its two
-coordinates.
+A form gives order to what has none, and measures equal distances: along a curve by arc length, over a lattice by its
+two coordinates.
 """
 
 from __future__ import annotations

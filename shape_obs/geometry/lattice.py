@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,12 +27,19 @@ class FittedLattice(FittedForm):
     """A lattice of points over a sheet, row by row; the outer rows and columns lie on the sheet's border.
 
     Args:
+        gauges: How far down each row lies, ``(rows,)``, and how far right each column, ``(cols,)``: summed mean gaps.
         rows: How many rows, from the sheet's top to its bottom; the columns follow, from left to right.
         kink: Radians by which the outline around it turns at most, either way, away from its corners.
     """
 
+    gauges: tuple[Array, Array]
     rows: int
     kink: float = 0.0
+
+    @classmethod
+    def over(cls, points: Array, interpolated: Mask, rows: int, kink: float = 0.0, **other: Any) -> Self:
+        """Build a lattice of ``(P, D)`` points and measure its gaps."""
+        return cls(points, interpolated, _gauges(points, rows), rows, kink, **other)
 
     @property
     def lattice(self) -> Array:
@@ -44,11 +50,6 @@ class FittedLattice(FittedForm):
     def size(self) -> float:
         """Half the length around: the mean row plus the mean column."""
         return float(sum(gauge[-1] for gauge in self.gauges))
-
-    @cached_property
-    def gauges(self) -> tuple[Array, Array]:
-        """How far down each row lies, ``(rows,)``, and how far right each column, ``(cols,)``: summed mean gaps."""
-        return lattice_gauges(self.lattice)
 
     @property
     def corners(self) -> Array:
@@ -93,7 +94,8 @@ class FittedLattice(FittedForm):
         lattice = np.rot90(self.lattice, quarters)
         flags = np.rot90(self.interpolated.reshape(self.rows, -1), quarters).ravel()
         points = np.ascontiguousarray(lattice).reshape(self.points.shape)
-        return replace(self, points=points, interpolated=flags, rows=lattice.shape[0])
+        gauges = _gauges(points, len(lattice))
+        return replace(self, points=points, interpolated=flags, gauges=gauges, rows=len(lattice))
 
     def smoothed(self, values: Array, known: Mask) -> Array:
         """Fill ``(P,)`` values by the nearest known ones, and smooth them over 3 x 3 points by local planes."""
@@ -106,7 +108,11 @@ class FittedLattice(FittedForm):
 
     def with_points(self, points: Array) -> Self:
         """Return the same lattice with its points elsewhere: ``(P, D')`` for ``(P, D)``."""
-        return replace(self, points=points)
+        return replace(self, points=points, gauges=_gauges(points, self.rows))
+
+
+def _gauges(points: Array, rows: int) -> tuple[Array, Array]:
+    return lattice_gauges(points.reshape(rows, -1, points.shape[1]))
 
 
 def _between(at: Array, count: int) -> Array:
@@ -181,7 +187,7 @@ def _equal_gaps(gauge: Array, count: int, centers: bool) -> tuple[Indices, Array
 
 @compiled
 def outer_corners(nodes: Array) -> Array:
-    """Return ``(4, D)`` where a sheet has its corners, clockwise, if its pieces have their centres at ``(R, C, D)`` nodes."""
+    """Return the corners ``(4, D)`` of a sheet, clockwise, whose pieces have their centres at ``(R, C, D)`` nodes."""
     rows, cols, dimension = nodes.shape
     out = np.empty((4, dimension))
     for k in range(4):

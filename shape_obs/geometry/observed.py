@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.outline import Outline
 from shape_obs.geometry.samples import Samples
 
 if TYPE_CHECKING:
@@ -26,17 +25,14 @@ class Observed(Protocol):
         noun: ``"mask"`` or ``"cloud"``, for messages.
         sample_unit: ``"pixels"`` or ``"points"``, for messages.
         thinnest: The least width that can be measured.
+        dimension: 2 for pixels, 3 for metres.
     """
 
     unit: ClassVar[str]
     noun: ClassVar[str]
     sample_unit: ClassVar[str]
     thinnest: ClassVar[float]
-
-    @property
-    def dimension(self) -> int:
-        """2 for pixels, 3 for metres."""
-        ...
+    dimension: ClassVar[int]
 
     @property
     def resolution(self) -> float:
@@ -98,16 +94,16 @@ class Observed(Protocol):
         """The observations that an initial axis is taken from."""
         ...
 
-    def traced_outline(self, hole: int | None = None) -> Outline | None:
-        """Return the outline as it was traced pixel by pixel; None for a cloud."""
-        ...
-
     def outline_curve(self, hole: int | None = None) -> FittedCurve:
         """Return the outline of the largest piece, or of one of its holes, clockwise as seen."""
         ...
 
     def outline_samples(self, hole: int | None = None) -> Samples:
         """Return the points of the outline before any smoothing, weighted by arc length."""
+        ...
+
+    def outline_sampling(self, hole: int | None = None) -> tuple[int, float]:
+        """Return how many ``outline_samples`` there are, and how far apart they lie."""
         ...
 
     def outline_points(self, hole: int | None = None) -> Samples:

@@ -19,7 +19,7 @@ _EQUAL: Final = 2e-3
 # narrower than a gap, equal chords would move points off their material.
 MAX_SHIFT: Final = 0.35
 # Around an outline with many corners, each of which shortens a chord, equal chords need more room.
-_MAX_SHIFT_AROUND: Final = 1.5
+MAX_SHIFT_AROUND: Final = 1.5
 _BLOCK: Final = 250_000  # pairs of a point and a piece of a polyline in one pass: 4 MB in the plane
 
 
@@ -173,7 +173,7 @@ def equidistant_around(curve: Array, arc: Array, count: int) -> Array:
         count: How many.
     """
     around = np.concatenate([curve, curve[:1]])
-    return equidistant(around, arc, count + 1, 0.0, _MAX_SHIFT_AROUND)[:-1]
+    return equidistant(around, arc, count + 1, 0.0, MAX_SHIFT_AROUND)[:-1]
 
 
 @compiled

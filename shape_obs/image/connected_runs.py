@@ -41,8 +41,8 @@ def find_components(
         min_share: So are those smaller than this share of the largest.
 
     Returns:
-        ``(R, 3)`` runs, top to bottom and left to right; ``(Q,)`` the components' pixels, largest first; left, top, width
-        and height of the box around them; whether any were dropped.
+        ``(R, 3)`` runs, top to bottom and left to right; ``(Q,)`` the components' pixels, largest first; left, top,
+        width and height of the box around them; whether any were dropped.
     """
     runs = _runs(mask, left, top)
     label, count = label_runs(runs)
@@ -116,7 +116,7 @@ def _runs(mask: Mask, left: int, top: int) -> Indices:
 
 @compiled
 def label_runs(runs: Indices) -> tuple[Indices, int]:
-    """Return which component each run belongs to, ``(R,)``, and how many there are: union-find over neighbouring rows."""
+    """Return the component of each run, ``(R,)``, and how many there are: union-find over neighbouring rows."""
     count = len(runs)
     parent = np.arange(count)
     above = 0  # the first run of the row above that can still touch

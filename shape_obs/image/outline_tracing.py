@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Final
 
 import cv2
@@ -23,58 +21,32 @@ _RIGHT = np.array([1, 1, 0, -1, -1, -1, 0, 1])
 _DOWN = np.array([0, -1, -1, -1, 0, 1, 1, 1])
 
 
-@dataclass(frozen=True)
-class Component:
-    """One connected piece of a region.
-
-    Args:
-        area: Pixels.
-        outline: ``(P, 2)`` pixels, image coordinates, closed, 8-connected, through the centres of the border pixels.
-        perimeter: Length of the outline, pixels.
-        holes: Length of the outlines of its holes, pixels; specks left out.
-    """
-
-    area: int
-    outline: Array
-    perimeter: float
-    holes: float
-
-    @cached_property
-    def width(self) -> float:
-        """Width of the ribbon of this area and perimeter, pixels: the root of ``w (s - w) = area``.
-
-        The outline of an L x w ribbon runs through pixel centres, so it is 2 (L - 1) + 2 (w - 1) long. A ribbon that
-        lies in a loop has a part of it around the hole.
-        """
-        half = (self.perimeter + self.holes) / 2 + 2
-        return max((half - max(half * half - 4 * self.area, 0.0) ** 0.5) / 2, 1.0)
-
-
-def trace_outline(
-    mask: Mask, runs: Indices, left: int, top: int, box: tuple[int, int, int, int]
-) -> tuple[Array, float, float]:
-    """Trace the outline of a mask of one component.
+@compiled
+def trace_outline(mask: Mask, runs: Indices, left: int, top: int) -> tuple[Array, float]:
+    """Trace the outline of a mask of one component without holes.
 
     Args:
         mask: ``(h, w)`` uint8, C-contiguous, 0 = background.
         runs: ``(R, 3)`` its runs.
         left: Image column of its first pixel.
         top: Image row of its first pixel.
-        box: Left, top, width and height of the box around the component, image coordinates.
 
     Returns:
-        ``(P, 2)`` image pixels, closed, 8-connected, through the centres of the border pixels, in OpenCV's order; its
-        length; and the length of the outlines of its holes, pixels, specks left out.
+        ``(P, 2)`` image pixels, closed, 8-connected, through the centres of the border pixels, in OpenCV's order, and
+        its length, pixels; no points if there are holes.
     """
-    if not has_holes(runs):
-        outline, length = follow_border(mask, runs[0, 1] - left, runs[0, 0] - top, left, top)
-        return outline, length, 0.0
-    u, v, width, height = box
-    return trace_with_holes(mask[v - top : v - top + height, u - left : u - left + width], u, v)
+    if has_holes(runs):
+        return np.empty((0, 2)), 0.0
+    return follow_border(mask, runs[0, 1] - left, runs[0, 0] - top, left, top)
 
 
 def trace_with_holes(mask: Mask, left: int, top: int) -> tuple[Array, float, float]:
-    """Trace the outline of a component that fills its mask, as ``trace_outline`` does, with OpenCV."""
+    """Trace the outline of a component that fills its mask, and measure its holes, with OpenCV.
+
+    Returns:
+        The outline and its length as ``trace_outline`` returns them, and the length of the outlines of the holes,
+        pixels, specks left out.
+    """
     contours, table = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     parents = np.asarray(table).reshape(-1, 4)[:, 3].tolist()
     outline = np.asarray(contours[parents.index(-1)]).reshape(-1, 2) + (float(left), float(top))
@@ -85,7 +57,7 @@ def trace_with_holes(mask: Mask, left: int, top: int) -> tuple[Array, float, flo
 
 @compiled
 def has_holes(runs: Indices) -> bool:
-    """Return whether a component of ``(R, 3)`` runs has holes: it has as many as runs touch more often than R - 1 times."""
+    """Return whether a component of ``(R, 3)`` runs has holes: then runs touch more often than R - 1 times."""
     touching, above = 0, 0
     for at in range(len(runs)):
         row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]

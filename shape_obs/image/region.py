@@ -2,31 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Any, ClassVar, Final, TypeGuard
+from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.frame import Frame
+from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.outline import Outline
+from shape_obs.geometry.outline import SAMPLED, Outline
 from shape_obs.geometry.samples import Samples
-from shape_obs.image.colour_search import find_by_colour, find_on_lattice, look_up, table_mask
-from shape_obs.image.colour_table import colour_table
-from shape_obs.image.connected_runs import find_components, gather_cells, near_mask
-from shape_obs.image.outline_tracing import Component, follow_border, has_holes, trace_outline, trace_with_holes
-from shape_obs.image.roi import ROI, Window
-from shape_obs.image.segmentation import ColourRule, Segmentation, need
+from shape_obs.image.connected_runs import gather_cells, near_mask
+from shape_obs.image.outline_tracing import trace_outline, trace_with_holes
+from shape_obs.image.roi import Window
+
+if TYPE_CHECKING:  # a protocol's property accepts no other descriptor
+    cached_property = property
+else:
+    from functools import cached_property
 
 Array = npt.NDArray[np.float64]
 
 _MAX_CELL: Final = 24
-# A strand at least so wide, pixels, is not missed where one pixel in step x step is looked at: see ``find_by_colour``.
-_WIDE, _FAR_STEP, _NARROW, _NEAR_STEP = 12.0, 8, 7.0, 4
+
+
+class Component(NamedTuple):
+    """One connected piece of a region.
+
+    Args:
+        area: Pixels.
+        outline: ``(P, 2)`` pixels, image coordinates, closed, 8-connected, through the centres of the border pixels.
+        perimeter: Length of the outline, pixels.
+        holes: Length of the outlines of its holes, pixels; specks left out.
+        width: Of the ribbon of this area and perimeter, pixels.
+    """
+
+    area: int
+    outline: Array
+    perimeter: float
+    holes: float
+    width: float
 
 
 @dataclass(frozen=True)
@@ -41,6 +57,7 @@ class Region:
         box: The upright rectangle around them.
         area: Pixels of all components.
         pieces: How many components there are.
+        resolution: One pixel.
     """
 
     window: Window
@@ -50,11 +67,11 @@ class Region:
     box: Window
     area: int
     pieces: int
+    resolution: float = 1.0
     unit: ClassVar[str] = "px"
     noun: ClassVar[str] = "mask"
     sample_unit: ClassVar[str] = "pixels"
     dimension: ClassVar[int] = 2
-    resolution: ClassVar[float] = 1.0
     thinnest: ClassVar[float] = 3.0
 
     @cached_property
@@ -63,8 +80,9 @@ class Region:
         if not self.areas:
             return ()
         if self.pieces == 1:
-            left, top = self.window.left, self.window.top
-            return (Component(self.area, *trace_outline(self.mask, self.runs, left, top, self.box)),)
+            outline, length = _trace(self.mask, self.runs, self.window.left, self.window.top)
+            if len(outline):
+                return (_component(self.area, outline, length, 0.0),)
         left, top = self.box.left - self.window.left, self.box.top - self.window.top
         crop = self.mask[top : top + self.box.height, left : left + self.box.width]
         count, found, table, _ = cv2.connectedComponentsWithStats(crop, connectivity=8)
@@ -73,7 +91,7 @@ class Region:
         for label in 1 + np.argsort(-stats[1:count, cv2.CC_STAT_AREA], kind="stable"):
             left, top, width, height, area = (int(value) for value in stats[label])
             piece = (labels[top : top + height, left : left + width] == label).view(np.uint8)
-            components.append(Component(area, *trace_with_holes(piece, self.box.left + left, self.box.top + top)))
+            components.append(_component(area, *trace_with_holes(piece, self.box.left + left, self.box.top + top)))
         return tuple(components)
 
     @cached_property
@@ -124,6 +142,10 @@ class Region:
     def outline_samples(self, hole: int | None = None) -> Samples:
         """Return the points of the outline before any smoothing, two by two."""
         return self.traced_outline(hole).samples
+
+    def outline_sampling(self, hole: int | None = None) -> tuple[int, float]:
+        """Return how many ``outline_samples`` there are, and how far apart they lie, pixels."""
+        return -(-len(self.traced_outline(hole).traced) // SAMPLED), float(SAMPLED)
 
     def outline_points(self, hole: int | None = None) -> Samples:
         """Return the points of the outline, each counting once."""
@@ -200,70 +222,18 @@ class Region:
         return near_mask(self.mask, self.window.left, self.window.top, points, 0)
 
 
-def segment(frame: Frame, window: Window, rule: Segmentation, roi: ROI, width: float = 0.0) -> Region:
-    """Find the plausible components of a rule's mask in a window, the quickest way that gives the same pixels.
+@compiled
+def _trace(mask: npt.NDArray[np.uint8], runs: npt.NDArray[np.int64], left: int, top: int) -> tuple[Array, float]:
+    """Return what ``trace_outline`` returns."""
+    return trace_outline(mask, runs, left, top)
 
-    A colour rule is looked up in its table. If the object is known to be wide, not every pixel has to be read:
-    components that hold no disc nearly as wide may then be overlooked, and all others are the same to the pixel.
 
-    Args:
-        frame: The images.
-        window: Where to look.
-        rule: Which pixels belong to the object.
-        roi: What to blank in the window.
-        width: Of the object where it is thinnest, pixels; 0 if it is unknown, and nothing is overlooked.
+def _component(area: int, outline: Array, perimeter: float, holes: float) -> Component:
+    """Measure a component. Its width is the root w of ``w (s - w) = area``, s being half of what is around it.
+
+    The outline of an L x w ribbon runs through pixel centres, so it is 2 (L - 1) + 2 (w - 1) long. A ribbon that
+    lies in a loop has a part of it around the hole.
     """
-    if not is_tabulated(rule):
-        mask = rule.apply(frame, window)
-    else:
-        rgb = frame.rgb if frame.rgb is not None else need(None, "rgb", rule)
-        table, step = colour_table(rule), _FAR_STEP if width >= _WIDE else _NEAR_STEP if width >= _NARROW else 1
-        untouched = max(rule.open, rule.close) <= 1 and type(roi).blank is ROI.blank
-        if step > 1 and untouched:
-            mask, runs, areas, box = find_by_colour(rgb, window, table, step, rule.min_area, rule.min_share)
-            sizes = areas.tolist()
-            return Region(window, mask, runs, tuple(sizes), Window(*box), sum(sizes), len(sizes))
-        mask = rule.clean(table_mask(rgb, window, table))
-    return find_region(roi.blank(mask, window), window, rule.min_area, rule.min_share)
-
-
-def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_share: float) -> Region:
-    """Keep the plausible components of a mask.
-
-    Args:
-        mask: ``(h, w)`` uint8, 0 = background.
-        window: Where the mask lies in the image.
-        min_area: Smaller components are dropped, pixels.
-        min_share: So are those smaller than this share of the largest.
-
-    Returns:
-        The region; without components when nothing is left.
-    """
-    if not (mask.flags.c_contiguous and mask.flags.writeable):
-        mask = mask.copy()  # compiled code distinguishes such arrays
-    runs, areas, box, dropped = find_components(mask, window.left, window.top, min_area, min_share)
-    if dropped:
-        mask = np.zeros_like(mask)
-        for row, start, stop in (runs - [window.top, window.left, window.left]).tolist():
-            mask[row, start:stop] = 255
-    sizes = areas.tolist()
-    return Region(window, mask, runs, tuple(sizes), Window(*box), sum(sizes), len(sizes))
-
-
-@lru_cache(maxsize=64)
-def is_tabulated(rule: Segmentation | None) -> TypeGuard[ColourRule]:
-    """Return whether a table gives what a rule gives: a colour rule that overrides nothing but ``matches``."""
-    return (
-        isinstance(rule, ColourRule)
-        and type(rule).threshold is ColourRule.threshold
-        and type(rule).apply is ColourRule.apply
-        and type(rule).clean is ColourRule.clean
-    )
-
-
-def prepare(rules: Iterable[Segmentation | None]) -> list[Callable[..., Any]]:
-    """Build the tables of colour rules, and return the compiled functions that any region needs."""
-    for rule in rules:
-        if is_tabulated(rule):
-            colour_table(rule)
-    return [find_components, gather_cells, near_mask, follow_border, has_holes, look_up, find_on_lattice]
+    half = (perimeter + holes) / 2 + 2
+    width = max((half - max(half * half - 4 * area, 0.0) ** 0.5) / 2, 1.0)
+    return Component(area, outline, perimeter, holes, width)

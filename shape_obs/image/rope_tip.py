@@ -75,7 +75,7 @@ def extend_chain(nodes: Array, mask: Mask, left: int, top: int, width: float, th
 
 @compiled
 def _march(mask: Mask, left: int, top: int, start: Array, width: float, thinnest: float) -> Array:
-    """Return the way from the end of a chain, the first of ``(3, 2)`` nodes, along its strand to the tip: ``(S, 2)``."""
+    """Return the way from a chain's end, the first of ``(3, 2)`` nodes, along its strand to the tip: ``(S, 2)``."""
     hx, hy = start[0, 0] - start[1, 0], start[0, 1] - start[1, 1]
     gx, gy = start[1, 0] - start[2, 0], start[1, 1] - start[2, 1]
     norm, other = max(np.sqrt(hx * hx + hy * hy), 1e-9), max(np.sqrt(gx * gx + gy * gy), 1e-9)

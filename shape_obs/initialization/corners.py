@@ -54,7 +54,7 @@ class Rim:
 
     @classmethod
     def along(cls, outline: Array, flat: Array) -> Rim:
-        """Build the rim of a closed outline of ``(P, D)`` points and the same ``(P, 2)`` unrolled, no point repeated."""
+        """Build the rim of a closed outline ``(P, D)`` and of the same unrolled ``(P, 2)``, no point repeated."""
         even, turn, candidates, step, grain = rim_of(flat)
         if outline is flat:
             return cls(even, even, turn, candidates, step, grain)
@@ -114,7 +114,8 @@ def rim_of(outline: Array) -> tuple[Array, Array, Indices, float, float]:
 
     Returns:
         ``(400, 2)`` points evenly spaced; ``(400,)`` radians by which it turns about each, positive where it is convex;
-        ``(Q,)`` the points where it turns most, in order, at most ten; the distance between two points; the outline's own.
+        ``(Q,)`` the points where it turns most, in order, at most ten; the distance between two points; that between
+        two points of the outline.
     """
     arc = closed_arc(outline)
     points = even_around(outline, arc, 0.0, RIM)

@@ -68,7 +68,7 @@ def fold_outline(outline: Array, width: float) -> Array:
 
 @compiled
 def unexplained_share(outline: Array, curve: Array, reach: float) -> float:
-    """Return the share of a ribbon's outline ``(P, 2)``, every other point of it, that lies far from a curve ``(S, 2)``.
+    """Return the share of every other point of a ribbon's outline ``(P, 2)`` that lies far from a curve ``(S, 2)``.
 
     Far is more than ``reach`` and half the curve's widest step from all of its points.
     """
@@ -121,7 +121,7 @@ def _overlap(x: Array, y: Array, back_x: Array, back_y: Array, k: int) -> float:
 
 @compiled
 def _sharp_bends(even: Array, width: float, tips: Array, known: int) -> int:
-    """Add the places where the outline turns most within a ribbon's width to the tips; return how many there are then."""
+    """Add the places where the outline turns most within a ribbon's width to the tips; return how many there are."""
     reach = min(max(int(np.rint(width)), 1), _N // 4)
     turn = np.empty(_N)
     for i in range(_N):

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import arc_length, interpolate
-from shape_obs.image.outline_tracing import SPECK, Component
-from shape_obs.image.region import Region
+from shape_obs.image.outline_tracing import SPECK
+from shape_obs.image.region import Component, Region
 from shape_obs.image.roi import Window
 from shape_obs.initialization.crossings import Strands, untangle
 from shape_obs.initialization.folding import fold_outline, unexplained_share

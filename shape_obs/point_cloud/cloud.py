@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
 
 import numpy as np
@@ -18,17 +17,19 @@ from shape_obs.geometry.samples import Samples
 from shape_obs.point_cloud.geodesics import ring
 from shape_obs.point_cloud.rope_tip import extend_chain, first_gap
 from shape_obs.point_cloud.unrolling import Chart, border, chart
-from shape_obs.point_cloud.voxels import Indices, Ribbon, gather, links, measure, pieces
+from shape_obs.point_cloud.voxels import ConnectedVoxels, Piece, Ribbon, connect, measure
 
 if TYPE_CHECKING:
     pass
 
+if TYPE_CHECKING:  # a protocol's property accepts no other descriptor
+    cached_property = property
+else:
+    from functools import cached_property
+
 Array = npt.NDArray[np.float64]
 
 _MOST: Final = 20_000  # points; more say nothing new and cost time
-_EDGE: Final = 0.5  # of a voxel, in widths
-_COARSE: Final = 1 / 40  # and at most, of the extent: what is no rope is not thin
-_MIN_SHARE: Final = 0.02  # of the largest piece's points; smaller pieces are specks
 _FEWEST: Final = 4  # samples that a sheet has
 _RING: Final = 8.0  # widths: a ring is longer
 _MAX_PIECES: Final = 16  # and falls into no more: the cost of joining them grows with the cube of their number
@@ -48,36 +49,6 @@ class Sheet(NamedTuple):
     outline: Array
     flat: Array
     outline_flat: Array
-
-
-class Piece(NamedTuple):
-    """One piece that hangs together.
-
-    Args:
-        samples: Indices of the cloud's samples.
-        area: Points.
-    """
-
-    samples: Indices
-    area: float
-
-
-class _Pieces(NamedTuple):
-    """The pieces of a cloud without specks.
-
-    Args:
-        points: (M',3) metres.
-        sample: (M',) which sample each point belongs to.
-        samples: Their voxels.
-        links: How the voxels hang together.
-        components: Largest first.
-    """
-
-    points: Array
-    sample: Indices
-    samples: Samples
-    links: csr_matrix
-    components: tuple[Piece, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,10 +181,6 @@ class Cloud:
         offset = self.kept - place
         return self.kept[np.einsum("md,md->m", offset, offset) <= reach**2]
 
-    def traced_outline(self, hole: int | None = None) -> None:
-        """Return None: the boundary of a cloud is not traced pixel by pixel."""
-        return None
-
     def outline_curve(self, hole: int | None = None) -> FittedCurve:
         """Return the closed boundary, clockwise as seen along +z: a ring's axis, or the border of a sheet."""
         points = self.sheet().outline if self._ring is None else self._ring
@@ -224,6 +191,11 @@ class Cloud:
         curve = self.outline_curve()
         step = np.diff(curve.arc)
         return Samples(curve.points, (step + np.roll(step, 1)) / 2, curve.size / len(curve.points))
+
+    def outline_sampling(self, hole: int | None = None) -> tuple[int, float]:
+        """Return how many ``outline_samples`` there are, and how far apart they lie, metres."""
+        samples = self.outline_samples()
+        return len(samples), samples.scale
 
     def outline_points(self, hole: int | None = None) -> Samples:
         """Return as many points at equal distances around the boundary, each counting once."""
@@ -302,25 +274,5 @@ class Cloud:
         return self.points[np.random.default_rng(0).choice(len(self.points), _MOST, replace=False)]
 
     @cached_property
-    def _pieces(self) -> _Pieces:
-        points = self._thinned
-        if not len(points):
-            nothing = Samples(np.zeros((0, 3)), np.zeros(0), 1.0)
-            return _Pieces(points, np.zeros(0, np.intp), nothing, csr_matrix((0, 0)), ())
-        extent = float(np.linalg.norm(np.ptp(points, axis=0)))
-        voxels = gather(points, min(_EDGE * self._ribbon.width, _COARSE * extent))
-        graph = links(voxels.samples)
-        found = pieces(graph, voxels.samples.weight, _MIN_SHARE)
-        samples, cube = voxels
-        weight = samples.weight
-        place = np.arange(len(samples))
-        keep = np.sort(np.concatenate(found))
-        if len(keep) < len(samples):
-            place[:] = -1
-            place[keep] = np.arange(len(keep))
-            cube = place[cube]
-            points, cube = points[cube >= 0], cube[cube >= 0]
-            samples = Samples(samples.points[keep], weight[keep], samples.scale)
-            graph = graph[keep][:, keep]
-        components = tuple(Piece(place[piece], float(weight[piece].sum())) for piece in found)
-        return _Pieces(points, cube, samples, graph, components)
+    def _pieces(self) -> ConnectedVoxels:
+        return connect(self._thinned, self._ribbon.width)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
@@ -18,6 +17,11 @@ from shape_obs.geometry.observed import Observed
 from shape_obs.image.region import Region
 from shape_obs.point_cloud.cloud import Cloud, Sheet
 from shape_obs.point_cloud.lifting import form_depth, lift_form
+
+if TYPE_CHECKING:  # a protocol's property accepts no other descriptor
+    cached_property = property
+else:
+    from functools import cached_property
 
 Array = npt.NDArray[np.float64]
 

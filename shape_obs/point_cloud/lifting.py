@@ -154,7 +154,7 @@ def median_depth(
 
 @compiled
 def _select(values: Array, count: int, place: int) -> float:
-    """Return the value at a place of ``count`` values in order, which are left partly in order (C. A. R. Hoare, 1961)."""
+    """Return the value at a place of ``count`` values in order; they are left partly sorted (C. A. R. Hoare, 1961)."""
     low, high = 0, count - 1
     while low < high:
         pivot, i, j = values[(low + high) // 2], low, high

@@ -113,7 +113,7 @@ def _heading(nodes: Array) -> Array:
 
 
 def _continue(heading: Array, step: Array) -> Array:
-    """Return the heading after a step. On a circle the tangent turns twice as far as the chord; half of that more is taken."""
+    """Return the heading after a step: on a circle the tangent turns twice as far as the chord; half is added."""
     chord = _unit(step, heading)
     return _unit(chord + (chord - heading) / 2, chord)
 

@@ -20,6 +20,9 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
 
+_EDGE: Final = 0.5  # of a voxel, in widths
+_COARSE: Final = 1 / 40  # and at most, of the extent: what is no rope is not thin
+_MIN_SHARE: Final = 0.02  # of the largest piece's points; smaller pieces are specks
 _PER_VOXEL: Final = 2.0  # points; with fewer the voxels would be the points, and fall apart
 
 _GROWTH: Final = 1.5
@@ -108,6 +111,65 @@ _ELONGATED: Final = 2.2
 _CROSSING: Final = 3.0  # of the median spread: no neighbourhood counts as more
 
 _FEWEST: Final = 12  # points in a neighbourhood; the shape of fewer is chance
+
+
+class Piece(NamedTuple):
+    """One piece that hangs together.
+
+    Args:
+        samples: Indices of the cloud's samples.
+        area: Points.
+    """
+
+    samples: Indices
+    area: float
+
+
+class ConnectedVoxels(NamedTuple):
+    """The pieces of a cloud without specks.
+
+    Args:
+        points: (M',3) metres.
+        sample: (M',) which sample each point belongs to.
+        samples: Their voxels.
+        links: How the voxels hang together.
+        components: Largest first.
+    """
+
+    points: Array
+    sample: Indices
+    samples: Samples
+    links: csr_matrix
+    components: tuple[Piece, ...]
+
+
+def connect(points: Array, width: float) -> ConnectedVoxels:
+    """Gather points into voxels, find the connected pieces and leave out specks.
+
+    Args:
+        points: ``(M, 3)`` in metres.
+        width: Of the object as a rope, metres; 0 if unknown.
+    """
+    if not len(points):
+        nothing = Samples(np.zeros((0, 3)), np.zeros(0), 1.0)
+        return ConnectedVoxels(points, np.zeros(0, np.intp), nothing, csr_matrix((0, 0)), ())
+    extent = float(np.linalg.norm(np.ptp(points, axis=0)))
+    voxels = gather(points, min(_EDGE * width, _COARSE * extent))
+    graph = links(voxels.samples)
+    found = pieces(graph, voxels.samples.weight, _MIN_SHARE)
+    samples, cube = voxels
+    weight = samples.weight
+    place = np.arange(len(samples))
+    keep = np.sort(np.concatenate(found))
+    if len(keep) < len(samples):
+        place[:] = -1
+        place[keep] = np.arange(len(keep))
+        cube = place[cube]
+        points, cube = points[cube >= 0], cube[cube >= 0]
+        samples = Samples(samples.points[keep], weight[keep], samples.scale)
+        graph = graph[keep][:, keep]
+    components = tuple(Piece(place[piece], float(weight[piece].sum())) for piece in found)
+    return ConnectedVoxels(points, cube, samples, graph, components)
 
 
 class Ribbon(NamedTuple):

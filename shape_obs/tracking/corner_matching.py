@@ -7,14 +7,12 @@ Point Patterns", 1991), and the fourth has to follow.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.lattice import FittedLattice, outer_corners
 
 Array = npt.NDArray[np.float64]
 
@@ -22,31 +20,8 @@ Array = npt.NDArray[np.float64]
 STRAYED: Final = 0.06
 
 
-def match_corners(form: FittedLattice, expected: Array, freedom: float) -> FittedLattice:
-    """Turn a lattice so that its corners lie nearest to the predicted ones; ambiguous if one of them is not the sheet's.
-
-    Args:
-        form: The lattice that was found.
-        expected: ``(R, C, D)`` the predicted nodes.
-        freedom: How far a corner may move on its own, as a share of half a diagonal.
-    """
-    if expected.shape[2] == 2:
-        quarters, corner, share = match_corners_plane(expected, form.lattice)
-    else:
-        quarters, corner, share = _match_corners_space(outer_corners(expected), form.corners)
-    turned, strays = form.turned(quarters), _strays(corner, share, freedom)
-    return replace(turned, ambiguity=form.ambiguity or strays) if strays else turned
-
-
-def _strays(corner: int, share: float, freedom: float) -> str:
-    """Return why a corner cannot be the sheet's that lies a share of half a diagonal from where the others put it."""
-    if share <= freedom:
-        return ""
-    return f"corner {corner} strays by {share:.0%} of half a diagonal from where the other three have moved"
-
-
-def _match_corners_space(expected: Array, corners: Array) -> tuple[int, int, float]:
-    """Return what ``match_corners_plane`` returns, for ``(4, 3)`` corners in space."""
+def match_corners_in_space(expected: Array, corners: Array) -> tuple[int, int, float]:
+    """Return what ``match_corners`` returns, for ``(4, 3)`` corners in space."""
     away = [np.sum((np.roll(corners, -turn, axis=0) - expected) ** 2) for turn in range(4)]
     quarters = int(np.argmin(away))
     found = np.roll(corners, -quarters, axis=0)
@@ -69,23 +44,19 @@ def _astray(expected: Array, found: Array, corner: int) -> float:
 
 
 @compiled
-def match_corners_plane(nodes: Array, lattice: Array) -> tuple[int, int, float]:
+def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
     """Return how a sheet's corners are numbered, and which one lies farthest from where the other three put it.
 
     The similarity transform of complex numbers is one product: the least squares of ``found = a expected + b``.
 
     Args:
-        nodes: ``(R, C, 2)`` predicted.
-        lattice: ``(R', C', 2)`` found.
+        expected: ``(4, 2)`` predicted corners, clockwise.
+        corners: ``(4, 2)`` found.
 
     Returns:
         By how many quarters the found lattice is to be turned, so that its corners lie nearest to the predicted
         ones; then which of them strays most, and by which share of half a diagonal.
     """
-    expected, corners = outer_corners(nodes), np.empty((4, 2))
-    for d in range(2):
-        corners[0, d], corners[1, d] = lattice[0, 0, d], lattice[0, -1, d]
-        corners[2, d], corners[3, d] = lattice[-1, -1, d], lattice[-1, 0, d]
     quarters, least = 0, np.inf
     for turn in range(4):
         square = 0.0

@@ -15,7 +15,7 @@ from shape_obs.image.roi import Window
 Array = npt.NDArray[np.float64]
 
 _VELOCITY_SHARE: Final = 0.8
-_MAX_SIZE_CHANGE: Final = 0.06
+MAX_SIZE_CHANGE: Final = 0.06  # of the size, from one frame to the next
 _MAX_WIDTH_CHANGE: Final = 0.02
 _WIDTH_NOISE: Final = 0.03
 _STEADY: Final = 0.003  # of its area, by which an object that is seen as a whole changes from frame to frame
@@ -31,6 +31,7 @@ class Fit(NamedTuple):
         reason: Why it was refused; empty if it was not.
         nodes: ``(K, D)`` the map's nodes on the form, for the track.
         topology: How the nodes are connected.
+        size: Of the form, which must not jump from frame to frame.
         width: Of the object, for the next frame; 0 if it is not known beforehand.
         observed: What the form was fitted to.
         object_width: The width of the object that the fit assumed.
@@ -42,6 +43,7 @@ class Fit(NamedTuple):
     reason: str = ""
     nodes: Array | None = None
     topology: Topology | None = None
+    size: float = 0.0
     width: float = 0.0
     observed: Any = None
     object_width: float = 0.0
@@ -134,14 +136,9 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
     velocity = np.zeros_like(nodes)
     if track is not None and interval > _LEAST_INTERVAL:
         velocity = (nodes - track.nodes) / interval
-    size, area = form.hints.size or form.size, 0 if form.interpolated.any() else observed.area
+    size, area = found.size, 0 if form.interpolated.any() else observed.area
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
     return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area)
-
-
-def size_jump(prediction: Prediction, size: float) -> bool:
-    """Return whether a form's size differs from the predicted one by more than an object's size can change."""
-    return abs(size / prediction.size - 1) > _MAX_SIZE_CHANGE
 
 
 def _believed(change: float) -> float:

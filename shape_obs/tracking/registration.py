@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 
 # Numbered by the last frame alone, an outline of noisy pixels creeps by 6 px in 180 frames. The mean of some twenty
 # frames holds it, and is left behind by slow changes of shape alone.
-_FORGETTING: Final = 0.05
+FORGETTING: Final = 0.05
 # How much the place and direction of an outline weigh against its shape, whose match is worth 1. A square fits itself
 # four ways, a towel two: the way that turns least is chosen.
 _TURNING: Final = 0.05
@@ -43,25 +43,21 @@ _COS, _SIN = np.cos(_ROUND), np.sin(_ROUND)
 
 
 def match_outline(curve: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, Array]:
-    """Renumber a closed curve from the place where the predicted outline begins, whichever way it has turned.
+    """Renumber a closed curve in space from the place where the predicted outline begins, however it has turned.
 
     Args:
-        curve: ``(P, D)``, clockwise as seen, starting anywhere.
+        curve: ``(P, 3)``, clockwise as seen, starting anywhere.
         prediction: Where the outline should be.
 
     Returns:
-        The same curve from there on, and its ``(K, D)`` nodes, equally spaced.
+        The same curve from there on, and its ``(K, 3)`` nodes, equally spaced.
     """
-    count = len(prediction.nodes)
-    reference = prediction.nodes if prediction.hints.reference is None else prediction.hints.reference
-    if curve.points.shape[1] == 2:
-        points, _, nodes, blended = renumber_outline(curve.points, reference, prediction.nodes, _FORGETTING)
-        hints = TrackHints(reference=blended)
-        return FittedCurve.through(points, np.zeros(len(points), bool), closed=True, hints=hints), nodes
+    count, reference = len(prediction.nodes), prediction.hints.reference
+    reference = prediction.nodes if reference is None else reference
     shift = _index_shift_space(reference, prediction.nodes, curve.even(count))
     turned = curve.starting_at(shift * curve.size / count)
     nodes = turned.even(count)
-    return replace(turned, hints=TrackHints(reference=_blend_space(reference, nodes, _FORGETTING))), nodes
+    return replace(turned, hints=TrackHints(reference=_blend_space(reference, nodes, FORGETTING))), nodes
 
 
 @compiled
@@ -207,7 +203,8 @@ def _spectrum(before: Array, after: Array) -> Array:
     """Return the correlation over cyclic shifts, ``(4, H)``: real cos, real sin, imaginary cos, imaginary sin.
 
     A wave of u + iv that runs forwards is (u_cos + v_sin) + i (v_cos - u_sin), and one that runs backwards has the
-    other signs; the correlation multiplies the conjugate of the one outline's with the other's. A perfect match gives 1.
+    other signs; the correlation multiplies the conjugate of the one outline's with the other's. A perfect match gives
+    1.
     """
     out = np.empty((4, _HARMONICS))
     first = second = 0.0

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.frame import Frame
-from shape_obs.image.region import Region, find_region, segment
-from shape_obs.image.roi import ROI, Place, Window
+from shape_obs.image.find_region import find_region, segment
+from shape_obs.image.region import Region
+from shape_obs.image.roi import ROI, Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.point_cloud.deprojection import SeenCloud, deproject
 from shape_obs.tracking.prediction import Track
@@ -48,6 +49,7 @@ def predict_search_window(tracks: list[Track | None]) -> SearchWindow | None:
     return SearchWindow(Window(int(left), int(top), int(right - left), int(bottom - top)), width)
 
 
+@dataclass
 class RegionSearch:
     """The regions found in one frame so far, one for each pixel rule.
 
@@ -55,39 +57,38 @@ class RegionSearch:
         frame: The images.
         mask: ``(H, W)`` uint8 where someone else has segmented; None where the rules do.
         roi: Where to look at all.
-        expected: Where the mask of each rule should be; a rule without an entry is looked for everywhere.
+        tracks: The tracks of the shapes of each rule; a rule without an entry is looked for everywhere.
     """
 
-    def __init__(
-        self,
-        frame: Frame,
-        mask: npt.NDArray[np.uint8] | None,
-        roi: ROI,
-        expected: Mapping[Segmentation | None, SearchWindow | None],
-    ) -> None:
-        image = mask if mask is not None else frame.rgb if frame.rgb is not None else frame.depth
-        assert image is not None
-        self._frame, self._mask, self._roi, self._expected = frame, mask, roi, dict(expected)
-        self._whole = _window(roi, image.shape[0], image.shape[1])
-        self._regions: dict[Segmentation | None, Region] = {}
-        self._clouds: dict[Segmentation | None, SeenCloud] = {}
+    frame: Frame
+    mask: npt.NDArray[np.uint8] | None
+    roi: ROI
+    tracks: dict[Segmentation | None, list[Track | None]]
+    regions: dict[Segmentation | None, Region] = field(default_factory=dict)
+    clouds: dict[Segmentation | None, SeenCloud] = field(default_factory=dict)
 
     def region(self, rule: Segmentation | None) -> Region:
         """Return the region of a rule, looked for where it is expected; what runs out of there, everywhere."""
-        if rule in self._regions:
-            return self._regions[rule]
-        expected, whole = self._expected.get(rule), self._whole
-        window, width = (whole, 0.0) if expected is None else expected
+        if rule in self.regions:
+            return self.regions[rule]
+        frame, image = self.frame, self.mask if self.mask is not None else self.frame.rgb
+        image = image if image is not None else frame.depth
+        assert image is not None
+        whole = _window(self.roi, image.shape[0], image.shape[1])
+        expected = predict_search_window(self.tracks[rule]) if rule in self.tracks else None
         reach = 1 if rule is None else 1 + rule.open + rule.close
-        if expected is not None:
-            window = _clipped(window, reach, whole)
-        if self._mask is None:
-            assert rule is not None
-            region = segment(self._frame, window, rule, self._roi, width)
+        window, width = whole, 0.0
+        if expected is None:
+            self.tracks.pop(rule, None)
         else:
-            floor, mask = rule or Segmentation, self._roi.blank(self._mask[window.slices], window)
+            window, width = _clipped(expected.window, reach, whole), expected.width
+        if self.mask is None:
+            assert rule is not None
+            region = segment(frame, window, rule, self.roi, width)
+        else:
+            floor, mask = rule or Segmentation, self.roi.blank(self.mask[window.slices], window)
             region = find_region(mask, window, floor.min_area, floor.min_share)
-        self._regions[rule] = region
+        self.regions[rule] = region
         if expected is not None and (not region.areas or _is_cut(region.box, reach, window, whole)):
             self.widen(rule)
             return self.region(rule)
@@ -95,18 +96,18 @@ class RegionSearch:
 
     def cloud(self, rule: Segmentation | None) -> SeenCloud:
         """Return the points under the region of a rule; the frame must have depth and a camera."""
-        if rule not in self._clouds:
-            assert self._frame.depth is not None
-            assert self._frame.camera is not None
-            self._clouds[rule] = deproject(self.region(rule), self._frame.depth, self._frame.camera.intrinsics)
-        return self._clouds[rule]
+        if rule not in self.clouds:
+            assert self.frame.depth is not None
+            assert self.frame.camera is not None
+            self.clouds[rule] = deproject(self.region(rule), self.frame.depth, self.frame.camera.intrinsics)
+        return self.clouds[rule]
 
     def widen(self, rule: Segmentation | None) -> bool:
         """Look for a rule everywhere from now on; return False if that has been done."""
-        if self._expected.pop(rule, None) is None:
+        if self.tracks.pop(rule, None) is None:
             return False
-        self._regions.pop(rule, None)
-        self._clouds.pop(rule, None)
+        self.regions.pop(rule, None)
+        self.clouds.pop(rule, None)
         return True
 
 
@@ -114,11 +115,6 @@ class RegionSearch:
 def _window(roi: ROI, height: int, width: int) -> Window:
     """Return the pixels of an image that a region of interest reads."""
     return roi.window((height, width))
-
-
-def locate(roi: ROI, frame: Frame, memory: Any) -> Place:
-    """Locate a region of interest in a frame."""
-    return Place(roi) if type(roi).place is ROI.place else roi.place(frame.rgb, memory)
 
 
 def _clipped(near: Window, reach: int, whole: Window) -> Window:

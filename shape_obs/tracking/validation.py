@@ -11,7 +11,6 @@ import numpy.typing as npt
 from shape_obs.clustering.som import best_matching_units, nearest_around
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.lattice import FittedLattice, assess_lattice
 from shape_obs.geometry.observed import Observed
 
 Array = npt.NDArray[np.float64]
@@ -111,7 +110,14 @@ def validate_outline(observed: Observed, miss: float) -> FitQuality:
     return FitQuality("", ((1 - excess) * piece) ** 0.5)
 
 
-def validate_sheet(form: FittedLattice, observed: Observed, kink: float) -> FitQuality:
+def validate_sheet(
+    off: float,
+    measures: tuple[float, float, float, float],
+    noun: str,
+    kink: float,
+    stray: tuple[int, float],
+    freedom: float,
+) -> FitQuality:
     """Validate a lattice over a sheet.
 
     Refused are a lattice that leaves the object over 10 %, a corner more than 55 degrees off a right angle, a lattice
@@ -120,14 +126,19 @@ def validate_sheet(form: FittedLattice, observed: Observed, kink: float) -> FitQ
     than 7 %, and no areas vary by more than 15 %; T-shirts and shorts begin there.
 
     Args:
-        form: The lattice.
-        observed: What it was fitted to.
+        off: The share of the lattice that lies off the object.
+        measures: See ``assess_lattice``.
+        noun: What it was fitted to: ``"mask"`` or ``"cloud"``.
         kink: Degrees by which the outline turns at most, away from the corners.
+        stray: The corner that lies farthest from where the other three have moved, and how far, in half diagonals.
+        freedom: How far it may lie.
     """
-    empty, (corner, folds, winding, uneven) = form.unsupported_fraction, assess_lattice(form.lattice)
+    corner, folds, winding, uneven = measures
     reason = ""
-    if empty > _MAX_OFF:
-        reason = f"{empty:.0%} of the lattice lies off the {observed.noun} (at most {_MAX_OFF:.0%})"
+    if stray[1] > freedom:
+        reason = f"corner {stray[0]} strays by {stray[1]:.0%} of half a diagonal from where the other three have moved"
+    elif off > _MAX_OFF:
+        reason = f"{off:.0%} of the lattice lies off the {noun} (at most {_MAX_OFF:.0%})"
     elif abs(corner - 90) > _MAX_SKEW:
         reason = f"a corner of the lattice has {corner:.0f} degrees (90 and {_MAX_SKEW:.0f} more or less)"
     elif folds > _MAX_FOLDS:
@@ -135,19 +146,19 @@ def validate_sheet(form: FittedLattice, observed: Observed, kink: float) -> FitQ
     elif kink > _MAX_KINK:
         reason = (
             f"the outline turns by {kink:.0f} degrees between two corners (at most {_MAX_KINK:.0f}): the "
-            f"{observed.noun} is no sheet, or a part of it is hidden"
+            f"{noun} is no sheet, or a part of it is hidden"
         )
     elif winding > _MAX_WINDING:
         reason = (
             f"a side is {winding:.0%} longer than the way from corner to corner (at most {_MAX_WINDING:.0%}): the "
-            f"{observed.noun} is no sheet with four corners"
+            f"{noun} is no sheet with four corners"
         )
     elif uneven > _MAX_UNEVEN:
         reason = f"the areas of the lattice's cells vary by {uneven:.0%} (at most {_MAX_UNEVEN:.0%})"
     if reason:
         return FitQuality(reason, 0.0)
     bent = max(kink - _IDEAL_KINK, 0.0) / (_MAX_KINK - _IDEAL_KINK)
-    shares = (1 - empty / _MAX_OFF) * (1 - bent) * (1 - winding / _MAX_WINDING) * (1 - uneven / _MAX_UNEVEN)
+    shares = (1 - off / _MAX_OFF) * (1 - bent) * (1 - winding / _MAX_WINDING) * (1 - uneven / _MAX_UNEVEN)
     return FitQuality("", shares**0.5)
 
 
@@ -186,9 +197,10 @@ def sample_spread(points: Array, weight: Array, curve: Array) -> float:
 
 @compiled
 def ring_miss(samples: Array, unit: Indices, curve: Array, pieces: int) -> float:
-    """Return the mean distance of ``(M, 2)`` samples from the tangents of a curve ``(P, 2)``, each near its node ``unit``.
+    """Return the mean distance of ``(M, 2)`` samples from the tangents of a closed curve ``(P, 2)``.
 
-    Of 256 or so of the samples; there are ``pieces`` points of the curve to a node.
+    Each sample is near its node ``unit``; there are ``pieces`` points of the curve to a node. About 256 of the samples
+    are measured.
     """
     size = len(curve)
     step = 0.0
@@ -212,7 +224,7 @@ def ring_miss(samples: Array, unit: Indices, curve: Array, pieces: int) -> float
 
 @compiled
 def outline_miss(points: Array, curve: Array, size: float) -> float:
-    """Return the mean distance of ``(M, D)`` points from the tangents of a closed curve ``(P, D)`` of length ``size``."""
+    """Return the mean distance of ``(M, D)`` points from a closed curve's tangents: ``(P, D)``, ``size`` long."""
     points = points[:: (len(points) + _JUDGED_AROUND - 1) // _JUDGED_AROUND]
     count, dimension = curve.shape
     groups = (count + _GROUP - 1) // _GROUP

@@ -116,7 +116,7 @@ def _form(points: Array, seen: Array, topology: Topology) -> FittedForm:
             lattice = lattice.swapaxes(0, 1)
         fine = _finer(_finer(lattice).swapaxes(0, 1)).swapaxes(0, 1)
         drawn = np.ascontiguousarray(fine).reshape(-1, points.shape[1])
-        return FittedLattice(drawn, np.zeros(len(drawn), bool), len(fine))
+        return FittedLattice.over(drawn, np.zeros(len(drawn), bool), len(fine))
     closed = isinstance(topology, Ring)
     if closed and not clockwise(seen):
         points = np.roll(points[::-1], 1, axis=0)
