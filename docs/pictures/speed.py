@@ -16,7 +16,7 @@ from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 
 mpl.use("Agg")
 
@@ -225,6 +225,7 @@ def draw_growth(rows: list[Row]) -> Any:
         axis.loglog(amounts, [times[0] * amount / amounts[0] for amount in amounts], ":", color=OURS)
         axis.set_xticks(amounts, [f"{amount}" for amount in amounts], fontsize=7)
         axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.yaxis.set_major_formatter("{x:g}")
         axis.yaxis.set_minor_formatter(NullFormatter())
         axis.tick_params(labelsize=7)
