@@ -24,6 +24,7 @@ from shape_obs.initialization.medial_axis import medial_axis
 IMAGES = Path(__file__).parent.parent / "images"
 SIZE = (240, 320)
 SCALE = 2
+CELL = 6  # pixels
 BLUE, ORANGE, GREEN = (45, 85, 200), (225, 120, 40), (60, 150, 80)
 PALE, PAPER = (205, 215, 230), (250, 250, 250)
 INK, START, NODE = (30, 30, 30), (235, 130, 40), (210, 40, 160)
@@ -83,7 +84,9 @@ def stages(spec: Configuration, mask: np.ndarray) -> np.ndarray:
     assert found.nodes is not None
     assert found.topology is not None
     start = initial_form(spec, region, found.form)
-    path = [start.points[cdist(found.nodes, start.points).argmin(axis=1)], found.nodes]
+    path = [found.nodes]
+    if start is not found.form:
+        path.insert(0, start.points[cdist(found.nodes, start.points).argmin(axis=1)])
     detection = ShapeDetector([spec], rule).detect(image)
     pale = np.where(region.mask[..., None] > 0, PALE, PAPER).astype(np.uint8)
     panels = {
@@ -103,13 +106,13 @@ def stages(spec: Configuration, mask: np.ndarray) -> np.ndarray:
 MAP = {
     "centerline": "self-organising map",
     "contour": "self-organising map",
-    "surface": "what is remembered",
+    "surface": "what the track stores",
 }
 COLD = {"centerline": "the outline, folded", "contour": "the outline", "surface": "corners and a Coons patch"}
 SAMPLES = {
     "centerline": lambda region: region.samples,
     "contour": Region.outline_samples,
-    "surface": Region.all_samples,
+    "surface": lambda region: region.gather(CELL),
 }
 
 
