@@ -1,20 +1,40 @@
 """Sphinx configuration: `uv run sphinx-build -W docs docs/_build/html`."""
 
+import re
+
+from docutils import nodes
+
 import shape_obs
+
+ARRAY = re.compile(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]")
 
 project = "shape_obs"
 author = "the shape_obs authors"
 version = release = shape_obs.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build"]
 
-autodoc_class_signature = "separated"
+autodoc_class_signature = "mixed"  # "separated" lists __init__ and __new__
 autodoc_member_order = "bysource"
-autodoc_typehints = "none"  # units and shapes say more, and they are in the docstrings
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"
 napoleon_numpy_docstring = False
 
 html_theme = "furo"
 html_title = f"shape_obs {version}"
+
+
+def shorten_arrays(app, domain, object_type, content):
+    """Write the types of arrays as they are written in the source."""
+    for text in list(content.findall(nodes.Text)):
+        short = ARRAY.sub(r"NDArray[\1]", text)
+        if short != text:
+            text.parent.replace(text, nodes.Text(short))
+
+
+def setup(app):
+    """Run after autodoc has added the types, before they become links."""
+    app.connect("object-description-transform", shorten_arrays, priority=600)

@@ -16,7 +16,7 @@ from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 
 mpl.use("Agg")
 
@@ -116,7 +116,9 @@ def _asked(claims: list[Row]) -> str:
 
 
 def _peers(part: Document) -> str:
-    head = ("Method", "Frames", "Median [ms]", "Over ours", "Silhouette", "Calinski-Harabasz", "Spacing CV")
+    head = (
+        "Method", "Frames", "Median [ms]", "Over ours", "Silhouette", "Calinski-Harabasz", "Spacing CV"
+    )  # fmt: skip
     rows = [
         (
             f"**{row['method']}**" if _is_ours(row) else row["method"],
@@ -141,7 +143,9 @@ def _losses(document: Document) -> str:
         for row in part["rows"]:
             if _is_ours(row):
                 continue
-            better = [f"takes {number(row['over_ours'])} times as long as ours"] if row["over_ours"] < 1 else []
+            better = []
+            if row["over_ours"] < 1:
+                better.append(f"takes {number(row['over_ours'])} times as long as ours")
             if row["ch"] > 1.0005 * mine["ch"]:
                 better.append(f"has a Calinski-Harabasz score {100 * (row['ch'] / mine['ch'] - 1):.1f} % higher")
             if row["sc"] > mine["sc"] + 5e-4:
@@ -164,8 +168,11 @@ def _stages(rows: list[Row]) -> str:
 
 
 def _growth(rows: list[Row]) -> str:
-    head, keys = ("What grows", "To", "Median [ms]", "Times the smallest"), ("median_ms", "times_smallest")
-    return table(head, ((row["grows"], str(row["amount"]), *(number(row[key]) for key in keys)) for row in rows))
+    head = ("What grows", "To", "Median [ms]", "Times the smallest")
+    return table(
+        head,
+        ((row["grows"], str(row["amount"]), number(row["median_ms"]), number(row["times_smallest"])) for row in rows),
+    )
 
 
 def draw_peers(works: dict[str, Document]) -> Any:
@@ -189,8 +196,8 @@ def draw_peers(works: dict[str, Document]) -> Any:
 
 def draw_stages(latency: Document) -> Any:
     """Stacked bars of the stages of a tracked frame, and one pass over the image."""
-    figure, axis = plt.subplots(figsize=(5, 3.2), layout="constrained")
-    rows = [row for row in latency["stages"] if row["method"].endswith("warm")]
+    figure, axis = plt.subplots(figsize=(5.5, 3.4), layout="constrained")
+    rows = [row for row in latency["stages"] if row["method"] == "shape_obs, warm"]
     names = [name for name in (list(rows[0])[2:] if rows else []) if name != "total"]
     sizes, base = [row["image"] for row in rows], [0.0] * len(rows)
     for name, colour in zip(names, STAGES, strict=False):
@@ -198,30 +205,33 @@ def draw_stages(latency: Document) -> Any:
         base = [low + row[name] for low, row in zip(base, rows, strict=True)]
     floor = [row["median_ms"] for row in latency["totals"] if row["method"].startswith("one pass")]
     axis.plot(sizes, floor[: len(sizes)], "_", color=INK, markersize=30, label="one pass over the image")
-    axis.tick_params(labelsize=7)
+    axis.set_ylabel("milliseconds per frame", fontsize=8)
+    axis.tick_params(labelsize=8)
     axis.spines[["top", "right"]].set_visible(False)
-    axis.legend(fontsize=7, loc="upper left", reverse=True, markerscale=0.4)
-    axis.set_ylabel("milliseconds per tracked frame", fontsize=8)
+    axis.legend(fontsize=8, loc="upper left", reverse=True, markerscale=0.4)
     return figure
 
 
 def draw_growth(rows: list[Row]) -> Any:
     """One panel for each thing that grows; dotted is proportional growth."""
     grown = list(dict.fromkeys(row["grows"] for row in rows))
-    figure, axes = plt.subplots(1, len(grown), figsize=(2.8 * len(grown), 2.6), layout="constrained", sharey=True)
-    for axis, grows in zip(axes, grown, strict=True):
+    figure, axes = plt.subplots(
+        1, len(grown), figsize=(2.8 * len(grown), 2.6), layout="constrained", sharey=True, squeeze=False
+    )
+    for axis, grows in zip(axes[0], grown, strict=True):
         curve = [row for row in rows if row["grows"] == grows]
         amounts, times = ([row[key] for row in curve] for key in ("amount", "median_ms"))
         axis.loglog(amounts, times, "o-", color=OURS, markersize=4)
         axis.loglog(amounts, [times[0] * amount / amounts[0] for amount in amounts], ":", color=OURS)
         axis.set_xticks(amounts, [f"{amount}" for amount in amounts], fontsize=7)
         axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.yaxis.set_major_formatter("{x:g}")
         axis.yaxis.set_minor_formatter(NullFormatter())
         axis.tick_params(labelsize=7)
         axis.set_title(grows, fontsize=9)
         axis.spines[["top", "right"]].set_visible(False)
-    axes[0].set_ylabel("milliseconds per frame", fontsize=8)
+    axes[0][0].set_ylabel("milliseconds per frame", fontsize=8)
     return figure
 
 

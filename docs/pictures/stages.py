@@ -6,25 +6,25 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from shape_obs import Centerline, Configuration, Contour, HSVRange, ShapeDetector, Surface
-from shape_obs.bench.synthetic.ropes import draw_rope
-from shape_obs.compiled import NUMPY
-from shape_obs.configurations.fitting import fit
+from shape_obs.bench.ropes import draw_rope
 from shape_obs.drawing import draw_curve, draw_detection, draw_text
 from shape_obs.frame import Frame
-from shape_obs.bench.synthetic.ropes import Curve
-from shape_obs.geometry.form import Form
-from shape_obs.geometry.form import Patch
+from shape_obs.geometry.curve import FittedCurve, FittedForm
+from shape_obs.geometry.lattice import FittedLattice
 from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Topology
-from shape_obs.image.region import Region
 from shape_obs.image.find_region import find_region
+from shape_obs.image.region import Region
 from shape_obs.image.roi import Whole
+from shape_obs.initialization.medial_axis import medial_axis
 
 IMAGES = Path(__file__).parent.parent / "images"
 SIZE = (240, 320)
 SCALE = 2
+CELL = 6  # pixels
 BLUE, ORANGE, GREEN = (45, 85, 200), (225, 120, 40), (60, 150, 80)
 PALE, PAPER = (205, 215, 230), (250, 250, 250)
 INK, START, NODE = (30, 30, 30), (235, 130, 40), (210, 40, 160)
@@ -80,19 +80,21 @@ def stages(spec: Configuration, mask: np.ndarray) -> np.ndarray:
     rule = RULES[spec.kind]
     window = Whole().window(SIZE)
     region = find_region(rule.apply(Frame(image, None, None, None), window), window, rule.min_area, rule.min_share)
-    start, topology = spec.parameterise(region), spec.topology(region)
-    nodes = spec.nodes(start, topology)
-    path = [nodes, *epochs(spec, region, nodes, topology)]
-    found = fit(region, spec, None, None, 0.0)[0].form
-    assert found is not None
+    found = spec.fit(region, None, None, None)
+    assert found.nodes is not None
+    assert found.topology is not None
+    start = initial_form(spec, region, found.form)
+    path = [found.nodes]
+    if start is not found.form:
+        path.insert(0, start.points[cdist(found.nodes, start.points).argmin(axis=1)])
     detection = ShapeDetector([spec], rule).detect(image)
     pale = np.where(region.mask[..., None] > 0, PALE, PAPER).astype(np.uint8)
     panels = {
         "1  image": enlarged(image),
-        "2  mask, as weighted samples": samples(spec.samples(region), region),
+        "2  mask, as weighted samples": samples(SAMPLES[spec.kind](region), region),
         f"3  cold start: {COLD[spec.kind]}": with_form(pale, start),
-        f"4  {MAP[spec.kind]}, {len(nodes)} nodes": with_nodes(pale, path, topology),
-        "5  the form through the nodes": with_form(pale, found),
+        f"4  {MAP[spec.kind]}, {len(found.nodes)} nodes": with_nodes(pale, path, found.topology),
+        "5  the form through the nodes": with_form(pale, found.form),
         f"6  {spec.count} ordered points, quality {detection.shapes[0].quality:.2f}": draw_detection(
             image, detection, scale=SCALE
         ),
@@ -104,18 +106,21 @@ def stages(spec: Configuration, mask: np.ndarray) -> np.ndarray:
 MAP = {
     "centerline": "self-organising map",
     "contour": "self-organising map",
-    "surface": "what is remembered",
+    "surface": "what the track stores",
 }
 COLD = {"centerline": "the outline, folded", "contour": "the outline", "surface": "corners and a Coons patch"}
+SAMPLES = {
+    "centerline": lambda region: region.samples,
+    "contour": Region.outline_samples,
+    "surface": lambda region: region.gather(CELL),
+}
 
 
-def epochs(spec: Configuration, region: Region, nodes: np.ndarray, topology: Topology) -> list[np.ndarray]:
-    """The nodes after each epoch."""
-    out, samples = [], spec.samples(region)
-    for sigma in spec.widths("cold"):
-        nodes = NUMPY.settle(samples.points, samples.weight, nodes, *topology.neighbourhoods((sigma,)))
-        out.append(nodes)
-    return out
+def initial_form(spec: Configuration, region: Region, found: FittedForm) -> FittedForm:
+    """The form from which the fit starts; a sheet's is the patch itself."""
+    if isinstance(spec, Centerline):
+        return medial_axis(region)
+    return region.outline_curve() if isinstance(spec, Contour) else found
 
 
 def enlarged(image: np.ndarray) -> np.ndarray:
@@ -137,22 +142,22 @@ def samples(found: Samples, region: Region) -> np.ndarray:
     return picture
 
 
-def with_form(pale: np.ndarray, form: Form) -> np.ndarray:
+def with_form(pale: np.ndarray, form: FittedForm) -> np.ndarray:
     """A curve as a line, a patch as a mesh."""
     picture = enlarged(pale)
-    if isinstance(form, Patch):
+    if isinstance(form, FittedLattice):
         lattice = place(form.lattice)
         for line in (*lattice, *lattice.swapaxes(0, 1)):
             draw_curve(picture, line, START, thickness=1)
     else:
-        assert isinstance(form, Curve)
+        assert isinstance(form, FittedCurve)
         points = np.concatenate([form.points, form.points[:1]]) if form.closed else form.points
         draw_curve(picture, place(points), START, thickness=2)
     return picture
 
 
 def with_nodes(pale: np.ndarray, path: list[np.ndarray], topology: Topology) -> np.ndarray:
-    """The nodes at the end, and how they came there."""
+    """The nodes at the end, and from which place of the initial form each came."""
     picture = enlarged(pale)
     for first, second in topology.edges():
         draw_curve(picture, place(path[-1][[first, second]]), (120, 130, 150), thickness=1)
