@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shape_obs.geometry.form import Curve, Memory
 
 from shape_obs import Centerline, ShapeDetector
-from shape_obs.geometry.form import Curve, Memory
 from shape_obs.geometry.topology import Chain
 from shape_obs.image.roi import Window
 from shape_obs.tracking.prediction import Track, advance, outlook, predict, size_jump

@@ -5,10 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from shape_obs.geometry.form import Curve, Patch
 
 from shape_obs import Centerline, Contour, ShapeDetector
 from shape_obs.compiled import choose
-from shape_obs.geometry.form import Curve, Patch
 from shape_obs.image.region import Region, find_region
 from shape_obs.image.roi import Window
 from shape_obs.tracking.validation import judge_outline, judge_ribbon, judge_sheet
