@@ -12,8 +12,7 @@ from hypothesis.extra import numpy as st_numpy
 
 from shape_obs.bench.synthetic.blobs import random_blob
 from shape_obs.bench.synthetic.ropes import random_rope
-from shape_obs.bench.synthetic.sheets import draw_sheet
-from shape_obs.bench.synthetic.sheets import random_sheet
+from shape_obs.bench.synthetic.sheets import draw_sheet, random_sheet
 from shape_obs.geometry.topology import Chain, Grid, Ring
 from shape_obs.metrics import (
     calinski_harabasz,

@@ -113,8 +113,7 @@ def package_version(package: str) -> str:
 
 def opengl() -> tuple[str, str]:
     """Return the name of the OpenGL driver, and why there is none; one of the two is empty."""
-    from shape_obs_envs.mujoco.cameras.gl_camera import GLUnavailableError
-    from shape_obs_envs.mujoco.cameras.gl_camera import open_context
+    from shape_obs_envs.mujoco.cameras.gl_camera import GLUnavailableError, open_context
     from shape_obs_envs.mujoco.scene import mujoco
 
     try:

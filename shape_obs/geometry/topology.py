@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from shape_obs.compiled import compiled
 
@@ -166,6 +165,11 @@ class Grid(Topology):
 
     def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
         """Linearly over the lattice; outside the known ones the nearest is repeated."""
+        from scipy.interpolate import (  # 0.2 s of every start, for lost points of lattices alone
+            LinearNDInterpolator,
+            NearestNDInterpolator,
+        )
+
         places, filled = self.places(), values.copy()
         filled[~known] = NearestNDInterpolator(places[known], values[known])(places[~known])
         spread = np.ptp(places[known], axis=0)

@@ -1,4 +1,4 @@
-"""Nothing is compiled or loaded in a live frame: a detector's constructor prepares all that it calls, and nothing else."""
+"""Nothing is compiled or loaded in a live frame: a detector's constructor prepares all that it calls, no more."""
 
 from __future__ import annotations
 

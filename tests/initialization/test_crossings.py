@@ -10,16 +10,11 @@ import numpy.typing as npt
 import pytest
 from scipy.spatial import KDTree
 
-from shape_obs.bench.synthetic.ropes import draw_rope
-from shape_obs.bench.synthetic.ropes import random_rope
-from shape_obs.bench.synthetic.ropes import resample
+from shape_obs.bench.synthetic.ropes import draw_rope, random_rope, resample
+from shape_obs.bench.synthetic.tangles import Tangle, crossing_rope, cut_rope, is_traversed
 from shape_obs.bench.tangle_claims import SETS, TangleResult, detected, tangled_ropes
-from shape_obs.bench.synthetic.tangles import Tangle
-from shape_obs.bench.synthetic.tangles import crossing_rope
-from shape_obs.bench.synthetic.tangles import cut_rope
-from shape_obs.bench.synthetic.tangles import is_traversed
-from shape_obs.image.region import Region
 from shape_obs.image.find_region import find_region
+from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.initialization.folding import fold_outline
 from shape_obs.initialization.gaps import bridge

@@ -9,8 +9,7 @@ import pytest
 from scipy.signal import savgol_filter
 
 from shape_obs import CameraModel, Centerline, Frame, Intrinsics, ShapeDetector
-from shape_obs.bench.synthetic.ropes import Rope
-from shape_obs.bench.synthetic.ropes import draw_rope
+from shape_obs.bench.synthetic.ropes import Rope, draw_rope
 from shape_obs.configurations.shape_points import shape_of
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import straightened

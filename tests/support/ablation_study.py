@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from fuzzing.killed_studies import STUDY as STUDY
+
 from shape_obs.ablation.executors import Outcome, Task, work
 from shape_obs.ablation.scores import read_scores
-from fuzzing.killed_studies import STUDY as STUDY
 
 
 def numbers(root: Path) -> dict[str, list[tuple]]:

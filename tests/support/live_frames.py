@@ -16,20 +16,12 @@ import numpy as np
 from numba.core import event
 
 from shape_obs import Centerline, Contour, HSVRange, Intrinsics, ShapeDetector, Surface
-from shape_obs.bench.synthetic.blobs import moving_blob
-from shape_obs.bench.synthetic.blobs import random_blob
-from shape_obs.bench.synthetic.clouds import moving_rope_cloud
-from shape_obs.bench.synthetic.clouds import ring_cloud
-from shape_obs.bench.synthetic.clouds import rope_cloud
-from shape_obs.bench.synthetic.clouds import sheet_cloud
-from shape_obs.bench.synthetic.images import photographed
-from shape_obs.bench.synthetic.images import hidden_rope
-from shape_obs.bench.synthetic.ropes import moving_rope
-from shape_obs.bench.synthetic.ropes import random_rope
-from shape_obs.bench.synthetic.sheets import moving_sheet
-from shape_obs.bench.synthetic.sheets import random_sheet
-from shape_obs.bench.synthetic.tangles import crossing_rope
-from shape_obs.bench.synthetic.tangles import cut_rope
+from shape_obs.bench.synthetic.blobs import moving_blob, random_blob
+from shape_obs.bench.synthetic.clouds import moving_rope_cloud, ring_cloud, rope_cloud, sheet_cloud
+from shape_obs.bench.synthetic.images import hidden_rope, photographed
+from shape_obs.bench.synthetic.ropes import moving_rope, random_rope
+from shape_obs.bench.synthetic.sheets import moving_sheet, random_sheet
+from shape_obs.bench.synthetic.tangles import crossing_rope, cut_rope
 from shape_obs.compiled import decorator
 from shape_obs.image.find_region import prepare
 from shape_obs.point_cloud.lifting import median_depth

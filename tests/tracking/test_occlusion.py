@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, ShapeDetector
-from shape_obs.bench.synthetic.images import hidden_rope
 from shape_obs.bench.rope_claims import ropes_under_hands
+from shape_obs.bench.synthetic.images import hidden_rope
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Contour, ShapeDetector
-from shape_obs.bench.synthetic.blobs import draw_blob
-from shape_obs.bench.synthetic.blobs import random_blob
+from shape_obs.bench.synthetic.blobs import draw_blob, random_blob
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.topology import Ring
 from shape_obs.tracking.prediction import Prediction

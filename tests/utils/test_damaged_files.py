@@ -13,15 +13,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-
-from shape_obs.ablation import Study, load_study
+from fuzzing.recordings import damaged_recordings, record_some
+from fuzzing.tables import a_table, flipped_tables, same
 from sweep import sweep
 
+from shape_obs.ablation import Study, load_study
 from shape_obs.ablation.executors import Outcome, Task
 from shape_obs.ablation.results import RunFolder, finished_runs
 from shape_obs.ablation.scores import SCORES, Row, Score, scores_csv
-from fuzzing.recordings import damaged_recordings, record_some
-from fuzzing.tables import a_table, flipped_tables, same
 from shape_obs.cli import main
 from shape_obs.config import save_config
 from shape_obs.recording import Recording, ShapeTable

@@ -13,8 +13,7 @@ from shape_obs.bench.interleaved_timing import Method, interleaved_timing
 from shape_obs.bench.servo.settings import FEATURES, LAYOUTS
 from shape_obs.bench.tables import Row, at_most, grouped
 from shape_obs.detector import ShapeDetector
-from shape_obs.features import Feature, read_features
-from shape_obs.features import FeatureContext
+from shape_obs.features import Feature, FeatureContext, read_features
 from shape_obs.geometry.topology import Grid
 from shape_obs.shape import Shape
 from shape_obs.utils.threads import one_thread

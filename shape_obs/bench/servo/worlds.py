@@ -17,8 +17,8 @@ from shape_obs.detector import ShapeDetector
 from shape_obs.features import Feature, FeatureContext, read_features
 from shape_obs.shape import Detection, Shape
 from shape_obs.wrappers import ShapeGoal, ShapeObservation, env_protocol
-from shape_obs.wrappers.goals import EnvGoal, GoalVector
 from shape_obs.wrappers.goal_points import shape_at
+from shape_obs.wrappers.goals import EnvGoal, GoalVector
 from shape_obs.wrappers.shape_goal import record_goal
 
 Mask = npt.NDArray[np.bool_]

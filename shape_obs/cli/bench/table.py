@@ -58,8 +58,7 @@ def main(argv: Sequence[str]) -> int:
     from shape_obs.bench.table.run import Plan, run
     from shape_obs.bench.table.summary import every_row, rankings, results, tracings
     from shape_obs.bench.tables import as_csv
-    from shape_obs.utils.files import make_folder
-    from shape_obs.utils.files import write_text
+    from shape_obs.utils.files import make_folder, write_text
 
     if args.figures:
         need_matplotlib()

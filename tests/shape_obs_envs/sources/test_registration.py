@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from shape_obs import CameraModel, Intrinsics
-from shape_obs.bench.blocks import rows_of_blocks, see
-from shape_obs.bench.registration import registration_errors
+from shape_obs.bench.registration_claims import registration_errors
+from shape_obs.bench.synthetic.tabletop import rows_of_blocks, see
 from shape_obs_envs.sources.realsense.driver import d455_geometry
 from shape_obs_envs.sources.registration import RawImages, Registration
 

@@ -17,12 +17,12 @@ from fuzzing.mutations import mutate, mutate_bytes
 from fuzzing.outcomes import Outcomes
 from shape_obs.ablation import load_study
 from shape_obs.bench.tables import at_least, at_most
-from shape_obs.extrinsics import Extrinsics
 from shape_obs.calibration.intrinsics import IntrinsicsFit
 from shape_obs.calibration.touch_points import read_touches
 from shape_obs.camera import Intrinsics
 from shape_obs.config import detector_arguments, dump_config, load_config
 from shape_obs.detector import ShapeDetector
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.features import PointDistribution
 from shape_obs.geometry.topology import Chain
 from shape_obs.utils.arrays import decode_npz
