@@ -7,9 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 from scipy.spatial.distance import cdist
-from shape_obs.bench.ropes import draw_rope
 
 from shape_obs import Centerline, Configuration, Contour, HSVRange, ShapeDetector, Surface
+from shape_obs.bench.synthetic.ropes import draw_rope
 from shape_obs.drawing import draw_curve, draw_detection, draw_text
 from shape_obs.frame import Frame
 from shape_obs.geometry.curve import FittedCurve, FittedForm
