@@ -22,6 +22,7 @@ import yaml
 from shape_obs.clustering import Clusterer, Clustering, SelfOrganisingMap
 from shape_obs.configurations import Anchor, Centerline, Configuration, Ends, Order
 from shape_obs.features import read_features
+from shape_obs.image import marker_roi  # noqa: F401 - registers the region of interest "markers"
 from shape_obs.image.roi import ROI, Whole
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.spec import Spec, SpecError, did_you_mean, to_plain

@@ -211,7 +211,7 @@ def tilted_table(results: Iterable[TiltedResult]) -> list[Row]:
     ]
 
 
-def _around(what: str, spec: Configuration[Any], points: Array, border: Array) -> CloudResult:
+def _around(what: str, spec: Configuration, points: Array, border: Array) -> CloudResult:
     """Compare a closed shape with its true curve, which is given by close points."""
     shape, cold, warm = _twice(spec, points)
     found = _points(shape)
@@ -230,7 +230,7 @@ def _result(
     return CloudResult(what, len(shape), shape.ok, ordered, curve, place, spacing, valid, cold, warm)
 
 
-def _twice(spec: Configuration[Any], body: Any, depth: Any = None) -> tuple[Shape, float, float]:
+def _twice(spec: Configuration, body: Any, depth: Any = None) -> tuple[Shape, float, float]:
     """Return the shape at a cold start, and the times of that frame and of the next one."""
     detector = ShapeDetector([spec], on_invalid="interpolate", on_missing="nan")
     if depth is None:

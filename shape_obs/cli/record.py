@@ -98,7 +98,7 @@ def _raw(args: Arguments) -> Recorded:
     with source, _bar(args) as bar:
         try:
             for moment in read_moments(source, args.frames, args.seconds):
-                recorded.saw(moment.frame)
+                recorded.count(moment.frame)
                 recorded.frames += 1
                 bar.update()
         except KeyboardInterrupt:

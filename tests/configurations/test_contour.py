@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shape_obs.bench.blobs import KINDS
 
 from shape_obs import Contour, ShapeDetector, SpecError
 from shape_obs.bench.scores import outline_score
-from shape_obs.bench.synthetic.blobs import draw_blob, random_blob
+from shape_obs.bench.synthetic.blobs import KINDS, draw_blob, random_blob
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.outline import Outline, clockwise
 from shape_obs.geometry.polyline import arc_length, catmull_rom, equidistant_around

@@ -30,7 +30,7 @@ def patch(seed: int) -> tuple[FittedLattice, np.ndarray, list[np.ndarray], float
     corners, sides = bulged(seed)
     outline = np.concatenate(sides)
     rim = Rim.along(outline, outline)
-    points, kink = rim.patch(KDTree(rim.flat).query(corners)[1])
+    points, kink = rim.patch(np.asarray(KDTree(rim.flat).query(corners)[1], dtype=np.int64))
     return FittedLattice.over(points, np.zeros(len(points), bool), FINE), corners, sides, kink
 
 

@@ -31,7 +31,7 @@ class TestPatches:
         rim = Rim.along(outline, outline)
         corners = rim.corners()
         assert corners is not None
-        patch = FittedLattice(rim.patch(corners)[0], np.zeros(625, bool), 25)
+        patch = FittedLattice.over(rim.patch(corners)[0], np.zeros(625, bool), 25)
         top, right, bottom, left = (np.asarray(side) for side in patch.sides)
         bottom, left = bottom[::-1], left[::-1]
         v, u = (at[..., None] for at in np.meshgrid(*[np.linspace(0, 1, 25)] * 2, indexing="ij"))
@@ -45,7 +45,7 @@ class TestPatches:
 
     def test_places_between_the_points(self):
         lattice = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1)
-        patch = FittedLattice(lattice.reshape(-1, 2), np.arange(12) == 5, rows=3)
+        patch = FittedLattice.over(lattice.reshape(-1, 2), np.arange(12) == 5, rows=3)
         np.testing.assert_allclose(patch.at(np.array([0.5, 2]), np.array([0, 1.25, 3])), [
             [0, 0.5], [1.25, 0.5], [3, 0.5], [0, 2], [1.25, 2], [3, 2]])  # fmt: skip
         flags = patch.interpolated_at(np.array([1.0, 2.0]), np.array([1.0, 2.0]))

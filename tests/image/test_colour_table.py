@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shape_obs.bench.ropes import KINDS
 
 from shape_obs import ColourRule, DepthRange, Frame, GrayRange, HSVRange, Polygon, ShapeDetector, Whole
-from shape_obs.bench.synthetic.ropes import random_rope
+from shape_obs.bench.synthetic.ropes import KINDS, random_rope
 from shape_obs.image.colour_search import find_by_colour, table_mask
 from shape_obs.image.colour_table import colour_table
 from shape_obs.image.find_region import find_region, prepare, segment

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from shape_obs import ShapeDetector, Surface
 from shape_obs.bench.synthetic.sheets import moving_sheet
-from shape_obs.tracking.corner_matching import STRAYED, match_corners, match_corners_in_space, stray_reason
+from shape_obs.tracking.corner_matching import STRAYED, match_corners, match_corners_in_space
+from shape_obs.tracking.validation import validate_sheet
 
 
 @pytest.mark.parametrize("radius", [12, 30])
@@ -43,7 +44,7 @@ QUAD = np.array([[0.0, 0], [200, 10], [190, 120], [-10, 110]])
 def strayed(expected: np.ndarray, found: np.ndarray, freedom: float = STRAYED) -> str:
     match = match_corners if expected.shape[1] == 2 else match_corners_in_space
     _, corner, share = match(expected, found)
-    return stray_reason(corner, share, freedom)
+    return validate_sheet(0.0, (90.0, 0.0, 0.0, 0.0), "mask", 0.0, (corner, share), freedom).reason
 
 
 def test_three_corners_that_move_together_give_the_place_of_the_fourth():

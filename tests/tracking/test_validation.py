@@ -46,7 +46,7 @@ def judged_ribbon(curve: FittedCurve, observed: Region, expected_off: float) -> 
 
 
 def judged_sheet(form: FittedLattice, kink: float) -> FitQuality:
-    return validate_sheet(float(form.interpolated.mean()), assess_lattice(form.lattice), "mask", kink)
+    return validate_sheet(float(form.interpolated.mean()), assess_lattice(form.lattice), "mask", kink, (0, 0.0), 0.06)
 
 
 class TestOffTheMask:

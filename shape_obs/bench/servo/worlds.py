@@ -261,4 +261,4 @@ def _camera_world(setting: Setting, features: Sequence[Feature]) -> World:
         return observing.detection.timings["total"]
 
     spec = observing.detector.shapes[0]
-    return World(env, tuple(features), spec, seen, lambda: observing.views[0], milliseconds, lambda: disturbed.dark)
+    return World(env, tuple(features), spec, seen, lambda: observing.contexts[0], milliseconds, lambda: disturbed.dark)

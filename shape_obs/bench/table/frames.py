@@ -25,7 +25,7 @@ from shape_obs.metrics import in_order
 
 Array = npt.NDArray[np.float64]
 Name = Literal["centerline", "contour", "surface"]
-CONFIGURATIONS: Final[dict[Name, Configuration[Any]]] = {
+CONFIGURATIONS: Final[dict[Name, Configuration]] = {
     "centerline": Centerline(n=20, ends="centers"),
     "contour": Contour(n=32),
     # The anchor makes the rows run along the cloth's long side; otherwise the cells of some cloths would be slivers.

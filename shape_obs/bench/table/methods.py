@@ -165,14 +165,14 @@ def measured(
         yield runner.measure(scene, frame, bool(np.isin(frame, exact)))[1]
 
 
-def clustered_pixels(spec: Configuration[Any], scene: Scene) -> Array:
+def clustered_pixels(spec: Configuration, scene: Scene) -> Array:
     """Return the pixels that are clustered, (M, 2): those of the mask, or of a contour's outline."""
     height, width = scene.mask.shape
     region = find_region(scene.mask, Whole().window((height, width)), Segmentation.min_area, Segmentation.min_share)
-    return spec.all_samples(region).points
+    return spec.clusterer_samples(region).points
 
 
-def in_order(spec: Configuration[Any], points: Array, scene: Scene) -> bool:
+def in_order(spec: Configuration, points: Array, scene: Scene) -> bool:
     """Return whether points are in the right order, from any start and in either direction."""
     if isinstance(scene.truth, Sheet):
         assert isinstance(spec, Surface)

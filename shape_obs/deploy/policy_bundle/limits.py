@@ -172,7 +172,7 @@ def _is_box(value: Any) -> bool:
     return len(corners) == 2 and len(numbers) == 6 and all(map(is_number, numbers))
 
 
-def _work(feature: Feature, shape: Configuration[Any]) -> float:
+def _work(feature: Feature, shape: Configuration) -> float:
     """Estimate the number of multiplications for fitting the basis of a feature."""
     own = (
         2 * getattr(feature, "harmonics", 0) + 1,
