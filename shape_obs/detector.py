@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
+from importlib import import_module
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -89,6 +90,9 @@ class ShapeDetector:
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
         functions = [*prepare(spec.segmentation for spec in self.shapes), visible_depth, median_depth]
         compile_now([*functions, *(function for spec in self.shapes for function in spec.compiled_functions)])
+        if any(spec.lift == "cloud" for spec in self.shapes):
+            for module in ("scipy.sparse.csgraph", "scipy.spatial"):  # only clouds need them: not in their first frame
+                import_module(module)
         self.reset()
 
     def reset(self) -> None:

@@ -10,8 +10,6 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial.distance import cdist
 
 from shape_obs.clustering import Clusterer
 from shape_obs.configurations.base import Configuration
@@ -80,6 +78,8 @@ def _around(curve: FittedCurve, centres: Array) -> Indices:
 
 def _places(patch: FittedLattice, centres: Array) -> Array:
     """Return how far down and across a lattice, 0...1, the places nearest to ``(N, D)`` centres lie: ``(N, 2)``."""
+    from scipy.spatial.distance import cdist
+
     lattice = patch.lattice
     row, column = np.divmod(np.argmin(cdist(centres, patch.points), axis=1), lattice.shape[1])
     # From the nearest of the patch's points a step over the plane that touches it there.
@@ -95,4 +95,7 @@ def _places(patch: FittedLattice, centres: Array) -> Array:
 
 def _assigned(centres: Array, places: Array) -> Indices:
     """Return which centre belongs to each place, so that the squared distances are least in sum."""
+    from scipy.optimize import linear_sum_assignment
+    from scipy.spatial.distance import cdist
+
     return linear_sum_assignment(cdist(places, centres, "sqeuclidean"))[1]

@@ -7,7 +7,6 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
-from scipy.spatial.distance import cdist
 
 from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
@@ -72,7 +71,7 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     visible &= ~interpolated
     if in_pieces and under is not None:
         # Next to what hides a piece, depth that is not the form's is not the points' either.
-        z[np.isnan(under)[np.argmin(cdist(points, form.points), axis=1)]] = np.nan
+        z[np.isnan(under)[_nearest(points, form.points)]] = np.nan
     valid = visible & np.isfinite(z)
     if not valid.all() and valid.any():
         z = spec.layout.interpolate(z[:, None], valid)[:, 0]
@@ -130,7 +129,7 @@ def _points_in_cloud(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     if spec.radius and isinstance(form, FittedCurve):
         shift = _HALF_ROUND * spec.radius * _inwards(form)
         if centres is not None:
-            centres = centres + shift[np.argmin(cdist(centres, form.points), axis=1)]
+            centres = centres + shift[_nearest(centres, form.points)]
         form = form.with_points(form.points + shift)
     points, interpolated = spec.resample(form, form) if centres is None else _without_gaps(centres)
     visible = cloud.carries(points) & ~interpolated
@@ -142,6 +141,11 @@ def _points_in_cloud(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
 def _without_gaps(centres: Array) -> Points:
     """Return the points that a clusterer found, which does not know of gaps."""
     return Points(centres, np.zeros(len(centres), bool))
+
+
+def _nearest(points: Array, others: Array) -> npt.NDArray[np.intp]:
+    """Return which of the others ``(P, D)`` is nearest to each of ``(N, D)`` points."""
+    return np.argmin(np.sum((points[:, None] - others) ** 2, axis=2), axis=1)
 
 
 def _inwards(curve: FittedCurve) -> Array:

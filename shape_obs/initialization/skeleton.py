@@ -13,8 +13,6 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
@@ -204,13 +202,23 @@ def _branches(thin: Mask, depth: npt.NDArray[np.float32]) -> list[Branch]:
     degree = np.bincount(np.concatenate([first, second]), minlength=count)
     # Neighbouring pixels with three neighbours each are one node.
     at_node = (degree[first] > 2) & (degree[second] > 2)
-    joints = coo_array((np.ones(at_node.sum()), (first[at_node], second[at_node])), shape=(count, count))
-    node = connected_components(joints, directed=False)[1]
+    node = _connected(count, first[at_node], second[at_node])
     links = np.stack([first[~at_node], second[~at_node]], axis=1)
     chains = [np.array(chain) for chain in _chains(links, degree != 2)]
     pixels = np.stack([at % thin.shape[1], at // thin.shape[1]], axis=1).astype(np.float64)
     wide = _radius(depth.ravel()[at])
     return [Branch(pixels[chain], wide[chain], (int(node[chain[0]]), int(node[chain[-1]]))) for chain in chains]
+
+
+def _connected(count: int, first: Index, second: Index) -> Index:
+    """Return the component of each of ``count`` pixels, of which pairs are connected, numbered as they appear."""
+    label = np.arange(count)
+    while True:  # the least number spreads; a joint has a few pixels
+        least, before = np.minimum(label[first], label[second]), label.copy()
+        np.minimum.at(label, first, least)
+        np.minimum.at(label, second, least)
+        if np.array_equal(label, before):
+            return np.unique(label, return_inverse=True)[1]
 
 
 def _links(thin: Mask, at: Index) -> tuple[Index, Index]:

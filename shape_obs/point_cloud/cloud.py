@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_matrix
-from scipy.spatial import KDTree
 
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
@@ -20,6 +18,9 @@ from shape_obs.point_cloud.unrolling import Chart, border, chart
 from shape_obs.point_cloud.voxels import ConnectedVoxels, Piece, Ribbon, connect, measure
 
 if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
+    from scipy.spatial import KDTree
+
     pass
 
 if TYPE_CHECKING:  # a protocol's property accepts no other descriptor
@@ -265,6 +266,8 @@ class Cloud:
 
     @cached_property
     def _tree(self) -> KDTree:
+        from scipy.spatial import KDTree
+
         return KDTree(self.samples.points, balanced_tree=False, compact_nodes=False)
 
     @cached_property

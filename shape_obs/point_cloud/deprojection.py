@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import KDTree
 
 from shape_obs.camera import Intrinsics
 from shape_obs.frame import FARTHEST, depth_in_metres
@@ -79,6 +78,8 @@ class SeenCloud(Cloud):
     @cached_property
     def _sheet(self) -> Sheet:
         """The border is the mask's, which is sharper than the cloud's and knows no holes in the depth."""
+        from scipy.spatial import KDTree
+
         rim = self.region.outline.curve
         if len(self.samples) < _NEIGHBOURS or not rim.size:  # that of a single pixel has no length
             return super()._sheet

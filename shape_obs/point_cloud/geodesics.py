@@ -10,16 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import product
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components, dijkstra
 
 from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate, resample
 from shape_obs.geometry.samples import Samples
 from shape_obs.point_cloud.voxels import Indices
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 Array = npt.NDArray[np.float64]
 
@@ -56,6 +57,8 @@ def loop(samples: Samples, graph: csr_matrix, piece: Indices, width: float) -> A
     The fronts that run from any sample meet on the loop's other side. Without the places where they part and meet, a
     loop falls into two sides, and nothing else does.
     """
+    from scipy.sparse.csgraph import connected_components
+
     points, weight = samples.points[piece], samples.weight[piece]
     own = graph[piece][:, piece]
     distance = _from(own, 0)
@@ -80,6 +83,8 @@ def loop(samples: Samples, graph: csr_matrix, piece: Indices, width: float) -> A
 
 
 def _from(graph: csr_matrix, start: int) -> Array:
+    from scipy.sparse.csgraph import dijkstra
+
     return np.asarray(dijkstra(graph, directed=False, indices=start))
 
 

@@ -12,18 +12,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components, dijkstra
-from scipy.spatial import KDTree
 
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.samples import Samples
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 Array = npt.NDArray[np.float64]
 
@@ -61,6 +61,8 @@ class Chart:
 
     def to_space(self, flat: Array) -> Array:
         """(P,2) places on the map as points of the sheet: (P,3) metres."""
+        from scipy.spatial import KDTree
+
         tree: Any = KDTree(self.flat)
         distance, nearest = tree.query(flat, k=np.arange(min(_BLENDED, len(self.flat))) + 1)
         offset = flat[:, None] - self.flat[nearest]
@@ -105,6 +107,8 @@ def chart(samples: Samples, links: csr_matrix) -> Chart:
 
 def _isomap(links: csr_matrix, size: int) -> Array:
     """Landmark Isomap: (M,2) from the distances over the links to a few samples."""
+    from scipy.sparse.csgraph import dijkstra
+
     landmarks = np.random.default_rng(0).choice(size, min(_LANDMARKS, size), replace=False)
     square = np.asarray(dijkstra(links, directed=False, indices=landmarks)) ** 2
     own = square[:, landmarks]
@@ -117,6 +121,10 @@ def _isomap(links: csr_matrix, size: int) -> Array:
 
 def _joined(samples: Samples, links: csr_matrix) -> csr_matrix:
     """The links, with bridges between pieces that do not hang together."""
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
     label: Any = connected_components(links, directed=False)[1]
     while np.any(label != label[0]):
         one, rest = np.flatnonzero(label == label[0]), np.flatnonzero(label != label[0])

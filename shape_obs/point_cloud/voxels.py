@@ -5,15 +5,15 @@ How thick and how long a rope-like cloud is, before anything is fitted to it.
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from shape_obs.geometry.samples import Samples
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 Array = npt.NDArray[np.float64]
 
@@ -69,6 +69,9 @@ def gather(points: Array, edge: float) -> Voxels:
 
 def links(samples: Samples) -> csr_matrix:
     """(M,M) distances between samples that hang together, metres, each pair once."""
+    from scipy.sparse import csr_matrix
+    from scipy.spatial import KDTree
+
     tree = KDTree(samples.points, balanced_tree=False, compact_nodes=False)  # a third faster to build
     pairs = tree.query_pairs(_LINK * samples.scale, output_type="ndarray")
     step = samples.points[pairs[:, 0]] - samples.points[pairs[:, 1]]
@@ -78,6 +81,8 @@ def links(samples: Samples) -> csr_matrix:
 
 def pieces(graph: csr_matrix, weight: Array, min_share: float) -> tuple[Indices, ...]:
     """The connected pieces of at least ``min_share`` of the largest's weight, largest first: sample indices of each."""
+    from scipy.sparse.csgraph import connected_components
+
     count, label = connected_components(graph, directed=False)
     mass = np.bincount(label, weights=weight, minlength=count)
     kept = np.argsort(-mass, kind="stable")
@@ -150,6 +155,8 @@ def connect(points: Array, width: float) -> ConnectedVoxels:
         points: ``(M, 3)`` in metres.
         width: Of the object as a rope, metres; 0 if unknown.
     """
+    from scipy.sparse import csr_matrix
+
     if not len(points):
         nothing = Samples(np.zeros((0, 3)), np.zeros(0), 1.0)
         return ConnectedVoxels(points, np.zeros(0, np.intp), nothing, csr_matrix((0, 0)), ())
