@@ -178,6 +178,7 @@ def _under_hand(seed: int, speed: float, share: float, where: Where, creep: int,
         if shape.reason:
             lost += 1
             continue
+        curve = np.ascontiguousarray(curve)
         arc = arc_length(curve)
         truth = interpolate(curve, arc, np.linspace(0, arc[-1], n))
         column, row = np.rint(truth).astype(int).T

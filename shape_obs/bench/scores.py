@@ -58,12 +58,14 @@ def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = T
     share = (np.arange(size) + 0.5) / size if ends == "centers" else np.linspace(0, 1, size)
 
     def off(way: Array) -> float:
+        way = np.ascontiguousarray(way, dtype=np.float64)
         arc = arc_length(way)
         return float(np.sum((found - interpolate(way, arc, share * arc[-1])) ** 2))
 
     flipped = off(curve[::-1]) < off(curve)
     if flipped and not directed:
         curve, flipped = curve[::-1], False
+    curve = np.ascontiguousarray(curve, dtype=np.float64)
     arc = arc_length(curve)
     scale = 1.0 if arc[-1] > 10 else 1000.0  # a curve in metres gets as many fine points as one in pixels
     fine = resample(curve, max(int(arc[-1] / _FINE_STEP * scale), 2))

@@ -87,7 +87,7 @@ def points_hidden(shape: Shape, tangle: Tangle) -> npt.NDArray[np.bool_]:
     A point is located by its share of the rope's length, so that the form of a bridge makes no difference. Points
     within a gap of the occluder's edge do not count.
     """
-    arc = arc_length(tangle.curve)
+    arc = arc_length(np.ascontiguousarray(tangle.curve))
     gap = arc[-1] / len(shape)
     at = (np.arange(len(shape)) + 0.5) * gap
     reached = [tangle.hidden[np.searchsorted(arc, np.clip(at + off, 0, arc[-1]))] for off in (-gap, 0.0, gap)]

@@ -171,7 +171,7 @@ class Centerline(Configuration, kind="centerline"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         masks = fit_chain_in_mask, _equal_chords, _at_shares, fold_outline, unexplained_share
-        clouds = arc_length, batch_epochs, catmull_rom, gather_cells, interpolate, sample_spread, undo_shrinkage
+        clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + clouds
 
 

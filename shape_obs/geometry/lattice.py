@@ -113,7 +113,8 @@ class FittedLattice(FittedForm):
 
 
 def _gauges(points: Array, rows: int) -> tuple[Array, Array]:
-    return lattice_gauges(points.reshape(rows, -1, points.shape[1]))
+    lattice = points.reshape(rows, -1, points.shape[1])
+    return lattice_gauges(np.ascontiguousarray(lattice, dtype=np.float64))
 
 
 def _between(at: Array, count: int) -> Array:

@@ -206,7 +206,7 @@ def _check_names(arguments: Iterable[str]) -> None:
     """
     known = [*(field.name for field in dataclasses.fields(DetectorConfig)), *_OWN]
     for name in arguments:
-        if name not in known:
+        if name not in known and name != "backend":  # an old name, which ``DetectorConfig`` ignores with a warning
             raise SpecError(f"ShapeObservation: unknown argument {name!r}{did_you_mean(name, known)}")
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 from shape_obs.clustering.som import batch_epochs, best_matching_units, run_ring_som, run_som
 from shape_obs.geometry.outline import material_outline, pairs
 from shape_obs.geometry.samples import Samples
-from shape_obs.geometry.topology import Chain, Grid, Ring
+from shape_obs.geometry.topology import Chain, Grid, Ring, neighbourhoods
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -40,7 +40,7 @@ def test_epochs_are_weighted_local_fits(seed, topology, dimension):
     expected = nodes
     for sigma in (0.8, 0.6):
         expected = epoch(points, weight, expected, topology.offsets(), sigma)
-    found = batch_epochs(points, weight, nodes, *topology.neighbourhoods((0.8, 0.6)))
+    found = batch_epochs(points, weight, nodes, *neighbourhoods(topology, (0.8, 0.6)))
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 

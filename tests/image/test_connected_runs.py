@@ -7,6 +7,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from shape_obs.compiled import compiled
 from shape_obs.image.connected_runs import find_components, gather_cells, label_runs, near_mask
 
 
@@ -17,6 +18,12 @@ def runs_of(mask):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], line > 0, [0]]).astype(int)))
         found += [(row + 7, start - 3, stop - 3) for start, stop in edges.reshape(-1, 2)]
     return np.array(found, np.int64).reshape(-1, 3)
+
+
+@compiled("(i8[:,::1],)")
+def labelled(runs):
+    """Call a function that is compiled for compiled callers only."""
+    return label_runs(runs)
 
 
 @st.composite
@@ -37,7 +44,7 @@ def test_components_are_those_of_opencv_numbered_as_they_appear(seed, share, gra
     size = rng.integers(1, 40, 2)
     mask = np.kron(rng.uniform(size=-(-size // grain)) < share, np.ones((grain, grain), np.uint8))[: size[0], : size[1]]
     runs = runs_of(mask)
-    label, count = label_runs(runs)
+    label, count = labelled(runs)
     labels = np.asarray(cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)[1])
     assert count == labels.max()
     row, column = runs[:, 0] - 7, runs[:, 1] + 3
@@ -48,18 +55,18 @@ def test_components_are_those_of_opencv_numbered_as_they_appear(seed, share, gra
 
 def test_corners_touch_and_a_gap_of_one_pixel_does_not():
     corner, gap = np.eye(5), np.array([[1, 0, 1, 1]])
-    assert label_runs(runs_of(corner))[1] == 1
-    assert label_runs(runs_of(gap))[0].tolist() == [0, 1]
-    assert label_runs(runs_of(np.zeros((3, 3))))[1] == 0
+    assert labelled(runs_of(corner))[1] == 1
+    assert labelled(runs_of(gap))[0].tolist() == [0, 1]
+    assert labelled(runs_of(np.zeros((3, 3))))[1] == 0
     below = np.array([[1, 1, 0, 0, 0], [0, 0, 0, 1, 1]])  # a column apart
-    assert label_runs(runs_of(below))[1] == 2
+    assert labelled(runs_of(below))[1] == 2
 
 
 def test_rows_in_a_ring_s_hole_are_a_piece_of_their_own():
     mask = np.zeros((60, 60), np.uint8)
     cv2.circle(mask, (30, 30), 25, (255.0,), 5)
     mask[28:33, 28:33] = 255
-    label, count = label_runs(runs_of(mask))
+    label, count = labelled(runs_of(mask))
     rows, columns = runs_of(mask)[:, 0] - 7, runs_of(mask)[:, 1] + 3
     assert count == 2
     labels = np.asarray(cv2.connectedComponents(mask, connectivity=8)[1])

@@ -183,7 +183,7 @@ ON = np.ones(1, np.float32)  # the action that goes on
 def observing(kind: str = "contour", *, goals: bool = False, features: Any = (BASE,), **options: Any) -> Any:
     """The thing as seen from straight above."""
     inner = FlatGoalEnv(kind, tilt=0, goals=goals)
-    return ShapeObservation(inner, [SHAPES[kind]], RED, features, **{"backend": "numpy", **options})
+    return ShapeObservation(inner, [SHAPES[kind]], RED, features, **options)
 
 
 def target_of(env: gym.Env[Any, Any], seed: int = 0) -> list[Any]:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from shape_obs import Contour, ShapeDetector
 from shape_obs.bench.synthetic.blobs import draw_blob, random_blob
+from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.topology import Ring
 from shape_obs.tracking.prediction import Prediction
@@ -18,6 +19,18 @@ from shape_obs.tracking.registration import _blend_space, blend, index_shift, ma
 
 def one(mask: np.ndarray, detector: ShapeDetector | None = None) -> Any:
     return (detector or ShapeDetector([Contour()])).detect_mask(mask).shapes[0]
+
+
+@compiled("(f8[:,::1], f8[:,::1], f8[:,::1])")
+def shift_of(reference, predicted, found):
+    """Call a function that is compiled for compiled callers only."""
+    return index_shift(reference, predicted, found)
+
+
+@compiled("(f8[:,::1], f8[:,::1], f8)")
+def blended(reference, found, share):
+    """Call a function that is compiled for compiled callers only."""
+    return blend(reference, found, share)
 
 
 class TestRegistration:
@@ -45,7 +58,7 @@ class TestRegistration:
         at = np.arange(64) / 64
         nodes, found = before.at(at * before.size), after.starting_at(-share * after.size)
         if dimension == 2:
-            behind = index_shift(nodes, nodes, found.at(at * after.size))
+            behind = shift_of(nodes, nodes, found.at(at * after.size))
             assert abs((behind - 64 * share + 32) % 64 - 32) < 0.05
             renumbered = renumber_outline(found.points, nodes, nodes, 0.05)[2]
         else:
@@ -70,13 +83,13 @@ class TestRegistration:
         circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         for slipped in (0.0, 3.25, 60.0):
             turned = np.stack([np.cos(angle - slipped * np.pi / 32), np.sin(angle - slipped * np.pi / 32)], axis=1)
-            assert abs((index_shift(circle, circle, turned) - slipped + 32) % 64 - 32) < 1e-3
+            assert abs((shift_of(circle, circle, turned) - slipped + 32) % 64 - 32) < 1e-3
 
     def test_a_blend_lies_over_what_was_found(self):
         rng = np.random.default_rng(0)
-        for dimension, blended in ((2, blend), (3, _blend_space)):
+        for dimension, laid_over in ((2, blended), (3, _blend_space)):
             reference = rng.normal(size=(40, dimension))
             rotation = np.linalg.qr(rng.normal(size=(dimension, dimension)))[0]
             rotation[0] *= np.linalg.det(rotation)
             found = reference @ rotation.T + np.arange(1, dimension + 1)
-            np.testing.assert_allclose(blended(reference, found, 0.05), found, atol=1e-9)
+            np.testing.assert_allclose(laid_over(reference, found, 0.05), found, atol=1e-9)

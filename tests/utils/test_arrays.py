@@ -33,9 +33,9 @@ def depth(wave):
     return np.full(wave.mask.shape, 700, np.uint16)
 
 
-@pytest.fixture(params=["numpy", "numba"])
-def detector(request):
-    return ShapeDetector([Centerline(n=9), Contour(n=12)], on_invalid="hold", backend=request.param)
+@pytest.fixture
+def detector():
+    return ShapeDetector([Centerline(n=9), Contour(n=12)], on_invalid="hold")
 
 
 def frames(mask: np.ndarray) -> Iterator[np.ndarray]:
@@ -115,12 +115,11 @@ def test_a_copied_detector_goes_on_identically_and_shares_nothing(detector, wave
 
 
 @pytest.mark.parametrize("lift", ["points", "cloud"])
-@pytest.mark.parametrize("backend", ["numpy", "numba"])
-def test_a_caller_may_reuse_its_buffers(wave, backend, lift):
+def test_a_caller_may_reuse_its_buffers(wave, lift):
     """A camera driver writes each frame into the same memory."""
     options: dict[str, Any] = {"lift": lift, "segmentation": {"kind": "gray", "low": 100, "min_area": 1}}
     shapes = [Centerline(n=9, **options), Contour(n=12, **options)]
-    first, second = (ShapeDetector(shapes, backend=backend, on_invalid="hold") for _ in range(2))
+    first, second = (ShapeDetector(shapes, on_invalid="hold") for _ in range(2))
     rgb, depth = np.empty((240, 320, 3), np.uint8), np.empty((240, 320), np.float32)
     mask = np.empty((240, 320), np.uint8)
     for at, moved in enumerate(frames(wave.mask)):

@@ -81,7 +81,7 @@ def test_extract_verifies_what_it_keeps(tmp_path, capsys):
     pytest.importorskip("pyarrow")
     for name in ("a", "b"):
         record_some(tmp_path / "recorded" / name)
-    config = {"shapes": [{"kind": "contour", "n": 8}], "segmentation": {"kind": "gray", "low": 1}, "backend": "numpy"}
+    config = {"shapes": [{"kind": "contour", "n": 8}], "segmentation": {"kind": "gray", "low": 1}}
     save_config(tmp_path / "c.yaml", config)
 
     def extract() -> dict[str, Any]:

@@ -166,7 +166,7 @@ def test_the_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
 def test_a_video_follows_a_link_too(tmp_path):
     (tmp_path / "v.avi").symlink_to("videos/real.avi")
     (tmp_path / "videos").mkdir()
-    finder = ShapeDetector(["centerline"], {"kind": "gray", "low": 1, "high": 2}, backend="numpy")
+    finder = ShapeDetector(["centerline"], {"kind": "gray", "low": 1, "high": 2})
     image = np.zeros((60, 80, 3), np.uint8)
     with OverlayVideo(tmp_path / "v.avi", 30) as video:
         video.add(Moment(Frame(image)), finder.detect(image))

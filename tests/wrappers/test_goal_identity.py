@@ -23,7 +23,7 @@ ON = np.ones(1, np.float32)
 
 
 def observing(kind: str, inner: FlatGoalEnv | None = None, **shape: Any) -> ShapeObservation:
-    return ShapeObservation(inner or FlatGoalEnv(kind), [{**SHAPES[kind], **shape}], RED, [BASE], backend="numpy")
+    return ShapeObservation(inner or FlatGoalEnv(kind), [{**SHAPES[kind], **shape}], RED, [BASE])
 
 
 def points(goal: Any) -> np.ndarray:

@@ -129,7 +129,7 @@ class TestReward:
                     seen["rgb"][:] = 150
                 return seen
 
-        inner, options = Gone("contour", tilt=0, goals=False), {"max_age": 0.15, "backend": "numpy"}
+        inner, options = Gone("contour", tilt=0, goals=False), {"max_age": 0.15}
         source = ShapeObservation(inner, [SHAPES["contour"]], RED, [BASE], **options)
         source.reset(seed=0)
         source.step(ON)
@@ -207,7 +207,7 @@ class TestGoals:
     def test_it_may_be_that_of_another_shape(self):
         inner = FlatGoalEnv("surface", tilt=0, goals=True)
         shapes = [SHAPES["surface"], {**SHAPES["contour"], "name": "outline"}]
-        source = ShapeObservation(inner, shapes, RED, [BASE], backend="numpy")
+        source = ShapeObservation(inner, shapes, RED, [BASE])
         source.reset(seed=0)
         env = ShapeGoal(source, record_goal(source, "outline"), shape="outline")
         observation, info = env.reset(seed=0)

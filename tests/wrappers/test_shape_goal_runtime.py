@@ -88,7 +88,7 @@ def test_gymnasiums_and_sb3s_checkers_are_content(goals):
 def test_it_is_rebuilt_from_json():
     gym.register("TestGoal-v0", "goal_envs:FlatGoalEnv", kwargs={"kind": "contour", "goals": False, "tilt": 0})
     try:
-        source = ShapeObservation(gym.make("TestGoal-v0"), [SHAPES["contour"]], RED, [BASE], backend="numpy")
+        source = ShapeObservation(gym.make("TestGoal-v0"), [SHAPES["contour"]], RED, [BASE])
         goal = np.array(target_of(source))
         features = (feature for feature in [Points3D(frame="base")])
         env = ShapeGoal(source, goal, features, reward_type="sparse", threshold=0.02)

@@ -24,7 +24,7 @@ KINDS: list[dict[str, Any]] = [
 
 def observing(shape: dict[str, Any], features: Any = ("points3d",), **options: Any) -> ShapeObservation:
     inner = FlatGoalEnv(shape["kind"], goals=False)
-    return ShapeObservation(inner, [shape], RED, features, **{"backend": "numpy", **options})
+    return ShapeObservation(inner, [shape], RED, features, **options)
 
 
 def view_of(env: ShapeObservation) -> FeatureContext:
@@ -181,7 +181,7 @@ class Hidden(FlatGoalEnv):
 
 def test_only_what_was_seen_is_recorded():
     def look(what: str) -> ShapeObservation:
-        env = ShapeObservation(Hidden(what), ["contour"], RED, backend="numpy")
+        env = ShapeObservation(Hidden(what), ["contour"], RED)
         env.reset(seed=0)
         return env
 
@@ -215,7 +215,7 @@ class RgbOnly(gym.ObservationWrapper[Any, Any, Any]):
 
 
 def test_without_depth_it_is_recorded_in_pixels():
-    plain = ShapeObservation(RgbOnly(), [KINDS[1]], RED, backend="numpy")
+    plain = ShapeObservation(RgbOnly(), [KINDS[1]], RED)
     plain.reset(seed=0)
     target = record_goal(plain)
     assert (target.frame, target.size, len(target.points[0])) == ("pixels", (160, 120), 2)

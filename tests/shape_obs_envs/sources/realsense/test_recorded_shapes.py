@@ -16,7 +16,6 @@ from shape_obs.recording import Moment, RecordingWriter, ShapeLog, ShapeTable
 from shape_obs_envs.sources.realsense.driver import recording_suffix
 
 CONFIG: dict[str, Any] = {
-    "backend": "numpy",
     "shapes": [{"kind": "centerline", "n": 12, "spacing": "m"}],
     "segmentation": {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]},
 }
