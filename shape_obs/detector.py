@@ -1,7 +1,6 @@
 """ShapeDetector: the way of a frame, from images to ordered points.
 
-image -> region -> initial form or prediction -> self-organising map -> finished form -> matched to the track ->
-validated -> lifted into space. ``_find`` names these steps in order.
+image -> region -> initial form or prediction -> self-organising map -> matched to the track -> validated -> lifted.
 """
 
 from __future__ import annotations
@@ -91,8 +90,7 @@ class ShapeDetector:
         functions = [*prepare(spec.segmentation for spec in self.shapes), visible_depth, median_depth]
         compile_now([*functions, *(function for spec in self.shapes for function in spec.compiled_functions)])
         if any(spec.lift == "cloud" for spec in self.shapes):
-            for module in ("scipy.sparse.csgraph", "scipy.spatial"):  # only clouds need them: not in their first frame
-                import_module(module)
+            import_module("scipy.sparse.csgraph")  # only clouds need it, and not in their first frame
         self.reset()
 
     def reset(self) -> None:
@@ -164,15 +162,14 @@ class ShapeDetector:
     ) -> Detection:
         """Find the shapes in a cloud of one object's points; ``segmentation`` and ``roi`` are ignored.
 
-        Shapes have ``points3d`` in the cloud's frame and no ``points2d``; a point is visible and valid where the cloud
-        has points near it. Without an anchor numbering goes by how the cloud looks along +z (x right, y down).
+        Shapes have ``points3d`` in the cloud's frame and no ``points2d``; a point is valid where the cloud has points
+        near it. Without an anchor numbering goes by how the cloud looks along +z (x right, y down).
 
         Args:
             points: ``(M, 3)`` or ``(H, W, 3)`` floating metres; rows that are not finite, or all zero, are no points.
             camera: If given, the cloud is in the camera's frame, and anchors are in the base frame.
             stamp: In seconds; without stamps clouds are ``dt`` apart.
-            anchors: Name -> point (x, y, z), for configurations with a named anchor; in the cloud's frame without a
-                camera.
+            anchors: Name -> point (x, y, z), in the cloud's frame without a camera.
 
         Raises:
             TypeError: An array of a wrong dtype.

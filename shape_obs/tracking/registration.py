@@ -37,20 +37,14 @@ _HARMONICS: Final = 12
 # Shifts at which a peak is looked for, ten to the shortest wave, and half-widths of the parabolas through it, in turns.
 _SHIFTS: Final = 128
 _PEAKS: Final = (0.5 / 128, 0.1 / 128)
-_AT: Final = np.arange(_SHIFTS) / _SHIFTS  # turns
 _ROUND = 2 * np.pi / _SHIFTS * np.outer(np.arange(1, _HARMONICS + 1), np.arange(_SHIFTS))
 _COS, _SIN = np.cos(_ROUND), np.sin(_ROUND)
 
 
 def match_outline(curve: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, Array]:
-    """Renumber a closed curve in space from the place where the predicted outline begins, however it has turned.
+    """Renumber a closed curve in space, clockwise as seen, from the place where the predicted outline begins.
 
-    Args:
-        curve: ``(P, 3)``, clockwise as seen, starting anywhere.
-        prediction: Where the outline should be.
-
-    Returns:
-        The same curve from there on, and its ``(K, 3)`` nodes, equally spaced.
+    Returns the same curve from there on, and its ``(K, 3)`` nodes, equally spaced.
     """
     count, reference = len(prediction.nodes), prediction.hints.reference
     reference = prediction.nodes if reference is None else reference
@@ -213,8 +207,7 @@ def _spectrum(before: Array, after: Array) -> Array:
     """Return the correlation over cyclic shifts, ``(4, H)``: real cos, real sin, imaginary cos, imaginary sin.
 
     A wave of u + iv that runs forwards is (u_cos + v_sin) + i (v_cos - u_sin), and one that runs backwards has the
-    other signs; the correlation multiplies the conjugate of the one outline's with the other's. A perfect match gives
-    1.
+    other signs; the correlation multiplies the conjugate of the one with the other. A perfect match gives 1.
     """
     out = np.empty((4, _HARMONICS))
     first = second = 0.0
@@ -259,13 +252,16 @@ def _blend_space(reference: Array, found: Array, share: float) -> Array:
 def _index_shift_space(reference: Array, predicted: Array, found: Array) -> float:
     """Return what ``index_shift`` returns, in space: all ``(K, 3)``."""
     shape, place = _cross_spectrum(reference, found), _cross_spectrum(predicted, found)
-    turned, still = _rotated(_at(shape, _AT)), _unrotated(_at(place, _AT))
+    turned, still = (
+        _rotated(_at(shape, np.arange(_SHIFTS) / _SHIFTS)),
+        np.einsum("dds->s", _at(place, np.arange(_SHIFTS) / _SHIFTS)),
+    )
     contrast = float(np.ptp(turned))
     flat = _FLAT / (1 + contrast / _FLAT)
     at = _climb(turned + flat * still, int(np.argmax(turned + _TURNING * still))) / _SHIFTS
     for width in _PEAKS:
         shifts = at + width * np.array([-1.0, 0.0, 1.0])
-        score = _rotated(_at(shape, shifts)) + flat * _unrotated(_at(place, shifts))
+        score = _rotated(_at(shape, shifts)) + flat * np.einsum("dds->s", _at(place, shifts))
         bend = score[0] - 2 * score[1] + score[2]
         at += width * float(np.clip((score[0] - score[2]) / (2 * bend), -1, 1)) if bend < 0 else 0.0
     return at * len(found)
@@ -281,11 +277,6 @@ def _cross_spectrum(before: Array, after: Array) -> npt.NDArray[np.complex128]:
 def _at(spectrum: npt.NDArray[np.complex128], turns: Array) -> Array:
     """Return the covariances at S shifts, in turns: ``(D, D, S)``."""
     return (spectrum @ np.exp(2j * np.pi * np.arange(1, spectrum.shape[-1] + 1)[:, None] * turns)).real
-
-
-def _unrotated(covariance: Array) -> Array:
-    """Return how well outlines match at each shift as they lie: ``(D, D, S)`` -> ``(S,)``."""
-    return np.einsum("dds->s", covariance)
 
 
 def _rotated(covariance: Array) -> Array:

@@ -154,18 +154,18 @@ def test_demo_runs_without_gl_and_writes_its_pictures(tmp_path, capsys):
 
 
 def test_bench_claims_gives_json(capsys):
-    code, out, _ = run(capsys, "bench", "claims", "--only", "noise", "shapes", "--share", 0.05, "--json")
+    code, out, _ = run(capsys, "bench", "claims", "--only", "noise", "outlines", "--share", 0.02, "--json")
     tables = json.loads(out)
     assert code == 0
-    assert {row["ropes"] for row in tables["drawn ropes in noise, cold"]} == {7}
-    assert [row["number"] for row in tables["several shapes in one pass"]] == [1, 1, 2, 3, 4]
+    assert {row["ropes"] > 0 for row in tables["drawn ropes in noise, cold"]} == {True}
+    assert {row["flipped"] for row in tables["outlines at rest in masks that flicker"]} == {0.05, 0.1}
 
 
 def test_bench_claims_prints_tables(capsys):
-    code, out, _ = run(capsys, "bench", "claims", "--only", "shapes", "--share", 0.05)
+    code, out, _ = run(capsys, "bench", "claims", "--only", "outlines", "--share", 0.02)
     assert code == 0
-    assert "several shapes in one pass" in out
-    assert "contour + surface" in out
+    assert "outlines at rest in masks that flicker" in out
+    assert "horseshoe" in out
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def test_a_goal_is_recorded_and_deployed(capsys, tmp_path):
     report = json.loads(out)
     assert code == 0, report
     assert report["success"]  # nobody moved it
-    assert "goal was reached in 3 frames" in report["ended"]
+    assert "goal was reached in 3 consecutive frames" in report["ended"]
     header = json.loads((tmp_path / "run" / "run.json").read_text())
     assert header["robot"] == "simulated"
     assert len(header["schema"]) == 64

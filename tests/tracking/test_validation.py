@@ -135,7 +135,9 @@ class TestSpread:
         offset = points - curve[nearest]
         along = np.clip(np.sum(offset * tangent, axis=1) / reach, -reach, reach)
         square = np.sum((offset - (along / reach)[:, None] * tangent) ** 2, axis=1)
-        assert sample_spread(points, weight, np.ascontiguousarray(curve)) == pytest.approx(np.average(square, weights=weight))
+        assert sample_spread(points, weight, np.ascontiguousarray(curve)) == pytest.approx(
+            np.average(square, weights=weight)
+        )
 
     def test_the_detector_refuses_a_rope_with_a_thick_end(self):
         """A lollipop: every part of its curve lies on the mask, and it does not branch."""

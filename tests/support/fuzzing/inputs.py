@@ -93,7 +93,7 @@ class _Log(NamedTuple):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             # Declared: the scene is larger than the bounds of the features.
-            warnings.filterwarnings("ignore", message="features: .* values lie outside of their bounds")
+            warnings.filterwarnings("ignore", message="features: .* values lie outside their bounds")
             try:
                 yield
             except Exception as error:  # noqa: BLE001
