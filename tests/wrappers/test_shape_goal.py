@@ -129,8 +129,8 @@ class TestReward:
                     seen["rgb"][:] = 150
                 return seen
 
-        inner, options = Gone("contour", tilt=0, goals=False), {"max_age": 0.15}
-        source = ShapeObservation(inner, [SHAPES["contour"]], RED, [BASE], **options)
+        inner = Gone("contour", tilt=0, goals=False)
+        source = ShapeObservation(inner, [SHAPES["contour"]], RED, [BASE], max_age=0.15)
         source.reset(seed=0)
         source.step(ON)
         env = ShapeGoal(source, record_goal(source))
