@@ -83,8 +83,9 @@ class ShapeDetector:
         **options: Any,
     ) -> None:
         named = {"shapes": shapes, "segmentation": segmentation}
-        given = options | {name: value for name, value in named.items() if value is not None}
-        self.config = DetectorConfig.from_dict(given)
+        self.config = DetectorConfig.from_dict(
+            options | {key: given for key, given in named.items() if given is not None}
+        )
         self.shapes = self.config.resolved()
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
         functions = [*prepare(spec.segmentation for spec in self.shapes), visible_depth, median_depth]
