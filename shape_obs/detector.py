@@ -82,10 +82,9 @@ class ShapeDetector:
         segmentation: Segmentation | Mapping[str, Any] | None = None,
         **options: Any,
     ) -> None:
-        named = {"shapes": shapes, "segmentation": segmentation}
-        self.config = DetectorConfig.from_dict(
-            options | {key: given for key, given in named.items() if given is not None}
-        )
+        given = {"shapes": shapes, "segmentation": segmentation}
+        options |= {name: value for name, value in given.items() if value is not None}
+        self.config = DetectorConfig.from_dict(options)
         self.shapes = self.config.resolved()
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
         functions = [*prepare(spec.segmentation for spec in self.shapes), visible_depth, median_depth]
@@ -128,8 +127,7 @@ class ShapeDetector:
             ShapeLostError: A shape was not found and ``on_missing="raise"``.
         """
         begin = time.perf_counter()
-        camera = camera if isinstance(camera, CameraModel) else as_camera_model(camera)
-        frame = Frame(rgb, depth, camera, stamp)
+        frame = Frame(rgb, depth, camera if isinstance(camera, CameraModel) else as_camera_model(camera), stamp)
         if rgb is None and depth is None:
             raise ValueError("detect needs an rgb or a depth image, got neither.")
         for name in self._without_rule:
