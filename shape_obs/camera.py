@@ -203,17 +203,17 @@ class CameraModel:
         object.__setattr__(self, "transform_camera_to_base", transform)
 
     def to_base(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Camera frame -> base frame: (..., 3) metres -> (..., 3) metres."""
+        """Transform points from the camera frame to the base frame: ``(..., 3)`` in metres."""
         transform = self._transform()
         return _as_points(points, 3, "points") @ transform[:3, :3].T + transform[:3, 3]
 
     def from_base(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Base frame -> camera frame: (..., 3) metres -> (..., 3) metres."""
+        """Transform points from the base frame to the camera frame: ``(..., 3)`` in metres."""
         transform = self._transform()
         return (_as_points(points, 3, "points") - transform[:3, 3]) @ transform[:3, :3]
 
     def project_from_base(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Base frame -> pixels: (..., 3) metres -> (..., 2)."""
+        """Project points of the base frame to pixels: ``(..., 3)`` in metres -> ``(..., 2)``."""
         return self.intrinsics.project(self.from_base(points))
 
     def _transform(self) -> npt.NDArray[np.float64]:

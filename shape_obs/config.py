@@ -105,7 +105,7 @@ class DetectorConfig(Spec):
                         )
 
     def resolved(self) -> tuple[Configuration, ...]:
-        """The configurations with this detector's defaults filled in."""
+        """Return the configurations with this detector's defaults filled in."""
         filled = []
         defaults = {"order": self.order, "segmentation": self.segmentation, "anchor": self.anchor, "ends": self.ends}
         for shape in self.shapes:
@@ -162,17 +162,17 @@ def save_config(path: str | os.PathLike[str], arguments: Mapping[str, Any]) -> N
 
 
 def dump_config(arguments: Mapping[str, Any]) -> str:
-    """What ``save_config`` writes: YAML of three sections, defaults filled in."""
+    """Return what ``save_config`` writes: YAML of three sections, defaults filled in."""
     return yaml.safe_dump(_sections(arguments), sort_keys=False)
 
 
 def detector_arguments(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """What of a wrapper's arguments a detector takes."""
+    """Return those of a wrapper's arguments that a detector takes."""
     return {name: value for name, value in arguments.items() if name not in _WRAPPER_ONLY}
 
 
 def schema_hash(arguments: Mapping[str, Any]) -> str:
-    """SHA-256 of the ``shape`` section: equal hashes mean that a policy reads the same numbers in the same places.
+    """Return the SHA-256 of the ``shape`` section: if it is equal, a policy reads the same numbers in the same places.
 
     Defaults are filled in, the detector's too, and segmentations left out: another site's colours do not change it.
     """
@@ -187,7 +187,7 @@ def schema_hash(arguments: Mapping[str, Any]) -> str:
 
 
 def config_hash(arguments: Mapping[str, Any]) -> str:
-    """SHA-256 of all three sections, defaults filled in: equal hashes mean that a detector is told the same."""
+    """Return the SHA-256 of all three sections with defaults: if it is equal, detectors have equal arguments."""
     return _sha256(_sections(arguments))
 
 

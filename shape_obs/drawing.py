@@ -28,7 +28,7 @@ _SHIFT: Final = 4
 def draw_detection(
     rgb: Image, detection: Detection, *, scale: int = 1, under: Sequence[tuple[Array, Colour]] = ()
 ) -> Image:
-    """Every shape over a copy of the image.
+    """Draw every shape over a copy of the image.
 
     Args:
         rgb: (H,W,3) uint8, RGB.
@@ -51,7 +51,7 @@ def draw_detection(
 
 
 def draw_shape(picture: Image, shape: Shape, *, scale: int = 1) -> None:
-    """One shape, in place: its points, and lines between neighbours; nothing where it has no points.
+    """Draw one shape in place: its points, and lines between neighbours; nothing where it has no points.
 
     Args:
         picture: (H,W,3) uint8, RGB.
@@ -78,7 +78,7 @@ def draw_shape(picture: Image, shape: Shape, *, scale: int = 1) -> None:
 
 
 def draw_curve(picture: Image, points: Array, colour: Colour, *, thickness: int = 1) -> None:
-    """A polyline of (N,2) pixels, in place."""
+    """Draw a polyline of ``(N, 2)`` pixels in place."""
     if len(points) > 1:
         line = np.round(points * (1 << _SHIFT)).astype(np.int32)
         cv2.polylines(picture, [line], False, colour, thickness, _ANTIALIASED, _SHIFT)
@@ -89,7 +89,7 @@ def _enlarged(points: npt.NDArray[Any], scale: int) -> Array:
 
 
 def _beside(points: Array, layout: Topology, distance: float = 16.0) -> Array:
-    """From each point to its number, where it hides no other point.
+    """Return the way from each point to its number, which hides no other point.
 
     Beside a curve, on the outside of its bends; within a mesh, up and to the left.
     """
@@ -115,7 +115,7 @@ def _number(picture: Image, text: str, centre: Array) -> None:
 
 
 def draw_text(picture: Image, text: str, origin: tuple[int, int], colour: Colour = _INK) -> None:
-    """Small text with a halo, its lower left corner at ``origin`` = (u, v), in place."""
+    """Draw small text with a halo in place, its lower left corner at ``origin`` = (u, v)."""
     # Shifted copies, not a bolder one: OpenCV 5 spaces bold letters wider.
     for du, dv, ink in ((-1, 0, _PAPER), (1, 0, _PAPER), (0, -1, _PAPER), (0, 1, _PAPER), (0, 0, colour)):
         place = (origin[0] + du, origin[1] + dv)

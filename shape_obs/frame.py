@@ -89,7 +89,7 @@ def readable_depth(depth: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], float]:
 
 
 def depth_in_metres(depth: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-    """Depth values -> metres, NaN where invalid. For the few values that a stage reads, not for whole images."""
+    """Convert depth values to metres, NaN where invalid; for the few values that a stage reads, not for images."""
     metres = depth.astype(np.float64) * (MILLIMETRE if depth.dtype == np.uint16 else 1.0)
     metres[~((metres > 0) & (metres < FARTHEST))] = np.nan
     return metres

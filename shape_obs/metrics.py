@@ -27,7 +27,7 @@ _ROUNDING: Final = 1e-9
 
 
 def nearest(points: npt.ArrayLike, centres: npt.ArrayLike) -> Labels:
-    """(M,) the index of the centre that is nearest to each point: (M,D), (K,D) -> (M,)."""
+    """Return ``(M,)`` the index of the centre that is nearest to each point: ``(M, D)``, ``(K, D)`` -> ``(M,)``."""
     data, nodes = np.asarray(points, dtype=np.float64), np.asarray(centres, dtype=np.float64)
     middle = data.mean(axis=0)
     nodes = nodes - middle
@@ -35,7 +35,7 @@ def nearest(points: npt.ArrayLike, centres: npt.ArrayLike) -> Labels:
 
 
 def silhouette(points: npt.ArrayLike, labels: npt.ArrayLike, *, sample: int | None = None, seed: int = 0) -> float:
-    """Mean of (b - a) / max(a, b), -1...1, a and b being a point's mean distances to its own and the nearest cluster.
+    """Return the mean of (b - a) / max(a, b): a and b are a point's mean distances to its own and the nearest cluster.
 
     Distances are exact and to all points. Only few clusters need them: the mean distance of x to cluster c lies between
     ``|x - mean_c|`` and ``sqrt(|x - mean_c|^2 + variance_c)``.
@@ -77,7 +77,7 @@ def silhouette(points: npt.ArrayLike, labels: npt.ArrayLike, *, sample: int | No
 
 
 def calinski_harabasz(points: npt.ArrayLike, labels: npt.ArrayLike) -> float:
-    """Variance between clusters over variance within them, each by its degrees of freedom; it grows with M.
+    """Return the variance between clusters over variance within them, each by its degrees of freedom; it grows with M.
 
     Args:
         points: (M,D).
@@ -94,7 +94,7 @@ def calinski_harabasz(points: npt.ArrayLike, labels: npt.ArrayLike) -> float:
 
 
 def spacing_cv(points: npt.ArrayLike, layout: Topology, valid: npt.NDArray[np.bool_] | None = None) -> float:
-    """Standard deviation over mean of the gaps between neighbours; on a lattice the larger of both directions'.
+    """Return standard deviation over mean of the gaps between neighbours; on a lattice that of the worse direction.
 
     Args:
         points: (N,D) in order.
@@ -114,13 +114,13 @@ def spacing_cv(points: npt.ArrayLike, layout: Topology, valid: npt.NDArray[np.bo
 
 
 def distance(points: npt.ArrayLike, curve: npt.ArrayLike, *, closed: bool = False) -> Array:
-    """(N,) exact distances of (N,D) points to a polyline of (P,D); closed, its last point is joined to its first."""
+    """Return the exact distances ``(N,)`` of ``(N, D)`` points to a polyline ``(P, D)``, closed if ``closed``."""
     line = np.asarray(curve, dtype=np.float64)
     return nearest_on(np.concatenate([line, line[:1]]) if closed else line, np.asarray(points, dtype=np.float64))[1]
 
 
 def coverage(points: npt.ArrayLike, layout: Topology, pixels: npt.ArrayLike, reach: float) -> float:
-    """The share of an object that lies near its points as they are joined, 0...1.
+    """Return the share of an object that lies near its points as they are joined, 0...1.
 
     Args:
         points: (N,D) in order.
@@ -141,7 +141,7 @@ def coverage(points: npt.ArrayLike, layout: Topology, pixels: npt.ArrayLike, rea
 
 
 def in_order(places: npt.ArrayLike, period: float | None = None) -> bool:
-    """Whether (N,) places along a curve strictly increase; around a closed one of length ``period``, once around."""
+    """Return whether ``(N,)`` places along a curve strictly increase; around a closed one of length ``period`` once."""
     along = np.asarray(places, dtype=np.float64)
     if period is None:
         return bool(np.all(np.diff(along) > 0))
@@ -159,7 +159,7 @@ class _Clusters(NamedTuple):
     variance: Array
 
     def members(self) -> Iterator[Array]:
-        """The points of each cluster."""
+        """Return the points of each cluster."""
         sorted_points = self.points[np.argsort(self.label, kind="stable")]
         yield from np.split(sorted_points, np.cumsum(self.size)[:-1])
 
@@ -179,7 +179,7 @@ def _clusters(points: npt.ArrayLike, labels: npt.ArrayLike) -> _Clusters:
 
 
 def _triangles(layout: Grid) -> Iterator[Labels]:
-    """Two triangles for each cell of a lattice, as indices (3,)."""
+    """Return two triangles for each cell of a lattice, as indices ``(3,)``."""
     at = np.arange(layout.size).reshape(layout.rows, layout.cols)
     for cell in np.stack([at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]], axis=-1).reshape(-1, 4):
         yield cell[[0, 1, 2]]
@@ -187,7 +187,7 @@ def _triangles(layout: Grid) -> Iterator[Labels]:
 
 
 def _faces(triangle: Array, points: Array, reach: float) -> npt.NDArray[np.bool_]:
-    """(M,) whether a point's foot on the plane of a triangle (3,D) lies within it, at most ``reach`` away."""
+    """Return whether a point's foot on the plane of a triangle ``(3, D)`` lies within it, at most ``reach`` away."""
     sides, away = triangle[1:] - triangle[0], points - triangle[0]
     gram = sides @ sides.T
     if np.linalg.det(gram) <= 1e-12 * gram.trace() ** 2:  # no area: its sides say all

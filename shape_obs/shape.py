@@ -85,7 +85,7 @@ class Shape:
         return self.points2d
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able values; NaN becomes None."""
+        """Return JSON-able values; NaN becomes None."""
         return {
             "name": self.name,
             "ok": self.ok,
@@ -132,7 +132,7 @@ class Detection:
         return all(shape.ok for shape in self.shapes)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able values."""
+        """Return JSON-able values."""
         return {
             "ok": self.ok,
             "stamp": self.stamp,

@@ -54,5 +54,5 @@ class Clusterer(Clustering):
 
 
 def rms_spread(points: npt.NDArray[np.float64]) -> float:
-    """Root mean square distance of (M,D) points from their mean: a length that tolerances can be told in."""
+    """Return the root mean square distance of ``(M, D)`` points from their mean, a length for tolerances."""
     return max(float(np.sqrt(points.var(axis=0).sum())), 1e-300)

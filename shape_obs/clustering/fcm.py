@@ -40,7 +40,7 @@ class FuzzyCMeans(Clusterer, kind="fcm"):
             raise ValueError(f"fcm: expected tolerance > 0 and max_iter >= 1, got {self.tolerance}, {self.max_iter}.")
 
     def centres(self, samples: Samples, layout: Topology, seed: int) -> Centres:
-        """The centres."""
+        """Return the centres."""
         middle, scale = samples.points.mean(axis=0), rms_spread(samples.points)
         points = (samples.points - middle) / scale
         square = np.sum(points**2, axis=1)

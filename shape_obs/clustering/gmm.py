@@ -36,7 +36,7 @@ class GaussianMixture(Clusterer, kind="gmm"):
             raise ValueError(f"gmm: max_iter must be >= 1, got {self.max_iter}.")
 
     def centres(self, samples: Samples, layout: Topology, seed: int) -> Centres:
-        """The means."""
+        """Return the means."""
         from sklearn.exceptions import ConvergenceWarning
         from sklearn.mixture import GaussianMixture as Estimator
 

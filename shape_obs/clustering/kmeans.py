@@ -37,7 +37,7 @@ class KMeans(Clusterer, kind="kmeans"):
             raise ValueError(f"kmeans: n_init and max_iter must be >= 1, got {self.n_init} and {self.max_iter}.")
 
     def centres(self, samples: Samples, layout: Topology, seed: int) -> Centres:
-        """The centres."""
+        """Return the centres."""
         from sklearn.cluster import KMeans as Estimator
         from sklearn.exceptions import ConvergenceWarning
 

@@ -40,7 +40,7 @@ class Kohonen(Clusterer, kind="kohonen"):
             raise ValueError(f"kohonen: expected steps >= 1 and a rate in 0...1, got {self.steps} and {self.rate}.")
 
     def centres(self, samples: Samples, layout: Topology, seed: int) -> Centres:
-        """The nodes, in the map's own order."""
+        """Return the nodes, in the map's own order."""
         rng = np.random.default_rng(seed)
         middle = samples.points.mean(axis=0)
         points = samples.points - middle

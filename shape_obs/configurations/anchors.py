@@ -17,7 +17,7 @@ Anchors = Mapping[str, Sequence[float]] | None
 
 
 def anchor_pixel(spec: Configuration, anchors: Anchors, camera: CameraModel | None) -> Array | None:
-    """The (2,) pixel of a configuration's anchor; None without one.
+    """Return the ``(2,)`` pixel of a configuration's anchor; None without one.
 
     Raises:
         ValueError: An unknown name, no finite place, or one in the base frame that the camera cannot be asked for.
@@ -39,7 +39,7 @@ def anchor_pixel(spec: Configuration, anchors: Anchors, camera: CameraModel | No
 
 
 def anchor_point(spec: Configuration, anchors: Anchors, camera: CameraModel | None) -> Array | None:
-    """The (3,) point of a configuration's anchor in the frame of a cloud, metres; None without one.
+    """Return the ``(3,)`` point of a configuration's anchor in the frame of a cloud, metres; None without one.
 
     With a camera the cloud is in its frame, and anchors in the base frame are moved there; without one anchors are in
     the cloud's own frame.
@@ -66,7 +66,7 @@ def anchor_point(spec: Configuration, anchors: Anchors, camera: CameraModel | No
 
 
 def _given(spec: Configuration, anchors: Anchors) -> Array | None:
-    """(2,) or (3,), finite."""
+    """Return the anchor as a finite ``(2,)`` or ``(3,)`` array."""
     anchor = _told(spec, anchors)
     if anchor is None:
         return None
@@ -77,7 +77,7 @@ def _given(spec: Configuration, anchors: Anchors) -> Array | None:
 
 
 def _told(spec: Configuration, anchors: Anchors) -> Any:
-    """The anchor as it was given, its name resolved."""
+    """Return the anchor as it was given, its name resolved."""
     anchor: Any = spec.anchor
     if not isinstance(anchor, str):
         return anchor

@@ -43,11 +43,11 @@ class Topology(ABC):
 
     @abstractmethod
     def offsets(self) -> Array:
-        """(P,K,K) the way from node k to node j in each lattice direction, node units."""
+        """Return ``(P, K, K)`` the way from node k to node j in each lattice direction, node units."""
 
     @abstractmethod
     def edges(self) -> npt.NDArray[np.intp]:
-        """(E,2) pairs of neighbours, the lower index first but where a ring closes."""
+        """Return ``(E, 2)`` pairs of neighbours, the lower index first but where a ring closes."""
 
     @abstractmethod
     def unshrink(self, nodes: Array, sigma: float) -> Array:
@@ -55,7 +55,7 @@ class Topology(ABC):
 
     @abstractmethod
     def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
-        """(K,D) values with the unknown ones filled from their known neighbours; at least one must be known."""
+        """Fill the unknown of ``(K, D)`` values from their known neighbours; at least one must be known."""
 
 
 @dataclass(frozen=True)
@@ -75,21 +75,21 @@ class Chain(_Line):
     """An open chain of ``count`` nodes."""
 
     def offsets(self) -> Array:
-        """(1,K,K)."""
+        """Return ``(1, K, K)``."""
         at = np.arange(self.count, dtype=np.float64)
         return (at[None, :] - at[:, None])[None]
 
     def edges(self) -> npt.NDArray[np.intp]:
-        """(K-1,2)."""
+        """Return ``(K - 1, 2)``."""
         at = np.arange(self.count)
         return np.stack([at[:-1], at[1:]], axis=1)
 
     def unshrink(self, nodes: Array, sigma: float) -> Array:
-        """The second difference stands for the bend, at an end its neighbour's."""
+        """Undo the pull; the second difference stands for the bend, at an end its neighbour's."""
         return undo_shrinkage(nodes, shrinkage(sigma), False)
 
     def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
-        """In a straight line along the index, the ends repeated."""
+        """Interpolate linearly along the index; the ends are repeated."""
         return _along_index(values, known, None)
 
 
@@ -98,7 +98,7 @@ class Ring(_Line):
     """A closed ring of ``count`` nodes."""
 
     def offsets(self) -> Array:
-        """(1,K,K) the shorter way round."""
+        """Return ``(1, K, K)`` the shorter way round."""
         at = np.arange(self.count, dtype=np.float64)
         half = self.count // 2
         return ((at[None, :] - at[:, None] + half) % self.count - half)[None]
@@ -109,11 +109,11 @@ class Ring(_Line):
         return np.stack([at, np.roll(at, -1)], axis=1)
 
     def unshrink(self, nodes: Array, sigma: float) -> Array:
-        """The second difference stands for the bend."""
+        """Undo the pull; the second difference stands for the bend."""
         return undo_shrinkage(nodes, shrinkage(sigma), True)
 
     def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
-        """In a straight line along the index, across the closure too."""
+        """Interpolate linearly along the index, across the closure too."""
         return _along_index(values, known, self.count)
 
 
@@ -130,28 +130,28 @@ class Grid(Topology):
         return self.rows * self.cols
 
     def lattice(self, nodes: Array) -> Array:
-        """(K,D) nodes as (rows,cols,D)."""
+        """Return ``(K, D)`` nodes as ``(rows, cols, D)``."""
         return nodes.reshape(self.rows, self.cols, nodes.shape[1])
 
     def places(self) -> Array:
-        """(K,2) row and column of each node."""
+        """Return ``(K, 2)`` row and column of each node."""
         row, column = np.divmod(np.arange(self.size), self.cols)
         return np.stack([row, column], axis=1).astype(np.float64)
 
     def offsets(self) -> Array:
-        """(2,K,K) along the rows' and the columns' index."""
+        """Return ``(2, K, K)`` along the rows' and the columns' index."""
         at = self.places().T
         return at[:, None, :] - at[:, :, None]
 
     def edges(self) -> npt.NDArray[np.intp]:
-        """(E,2) to the right and down."""
+        """Return ``(E, 2)`` to the right and down."""
         at = np.arange(self.size).reshape(self.rows, self.cols)
         right = np.stack([at[:, :-1].ravel(), at[:, 1:].ravel()], axis=1)
         down = np.stack([at[:-1].ravel(), at[1:].ravel()], axis=1)
         return np.concatenate([right, down])
 
     def unshrink(self, nodes: Array, sigma: float) -> Array:
-        """As along a chain, down every column and along every row."""
+        """Undo the pull as along a chain, down every column and along every row."""
         lattice = nodes.reshape(self.rows, self.cols, -1)
         out = lattice.copy()
         if self.rows > 2:
@@ -164,7 +164,7 @@ class Grid(Topology):
         return out.reshape(nodes.shape)
 
     def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
-        """Linearly over the lattice; outside the known ones the nearest is repeated."""
+        """Interpolate linearly over the lattice; outside the known values the nearest is repeated."""
         from scipy.interpolate import (  # 0.2 s of every start, for lost points of lattices alone
             LinearNDInterpolator,
             NearestNDInterpolator,
@@ -181,7 +181,7 @@ class Grid(Topology):
 
 @lru_cache(maxsize=64)
 def shrinkage(sigma: float) -> float:
-    """How far averaging pulls the nodes of a line from their curve, to second order, as a share of their bend.
+    """Return how far averaging pulls the nodes of a line from their curve, to second order, as a share of their bend.
 
     The mean over a unit cell of a curve C is C + C''/24, and the kernel mean over both neighbours adds h/(1+2h) C''
     with h = exp(-1/2 sigma^2).

@@ -63,13 +63,13 @@ def _range_of(hsv: npt.NDArray[Any], turned: npt.NDArray[Any], hue: float, *, co
 
 
 def _middle_hue(hues: npt.NDArray[Any]) -> float:
-    """The mean on the circle of hues."""
+    """Return the mean on the circle of hues."""
     angle = np.angle(np.mean(np.exp(2j * np.pi * hues.astype(float) / HUES)))
     return float(angle / (2 * np.pi) * HUES % HUES)
 
 
 def _component_at(rule: npt.NDArray[np.bool_], u: int, v: int) -> npt.NDArray[np.bool_]:
-    """The part of a mask that hangs together with a pixel, small holes and cracks closed."""
+    """Return the part of a mask that hangs together with a pixel, small holes and cracks closed."""
     square = np.ones((3, 3), np.uint8)
     labels = np.asarray(cv2.connectedComponents(cv2.morphologyEx(rule.view(np.uint8), cv2.MORPH_CLOSE, square))[1])
     return (labels == labels[v, u]) & rule if labels[v, u] else rule

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, Final, Literal, NamedTuple
 
 import cv2
@@ -70,9 +71,10 @@ class Markers(ROI, kind="markers"):
             raise SpecError(f"markers: {error}") from error
         if self.every < 1 or not 0 < self.tolerance < np.inf:
             raise SpecError(f"markers: expected every >= 1 and tolerance > 0, got {self.every} and {self.tolerance}.")
+        import_module("scipy.optimize")  # the fit of a hidden marker needs it, and not in the frame that hides it
 
     def window(self, size: tuple[int, int]) -> Window:
-        """Unknown without a frame: ``place`` tells.
+        """Raise an error: the window is unknown until ``place`` has seen a frame.
 
         Raises:
             ValueError: Always.
@@ -80,7 +82,7 @@ class Markers(ROI, kind="markers"):
         raise ValueError("where the markers are depends on the frame: ask place(rgb, memory) for the region.")
 
     def place(self, rgb: Image | None, memory: Any) -> Place:
-        """The area in this frame, or which markers are missing."""
+        """Return the area in this frame, or which markers are missing."""
         if rgb is None:
             raise ValueError(
                 "roi 'markers' needs the colour image to find them in, and there is none; with masks or depth alone "
@@ -108,7 +110,7 @@ class Markers(ROI, kind="markers"):
         return Place(region, Seen(size, corners, region))
 
     def _stayed(self, gray: Image, known: Corners) -> bool:
-        """Whether markers are seen near where they were, and all of them where they were."""
+        """Return whether markers are seen near where they were, and all of them where they were."""
         stayed = []
         for each, corners in known.items():
             reach = _MARGIN * float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).max())
@@ -124,7 +126,7 @@ class Markers(ROI, kind="markers"):
         return float(np.linalg.norm(seen - known, axis=1).max()) <= self.tolerance
 
     def _completed(self, seen: Corners, known: Seen | None) -> Corners | None:
-        """All four markers from those that are seen and from where they were; None where that is not enough."""
+        """Return all four markers from those in sight and their last places; None if that is not enough."""
         if len(seen) == 4:
             return seen
         if known is None:
@@ -140,7 +142,7 @@ class Markers(ROI, kind="markers"):
         return {**seen, **dict(zip(gone, np.asarray(moved, np.float64), strict=True))}
 
     def _area(self, corners: Corners) -> Array:
-        """(4,2) the polygon between the markers."""
+        """Return ``(4, 2)`` the polygon between the markers."""
         squares = np.stack([corners[each] for each in self.ids])
         centres = squares.mean(axis=1)
         middle = centres.mean(axis=0)
@@ -155,6 +157,6 @@ class Markers(ROI, kind="markers"):
 
 
 def _hidden(seen: Corners, ids: tuple[int, int, int, int]) -> Corners:
-    """The one of four markers that is not seen."""
+    """Return the one of four markers that is not seen."""
     missing = next(each for each in ids if each not in seen)
     return {missing: fourth_marker(seen, ids)}

@@ -34,7 +34,7 @@ class Window(NamedTuple):
         return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
     def united(self, other: Window) -> Window:
-        """The least window that holds both."""
+        """Return the least window that holds both."""
         left, top = min(self.left, other.left), min(self.top, other.top)
         right = max(self.left + self.width, other.left + other.width)
         bottom = max(self.top + self.height, other.top + other.height)
@@ -60,18 +60,18 @@ class ROI(Spec, family="roi"):
 
     @abstractmethod
     def window(self, size: tuple[int, int]) -> Window:
-        """The pixels to read of an image of ``size`` = (H, W).
+        """Return the pixels to read of an image of ``size`` = (H, W).
 
         Raises:
             ValueError: The region leaves nothing of the image.
         """
 
     def blank(self, mask: npt.NDArray[np.uint8], window: Window) -> npt.NDArray[np.uint8]:
-        """The mask with 0 outside the region; the mask given stays as it is."""
+        """Return the mask with 0 outside the region; the mask given stays as it is."""
         return mask
 
     def place(self, rgb: npt.NDArray[np.uint8] | None, memory: Any) -> Place:
-        """Where the region is in a frame; most stand still. A region that moves overrides this.
+        """Return where the region is in a frame; most stand still. A region that moves overrides this.
 
         Args:
             rgb: (H,W,3) uint8, RGB; None where there is only a mask or depth.
@@ -85,7 +85,7 @@ class ROI(Spec, family="roi"):
 
 
 def clipped(box: tuple[int, int, int, int], size: tuple[int, int], roi: ROI) -> Window:
-    """The part of a box (left, top, right, bottom) that lies in an image of ``size`` = (H, W).
+    """Return the part of a box (left, top, right, bottom) that lies in an image of ``size`` = (H, W).
 
     Raises:
         ValueError: None of it.
@@ -119,7 +119,7 @@ class Rectangle(ROI, kind="rectangle"):
             raise ValueError(f"Rectangle: width and height must be positive, got {self.width} x {self.height}.")
 
     def window(self, size: tuple[int, int]) -> Window:
-        """The part of the rectangle that lies in the image."""
+        """Return the part of the rectangle that lies in the image."""
         box = (self.left, self.top, self.left + self.width, self.top + self.height)
         return clipped(box, size, self)
 
@@ -142,13 +142,13 @@ class Polygon(ROI, kind="polygon"):
             raise ValueError(f"Polygon: corners must be finite, got {self.points}.")
 
     def window(self, size: tuple[int, int]) -> Window:
-        """The bounding box of the polygon, clipped to the image."""
+        """Return the bounding box of the polygon, clipped to the image."""
         corners = np.asarray(self.points, dtype=np.float64)
         low, high = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int) + 1
         return clipped((int(low[0]), int(low[1]), int(high[0]), int(high[1])), size, self)
 
     def blank(self, mask: npt.NDArray[np.uint8], window: Window) -> npt.NDArray[np.uint8]:
-        """The mask with 0 outside the polygon."""
+        """Return the mask with 0 outside the polygon."""
         inside = np.zeros(mask.shape, np.uint8)
         corners = np.asarray(self.points, dtype=np.float64) - (window.left, window.top)
         cv2.fillPoly(inside, [np.round(corners).astype(np.int32)], 255)
@@ -160,5 +160,5 @@ class Whole(ROI, kind="whole"):
     """The whole image."""
 
     def window(self, size: tuple[int, int]) -> Window:
-        """The whole image."""
+        """Return the whole image."""
         return Window(0, 0, size[1], size[0])

@@ -53,11 +53,11 @@ class Segmentation(Spec, family="segmentation"):
             raise ValueError(f"{self.kind}: min_share must lie in 0...1, got {self.min_share}.")
 
     def apply(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
-        """The mask of ``window``: (h,w) uint8, 0 or 255, after opening and closing."""
+        """Return the mask of ``window``: ``(h, w)`` uint8, 0 or 255, after opening and closing."""
         return self.clean(self.threshold(frame, window))
 
     def clean(self, mask: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-        """A mask after opening and closing; it is overwritten."""
+        """Return a mask after opening and closing; it is overwritten."""
         for size, operation in ((self.open, cv2.MORPH_OPEN), (self.close, cv2.MORPH_CLOSE)):
             if size > 1:
                 square = cv2.getStructuringElement(cv2.MORPH_RECT, (size, size))
@@ -66,11 +66,11 @@ class Segmentation(Spec, family="segmentation"):
 
     @abstractmethod
     def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
-        """The bare rule: (h,w) uint8, 0 or 255."""
+        """Return the mask of the bare rule, ``(h, w)`` uint8, 0 or 255."""
 
 
 def need(image: npt.NDArray[Any] | None, name: str, rule: Segmentation) -> npt.NDArray[Any]:
-    """The image that a rule reads, or an error that says which is missing."""
+    """Return the image that a rule reads, or an error that says which is missing."""
     if image is None:
         raise ValueError(f"segmentation {rule.kind!r} needs {name}, but the frame has none.")
     return image
@@ -94,10 +94,10 @@ class ColourRule(Segmentation):
 
     @abstractmethod
     def matches(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
-        """Which pixels of an (h,w,3) uint8 RGB image belong to the object: (h,w), bool, or uint8 0 and 255."""
+        """Return which pixels of an ``(h, w, 3)`` RGB image belong to the object: ``(h, w)`` bool, or uint8 0 and 255."""
 
     def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
-        """(h,w) uint8 mask, 0 or 255."""
+        """Return the mask of the window: ``(h, w)`` uint8, 0 or 255."""
         found = np.asarray(self.matches(need(frame.rgb, "rgb", self)[window.slices]))
         return found if found.dtype == np.uint8 else found.astype(bool).view(np.uint8) * np.uint8(255)
 
@@ -130,7 +130,7 @@ class HSVRange(ColourRule, kind="hsv"):
                 )
 
     def matches(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-        """(h,w,3) uint8 -> (h,w) uint8 mask, 0 or 255."""
+        """Return the mask of an image: ``(h, w, 3)`` uint8 -> ``(h, w)`` uint8, 0 or 255."""
         hsv = cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV)
         if self.low[0] <= self.high[0]:
             return _in_range(hsv, self.low, self.high)
@@ -160,7 +160,7 @@ class GrayRange(ColourRule, kind="gray"):
             raise ValueError(f"gray: expected 0 <= low <= high <= 255, got low {self.low} and high {self.high}.")
 
     def matches(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-        """(h,w,3) uint8 -> (h,w) uint8 mask, 0 or 255."""
+        """Return the mask of an image: ``(h, w, 3)`` uint8 -> ``(h, w)`` uint8, 0 or 255."""
         gray = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
         return np.asarray(cv2.inRange(gray, np.array([self.low]), np.array([self.high])), dtype=np.uint8)
 
@@ -183,7 +183,7 @@ class DepthRange(Segmentation, kind="depth"):
             raise ValueError(f"depth: expected 0 < near <= far in metres, got near {self.near} and far {self.far}.")
 
     def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
-        """(h,w) uint8 mask, 0 or 255."""
+        """Return the mask of the window: ``(h, w)`` uint8, 0 or 255."""
         depth = need(frame.depth, "depth", self)[window.slices]
         if depth.dtype == np.uint16:
             low, high = max(np.ceil(self.near / MILLIMETRE - 1e-6), 1), np.floor(self.far / MILLIMETRE + 1e-6)

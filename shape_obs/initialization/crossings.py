@@ -92,7 +92,7 @@ def untangle(skeleton: Skeleton) -> Strands:
 def _overlaps(
     branches: list[Branch], zones: Zones, groups: dict[int, list[Arm]], leads: dict[Arm, Lead], width: float
 ) -> dict[int, Overlap]:
-    """What happens in the zones where two strands meet and part along one shared branch."""
+    """Return what happens in the zones where two strands meet and part along one shared branch."""
     found = {}
     for i in zones.shared:
         zone = zones.of[i, 0]
@@ -109,7 +109,7 @@ def _overlaps(
 
 
 def _ways(overlap: Overlap) -> Iterator[tuple[tuple[Arm, Arm], Array]]:
-    """The paths of an overlap, both ways."""
+    """Return the paths of an overlap, both ways."""
     for (first, last), path in zip(overlap.pairs, overlap.paths, strict=True):
         yield (first, last), path
         yield (last, first), path[::-1]
@@ -125,7 +125,7 @@ def _doubts(options: Options, chosen: dict[int, int], overlaps: dict[int, Overla
 
 
 def _smooth(branch: Branch, width: float) -> Branch:
-    """Without the staircase; ends stay."""
+    """Return a branch without the staircase of pixels; its ends stay."""
     if len(branch.points) < 3:
         return branch
     sigma = _SMOOTHING * width * (len(branch.points) - 1) / max(branch.length, 1e-9)
@@ -137,7 +137,7 @@ def _smooth(branch: Branch, width: float) -> Branch:
 
 
 def _trim(branch: Branch, free_start: bool, free_end: bool, width: float) -> Array:
-    """The part of a branch that is clear of the zones at its ends: there the skeleton runs between strands."""
+    """Return the part of a branch that is clear of the zones at its ends: there the skeleton runs between strands."""
     arc = arc_length(np.ascontiguousarray(branch.points))
     length = arc[-1]
     start = _CUT * width if free_start else float(branch.radius[0])
@@ -150,7 +150,7 @@ def _trim(branch: Branch, free_start: bool, free_end: bool, width: float) -> Arr
 
 
 def _options(group: list[Arm], leads: dict[Arm, Lead], overlap: Overlap | None) -> list[tuple[float, Pairing]]:
-    """All ways to pair the strands of a zone, with what they bend, least first; of an odd number one ends here."""
+    """Return all ways to pair the strands of a zone and their bend, least first; of an odd number one ends here."""
     cost = {(a, b): bending(leads[a], leads[b]) for n, a in enumerate(group) for b in group[n + 1 :]}
     if len(group) > _MOST_TRIED:
         pairing: list[tuple[Arm, Arm]] = []
@@ -166,7 +166,7 @@ def _options(group: list[Arm], leads: dict[Arm, Lead], overlap: Overlap | None) 
 
 
 def _pairings(group: list[Arm]) -> Iterator[Pairing]:
-    """Every way to pair as many of a group as possible."""
+    """Return every way to pair as many of a group as possible."""
     if len(group) < 2:
         yield ()
         return
@@ -180,13 +180,13 @@ def _pairings(group: list[Arm]) -> Iterator[Pairing]:
 
 
 def _partners(options: Options, chosen: dict[int, int]) -> dict[Arm, Arm]:
-    """Where each strand goes on."""
+    """Return where each strand goes on."""
     pairs = [pair for zone, row in options.items() for pair in row[chosen[zone]][1]]
     return dict(pairs) | {b: a for a, b in pairs}
 
 
 def _routes(kept: tuple[int, ...], partner: dict[Arm, Arm]) -> list[list[Arm]]:
-    """The strands: by which arm each branch is entered. Those with ends first, rings after them."""
+    """Return the strands: by which arm each branch is entered. Those with ends first, rings after them."""
     arms = [(i, end) for i in kept for end in (0, 1)]
     routes, done = [], set()
     for start in sorted(arms, key=lambda arm: arm in partner):
@@ -233,7 +233,7 @@ def _curve(
     ways: dict[tuple[Arm, Arm], Array],
     width: float,
 ) -> Array:
-    """A strand's branches, and smooth curves through the zones between them."""
+    """Return a strand's branches, and smooth curves through the zones between them."""
     pieces = [trimmed[i][:: 1 - 2 * end] for i, end in route]
     if route[0] in partner:  # a ring is cut open where the first branch begins
         pieces.append(pieces[0][:1])
@@ -249,7 +249,7 @@ def _curve(
 
 
 def _joint(before: Array, after: Array, width: float) -> Array:
-    """What lies between two curves with steps of about a pixel."""
+    """Return the points between two curves, with steps of about a pixel."""
     reach = max(round(width / 2), 1)
     out = before[-1] - before[-min(reach + 1, len(before))]
     into = after[min(reach, len(after) - 1)] - after[0]

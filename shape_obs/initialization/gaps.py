@@ -82,7 +82,7 @@ def bridge(pieces: list[Array], width: float) -> Bridged:
 
 
 def _cut(piece: Array, width: float, *, start: bool = True, end: bool = True) -> Array:
-    """A piece without its ragged ends."""
+    """Return a piece without its ragged ends."""
     piece = np.ascontiguousarray(piece)
     arc = arc_length(piece)
     cut = min(_RAGGED * width, 0.3 * float(arc[-1]))
@@ -92,7 +92,7 @@ def _cut(piece: Array, width: float, *, start: bool = True, end: bool = True) ->
 
 
 def _prices(pieces: list[Array], width: float) -> tuple[Array, Array]:
-    """Price and bend of going on from each end to each other: (2n,2n) twice; end 2 i + e is that of piece i."""
+    """Return price and bend of going on from each end to each other, ``(2n, 2n)``; end 2 i + e is of piece i."""
     ends = [piece[:: 1 - 2 * e] for piece in pieces for e in (0, 1)]
     leads = [lead(end, _REACH * width) for end in ends]
     size = len(ends)
@@ -108,7 +108,7 @@ def _prices(pieces: list[Array], width: float) -> tuple[Array, Array]:
 
 
 def _ordered(price: Array) -> tuple[float, list[int]]:
-    """The cheapest way through all pieces, and the ends in its order (Held and Karp, 1962)."""
+    """Return the cheapest way through all pieces, and the ends in its order (Held and Karp, 1962)."""
     size = len(price)
     full = (1 << size // 2) - 1
     best = np.full((full + 1, size), np.inf)
@@ -132,7 +132,7 @@ def _ordered(price: Array) -> tuple[float, list[int]]:
 
 
 def _greedy(price: Array) -> tuple[float, list[int]]:
-    """The cheapest gap first, as long as it closes no ring."""
+    """Join the cheapest gap first, as long as it closes no ring."""
     size = len(price)
     far = {end: end ^ 1 for end in range(size)}  # the other end of the chain that begins here
     next_end: dict[int, int] = {}
@@ -166,7 +166,7 @@ class Lead(NamedTuple):
 
 
 def lead(curve: Array, reach: float) -> Lead:
-    """How a curve of (P,2) pixels leaves its first point: taken in the middle of its first piece of ``reach`` pixels.
+    """Return how a curve of ``(P, 2)`` pixels leaves its first point: the direction of its first ``reach`` pixels.
 
     On a bend a chord is parallel to the tangent in its middle, so the two belong together.
     """
@@ -178,12 +178,12 @@ def lead(curve: Array, reach: float) -> Lead:
 
 
 def unit(vector: Array) -> Array:
-    """A (2,) vector of length one in the same direction; zero for zero."""
+    """Return a ``(2,)`` vector of length one in the same direction; zero for zero."""
     return vector / max(float(np.hypot(vector[0], vector[1])), 1e-9)
 
 
 def bending(before: Lead, after: Lead) -> float:
-    """How much a smooth curve from one strand to another bends: its bending energy times its length over 4, rad^2.
+    """Return how much a smooth curve between two strands bends: bending energy times length over 4, rad^2.
 
     Both headings point away from the gap. Of a cubic that turns by a and b from its chord at its ends the energy is
     4 (a^2 - a b + b^2) over its length: an arc is cheaper than an S.
@@ -194,7 +194,7 @@ def bending(before: Lead, after: Lead) -> float:
 
 
 def hermite(start: Array, out: Array, end: Array, into: Array, step: float) -> Array:
-    """A smooth curve between two points with the given unit tangents, both along the way: (P,2), ends left out."""
+    """Return a smooth curve between two points with given unit tangents along the way: ``(P, 2)``, without ends."""
     length = float(np.linalg.norm(end - start))
     t = np.linspace(0, 1, max(round(length / step), 1) + 1)[1:-1, None]
     return (
@@ -205,5 +205,5 @@ def hermite(start: Array, out: Array, end: Array, into: Array, step: float) -> A
 
 
 def turn(before: Array, after: Array) -> float:
-    """Signed angle from one direction to another, radians."""
+    """Return the signed angle from one direction to another, radians."""
     return float(np.arctan2(before[0] * after[1] - before[1] * after[0], before @ after))

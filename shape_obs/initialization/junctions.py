@@ -73,14 +73,14 @@ def find_zones(skeleton: Skeleton) -> Zones:
 
 
 def _is_within(branch: Branch, degree: dict[int, int]) -> bool:
-    """Whether a branch joins two nodes that are one: either lies well inside the largest disc about the other."""
+    """Return whether a branch joins nodes that are one: either lies well inside the largest disc about the other."""
     first, second = branch.nodes
     joins = first != second and min(degree[first], degree[second]) > 1
     return joins and branch.length <= _WITHIN * (branch.radius[0] + branch.radius[-1])
 
 
 def _matching(branches: tuple[Branch, ...], width: float) -> list[int]:
-    """The branches that two strands share: each odd zone lies at one of them at most, or holds the end of a rope."""
+    """Return the branches that two strands share: each odd zone lies at one at most, or holds a rope's end."""
     degree = _degrees(branches)
     odd = sorted(zone for zone, count in degree.items() if count % 2 and count > 1)
     place = {zone: bit for bit, zone in enumerate(odd)}
@@ -93,7 +93,7 @@ def _matching(branches: tuple[Branch, ...], width: float) -> list[int]:
 
     @cache
     def best(left: int) -> tuple[float, tuple[int, ...]]:
-        """The cheapest way to match the zones in a set of bits."""
+        """Return the cheapest way to match the zones in a set of bits."""
         if not left:
             return 0.0, ()
         low = (left & -left).bit_length() - 1
@@ -117,13 +117,13 @@ def _matching(branches: tuple[Branch, ...], width: float) -> list[int]:
 
 
 def _price(branch: Branch, width: float) -> float:
-    """Of sharing a branch: its length in widths, counted more where it is slender."""
+    """Return the cost of sharing a branch: its length in widths, more where it is slender."""
     slender = np.interp(branch.radius / width, _THICK, _PER_WIDTH)
     return branch.length / width * float(slender.mean())
 
 
 def _degrees(branches: tuple[Branch, ...]) -> dict[int, int]:
-    """How many branches leave each node."""
+    """Return how many branches leave each node."""
     degree: dict[int, int] = {}
     for branch in branches:
         for node in branch.nodes:
@@ -226,12 +226,12 @@ def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, 
 
 
 def _by_side(arms: list[Arm], leads: dict[Arm, Lead], middle: Array, ahead: Array) -> list[Arm]:
-    """The strands from left to right, looking ahead, as the image is seen."""
+    """Return the strands from left to right, looking ahead, as the image is seen."""
     return sorted(arms, key=lambda arm: float((leads[arm].point - middle) @ (-ahead[1], ahead[0])))
 
 
 def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], float, str]:
-    """On which side a strand runs that begins on the right (1): (P,) 1 or -1.
+    """Return on which side a strand runs that begins on the right ``(1)``: ``(P,)`` 1 or -1.
 
     With it the smallest radius over the width, and why the sides may be wrong, or nothing.
     """

@@ -120,7 +120,7 @@ def trace(region: Region) -> Trace:
 
 
 def folded(component: Component) -> Array | None:
-    """The centreline of a component that is a simple ribbon: it has no hole, and all of it lies near; else None."""
+    """Return the centreline of a component if it is a simple ribbon: no hole, and all of it near; else None."""
     if component.holes:
         return None
     outline, (near, ragged) = component.outline, _RIBBON
@@ -129,7 +129,7 @@ def folded(component: Component) -> Array | None:
 
 
 def _without(region: Region, ribbons: list[Component]) -> tuple[npt.NDArray[np.uint8], tuple[int, int]]:
-    """The region's mask without some of its components, which have no holes, and without specks in the others.
+    """Return the region's mask without some of its components, which have no holes, and without specks in the others.
 
     Cropped to those others, with the image coordinates of its first pixel.
     """
@@ -147,7 +147,7 @@ def _without(region: Region, ribbons: list[Component]) -> tuple[npt.NDArray[np.u
 
 
 def _explained(strands: Strands) -> list[int]:
-    """The strands that are the rope: without the short ones that end on another, a tenth of all at most."""
+    """Return the strands that are the rope: without the short ones that end on another, a tenth of all at most."""
     length = [float(arc_length(np.ascontiguousarray(curve))[-1]) for curve in strands.curves]
     spare = _UNEXPLAINED * sum(length)
     kept = list(range(len(length)))
@@ -159,7 +159,7 @@ def _explained(strands: Strands) -> list[int]:
 
 
 def _doubts(strands: Strands, kept: list[int], *, alone: bool) -> list[str]:
-    """Why the strands of a skeleton may not be those of one rope; ``alone`` if there is nothing but them."""
+    """Return why the strands of a skeleton may not be those of one rope; ``alone`` if there is nothing but them."""
     doubts = list(strands.doubts)
     if strands.rings:
         doubts.append("the mask holds a closed ring: where the rope begins cannot be told")
@@ -177,12 +177,12 @@ def _doubts_of_gaps(joined: Bridged) -> list[str]:
 
 
 def _doubted(curve: Array, doubt: str) -> Trace:
-    """A folded curve."""
+    """Return a folded curve."""
     return Trace(curve, np.zeros(len(curve), bool), doubt)
 
 
 def _even(curve: Array, bridged: npt.NDArray[np.bool_], width: float) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """The curve at even steps, and which of its points lie in gaps."""
+    """Return the curve at even steps, and which of its points lie in gaps."""
     curve = np.ascontiguousarray(curve)
     arc = arc_length(curve)
     at = np.linspace(0.0, arc[-1], int(np.clip(round(arc[-1] / (_SPACING * width)), *_POINTS)))

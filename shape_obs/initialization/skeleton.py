@@ -66,7 +66,7 @@ class Branch:
         )
 
     def reversed(self) -> Branch:
-        """The same branch from its end to its start."""
+        """Return the same branch from its end to its start."""
         return Branch(self.points[::-1], self.radius[::-1], (self.nodes[1], self.nodes[0]))
 
 
@@ -83,7 +83,7 @@ class Skeleton(NamedTuple):
 
 
 def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skeleton:
-    """The skeleton of everything in a mask.
+    """Return the skeleton of everything in a mask.
 
     Args:
         mask: (h,w) uint8, 0 = background.
@@ -113,7 +113,7 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
 
 
 def thinned(mask: Mask) -> Mask:
-    """A mask of 0 and 1 with a border of 0, thinned to curves one pixel wide: (h,w) uint8."""
+    """Return a mask of 0 and 1 with a border of 0, thinned to curves one pixel wide: ``(h, w)`` uint8."""
     bits = np.packbits(mask, axis=1)
     while True:
         before = bits.copy()
@@ -124,7 +124,7 @@ def thinned(mask: Mask) -> Mask:
 
 
 def _removable(bits: Mask, half: int) -> Mask:
-    """Which pixels either half of a pass takes away, but for the first and the last row: packed as ``bits`` are."""
+    """Return which pixels each half of a pass removes, but in the first and last row, packed as ``bits`` are."""
     flat = bits.reshape(-1)  # rows end in background, so that nothing is carried from one to the next
     left, right = flat >> _ONE, flat << _ONE
     left[1:] |= flat[:-1] << _SEVEN
@@ -144,7 +144,7 @@ def _exactly_one(a: Mask, b: Mask, c: Mask, d: Mask) -> Mask:
 
 
 def _two(a: Mask, b: Mask, c: Mask, d: Mask) -> Mask:
-    """Where at least two of four are set."""
+    """Return where at least two of four are set."""
     return a & b | c & d | (a | b) & (c | d)
 
 
@@ -153,19 +153,19 @@ def _all(a: Mask, b: Mask, c: Mask, d: Mask) -> Mask:
 
 
 def _framed(piece: Mask, edge: int, beyond: tuple[int, int] = (0, 0)) -> Mask:
-    """A frame of background about a mask: what touches the border of the image ends there."""
+    """Return a frame of background about a mask: what touches the border of the image ends there."""
     down, right = edge + beyond[0], edge + beyond[1]
     framed = cv2.copyMakeBorder(piece, edge, down, edge, right, cv2.BORDER_CONSTANT, value=(0.0,))
     return np.asarray(framed, dtype=np.uint8)
 
 
 def _depth(piece: Mask) -> npt.NDArray[np.float32]:
-    """Distance from each cell of a framed mask to the nearest centre of a cell of the background, cells."""
+    """Return the distance from each cell of a framed mask to the nearest centre of a cell of the background, cells."""
     return np.asarray(cv2.distanceTransform(piece, cv2.DIST_L2, 5), dtype=np.float32)
 
 
 def _radius(depth: npt.ArrayLike) -> Array:
-    """Distance to the outline, cells, of cells of the skeleton.
+    """Return the distance to the outline, cells, of cells of the skeleton.
 
     The outline lies half a cell before the background's centre, and a cell of the skeleton a quarter beside the axis.
     """
@@ -173,7 +173,7 @@ def _radius(depth: npt.ArrayLike) -> Array:
 
 
 def _coarse(piece: Mask, cell: int) -> Mask:
-    """A mask on a grid of ``cell`` x ``cell`` pixels, set where most of a cell is, and framed by one cell."""
+    """Return a mask on a grid of ``cell`` x ``cell`` pixels, set where most of a cell is, and framed by one cell."""
     height, width = piece.shape
     framed = _framed(piece * np.uint8(255), cell, (-height % cell, -width % cell))
     size = (framed.shape[1] // cell, framed.shape[0] // cell)
@@ -193,7 +193,7 @@ def _fill_slits(grid: Mask, thickest: float) -> bool:
 
 
 def _branches(thin: Mask, depth: npt.NDArray[np.float32]) -> list[Branch]:
-    """The curves between the pixels of a skeleton that have one neighbour, or more than two."""
+    """Return the curves between the pixels of a skeleton that have one neighbour, or more than two."""
     at = np.flatnonzero(thin.view(bool))
     if len(at) == 0:
         return []
@@ -222,7 +222,7 @@ def _connected(count: int, first: Index, second: Index) -> Index:
 
 
 def _links(thin: Mask, at: Index) -> tuple[Index, Index]:
-    """Pairs of neighbouring pixels; a diagonal counts only where no pixel beside it makes the same step.
+    """Return pairs of neighbouring pixels; a diagonal counts only where no pixel beside it makes the same step.
 
     Args:
         thin: With a border of 0.
@@ -240,7 +240,7 @@ def _links(thin: Mask, at: Index) -> tuple[Index, Index]:
 
 
 def _chains(links: Index, is_node: npt.NDArray[np.bool_]) -> list[list[int]]:
-    """Every chain of pixels from node to node once, then the rings that no node lies on, closed.
+    """Return every chain of pixels from node to node once, then the rings that no node lies on, closed.
 
     Args:
         links: (L,2) neighbours; pixels that are no node have two.
@@ -275,7 +275,7 @@ def _chains(links: Index, is_node: npt.NDArray[np.bool_]) -> list[list[int]]:
 
 
 def _pruned(branches: list[Branch]) -> list[Branch]:
-    """Without spurs, shortest first: each that goes may turn the two that it left into one longer branch."""
+    """Remove spurs, shortest first: each one removed may turn two others into one longer branch."""
     kept = list(branches)
     while True:
         degree: dict[int, int] = {}
@@ -293,7 +293,7 @@ def _pruned(branches: list[Branch]) -> list[Branch]:
 
 
 def _excess(branch: Branch, degree: dict[int, int]) -> float:
-    """How much longer a branch is than a spur may be there, pixels; no spur unless one end is free, the other not."""
+    """Return how much longer a branch is than a spur may be, pixels; a spur has one free end and one that is not."""
     ends = [degree[node] for node in branch.nodes]
     if min(ends) > 1 or max(ends) < 3:
         return np.inf

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -17,12 +16,6 @@ from shape_obs.markers.layout import MarkerLayout
 Array = npt.NDArray[np.float64]
 
 _LEAST: Final = 2  # markers: with one alone, errors grow large at the far side of a table
-# Of the fit of a hidden marker: first damping, largest number of rounds, step of the derivatives, and the relative gain
-# below which it has converged.
-_DAMPING: Final = 1e-6
-_ROUNDS: Final = 100
-_STEP: Final = 1e-7
-_CONVERGED: Final = 1e-12
 
 
 class MarkersNotSeen(ValueError):  # noqa: N818 - a name of the public API
@@ -153,6 +146,8 @@ def fourth_marker(corners: Corners, ids: tuple[int, int, int, int]) -> Array:
     Returns:
         (4, 2) pixels.
     """
+    from scipy.optimize import least_squares
+
     missing = next(i for i, each in enumerate(ids) if each not in corners)
     after, opposite, before = (corners[ids[(missing + step) % 4]] for step in (1, 2, 3))
     middle = opposite.mean(axis=0)
@@ -167,8 +162,8 @@ def fourth_marker(corners: Corners, ids: tuple[int, int, int, int]) -> Array:
     axes = np.stack([first, second], axis=1) / unit / reach
     turns = [_turn(square, axes) for square in seen]
     start = np.concatenate([axes.ravel(), (0, 0), (0, 0), reach, turns])
-    found = _least_squares(lambda unknown: (_squares(unknown)[:3] - seen).ravel(), start)
-    return _squares(found)[3] * unit + middle
+    found = least_squares(lambda unknown: (_squares(unknown)[:3] - seen).ravel(), start, method="lm")
+    return _squares(found.x)[3] * unit + middle
 
 
 def _squares(unknown: Array) -> Array:
@@ -186,31 +181,6 @@ def _squares(unknown: Array) -> Array:
     table = np.concatenate([_SQUARE @ turned.transpose(0, 2, 1) + middles[:, None], np.ones((4, 4, 1))], axis=2)
     seen = table @ homography.T
     return seen[..., :2] / seen[..., 2:]
-
-
-def _least_squares(residuals: Callable[[Array], Array], start: Array) -> Array:
-    """Minimise the sum of squared residuals by the Levenberg-Marquardt method, with numerical derivatives.
-
-    SciPy has the same, but importing ``scipy.optimize`` takes longer than many thousand of these fits.
-    """
-    best, damping = start, _DAMPING
-    off = residuals(best)
-    for _ in range(_ROUNDS):
-        jacobian = np.stack([(residuals(best + step) - off) / _STEP for step in _STEP * np.eye(len(best))], axis=1)
-        normal, gradient = jacobian.T @ jacobian, jacobian.T @ off
-        while damping < 1 / _DAMPING:
-            tried = best - np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
-            tried_off = residuals(tried)
-            if tried_off @ tried_off < off @ off:
-                break
-            damping *= 10
-        else:
-            break
-        gained = off @ off - tried_off @ tried_off
-        best, off, damping = tried, tried_off, damping / 10
-        if gained <= _CONVERGED * (off @ off):
-            break
-    return best
 
 
 def _turn(square: Array, axes: Array) -> float:

@@ -161,24 +161,24 @@ class Cloud:
         return None
 
     def seen(self, points: Array, target: Array | None) -> Array:
-        """The points as an anchor is given: (N,3); without one as seen along +z, from the cloud's top left: (N,2)."""
+        """Return points as an anchor is given, ``(N, 3)``; without one as seen along +z from the top left, ``(N, 2)``."""
         if target is not None:
             return points
         return points[:, :2] - self.kept[:, :2].min(axis=0)
 
     def carries(self, points: Array) -> npt.NDArray[np.bool_]:
-        """Whether the cloud has points near (N,3) places: (N,) bool."""
+        """Return whether the cloud has points near ``(N, 3)`` places: ``(N,)`` bool."""
         return self.near(points)
 
     def near(self, points: Array) -> npt.NDArray[np.bool_]:
-        """Whether a sample lies within three quarters of the width, or two voxels, of (N,3) places: (N,) bool."""
+        """Return whether a sample lies within 3/4 of the width, or two voxels, of ``(N, 3)`` places: ``(N,)``."""
         reach = max(_NEAR[0] * self._ribbon.width, _NEAR[1] * self.samples.scale)
         # A sheet's width is its short side; what carries a place on it is a voxel beside it.
         reach = min(reach, _NEAR[1] * self.samples.scale)
         return np.asarray(self._tree.query(points)[0] <= reach)
 
     def around(self, place: Array, reach: float) -> Array:
-        """(P,3) the points within ``reach`` metres of a place (3,)."""
+        """Return ``(P, 3)`` the points within ``reach`` metres of a place ``(3,)``."""
         offset = self.kept - place
         return self.kept[np.einsum("md,md->m", offset, offset) <= reach**2]
 
@@ -245,7 +245,7 @@ class Cloud:
         return around if around is None or clockwise(around) else around[::-1]
 
     def sheet(self) -> Sheet:
-        """The cloud unrolled into a plane, and its border there and in space."""
+        """Return the cloud unrolled into a plane, and its border there and in space."""
         return self._sheet
 
     @cached_property

@@ -57,11 +57,11 @@ class SeenCloud(Cloud):
     intrinsics: Intrinsics
 
     def pixels_of(self, points: Array) -> Array:
-        """(N,3) metres -> (N,2) pixels."""
+        """Return ``(N, 3)`` metres -> ``(N, 2)`` pixels."""
         return self.intrinsics.project(points)
 
     def seen(self, points: Array, target: Array | None) -> Array:
-        """(N,2) pixels."""
+        """Return ``(N, 2)`` pixels."""
         return self.pixels_of(points)
 
     @property
@@ -70,7 +70,7 @@ class SeenCloud(Cloud):
         return self, self.region
 
     def carries(self, points: Array) -> npt.NDArray[np.bool_]:
-        """Whether the mask carries (N,3) points as they are seen; where depth has holes the object is still there."""
+        """Return whether the mask has a pixel where ``(N, 3)`` points are seen: depth may have holes there."""
         pixels = self.pixels_of(points)
         ahead = np.isfinite(pixels[:, 0])
         return ahead & self.region.carries(np.where(ahead[:, None], pixels, -1e6))
@@ -105,7 +105,7 @@ class SeenCloud(Cloud):
         return self.in_sight(place, points)
 
     def in_sight(self, place: Array, points: Array) -> npt.NDArray[np.bool_]:
-        """Whether the mask goes on from a place (3,) straight to (N,3) points near it: (N,) bool."""
+        """Return whether the mask goes on straight from a place ``(3,)`` to ``(N, 3)`` points near it: ``(N,)``."""
         ends, start = self.pixels_of(points), self.pixels_of(place)
         if not np.isfinite(start).all():  # behind the camera
             return np.zeros(len(points), bool)
@@ -116,7 +116,7 @@ class SeenCloud(Cloud):
         return off.sum(axis=1) < _APART
 
     def lifted(self, curve: FittedCurve) -> FittedCurve:
-        """A curve over the image, in pixels, in space."""
+        """Return a curve over the image, in pixels, in space."""
         under = form_depth(curve, self.depth, self.region, self.region.width)
         points = lift_form(curve, under, self.intrinsics)
         if points is None:
@@ -125,7 +125,7 @@ class SeenCloud(Cloud):
 
 
 def deproject(region: Region, depth: npt.NDArray[Any], intrinsics: Intrinsics) -> SeenCloud:
-    """The points under a mask whose depth can be trusted.
+    """Return the points under a mask whose depth can be trusted.
 
     Args:
         region: The mask.
@@ -149,7 +149,7 @@ def deproject(region: Region, depth: npt.NDArray[Any], intrinsics: Intrinsics) -
 
 
 def _inner(region: Region) -> npt.NDArray[np.int32]:
-    """(M,2) pixels of the mask, window coordinates, without its border where it is thick enough."""
+    """Return ``(M, 2)`` pixels of the mask, window coordinates, without its border where it is thick enough."""
     if not region.pieces or region.width < _THICK:
         return region.pixels
     inner = cv2.erode(region.mask, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
@@ -157,7 +157,7 @@ def _inner(region: Region) -> npt.NDArray[np.int32]:
 
 
 def _median(values: Array, cell: npt.NDArray[Any]) -> Array:
-    """(M,) the median of each value's cell."""
+    """Return ``(M,)`` the median of each value's cell."""
     order = np.lexsort((values, cell))
     sorted_cell = cell[order]
     first = np.flatnonzero(np.append(True, sorted_cell[1:] != sorted_cell[:-1])) if len(cell) else np.zeros(0, int)

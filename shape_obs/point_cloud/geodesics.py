@@ -31,7 +31,7 @@ _SIDE: Final = 0.2  # of a loop's samples, that lie on either side of it at leas
 
 
 def strand(samples: Samples, graph: csr_matrix, piece: Indices, width: float) -> Array:
-    """The axis of one connected piece from end to end: (P,3) metres, P >= 2, about a width apart.
+    """Return the axis of one connected piece from end to end: ``(P, 3)`` metres, P >= 2, about a width apart.
 
     Args:
         samples: Of the whole cloud.
@@ -52,7 +52,7 @@ def strand(samples: Samples, graph: csr_matrix, piece: Indices, width: float) ->
 
 
 def loop(samples: Samples, graph: csr_matrix, piece: Indices, width: float) -> Array | None:
-    """The axis of a connected piece that closes on itself: (P,3) metres, the first point not repeated; else None.
+    """Return the axis of a piece that closes on itself, ``(P, 3)`` in metres, no point repeated; else None.
 
     The fronts that run from any sample meet on the loop's other side. Without the places where they part and meet, a
     loop falls into two sides, and nothing else does.
@@ -89,7 +89,7 @@ def _from(graph: csr_matrix, start: int) -> Array:
 
 
 def _slices(points: Array, weight: Array, distance: Array, thickness: float) -> tuple[Array, Array]:
-    """Centroids of slices at equal distance, (P,3), and the mean distance of each, (P,)."""
+    """Return the centroids of slices at equal distance, ``(P, 3)``, and the mean distance of each, ``(P,)``."""
     low = float(distance.min())
     span = float(distance.max()) - low
     count = max(int(span / thickness), 1)
@@ -103,7 +103,7 @@ def _slices(points: Array, weight: Array, distance: Array, thickness: float) -> 
 
 
 def _line(points: Array, weight: Array) -> Array:
-    """A straight line through a short piece, as long as a uniform one of its variance."""
+    """Return a straight line through a short piece, as long as a uniform one of its variance."""
     middle = np.average(points, axis=0, weights=weight)
     offset = points - middle
     values, axes = np.linalg.eigh((weight[:, None] * offset).T @ offset / weight.sum())
@@ -177,7 +177,7 @@ def chain(samples: Samples, graph: csr_matrix, components: Sequence[Indices], wi
 
 
 def ring(samples: Samples, graph: csr_matrix, components: Sequence[Indices], width: float) -> Array | None:
-    """The axis of a rope that closes on itself, gaps bridged: (P,3) metres, smooth and even; None for anything else."""
+    """Return the axis of a closed rope, gaps bridged, ``(P, 3)`` in metres, smooth and even; else None."""
     around = loop(samples, graph, components[0], width) if len(components) == 1 else None
     if around is None:
         broken = chain(samples, graph, components, width)
@@ -194,12 +194,12 @@ def ring(samples: Samples, graph: csr_matrix, components: Sequence[Indices], wid
 
 
 def _directed(curve: Array, end: int) -> Array:
-    """The curve so that it begins at its first (0) or last (1) point."""
+    """Return the curve so that it begins at its first ``(0)`` or last ``(1)`` point."""
     return curve[::-1] if end else curve
 
 
 def _bridge(before: Array, after: Array, width: float) -> tuple[float, float]:
-    """Length of a straight bridge, and how far it turns from both strands: the sum of 1 - cos."""
+    """Return the length of a straight bridge, and how far it turns from both strands: the sum of 1 - cos."""
     gap = after[0] - before[-1]
     length = float(np.linalg.norm(gap))
     ways = (before[-1] - _inside(before[::-1], width), _inside(after, width) - after[0])
@@ -208,12 +208,12 @@ def _bridge(before: Array, after: Array, width: float) -> tuple[float, float]:
 
 
 def _inside(curve: Array, width: float) -> Array:
-    """The point of a curve a few widths from its start."""
+    """Return the point of a curve a few widths from its start."""
     return curve[min(int(np.searchsorted(arc_length(np.ascontiguousarray(curve)), _REACH * width)), len(curve) - 1)]
 
 
 def _within(axis: Array, gaps: Sequence[tuple[Array, Array]]) -> Mask:
-    """Which of evenly spread points of an axis lie in a gap, given by the axis' points at both its sides."""
+    """Return which of evenly spread points of an axis lie in a gap, given by the axis' points at both its sides."""
     arc = arc_length(np.ascontiguousarray(axis))
     at = np.linspace(0, arc[-1], _POINTS)
     inside = np.zeros(_POINTS, bool)

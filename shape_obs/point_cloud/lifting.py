@@ -47,7 +47,7 @@ def local_depth(points: Array, depth: npt.NDArray[Any], region: Region, width: f
 
 
 def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region, width: float) -> Array:
-    """(P,) metres under a form, NaN where it is not known or belongs to something that lies over it."""
+    """Return ``(P,)`` metres under a form, NaN where it is not known or belongs to something that lies over it."""
     z = local_depth(form.points, depth, region, width)
     if isinstance(form, FittedCurve) and not form.whole:
         z[form.interpolated | overlaid(form, z, width)] = np.nan
@@ -55,7 +55,7 @@ def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region, width:
 
 
 def lift_form(form: FittedForm, z: Array, intrinsics: Intrinsics) -> Array | None:
-    """A whole form in space, for measuring distances in metres.
+    """Return a whole form in space, for measuring distances in metres.
 
     Holes are bridged and the depth is smoothed over a few points (millimetre steps would make the form longer than it
     is); the points that leave the detector are lifted afresh.
@@ -76,7 +76,7 @@ def lift_form(form: FittedForm, z: Array, intrinsics: Intrinsics) -> Array | Non
 
 
 def overlaid(curve: FittedCurve, metres: Array, width: float) -> npt.NDArray[np.bool_]:
-    """Where the depth beside a hidden piece is that of what hides it, and not the curve's own.
+    """Return where the depth beside a hidden piece is that of what hides it, and not the curve's own.
 
     The camera's two eyes see past an edge differently, and depth is smeared there: it is compared with that of the
     curve a little further away.

@@ -18,7 +18,7 @@ _SOME: Final = 1000  # points from which the middle is estimated
 
 
 def read_cloud(points: Any) -> Cloud:
-    """The cloud of an array: (M,3), or organised as (H,W,3), floating metres.
+    """Return the cloud of an array: ``(M, 3)``, or organised as ``(H, W, 3)``, floating metres.
 
     Raises:
         TypeError: No floating array.
@@ -38,7 +38,7 @@ def read_cloud(points: Any) -> Cloud:
 
 
 def plausible(points: npt.NDArray[np.floating[Any]]) -> Array:
-    """The points that can belong to one object: finite, not absurdly far off, none that a camera writes for "none".
+    """Return the points that can belong to one object: finite, non-zero, not absurdly far off.
 
     Args:
         points: (M,3) metres.

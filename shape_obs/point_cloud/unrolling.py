@@ -55,12 +55,12 @@ class Chart:
     flat: Array
 
     def to_flat(self, points: Array, sample: npt.NDArray[np.intp]) -> Array:
-        """(P,3) points on the map, each by the neighbourhood of its sample: (P,2)."""
+        """Return ``(P, 3)`` points on the map, each by the neighbourhood of its sample: ``(P, 2)``."""
         offset = points - self.samples.points[sample]
         return self.flat[sample] + np.einsum("pi,pij->pj", offset, self._jacobians[0][sample])
 
     def to_space(self, flat: Array) -> Array:
-        """(P,2) places on the map as points of the sheet: (P,3) metres."""
+        """Return ``(P, 2)`` places on the map as points of the sheet: ``(P, 3)`` metres."""
         from scipy.spatial import KDTree
 
         tree: Any = KDTree(self.flat)
@@ -106,7 +106,7 @@ def chart(samples: Samples, links: csr_matrix) -> Chart:
 
 
 def _isomap(links: csr_matrix, size: int) -> Array:
-    """Landmark Isomap: (M,2) from the distances over the links to a few samples."""
+    """Return the landmark Isomap: ``(M, 2)`` from the distances over the links to a few samples."""
     from scipy.sparse.csgraph import dijkstra
 
     landmarks = np.random.default_rng(0).choice(size, min(_LANDMARKS, size), replace=False)
@@ -120,7 +120,7 @@ def _isomap(links: csr_matrix, size: int) -> Array:
 
 
 def _joined(samples: Samples, links: csr_matrix) -> csr_matrix:
-    """The links, with bridges between pieces that do not hang together."""
+    """Return the links, with bridges between pieces that do not hang together."""
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
@@ -169,7 +169,7 @@ _SMOOTH: Final = 2.0  # points
 
 
 def border(flat: Array) -> Array:
-    """The closed border of points on a map.
+    """Return the closed border of points on a map.
 
     Half the density of the interior marks the border without bias, whatever noise blurs it; a hull of the outermost
     points would grow with the noise.

@@ -68,7 +68,7 @@ def gather(points: Array, edge: float) -> Voxels:
 
 
 def links(samples: Samples) -> csr_matrix:
-    """(M,M) distances between samples that hang together, metres, each pair once."""
+    """Return ``(M, M)`` distances between samples that hang together, metres, each pair once."""
     from scipy.sparse import csr_matrix
     from scipy.spatial import KDTree
 
@@ -80,7 +80,7 @@ def links(samples: Samples) -> csr_matrix:
 
 
 def pieces(graph: csr_matrix, weight: Array, min_share: float) -> tuple[Indices, ...]:
-    """The connected pieces of at least ``min_share`` of the largest's weight, largest first: sample indices of each."""
+    """Return the samples of each connected piece of at least ``min_share`` of the largest's weight, largest first."""
     from scipy.sparse.csgraph import connected_components
 
     count, label = connected_components(graph, directed=False)
@@ -91,7 +91,7 @@ def pieces(graph: csr_matrix, weight: Array, min_share: float) -> tuple[Indices,
 
 
 def _cubes(offset: Array, edge: float) -> tuple[Indices, Indices]:
-    """Which cube each point lies in, numbered without gaps, and how many points each cube holds."""
+    """Return which cube each point lies in, numbered without gaps, and how many points each cube holds."""
     cell = (offset / edge).astype(np.int64)
     size = cell.max(axis=0) + 1
     key = (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]

@@ -31,7 +31,7 @@ def lost_shape(
     max_age: float,
     policy: OnMissing,
 ) -> Shape:
-    """What stands in for a shape that was not found.
+    """Return the shape that stands in for one that was not found.
 
     ``"hold"`` repeats the last points and stays ok for ``max_age`` seconds; ``"truncate"`` repeats them too, never ok
     (the wrapper ends the episode); ``"nan"`` forgets them; ``"raise"`` raises. No point is visible or valid.
@@ -85,7 +85,7 @@ def fill_invalid(
     last: npt.NDArray[np.float32] | None,
     policy: OnInvalid,
 ) -> npt.NDArray[np.float32]:
-    """What stands in for points without depth; they stay ``valid=False`` whatever fills them.
+    """Fill in points without depth; they stay ``valid=False`` whatever fills them.
 
     Args:
         expected: (N,3) metres: valid points, and where the others should be.

@@ -48,7 +48,7 @@ def uncover_ends(curve: FittedCurve, depth: npt.NDArray[Any], width: float) -> F
 
 
 def is_hidden(curve: FittedCurve, depth: npt.NDArray[Any], width: float) -> bool:
-    """Whether a long end of a curve goes out of sight where something lies over the rope.
+    """Return whether a long end of a curve goes out of sight where something lies over the rope.
 
     Args:
         curve: (P,2) pixels, with hidden ends in its memory.
@@ -75,7 +75,7 @@ class _End(NamedTuple):
 
 
 def _ends(curve: FittedCurve, depth: npt.NDArray[Any]) -> list[_End | None]:
-    """Head and tail; None where nothing is hidden, or the rope beside it has no depth to compare with."""
+    """Return head and tail; None if nothing is hidden, or the rope next to it has no depth to compare with."""
     (head, tail), size, arc = curve.hints.hidden, curve.size, curve.arc
     metres, inside = _under(curve.points, depth), _inside(curve)
     ends: list[_End | None] = []
@@ -93,7 +93,7 @@ def _ends(curve: FittedCurve, depth: npt.NDArray[Any]) -> list[_End | None]:
 
 
 def _adjoined(end: _End, depth: npt.NDArray[Any], width: float) -> bool:
-    """Whether something that lies over the rope comes near the place where it goes out of sight."""
+    """Return whether something that lies over the rope comes near the place where it goes out of sight."""
     reach = max(_AROUND * width, 2.0)
     around = np.arange(-np.ceil(reach), np.ceil(reach) + 1)
     away = np.stack(np.meshgrid(around, around), axis=-1).reshape(-1, 2)
@@ -102,13 +102,13 @@ def _adjoined(end: _End, depth: npt.NDArray[Any], width: float) -> bool:
 
 
 def _inside(curve: FittedCurve) -> npt.NDArray[np.bool_]:
-    """(P,) between the hidden ends."""
+    """Return ``(P,)`` between the hidden ends."""
     (head, tail), arc = curve.hints.hidden, curve.arc
     return (arc >= head - 1e-9) & (arc <= curve.size - tail + 1e-9)
 
 
 def _under(points: Array, depth: npt.NDArray[Any]) -> Array:
-    """(P,) metres at (P,2) pixels; NaN where there is none, beyond the image too."""
+    """Return ``(P,)`` metres at ``(P, 2)`` pixels; NaN where there is none, beyond the image too."""
     u, v = np.rint(points).astype(int).T
     inside = (u >= 0) & (v >= 0) & (u < depth.shape[1]) & (v < depth.shape[0])
     metres = np.full(len(points), np.nan)

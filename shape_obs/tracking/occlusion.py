@@ -75,7 +75,7 @@ def match_chain(form: FittedCurve, prediction: Prediction, depth: npt.NDArray[An
 
 
 def shown(form: FittedCurve) -> slice:
-    """The piece of a followed curve over which points are spread: all of it but for ends that are hidden by a hair."""
+    """Return the piece of a matched curve over which points are spread: without ends hidden by less than the slack."""
     (head, tail), slack = form.hints.hidden, form.hints.slack
     first = np.searchsorted(form.arc, head - 1e-9) if head < slack else 0
     last = np.searchsorted(form.arc, form.size - tail + 1e-9) if tail < slack else len(form.points)
@@ -83,7 +83,7 @@ def shown(form: FittedCurve) -> slice:
 
 
 def _is_along(form: FittedCurve, nodes: Array) -> bool:
-    """Whether a curve clearly runs in the direction of (K,D) nodes: its ends tell, where they do not lie together."""
+    """Return whether a curve clearly runs in the direction of ``(K, D)`` nodes, by the distances of its ends."""
     first, last = form.points[0].tolist(), form.points[-1].tolist()
     head, tail = nodes[0].tolist(), nodes[-1].tolist()
     forwards, backwards = dist(first, head) + dist(last, tail), dist(first, tail) + dist(last, head)
@@ -91,7 +91,7 @@ def _is_along(form: FittedCurve, nodes: Array) -> bool:
 
 
 def _start(starts: Array, costs: Array, before: float, missing: float) -> float:
-    """Where along the rope a visible piece starts."""
+    """Return where along the rope a visible piece starts."""
     inertia = _INERTIA * (starts - min(before, missing)) ** 2
     start = float(starts[np.argmin(costs + inertia)])
     if start <= _ONE_END * missing:
@@ -104,7 +104,7 @@ def _apart(first: Array, second: Array) -> float:
 
 
 def _widest_gap(curve: FittedCurve) -> tuple[int, int]:
-    """The last point before and the first after the widest bridged piece that has visible ones on both sides."""
+    """Return the last point before and the first after the widest bridged piece that has visible ones on both sides."""
     seen = np.flatnonzero(~curve.interpolated)
     if len(seen) < 2:
         return 0, 0
@@ -127,12 +127,12 @@ class _Known:
         self.points = np.concatenate([1.5 * nodes[:1] - 0.5 * nodes[1:2], nodes, 1.5 * nodes[-1:] - 0.5 * nodes[-2:-1]])
 
     def distance(self, curve: FittedCurve) -> float:
-        """Mean square distance between a curve and the whole rope, point by point."""
+        """Return the mean square distance between a curve and the whole rope, point by point."""
         share = np.linspace(0, 1, _PROBES)
         return _apart(self.at(share * self.size), curve.at(share * curve.size))
 
     def disagreement(self, curve: FittedCurve, start: float, end: float) -> float:
-        """Mean square distance between a curve and the rope's piece from arc ``start`` to ``end``.
+        """Return the mean square distance between a curve and the rope's piece from arc ``start`` to ``end``.
 
         Most of it is taken after the best rigid motion (Kabsch 1976): a prediction fails first in where a rope is,
         and last in how it is bent.
@@ -147,23 +147,23 @@ class _Known:
         return bent + _PLACE * apart
 
     def starts(self, curve: FittedCurve) -> tuple[Array, Array]:
-        """Arc positions at which a visible piece may begin, and how badly it agrees with the rope from each of them."""
+        """Return arc positions at which a visible piece may begin, and how badly it agrees with the rope from there."""
         starts = np.linspace(0, max(self.size - curve.size, 0.0), _OFFSETS)
         return starts, np.array([self.disagreement(curve, start, start + curve.size) for start in starts])
 
     def turned(self, curve: FittedCurve) -> FittedCurve:
-        """The curve in the rope's direction: as a whole, or where much is missing as the piece that it may be."""
+        """Return the curve in the rope's direction: as a whole, or if much is missing as a piece of the rope."""
         both = curve, curve.reversed()
         if curve.size > _MOST * self.size:
             return min(both, key=self.distance)
         return min(both, key=lambda piece: float(self.starts(piece)[1].min()))
 
     def at(self, arc: Array) -> Array:
-        """(N,D) points at arc positions."""
+        """Return ``(N, D)`` points at arc positions."""
         return interpolate(self.points, self.arc, arc)
 
     def filled(self, curve: FittedCurve) -> FittedCurve:
-        """The curve with its widest gap bent as predicted: a straight bridge would make the rope too short."""
+        """Return the curve with its widest gap bent as predicted: a straight bridge would make the rope too short."""
         first, last = _widest_gap(curve)
         before, after = float(curve.arc[first]), float(curve.arc[last])
         behind = self.size - (curve.size - after)
@@ -184,7 +184,7 @@ class _Known:
         return curve.with_geometry(points, bridged)
 
     def completed(self, curve: FittedCurve, start: float) -> FittedCurve:
-        """The visible piece that begins at arc ``start``, with the hidden ends before and behind it.
+        """Return the visible piece that begins at arc ``start``, with the hidden ends before and behind it.
 
         A hand cuts a rope askew, and what is fitted turns into the longer side of the cut; near a long hidden end the
         rope is therefore as predicted too.
@@ -205,7 +205,7 @@ class _Known:
         return curve.with_geometry(np.concatenate([head, points, tail]), np.concatenate([before, seen, behind]))
 
     def _hidden(self, joint: Array, start: float = 0.0, end: float | None = None) -> Array:
-        """The rope from arc ``start`` to ``end`` without its joint, moved to the joint and of exactly that length."""
+        """Return the rope from arc ``start`` to ``end`` without its joint, moved to the joint, of exactly that length."""
         at_start = end is not None
         stop = self.size if end is None else end
         length = stop - start
