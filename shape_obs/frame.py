@@ -26,8 +26,8 @@ class Frame:
             (1000 km) = invalid.
         camera: The camera model; needed for 3D and for anchors in the base frame.
         stamp: Seconds; None when the source has no clock.
-        received: When it reached this machine: ``time.monotonic()``, seconds; None where nobody noted it.
-        number: The source's own count of its frames; gaps tell what was missed. None where it does not count.
+        received: When it reached this machine: ``time.monotonic()``, seconds; None if unknown.
+        number: The source's own count of its frames; gaps are missed frames. None if it does not count.
         exposed: The earliest time at which its exposure can have begun: ``time.monotonic()``, seconds; None if unknown.
 
     Raises:

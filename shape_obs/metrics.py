@@ -72,8 +72,8 @@ def silhouette(points: npt.ArrayLike, labels: npt.ArrayLike, *, sample: int | No
     b = (total / clusters.size).min(axis=1)
     largest = np.maximum(a, b)
     # A cluster of one has no silhouette, and neither have clusters that lie in one place.
-    told = (clusters.size[own] > 1) & (largest > 0)
-    return float(np.mean(np.where(told, (b - a) / np.where(told, largest, 1.0), 0.0)))
+    defined = (clusters.size[own] > 1) & (largest > 0)
+    return float(np.mean(np.where(defined, (b - a) / np.where(defined, largest, 1.0), 0.0)))
 
 
 def calinski_harabasz(points: npt.ArrayLike, labels: npt.ArrayLike) -> float:

@@ -21,7 +21,7 @@ _SPREAD: Final = 0.01  # smallest rms distance in metres of the points from the 
 _OUTLYING: Final = 4.0  # in units of the rms residual of the others
 _OUTLYING_METRES: Final = 0.0015
 
-_INSIDE: Final = 0.85  # part of the marker whose depth is used, so that none beside it is read
+_INSIDE: Final = 0.85  # part of the marker whose depth is used, so that none next to it is read
 _ENOUGH: Final = 0.3  # smallest share of these pixels with depth
 _LEAST: Final = 12  # smallest number of these pixels
 _STRAY: Final = 3.0  # robust standard deviations from the marker's plane beyond which a pixel is ignored

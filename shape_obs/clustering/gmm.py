@@ -43,7 +43,7 @@ class GaussianMixture(Clusterer, kind="gmm"):
         middle, scale = samples.points.mean(axis=0), rms_spread(samples.points)
         estimator = Estimator(layout.size, max_iter=self.max_iter, random_state=seed)
         with single_thread(), warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)  # told by ``settled``
+            warnings.simplefilter("ignore", ConvergenceWarning)  # ``settled`` reports it
             estimator.fit((samples.points - middle) / scale)
         places = np.asarray(estimator.means_, dtype=np.float64) * scale + middle
         return Centres(places, int(estimator.n_iter_), bool(estimator.converged_))

@@ -20,7 +20,7 @@ Image = npt.NDArray[np.uint8]
 Inside = Literal["inner", "centers", "outer"]
 
 _MARGIN: Final = 0.7  # sides of a marker around its last place, in which it is looked for before the whole image is
-_LEAST: Final = 2  # markers that tell where the hidden ones have gone, once their places are known
+_LEAST: Final = 2  # markers that give the places of the hidden ones, once all places are known
 
 
 class Seen(NamedTuple):
@@ -44,7 +44,7 @@ class Markers(ROI, kind="markers"):
     """The area between four ArUco markers, one in each corner.
 
     It is found in the first frame, and after that the markers are only glanced at once in a while: when they are seen
-    elsewhere, the camera or the table has moved, and the area is found anew. One marker may be hidden from the start,
+    elsewhere, the camera or the table has moved, and the area is found again. One marker may be hidden from the start,
     and all of them later; where nothing is seen of them the area stays. Until the area has been found, shapes are not
     ok and say which markers are missing.
 
@@ -104,8 +104,8 @@ class Markers(ROI, kind="markers"):
             return Place(known.region, known._replace(frames=0))
         area = self._area(corners)
         if not cv2.isContourConvex(area.astype(np.float32)):
-            told = ", ".join(map(str, self.ids))
-            return Place(None, known, f"markers {told} do not stand in the corners of an area")
+            ids = ", ".join(map(str, self.ids))
+            return Place(None, known, f"markers {ids} do not stand in the corners of an area")
         region = Polygon.from_dict({"points": area})
         return Place(region, Seen(size, corners, region))
 

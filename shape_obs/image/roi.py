@@ -46,7 +46,7 @@ class Place(NamedTuple):
 
     Args:
         region: A region that stands still; None where it is not known.
-        memory: What the region wants to be told with the next frame.
+        memory: State that the region needs with the next frame.
         reason: Why it is not known; empty if it is.
     """
 

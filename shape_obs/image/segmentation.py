@@ -94,7 +94,7 @@ class ColourRule(Segmentation):
 
     @abstractmethod
     def matches(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
-        """Return which pixels of an ``(h, w, 3)`` RGB image belong to the object: ``(h, w)`` bool, or uint8 0 and 255."""
+        """Return which pixels of an ``(h, w, 3)`` image belong to the object: ``(h, w)`` bool, or uint8 0 and 255."""
 
     def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
         """Return the mask of the window: ``(h, w)`` uint8, 0 or 255."""

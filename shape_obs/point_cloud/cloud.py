@@ -161,7 +161,7 @@ class Cloud:
         return None
 
     def seen(self, points: Array, target: Array | None) -> Array:
-        """Return points as an anchor is given, ``(N, 3)``; without one as seen along +z from the top left, ``(N, 2)``."""
+        """Return points ``(N, 3)`` as an anchor is given; without one ``(N, 2)`` as seen along +z from top left."""
         if target is not None:
             return points
         return points[:, :2] - self.kept[:, :2].min(axis=0)
@@ -173,7 +173,7 @@ class Cloud:
     def near(self, points: Array) -> npt.NDArray[np.bool_]:
         """Return whether a sample lies within 3/4 of the width, or two voxels, of ``(N, 3)`` places: ``(N,)``."""
         reach = max(_NEAR[0] * self._ribbon.width, _NEAR[1] * self.samples.scale)
-        # A sheet's width is its short side; what carries a place on it is a voxel beside it.
+        # A sheet's width is its short side; a place on it is carried by a neighbouring voxel.
         reach = min(reach, _NEAR[1] * self.samples.scale)
         return np.asarray(self._tree.query(points)[0] <= reach)
 

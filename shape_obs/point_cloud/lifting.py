@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
 
 MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry depth
-_SMEARED: Final = 2.5  # widths beside a hidden piece, in which depth may be that of what hides it
+_SMEARED: Final = 2.5  # widths next to a hidden piece, in which depth may be that of what hides it
 _COMPARED: Final = 6.0  # widths within which the rope's own depth is looked for
 _STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much within a few widths
 MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
@@ -76,7 +76,7 @@ def lift_form(form: FittedForm, z: Array, intrinsics: Intrinsics) -> Array | Non
 
 
 def overlaid(curve: FittedCurve, metres: Array, width: float) -> npt.NDArray[np.bool_]:
-    """Return where the depth beside a hidden piece is that of what hides it, and not the curve's own.
+    """Return where the depth next to a hidden piece is that of what hides it, and not the curve's own.
 
     The camera's two eyes see past an edge differently, and depth is smeared there: it is compared with that of the
     curve a little further away.

@@ -52,15 +52,15 @@ def lost_shape(
     """
     if policy == "raise":
         raise ShapeLostError(f"shape {name!r} was not found: {reason}")
-    nobody = np.zeros(layout.size, bool)
+    no_point = np.zeros(layout.size, bool)
     nowhere = np.full((layout.size, 3), np.nan, np.float32) if in_3d else None
     if last is None or policy == "nan":
         return Shape(
             name,
             np.full((layout.size, 2), np.nan, np.float32) if in_2d else None,
             nowhere,
-            visible=nobody,
-            valid=nobody,
+            visible=no_point,
+            valid=no_point,
             layout=layout,
             ok=False,
             quality=0.0,
@@ -70,8 +70,8 @@ def lost_shape(
     return replace(
         last,
         points3d=nowhere if last.points3d is None else last.points3d,
-        visible=nobody,
-        valid=nobody,
+        visible=no_point,
+        valid=no_point,
         ok=policy == "hold" and age <= max_age,
         quality=0.0,
         reason=reason,

@@ -199,13 +199,13 @@ class _Known:
         arc = start + curve.arc[inner]
         head = self._hidden(end=arc[0], joint=points[0]) if lost[0] else points[:0]
         tail = self._hidden(start=arc[-1], joint=points[-1]) if lost[1] else points[:0]
-        # Only what nobody sees counts as hidden.
+        # Only what is out of sight counts as hidden.
         before = np.linspace(0, arc[0], len(head) + 1)[:-1] < start
         behind = np.linspace(arc[-1], self.size, len(tail) + 1)[1:] > end
         return curve.with_geometry(np.concatenate([head, points, tail]), np.concatenate([before, seen, behind]))
 
     def _hidden(self, joint: Array, start: float = 0.0, end: float | None = None) -> Array:
-        """Return the rope from arc ``start`` to ``end`` without its joint, moved to the joint, of exactly that length."""
+        """Return the rope from arc ``start`` to ``end`` without its joint, moved there, of exactly that length."""
         at_start = end is not None
         stop = self.size if end is None else end
         length = stop - start

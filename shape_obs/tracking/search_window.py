@@ -56,7 +56,7 @@ class RegionSearch:
     Args:
         frame: The images.
         mask: ``(H, W)`` uint8 where someone else has segmented; None where the rules do.
-        roi: Where to look at all.
+        roi: The part of the image to search.
         tracks: The tracks of the shapes of each rule; a rule without an entry is looked for everywhere.
     """
 
