@@ -41,7 +41,8 @@ def test_components_are_those_of_opencv(seed, share, grain, floors):
     np.testing.assert_array_equal(found, -np.sort(-areas[kept]))
     assert dropped == (not kept.all())
     if kept.any():
-        u, v, width, height = cv2.boundingRect(left.astype(np.uint8))
+        (v, u), (bottom, right) = (f(np.argwhere(left), axis=0).tolist() for f in (np.min, np.max))
+        width, height = right - u + 1, bottom - v + 1
         assert box == (u - 3, v + 7, width, height)
 
 
