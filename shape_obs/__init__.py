@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from shape_obs.config import load_config as load_config
     from shape_obs.config import save_config as save_config
     from shape_obs.config import schema_hash as schema_hash
-    from shape_obs.configurations import Centerline as Centerline
-    from shape_obs.configurations import Configuration as Configuration
-    from shape_obs.configurations import Contour as Contour
-    from shape_obs.configurations import Surface as Surface
+    from shape_obs.configurations.base import Configuration as Configuration
+    from shape_obs.configurations.centerline import Centerline as Centerline
+    from shape_obs.configurations.contour import Contour as Contour
+    from shape_obs.configurations.surface import Surface as Surface
     from shape_obs.deploy.policy_bundle import load_bundle as load_bundle
     from shape_obs.deploy.policy_bundle import save_bundle as save_bundle
     from shape_obs.detector import ShapeDetector as ShapeDetector

@@ -19,10 +19,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import yaml
 
-from shape_obs.clustering import Clusterer, Clustering, SelfOrganisingMap
-from shape_obs.configurations import Anchor, Centerline, Configuration, Ends, Order
-from shape_obs.features import read_features
-from shape_obs.image import marker_roi  # noqa: F401 - registers the region of interest "markers"
+from shape_obs.clustering.base import Clusterer, Clustering, SelfOrganisingMap
+from shape_obs.configurations.base import Anchor, Configuration, Ends, Order
 from shape_obs.image.roi import ROI, Whole
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.spec import Spec, SpecError, did_you_mean, to_plain
@@ -32,6 +30,8 @@ from shape_obs.utils.files import write_text
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+    from shape_obs.features import Feature
 
 VERSION: Final = 1
 SECTIONS: Final = {
@@ -62,7 +62,7 @@ class DetectorConfig(Spec):
         dt: Seconds between frames that carry no stamp.
     """
 
-    shapes: tuple[Configuration, ...] = field(default_factory=lambda: (Centerline(),))
+    shapes: tuple[Configuration, ...] = field(default_factory=lambda: (Configuration.from_dict("centerline"),))
     segmentation: Segmentation | None = None
     roi: ROI = field(default_factory=Whole)
     order: Order = "tracked"
@@ -176,11 +176,11 @@ def schema_hash(arguments: Mapping[str, Any]) -> str:
 
     Defaults are filled in, the detector's too, and segmentations left out: another site's colours do not change it.
     """
-    detector, features = DetectorConfig.from_dict(detector_arguments(arguments)), arguments.get("features")
+    detector, features = DetectorConfig.from_dict(detector_arguments(arguments)), _features(arguments)
     shapes = [shape.to_dict() for shape in detector.resolved()]
     content = {
         "shapes": [{name: value for name, value in shape.items() if name != "segmentation"} for shape in shapes],
-        "features": None if features is None else [feature.identity() for feature in read_features(features)],
+        "features": None if features is None else [feature.identity() for feature in features],
         "clustering": detector.clustering.to_dict(),
     }
     return _sha256(content)
@@ -203,11 +203,14 @@ def _sha256(content: Any) -> str:
 
 
 def _filled(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    extra = {"features": _features(arguments), "workspace": to_plain(arguments.get("workspace"))}
+    extra = {"features": to_plain(_features(arguments)), "workspace": to_plain(arguments.get("workspace"))}
     given = {name: value for name, value in extra.items() if value is not None}
     return DetectorConfig.from_dict(detector_arguments(arguments)).to_dict() | given
 
 
-def _features(arguments: Mapping[str, Any]) -> list[dict[str, Any]] | None:
-    features = arguments.get("features")
-    return None if features is None else [feature.to_dict() for feature in read_features(features)]
+def _features(arguments: Mapping[str, Any]) -> list[Feature] | None:
+    if arguments.get("features") is None:
+        return None
+    from shape_obs.features import read_features  # a detector needs none
+
+    return read_features(arguments["features"])

@@ -14,12 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
-from shape_obs.clustering import Clusterer
+from shape_obs.clustering.base import Clusterer
 from shape_obs.compiled import compile_now
 from shape_obs.config import DetectorConfig
-from shape_obs.configurations import Configuration
 from shape_obs.configurations.anchors import Anchors, anchor_pixel, anchor_point
-from shape_obs.configurations.cluster_assignment import assign_centres
+from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.shape_points import shape_of, visible_depth
 from shape_obs.frame import Frame, check_mask
 from shape_obs.geometry.observed import Observed
@@ -27,7 +26,6 @@ from shape_obs.image.find_region import prepare
 from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.point_cloud.lifting import median_depth
-from shape_obs.point_cloud.reading import read_cloud
 from shape_obs.shape import Detection, Shape
 from shape_obs.tracking.missing import lost_shape
 from shape_obs.tracking.prediction import Fit, Track, advance, predict
@@ -90,7 +88,7 @@ class ShapeDetector:
         functions = [*prepare(spec.segmentation for spec in self.shapes), visible_depth, median_depth]
         compile_now([*functions, *(function for spec in self.shapes for function in spec.compiled_functions)])
         if any(spec.lift == "cloud" for spec in self.shapes):
-            import_module("scipy.sparse.csgraph")  # only clouds need it, and not in their first frame
+            import_module("shape_obs.point_cloud.deprojection")  # not in the first frame
         self.reset()
 
     def reset(self) -> None:
@@ -175,6 +173,8 @@ class ShapeDetector:
             ValueError: A wrong shape, or an anchor that cannot be resolved.
             ShapeLostError: A shape was not found and ``on_missing="raise"``.
         """
+        from shape_obs.point_cloud.reading import read_cloud  # most detectors only see images
+
         begin = time.perf_counter()
         frame = Frame(None, None, as_camera_model(camera), stamp)
         cloud = read_cloud(points)
@@ -244,6 +244,8 @@ class ShapeDetector:
                 seen = observed.seen(found.form.points, target)
                 found = found._replace(form=spec.apply_index_order(found.form, seen, target))
         if isinstance(self.config.clustering, Clusterer):
+            from shape_obs.configurations.cluster_assignment import assign_centres  # the map needs none
+
             found = assign_centres(found, observed, spec, self.config.clustering)
         return found
 

@@ -1,8 +1,9 @@
 """Specs: frozen dataclasses that configure a stage and convert to and from plain dicts and YAML.
 
 A family of interchangeable stages (segmentations, regions of interest, features, ...) is a subclass of ``Spec``
-declared with ``family=``; its members are declared with ``kind=``. Other packages add members through the entry-point
-group ``shape_obs.<family>``.
+declared with ``family=``; its members are declared with ``kind=``. A member is imported when its kind is first asked
+for: those of this package are listed in the family's ``modules=``, those of other packages in the entry-point group
+``shape_obs.<family>``.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Union
 
 from shape_obs.utils.documents import SpecError as SpecError
@@ -49,12 +51,19 @@ class Spec:
     family: ClassVar[str] = ""
     kind: ClassVar[str] = ""
     _members: ClassVar[dict[str, type[Spec]]] = {}
+    _modules: ClassVar[Mapping[str, str]] = {}
 
-    def __init_subclass__(cls, *, family: str | None = None, kind: str | None = None, **kwargs: Any) -> None:
+    def __init_subclass__(
+        cls,
+        *,
+        family: str | None = None,
+        modules: Mapping[str, str] = types.MappingProxyType({}),
+        kind: str | None = None,
+        **kwargs: Any,
+    ) -> None:
         super().__init_subclass__(**kwargs)
         if family is not None:
-            cls.family = family
-            cls._members = {}
+            cls.family, cls._members, cls._modules = family, {}, modules
         if kind is not None:
             if not cls.family:
                 raise TypeError(f"{cls.__name__}: kind={kind!r} needs a base class declared with family=.")
@@ -75,7 +84,7 @@ class Spec:
             for entry in metadata.entry_points(group=f"shape_obs.{cls.family}"):
                 if entry.name not in cls._members:
                     entry.load()
-        return tuple(sorted(cls._members))
+        return tuple(sorted({*cls._members, *cls._modules}))
 
     @classmethod
     def from_dict(cls, value: Self | Mapping[str, Any] | str) -> Self:
@@ -106,6 +115,8 @@ class Spec:
     def _choose(cls, kind: Any) -> type[Self]:
         if kind is None:
             raise SpecError(f"{cls.family}: 'kind' is missing; known kinds: {', '.join(cls.kinds())}.")
+        if isinstance(kind, str) and kind in cls._modules and kind not in cls._members:
+            import_module(cls._modules[kind])
         # Entry points are looked up only for kinds that this package does not have: it takes milliseconds.
         if not isinstance(kind, str) or (kind not in cls._members and kind not in cls.kinds()):
             raise SpecError(f"{cls.family}: unknown kind {kind!r}{did_you_mean(kind, cls.kinds())}")

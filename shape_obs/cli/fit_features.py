@@ -189,7 +189,7 @@ def _held_out(episodes: Sequence[tuple[str, int]]) -> npt.NDArray[np.bool_]:
 
 def _read_table(args: Arguments, source: str, hashes: dict[str, Any]) -> Generator[Sample, None, None]:
     """Yield the shapes of a table that ``shape-obs replay`` wrote."""
-    from shape_obs.configurations import Configuration
+    from shape_obs.configurations.base import Configuration
     from shape_obs.extrinsics import Extrinsics
     from shape_obs.features import FeatureContext
     from shape_obs.recording import ShapeTable

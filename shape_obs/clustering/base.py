@@ -28,8 +28,11 @@ class Centres(NamedTuple):
     settled: bool
 
 
+_CLUSTERERS = {kind: f"shape_obs.clustering.{kind}" for kind in ("kmeans", "gmm", "fcm", "kohonen")}
+
+
 @dataclass(frozen=True)
-class Clustering(Spec, family="clustering"):
+class Clustering(Spec, family="clustering", modules=_CLUSTERERS):
     """Where the N points of a shape come from."""
 
 

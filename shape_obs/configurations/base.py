@@ -37,8 +37,11 @@ class Points(NamedTuple):
     interpolated: npt.NDArray[np.bool_]
 
 
+_MODULES = {kind: f"shape_obs.configurations.{kind}" for kind in ("centerline", "contour", "surface")}
+
+
 @dataclass(frozen=True, kw_only=True)
-class Configuration(Spec, family="configuration"):
+class Configuration(Spec, family="configuration", modules=_MODULES):
     """One shape to find.
 
     Args:

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.clustering import Clusterer
+from shape_obs.clustering.base import Clusterer
 from shape_obs.configurations.base import Configuration
 from shape_obs.geometry.curve import FittedCurve, FittedForm
 from shape_obs.geometry.lattice import FittedLattice

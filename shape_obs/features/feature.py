@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import CameraModel
-from shape_obs.configurations import Configuration
+from shape_obs.configurations.base import Configuration
 from shape_obs.geometry.topology import Topology
 from shape_obs.shape import Shape
 from shape_obs.spec import Spec

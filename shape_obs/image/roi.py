@@ -1,11 +1,4 @@
-"""What regions of interest share: a window of pixels, what to blank in it, and where it is in this frame.
-
-An upright rectangle of pixels.
-
-The inside of a polygon.
-
-The whole image.
-"""
+"""Regions of interest (the whole image, a rectangle, a polygon): a window of pixels, and what to blank in it."""
 
 from __future__ import annotations
 
@@ -55,7 +48,7 @@ class Place(NamedTuple):
     reason: str = ""
 
 
-class ROI(Spec, family="roi"):
+class ROI(Spec, family="roi", modules={"markers": "shape_obs.image.marker_roi"}):
     """A region of interest: the window to read, and what to blank in it."""
 
     @abstractmethod

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from shape_obs.camera import CameraModel, as_camera_model
-from shape_obs.configurations import Configuration
+from shape_obs.configurations.base import Configuration
 from shape_obs.spec import did_you_mean
 
 GOALS = ("achieved_goal", "desired_goal")

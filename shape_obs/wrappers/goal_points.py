@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
-from shape_obs.configurations import Configuration
+from shape_obs.configurations.base import Configuration
 from shape_obs.geometry.curve import FittedCurve, FittedForm
 from shape_obs.geometry.lattice import FittedLattice
 from shape_obs.geometry.outline import clockwise

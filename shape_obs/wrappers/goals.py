@@ -10,7 +10,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from shape_obs.camera import CameraModel
-from shape_obs.configurations import Configuration
+from shape_obs.configurations.base import Configuration
 from shape_obs.features import (
     Age,
     Feature,

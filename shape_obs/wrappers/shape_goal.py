@@ -11,7 +11,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 
-from shape_obs.configurations import Configuration
+from shape_obs.configurations.base import Configuration
 from shape_obs.features import Feature, FeatureContext, read_features
 from shape_obs.shape import Shape
 from shape_obs.spec import did_you_mean

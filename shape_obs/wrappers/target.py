@@ -14,7 +14,7 @@ import yaml
 
 from shape_obs.camera import CameraModel
 from shape_obs.config import VERSION
-from shape_obs.configurations import Configuration
+from shape_obs.configurations.base import Configuration
 from shape_obs.features import FeatureContext
 from shape_obs.geometry.topology import Grid
 from shape_obs.shape import Shape

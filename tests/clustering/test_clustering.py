@@ -17,7 +17,11 @@ from shape_obs.bench.synthetic.blobs import draw_blob, moving_blob, random_blob
 from shape_obs.bench.synthetic.clouds import ring_cloud, rope_cloud, sheet_cloud
 from shape_obs.bench.synthetic.ropes import moving_rope
 from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, moving_sheet, random_sheet
-from shape_obs.clustering import Clusterer, FuzzyCMeans, GaussianMixture, KMeans, Kohonen
+from shape_obs.clustering.base import Clusterer
+from shape_obs.clustering.fcm import FuzzyCMeans
+from shape_obs.clustering.gmm import GaussianMixture
+from shape_obs.clustering.kmeans import KMeans
+from shape_obs.clustering.kohonen import Kohonen
 from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Chain, Grid
 from shape_obs.metrics import calinski_harabasz, distance, nearest, spacing_cv

@@ -13,7 +13,8 @@ import pytest
 
 from shape_obs import Centerline, ShapeDetector, ShapeObservation, SpecError, load_config, save_config, schema_hash
 from shape_obs.bench.scores import score
-from shape_obs.clustering import Clusterer, KMeans, SelfOrganisingMap
+from shape_obs.clustering.base import Clusterer, SelfOrganisingMap
+from shape_obs.clustering.kmeans import KMeans
 
 NAMES = ("kmeans", "gmm", "fcm", "kohonen")
 
@@ -91,7 +92,7 @@ class TestConfiguration:
     def test_a_clusterer_of_ones_own_works(self, wave):
         from dataclasses import dataclass
 
-        from shape_obs.clustering import Centres
+        from shape_obs.clustering.base import Centres
 
         @dataclass(frozen=True)
         class EveryFifth(Clusterer):
@@ -108,7 +109,8 @@ class TestConfiguration:
 FORK = """
 import os, sys
 import numpy as np
-from shape_obs.clustering import GaussianMixture, KMeans
+from shape_obs.clustering.gmm import GaussianMixture
+from shape_obs.clustering.kmeans import KMeans
 from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Chain
 

@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from shape_obs.config import DetectorConfig
-from shape_obs.configurations import Configuration
+from shape_obs.configurations.base import Configuration
 from shape_obs.deploy.policy_bundle.documents import BundleError, is_number, needs_trust
 from shape_obs.features import Feature, read_features
 from shape_obs.geometry.topology import Grid
