@@ -88,7 +88,7 @@ class ShapeDetector:
         functions = [*prepare(spec.segmentation for spec in self.shapes), visible_depth, median_depth]
         compile_now([*functions, *(function for spec in self.shapes for function in spec.compiled_functions)])
         if any(spec.lift == "cloud" for spec in self.shapes):
-            import_module("shape_obs.point_cloud.deprojection")  # not in the first frame
+            import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it
         self.reset()
 
     def reset(self) -> None:
@@ -98,8 +98,7 @@ class ShapeDetector:
         self._last: dict[str, tuple[Shape, float]] = {}
         self._stamp: float | None = None
         self._roi_memory: Any = None  # what a region of interest that moves remembers
-        self._frames = 0
-        self._begin = 0.0
+        self._frames, self._begin = 0, 0.0
 
     def detect(
         self,
@@ -176,8 +175,7 @@ class ShapeDetector:
         from shape_obs.point_cloud.reading import read_cloud  # most detectors only see images
 
         begin = time.perf_counter()
-        frame = Frame(None, None, as_camera_model(camera), stamp)
-        cloud = read_cloud(points)
+        frame, cloud = Frame(None, None, as_camera_model(camera), stamp), read_cloud(points)
         now = _lap(timings := {}, "cloud", begin)
         targets = [anchor_point(spec, anchors, frame.camera) for spec in self.shapes]
         moment, shapes = _Moment(frame, self._next_stamp(frame), timings, in_2d=False, in_3d=True), []
