@@ -114,7 +114,9 @@ def _serialized(result: CompileResult) -> bytes:
     """Return a compiled function as bytes: the C symbols that it needs, its bitcode, and what Numba rebuilds."""
     module = result.library._final_module
     symbols = [f.name for f in module.functions if f.is_declaration and not f.name.startswith("llvm.")]
-    (name, kind, (code, bitcode)), *rest = result._reduce()
+    (name, kind, (code, bitcode)), *rest, environments = result._reduce()
+    # Without constants an environment says nothing, but loading it would import the modules of Numba that it is of.
+    rest.append(tuple(environment for environment in environments if environment.consts))
     stub = f'define void @"{result.fndesc.llvm_cpython_wrapper_name}"() {{ ret void }}'  # what Python calls
     stub = binding.parse_assembly(stub).as_bitcode()
     return dumps((symbols, bitcode, ((name, kind, (code, stub)), *rest)))
