@@ -15,9 +15,19 @@ from shape_obs.geometry.lattice import FittedLattice, assess_lattice
 from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
-from shape_obs.tracking.validation import FitQuality, sample_spread, validate_outline, validate_ribbon, validate_sheet
+from shape_obs.tracking.validation import (
+    FitQuality,
+    outline_miss,
+    ring_miss,
+    sample_spread,
+    validate_outline,
+    validate_ribbon,
+    validate_sheet,
+)
 
 SIZE = (120, 400)
+ANGLE = np.linspace(0, 2 * np.pi, 200, endpoint=False)
+CIRCLE = 50 * np.stack([np.cos(ANGLE), np.sin(ANGLE)], axis=1)
 
 
 def region(mask: np.ndarray) -> Region:
@@ -224,3 +234,36 @@ class TestSheet:
 
     def test_quality_falls_with_kinks(self, observed):
         assert judged_sheet(self.lattice(observed), 45.0).quality < 0.75
+
+
+@pytest.mark.parametrize("off", [0.0, 0.5, 3.0])
+def test_points_at_a_distance_from_a_circle(off):
+    points = CIRCLE[::2] * (1 + off / 50)
+    assert outline_miss(points, CIRCLE, 100 * np.pi) == pytest.approx(off, abs=1e-9)
+
+
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 700), nodes=st.sampled_from([20, 40, 100]))
+def test_the_miss_of_a_ring_is_the_mean_distance_from_its_tangents(seed, count, nodes):
+    rng = np.random.default_rng(seed)
+    ring = CIRCLE * [1.0, rng.uniform(0.5, 1.0)] + rng.normal(0, 0.1, (200, 2))
+    samples = ring[rng.integers(0, 200, count)] + rng.normal(0, 0.4, (count, 2))
+    pieces = 200 // nodes
+    near = np.linalg.norm(samples[:, None] - ring, axis=2).argmin(axis=1)
+    found = ring_miss(samples, np.rint(near / pieces).astype(np.int64) % nodes, ring, pieces)
+    tangent = np.roll(ring, -1, axis=0)[near] - np.roll(ring, 1, axis=0)[near]
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    away = samples - ring[near]
+    across = away[:, 0] * tangent[:, 1] - away[:, 1] * tangent[:, 0]
+    step = np.linalg.norm(np.roll(ring, -1, axis=0) - ring, axis=1).mean()
+    along = np.maximum(np.abs((away * tangent).sum(axis=1)) - step, 0)
+    assert found == pytest.approx(np.hypot(across, along)[:: -(-count // 256)].mean())
+
+
+@pytest.mark.parametrize("off", [0.0, 2.0])
+def test_the_spread_about_a_line_is_the_weighted_mean_square(off):
+    curve = np.stack([np.linspace(0, 90, 91), np.zeros(91)], axis=1)
+    rng = np.random.default_rng(0)
+    points = np.stack([rng.uniform(0, 90, 100), rng.normal(off, 1, 100)], axis=1)
+    weight = rng.uniform(1, 3, 100)
+    expected = np.average(points[:, 1] ** 2, weights=weight)
+    assert sample_spread(points, weight, curve) == pytest.approx(expected)

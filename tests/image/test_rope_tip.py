@@ -1,0 +1,70 @@
+"""The ends of a chain of nodes, lengthened to the tips of a drawn rope."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shape_obs.image.rope_tip import extend_chain
+
+SIZE, FINE = 400, 4  # pixels; cv2 draws at a fraction 1 / 2**FINE of a pixel
+LEFT, TOP = 30, -20  # of the mask in the image
+
+
+def rope(bend, width, length=220.0, turn=0.3):
+    """Return the axis of a rope in image pixels, and its mask, whose tips are round."""
+    heading = turn + bend * np.linspace(-0.5, 0.5, 221)
+    axis = np.cumsum(np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0) * length / 220
+    axis += SIZE / 2 - axis.mean(axis=0)
+    mask = np.zeros((SIZE, SIZE), np.uint8)
+    cv2.polylines(mask, [np.rint(axis * 2**FINE).astype(np.int32)], False, 1, width, shift=FINE)
+    return axis + (LEFT, TOP), mask
+
+
+def extended(nodes, mask, width):
+    return extend_chain(np.ascontiguousarray(nodes), mask, LEFT, TOP, width, 1.0)
+
+
+def off_axis(points, axis):
+    return np.linalg.norm(points[:, None] - axis, axis=2).min(axis=1)
+
+
+@given(bend=st.floats(-2, 2), width=st.integers(5, 20), turn=st.floats(0, 6.28), short=st.floats(0.2, 3.5))
+def test_a_chain_that_is_too_short_ends_on_the_tips(bend, width, turn, short):
+    axis, mask = rope(bend, width, turn=turn)
+    cut = int(short * width)
+    nodes = axis[cut : len(axis) - cut : width]
+    nodes = nodes if len(nodes) >= 3 else axis[[90, 110, 130]]
+    chain = extended(nodes, mask, float(width))
+    begin = np.flatnonzero((chain == nodes[0]).all(axis=1))[0]
+    np.testing.assert_array_equal(chain[begin : begin + len(nodes)], nodes)  # what was known stays
+    rest = np.arange(1, width / 2 + 1e-9, 0.5)[:, None]  # the axis within the round tips
+    head, tail = (
+        axis[i] + rest * (axis[i] - axis[j]) / np.linalg.norm(axis[i] - axis[j]) for i, j in ((0, 1), (-1, -2))
+    )
+    assert np.linalg.norm(chain[[0, -1]] - [head[-1], tail[-1]], axis=1).max() < 0.25 * width + 1
+    assert off_axis(chain, np.concatenate([head, axis, tail])).max() < 0.15 * width + 1
+
+
+@given(bend=st.floats(-1.5, 1.5), turn=st.floats(0, 6.28), over=st.integers(1, 4))
+def test_nodes_beyond_the_rope_are_cut(bend, turn, over):
+    width = 10
+    axis, mask = rope(bend, width, turn=turn)
+    ahead = axis[-1] + np.arange(1, over + 1)[:, None] * width * (axis[-1] - axis[-2])
+    chain = extended(np.concatenate([axis[::width], ahead]), mask, float(width))
+    tip = axis[-1] + (axis[-1] - axis[-2]) * width / 2
+    assert np.linalg.norm(chain[-1] - tip) < 0.25 * width + 1
+
+
+@pytest.mark.parametrize("gap", [2, 5])
+def test_another_rope_nearby_is_not_followed(gap):
+    mask = np.zeros((SIZE, SIZE), np.uint8)
+    mask[100:110, 50:200] = 1
+    mask[100 : 110 + gap, 200 + gap : 350] = 1  # in line with it, but not connected
+    mask[110 + gap : 120 + gap, 50:350] = 1  # along its side
+    nodes = np.stack([np.arange(60.0, 181.0, 10), np.full(13, 104.5)], axis=1) + (LEFT, TOP)
+    chain = extended(nodes, mask, 10.0)
+    np.testing.assert_allclose(chain[[0, -1]] - (LEFT, TOP), [(49.5, 104.5), (199.5, 104.5)], atol=1.0)
