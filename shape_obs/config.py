@@ -17,16 +17,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import yaml
-
 from shape_obs.clustering.base import Clusterer, Clustering, SelfOrganisingMap
 from shape_obs.configurations.base import Anchor, Configuration, Ends, Order
 from shape_obs.image.roi import ROI, Whole
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.spec import Spec, SpecError, did_you_mean, to_plain
 from shape_obs.tracking.missing import OnInvalid, OnMissing
-from shape_obs.utils.documents import read_yaml
-from shape_obs.utils.files import write_text
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -124,6 +120,8 @@ def load_config(path: str | os.PathLike[str]) -> dict[str, Any]:
         FileNotFoundError: There is no such file.
         SpecError: The file is no YAML, of another version, or holds an unknown section or field.
     """
+    from shape_obs.utils.documents import read_yaml  # a detector that is made in Python reads no files
+
     data = read_yaml(path, "config")
     if not isinstance(data, Mapping):
         raise SpecError(f"{path}: expected 'version', 'shape', 'scene' and 'runtime', got {type(data).__name__}.")
@@ -158,11 +156,15 @@ def save_config(path: str | os.PathLike[str], arguments: Mapping[str, Any]) -> N
         path: Where to.
         arguments: Arguments of ``ShapeDetector`` or ``ShapeObservation``, as specs or plain values.
     """
+    from shape_obs.utils.files import write_text
+
     write_text(Path(path), dump_config(arguments))
 
 
 def dump_config(arguments: Mapping[str, Any]) -> str:
     """Return what ``save_config`` writes: YAML of three sections, defaults filled in."""
+    import yaml
+
     return yaml.safe_dump(_sections(arguments), sort_keys=False)
 
 

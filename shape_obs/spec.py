@@ -18,8 +18,8 @@ from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Union
 
-from shape_obs.utils.documents import SpecError as SpecError
-from shape_obs.utils.documents import did_you_mean as did_you_mean
+from shape_obs.utils.errors import SpecError as SpecError
+from shape_obs.utils.errors import did_you_mean as did_you_mean
 
 if TYPE_CHECKING:
     from typing_extensions import Self

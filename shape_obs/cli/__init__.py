@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import Final
 
 from shape_obs import __version__
-from shape_obs.utils.documents import did_you_mean
+from shape_obs.utils.errors import did_you_mean
 
 COMMANDS: Final = {
     "demo": "run an episode of the simulated cable and draw what the camera sees",

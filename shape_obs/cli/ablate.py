@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from shape_obs.cli.options import warnings_as_lines
-from shape_obs.utils.documents import did_you_mean
+from shape_obs.utils.errors import did_you_mean
 
 if TYPE_CHECKING:
     from tqdm import tqdm

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 import tyro
 
 from shape_obs.cli.options import open_named, warnings_as_lines
-from shape_obs.utils.documents import did_you_mean, parse_yaml
+from shape_obs.utils.documents import parse_yaml
+from shape_obs.utils.errors import did_you_mean
 
 if TYPE_CHECKING:
     import numpy as np

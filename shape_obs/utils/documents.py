@@ -15,30 +15,14 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
+from shape_obs.utils.errors import SpecError, did_you_mean
+
 #: Largest nesting of lists and mappings; the files of this package have at most a dozen levels.
 DEEPEST: Final = 64
 #: Largest number of values in a YAML document, with aliases written out.
 MOST_VALUES: Final = 200_000
 #: Largest YAML document in bytes: PyYAML reads about 100 kB a second.
 LONGEST_YAML: Final = 8 << 20
-
-
-class SpecError(ValueError):
-    """A configuration that cannot be understood; the message names the place, the value and what was expected."""
-
-    __module__ = "shape_obs.spec"  # its public path, which tracebacks show
-
-
-def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return the end of an error message about an unknown name: ``"; did you mean 'x'? Known: ..."``."""
-    import difflib  # only errors need it
-
-    names = list(known)
-    if not names:
-        return "; there are none."
-    near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
-    hint = f"; did you mean {near[0]!r}?" if near else "."
-    return f"{hint} Known: {', '.join(names)}."
 
 
 def read_json(path: str | os.PathLike[str], what: str) -> Any:

@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from shape_obs.utils.documents import SpecError, parse_json, parse_yaml
+from shape_obs.utils.documents import parse_json, parse_yaml
+from shape_obs.utils.errors import SpecError
 
 if TYPE_CHECKING:
     import torch

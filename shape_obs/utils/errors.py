@@ -1,0 +1,23 @@
+"""The error about what users write, and hints at what they may have meant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class SpecError(ValueError):
+    """A configuration that cannot be understood; the message names the place, the value and what was expected."""
+
+    __module__ = "shape_obs.spec"  # its public path, which tracebacks show
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """Return the end of an error message about an unknown name: ``"; did you mean 'x'? Known: ..."``."""
+    import difflib  # only errors need it
+
+    names = list(known)
+    if not names:
+        return "; there are none."
+    near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
+    hint = f"; did you mean {near[0]!r}?" if near else "."
+    return f"{hint} Known: {', '.join(names)}."
