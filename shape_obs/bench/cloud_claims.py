@@ -17,7 +17,10 @@ from shape_obs.bench.synthetic.clouds import Side, moving_rope_cloud, ring_cloud
 from shape_obs.bench.synthetic.images import CAMERA, tilted_rope, tilted_sheet
 from shape_obs.bench.synthetic.ropes import KINDS
 from shape_obs.bench.tables import Row, grouped, mean
-from shape_obs.configurations import Centerline, Configuration, Contour, Surface
+from shape_obs.configurations.base import Configuration
+from shape_obs.configurations.centerline import Centerline
+from shape_obs.configurations.contour import Contour
+from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import resample
 from shape_obs.metrics import spacing_cv

@@ -14,7 +14,7 @@ from shape_obs.bench.scores import OutlineScore, outline_score
 from shape_obs.bench.synthetic.blobs import KINDS, Blob, Kind, moving_blob, random_blob
 from shape_obs.bench.synthetic.ropes import resample
 from shape_obs.bench.tables import Row, grouped, mean, median, worst
-from shape_obs.configurations import Contour
+from shape_obs.configurations.contour import Contour
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import equidistant_around

@@ -17,7 +17,10 @@ from shape_obs.bench.synthetic.ropes import SIZE, draw_rope
 from shape_obs.bench.synthetic.sheets import draw_sheet
 from shape_obs.bench.synthetic.streams import RGBD, cloths, photo, pinhole, ropes
 from shape_obs.bench.tables import Row, at_most, grouped
-from shape_obs.configurations import Centerline, Configuration, Contour, Surface
+from shape_obs.configurations.base import Configuration
+from shape_obs.configurations.centerline import Centerline
+from shape_obs.configurations.contour import Contour
+from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.utils.threads import one_thread
 

@@ -19,7 +19,7 @@ from shape_obs.bench.interleaved_timing import Method, interleaved_timing
 from shape_obs.bench.synthetic.images import BLUE
 from shape_obs.bench.synthetic.streams import RGBD, classic, streams
 from shape_obs.bench.tables import Row, at_least, at_most
-from shape_obs.configurations import Centerline
+from shape_obs.configurations.centerline import Centerline
 from shape_obs.detector import ShapeDetector
 from shape_obs.shape import Detection
 from shape_obs.utils.threads import one_thread

@@ -14,7 +14,8 @@ from shape_obs.bench.synthetic.images import BLUE, Where, hidden_rope, photograp
 from shape_obs.bench.synthetic.ropes import KINDS, Kind, moving_rope, random_rope
 from shape_obs.bench.synthetic.sheets import noisy
 from shape_obs.bench.tables import Row, grouped, mean, worst
-from shape_obs.configurations import Centerline, Ends
+from shape_obs.configurations.base import Ends
+from shape_obs.configurations.centerline import Centerline
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import arc_length, interpolate
 

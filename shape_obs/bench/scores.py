@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from shape_obs.bench.synthetic.ropes import resample as resample_by_step
-from shape_obs.configurations import Ends
+from shape_obs.configurations.base import Ends
 from shape_obs.geometry.outline import clockwise
 from shape_obs.geometry.polyline import arc_length, interpolate, resample
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology

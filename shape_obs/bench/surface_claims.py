@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from shape_obs.bench.synthetic.sheets import Sheet, moving_sheet, noisy, random_sheet, turning_sheet
 from shape_obs.bench.tables import Row, grouped, mean
-from shape_obs.configurations import Ends, Surface
+from shape_obs.configurations.base import Ends
+from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.shape import Shape
 

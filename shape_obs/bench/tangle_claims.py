@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from shape_obs.bench.synthetic.tangles import Tangle, crossing_rope, cut_rope, is_traversed, touching_rope
-from shape_obs.configurations import Centerline
+from shape_obs.configurations.centerline import Centerline
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.image.find_region import find_region

@@ -20,7 +20,7 @@ from shape_obs.bench.table.report import markdown
 from shape_obs.bench.table.run import Parts, Plan, run
 from shape_obs.bench.table.summary import PAPER, rankings, results
 from shape_obs.cli import main
-from shape_obs.clustering import KMeans
+from shape_obs.clustering.kmeans import KMeans
 
 
 def command(capsys: Any, *arguments: object) -> tuple[int, str, str]:

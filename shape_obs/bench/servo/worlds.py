@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from shape_obs.bench.env_physics import make_env
 from shape_obs.bench.servo.settings import Disturbance, Setting, feature_set
-from shape_obs.configurations import Configuration
+from shape_obs.configurations.base import Configuration
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import Feature, FeatureContext, read_features
 from shape_obs.shape import Detection, Shape

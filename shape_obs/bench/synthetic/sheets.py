@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 
-from shape_obs.configurations import Ends
+from shape_obs.configurations.base import Ends
 from shape_obs.geometry.lattice import FittedLattice
 
 Array = npt.NDArray[np.float64]

@@ -17,7 +17,10 @@ from shape_obs.bench.synthetic.images import BLUE, photographed
 from shape_obs.bench.synthetic.ropes import Rope, draw_rope, moving_rope
 from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, moving_sheet
 from shape_obs.camera import Intrinsics
-from shape_obs.configurations import Centerline, Configuration, Contour, Surface
+from shape_obs.configurations.base import Configuration
+from shape_obs.configurations.centerline import Centerline
+from shape_obs.configurations.contour import Contour
+from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
 
 Array = npt.NDArray[np.float64]

@@ -16,7 +16,10 @@ from shape_obs.bench import Clock
 from shape_obs.bench.interleaved_timing import CLOCKS
 from shape_obs.bench.synthetic.images import BLUE, photographed
 from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, moving_sheet
-from shape_obs.configurations import Centerline, Configuration, Contour, Surface
+from shape_obs.configurations.base import Configuration
+from shape_obs.configurations.centerline import Centerline
+from shape_obs.configurations.contour import Contour
+from shape_obs.configurations.surface import Surface
 from shape_obs.frame import Frame
 from shape_obs.geometry.polyline import nearest_on
 from shape_obs.image.roi import Whole

@@ -15,8 +15,13 @@ from shape_obs.bench.scores import outline_score, score
 from shape_obs.bench.surface_claims import score_sheet
 from shape_obs.bench.synthetic.sheets import Sheet
 from shape_obs.bench.table.frames import CONFIGURATIONS, Name, Scene
-from shape_obs.clustering import Centres, Clusterer, FuzzyCMeans, GaussianMixture, KMeans, Kohonen
-from shape_obs.configurations import Configuration, Surface
+from shape_obs.clustering.base import Centres, Clusterer
+from shape_obs.clustering.fcm import FuzzyCMeans
+from shape_obs.clustering.gmm import GaussianMixture
+from shape_obs.clustering.kmeans import KMeans
+from shape_obs.clustering.kohonen import Kohonen
+from shape_obs.configurations.base import Configuration
+from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Ring, Topology
