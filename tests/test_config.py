@@ -1,4 +1,4 @@
-"""Config files: three sections, told errors, whole or not at all; and the schema hash."""
+"""Config files: three sections, errors that help, whole or not at all; and the schema hash."""
 
 from __future__ import annotations
 

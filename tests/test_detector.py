@@ -156,7 +156,7 @@ class TestOrder:
             np.testing.assert_allclose(shape.points2d, at_shares(rope.curve, np.linspace(0, 1, 6)), atol=2)
 
     def test_tracked_survives_a_jump_that_needs_a_fresh_start(self):
-        """The rope is found far from its prediction, in a sharper bend: its ends are told apart by where they were."""
+        """The rope is found far from its prediction, in a sharper bend: its ends are where they were."""
         detector = ShapeDetector(Centerline(n=6, ends="tips"))
         for rope in self.turning():
             one(detector, rope.mask)

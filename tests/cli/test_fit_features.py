@@ -57,15 +57,15 @@ class TestCommand:
         code, text, err = self.command(
             capsys, tmp_path / "t.npz", "-o", out, "--frame", "base", "--align", "--components", 3, "--json"
         )
-        told = json.loads(text)
+        report = json.loads(text)
         assert code == 0
         assert "reading" in err, "a progress bar"
-        assert (told["shapes"], told["held_out"], told["left_out"]) == (80, 20, 20)
-        assert told["unit"] == "mm"
-        assert told["error"]["mean"] < told["error"]["p95"] < told["error"]["max"] < 10
-        assert sum(told["explained"]) > 0.99
+        assert (report["shapes"], report["held_out"], report["left_out"]) == (80, 20, 20)
+        assert report["unit"] == "mm"
+        assert report["error"]["mean"] < report["error"]["p95"] < report["error"]["max"] < 10
+        assert sum(report["explained"]) > 0.99
         feature = PrincipalComponents(str(out))
-        assert feature.identity()["sha256"] == told["sha256"]
+        assert feature.identity()["sha256"] == report["sha256"]
         about = feature.model.about
         assert (about["schema_hashes"], about["shapes"]) == ([table.metadata["schema_hash"]], 80)
         back = [feature.error(seen(points, overhead), view) for points in ropes(20, seed=9)]
@@ -153,7 +153,7 @@ class TestCommand:
             capsys, "ShapeObs/Cable-v0", "--frames", 510, "--config", tmp_path / "c.yaml", "--frame", "base", "--align",
             "-o", tmp_path / "o.npz", "--json", "--set", "grippers=1", "actions=random", "seed=0", "renderer=rays",
         )  # fmt: skip
-        told = json.loads(text)
+        report = json.loads(text)
         assert code == 0
-        assert told["held_out"] > 90
-        assert told["error"]["mean"] < 2
+        assert report["held_out"] > 90
+        assert report["error"]["mean"] < 2

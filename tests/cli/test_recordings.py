@@ -70,15 +70,15 @@ def test_record_then_replay_then_read(place, recorded, tmp_path, capsys):
         "--csv", tmp_path / "s.csv", "--npz", tmp_path / "s.npz", "--parquet", tmp_path / "s.parquet",
         "--video", tmp_path / "s.mp4",
     )  # fmt: skip
-    told = json.loads(out)
+    report = json.loads(out)
     assert code == 0
     assert "replaying" in err, "a progress bar"
-    assert (told["verified"], told["frames"], told["shapes"]["centerline"]["ok"]) == (12, 12, 12)
+    assert (report["verified"], report["frames"], report["shapes"]["centerline"]["ok"]) == (12, 12, 12)
     tables = [ShapeTable.load(tmp_path / f"s.{suffix}") for suffix in ("csv", "npz", "parquet")]
     for table in tables:
         assert table["centerline/points3d"].shape == (12, 8, 3)
         assert np.array_equal(table["centerline/points3d"], tables[0]["centerline/points3d"])
-        assert table.metadata["config_hash"] == told["config_hash"]
+        assert table.metadata["config_hash"] == report["config_hash"]
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "s.csv",
         "s.csv.meta.json",
@@ -106,10 +106,10 @@ def test_seconds_are_those_of_the_stamps(place, tmp_path, capsys):
     code, out, _ = run(
         capsys, "record", "--source", "ShapeObs/Cable-v0", "-o", tmp_path / "r", "--seconds", 0.5, "--json", *CABLE
     )
-    told = json.loads(out)
+    report = json.loads(out)
     assert code == 0
-    assert (told["frames"], told["dropped"], told["stopped"]) == (10, 0, "done")
-    assert told["seconds"] == pytest.approx(0.45)
+    assert (report["frames"], report["dropped"], report["stopped"]) == (10, 0, "done")
+    assert report["seconds"] == pytest.approx(0.45)
 
 
 def test_photos_and_videos_are_recorded_and_replayed(place, tmp_path, capsys):

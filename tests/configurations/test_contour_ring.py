@@ -1,4 +1,4 @@
-"""Contours of closed bands: what covers one is told."""
+"""Contours of closed bands: what covers one is reported."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ def test_a_run_moves_the_robot_and_ends_by_stopping_parking_and_disconnecting():
     assert report.held == 0
     assert not report.failed
     assert report.ended == "time limit reached"
-    assert robot.told == pytest.approx([0.05, 0.0])
+    assert robot.command == pytest.approx([0.05, 0.0])
     assert robot.calls.count("send") == 5
     assert robot.calls[-4:] == ["stop", "park", "stop", "disconnect"]
 
@@ -227,7 +227,7 @@ def test_a_dry_run_moves_nothing():
     env, *_ = cell(dry, RopeSource(robot))
     report = deploy(env, Always(), steps=4)
     assert report.acted == dry.sent == 4
-    assert robot.told == pytest.approx([0, 0])
+    assert robot.command == pytest.approx([0, 0])
     assert not {"send", "reset", "park"} & set(robot.calls)
 
 
@@ -246,7 +246,7 @@ def test_a_goal_is_reached_and_ends_the_run():
     report = deploy(env, Push(), steps=40, until_reached=3)
     assert report.success
     assert "reached in 3 consecutive frames" in report.ended
-    assert robot.told[0] == pytest.approx(0.05, abs=0.01)
+    assert robot.command[0] == pytest.approx(0.05, abs=0.01)
 
 
 def test_sway_comes_back_and_scripts_are_checked(tmp_path):

@@ -58,7 +58,7 @@ main(sys.argv[1:])
 
 
 def run(capsys, *arguments) -> tuple[object, Any, str]:
-    """(exit code, what --json told or None, stderr) of the command in this process."""
+    """(exit code, what --json printed or None, stderr) of the command in this process."""
     with pytest.raises(SystemExit) as stop:
         main(["extract", *map(str, arguments), "--json"])
     captured = capsys.readouterr()
@@ -129,9 +129,9 @@ def test_features_are_those_of_the_vector(place, clean):
         assert np.array(table[f"{name}/measured"].to_pylist()).all()
     points = np.stack(table["rope/points3d"].to_pylist()).astype(np.float32)
     assert np.array_equal(points, [np.ravel(np.asarray(detection["rope"].points3d)) for _, detection, _ in seen])
-    told = json.loads(table.schema.metadata[b"shape_obs"])
-    assert told["schema_hash"] == told["made_with"]["schema_hash"] == schema_hash(config)
-    assert told["features"][names[1]] == {
+    report = json.loads(table.schema.metadata[b"shape_obs"])
+    assert report["schema_hash"] == report["made_with"]["schema_hash"] == schema_hash(config)
+    assert report["features"][names[1]] == {
         "feature": read_features(FEATURES[1])[0].to_dict(),
         "units": 3 * N * ["m"],
     }
@@ -145,17 +145,17 @@ def test_killed_and_restarted_is_one_clean_run(place, clean, capsys, monkeypatch
     half = [name for name in before if name.startswith(".")]
     assert len(half) == 1, "beside its place"
     assert sum(name.startswith("part-") for name in before) == 7
-    code, told, _ = run(capsys, *arguments)
-    assert (code, told["done"], told["kept"], told["failed"]) == (0, COUNT + 1 - 7, 7, [])
-    assert (told["frames"], told["ok"]) == ((COUNT + 1) * FRAMES, {"rope": (COUNT + 1) * FRAMES})
+    code, report, _ = run(capsys, *arguments)
+    assert (code, report["done"], report["kept"], report["failed"]) == (0, COUNT + 1 - 7, 7, [])
+    assert (report["frames"], report["ok"]) == ((COUNT + 1) * FRAMES, {"rope": (COUNT + 1) * FRAMES})
     assert content(place / "killed") == content(clean)
     assert run(capsys, *arguments)[1]["kept"] == COUNT + 1
 
 
 def test_processes_give_the_same(place, clean, capsys):
     sources = sorted((place / "recorded").iterdir())[-3:]
-    code, told, err = run(capsys, *sources, "--config", place / "c.yaml", "-o", place / "two", "--jobs", 2)
-    assert (code, told["done"]) == (0, 4)
+    code, report, err = run(capsys, *sources, "--config", place / "c.yaml", "-o", place / "two", "--jobs", 2)
+    assert (code, report["done"]) == (0, 4)
     assert "extracting" in err, "a progress bar"
     assert content(place / "two").items() <= content(clean).items()
 
@@ -163,13 +163,13 @@ def test_processes_give_the_same(place, clean, capsys):
 @pytest.mark.long
 def test_ray_gives_the_same(place, clean, capsys, monkeypatch):
     pytest.importorskip("ray")
-    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")  # of somebody's cluster, which nobody asked to join
+    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")  # of somebody's cluster, which the command was not asked to join
     arguments = ["--config", place / "c.yaml", "-o", place / "ray", "--engine", "ray", "--jobs", 2]
     shutil.copytree(place / "recorded" / "r00", place / "bad")
     (place / "bad" / "rgb" / "000001.png").write_bytes(b"junk")
-    code, told, _ = run(capsys, place / "bad", *sorted((place / "recorded").iterdir())[-3:], *arguments)
-    assert (code, told["done"]) == (1, 4)
-    assert [failure["source"] for failure in told["failed"]] == [str(place / "bad")]
+    code, report, _ = run(capsys, place / "bad", *sorted((place / "recorded").iterdir())[-3:], *arguments)
+    assert (code, report["done"]) == (1, 4)
+    assert [failure["source"] for failure in report["failed"]] == [str(place / "bad")]
     found = {name: data for name, data in content(place / "ray").items() if name != "_failures.json"}
     assert found.items() <= content(clean).items()
 
@@ -184,19 +184,19 @@ def test_a_damaged_recording_loses_only_itself(place, tmp_path, capsys):
     (tmp_path / "in" / "r19" / "depth" / f"{FRAMES:06d}.npy").unlink(missing_ok=True)
     (tmp_path / "in" / "r19" / "depth" / f"{FRAMES:06d}.png").unlink(missing_ok=True)
     arguments = (tmp_path / "in", "--config", place / "c.yaml", "-o", tmp_path / "out")
-    code, told, err = run(capsys, *arguments)
-    assert (code, told["done"], told["files"]) == (1, 2, 2)
-    assert [Path(failure["source"]).name for failure in told["failed"]] == ["r01", "r02", "r19"]
-    assert [failure["index"] for failure in told["failed"]] == [0, 0, 1]
-    assert "rgb/000002.png: damaged" in told["failed"][0]["reason"]
+    code, report, err = run(capsys, *arguments)
+    assert (code, report["done"], report["files"]) == (1, 2, 2)
+    assert [Path(failure["source"]).name for failure in report["failed"]] == ["r01", "r02", "r19"]
+    assert [failure["index"] for failure in report["failed"]] == [0, 0, 1]
+    assert "rgb/000002.png: damaged" in report["failed"][0]["reason"]
     assert f"failed: {tmp_path / 'in' / 'r02'}: " in err
-    assert json.loads((tmp_path / "out" / "_failures.json").read_text()) == told["failed"]
+    assert json.loads((tmp_path / "out" / "_failures.json").read_text()) == report["failed"]
     assert len(dataset.dataset(tmp_path / "out", format="parquet").to_table()) == 2 * FRAMES
     (tmp_path / "in" / "r01" / "rgb" / "000002.png").write_bytes(whole)
     shutil.rmtree(tmp_path / "in" / "r02")
     shutil.rmtree(tmp_path / "in" / "r19")
-    code, told, _ = run(capsys, *arguments)
-    assert (code, told["done"], told["kept"], told["failed"]) == (0, 1, 1, [])
+    code, report, _ = run(capsys, *arguments)
+    assert (code, report["done"], report["kept"], report["failed"]) == (0, 1, 1, [])
     assert not (tmp_path / "out" / "_failures.json").exists()
 
 
@@ -207,22 +207,22 @@ def test_what_changed_is_done_anew_or_refused(place, tmp_path, capsys):
     assert run(capsys, *arguments)[1]["done"] == 3
     shutil.rmtree(tmp_path / "in" / "b")
     shutil.copytree(place / "recorded" / "r05", tmp_path / "in" / "b")  # one episode where there were two
-    told = run(capsys, *arguments)[1]
-    assert (told["done"], told["kept"], told["files"]) == (1, 1, 2)
+    report = run(capsys, *arguments)[1]
+    assert (report["done"], report["kept"], report["files"]) == (1, 1, 2)
     assert len(dataset.dataset(tmp_path / "out", format="parquet").to_table()) == 2 * FRAMES
     before = content(tmp_path / "out")
     for extra, message in (
         (("--features", "centroid"), "with config_hash "),
         (("--frames", "2"), "with frames None, this run has 2: choose another --out, or remove the folder."),
     ):
-        code, told, err = run(capsys, *arguments, *extra)
-        assert (code, told) == (1, None)
+        code, report, err = run(capsys, *arguments, *extra)
+        assert (code, report) == (1, None)
         assert message in err
     assert content(tmp_path / "out") == before
     # Recordings that come later join the others.
     shutil.copytree(place / "recorded" / "r07", tmp_path / "in" / "c")
-    told = run(capsys, *arguments)[1]
-    assert (told["done"], told["kept"]) == (1, 2)
+    report = run(capsys, *arguments)[1]
+    assert (report["done"], report["kept"]) == (1, 2)
 
 
 def test_images_and_a_video_without_depth(tmp_path, capsys):
@@ -235,11 +235,11 @@ def test_images_and_a_video_without_depth(tmp_path, capsys):
         writer.write(image)
     writer.release()
     save_config(tmp_path / "c.yaml", {"shapes": [{"kind": "centerline", "n": N}], "segmentation": BLUE})
-    code, told, _ = run(
+    code, report, _ = run(
         capsys, tmp_path, "--config", tmp_path / "c.yaml", "-o", tmp_path / "out", "--frames", 2,
         "--features", "{kind: centroid, frame: pixels}", "ok",
     )  # fmt: skip
-    assert (code, told["done"], told["frames"], told["ok"]) == (0, 2, 4, {"centerline": 4})
+    assert (code, report["done"], report["frames"], report["ok"]) == (0, 2, 4, {"centerline": 4})
     table = dataset.dataset(tmp_path / "out", format="parquet").to_table()
     assert np.isfinite(np.stack(table["centerline/features/centroid"].to_pylist())).all()
     assert np.isnan(np.stack(table["centerline/points3d"].to_pylist())).all(), "the column is there, its values are not"
@@ -252,8 +252,8 @@ def test_the_recording_of_a_real_camera(tmp_path, capsys):
     except ImportError as error:
         pytest.skip(f"no librealsense: {error}")
     save_config(tmp_path / "c.yaml", {"segmentation": {"kind": "depth", "near": 0.3, "far": 5.0}, "on_missing": "nan"})
-    code, told, _ = run(capsys, REAL, "--config", tmp_path / "c.yaml", "-o", tmp_path / "out", "--frames", 1)
-    assert (code, told["done"], told["frames"]) == (0, 1, 1)
+    code, report, _ = run(capsys, REAL, "--config", tmp_path / "c.yaml", "-o", tmp_path / "out", "--frames", 1)
+    assert (code, report["done"], report["frames"]) == (0, 1, 1)
     first = content(tmp_path / "out")
     shutil.rmtree(tmp_path / "out")
     run(capsys, REAL, "--config", tmp_path / "c.yaml", "-o", tmp_path / "out", "--frames", 1)
@@ -274,9 +274,9 @@ def test_bad_input_gets_one_clear_line(place, clean, tmp_path, capsys):
         ((*good, "--features", "centriod"), "centroid"),
         ((*good, "--extrinsics", "none.json"), "none.json: no such file"),
     ):
-        code, told, err = run(capsys, *arguments)
+        code, report, err = run(capsys, *arguments)
         lines = [line for line in err.replace("\r", "\n").splitlines() if line.startswith("shape-obs extract: ")]
-        assert (code, told) == (1, None), arguments
+        assert (code, report) == (1, None), arguments
         assert len(lines) == 1
         assert message in lines[0]
     assert not (tmp_path / "out").exists()

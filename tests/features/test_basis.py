@@ -204,10 +204,10 @@ class TestMissing:
     def test_two_points_are_enough_for_finite_values_one_is_not(self, feature, layout, seed):
         rng = np.random.default_rng(seed)
         points, order = rng.uniform(-0.3, 0.3, (layout.size, 3)), rng.permutation(layout.size)
-        for known, told in ((2, True), (1, False)):
+        for known, finite in ((2, True), (1, False)):
             points[order[known:]] = np.nan
             values = fit(feature, points, layout, ~np.isnan(points[:, 0]))
-            assert (np.isfinite(values) == told).all()
+            assert (np.isfinite(values) == finite).all()
 
     def test_what_was_filled_in_hardly_counts(self):
         angle = np.linspace(0, np.pi, 20)

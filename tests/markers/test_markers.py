@@ -167,8 +167,8 @@ class TestRegion:
         finder = detector(every=3)
         assert found_rope(finder.detect(picture), scene)
         after = moved(hide(picture, scene, *hidden), 37, -22)
-        told = [found_rope(finder.detect(after), scene, (37, -22)) for _ in range(4)]
-        assert told[-1]
+        found_again = [found_rope(finder.detect(after), scene, (37, -22)) for _ in range(4)]
+        assert found_again[-1]
 
     def test_one_marker_does_not_tell_where_the_camera_has_gone(self, scene, picture):
         finder = detector(every=1)

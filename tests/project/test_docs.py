@@ -79,5 +79,5 @@ def test_the_page_of_the_command_line_knows_every_option(command, capsys):
     known = set(re.findall(r"--[a-z][a-z-]*", capsys.readouterr().out))
     page = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
     section = page.split(f"\n## {command}\n")[1].split("\n## ")[0]
-    told = set(re.findall(r"--[a-z][a-z-]*", section))
-    assert {name for name in known if not name.startswith("--no-")} - {"--help"} == told
+    documented = set(re.findall(r"--[a-z][a-z-]*", section))
+    assert {name for name in known if not name.startswith("--no-")} - {"--help"} == documented

@@ -25,8 +25,8 @@ def recorded(cable, tmp_path_factory):
     """The same frames, recorded by another run of the same environment."""
     folder = tmp_path_factory.mktemp("cable") / "recording"
     with EnvSource(CABLE, **OPTIONS) as source:
-        told = record(source, folder, frames=FRAMES)
-    assert (told.frames, told.missed, told.dropped, told.stopped) == (FRAMES, 0, 0, "done")
+        summary = record(source, folder, frames=FRAMES)
+    assert (summary.frames, summary.missed, summary.dropped, summary.stopped) == (FRAMES, 0, 0, "done")
     return folder
 
 

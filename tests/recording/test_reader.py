@@ -29,8 +29,8 @@ def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("noise") / "recording"
     source: Any = Script(noise(FRAMES))
     source.live = False
-    told = record(source, folder, frames=FRAMES)
-    assert (told.frames, told.missed, told.dropped, told.stopped) == (FRAMES, 0, 0, "done")
+    summary = record(source, folder, frames=FRAMES)
+    assert (summary.frames, summary.missed, summary.dropped, summary.stopped) == (FRAMES, 0, 0, "done")
     return folder
 
 

@@ -54,12 +54,12 @@ def test_a_table_holds_what_the_detector_said(log):
 
 
 def test_a_table_says_what_made_it(log, recorded, tmp_path):
-    told = log[0].table().metadata
-    assert told["schema_hash"] == schema_hash(CONFIG)
-    assert told["config_hash"] == config_hash(CONFIG)
-    assert told["source"] == {"kind": "folder", "name": str(recorded)}
-    assert told["software"]["shape_obs"] == shape_obs.__version__
-    (tmp_path / "again.yaml").write_text(told["config"])
+    stored = log[0].table().metadata
+    assert stored["schema_hash"] == schema_hash(CONFIG)
+    assert stored["config_hash"] == config_hash(CONFIG)
+    assert stored["source"] == {"kind": "folder", "name": str(recorded)}
+    assert stored["software"]["shape_obs"] == shape_obs.__version__
+    (tmp_path / "again.yaml").write_text(stored["config"])
     assert config_hash(load_config(tmp_path / "again.yaml")) == config_hash(CONFIG)
     assert config_hash({**CONFIG, "max_age": 0.1}) != config_hash(CONFIG)
 

@@ -15,15 +15,15 @@ from shape_obs.source import SourceError
 
 def test_a_recorder_that_is_interrupted_ends_cleanly(tmp_path):
     source: Any = Script(noise(5), KeyboardInterrupt())
-    told = record(source, tmp_path / "r")
-    assert (told.frames, told.stopped) == (5, "interrupted")
+    recorded = record(source, tmp_path / "r")
+    assert (recorded.frames, recorded.stopped) == (5, "interrupted")
     assert Recording(tmp_path / "r").ended["stopped"] == "interrupted"
 
 
 def test_a_camera_that_is_lost_leaves_what_came(tmp_path):
     source: Any = Script(noise(5), SourceError("the cable was pulled"))
-    told = record(source, tmp_path / "r")
-    assert (told.frames, told.stopped) == (5, "the cable was pulled")
+    recorded = record(source, tmp_path / "r")
+    assert (recorded.frames, recorded.stopped) == (5, "the cable was pulled")
     assert Recording(tmp_path / "r").warning == ""
     lost: Any = Script(noise(1), SourceError("no camera"))
     next(lost.left)

@@ -141,8 +141,8 @@ def test_settings_that_are_no_share_are_refused(make, value):
         make(value)
 
 
-def told(law, matrix):
-    """A law that knows its Jacobian."""
+def with_jacobian(law, matrix):
+    """Give a law its Jacobian."""
     law.start(*np.shape(matrix), matrix=matrix)
     return law
 
@@ -156,14 +156,14 @@ def test_damped_least_squares_is_its_closed_form(size, seed):
     rows = np.concatenate([jacobian, np.sqrt(damping) * np.eye(size[1])])
     step = np.linalg.lstsq(rows, np.concatenate([0.5 * error, np.zeros(size[1])]), rcond=None)[0]
     assume(np.abs(step).max() < 1)
-    assert told(DampedLeastSquares(PseudoJacobian()), jacobian).act(error) == pytest.approx(step, abs=1e-9)
+    assert with_jacobian(DampedLeastSquares(PseudoJacobian()), jacobian).act(error) == pytest.approx(step, abs=1e-9)
 
 
 @pytest.mark.parametrize("name", LAWS)
 @given(sizes, seeds)
 def test_saturation_keeps_the_direction(name, size, seed):
     rng = np.random.default_rng(seed)
-    law, error = told(make_law(name), rng.normal(size=size)), rng.normal(size=size[0])
+    law, error = with_jacobian(make_law(name), rng.normal(size=size)), rng.normal(size=size[0])
     small, large = law.act(1e-4 * error), law.act(1e6 * error)
     assert np.abs(large).max() <= 1 + 1e-12
     assert large @ small == pytest.approx(np.linalg.norm(large) * np.linalg.norm(small))
@@ -177,7 +177,7 @@ def test_without_an_estimate_or_an_error_nothing_moves(name):
     law.start(3, 2)
     assert not law.ready
     assert (law.act([1.0, 2, 3]) == 0).all()
-    told(law, np.ones((3, 2)))
+    with_jacobian(law, np.ones((3, 2)))
     assert law.ready
     assert (law.act([1.0, np.nan, 3]) == 0).all()
     assert (law.act(np.zeros(3)) == 0).all()
@@ -190,8 +190,10 @@ def test_features_that_were_not_measured_are_neither_acted_on_nor_learnt_from(na
     rng = np.random.default_rng(3)
     jacobian, error = rng.normal(size=(6, 3)), 0.1 * rng.normal(size=6)
     measured = np.array([True, True, False, True, False, True])
-    law = told(make_law(name), jacobian)
-    assert law.act(error, measured) == pytest.approx(told(make_law(name), jacobian[measured]).act(error[measured]))
+    law = with_jacobian(make_law(name), jacobian)
+    assert law.act(error, measured) == pytest.approx(
+        with_jacobian(make_law(name), jacobian[measured]).act(error[measured])
+    )
     assert law.update(rng.normal(size=6), rng.normal(size=3), measured)
     changed = (law.estimator.matrix != jacobian).any(axis=1)
     assert (changed == measured).all()
@@ -201,10 +203,10 @@ def test_features_that_were_not_measured_are_neither_acted_on_nor_learnt_from(na
 def test_weights_are_as_a_map_that_was_weighted_before(name):
     rng = np.random.default_rng(2)
     jacobian, error, weights = rng.normal(size=(5, 3)), 0.1 * rng.normal(size=5), rng.normal(size=(4, 5))
-    law = told(make_law(name), jacobian)
+    law = with_jacobian(make_law(name), jacobian)
     plain = law.act(error)
     law.weights = weights
-    assert law.act(error) == pytest.approx(told(make_law(name), weights @ jacobian).act(weights @ error))
+    assert law.act(error) == pytest.approx(with_jacobian(make_law(name), weights @ jacobian).act(weights @ error))
     law.weights = np.eye(5)
     assert law.act(error) == pytest.approx(plain)
 
@@ -214,7 +216,7 @@ def test_model_free_adaptive_control_comes_nearer_with_every_step(size, seed, st
     """On a linear plant that is known: the error never grows, and what can be reached shrinks."""
     rng = np.random.default_rng(seed)
     plant, error = rng.normal(size=size), rng.normal(size=size[0])
-    law = told(ModelFreeAdaptiveControl(PseudoJacobian(), step=step), plant)
+    law = with_jacobian(ModelFreeAdaptiveControl(PseudoJacobian(), step=step), plant)
     for _ in range(20):
         after = error - plant @ law.act(error)
         assert np.linalg.norm(after) <= np.linalg.norm(error) * (1 + 1e-12)
@@ -244,4 +246,4 @@ def test_names_and_specs():
 
 @given(hnp.arrays(float, (3, 2), elements=st.floats(-1e-12, 1e-12)))
 def test_an_estimate_of_nothing_is_not_acted_on(matrix):
-    assert (told(make_law("rls"), matrix).act(np.ones(3)) == 0).all()
+    assert (with_jacobian(make_law("rls"), matrix).act(np.ones(3)) == 0).all()

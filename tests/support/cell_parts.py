@@ -91,19 +91,19 @@ class RopeSource(Source):
         rgb = np.full((HEIGHT, WIDTH, 3), 0 if self.dark else 200, np.uint8)
         depth = np.full((HEIGHT, WIDTH), 700, np.uint16)
         if not self.dark:
-            right = round(100 * (0.0 if self._robot is None else self._robot.told[0]) / 0.7)
+            right = round(100 * (0.0 if self._robot is None else self._robot.command[0]) / 0.7)
             cv2.line(rgb, (40 + right, 60), (110 + right, 66), (20, 60, 200), 5)
         exposed = None if self.exposure is None else received - self.exposure
         return Frame(rgb, depth, self.camera, stamp, received, self._last, exposed)
 
 
 class ListRobot:
-    """Remembers what it was told."""
+    """Remembers its last command."""
 
     def __init__(self, size: int = 2, **spec: Any) -> None:
         given = {"scale": size * [0.01], "low": size * [-0.1], "high": size * [0.1], "units": size * ["m"], **spec}
         self.action_spec = ActionSpec.from_dict({"names": [f"x{i}" for i in range(size)], **given})
-        self.told = np.zeros(size)
+        self.command = np.zeros(size)
         self.calls: list[str] = []
         self.fails = False
 
@@ -112,16 +112,16 @@ class ListRobot:
 
     def reset(self) -> None:
         self.calls.append("reset")
-        self.told = np.zeros(len(self.action_spec))
+        self.command = np.zeros(len(self.action_spec))
 
     def send(self, action: Any, until: float) -> None:
         if self.fails:
             raise RobotError("the robot is in an emergency stop")
         self.calls.append("send")
-        self.told = self.action_spec.following(self.told, action, 0.02)
+        self.command = self.action_spec.following(self.command, action, 0.02)
 
     def state(self) -> Any:
-        return self.told.copy()
+        return self.command.copy()
 
     def stop(self) -> None:
         self.calls.append("stop")

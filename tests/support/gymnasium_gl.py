@@ -32,6 +32,6 @@ def missing() -> str:
     done = subprocess.run(
         [sys.executable, "-c", _PROBE], env=environment(), capture_output=True, text=True, timeout=100, check=False
     )
-    told = done.stderr.partition("Exception ignored")[0].strip()  # what comes after are complaints of destructors
-    reason = told.splitlines()[-1] if told else f"exit code {done.returncode}"
+    report = done.stderr.partition("Exception ignored")[0].strip()  # what comes after are complaints of destructors
+    reason = report.splitlines()[-1] if report else f"exit code {done.returncode}"
     return "" if done.returncode == 0 else f"no OpenGL for Gymnasium's renderer: {reason}"

@@ -101,7 +101,7 @@ def test_a_pixel_policy_learns_what_it_sees_through_the_critic_alone(tmp_path):
             found.append(policy.predict(env._seen(), deterministic=True)[0][0])
         return np.array(found)
 
-    told = answers(model)
-    assert np.abs(told - levels).mean() < 0.25
+    values = answers(model)
+    assert np.abs(values - levels).mean() < 0.25
     model.save(tmp_path / "model")
-    np.testing.assert_array_equal(answers(SAC.load(tmp_path / "model", device="cpu")), told)
+    np.testing.assert_array_equal(answers(SAC.load(tmp_path / "model", device="cpu")), values)

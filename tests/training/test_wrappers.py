@@ -209,4 +209,4 @@ def test_shuffled_points_are_the_same_points_in_another_order():
         observation, reward, *_ = env.step(action)
         ordered, plain_reward, *_ = plain.step(action)
         assert reward == plain_reward
-    assert len(orders) == 10  # seen and desired apart, anew in each frame
+    assert len(orders) == 10  # seen and desired separately, again in each frame

@@ -27,7 +27,7 @@ def bundle(tmp_path_factory) -> Any:
 
 
 class TestMismatch:
-    """Each difference is told by its name, with both values."""
+    """Each difference is named, with both values."""
 
     @pytest.mark.parametrize(
         ("options", "message"),

@@ -110,9 +110,9 @@ def test_it_is_a_robot_that_moves_as_it_is_told(robot: SimulatedRobot) -> None:
     robot.send(np.full(6, 5.0), soon())  # no further than the workspace lets both grippers go
     assert (robot.state() <= np.asarray(robot.action_spec.high) + 1e-9).all()
     robot.stop()
-    told = robot.state()
+    state = robot.state()
     robot.stop()
-    assert robot.state() == pytest.approx(told, abs=1e-9)
+    assert robot.state() == pytest.approx(state, abs=1e-9)
     robot.park()
     assert robot.state() == pytest.approx(start)
     with pytest.raises(RobotError, match="finite numbers"):

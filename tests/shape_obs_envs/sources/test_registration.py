@@ -69,7 +69,7 @@ def test_the_nearest_counts_and_holes_stay_holes() -> None:
     assert block[40:80, columns[0] : columns[-1] + 1].all()  # nothing of the wall shines through
     assert 40 * len(columns) == block[40:80].sum()
     assert block.sum() <= 42 * len(columns)
-    shadow = aligned[45:75, columns[-1] + 2 : int(119 - far)]  # nobody saw what is right of the block
+    shadow = aligned[45:75, columns[-1] + 2 : int(119 - far)]  # neither camera saw what is right of the block
     assert shadow.shape[1] >= 5
     assert (shadow == 0).all()
     hole = aligned[11:19, int(62 - far) : int(78 - far)]

@@ -70,5 +70,5 @@ def test_a_cut_file_gets_one_clear_line(place, tmp_path, capsys):
         main(["replay", str(cut), "--config", str(folder / "shape.yaml")])
     (line,) = [line for line in capsys.readouterr().err.replace("\r", "\n").splitlines() if "shape-obs" in line]
     assert stop.value.code == 1
-    told = line.removeprefix(f"shape-obs replay: {cut}: ")
-    assert told.startswith(("a part", "librealsense cannot read"))  # of a .db3, of a .bag
+    reason = line.removeprefix(f"shape-obs replay: {cut}: ")
+    assert reason.startswith(("a part", "librealsense cannot read"))  # of a .db3, of a .bag

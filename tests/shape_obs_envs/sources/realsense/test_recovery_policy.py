@@ -163,7 +163,7 @@ def test_30_reconnects_leave_no_thread_and_no_file() -> None:
         if attempt == 2:  # librealsense's own are there now
             gc.collect()
             before = _open()
-    deadline = time.monotonic() + 10  # a thread that was told to end may still be ending
+    deadline = time.monotonic() + 10  # a thread that was asked to end may still be ending
     while any(now > then for now, then in zip(_open(), before, strict=True)) and time.monotonic() < deadline:
         time.sleep(0.05)
     grown = [now - then for now, then in zip(_open(), before, strict=True)]

@@ -102,7 +102,7 @@ def test_a_fresh_frame_shows_what_was_done_before_the_call(stamp: float | None) 
     with source(device) as stream:
         for _ in range(3):
             arrived(stream, device.push_raw(*picture(), stamp))
-        time.sleep(0.01)  # librealsense tells arrivals in whole milliseconds
+        time.sleep(0.01)  # librealsense reports arrivals in whole milliseconds
         later = threading.Timer(0.1, device.push_raw, picture(1), {"stamp": stamp and stamp + 1})
         later.start()
         assert stream.read(5, fresh=True).number == 4
