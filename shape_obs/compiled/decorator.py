@@ -6,7 +6,7 @@ import gc
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any, Final, TypeVar, overload
 
 from numba.core import config, types
@@ -14,7 +14,6 @@ from numba.core.registry import CPUDispatcher
 
 from shape_obs.compiled.cache import DiskCache, cache_folder
 from shape_obs.compiled.fingerprint import code_size, fingerprint
-from shape_obs.compiled.lock import exclusive
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -24,6 +23,7 @@ _REASSOCIATE: Final = {"reassoc", "contract", "nsz"}
 # Compile time is proportional to the code of a function and of all that it calls, roughly.
 _SECONDS_PER_BYTE: Final = 0.4e-3
 _WORTH_SAYING: Final = 2.0  # seconds
+_PATIENCE: Final = 300.0  # seconds to wait for another process, which may hang
 _preparing = threading.RLock()
 
 
@@ -116,13 +116,35 @@ def compile_now(functions: Iterable[Callable[..., Any]]) -> None:
         missing = [function for function in waiting if not _load(function)]
         if not missing:
             return
-        with exclusive(lambda: _say("waiting for another process that compiles the same functions")):
+        with _other_processes_waiting():
             # Another process may have compiled them while this one waited.
             missing = [function for function in missing if not _load(function)]
             _announce(missing)
             with _no_garbage_collection():
                 for function in missing:
                     _prepare(function)
+
+
+@contextmanager
+def _other_processes_waiting() -> Iterator[None]:
+    """Let one process compile at a time; the system releases the lock of a process that is killed.
+
+    Files are written as a whole, so where there are no locks, as on some network file systems, functions are compiled
+    more than once and nothing else happens.
+    """
+    from filelock import FileLock, Timeout  # only a process that compiles needs it
+
+    folder = cache_folder()
+    with ExitStack() as stack:
+        if folder:
+            lock = FileLock(folder / "lock")
+            with suppress(OSError, NotImplementedError):  # there are no locks; or ``Timeout``, of a process that hangs
+                try:
+                    stack.enter_context(lock.acquire(timeout=0))
+                except Timeout:
+                    _say("waiting for another process that compiles the same functions")
+                    stack.enter_context(lock.acquire(timeout=_PATIENCE))
+        yield
 
 
 @contextmanager
