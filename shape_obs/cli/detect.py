@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -57,21 +57,30 @@ def main(argv: Sequence[str]) -> int:
     if args.depth and args.intrinsics is None:
         raise ValueError("--depth needs --intrinsics FX FY CX CY, which turn depth into 3D points.")
     _check_unique_names(args.images)
-    from tqdm import tqdm
-
     from shape_obs.detector import ShapeDetector
     from shape_obs.utils.files import make_folder
 
     detector = ShapeDetector(**_detector_arguments(args))
     out = make_folder(args.out)
     failed = 0
-    for i, path in enumerate(tqdm(args.images, unit="image", disable=len(args.images) == 1)):
+    for i, path in enumerate(_with_progress(args.images)):
         result = _detect(detector, args, i, out)
         failed += not result.get("ok", False)
         if "error" in result:
-            tqdm.write(f"shape-obs detect: {result['error']}", file=sys.stderr)
+            from tqdm import tqdm
+
+            tqdm.write(f"shape-obs detect: {result['error']}", file=sys.stderr)  # above the bar
         print(json.dumps({"image": str(path), **result}), flush=True)
     return 1 if failed else 0
+
+
+def _with_progress(images: tuple[Path, ...]) -> Iterable[Path]:
+    """Show a progress bar while several images are read."""
+    if len(images) == 1:
+        return images
+    from tqdm import tqdm  # its import takes as long as a few images
+
+    return tqdm(images, unit="image")
 
 
 def _detect(detector: ShapeDetector, args: Arguments, i: int, out: Path) -> dict[str, Any]:
