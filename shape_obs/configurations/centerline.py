@@ -19,7 +19,6 @@ from shape_obs.geometry.topology import Chain, Topology, neighbourhoods, shrinka
 from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.region import Region
 from shape_obs.image.rope_tip import extend_chain
-from shape_obs.initialization.folding import fold_outline, unexplained_share
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.point_cloud.cloud import Cloud
 from shape_obs.tracking.occluders import uncover_ends
@@ -170,7 +169,7 @@ class Centerline(Configuration, kind="centerline"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_chain_in_mask, _equal_chords, _at_shares, fold_outline, unexplained_share
+        masks = fit_chain_in_mask, _equal_chords, _at_shares
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + clouds
 

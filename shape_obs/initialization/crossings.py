@@ -130,10 +130,8 @@ def _smooth(branch: Branch, width: float) -> Branch:
         return branch
     sigma = _SMOOTHING * width * (len(branch.points) - 1) / max(branch.length, 1e-9)
     pad = min(int(3 * sigma) + 1, len(branch.points) - 1)
-    head = 2 * branch.points[0] - branch.points[pad:0:-1]
-    tail = 2 * branch.points[-1] - branch.points[-2 : -pad - 2 : -1]
-    smooth = gaussian_filter1d(np.concatenate([head, branch.points, tail]), sigma, axis=0)
-    return replace(branch, points=smooth[pad:-pad])
+    padded = np.pad(branch.points, ((pad, pad), (0, 0)), "reflect", reflect_type="odd")
+    return replace(branch, points=gaussian_filter1d(padded, sigma, axis=0)[pad:-pad])
 
 
 def _trim(branch: Branch, free_start: bool, free_end: bool, width: float) -> Array:

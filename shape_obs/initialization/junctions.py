@@ -13,6 +13,7 @@ other and are as thick as one. Each such waist is a crossing.
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import cache
 from typing import Final, NamedTuple
 
@@ -22,10 +23,10 @@ from scipy.ndimage import maximum_filter1d
 
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.initialization.gaps import Lead
-from shape_obs.initialization.skeleton import Branch, Skeleton
+from shape_obs.initialization.skeleton import Branch, Skeleton, connected, degrees
 
+Array = npt.NDArray[np.float64]
 Arm = tuple[int, int]  # a branch, and which of its ends
-
 
 # What it costs that a rope ends in the middle of a mask, as widths of a shared branch: two such ends are dearer than
 # any crossing's shared branch, and cheaper than a rope lying on itself for this far.
@@ -38,8 +39,6 @@ _PER_WIDTH: Final = (3.0, 0.2)
 
 # Of the sum of both radii.
 _WITHIN: Final = 0.5
-
-_MOST_ODD: Final = 16  # the matching is found by trying all; beyond, each zone takes its nearest
 
 
 class Zones(NamedTuple):
@@ -58,37 +57,31 @@ class Zones(NamedTuple):
 
 def find_zones(skeleton: Skeleton) -> Zones:
     """Gather the nodes of a skeleton into zones."""
-    branches = skeleton.branches
-    parent = {node: node for branch in branches for node in branch.nodes}
-    shared = _matching(branches, skeleton.width)
-    for i in shared:
-        _union(parent, *branches[i].nodes)
-    degree = _degrees(branches)
+    branches, degree = skeleton.branches, degrees(skeleton.branches)
+    shared = _matching(branches, degree, skeleton.width)
     within = [i for i, branch in enumerate(branches) if i not in shared and _is_within(branch, degree)]
-    for i in within:
-        _union(parent, *branches[i].nodes)
-    of = {(i, end): _find(parent, branch.nodes[end]) for i, branch in enumerate(branches) for end in (0, 1)}
+    joined = np.array([branches[i].nodes for i in (*shared, *within)], int).reshape(-1, 2)
+    zone = connected(max(degree, default=-1) + 1, joined)
+    of = {(i, end): int(zone[branch.nodes[end]]) for i, branch in enumerate(branches) for end in (0, 1)}
     kept = tuple(i for i in range(len(branches)) if i not in {*shared, *within})
-    return Zones(kept, tuple(shared), of)
+    return Zones(kept, shared, of)
 
 
-def _is_within(branch: Branch, degree: dict[int, int]) -> bool:
+def _is_within(branch: Branch, degree: Counter[int]) -> bool:
     """Return whether a branch joins nodes that are one: either lies well inside the largest disc about the other."""
     first, second = branch.nodes
     joins = first != second and min(degree[first], degree[second]) > 1
     return joins and branch.length <= _WITHIN * (branch.radius[0] + branch.radius[-1])
 
 
-def _matching(branches: tuple[Branch, ...], width: float) -> list[int]:
+def _matching(branches: tuple[Branch, ...], degree: Counter[int], width: float) -> tuple[int, ...]:
     """Return the branches that two strands share: each odd zone lies at one at most, or holds a rope's end."""
-    degree = _degrees(branches)
     odd = sorted(zone for zone, count in degree.items() if count % 2 and count > 1)
     place = {zone: bit for bit, zone in enumerate(odd)}
     links: list[list[tuple[float, int, int]]] = [[] for _ in odd]
     for i, branch in enumerate(branches):
-        first, second = (place.get(node) for node in branch.nodes)
-        if first is not None and second is not None and first != second:
-            low, high = sorted((first, second))
+        low, high = sorted(place.get(node, -1) for node in branch.nodes)
+        if 0 <= low < high:
             links[low].append((_price(branch, width), high, i))
 
     @cache
@@ -105,43 +98,13 @@ def _matching(branches: tuple[Branch, ...], width: float) -> list[int]:
                 options.append((price + cost, (*chosen, i)))
         return min(options)
 
-    if len(odd) <= _MOST_ODD:
-        return list(best((1 << len(odd)) - 1)[1])
-    matched: set[int] = set()
-    chosen = []
-    for price, low, high, i in sorted((p, low, high, i) for low, row in enumerate(links) for p, high, i in row):
-        if price < 2 * _END and not {low, high} & matched:
-            matched |= {low, high}
-            chosen.append(i)
-    return chosen
+    return best((1 << len(odd)) - 1)[1]
 
 
 def _price(branch: Branch, width: float) -> float:
     """Return the cost of sharing a branch: its length in widths, more where it is slender."""
     slender = np.interp(branch.radius / width, _THICK, _PER_WIDTH)
     return branch.length / width * float(slender.mean())
-
-
-def _degrees(branches: tuple[Branch, ...]) -> dict[int, int]:
-    """Return how many branches leave each node."""
-    degree: dict[int, int] = {}
-    for branch in branches:
-        for node in branch.nodes:
-            degree[node] = degree.get(node, 0) + 1
-    return degree
-
-
-def _find(parent: dict[int, int], node: int) -> int:
-    while parent[node] != node:
-        node = parent[node]
-    return node
-
-
-def _union(parent: dict[int, int], first: int, second: int) -> None:
-    parent[_find(parent, second)] = _find(parent, first)
-
-
-Array = npt.NDArray[np.float64]
 
 
 # Radius over the width of one strand: 0.5 to 0.71 in the middle of a crossing, from acute to square; 0.9 to 1 of
