@@ -107,28 +107,13 @@ def find_on_lattice(
     min_area: int,
     min_share: float,
 ) -> Any:
-    """Find components; the image's pixel (u, v) stands at ``origin + v * pitch + 3 * u``."""
-    west = left & ~7
-    words = np.zeros((bottom - top, (right - west + 7) >> 3), np.uint64)
-    _read_near_hits(flat, origin, pitch, left, top, right, bottom, table, step, words)
-    return plausible(words.view(np.uint8), west, top, step, min_area, min_share)
+    """Find components; the image's pixel (u, v) stands at ``origin + v * pitch + 3 * u``.
 
-
-@compiled
-def _read_near_hits(
-    flat: Any,
-    origin: int,
-    pitch: int,
-    left: int,
-    top: int,
-    right: int,
-    bottom: int,
-    table: Any,
-    step: int,
-    words: Any,
-) -> None:
-    """Read cells of 8 x 8 pixels that hold a lattice pixel in the table, and from there on where pixels touch."""
-    west, north, across, down = left & ~7, top & ~7, words.shape[1], (bottom - (top & ~7) + 7) >> 3
+    Cells of 8 x 8 pixels are read that hold a lattice pixel in the table, and from there on where pixels touch.
+    """
+    west, north = left & ~7, top & ~7
+    across, down = (right - west + 7) >> 3, (bottom - north + 7) >> 3
+    words = np.zeros((bottom - top, across), np.uint64)
     stride = across + 2  # cells around the window count as seen
     seen = np.ones((down + 2) * stride, np.uint8)
     seen.reshape(down + 2, stride)[1:-1, 1:-1] = 0
@@ -173,6 +158,7 @@ def _read_near_hits(
                     waiting = _push(cell - 1, seen, stack, waiting)
                 if every >> _U(7):
                     waiting = _push(cell + 1, seen, stack, waiting)
+    return plausible(words.view(np.uint8), west, top, step, min_area, min_share)
 
 
 @compiled(inline=True)

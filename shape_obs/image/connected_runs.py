@@ -17,9 +17,8 @@ Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 
 _FAR_OFF: Final = 2.0**30  # pixels; no image reaches there, and integers hold it
-# (w - ones) & ~w & tops is not 0 where one of the bytes of a word w is 0.
-_ONES = np.uint64(0x0101010101010101)
-_TOPS = np.uint64(0x8080808080808080)
+_U = np.uint64
+_TOPS = np.uint64(0x8080808080808080)  # the highest bit of each byte
 
 # A mask, its runs, the areas of its components and their box: see ``find_components``.
 Components = tuple[Mask, Indices, Indices, tuple[int, int, int, int]]
@@ -84,36 +83,38 @@ def shift(row: Any, step: Any) -> Any:
 
 @compiled
 def _runs(mask: Mask, left: int, top: int) -> Indices:
-    """Return the runs of a mask."""
-    height, width = mask.shape
-    found, count = np.empty((height * (width // 2 + 1), 3), np.int64), 0
-    across = width // 8 if width % 8 == 0 else 0  # words of eight pixels in a row
-    words = mask.ravel().view(np.uint64) if across else np.empty(0, np.uint64)
+    """Return the runs of a mask, which is read eight pixels at once."""
+    height, across = mask.shape[0], (mask.shape[1] + 7) // 8
+    if mask.shape[1] < 8 * across:
+        wide = np.zeros((height, 8 * across), np.uint8)
+        wide[:, : mask.shape[1]] = mask
+        mask = wide
+    words = mask.reshape(height * across * 8).view(np.uint64)
+    found, count = np.empty((height * (4 * across + 1), 3), np.int64), 0
     for row in range(height):
-        column, inside = 0, False
-        while column < width:
-            if across and column % 8 == 0:  # eight pixels at once, where none or all of them are on
-                at, last = row * across + column // 8, (row + 1) * across
-                if inside:
-                    while at < last and (words[at] - _ONES) & ~words[at] & _TOPS == 0:
-                        at += 1
-                else:
-                    while at < last and words[at] == 0:
-                        at += 1
-                column = (at - row * across) * 8
-                if at == last:
-                    break
-            on = mask[row, column] != 0
-            if on != inside:
-                if on:
-                    found[count, 0], found[count, 1] = row + top, column + left
-                else:
-                    found[count, 2] = column + left
-                    count += 1
-                inside = on
-            column += 1
+        inside, at, last = _U(0), row * across, (row + 1) * across
+        while at < last:
+            word = words[at]
+            at += 1
+            if word | inside == 0:
+                while at + 4 <= last and words[at] | words[at + 1] | words[at + 2] | words[at + 3] == 0:
+                    at += 4
+                continue
+            on = (((word & ~_TOPS) + ~_TOPS) | word) & _TOPS  # the top bit of each byte that is not 0
+            edges = on ^ ((on << _U(8)) | inside)  # where a run begins, and behind its end
+            column = left + (at - 1 - row * across) * 8
+            while edges:
+                if edges & _U(0x80):
+                    inside ^= _U(0x80)
+                    if inside:
+                        found[count, 0], found[count, 1] = row + top, column
+                    else:
+                        found[count, 2] = column
+                        count += 1
+                edges >>= _U(8)
+                column += 1
         if inside:
-            found[count, 2] = width + left
+            found[count, 2] = left + 8 * across
             count += 1
     return found[:count].copy()
 
@@ -169,11 +170,12 @@ def gather_cells(runs: Indices, size: int) -> tuple[Array, Array]:
         return np.empty((0, 2)), np.empty(0)
     top, bottom = runs[0, 0] // size, runs[-1, 0] // size
     left, right = runs[:, 1].min() // size, (runs[:, 2].max() - 1) // size
-    sums = np.zeros(((bottom - top + 1) * (right - left + 1), 3), np.int64)
+    across, share = right - left + 1, 1 / size  # divisions are slow
+    sums = np.zeros(((bottom - top + 1) * across, 3), np.int64)
     for at in range(len(runs)):
         row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
-        column = start // size
-        cell = (row // size - top) * (right - left + 1) + column - left
+        column = int((start + 0.5) * share)
+        cell = (int((row + 0.5) * share) - top) * across + column - left
         while start < stop:
             column += 1
             end = min(column * size, stop)
@@ -183,9 +185,12 @@ def gather_cells(runs: Indices, size: int) -> tuple[Array, Array]:
             sums[cell, 2] += row * count
             start = end
             cell += 1
-    sums = sums[sums[:, 0] > 0]
-    weight = sums[:, 0].astype(np.float64)
-    return np.stack((sums[:, 1] / (2 * weight), sums[:, 2] / weight), axis=1), weight
+    held = np.flatnonzero(sums[:, 0])
+    points, weight = np.empty((len(held), 2)), np.empty(len(held))
+    for at in range(len(held)):
+        cell, weight[at] = held[at], sums[held[at], 0]
+        points[at, 0], points[at, 1] = sums[cell, 1] / (2 * weight[at]), sums[cell, 2] / weight[at]
+    return points, weight
 
 
 @compiled("(u1[:,::1], i8, i8, f8[:,::1], i8)")
