@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -23,38 +23,19 @@ _BEYOND: Final = 0.8  # widths: noise throws single points far, so the bulk must
 _GAP: Final = (0.4, 5.0)  # the least gap between points that ends a strand, in widths and in usual gaps
 
 
-class Ahead(NamedTuple):
-    """The strand ahead of a place.
-
-    Args:
-        offset: ``(P, 3)`` its points from there.
-        along: ``(P,)`` how far each lies ahead.
-        rest: The length of it, metres, if it ends within 1.5 widths.
-        goes_on: Whether there is more of it than a last piece.
-    """
-
-    offset: Array
-    along: Array
-    rest: float
-    goes_on: bool
-
-
-def ahead(cloud: Cloud, front: Array, heading: Array, width: float) -> Ahead:
+def ahead(cloud: Cloud, front: Array, heading: Array, width: float) -> tuple[Array, Array]:
     """Return the strand that goes on from ``front`` ``(3,)`` in the direction ``heading``, a unit vector.
 
-    Noise moves as many points forwards over the start as back, and at the far end it leaves the mean alone. So the
-    length is twice the mean, for points that are spread evenly.
+    Returns:
+        ``(P, 3)`` its points from there; ``(P,)`` how far each lies ahead.
     """
-    points = cloud.around(front, REACH * width)
-    offset = points - front
+    offset = cloud.around(front, REACH * width) - front
     along = offset @ heading
     side = np.sqrt(np.maximum(np.einsum("pd,pd->p", offset, offset) - along**2, 0.0))
     strand = (along > 0) & (side <= SIDE * width)
     # Another strand that passes ahead is no part of this one.
-    strand[strand] = cloud.connected_ahead(front, points[strand], along[strand], width)
-    offset, along = offset[strand], along[strand]
-    rest = 2 * float(along.mean()) if len(along) else 0.0
-    return Ahead(offset, along, rest, rest > _BEYOND * width)
+    strand[strand] = cloud.connected_ahead(front, front + offset[strand], along[strand], width)
+    return offset[strand], along[strand]
 
 
 def first_gap(along: Array, width: float) -> float:
@@ -89,8 +70,11 @@ def _extension(start: Array, cloud: Cloud, width: float) -> Array:
     front, heading, rest = start[0], _heading(start), 0.0
     path: list[Array] = []
     for _ in range(MAX_STEPS):
-        offset, along, rest, goes_on = ahead(cloud, front, heading, width)
-        if goes_on:
+        offset, along = ahead(cloud, front, heading, width)
+        # Noise moves as many points forwards over the start as back, and at the far end it leaves the mean alone. So
+        # the length is twice the mean, for points that are spread evenly.
+        rest = 2 * float(along.mean()) if len(along) else 0.0
+        if rest > _BEYOND * width:
             piece = (along > STEP_FROM * width) & (along <= STEP_TO * width)
         elif rest > LAST_REST * width:
             piece = along > rest - LAST * width
