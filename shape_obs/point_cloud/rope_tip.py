@@ -67,7 +67,7 @@ def extend_chain(nodes: Array, cloud: Cloud, width: float) -> Array:
 
 def _extension(start: Array, cloud: Cloud, width: float) -> Array:
     """Return the way ``(S, 3)`` from the end of a chain, the first of ``(3, 3)`` nodes, to the tip."""
-    front, heading, rest = start[0], _heading(start), 0.0
+    front, heading, rest = start[0], _bent(start[0] - start[1], start[1] - start[2]), 0.0
     path: list[Array] = []
     for _ in range(MAX_STEPS):
         offset, along = ahead(cloud, front, heading, width)
@@ -83,25 +83,14 @@ def _extension(start: Array, cloud: Cloud, width: float) -> Array:
         if not piece.any():
             break
         step = offset[piece].mean(axis=0)
-        heading = _continue(heading, step)
+        heading = _bent(step, heading)
         front = front + step
         path.append(front)
     return np.array([*path, front + heading * max(rest, SHORTEST * cloud.thinnest)])
 
 
-def _heading(nodes: Array) -> Array:
-    """Return the direction out of the first of three nodes, their curvature continued."""
-    near, far = nodes[0] - nodes[1], nodes[1] - nodes[2]
-    near, far = near / max(np.linalg.norm(near), 1e-9), far / max(np.linalg.norm(far), 1e-9)
-    return _unit(near + (near - far) / 2, near)
-
-
-def _continue(heading: Array, step: Array) -> Array:
-    """Return the heading after a step: on a circle the tangent turns twice as far as the chord; half is added."""
-    chord = _unit(step, heading)
-    return _unit(chord + (chord - heading) / 2, chord)
-
-
-def _unit(vector: Array, otherwise: Array) -> Array:
-    norm = float(np.linalg.norm(vector))
-    return vector / norm if norm > 1e-9 else otherwise
+def _bent(ahead: Array, before: Array) -> Array:
+    """Return the heading after two chords: on a circle the tangent turns twice as far as a chord; half is added."""
+    ahead, before = (way / max(float(np.linalg.norm(way)), 1e-9) for way in (ahead, before))
+    heading = ahead + (ahead - before) / 2
+    return heading / max(float(np.linalg.norm(heading)), 1e-9)
