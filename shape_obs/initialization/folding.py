@@ -22,6 +22,7 @@ _N: Final = 256  # places around the outline
 _SIDE_POINTS: Final = 96  # along its sides, and of those the ones by which tips are chosen
 _SIDE_PROBES: Final = 32
 _SHARP_BENDS: Final = 8  # bends that are tried as tips
+_NEAR: Final = 3  # places
 
 
 def fold_outline(outline: Array, width: float) -> Array:
@@ -73,10 +74,15 @@ def _sides(first: Array, second: Array, count: int) -> tuple[Array, Array]:
 
 
 def _half_fold(even: Places) -> float:
-    """Return half of the best k of the fold i -> k - i, one of its fixed points."""
+    """Return half of the best k of the fold i -> k - i, one of its fixed points. Every other place finds its region."""
+    near = 2 * int(np.argmax(_overlap(even[::2]))) + np.arange(-_NEAR, _NEAR + 1)
+    return float(near[np.argmax(_overlap(even)[near % _N])] % _N) / 2
+
+
+def _overlap(even: Places) -> Array:
+    """Return how much an outline overlaps itself for every fold i -> k - i."""
     centred = even - even.mean()
-    overlap = np.fft.ifft(np.fft.fft(centred) * np.fft.fft(centred.conj())).real
-    return float(np.argmax(overlap)) / 2
+    return np.fft.ifft(np.fft.fft(centred) * np.fft.fft(centred.conj())).real
 
 
 def _sharp_bends(even: Places, width: float) -> list[int]:
