@@ -5,10 +5,9 @@ share a branch for a while, from the node where they meet to the one where they 
 an even number of branches at a zone, so which odd zones share a branch is a matching (as in route inspection: Kwan,
 "Graphic Programming Using Odd or Even Points", 1962).
 
-What two strands do along a branch that they share: run side by side, or cross.
-
-The silhouette tells: strands side by side are as thick as two, and where one crosses the other they lie on top of each
-other and are as thick as one. Each such waist is a crossing.
+Whether two strands run side by side along a branch that they share, or cross, is seen in the silhouette: side by side
+they are as thick as two, and where one crosses the other they lie on top of each other and are as thick as one. Each
+such waist is a crossing.
 """
 
 from __future__ import annotations
@@ -37,9 +36,6 @@ _THICK: Final = (0.55, 0.8)
 
 _PER_WIDTH: Final = (3.0, 0.2)
 
-# Of the sum of both radii.
-_WITHIN: Final = 0.5
-
 
 class Zones(NamedTuple):
     """Where strands meet.
@@ -56,22 +52,13 @@ class Zones(NamedTuple):
 
 
 def find_zones(skeleton: Skeleton) -> Zones:
-    """Gather the nodes of a skeleton into zones."""
+    """Gather the nodes of a skeleton into zones: those at the two ends of a shared branch are one."""
     branches, degree = skeleton.branches, degrees(skeleton.branches)
     shared = _matching(branches, degree, skeleton.width)
-    within = [i for i, branch in enumerate(branches) if i not in shared and _is_within(branch, degree)]
-    joined = np.array([branches[i].nodes for i in (*shared, *within)], int).reshape(-1, 2)
+    joined = np.array([branches[i].nodes for i in shared], int).reshape(-1, 2)
     zone = connected(max(degree, default=-1) + 1, joined)
     of = {(i, end): int(zone[branch.nodes[end]]) for i, branch in enumerate(branches) for end in (0, 1)}
-    kept = tuple(i for i in range(len(branches)) if i not in {*shared, *within})
-    return Zones(kept, shared, of)
-
-
-def _is_within(branch: Branch, degree: Counter[int]) -> bool:
-    """Return whether a branch joins nodes that are one: either lies well inside the largest disc about the other."""
-    first, second = branch.nodes
-    joins = first != second and min(degree[first], degree[second]) > 1
-    return joins and branch.length <= _WITHIN * (branch.radius[0] + branch.radius[-1])
+    return Zones(tuple(i for i in range(len(branches)) if i not in shared), shared, of)
 
 
 def _matching(branches: tuple[Branch, ...], degree: Counter[int], width: float) -> tuple[int, ...]:
@@ -120,15 +107,7 @@ _LONGEST: Final = 4.0
 # Nowhere are strands that cross thinner than one strand: a neck is where two touch in a few pixels, side by side.
 _NECK: Final = 0.42
 
-# In widths: a branch shorter than the first is one node that thinning took apart. Up to the second the crossing is
-# steep, its thickness lies between that of one strand and two, and the bends tell more.
-_NODE: Final = 0.5
-
-_SHORT: Final = 1.2
-
-_TWO_FOR_SURE: Final = 0.92
-
-_TOUCH: Final = 1.3  # the longest branch, in widths, from the axis of one strand to that of another that it touches
+_NODE: Final = 0.5  # widths: a branch shorter than this is one node that thinning took apart
 
 # The skeleton strays from the axis by a pixel, and the radius drops: within so many widths the largest counts.
 _JITTER: Final = 0.2
@@ -140,20 +119,18 @@ class Overlap(NamedTuple):
     Args:
         pairs: Which strand comes out as which.
         paths: (P,2) pixels each, the centre of either strand on the way, in the direction of its pair.
-        back: Whether the strands may also turn back before the branch: it is no longer than where two touch.
         doubt: Why this may be wrong, or nothing.
     """
 
     pairs: tuple[tuple[Arm, Arm], tuple[Arm, Arm]]
     paths: tuple[Array, Array]
-    back: bool
     doubt: str
 
     @property
     def denied(self) -> tuple[tuple[Arm, Arm], ...]:
         """What the silhouette speaks against."""
         (a, b), (c, d) = self.pairs
-        return ((a, d), (c, b)) if self.back else ((a, d), (c, b), (a, c), (b, d))
+        return (a, d), (c, b), (a, c), (b, d)
 
 
 def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, Lead], width: float) -> Overlap | None:
@@ -166,11 +143,9 @@ def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, 
         leads: How they leave.
         width: Of one strand, pixels.
     """
-    side, thinnest, doubt = _sides(branch, width)
-    is_neck = float(branch.radius.min()) < _NECK * width
-    is_steep = branch.length < _NODE * width or (branch.length < _SHORT * width and _ONE <= thinnest < _TWO_FOR_SURE)
-    if is_neck or is_steep:
+    if float(branch.radius.min()) < _NECK * width or branch.length < _NODE * width:
         return None
+    side, doubt = _sides(branch, width)
     arc = arc_length(np.ascontiguousarray(branch.points))
     near, far = np.searchsorted(arc, (min(width, arc[-1]), max(arc[-1] - width, 0.0)))
     behind = np.mean([leads[arm].point for arm in starts], axis=0)
@@ -184,8 +159,7 @@ def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, 
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
     offset = (side * np.maximum(branch.radius - width / 2, 0.0))[:, None] * normal
     paths = branch.points - offset, branch.points + offset
-    back = branch.length < _TOUCH * width
-    return Overlap(((first[0], last[0]), (first[1], last[1])), paths, back, doubt)
+    return Overlap(((first[0], last[0]), (first[1], last[1])), paths, doubt)
 
 
 def _by_side(arms: list[Arm], leads: dict[Arm, Lead], middle: Array, ahead: Array) -> list[Arm]:
@@ -193,10 +167,10 @@ def _by_side(arms: list[Arm], leads: dict[Arm, Lead], middle: Array, ahead: Arra
     return sorted(arms, key=lambda arm: float((leads[arm].point - middle) @ (-ahead[1], ahead[0])))
 
 
-def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], float, str]:
+def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], str]:
     """Return on which side a strand runs that begins on the right ``(1)``: ``(P,)`` 1 or -1.
 
-    With it the smallest radius over the width, and why the sides may be wrong, or nothing.
+    With it why the sides may be wrong, or nothing.
     """
     arc = arc_length(np.ascontiguousarray(branch.points))
     steps = round(_JITTER * width * (len(arc) - 1) / max(float(arc[-1]), 1e-9))
@@ -212,7 +186,6 @@ def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], float, s
             if arc[i] - arc[start] > _LONGEST * width:
                 doubt = f"strands lie on each other for {arc[i] - arc[start]:.0f} px: which comes out where is a guess"
             start = None
-    thinnest = float(relative.min())
-    if _ONE <= thinnest < _TWO:
+    if _ONE <= relative.min() < _TWO:
         doubt = f"strands touch for {arc[-1]:.0f} px: whether they cross cannot be told"
-    return side, thinnest, doubt
+    return side, doubt
