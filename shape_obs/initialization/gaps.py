@@ -1,7 +1,4 @@
-"""Bridging: the pieces of an interrupted rope, joined end to end.
-
-How much a rope bends that goes on from one strand to another, and the smooth curve it takes.
-"""
+"""The pieces of an interrupted rope joined end to end: what a rope bends over a gap, and the smooth curve it takes."""
 
 from __future__ import annotations
 
@@ -15,18 +12,14 @@ from shape_obs.geometry.polyline import arc_length, interpolate
 
 Array = npt.NDArray[np.float64]
 
-
 # So many pieces are joined in the best order of all; the work doubles with each more. Beyond, nearest and straightest
 # first.
 _MOST_ORDERED: Final = 7
-
 # In widths: over how much of a piece its direction is taken.
 _REACH: Final = 1.5
-
 # What of a piece's end is not looked at, and cut off in a gap, in widths: at a slanting cut a centreline runs into the
 # sharper corner.
 _RAGGED: Final = 0.7
-
 # What the bending energy of a bridge costs, in widths of gap: a right angle over five widths as much as three widths.
 _STIFFNESS: Final = 6.0
 

@@ -30,11 +30,21 @@ Arm = tuple[int, int]  # a branch, and which of its ends
 # What it costs that a rope ends in the middle of a mask, as widths of a shared branch: two such ends are dearer than
 # any crossing's shared branch, and cheaper than a rope lying on itself for this far.
 _END: Final = 8.0
-
 # The price of a width of a shared branch where its radius is that of one strand, and of two side by side, in widths.
 _THICK: Final = (0.55, 0.8)
-
 _PER_WIDTH: Final = (3.0, 0.2)
+# Radius over the width of one strand: 0.5 to 0.71 in the middle of a crossing, from acute to square; 0.9 to 1 of
+# strands side by side. Below the first they lie on top of each other, above the second they do not.
+_ONE: Final = 0.76
+_TWO: Final = 0.82
+# A waist of strands that cross at 25 degrees is two widths long, a little longer where they bend. Along a longer one
+# strands may change sides unseen.
+_LONGEST: Final = 4.0
+# Nowhere are strands that cross thinner than one strand: a neck is where two touch in a few pixels, side by side.
+_NECK: Final = 0.42
+_NODE: Final = 0.5  # widths: a branch shorter than this is one node that thinning took apart
+# The skeleton strays from the axis by a pixel, and the radius drops: within so many widths the largest counts.
+_JITTER: Final = 0.2
 
 
 class Zones(NamedTuple):
@@ -92,25 +102,6 @@ def _price(branch: Branch, width: float) -> float:
     """Return the cost of sharing a branch: its length in widths, more where it is slender."""
     slender = np.interp(branch.radius / width, _THICK, _PER_WIDTH)
     return branch.length / width * float(slender.mean())
-
-
-# Radius over the width of one strand: 0.5 to 0.71 in the middle of a crossing, from acute to square; 0.9 to 1 of
-# strands side by side. Below the first they lie on top of each other, above the second they do not.
-_ONE: Final = 0.76
-
-_TWO: Final = 0.82
-
-# A waist of strands that cross at 25 degrees is two widths long, a little longer where they bend. Along a longer one
-# strands may change sides unseen.
-_LONGEST: Final = 4.0
-
-# Nowhere are strands that cross thinner than one strand: a neck is where two touch in a few pixels, side by side.
-_NECK: Final = 0.42
-
-_NODE: Final = 0.5  # widths: a branch shorter than this is one node that thinning took apart
-
-# The skeleton strays from the axis by a pixel, and the radius drops: within so many widths the largest counts.
-_JITTER: Final = 0.2
 
 
 class Overlap(NamedTuple):

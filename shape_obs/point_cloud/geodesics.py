@@ -1,9 +1,7 @@
-"""Strands: the axis of rope-like samples by geodesic distance, open or closed to a loop.
+"""The axis of a rope-like cloud by geodesic distance: strands joined end to end across gaps, or closed to a ring.
 
 Geodesic distance over the links between samples is arc length along the rope, however it bends: the two samples that
 lie farthest apart are its ends, and the samples at equal distance from one of them are its slices.
-
-Chains: the strands of an interrupted rope joined end to end across its gaps, or once around.
 """
 
 from __future__ import annotations
@@ -26,8 +24,14 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 _SHORT: Final = 2.5  # widths: a piece shorter than this is a straight line
-
 _SIDE: Final = 0.2  # of a loop's samples, that lie on either side of it at least
+_POINTS: Final = 129
+_REACH: Final = 3.0  # widths: from how far inside of an end its direction is taken
+# A bridge of more than so many widths that turns its strands by more than this (the sum of 1 - cos at both ends; a
+# hidden half turn has 2) joins what no single rope would.
+_JUMP: Final = 3.0
+_TURN: Final = 1.5
+_RING_GAP: Final = 0.25  # of an interrupted ring's length: what it misses at most where its ends meet
 
 
 def strand(samples: Samples, graph: csr_matrix, piece: Indices, width: float) -> Array:
@@ -109,19 +113,6 @@ def _line(points: Array, weight: Array) -> Array:
 def _outward(last: Array, before: Array, reach: float) -> Array:
     step = last - before
     return last + step * (reach / max(float(np.linalg.norm(step)), 1e-12))
-
-
-_POINTS: Final = 129
-
-_REACH: Final = 3.0  # widths: from how far inside of an end its direction is taken
-
-# A bridge of more than so many widths that turns its strands by more than this (the sum of 1 - cos at both ends; a
-# hidden half turn has 2) joins what no single rope would.
-_JUMP: Final = 3.0
-
-_TURN: Final = 1.5
-
-_RING_GAP: Final = 0.25  # of an interrupted ring's length: what it misses at most where its ends meet
 
 
 class Chain(NamedTuple):

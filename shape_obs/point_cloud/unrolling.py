@@ -1,11 +1,11 @@
-"""Unrolling: a bent sheet's points in a plane, distances along the sheet kept.
+"""Unrolling: a bent sheet's points in a plane, distances along the sheet kept, and the sheet's border there.
+
+The border lies where the density of the points has fallen to half.
 
 References:
     J. B. Tenenbaum, V. de Silva, J. C. Langford, "A Global Geometric Framework for Nonlinear Dimensionality
     Reduction", Science 290, 2000 (Isomap); V. de Silva, J. B. Tenenbaum, "Sparse Multidimensional Scaling using
     Landmark Points", 2004.
-
-The border of a sheet on its map: where the density of its points has fallen to half.
 """
 
 from __future__ import annotations
@@ -28,17 +28,19 @@ from shape_obs.geometry.samples import Samples
 
 Array = npt.NDArray[np.float64]
 
-
 # A sheet whose rms height over its plane is below this share of its rms half breadth is projected: it loses 0.6 %.
 _FLAT: Final = 0.05
-
 _LANDMARKS: Final = 24
-
 _RIDGE: Final = 0.03  # of a neighbourhood's spread: across the sheet there is only noise to fit
-
 _BLENDED: Final = 4
-
 _BRIDGE: Final = 1.3  # shortest gaps: pieces are linked where they lie nearly as close as anywhere
+_PIXELS: Final = 150  # along the map's longer side
+_UNDER_BLUR: Final = 20.0  # points that the blur averages over, so that chance makes no border
+_MIN_BLUR: Final = 1.2  # pixels
+_WIDER: Final = 3.0  # blurs: over which the density may change
+_FINER: Final = 3  # the border is drawn on pixels so many times finer
+_POINTS: Final = 300
+_SMOOTH: Final = 2.0  # points
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,21 +138,6 @@ def _regression(row: Array, given: Array, wanted: Array, size: int) -> Array:
     both = (gathered @ (given[:, :, None] * wanted[:, None, :]).reshape(count, g * w)).reshape(size, g, w)
     own += (_RIDGE / g * np.trace(own, axis1=1, axis2=2) + 1e-18)[:, None, None] * np.eye(g)
     return np.linalg.solve(own, both)
-
-
-_PIXELS: Final = 150  # along the map's longer side
-
-_UNDER_BLUR: Final = 20.0  # points that the blur averages over, so that chance makes no border
-
-_MIN_BLUR: Final = 1.2  # pixels
-
-_WIDER: Final = 3.0  # blurs: over which the density may change
-
-_FINER: Final = 3  # the border is drawn on pixels so many times finer
-
-_POINTS: Final = 300
-
-_SMOOTH: Final = 2.0  # points
 
 
 def border(flat: Array) -> Array:

@@ -1,7 +1,4 @@
-"""Voxels: a cloud's points gathered into cubes, and how the cubes hang together.
-
-How thick and how long a rope-like cloud is, before anything is fitted to it.
-"""
+"""A cloud's points gathered into cubes, how the cubes hang together, and the measures of the cloud as a rope."""
 
 from __future__ import annotations
 
@@ -16,23 +13,27 @@ from scipy.spatial import KDTree
 from shape_obs.geometry.samples import Samples
 
 Array = npt.NDArray[np.float64]
-
 Indices = npt.NDArray[np.intp]
-
 
 _EDGE: Final = 0.5  # of a voxel, in widths
 _COARSE: Final = 1 / 40  # and at most, of the extent: what is no rope is not thin
 _MIN_SHARE: Final = 0.02  # of the largest piece's points; smaller pieces are specks
 _PER_VOXEL: Final = 2.0  # points; with fewer the voxels would be the points, and fall apart
-
 _GROWTH: Final = 1.5
-
 _LINK: Final = 2.0  # edges: diagonal neighbours are linked, and across a voxel that happens to be empty
-
 # Of the cloud's extent: voxels are neither finer nor coarser.
 _FINEST: Final = 1e-3
-
 _COARSEST: Final = 1 / 8
+# So many points stand for all, and neighbourhoods of so many are looked at: both estimates vary by a few percent.
+_POINTS: Final = 1500
+_SEEDS: Final = 32
+# Neighbourhoods grow from a 64th of the cloud by steps of sqrt 2 until they are this many times longer than thick.
+_SMALLEST: Final = 1 / 64
+_RADIUS_GROWTH: Final = 2**0.5
+_STEPS: Final = 13
+_ELONGATED: Final = 2.2
+_CROSSING: Final = 3.0  # of the median spread: no neighbourhood counts as more
+_FEWEST: Final = 12  # points in a neighbourhood; the shape of fewer is chance
 
 
 def gather(points: Array, edge: float) -> tuple[Samples, Indices]:
@@ -66,25 +67,6 @@ def links(samples: Samples) -> csr_matrix:
     step = samples.points[pairs[:, 0]] - samples.points[pairs[:, 1]]
     length = np.maximum(np.sqrt(np.einsum("pd,pd->p", step, step)), 1e-12)  # csgraph reads 0 as no link
     return csr_matrix((length, (pairs[:, 0], pairs[:, 1])), shape=(len(samples), len(samples)))
-
-
-# So many points stand for all, and neighbourhoods of so many are looked at: both estimates vary by a few percent.
-_POINTS: Final = 1500
-
-_SEEDS: Final = 32
-
-# Neighbourhoods grow from a 64th of the cloud by steps of sqrt 2 until they are this many times longer than thick.
-_SMALLEST: Final = 1 / 64
-
-_RADIUS_GROWTH: Final = 2**0.5
-
-_STEPS: Final = 13
-
-_ELONGATED: Final = 2.2
-
-_CROSSING: Final = 3.0  # of the median spread: no neighbourhood counts as more
-
-_FEWEST: Final = 12  # points in a neighbourhood; the shape of fewer is chance
 
 
 class Piece(NamedTuple):
