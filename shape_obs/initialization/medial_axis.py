@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from functools import singledispatch
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.image.outline_tracing import SPECK
 from shape_obs.image.region import Component, Region
@@ -19,9 +17,6 @@ from shape_obs.initialization.crossings import Strands, untangle
 from shape_obs.initialization.folding import fold_outline, unexplained_share
 from shape_obs.initialization.gaps import Bridged, bridge
 from shape_obs.initialization.skeleton import skeleton_graph
-from shape_obs.point_cloud.cloud import Cloud
-from shape_obs.point_cloud.deprojection import SeenCloud
-from shape_obs.point_cloud.geodesics import chain
 
 Array = npt.NDArray[np.float64]
 
@@ -36,37 +31,23 @@ _UNEXPLAINED: Final = 0.1
 _MOST_BRANCHES: Final = 60
 # Another way to join the pieces that is dearer by this little is as likely.
 _RIVAL: Final = 1.15
-_MAX_BRIDGED: Final = 0.5  # of a cloud's axis
 
 
-@singledispatch
-def medial_axis(observed: Observed) -> FittedCurve:
+def medial_axis(observed: Any) -> FittedCurve:
     """Return the axis of a rope from tip to tip, in no particular direction, without any previous frame.
 
     A mask is folded, or thinned to a skeleton; a cloud is cut into slices of equal geodesic distance; a cloud under a
     mask takes the mask's axis and puts it in space.
+
+    Args:
+        observed: A region or a cloud.
     """
-    raise TypeError(f"expected a Region or a Cloud, got {type(observed).__name__}.")
-
-
-@medial_axis.register
-def _(region: Region) -> FittedCurve:
+    region = observed.parts[-1]
+    if region.dimension == 3:
+        return observed.axis()
     curve, bridged, doubt = trace(region)
-    return FittedCurve.through(curve, bridged, ambiguity=doubt)
-
-
-@medial_axis.register
-def _(cloud: Cloud) -> FittedCurve:
-    found = chain(cloud.samples, cloud.links, [piece.samples for piece in cloud.components], cloud.width)
-    doubt = found.doubt
-    if not doubt and found.bridged.mean() > _MAX_BRIDGED:
-        doubt = f"{found.bridged.mean():.0%} of the curve would be gaps (at most {_MAX_BRIDGED:.0%})"
-    return FittedCurve.through(found.points, found.bridged, ambiguity=doubt)
-
-
-@medial_axis.register
-def _(cloud: SeenCloud) -> FittedCurve:
-    return cloud.lifted(medial_axis(cloud.region))
+    axis = FittedCurve.through(curve, bridged, ambiguity=doubt)
+    return axis if region is observed else observed.lifted(axis)
 
 
 class Trace(NamedTuple):
