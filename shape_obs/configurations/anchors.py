@@ -29,12 +29,14 @@ def anchor_pixel(spec: Configuration, anchors: Anchors, camera: CameraModel | No
         return point
     if camera is None or camera.transform_camera_to_base is None:
         raise ValueError(
-            f"shape {spec.name!r}: anchor {_told(spec, anchors)!r} in the base frame needs the camera's place there: "
+            f"shape {spec.name!r}: anchor {_resolved(spec, anchors)!r} in the base frame needs the camera's place there: "
             "give camera=CameraModel(intrinsics, transform_camera_to_base=T), or an anchor in pixels (u, v)."
         )
     pixel = camera.project_from_base(point)
     if not np.all(np.isfinite(pixel)):
-        raise ValueError(f"shape {spec.name!r}: anchor {_told(spec, anchors)!r} does not lie in front of the camera.")
+        raise ValueError(
+            f"shape {spec.name!r}: anchor {_resolved(spec, anchors)!r} does not lie in front of the camera."
+        )
     return pixel
 
 
@@ -52,13 +54,13 @@ def anchor_point(spec: Configuration, anchors: Anchors, camera: CameraModel | No
         return None
     if len(point) == 2:
         raise ValueError(
-            f"shape {spec.name!r}: anchor {_told(spec, anchors)!r} is a pixel, and a cloud has none: give (x, y, z)."
+            f"shape {spec.name!r}: anchor {_resolved(spec, anchors)!r} is a pixel, and a cloud has none: give (x, y, z)."
         )
     if camera is None:
         return point
     if camera.transform_camera_to_base is None:
         raise ValueError(
-            f"shape {spec.name!r}: anchor {_told(spec, anchors)!r} in the base frame needs the camera's place there: "
+            f"shape {spec.name!r}: anchor {_resolved(spec, anchors)!r} in the base frame needs the camera's place there: "
             "give camera=CameraModel(intrinsics, transform_camera_to_base=T), or no camera and an anchor in the "
             "cloud's frame."
         )
@@ -67,7 +69,7 @@ def anchor_point(spec: Configuration, anchors: Anchors, camera: CameraModel | No
 
 def _given(spec: Configuration, anchors: Anchors) -> Array | None:
     """Return the anchor as a finite ``(2,)`` or ``(3,)`` array."""
-    anchor = _told(spec, anchors)
+    anchor = _resolved(spec, anchors)
     if anchor is None:
         return None
     point = np.asarray(anchor, dtype=np.float64)
@@ -76,7 +78,7 @@ def _given(spec: Configuration, anchors: Anchors) -> Array | None:
     return point
 
 
-def _told(spec: Configuration, anchors: Anchors) -> Any:
+def _resolved(spec: Configuration, anchors: Anchors) -> Any:
     """Return the anchor as it was given, its name resolved."""
     anchor: Any = spec.anchor
     if not isinstance(anchor, str):

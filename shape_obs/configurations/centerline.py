@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +20,13 @@ from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.region import Region
 from shape_obs.image.rope_tip import extend_chain
 from shape_obs.initialization.medial_axis import medial_axis
-from shape_obs.point_cloud.cloud import Cloud
 from shape_obs.tracking.occluders import uncover_ends
 from shape_obs.tracking.occlusion import match_chain, shown
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.validation import MAX_HIDDEN, sample_spread, validate_ribbon
+
+if TYPE_CHECKING:
+    from shape_obs.point_cloud.cloud import Cloud
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -135,7 +137,8 @@ class Centerline(Configuration, kind="centerline"):
             points, arc, on_object, spread = fit_chain_in_mask(observed.runs, cell, start, *moments, share, *place)
             square, area = spread + min(cell, width) ** 2 / 12, observed.area
         else:
-            cloud, samples = cast(Cloud, observed), observed.samples
+            cloud = cast("Cloud", observed)
+            samples = cloud.samples
             nodes = cloud.extend_to_tips(run_som(samples, start, topology, sigmas))
             points = catmull_rom(nodes, 4, False)
             arc, on_object = arc_length(points), cloud.carries(points)
@@ -176,7 +179,7 @@ class Centerline(Configuration, kind="centerline"):
 
 def _rejection_reason(observed: Observed, width: float) -> str:
     """Return why an object cannot be a rope: too many pieces, or less than three times as long as wide."""
-    for part in observed.parts if observed.dimension == 3 else (observed,):
+    for part in observed.parts:
         if part.pieces > _MAX_PIECES:
             return f"the {part.noun} falls into {part.pieces} pieces, at most {_MAX_PIECES}"
     length = observed.area / width if observed.dimension == 2 else observed.length

@@ -130,23 +130,28 @@ class Contour(Configuration, kind="contour"):
 
     def _topology(self, observed: Observed, outline: FittedCurve) -> Ring:
         """Return a ring with a node every three samples, 24 to 192 of them; closer on what is thin."""
-        scale = observed.outline_samples(self.hole).scale
-        spacing = min(_NODE_SPACING * scale, _THIN * observed.outline_width(self.hole))
+        spacing = _NODE_SPACING * observed.outline_samples(self.hole).scale
+        if observed.dimension == 2 and self.hole is None:
+            spacing = min(spacing, _THIN * observed.width)
         return Ring(int(np.clip(round(outline.size / spacing), *_NODES)))
 
     def _rejection_reason(self, observed: Observed) -> str:
         """Return why an object has no such outline: no such hole, a few pixels, or two sides too close together."""
-        if self.hole is not None and self.hole >= observed.holes:
-            return f"hole {self.hole} was asked for, the {observed.noun} has {observed.holes}"
-        if self.ring and observed.hollow_share < _HOLLOW:
-            return f"the {observed.noun} encloses no hole: something lies over the ring, or it is open"
-        count, scale = observed.outline_sampling(self.hole)
+        region = observed if isinstance(observed, Region) else None
+        holes = 0 if region is None or self.hole is None else len(region.hole_outlines)
+        if self.hole is not None and self.hole >= holes:
+            return f"hole {self.hole} was asked for, the {observed.noun} has {holes}"
+        if region is None:
+            count = len(observed.outline_curve().points)
+        else:
+            count = -(-len(region.traced_outline(self.hole).traced) // SAMPLED)
+            if self.ring and region.hollow_share < _HOLLOW:
+                return "the mask encloses no hole: something lies over the ring, or it is open"
         if count < _MIN_SAMPLES:
             return f"the outline is too small: {count} samples, at least {_MIN_SAMPLES} are needed"
-        thin, width = _MIN_WIDTH * scale, observed.outline_width(self.hole)
-        if width < thin:
-            wide = f"the {observed.noun} is {width:.2g} {observed.unit} wide"
-            return f"{wide}: too thin for an outline (at least {thin:.2g})"
+        if region is not None and self.hole is None and region.width < _MIN_WIDTH * SAMPLED:
+            thin = f"too thin for an outline (at least {_MIN_WIDTH * SAMPLED:.2g})"
+            return f"the mask is {region.width:.2g} px wide: {thin}"
         return ""
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:

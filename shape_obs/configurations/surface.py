@@ -155,7 +155,7 @@ class Surface(Configuration, kind="surface"):
             return f"the {observed.noun} is {width:.3g} {unit} wide: too small for a sheet"
         if length > _MAX_ASPECT * width:
             return f"the {observed.noun} is {length:.4g} x {width:.4g} {unit}: too slender for a sheet"
-        if observed.dimension == 2:
+        if isinstance(observed, Region):
             piece, cut = observed.outlined_share, observed.cut_share
             if piece < _MIN_PIECE:
                 return f"the mask falls into {observed.pieces} pieces, and the largest is {piece:.0%} of it"

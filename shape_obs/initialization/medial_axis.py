@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from functools import singledispatch
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.image.outline_tracing import SPECK
 from shape_obs.image.region import Component, Region
@@ -18,9 +16,6 @@ from shape_obs.initialization.crossings import Strands, untangle
 from shape_obs.initialization.folding import fold_outline, unexplained_share
 from shape_obs.initialization.gaps import bridge
 from shape_obs.initialization.skeleton import skeleton_graph
-from shape_obs.point_cloud.cloud import Cloud
-from shape_obs.point_cloud.deprojection import SeenCloud
-from shape_obs.point_cloud.geodesics import chain
 
 Array = npt.NDArray[np.float64]
 
@@ -35,23 +30,30 @@ _UNEXPLAINED: Final = 0.1
 _MOST_BRANCHES: Final = 60
 # Another way to join the pieces that is dearer by this little is as likely.
 _RIVAL: Final = 1.15
-_MAX_BRIDGED: Final = 0.5  # of a cloud's axis
 
 
-@singledispatch
-def medial_axis(observed: Observed) -> FittedCurve:
+def medial_axis(observed: Any) -> FittedCurve:
     """Return the axis of a rope from tip to tip, in no particular direction, without any previous frame.
 
     A mask is folded, or thinned to a skeleton; a cloud is cut into slices of equal geodesic distance; a cloud under a
     mask takes the mask's axis and puts it in space.
+
+    Args:
+        observed: A region or a cloud.
     """
-    raise TypeError(f"expected a Region or a Cloud, got {type(observed).__name__}.")
+    region = observed.parts[-1]
+    if region.dimension == 3:
+        return observed.axis()
+    axis = _axis_of_mask(region)
+    return axis if region is observed else observed.lifted(axis)
 
 
-@medial_axis.register
-def _(region: Region) -> FittedCurve:
-    # A simple ribbon is folded; what crosses itself is thinned to a skeleton, and its strands strung together; the
-    # pieces of all components are joined end to end.
+def _axis_of_mask(region: Region) -> FittedCurve:
+    """Return the axis of a rope in its mask.
+
+    A simple ribbon is folded; what crosses itself is thinned to a skeleton, and its strands strung together; the pieces
+    of all components are joined end to end.
+    """
     folds = [(component, folded(component)) for component in region.components]
     ribbons = [component for component, curve in folds if curve is not None]
     pieces = [curve for _, curve in folds if curve is not None]
@@ -75,20 +77,6 @@ def _(region: Region) -> FittedCurve:
         doubts.append("the pieces could be joined in another order about as well")
     curve, bridged = _even(joined.curve, joined.bridged, width)
     return _axis(curve, bridged & ~region.contains(curve), "; ".join(dict.fromkeys(doubts)))
-
-
-@medial_axis.register
-def _(cloud: Cloud) -> FittedCurve:
-    found = chain(cloud.samples, cloud.links, [piece.samples for piece in cloud.components], cloud.width)
-    doubt = found.doubt
-    if not doubt and found.bridged.mean() > _MAX_BRIDGED:
-        doubt = f"{found.bridged.mean():.0%} of the curve would be gaps (at most {_MAX_BRIDGED:.0%})"
-    return FittedCurve.through(found.points, found.bridged, ambiguity=doubt)
-
-
-@medial_axis.register
-def _(cloud: SeenCloud) -> FittedCurve:
-    return cloud.lifted(medial_axis(cloud.region))
 
 
 def _axis(curve: Array, bridged: npt.NDArray[np.bool_] | None = None, doubt: str = "") -> FittedCurve:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,8 +15,10 @@ from shape_obs.image.find_region import find_region, segment
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Window
 from shape_obs.image.segmentation import Segmentation
-from shape_obs.point_cloud.deprojection import SeenCloud, deproject
 from shape_obs.tracking.prediction import Track
+
+if TYPE_CHECKING:
+    from shape_obs.point_cloud.deprojection import SeenCloud
 
 _SPARE: Final = 8  # pixels around the place where a mask is expected
 
@@ -96,6 +98,8 @@ class RegionSearch:
 
     def cloud(self, rule: Segmentation | None) -> SeenCloud:
         """Return the points under the region of a rule; the frame must have depth and a camera."""
+        from shape_obs.point_cloud.deprojection import deproject  # masks need no clouds
+
         if rule not in self.clouds:
             assert self.frame.depth is not None
             assert self.frame.camera is not None

@@ -39,7 +39,7 @@ def straight(observed: Region, end: float, row: float = 59.5) -> FittedCurve:
 
 def judged_ribbon(curve: FittedCurve, observed: Region, expected_off: float) -> FitQuality:
     """Validate a curve by the samples of the mask; their cells hide a part of how far it spreads."""
-    samples = observed.samples
+    samples = observed.gather(min(max(observed.width / 3, 1), 24))
     hidden = min(samples.scale, observed.width) ** 2 / 12
     spread = sample_spread(samples.points, samples.weight, curve.points) + hidden
     return validate_ribbon(curve, observed.noun, expected_off, spread, observed.width, observed.area)
