@@ -34,9 +34,7 @@ def anchor_pixel(spec: Configuration, anchors: Anchors, camera: CameraModel | No
         )
     pixel = camera.project_from_base(point)
     if not np.all(np.isfinite(pixel)):
-        raise ValueError(
-            f"shape {spec.name!r}: anchor {_resolved(spec, anchors)!r} does not lie in front of the camera."
-        )
+        raise ValueError(f"shape {spec.name!r}: anchor {_resolved(spec, anchors)!r} does not lie in front of the camera.")
     return pixel
 
 
