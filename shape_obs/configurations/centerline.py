@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
@@ -14,7 +14,7 @@ from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
-from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equidistant, interpolate
+from shape_obs.geometry.polyline import arc_length, catmull_rom, equal_chords, interpolate, spread
 from shape_obs.geometry.topology import Chain, Topology, neighbourhoods, shrinkage, undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.region import Region
@@ -100,7 +100,7 @@ class Centerline(Configuration, kind="centerline"):
         if prediction is None:
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
         assert found.topology is not None
-        nodes = _at_shares(curve.points, curve.arc, _middles(found.topology))
+        nodes = spread(curve.points, curve.arc, found.topology.size, True)
         seen_width = max(observed.area / max(_seen_length(curve), 1e-9), 1.0) if observed.dimension == 2 else 0.0
         size = curve.hints.size or float(curve.arc[-1])
         return found._replace(form=curve, nodes=nodes, size=size, width=seen_width)
@@ -115,7 +115,7 @@ class Centerline(Configuration, kind="centerline"):
             topology = Chain(int(np.clip(round(observed.length / (_NODE_SPACING * observed.width)), *_NODES)))
         else:
             axis, topology = match_chain(axis, prediction, depth), prediction.topology
-        start, bridged = axis.at(_middles(topology) * axis.size), axis.unsupported_fraction
+        start, bridged = spread(axis.points, axis.arc, topology.size, True), axis.unsupported_fraction
         return self._refine(observed, start, topology, _SIGMAS_INITIAL, observed.width, bridged, prediction, depth)
 
     def _refine(
@@ -165,15 +165,13 @@ class Centerline(Configuration, kind="centerline"):
             form = form.cut(piece)
             metric = form if same else metric.cut(piece)
         centers = self.ends != "tips"
-        places, at = _equal_chords(form.points, form.arc, metric.points, metric.arc, self.n, centers)
-        if not metric.interpolated.any():
-            return Points(places, np.zeros(self.n, bool))
+        places, at = equal_chords(form.points, form.arc, metric.points, metric.arc, self.n, centers, False)
         return Points(places, metric.interpolated_at(at))
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_chain_in_mask, _equal_chords, _at_shares, fold_outline, unexplained_share
+        masks = fit_chain_in_mask, equal_chords, spread, fold_outline, unexplained_share
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + clouds
 
@@ -228,33 +226,6 @@ def fit_chain_in_mask(
     return curve, arc_length(curve), near_mask(mask, left, top, curve, 1), sample_spread(points, weight, curve)
 
 
-@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8, b1)")
-def _equal_chords(
-    points: Array, arc: Array, metric: Array, metric_arc: Array, count: int, centers: bool
-) -> tuple[Array, Array]:
-    """Return ``count`` points of a curve with equal chords in a metric, and their arc positions there."""
-    margin = metric_arc[-1] / (2 * count) if centers else 0.0
-    at = equidistant(metric, metric_arc, count, margin, MAX_SHIFT)
-    along = np.empty(count)
-    before = 0
-    for n in range(count):
-        while before < len(metric_arc) - 2 and metric_arc[before + 1] < at[n]:
-            before += 1
-        gap = metric_arc[before + 1] - metric_arc[before]
-        part = (at[n] - metric_arc[before]) / gap if gap > 0 else 0.0
-        along[n] = arc[before] + part * (arc[before + 1] - arc[before])
-    return interpolate(points, arc, along), at
-
-
-@compiled("(f8[:,::1], f8[::1], f8[::1])")
-def _at_shares(points: Array, arc: Array, shares: Array) -> Array:
-    """Return the points of a curve at shares of its arc length."""
-    at = np.empty(len(shares))
-    for n in range(len(shares)):
-        at[n] = shares[n] * arc[-1]
-    return interpolate(points, arc, at)
-
-
 def _hidden(found: Fit) -> float:
     """Return the length of a curve's hidden ends."""
     return sum(found.form.hints.hidden)
@@ -264,9 +235,3 @@ def _seen_length(curve: FittedCurve) -> float:
     """Return the arc length of a curve without what is interpolated."""
     missing = curve.unsupported_fraction if curve.interpolated.any() else 0.0
     return float(curve.arc[-1]) * (1 - missing)
-
-
-@lru_cache
-def _middles(topology: Topology) -> Array:
-    """Return the middles of K equal pieces of 1, for the K nodes of a chain."""
-    return (np.arange(topology.size) + 0.5) / topology.size

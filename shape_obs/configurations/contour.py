@@ -15,7 +15,7 @@ from shape_obs.configurations.base import Configuration, Points
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import SAMPLED, clockwise, material_outline, pairs
-from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, equidistant, interpolate
+from shape_obs.geometry.polyline import arc_length, catmull_rom, equal_chords, interpolate
 from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.region import Region
@@ -124,8 +124,7 @@ class Contour(Configuration, kind="contour"):
             nearest = np.argmin(np.sum((outline.points - start) ** 2, axis=1))
             begin = outline.starting_at(float(outline.arc[nearest])).even(topology.size)
             points = catmull_rom(run_som(samples, begin, topology, (_SIGMA,)), _PIECES, True)
-            size = float(arc_length(np.concatenate([points, points[:1]]))[-1])
-            miss = outline_miss(np.ascontiguousarray(samples.points), points, size) / samples.scale
+            miss = outline_miss(samples.points, points) / samples.scale
         return FittedCurve.through(points, np.zeros(len(points), bool), True), miss
 
     def _topology(self, observed: Observed, outline: FittedCurve) -> Ring:
@@ -163,7 +162,7 @@ class Contour(Configuration, kind="contour"):
 
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
         """Return points with equal chords around, from the form's first point."""
-        places = _equal_chords_around(form.points, form.arc, metric.points, metric.arc, self.n)
+        places, _ = equal_chords(form.points, form.arc, metric.points, metric.arc, self.n, False, True)
         return Points(places, np.zeros(self.n, bool))
 
     def clusterer_samples(self, observed: Observed) -> Samples:
@@ -173,8 +172,8 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_ring_in_mask, track_ring_in_mask, _equal_chords_around, renumber_outline, material_outline, pairs
-        clouds = arc_length, batch_epochs, catmull_rom, interpolate, outline_miss, undo_shrinkage
+        masks = fit_ring_in_mask, track_ring_in_mask, equal_chords, renumber_outline, material_outline, pairs
+        clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds
 
 
@@ -217,27 +216,6 @@ def track_ring_in_mask(
     curve, miss = fit_ring_in_mask(traced, hole, start, len(predicted), sigma, pieces)
     points, arc, nodes, blended = renumber_outline(curve, reference, predicted, forgetting)
     return points, arc, nodes, blended, miss
-
-
-@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8)")
-def _equal_chords_around(points: Array, arc: Array, metric: Array, metric_arc: Array, count: int) -> Array:
-    """Return ``count`` points of a closed curve with equal chords in a metric, from its first point."""
-    size = len(points)
-    form, around = np.empty((size + 1, points.shape[1])), np.empty((size + 1, metric.shape[1]))
-    for p in range(size + 1):
-        for d in range(points.shape[1]):
-            form[p, d] = points[p % size, d]
-        for d in range(metric.shape[1]):
-            around[p, d] = metric[p % size, d]
-    at = equidistant(around, metric_arc, count + 1, 0.0, MAX_SHIFT_AROUND)
-    along, before = np.empty(count), 0
-    for n in range(count):
-        while before < size - 1 and metric_arc[before + 1] < at[n]:
-            before += 1
-        gap = metric_arc[before + 1] - metric_arc[before]
-        part = (at[n] - metric_arc[before]) / gap if gap > 0 else 0.0
-        along[n] = arc[before] + part * (arc[before + 1] - arc[before])
-    return interpolate(form, arc, along)
 
 
 def _least(values: Array, form: FittedCurve) -> float:

@@ -171,10 +171,9 @@ class Surface(Configuration, kind="surface"):
         nodes = run_som(observed.gather(_CELL), start, _GRID, self.epochs * (_SIGMA,))
         moved = np.pad(_GRID.lattice(nodes - start), ((1, 1), (1, 1), (0, 0)))
         at = []
-        for count, places in zip(
-            (_GRID.rows, _GRID.cols), _equal_gaps(form, _GRID.rows, _GRID.cols, "centers"), strict=True
-        ):
-            knots = np.concatenate([[0.0], places, [FINE - 1.0]])
+        for count, gauge in zip((_GRID.rows, _GRID.cols), form.gauges, strict=True):
+            middles = np.interp((np.arange(count) + 0.5) / count * gauge[-1], gauge, np.arange(FINE))
+            knots = np.concatenate([[0.0], middles, [FINE - 1.0]])
             at.append(np.interp(np.arange(FINE), knots, np.arange(count + 2)))
         fine = np.stack(np.meshgrid(*at, indexing="ij")).reshape(2, -1)
         return np.stack([map_coordinates(moved[..., d], fine, order=1) for d in range(moved.shape[2])], axis=1)
@@ -192,18 +191,17 @@ class Surface(Configuration, kind="surface"):
 
     def resample(self, form: FittedLattice, metric: FittedLattice) -> Points:
         """Return points with equal gaps down and across, on the mean over the lattice."""
-        ends = self.ends or "centers"
-        if form is metric and not form.interpolated.any():
-            lattice = form.points.reshape(form.rows, -1, form.points.shape[1])
-            places = _evenly(lattice, *form.gauges, self.rows, self.cols, ends == "centers")
+        where = *metric.gauges, self.rows, self.cols, self.ends != "tips"
+        places = sample_lattice(form.lattice, *where)
+        if form.whole:
             return Points(places, np.zeros(len(places), bool))
-        at = _equal_gaps(metric, self.rows, self.cols, ends)
-        return Points(form.at(*at), form.interpolated_at(*at))
+        share = form.interpolated.reshape(form.rows, -1, 1).astype(np.float64)
+        return Points(places, sample_lattice(share, *where)[:, 0] > 0.5)
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_patch_in_mask, _evenly, rim_of, material_outline, coons_patch, nearest_corners, match_corners
+        masks = fit_patch_in_mask, rim_of, material_outline, coons_patch, nearest_corners, match_corners
         lattices = assess_lattice, lattice_gauges, outer_corners, sample_lattice, arc_length, interpolate
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
         return masks + lattices + maps
@@ -256,18 +254,3 @@ def fit_patch_in_mask(
     nodes = sample_lattice(lattice, down, right, 8, 8, True)
     on_mask = near_mask(mask, left, top, patch, 1)
     return patch, on_mask, kink, corner, share, assess_lattice(lattice), down, right, nodes
-
-
-@compiled("(f8[:,:,::1], f8[::1], f8[::1], i8, i8, b1)")
-def _evenly(lattice: Array, down: Array, right: Array, rows: int, cols: int, centers: bool) -> Array:
-    """Return what ``sample_lattice`` returns."""
-    return sample_lattice(lattice, down, right, rows, cols, centers)
-
-
-def _equal_gaps(form: FittedLattice, rows: int, cols: int, ends: Ends) -> tuple[Array, Array]:
-    """Return places on a lattice, ``(rows,)`` down and ``(cols,)`` across, with equal gaps on the mean."""
-    found = []
-    for count, gauge in zip((rows, cols), form.gauges, strict=True):
-        share = np.linspace(0, 1, count) if ends == "tips" else (np.arange(count) + 0.5) / count
-        found.append(np.interp(share * gauge[-1], gauge, np.arange(len(gauge))))
-    return found[0], found[1]

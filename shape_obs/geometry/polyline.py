@@ -17,9 +17,9 @@ _EQUALISING_PASSES: Final = 40
 _EQUAL: Final = 2e-3
 # When chords are equalised, no point leaves its arc position by more than this share of a gap: where a hairpin is
 # narrower than a gap, equal chords would move points off their material.
-MAX_SHIFT: Final = 0.35
+_MAX_SHIFT: Final = 0.35
 # Around an outline with many corners, each of which shortens a chord, equal chords need more room.
-MAX_SHIFT_AROUND: Final = 1.5
+_MAX_SHIFT_AROUND: Final = 1.5
 _BLOCK: Final = 250_000  # pairs of a point and a piece of a polyline in one pass: 4 MB in the plane
 
 
@@ -157,68 +157,74 @@ def _end_lines(window: int) -> Array:
 def resample(curve: Array, count: int) -> Array:
     """Return ``count`` points of equal arc length from end to end: ``(P, D)`` -> ``(count, D)``."""
     curve = np.ascontiguousarray(curve, dtype=np.float64)
-    arc = arc_length(curve)
-    return interpolate(curve, arc, np.linspace(0.0, arc[-1], count))
+    return spread(curve, arc_length(curve), count, False)
 
 
-def equidistant_positions(curve: Array, arc: Array, count: int, *, centers: bool) -> Array:
-    """Return the arc positions of ``count`` >= 2 points with equal chords, increasing.
+@compiled("(f8[:,::1], f8[::1], i8, b1)")
+def spread(curve: Array, arc: Array, count: int, centers: bool) -> Array:
+    """Return ``count`` points of equal arc length along a polyline.
 
     Args:
         curve: ``(P, D)``.
-        arc: ``(P,)`` its arc length.
+        arc: ``(P,)`` its arc length, or any other measure along it.
         count: How many.
         centers: Whether the points lie at the middle of ``count`` equal pieces; else the first and the last lie at the
             curve's ends.
     """
-    curve = np.ascontiguousarray(curve, dtype=np.float64)
-    return equidistant(curve, arc, count, arc[-1] / (2 * count) if centers else 0.0, MAX_SHIFT)
+    share = (np.arange(count) + 0.5) / count if centers else np.arange(count) / max(count - 1, 1)
+    return interpolate(curve, arc, share * arc[-1])
 
 
-def equidistant_around(curve: Array, arc: Array, count: int) -> Array:
-    """Return the arc positions of ``count`` >= 2 points with equal chords around a closed curve, from its first point.
+@compiled
+def closed(points: Array) -> Array:
+    """Return ``(P, D)`` points with the first one repeated at the end: ``(P + 1, D)``."""
+    out = np.empty((len(points) + 1, points.shape[1]))
+    out[:-1], out[-1] = points, points[0]
+    return out
+
+
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8, b1, b1)")
+def equal_chords(
+    points: Array, arc: Array, metric: Array, metric_arc: Array, count: int, centers: bool, ring: bool
+) -> tuple[Array, Array]:
+    """Return ``count`` >= 2 points of a curve that have equal chords in another space, and their arc positions there.
 
     Args:
-        curve: ``(P, D)``, the first point not repeated.
-        arc: ``(P + 1,)`` its arc length, the last entry the whole.
+        points: ``(P, D)``; a ring's first point is not repeated.
+        arc: ``(P,)`` arc length; ``(P + 1,)`` of a ring.
+        metric: ``(P, D')`` the same curve in the space in which chords are to be equal.
+        metric_arc: Its arc length there.
         count: How many.
+        centers: Whether the points lie at the middle of ``count`` equal pieces; else the first and the last lie at the
+            curve's ends.
+        ring: Whether the curve is closed; the points then begin at its first point.
     """
-    around = np.ascontiguousarray(np.concatenate([curve, curve[:1]]), dtype=np.float64)
-    return equidistant(around, arc, count + 1, 0.0, MAX_SHIFT_AROUND)[:-1]
+    if ring:
+        points = closed(points)
+        at = _equalised(closed(metric), metric_arc, count + 1, 0.0, _MAX_SHIFT_AROUND)[:count]
+    else:
+        at = _equalised(metric, metric_arc, count, metric_arc[-1] / (2 * count) if centers else 0.0, _MAX_SHIFT)
+    along = interpolate(arc.reshape(len(arc), 1), metric_arc, at).reshape(count)
+    return interpolate(points, arc, along), at
 
 
-@compiled("(f8[:,::1], f8[::1], i8, f8, f8)")
-def equidistant(curve: Array, arc: Array, count: int, margin: float, max_shift: float) -> Array:
+@compiled
+def _equalised(curve: Array, arc: Array, count: int, margin: float, max_shift: float) -> Array:
     """Return the arc positions of ``count`` points with equal chords, ``margin`` away from both ends.
 
     No point leaves its position by arc length by more than ``max_shift`` gaps.
     """
-    even = np.empty(count)
-    for n in range(count):
-        even[n] = margin + (arc[-1] - 2 * margin) * (n / (count - 1))
-    at = np.empty(count)
-    for n in range(count):
-        at[n] = even[n]
+    share = np.arange(count) / (count - 1)
+    even = margin + (arc[-1] - 2 * margin) * share
     shift = max_shift * (even[1] - even[0])
-    share = np.empty(count)
+    at = even
     for _ in range(_EQUALISING_PASSES):
         chord = arc_length(interpolate(curve, arc, at))
-        least, most = np.inf, 0.0
-        for n in range(count - 1):
-            gap = chord[n + 1] - chord[n]
-            least, most = min(least, gap), max(most, gap)
-        if most - least < _EQUAL * chord[-1] / count:
+        gaps = chord[1:] - chord[:-1]
+        if gaps.max() - gaps.min() < _EQUAL * chord[-1] / count:
             break
-        before = 0
-        for n in range(count):
-            wanted = chord[-1] * n / (count - 1)
-            while before < count - 2 and chord[before + 1] < wanted:
-                before += 1
-            gap = chord[before + 1] - chord[before]
-            part = min(max((wanted - chord[before]) / gap, 0.0), 1.0) if gap > 0 else 0.0
-            share[n] = at[before] + part * (at[before + 1] - at[before])
-        for n in range(count):
-            at[n] = min(max(share[n], even[n] - shift), even[n] + shift)
+        moved = interpolate(at.reshape(count, 1), chord, chord[-1] * share).reshape(count)
+        at = np.minimum(np.maximum(moved, even - shift), even + shift)
     return at
 
 
