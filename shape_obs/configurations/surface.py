@@ -23,7 +23,7 @@ from shape_obs.geometry.topology import Grid, undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim, nearest_corners, rim_of
-from shape_obs.tracking.corner_matching import STRAYED, match_corners, match_corners_in_space
+from shape_obs.tracking.corner_matching import STRAYED, match_corners
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.validation import validate_sheet
 
@@ -134,8 +134,7 @@ class Surface(Configuration, kind="surface"):
             form = replace(form, interpolated=~observed.carries(form.points))
             stray, share = 0, 0.0
             if expected is not None:
-                match = match_corners if observed.dimension == 2 else match_corners_in_space
-                quarters, stray, share = match(outer_corners(expected), form.corners)
+                quarters, stray, share = match_corners(outer_corners(expected), form.corners)
                 form = form.turned(quarters)
             # A cloud is assessed as it lies unrolled, where a bent side does not wind.
             measures = assess_lattice((form.points if observed.dimension == 2 else flat).reshape(FINE, FINE, 2))

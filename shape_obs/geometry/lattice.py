@@ -98,13 +98,18 @@ def _gauges(points: Array, rows: int) -> tuple[Array, Array]:
 @compiled("(f8[:,:,::1],)", reassociate=True)
 def lattice_gauges(lattice: Array) -> tuple[Array, Array]:
     """Return how far down each row lies ``(R,)`` and how far right each column ``(C,)``: mean distances, summed."""
-    rows, cols = lattice.shape[:2]
+    rows, cols, dimension = lattice.shape
     down, right = np.zeros(rows), np.zeros(cols)
-    steps = lattice[1:] - lattice[:-1]
-    down[1:] = np.cumsum(np.sqrt((steps * steps).sum(axis=2)).sum(axis=1) / cols)
-    steps = lattice[:, 1:] - lattice[:, :-1]
-    right[1:] = np.cumsum(np.sqrt((steps * steps).sum(axis=2)).sum(axis=0) / rows)
-    return down, right
+    for r in range(rows):
+        for c in range(cols):
+            above = beside = 0.0
+            for d in range(dimension):
+                above += (lattice[r, c, d] - lattice[r - 1, c, d]) ** 2
+                beside += (lattice[r, c, d] - lattice[r, c - 1, d]) ** 2
+            down[r] += math.sqrt(above) / cols
+            right[c] += math.sqrt(beside) / rows
+    down[0] = right[0] = 0.0  # nothing is above the first row, or left of the first column
+    return np.cumsum(down), np.cumsum(right)
 
 
 @compiled("(f8[:,:,::1], f8[::1], f8[::1], i8, i8, b1)")
@@ -170,8 +175,12 @@ def assess_lattice(lattice: Array) -> tuple[float, float, float, float]:
             length += abs(border[(i + 1) % len(border)] - border[i])
         winding = max(winding, length / max(abs(border[end] - border[at]), 1e-9) - 1)
         at = end
-    falling, rising = lattice[1:, 1:] - lattice[:-1, :-1], lattice[1:, :-1] - lattice[:-1, 1:]
-    area = (falling[..., 0] * rising[..., 1] - falling[..., 1] * rising[..., 0]) / 2
+    area = np.empty((rows - 1, cols - 1))
+    for r in range(rows - 1):
+        for c in range(cols - 1):
+            x, y = lattice[r + 1, c + 1, 0] - lattice[r, c, 0], lattice[r + 1, c + 1, 1] - lattice[r, c, 1]
+            u, v = lattice[r + 1, c, 0] - lattice[r, c + 1, 0], lattice[r + 1, c, 1] - lattice[r, c + 1, 1]
+            area[r, c] = (x * v - y * u) / 2
     folds = 0.0
     if area.min() < 0 < area.max():
         down, right = area[1:] * area[:-1] < 0, area[:, 1:] * area[:, :-1] < 0

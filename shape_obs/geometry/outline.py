@@ -171,4 +171,9 @@ def even_around(curve: Array, arc: Array, begin: float, count: int) -> Array:
         begin: Arc position of the first point.
         count: How many.
     """
-    return interpolate(closed(curve), arc, (begin % arc[-1] + np.arange(count) * (arc[-1] / count)) % arc[-1])
+    at, whole = np.empty(count), arc[-1]
+    for k in range(count):
+        at[k] = begin % whole + k * (whole / count)
+        if at[k] >= whole:
+            at[k] -= whole
+    return interpolate(closed(curve), arc, at)

@@ -26,13 +26,11 @@ _BLOCK: Final = 250_000  # pairs of a point and a piece of a polyline in one pas
 @compiled("(f8[:,::1],)")
 def arc_length(curve: Array) -> Array:
     """Return the arc length from the first point to each point: ``(P, D)`` -> ``(P,)``."""
-    arc = np.zeros(len(curve))
-    for p in range(1, len(curve)):
-        square = 0.0
-        for d in range(curve.shape[1]):
-            square += (curve[p, d] - curve[p - 1, d]) ** 2
-        arc[p] = arc[p - 1] + np.sqrt(square)
-    return arc
+    square = np.zeros(len(curve))
+    for d in range(curve.shape[1]):
+        for p in range(1, len(curve)):
+            square[p] += (curve[p, d] - curve[p - 1, d]) ** 2
+    return np.cumsum(np.sqrt(square))
 
 
 @compiled("(f8[:,::1], f8[::1], f8[::1])")
@@ -42,28 +40,16 @@ def interpolate(curve: Array, arc: Array, at: Array) -> Array:
     out = np.empty((len(at), dimension))
     before = 0
     for n in range(len(at)):
-        if at[n] <= arc[0]:
-            for d in range(dimension):
-                out[n, d] = curve[0, d]
-        elif at[n] >= arc[last]:
-            for d in range(dimension):
-                out[n, d] = curve[last, d]
-        else:
-            if arc[before] > at[n] or arc[min(before + 8, last)] < at[n]:
-                low, high = 0, last  # arc[low] < at[n] <= arc[high]
-                while high - low > 1:
-                    middle = (low + high) // 2
-                    if arc[middle] < at[n]:
-                        low = middle
-                    else:
-                        high = middle
-                before = low
-            while arc[before + 1] < at[n]:
-                before += 1
-            gap = arc[before + 1] - arc[before]
-            share = (at[n] - arc[before]) / gap if gap > 0 else 0.0
-            for d in range(dimension):
-                out[n, d] = curve[before, d] + share * (curve[before + 1, d] - curve[before, d])
+        here = min(max(at[n], arc[0]), arc[last])
+        if arc[before] > here or arc[min(before + 8, last)] < here:  # far from the one before
+            before = max(np.searchsorted(arc, here) - 1, 0)
+        while before < last - 1 and arc[before + 1] < here:
+            before += 1
+        after = min(before + 1, last)
+        gap = arc[after] - arc[before]
+        share = (here - arc[before]) / gap if gap > 0 else 0.0
+        for d in range(dimension):
+            out[n, d] = curve[before, d] + share * (curve[after, d] - curve[before, d])
     return out
 
 
@@ -178,9 +164,7 @@ def spread(curve: Array, arc: Array, count: int, centers: bool) -> Array:
 @compiled
 def closed(points: Array) -> Array:
     """Return ``(P, D)`` points with the first one repeated at the end: ``(P + 1, D)``."""
-    out = np.empty((len(points) + 1, points.shape[1]))
-    out[:-1], out[-1] = points, points[0]
-    return out
+    return np.append(points, points[0]).reshape(len(points) + 1, points.shape[1])
 
 
 @compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8, b1, b1)")
