@@ -17,7 +17,7 @@ from shape_obs.bench.tables import Row, grouped, mean, median, worst
 from shape_obs.configurations import Contour
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.polyline import equal_chords
+from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, equal_chords
 
 COUNTS: Final = (16, 32, 64)
 # Motions that are tracked: keywords of ``moving_blob``, which by default turns by 0.08 rad per frame.
@@ -185,5 +185,6 @@ def _shift(outline: npt.NDArray[np.float64], start: npt.NDArray[np.float64], n: 
     fine = resample(np.concatenate([outline, outline[:1]]), 0.25)[:-1]
     begin = int(np.argmin(np.linalg.norm(fine - start, axis=1)))
     curve = FittedCurve.through(np.roll(fine, -begin, axis=0), np.zeros(len(fine), bool), closed=True)
-    at = equal_chords(curve.points, curve.arc, curve.points, curve.arc, n, False, True)[1]
-    return float(np.abs(at * n / curve.size - np.arange(n)).max())
+    around = np.concatenate([curve.points, curve.points[:1]])
+    at = equal_chords(around, curve.arc, around, curve.arc, n + 1, 0.0, MAX_SHIFT_AROUND)[1]
+    return float(np.abs(at * n / curve.size - np.arange(n + 1)).max())

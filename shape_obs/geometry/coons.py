@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.polyline import arc_length, spread
+from shape_obs.geometry.polyline import arc_length, even_points
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -122,4 +122,4 @@ def _side(rim: Array, begin: int, end: int, skip: int, places: Array, k: int, ou
     for i in range(inner):
         p = (begin + skip + i) % RIM
         line[i + 1, 0], line[i + 1, 1] = rim[p, 0], rim[p, 1]
-    out[:] = spread(line, arc_length(line), len(out), False)
+    out[:] = even_points(line, arc_length(line), len(out), False)

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedForm
-from shape_obs.geometry.polyline import spread, straightened
+from shape_obs.geometry.polyline import even_points, straightened
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -125,9 +125,9 @@ def sample_lattice(lattice: Array, down: Array, right: Array, rows: int, cols: i
         centers: Whether the points are the centres of equal pieces; else the outer ones lie on the border.
     """
     across, dimension = lattice.shape[1:]
-    found = spread(lattice.reshape(len(lattice), across * dimension), down, rows, centers)
+    found = even_points(lattice.reshape(len(lattice), across * dimension), down, rows, centers)
     columns = _transposed(found.reshape(rows, across, dimension)).reshape(across, rows * dimension)
-    found = spread(columns, right, cols, centers)
+    found = even_points(columns, right, cols, centers)
     return _transposed(found.reshape(cols, rows, dimension)).reshape(rows * cols, dimension)
 
 

@@ -17,9 +17,9 @@ _EQUALISING_PASSES: Final = 40
 _EQUAL: Final = 2e-3
 # When chords are equalised, no point leaves its arc position by more than this share of a gap: where a hairpin is
 # narrower than a gap, equal chords would move points off their material.
-_MAX_SHIFT: Final = 0.35
+MAX_SHIFT: Final = 0.35
 # Around an outline with many corners, each of which shortens a chord, equal chords need more room.
-_MAX_SHIFT_AROUND: Final = 1.5
+MAX_SHIFT_AROUND: Final = 1.5
 _BLOCK: Final = 250_000  # pairs of a point and a piece of a polyline in one pass: 4 MB in the plane
 
 
@@ -143,11 +143,11 @@ def _end_lines(window: int) -> Array:
 def resample(curve: Array, count: int) -> Array:
     """Return ``count`` points of equal arc length from end to end: ``(P, D)`` -> ``(count, D)``."""
     curve = np.ascontiguousarray(curve, dtype=np.float64)
-    return spread(curve, arc_length(curve), count, False)
+    return even_points(curve, arc_length(curve), count, False)
 
 
 @compiled("(f8[:,::1], f8[::1], i8, b1)")
-def spread(curve: Array, arc: Array, count: int, centers: bool) -> Array:
+def even_points(curve: Array, arc: Array, count: int, centers: bool) -> Array:
     """Return ``count`` points of equal arc length along a polyline.
 
     Args:
@@ -167,49 +167,34 @@ def closed(points: Array) -> Array:
     return np.append(points, points[0]).reshape(len(points) + 1, points.shape[1])
 
 
-@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8, b1, b1)")
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8, f8, f8)")
 def equal_chords(
-    points: Array, arc: Array, metric: Array, metric_arc: Array, count: int, centers: bool, ring: bool
+    points: Array, arc: Array, metric: Array, metric_arc: Array, count: int, margin: float, max_shift: float
 ) -> tuple[Array, Array]:
     """Return ``count`` >= 2 points of a curve that have equal chords in another space, and their arc positions there.
 
     Args:
-        points: ``(P, D)``; a ring's first point is not repeated.
-        arc: ``(P,)`` arc length; ``(P + 1,)`` of a ring.
+        points: ``(P, D)``.
+        arc: ``(P,)`` arc length.
         metric: ``(P, D')`` the same curve in the space in which chords are to be equal.
-        metric_arc: Its arc length there.
+        metric_arc: ``(P,)`` arc length there.
         count: How many.
-        centers: Whether the points lie at the middle of ``count`` equal pieces; else the first and the last lie at the
-            curve's ends.
-        ring: Whether the curve is closed; the points then begin at its first point.
-    """
-    if ring:
-        points = closed(points)
-        at = _equalised(closed(metric), metric_arc, count + 1, 0.0, _MAX_SHIFT_AROUND)[:count]
-    else:
-        at = _equalised(metric, metric_arc, count, metric_arc[-1] / (2 * count) if centers else 0.0, _MAX_SHIFT)
-    along = interpolate(arc.reshape(len(arc), 1), metric_arc, at).reshape(count)
-    return interpolate(points, arc, along), at
-
-
-@compiled
-def _equalised(curve: Array, arc: Array, count: int, margin: float, max_shift: float) -> Array:
-    """Return the arc positions of ``count`` points with equal chords, ``margin`` away from both ends.
-
-    No point leaves its position by arc length by more than ``max_shift`` gaps.
+        margin: How far the first and the last lie from the curve's ends, in that space.
+        max_shift: No point leaves its position by arc length by more than so many gaps.
     """
     share = np.arange(count) / (count - 1)
-    even = margin + (arc[-1] - 2 * margin) * share
+    even = margin + (metric_arc[-1] - 2 * margin) * share
     shift = max_shift * (even[1] - even[0])
     at = even
     for _ in range(_EQUALISING_PASSES):
-        chord = arc_length(interpolate(curve, arc, at))
+        chord = arc_length(interpolate(metric, metric_arc, at))
         gaps = chord[1:] - chord[:-1]
         if gaps.max() - gaps.min() < _EQUAL * chord[-1] / count:
             break
         moved = interpolate(at.reshape(count, 1), chord, chord[-1] * share).reshape(count)
         at = np.minimum(np.maximum(moved, even - shift), even + shift)
-    return at
+    along = interpolate(arc.reshape(len(arc), 1), metric_arc, at).reshape(count)
+    return interpolate(points, arc, along), at
 
 
 def nearest_on(curve: Array, points: Array) -> tuple[Array, Array]:

@@ -14,12 +14,32 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
+from shape_obs.geometry.lattice import outer_corners
 
 Array = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 # Of half a diagonal. Cloths that bend and move by 30 px a frame stay below 0.025, a hand 12 px in radius makes 0.11.
 STRAYED: Final = 0.06
+
+
+@compiled("(f8[:,:,::1], f8[:,:,::1])")
+def match_lattice(lattice: Array, expected: Array) -> tuple[Array, int, float]:
+    """Turn a lattice so that its corners lie nearest to those that are expected.
+
+    Args:
+        lattice: ``(R, C, D)``.
+        expected: ``(R', C', D)`` predicted nodes, at the centres of equal pieces; ``(0, 0, 2)`` without any.
+
+    Returns:
+        The lattice, then which corner strays most, and by which share of half a diagonal: see ``match_corners``.
+    """
+    if len(expected) == 0:
+        return lattice, 0, 0.0
+    found = np.empty((4, lattice.shape[2]))
+    found[0], found[1], found[2], found[3] = lattice[0, 0], lattice[0, -1], lattice[-1, -1], lattice[-1, 0]
+    quarters, corner, share = match_corners(outer_corners(expected), found)
+    return np.ascontiguousarray(np.rot90(lattice, quarters)), corner, share
 
 
 @compiled("(f8[:,::1], f8[:,::1])")

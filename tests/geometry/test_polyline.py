@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
 from shape_obs.geometry.polyline import (
+    MAX_SHIFT,
+    MAX_SHIFT_AROUND,
     arc_length,
     catmull_rom,
     equal_chords,
@@ -68,14 +70,15 @@ def test_equidistant_points_have_equal_chords(seed, count, centers):
     rng = np.random.default_rng(seed)
     curve = catmull_rom(np.cumsum(rng.uniform(10, 30, (9, 2)), axis=0), 8, False)
     arc = arc_length(curve)
-    points, at = equal_chords(curve, arc, curve, arc, count, centers, False)
+    margin = arc[-1] / (2 * count) if centers else 0.0
+    points, at = equal_chords(curve, arc, curve, arc, count, margin, MAX_SHIFT)
     np.testing.assert_allclose(points, interpolate(curve, arc, at))
     chord = np.linalg.norm(np.diff(interpolate(curve, arc, at), axis=0), axis=1)
     assert np.ptp(chord) < 0.01 * chord.mean()
-    margin = arc[-1] / (2 * count) if centers else 0.0
     np.testing.assert_allclose([at[0], arc[-1] - at[-1]], margin, atol=0.35 * arc[-1] / count + 1e-9)
-    arc = arc_length(np.concatenate([curve, curve[:1]]))
-    around = equal_chords(curve, arc, curve, arc, count, False, True)[1]
+    ring = np.concatenate([curve, curve[:1]])
+    arc = arc_length(ring)
+    around = equal_chords(ring, arc, ring, arc, count + 1, 0.0, MAX_SHIFT_AROUND)[1]
     assert around[0] == 0
     assert (np.diff(around) > 0).all()
 

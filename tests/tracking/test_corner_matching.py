@@ -42,7 +42,7 @@ QUAD = np.array([[0.0, 0], [200, 10], [190, 120], [-10, 110]])
 
 
 def strayed(expected: np.ndarray, found: np.ndarray, freedom: float = STRAYED) -> str:
-    _, corner, share = match_corners(expected, found)
+    _, corner, share = match_corners(expected, np.ascontiguousarray(found))
     return validate_sheet(0.0, (90.0, 0.0, 0.0, 0.0), "mask", 0.0, (corner, share), freedom).reason
 
 
