@@ -207,7 +207,7 @@ class Cloud:
         return self.chart.to_space(flat)
 
     def axis(self) -> FittedCurve:
-        """Return the axis of a rope-like cloud from tip to tip, in no particular direction, without a previous frame."""
+        """Return the axis of a rope from tip to tip, in no particular direction, without a previous frame."""
         found = chain(self.samples, self.links, [piece.samples for piece in self.components], self.width)
         doubt, gaps = found.doubt, float(found.bridged.mean())
         if not doubt and gaps > _MAX_BRIDGED:
