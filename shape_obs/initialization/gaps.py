@@ -127,13 +127,11 @@ def _greedy(price: Array) -> tuple[float, list[int]]:
     total = 0.0
     for place in np.argsort(price, axis=None):
         p, q = divmod(int(place), size)
-        if p in far and q in far and far[p] != q and p // 2 != q // 2:
+        if p in far and q in far and far[p] != q:
             next_end[p], next_end[q] = q, p
             total += float(price[p, q])
             first, second = far.pop(p), far.pop(q)
             far[first], far[second] = second, first
-            if len(far) == 2:
-                break
     end = min(far)
     order = [end, end ^ 1]
     while order[-1] in next_end:

@@ -102,10 +102,6 @@ class SeenCloud(Cloud):
 
     def connected_ahead(self, place: Array, points: Array, along: Array, width: float) -> npt.NDArray[np.bool_]:
         """Return which points near a place belong to its strand: those to which the mask goes on straight."""
-        return self.in_sight(place, points)
-
-    def in_sight(self, place: Array, points: Array) -> npt.NDArray[np.bool_]:
-        """Return whether the mask goes on straight from a place ``(3,)`` to ``(N, 3)`` points near it: ``(N,)``."""
         ends, start = self.pixels_of(points), self.pixels_of(place)
         if not np.isfinite(start).all():  # behind the camera
             return np.zeros(len(points), bool)

@@ -99,10 +99,7 @@ def chart(samples: Samples, links: csr_matrix) -> Chart:
         step = np.linalg.norm(flat[near.row] - flat[near.col], axis=1)
         # Paths over links zigzag, which makes all distances too long by the same few percent.
         flat *= float(step @ near.data) / max(float(step @ step), 1e-18)
-    u, _, v = np.linalg.svd(flat.T @ offset[:, :2])
-    if np.linalg.det(u @ v) < 0:
-        flat = flat * (1, -1)
-        u, _, v = np.linalg.svd(flat.T @ offset[:, :2])
+    u, _, v = np.linalg.svd(flat.T @ offset[:, :2])  # turned as (x, y), and mirrored where that lies nearer
     return Chart(samples, links, flat @ (u @ v))
 
 
