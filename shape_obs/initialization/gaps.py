@@ -127,7 +127,7 @@ def _greedy(price: Array) -> tuple[float, list[int]]:
     total = 0.0
     for place in np.argsort(price, axis=None):
         p, q = divmod(int(place), size)
-        if p in far and q in far and far[p] != q:
+        if p in far and q in far and q not in (p, far[p]):
             next_end[p], next_end[q] = q, p
             total += float(price[p, q])
             first, second = far.pop(p), far.pop(q)
