@@ -17,7 +17,7 @@ from shape_obs.bench.tables import Row, grouped, mean, median, worst
 from shape_obs.configurations.contour import Contour
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.polyline import equidistant_around
+from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, equal_chords
 
 COUNTS: Final = (16, 32, 64)
 # Motions that are tracked: keywords of ``moving_blob``, which by default turns by 0.08 rad per frame.
@@ -30,7 +30,7 @@ MOTIONS: Final[dict[str, dict[str, Any]]] = {
     "deforming": {"turn": 0.03, "swell": 0.4},
     "hole": {"hole": True},
 }
-# In gaps. Equal chords may move points along the outline by 1.5 gaps (``equidistant_around``); an outline that needs
+# In gaps. Equal chords may move points along the outline by 1.5 gaps (``equal_chords``); an outline that needs
 # this much may need all of it once it is detected.
 _COARSE: Final = 1.3
 
@@ -185,4 +185,6 @@ def _shift(outline: npt.NDArray[np.float64], start: npt.NDArray[np.float64], n: 
     fine = resample(np.concatenate([outline, outline[:1]]), 0.25)[:-1]
     begin = int(np.argmin(np.linalg.norm(fine - start, axis=1)))
     curve = FittedCurve.through(np.roll(fine, -begin, axis=0), np.zeros(len(fine), bool), closed=True)
-    return float(np.abs(equidistant_around(curve.points, curve.arc, n) * n / curve.size - np.arange(n)).max())
+    around = np.concatenate([curve.points, curve.points[:1]])
+    at = equal_chords(around, curve.arc, around, curve.arc, n + 1, 0.0, MAX_SHIFT_AROUND)[1]
+    return float(np.abs(at * n / curve.size - np.arange(n + 1)).max())

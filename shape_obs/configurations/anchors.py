@@ -22,19 +22,13 @@ def anchor_pixel(spec: Configuration, anchors: Anchors, camera: CameraModel | No
     Raises:
         ValueError: An unknown name, no finite place, or one in the base frame that the camera cannot be asked for.
     """
-    if spec.anchor is None:
-        return None
-    point = _given(spec, anchors)
+    point, text = _point(spec, anchors)
     if point is None or len(point) == 2:
         return point
-    if camera is None or camera.transform_camera_to_base is None:
-        raise ValueError(
-            f"shape {spec.name!r}: anchor {_told(spec, anchors)!r} in the base frame needs the camera's place there: "
-            "give camera=CameraModel(intrinsics, transform_camera_to_base=T), or an anchor in pixels (u, v)."
-        )
+    camera = _placed(camera, text, "an anchor in pixels (u, v)")
     pixel = camera.project_from_base(point)
     if not np.all(np.isfinite(pixel)):
-        raise ValueError(f"shape {spec.name!r}: anchor {_told(spec, anchors)!r} does not lie in front of the camera.")
+        raise ValueError(f"{text} does not lie in front of the camera.")
     return pixel
 
 
@@ -47,41 +41,35 @@ def anchor_point(spec: Configuration, anchors: Anchors, camera: CameraModel | No
     Raises:
         ValueError: An unknown name, no finite place, a pixel, or a camera that does not know its place.
     """
-    point = _given(spec, anchors)
-    if point is None:
-        return None
-    if len(point) == 2:
-        raise ValueError(
-            f"shape {spec.name!r}: anchor {_told(spec, anchors)!r} is a pixel, and a cloud has none: give (x, y, z)."
-        )
-    if camera is None:
+    point, text = _point(spec, anchors)
+    if point is not None and len(point) == 2:
+        raise ValueError(f"{text} is a pixel, and a cloud has none: give (x, y, z).")
+    if point is None or camera is None:
         return point
-    if camera.transform_camera_to_base is None:
-        raise ValueError(
-            f"shape {spec.name!r}: anchor {_told(spec, anchors)!r} in the base frame needs the camera's place there: "
-            "give camera=CameraModel(intrinsics, transform_camera_to_base=T), or no camera and an anchor in the "
-            "cloud's frame."
-        )
-    return camera.from_base(point)
+    return _placed(camera, text, "no camera and an anchor in the cloud's frame").from_base(point)
 
 
-def _given(spec: Configuration, anchors: Anchors) -> Array | None:
-    """Return the anchor as a finite ``(2,)`` or ``(3,)`` array."""
-    anchor = _told(spec, anchors)
+def _point(spec: Configuration, anchors: Anchors) -> tuple[Array | None, str]:
+    """Return the anchor as a finite ``(2,)`` or ``(3,)`` array, None without one; and what to call it in messages."""
+    anchor: Any = spec.anchor
+    if isinstance(anchor, str):
+        known = anchors or {}
+        if anchor not in known:
+            raise ValueError(f"shape {spec.name!r}: anchor {anchor!r} was not given{did_you_mean(anchor, known)}")
+        anchor = known[anchor]
     if anchor is None:
-        return None
+        return None, ""
     point = np.asarray(anchor, dtype=np.float64)
     if point.shape not in ((2,), (3,)) or not np.all(np.isfinite(point)):
         raise ValueError(f"shape {spec.name!r}: anchor must be a finite (u, v) or (x, y, z), got {anchor!r}.")
-    return point
+    return point, f"shape {spec.name!r}: anchor {anchor!r}"
 
 
-def _told(spec: Configuration, anchors: Anchors) -> Any:
-    """Return the anchor as it was given, its name resolved."""
-    anchor: Any = spec.anchor
-    if not isinstance(anchor, str):
-        return anchor
-    known = anchors or {}
-    if anchor not in known:
-        raise ValueError(f"shape {spec.name!r}: anchor {anchor!r} was not given{did_you_mean(anchor, known)}")
-    return known[anchor]
+def _placed(camera: CameraModel | None, text: str, instead: str) -> CameraModel:
+    """Return a camera whose place in the base frame is known."""
+    if camera is None or camera.transform_camera_to_base is None:
+        raise ValueError(
+            f"{text} in the base frame needs the camera's place there: give "
+            f"camera=CameraModel(intrinsics, transform_camera_to_base=T), or {instead}."
+        )
+    return camera

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Any, Final, cast
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -14,21 +14,24 @@ from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
-from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equidistant, interpolate
+from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equal_chords, even_points, interpolate
 from shape_obs.geometry.topology import Chain, Topology, neighbourhoods, shrinkage, undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.region import Region
 from shape_obs.image.rope_tip import extend_chain
-from shape_obs.initialization.folding import fold_outline, unexplained_share
 from shape_obs.initialization.medial_axis import medial_axis
-from shape_obs.point_cloud.cloud import Cloud
 from shape_obs.tracking.occluders import uncover_ends
 from shape_obs.tracking.occlusion import match_chain, shown
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.validation import MAX_HIDDEN, sample_spread, validate_ribbon
 
+if TYPE_CHECKING:
+    from shape_obs.point_cloud.cloud import Cloud
+
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.uint8]
+Moments = tuple[Array, Array]
 
 # Nodes sit about this many widths apart: closer, and a chain starts to fold across the rope; farther, and it cuts
 # corners. N is sampled from the curve afterwards, so it does not matter here.
@@ -42,6 +45,7 @@ _SIGMAS_AREA_CHANGED: Final = (1.2, 0.6, 0.4, 0.4)
 _MAX_CELL: Final = 24  # pixels
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
+_THINNEST: Final = Region.thinnest
 _MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no distinct axis, and a chain would fold up in it
 
 
@@ -97,8 +101,8 @@ class Centerline(Configuration, kind="centerline"):
             curve = uncover_ends(curve, occluders, observed.width)
         if prediction is None:
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
-        assert found.topology is not None
-        nodes = _at_shares(curve.points, curve.arc, _middles(found.topology))
+        assert found.nodes is not None
+        nodes = _nodes_on(curve.points, curve.arc, len(found.nodes))
         seen_width = max(observed.area / max(_seen_length(curve), 1e-9), 1.0) if observed.dimension == 2 else 0.0
         size = curve.hints.size or float(curve.arc[-1])
         return found._replace(form=curve, nodes=nodes, size=size, width=seen_width)
@@ -113,7 +117,7 @@ class Centerline(Configuration, kind="centerline"):
             topology = Chain(int(np.clip(round(observed.length / (_NODE_SPACING * observed.width)), *_NODES)))
         else:
             axis, topology = match_chain(axis, prediction, depth), prediction.topology
-        start, bridged = axis.at(_middles(topology) * axis.size), axis.unsupported_fraction
+        start, bridged = _nodes_on(axis.points, axis.arc, topology.size), axis.unsupported_fraction
         return self._refine(observed, start, topology, _SIGMAS_INITIAL, observed.width, bridged, prediction, depth)
 
     def _refine(
@@ -130,13 +134,14 @@ class Centerline(Configuration, kind="centerline"):
         """Run the self-organising map from a start, finish the curve, match it to the track, validate it."""
         if isinstance(observed, Region):
             cell = max(int(min(width / 3, _MAX_CELL)), 1)  # thin ropes keep their pixels
-            moments, share = neighbourhoods(topology, sigmas), shrinkage(sigmas[-1])
-            left, top = observed.window[:2]
-            place = observed.mask, left, top, max(width, observed.thinnest), observed.thinnest
-            points, arc, on_object, spread = fit_chain_in_mask(observed.runs, cell, start, *moments, share, *place)
+            (first, second), pull = neighbourhoods(topology, sigmas), shrinkage(sigmas[-1])
+            points, arc, on_object, spread = fit_chain_in_mask(
+                observed.runs, cell, start, (first, second), pull, observed.mask, observed.window[:2], width
+            )
             square, area = spread + min(cell, width) ** 2 / 12, observed.area
         else:
-            cloud, samples = cast(Cloud, observed), observed.samples
+            cloud = cast("Cloud", observed)
+            samples = cloud.samples
             nodes = cloud.extend_to_tips(run_som(samples, start, topology, sigmas))
             points = catmull_rom(nodes, 4, False)
             arc, on_object = arc_length(points), cloud.carries(points)
@@ -147,7 +152,7 @@ class Centerline(Configuration, kind="centerline"):
         if prediction is not None:
             curve = match_chain(curve, prediction, depth)  # an end under a hand is put back here
         reason, quality = validate_ribbon(curve, observed.noun, expected_off, square, width, area)
-        return Fit(curve, quality, reason, None, topology, observed=observed, object_width=width)
+        return Fit(curve, quality, reason, start, topology, observed=observed, object_width=width)
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
         """Return the curve with point 0 at the end nearest the target, else nearest the top left."""
@@ -162,22 +167,21 @@ class Centerline(Configuration, kind="centerline"):
             form = form.cut(piece)
             metric = form if same else metric.cut(piece)
         centers = self.ends != "tips"
-        places, at = _equal_chords(form.points, form.arc, metric.points, metric.arc, self.n, centers)
-        if not metric.interpolated.any():
-            return Points(places, np.zeros(self.n, bool))
-        return Points(places, metric.interpolated_at(at))
+        places, at = _points_on(form.points, form.arc, metric.points, metric.arc, self.n, centers)
+        interpolated = metric.interpolated_at(at) if metric.interpolated.any() else np.zeros(self.n, bool)
+        return Points(places, interpolated)
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_chain_in_mask, _equal_chords, _at_shares, fold_outline, unexplained_share
+        masks = fit_chain_in_mask, _points_on, _nodes_on
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + clouds
 
 
 def _rejection_reason(observed: Observed, width: float) -> str:
     """Return why an object cannot be a rope: too many pieces, or less than three times as long as wide."""
-    for part in observed.parts if observed.dimension == 3 else (observed,):
+    for part in (observed,) if observed.dimension == 2 else observed.parts:
         if part.pieces > _MAX_PIECES:
             return f"the {part.noun} falls into {part.pieces} pieces, at most {_MAX_PIECES}"
     length = observed.area / width if observed.dimension == 2 else observed.length
@@ -186,19 +190,9 @@ def _rejection_reason(observed: Observed, width: float) -> str:
     return ""
 
 
-@compiled("(i8[:,::1], i8, f8[:,::1], f8[:,:,:,::1], f8[:,:,:,:,::1], f8, u1[:,::1], i8, i8, f8, f8)")
+@compiled("(i8[:,::1], i8, f8[:,::1], Tuple((f8[:,:,:,::1], f8[:,:,:,:,::1])), f8, u1[:,::1], UniTuple(i8, 2), f8)")
 def fit_chain_in_mask(
-    runs: Indices,
-    cell: int,
-    start: Array,
-    first: Array,
-    second: Array,
-    share: float,
-    mask: npt.NDArray[np.uint8],
-    left: int,
-    top: int,
-    width: float,
-    thinnest: float,
+    runs: Indices, cell: int, start: Array, moments: Moments, pull: float, mask: Mask, at: tuple[int, int], width: float
 ) -> tuple[Array, Array, npt.NDArray[np.bool_], float]:
     """Run the self-organising map of a chain in a mask and finish its curve, all in one call.
 
@@ -206,50 +200,35 @@ def fit_chain_in_mask(
         runs: ``(R, 3)`` the mask's runs.
         cell: Edge of the squares that pixels are gathered into, pixels.
         start: ``(K, 2)`` nodes.
-        first: Moments of the neighbourhood, see ``topology.Neighbourhoods``.
-        second: Moments of the neighbourhood.
-        share: How far averaging pulls the nodes, see ``topology.shrinkage``.
+        moments: Of the neighbourhood, see ``topology.Neighbourhoods``.
+        pull: How far averaging pulls the nodes, see ``topology.shrinkage``.
         mask: ``(h, w)`` uint8, C-contiguous.
-        left: Image column of its first pixel.
-        top: Image row of its first pixel.
+        at: Image column and row of its first pixel.
         width: The rope's width, pixels.
-        thinnest: The least width that can be measured.
 
     Returns:
         ``(P, 2)`` the curve from tip to tip, pixels; its arc length ``(P,)``; whether the mask has a pixel there
         ``(P,)``; the mean square distance of the pixels from it.
     """
-    points, weight = gather_cells(runs, cell)
-    nodes = undo_shrinkage(batch_epochs(points, weight, start, first, second), share, False)
-    curve = catmull_rom(extend_chain(nodes, mask, left, top, width, thinnest), 4, False)
+    (left, top), (points, weight) = at, gather_cells(runs, cell)
+    nodes = undo_shrinkage(batch_epochs(points, weight, start, moments[0], moments[1]), pull, False)
+    curve = catmull_rom(extend_chain(nodes, mask, left, top, width, _THINNEST), 4, False)
     return curve, arc_length(curve), near_mask(mask, left, top, curve, 1), sample_spread(points, weight, curve)
 
 
 @compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8, b1)")
-def _equal_chords(
+def _points_on(
     points: Array, arc: Array, metric: Array, metric_arc: Array, count: int, centers: bool
 ) -> tuple[Array, Array]:
     """Return ``count`` points of a curve with equal chords in a metric, and their arc positions there."""
     margin = metric_arc[-1] / (2 * count) if centers else 0.0
-    at = equidistant(metric, metric_arc, count, margin, MAX_SHIFT)
-    along = np.empty(count)
-    before = 0
-    for n in range(count):
-        while before < len(metric_arc) - 2 and metric_arc[before + 1] < at[n]:
-            before += 1
-        gap = metric_arc[before + 1] - metric_arc[before]
-        part = (at[n] - metric_arc[before]) / gap if gap > 0 else 0.0
-        along[n] = arc[before] + part * (arc[before + 1] - arc[before])
-    return interpolate(points, arc, along), at
+    return equal_chords(points, arc, metric, metric_arc, count, margin, MAX_SHIFT)
 
 
-@compiled("(f8[:,::1], f8[::1], f8[::1])")
-def _at_shares(points: Array, arc: Array, shares: Array) -> Array:
-    """Return the points of a curve at shares of its arc length."""
-    at = np.empty(len(shares))
-    for n in range(len(shares)):
-        at[n] = shares[n] * arc[-1]
-    return interpolate(points, arc, at)
+@compiled("(f8[:,::1], f8[::1], i8)")
+def _nodes_on(points: Array, arc: Array, count: int) -> Array:
+    """Return the middles of ``count`` equal pieces of a curve."""
+    return even_points(points, arc, count, True)
 
 
 def _hidden(found: Fit) -> float:
@@ -261,9 +240,3 @@ def _seen_length(curve: FittedCurve) -> float:
     """Return the arc length of a curve without what is interpolated."""
     missing = curve.unsupported_fraction if curve.interpolated.any() else 0.0
     return float(curve.arc[-1]) * (1 - missing)
-
-
-@lru_cache
-def _middles(topology: Topology) -> Array:
-    """Return the middles of K equal pieces of 1, for the K nodes of a chain."""
-    return (np.arange(topology.size) + 0.5) / topology.size

@@ -15,12 +15,12 @@ from shape_obs.configurations.base import Configuration, Points
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import SAMPLED, clockwise, material_outline, pairs
-from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, equidistant, interpolate
+from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, closed, equal_chords, interpolate
 from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.region import Region
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
-from shape_obs.tracking.registration import FORGETTING, match_outline, renumber_outline
+from shape_obs.tracking.registration import match_outline, renumber_outline
 from shape_obs.tracking.validation import outline_miss, ring_miss, validate_outline
 
 Array = npt.NDArray[np.float64]
@@ -88,7 +88,7 @@ class Contour(Configuration, kind="contour"):
             reason, quality = validate_outline(observed, miss)
             if reason or abs(curve.arc[-1] / prediction.size - 1) > MAX_SIZE_CHANGE:
                 outline = observed.outline_curve(self.hole)
-                start = self._match(outline, prediction)[0].points[0]
+                start = match_outline(outline, prediction)[0].points[0]
                 curve, nodes, miss = self._track(observed, start, prediction)
                 reason, quality = validate_outline(observed, miss)
         return Fit(curve, quality, reason, nodes, topology, float(curve.arc[-1]), width, observed, width)
@@ -96,57 +96,52 @@ class Contour(Configuration, kind="contour"):
     def _track(self, observed: Observed, start: Array, prediction: Prediction) -> tuple[FittedCurve, Array, float]:
         """Run the self-organising map from a start and renumber the curve from where it began before."""
         if isinstance(observed, Region):
-            traced, reference = observed.traced_outline(self.hole), prediction.hints.reference
-            reference = prediction.nodes if reference is None else reference
-            points, arc, nodes, blended, miss = track_ring_in_mask(
-                traced.traced, traced.hole, start, reference, prediction.nodes, _SIGMA, _PIECES, FORGETTING
+            traced = observed.traced_outline(self.hole)
+            points, arc, nodes, reference, miss = track_ring_in_mask(
+                traced.traced, traced.hole, start, prediction.reference, prediction.nodes
             )
-            flags, hints = np.zeros(len(points), bool), TrackHints(reference=blended)
+            flags, hints = np.zeros(len(points), bool), TrackHints(reference=reference)
             return FittedCurve(points, flags, arc, True, hints=hints), nodes, miss
         curve, miss = self._run_som(observed, start, prediction.topology)
         return *match_outline(curve, prediction), miss
-
-    def _match(self, outline: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, Array]:
-        """Renumber an outline of this frame from the place where the predicted one begins."""
-        if outline.points.shape[1] == 3:
-            return match_outline(outline, prediction)
-        reference = prediction.nodes if prediction.hints.reference is None else prediction.hints.reference
-        points, arc, nodes, _ = renumber_outline(outline.points, reference, prediction.nodes, FORGETTING)
-        return FittedCurve(points, np.zeros(len(points), bool), arc, True), nodes
 
     def _run_som(self, observed: Observed, start: Array, topology: Topology) -> tuple[FittedCurve, float]:
         """Run the self-organising map on the outline from its place nearest to ``start``; return curve and miss."""
         if isinstance(observed, Region):
             traced = observed.traced_outline(self.hole)
-            points, miss = fit_ring_in_mask(traced.traced, traced.hole, start, topology.size, _SIGMA, _PIECES)
+            points, miss = fit_ring_in_mask(traced.traced, traced.hole, start, topology.size)
         else:
             samples, outline = observed.outline_samples(), observed.outline_curve()
             nearest = np.argmin(np.sum((outline.points - start) ** 2, axis=1))
             begin = outline.starting_at(float(outline.arc[nearest])).even(topology.size)
             points = catmull_rom(run_som(samples, begin, topology, (_SIGMA,)), _PIECES, True)
-            size = float(arc_length(np.concatenate([points, points[:1]]))[-1])
-            miss = outline_miss(np.ascontiguousarray(samples.points), points, size) / samples.scale
+            miss = outline_miss(samples.points, points) / samples.scale
         return FittedCurve.through(points, np.zeros(len(points), bool), True), miss
 
     def _topology(self, observed: Observed, outline: FittedCurve) -> Ring:
         """Return a ring with a node every three samples, 24 to 192 of them; closer on what is thin."""
-        scale = observed.outline_samples(self.hole).scale
-        spacing = min(_NODE_SPACING * scale, _THIN * observed.outline_width(self.hole))
+        spacing = _NODE_SPACING * observed.outline_samples(self.hole).scale
+        if observed.dimension == 2 and self.hole is None:
+            spacing = min(spacing, _THIN * observed.width)
         return Ring(int(np.clip(round(outline.size / spacing), *_NODES)))
 
     def _rejection_reason(self, observed: Observed) -> str:
         """Return why an object has no such outline: no such hole, a few pixels, or two sides too close together."""
-        if self.hole is not None and self.hole >= observed.holes:
-            return f"hole {self.hole} was asked for, the {observed.noun} has {observed.holes}"
-        if self.ring and observed.hollow_share < _HOLLOW:
-            return f"the {observed.noun} encloses no hole: something lies over the ring, or it is open"
-        count, scale = observed.outline_sampling(self.hole)
+        region = observed if isinstance(observed, Region) else None
+        holes = 0 if region is None or self.hole is None else len(region.hole_outlines)
+        if self.hole is not None and self.hole >= holes:
+            return f"hole {self.hole} was asked for, the {observed.noun} has {holes}"
+        if region is None:
+            count = len(observed.outline_curve().points)
+        else:
+            count = -(-len(region.traced_outline(self.hole).traced) // SAMPLED)
+            if self.ring and region.hollow_share < _HOLLOW:
+                return "the mask encloses no hole: something lies over the ring, or it is open"
         if count < _MIN_SAMPLES:
             return f"the outline is too small: {count} samples, at least {_MIN_SAMPLES} are needed"
-        thin, width = _MIN_WIDTH * scale, observed.outline_width(self.hole)
-        if width < thin:
-            wide = f"the {observed.noun} is {width:.2g} {observed.unit} wide"
-            return f"{wide}: too thin for an outline (at least {thin:.2g})"
+        if region is not None and self.hole is None and region.width < _MIN_WIDTH * SAMPLED:
+            thin = f"too thin for an outline (at least {_MIN_WIDTH * SAMPLED:.2g})"
+            return f"the mask is {region.width:.2g} px wide: {thin}"
         return ""
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
@@ -158,7 +153,7 @@ class Contour(Configuration, kind="contour"):
 
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
         """Return points with equal chords around, from the form's first point."""
-        places = _equal_chords_around(form.points, form.arc, metric.points, metric.arc, self.n)
+        places = _points_around(form.points, form.arc, metric.points, metric.arc, self.n)
         return Points(places, np.zeros(self.n, bool))
 
     def clusterer_samples(self, observed: Observed) -> Samples:
@@ -168,15 +163,13 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_ring_in_mask, track_ring_in_mask, _equal_chords_around, renumber_outline, material_outline, pairs
-        clouds = arc_length, batch_epochs, catmull_rom, interpolate, outline_miss, undo_shrinkage
+        masks = fit_ring_in_mask, track_ring_in_mask, _points_around, renumber_outline, material_outline, pairs
+        clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds
 
 
-@compiled("(f8[:,::1], b1, f8[::1], i8, f8, i8)")
-def fit_ring_in_mask(
-    traced: Array, hole: bool, start: Array, count: int, sigma: float, pieces: int
-) -> tuple[Array, float]:
+@compiled("(f8[:,::1], b1, f8[::1], i8)")
+def fit_ring_in_mask(traced: Array, hole: bool, start: Array, count: int) -> tuple[Array, float]:
     """Run the self-organising map of a ring on the outline of a mask and finish its curve, all in one call.
 
     Args:
@@ -184,55 +177,32 @@ def fit_ring_in_mask(
         hole: Whether the material lies outside.
         start: ``(2,)`` the first node starts at the outline's point nearest to it.
         count: How many nodes.
-        sigma: Width of the neighbourhood, node units.
-        pieces: Of the curve between two nodes.
 
     Returns:
-        ``(count * pieces, 2)`` the closed curve, and how far the outline misses it, in distances of its samples.
+        ``(count * 4, 2)`` the closed curve, and how far the outline misses it, in distances of its samples.
     """
     points, smooth = material_outline(traced, hole)
     samples = pairs(points)
-    nodes, unit = run_ring_som(samples, smooth, start, count, sigma)
-    curve = catmull_rom(nodes, pieces, True)
-    return curve, ring_miss(samples, unit, curve, pieces) / SAMPLED
+    nodes, unit = run_ring_som(samples, smooth, start, count, _SIGMA)
+    curve = catmull_rom(nodes, _PIECES, True)
+    return curve, ring_miss(samples, unit, curve, _PIECES) / SAMPLED
 
 
-@compiled("(f8[:,::1], b1, f8[::1], f8[:,::1], f8[:,::1], f8, i8, f8)")
+@compiled("(f8[:,::1], b1, f8[::1], f8[:,::1], f8[:,::1])")
 def track_ring_in_mask(
-    traced: Array,
-    hole: bool,
-    start: Array,
-    reference: Array,
-    predicted: Array,
-    sigma: float,
-    pieces: int,
-    forgetting: float,
+    traced: Array, hole: bool, start: Array, reference: Array, predicted: Array
 ) -> tuple[Array, Array, Array, Array, float]:
     """Fit a ring as ``fit_ring_in_mask`` does and renumber it as ``renumber_outline`` does, all in one call."""
-    curve, miss = fit_ring_in_mask(traced, hole, start, len(predicted), sigma, pieces)
-    points, arc, nodes, blended = renumber_outline(curve, reference, predicted, forgetting)
-    return points, arc, nodes, blended, miss
+    curve, miss = fit_ring_in_mask(traced, hole, start, len(predicted))
+    points, arc, nodes, reference = renumber_outline(curve, reference, predicted)
+    return points, arc, nodes, reference, miss
 
 
 @compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8)")
-def _equal_chords_around(points: Array, arc: Array, metric: Array, metric_arc: Array, count: int) -> Array:
+def _points_around(points: Array, arc: Array, metric: Array, metric_arc: Array, count: int) -> Array:
     """Return ``count`` points of a closed curve with equal chords in a metric, from its first point."""
-    size = len(points)
-    form, around = np.empty((size + 1, points.shape[1])), np.empty((size + 1, metric.shape[1]))
-    for p in range(size + 1):
-        for d in range(points.shape[1]):
-            form[p, d] = points[p % size, d]
-        for d in range(metric.shape[1]):
-            around[p, d] = metric[p % size, d]
-    at = equidistant(around, metric_arc, count + 1, 0.0, MAX_SHIFT_AROUND)
-    along, before = np.empty(count), 0
-    for n in range(count):
-        while before < size - 1 and metric_arc[before + 1] < at[n]:
-            before += 1
-        gap = metric_arc[before + 1] - metric_arc[before]
-        part = (at[n] - metric_arc[before]) / gap if gap > 0 else 0.0
-        along[n] = arc[before] + part * (arc[before + 1] - arc[before])
-    return interpolate(form, arc, along)
+    around = closed(metric)
+    return equal_chords(closed(points), arc, around, metric_arc, count + 1, 0.0, MAX_SHIFT_AROUND)[0][:count]
 
 
 def _least(values: Array, form: FittedCurve) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +14,14 @@ from shape_obs.configurations.base import Configuration, Points
 from shape_obs.frame import Frame, readable_depth
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.connected_runs import near_mask
-from shape_obs.image.region import Region
-from shape_obs.point_cloud.cloud import Cloud
 from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, form_depth, lift_form, median_depth
 from shape_obs.shape import Shape
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
 from shape_obs.tracking.prediction import Fit
+
+if TYPE_CHECKING:
+    from shape_obs.image.region import Region
+    from shape_obs.point_cloud.cloud import Cloud
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
@@ -23,7 +23,7 @@ from shape_obs.geometry.topology import Grid, undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim, nearest_corners, rim_of
-from shape_obs.tracking.corner_matching import STRAYED, match_corners, match_corners_in_space
+from shape_obs.tracking.corner_matching import STRAYED, match_lattice
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.validation import validate_sheet
 
@@ -110,13 +110,12 @@ class Surface(Configuration, kind="surface"):
             corners: ``(4,)`` points of its rim; None for those nearest to the predicted ones.
             expected: ``(R, C, D)`` the predicted nodes; None at a cold start.
         """
+        predicted = expected if expected is not None else _NOTHING_EXPECTED
         if isinstance(observed, Region) and not self.epochs:
-            traced = observed.traced_outline(None)
             laid = corners if corners is not None else _ANY_CORNERS
-            predicted = expected if expected is not None else _NOTHING_EXPECTED
-            left, top = observed.window[:2]
+            (left, top), traced = observed.window[:2], observed.outline.traced
             points, on_object, kink, stray, share, measures, down, right, nodes = fit_patch_in_mask(
-                traced.traced, observed.mask, left, top, laid, predicted
+                traced, observed.mask, left, top, laid, predicted
             )
             if not len(points):
                 return Fit(reason=_NO_CORNERS)
@@ -131,14 +130,11 @@ class Surface(Configuration, kind="surface"):
             form = FittedLattice.over(observed.to_space(flat), np.zeros(len(flat), bool), FINE, kink)
             if self.epochs:
                 form = form.with_points(form.points + self._moved_inside(form, observed))
-            form = replace(form, interpolated=~observed.carries(form.points))
-            stray, share = 0, 0.0
-            if expected is not None:
-                match = match_corners if observed.dimension == 2 else match_corners_in_space
-                quarters, stray, share = match(outer_corners(expected), form.corners)
-                form = form.turned(quarters)
+            lattice, stray, share = match_lattice(form.lattice, predicted)
+            points = lattice.reshape(form.points.shape)
+            form = FittedLattice.over(points, ~observed.carries(points), FINE, kink)
             # A cloud is assessed as it lies unrolled, where a bent side does not wind.
-            measures = assess_lattice((form.points if observed.dimension == 2 else flat).reshape(FINE, FINE, 2))
+            measures = assess_lattice((points if observed.dimension == 2 else flat).reshape(FINE, FINE, 2))
             nodes = form.evenly(_GRID.rows, _GRID.cols, centers=True)
         off = np.count_nonzero(form.interpolated) / len(form.interpolated)
         degrees, strays = math.degrees(kink), (stray, share)
@@ -155,7 +151,7 @@ class Surface(Configuration, kind="surface"):
             return f"the {observed.noun} is {width:.3g} {unit} wide: too small for a sheet"
         if length > _MAX_ASPECT * width:
             return f"the {observed.noun} is {length:.4g} x {width:.4g} {unit}: too slender for a sheet"
-        if observed.dimension == 2:
+        if isinstance(observed, Region):
             piece, cut = observed.outlined_share, observed.cut_share
             if piece < _MIN_PIECE:
                 return f"the mask falls into {observed.pieces} pieces, and the largest is {piece:.0%} of it"
@@ -171,10 +167,9 @@ class Surface(Configuration, kind="surface"):
         nodes = run_som(observed.gather(_CELL), start, _GRID, self.epochs * (_SIGMA,))
         moved = np.pad(_GRID.lattice(nodes - start), ((1, 1), (1, 1), (0, 0)))
         at = []
-        for count, places in zip(
-            (_GRID.rows, _GRID.cols), _equal_gaps(form, _GRID.rows, _GRID.cols, "centers"), strict=True
-        ):
-            knots = np.concatenate([[0.0], places, [FINE - 1.0]])
+        for count, gauge in zip((_GRID.rows, _GRID.cols), form.gauges, strict=True):
+            middles = np.interp((np.arange(count) + 0.5) / count * gauge[-1], gauge, np.arange(FINE))
+            knots = np.concatenate([[0.0], middles, [FINE - 1.0]])
             at.append(np.interp(np.arange(FINE), knots, np.arange(count + 2)))
         fine = np.stack(np.meshgrid(*at, indexing="ij")).reshape(2, -1)
         return np.stack([map_coordinates(moved[..., d], fine, order=1) for d in range(moved.shape[2])], axis=1)
@@ -192,18 +187,17 @@ class Surface(Configuration, kind="surface"):
 
     def resample(self, form: FittedLattice, metric: FittedLattice) -> Points:
         """Return points with equal gaps down and across, on the mean over the lattice."""
-        ends = self.ends or "centers"
-        if form is metric and not form.interpolated.any():
-            lattice = form.points.reshape(form.rows, -1, form.points.shape[1])
-            places = _evenly(lattice, *form.gauges, self.rows, self.cols, ends == "centers")
+        where = *metric.gauges, self.rows, self.cols, self.ends != "tips"
+        places = _points_over(form.points.reshape(form.rows, -1, form.points.shape[1]), *where)
+        if not form.interpolated.any():
             return Points(places, np.zeros(len(places), bool))
-        at = _equal_gaps(metric, self.rows, self.cols, ends)
-        return Points(form.at(*at), form.interpolated_at(*at))
+        share = form.interpolated.reshape(form.rows, -1, 1).astype(np.float64)
+        return Points(places, _points_over(share, *where)[:, 0] > 0.5)
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_patch_in_mask, _evenly, rim_of, material_outline, coons_patch, nearest_corners, match_corners
+        masks = fit_patch_in_mask, _points_over, rim_of, material_outline, coons_patch, nearest_corners, match_lattice
         lattices = assess_lattice, lattice_gauges, outer_corners, sample_lattice, arc_length, interpolate
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
         return masks + lattices + maps
@@ -228,46 +222,22 @@ def fit_patch_in_mask(
         there; the kink, radians; the corner that strays most, and by which share of half a diagonal; see
         ``assess_lattice``; ``lattice_gauges``; ``(64, 2)`` the nodes.
     """
-    _, smooth = material_outline(traced, False)
-    rim, turn, candidates, step, grain = rim_of(smooth)
+    rim, turn, candidates, step, grain = rim_of(material_outline(traced, False)[1])
     if len(corners) == 0:
         corners = nearest_corners(rim, candidates, step, outer_corners(expected))
     if len(corners) == 0:
         nothing = np.empty((0, 2))
         return nothing, np.empty(0, np.bool_), 0.0, 0, 0.0, (0.0, 0.0, 0.0, 0.0), step * turn[:0], turn[:0], nothing
     patch, kink = coons_patch(rim, turn, corners, step, grain)
-    corner, share = 0, 0.0
-    if len(expected):
-        last = FINE - 1
-        found = np.empty((4, 2))
-        for d in range(2):
-            found[0, d], found[1, d] = patch[0, d], patch[last, d]
-            found[2, d], found[3, d] = patch[FINE * FINE - 1, d], patch[FINE * last, d]
-        quarters, corner, share = match_corners(outer_corners(expected), found)
-        for _ in range(quarters):
-            turned = np.empty_like(patch)
-            for row in range(FINE):
-                for col in range(FINE):
-                    for d in range(2):
-                        turned[(last - col) * FINE + row, d] = patch[row * FINE + col, d]
-            patch = turned
-    lattice = patch.reshape(FINE, FINE, 2)
+    lattice, corner, share = match_lattice(patch.reshape(FINE, FINE, 2), expected)
     down, right = lattice_gauges(lattice)
     nodes = sample_lattice(lattice, down, right, 8, 8, True)
+    patch = lattice.reshape(FINE * FINE, 2)
     on_mask = near_mask(mask, left, top, patch, 1)
     return patch, on_mask, kink, corner, share, assess_lattice(lattice), down, right, nodes
 
 
 @compiled("(f8[:,:,::1], f8[::1], f8[::1], i8, i8, b1)")
-def _evenly(lattice: Array, down: Array, right: Array, rows: int, cols: int, centers: bool) -> Array:
-    """Return what ``sample_lattice`` returns."""
+def _points_over(lattice: Array, down: Array, right: Array, rows: int, cols: int, centers: bool) -> Array:
+    """Return ``(rows*cols, D)`` points of a lattice with equal gaps down and across, on the mean."""
     return sample_lattice(lattice, down, right, rows, cols, centers)
-
-
-def _equal_gaps(form: FittedLattice, rows: int, cols: int, ends: Ends) -> tuple[Array, Array]:
-    """Return places on a lattice, ``(rows,)`` down and ``(cols,)`` across, with equal gaps on the mean."""
-    found = []
-    for count, gauge in zip((rows, cols), form.gauges, strict=True):
-        share = np.linspace(0, 1, count) if ends == "tips" else (np.arange(count) + 0.5) / count
-        found.append(np.interp(share * gauge[-1], gauge, np.arange(len(gauge))))
-    return found[0], found[1]

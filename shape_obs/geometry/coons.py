@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
+from shape_obs.geometry.polyline import arc_length, even_points
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -115,21 +116,10 @@ def _line(rim: Array, corner: int, first: int, count: int, way: int) -> tuple[fl
 def _side(rim: Array, begin: int, end: int, skip: int, places: Array, k: int, out: Array) -> None:
     """Fill ``(S, 2)`` places evenly spaced along the side from a corner to the next, both corners included."""
     inner = max((end - begin) % RIM - 2 * skip + 1, 0)
-    line, arc = np.empty((inner + 2, 2)), np.zeros(inner + 2)
+    line = np.empty((inner + 2, 2))
     for d in range(2):
         line[0, d], line[inner + 1, d] = places[k, d], places[(k + 1) % 4, d]
     for i in range(inner):
         p = (begin + skip + i) % RIM
         line[i + 1, 0], line[i + 1, 1] = rim[p, 0], rim[p, 1]
-    for i in range(inner + 1):
-        u, v = line[i + 1, 0] - line[i, 0], line[i + 1, 1] - line[i, 1]
-        arc[i + 1] = arc[i] + math.sqrt(u * u + v * v)
-    count, before = len(out), 0
-    for i in range(count):
-        at = arc[-1] * i / (count - 1)
-        while before < inner and arc[before + 1] <= at:
-            before += 1
-        gap = arc[before + 1] - arc[before]
-        share = min((at - arc[before]) / gap, 1.0) if gap > 0 else 0.0
-        for d in range(2):
-            out[i, d] = line[before, d] + share * (line[before + 1, d] - line[before, d])
+    out[:] = even_points(line, arc_length(line), len(out), False)

@@ -12,13 +12,12 @@ from scipy.ndimage import distance_transform_edt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedForm
-from shape_obs.geometry.polyline import straightened
+from shape_obs.geometry.polyline import even_points, straightened
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
 Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 
@@ -57,20 +56,6 @@ class FittedLattice(FittedForm):
         """``(4, D)`` top left, top right, bottom right, bottom left."""
         return self.lattice[[0, 0, -1, -1], [0, -1, -1, 0]]
 
-    @property
-    def sides(self) -> tuple[Array, Array, Array, Array]:
-        """The four border lines, ``(cols, D)`` or ``(rows, D)``, clockwise: each ends where the next begins."""
-        lattice = self.lattice
-        return lattice[0], lattice[:, -1], lattice[-1, ::-1], lattice[::-1, 0]
-
-    def at(self, v: Array, u: Array) -> Array:
-        """Return ``(R*C, D)`` points at every pair of ``(R,)`` places down and ``(C,)`` places across, row by row.
-
-        Places are rows and columns of the lattice, fractions included; in between it is bilinear.
-        """
-        across = _between(u, self.lattice.shape[1]) @ self.lattice
-        return np.tensordot(_between(v, self.rows), across, axes=1).reshape(len(v) * len(u), -1)
-
     def evenly(self, rows: int, cols: int, *, centers: bool) -> Array:
         """Return ``(rows*cols, D)`` points with equal gaps down and across, on the mean over the lattice.
 
@@ -80,13 +65,6 @@ class FittedLattice(FittedForm):
             centers: Whether they are the centres of equal pieces; else the outer ones lie on the border.
         """
         return sample_lattice(self.lattice, *self.gauges, rows, cols, centers)
-
-    def interpolated_at(self, v: Array, u: Array) -> Mask:
-        """Return ``(R*C,)`` whether most of what lies around such a place is interpolated."""
-        if not self.interpolated.any():
-            return np.zeros(len(v) * len(u), bool)
-        flags = self.interpolated.reshape(self.rows, -1).astype(np.float64)
-        return (_between(v, self.rows) @ flags @ _between(u, flags.shape[1]).T).ravel() > 0.5
 
     def turned(self, quarters: int) -> Self:
         """Return the same lattice with its first corner ``quarters`` corners further on, clockwise."""
@@ -117,35 +95,21 @@ def _gauges(points: Array, rows: int) -> tuple[Array, Array]:
     return lattice_gauges(np.ascontiguousarray(lattice, dtype=np.float64))
 
 
-def _between(at: Array, count: int) -> Array:
-    """Return ``(N, count)`` weights that interpolate ``count`` values at ``(N,)`` fractions of an index."""
-    return np.maximum(1 - np.abs(at[:, None] - np.arange(count)), 0.0)
-
-
 @compiled("(f8[:,:,::1],)", reassociate=True)
 def lattice_gauges(lattice: Array) -> tuple[Array, Array]:
     """Return how far down each row lies ``(R,)`` and how far right each column ``(C,)``: mean distances, summed."""
     rows, cols, dimension = lattice.shape
     down, right = np.zeros(rows), np.zeros(cols)
-    for r in range(rows - 1):
-        whole = 0.0
-        for c in range(cols):
-            square = 0.0
-            for d in range(dimension):
-                square += (lattice[r + 1, c, d] - lattice[r, c, d]) ** 2
-            whole += math.sqrt(square)
-        down[r + 1] = whole / cols
     for r in range(rows):
-        for c in range(cols - 1):
-            square = 0.0
+        for c in range(cols):
+            above = beside = 0.0
             for d in range(dimension):
-                square += (lattice[r, c + 1, d] - lattice[r, c, d]) ** 2
-            right[c + 1] += math.sqrt(square) / rows
-    for r in range(1, rows):
-        down[r] += down[r - 1]
-    for c in range(1, cols):
-        right[c] += right[c - 1]
-    return down, right
+                above += (lattice[r, c, d] - lattice[r - 1, c, d]) ** 2
+                beside += (lattice[r, c, d] - lattice[r, c - 1, d]) ** 2
+            down[r] += math.sqrt(above) / cols
+            right[c] += math.sqrt(beside) / rows
+    down[0] = right[0] = 0.0  # nothing is above the first row, or left of the first column
+    return np.cumsum(down), np.cumsum(right)
 
 
 @compiled("(f8[:,:,::1], f8[::1], f8[::1], i8, i8, b1)")
@@ -160,31 +124,17 @@ def sample_lattice(lattice: Array, down: Array, right: Array, rows: int, cols: i
         cols: How many.
         centers: Whether the points are the centres of equal pieces; else the outer ones lie on the border.
     """
-    row, below = _equal_gaps(down, rows, centers)
-    col, beside = _equal_gaps(right, cols, centers)
-    out = np.empty((rows * cols, lattice.shape[2]))
-    for r in range(rows):
-        for c in range(cols):
-            i, j, v, u = row[r], col[c], below[r], beside[c]
-            for d in range(lattice.shape[2]):
-                upper = (1 - u) * lattice[i, j, d] + u * lattice[i, j + 1, d]
-                lower = (1 - u) * lattice[i + 1, j, d] + u * lattice[i + 1, j + 1, d]
-                out[r * cols + c, d] = (1 - v) * upper + v * lower
-    return out
+    across, dimension = lattice.shape[1:]
+    found = even_points(lattice.reshape(len(lattice), across * dimension), down, rows, centers)
+    columns = _transposed(found.reshape(rows, across, dimension)).reshape(across, rows * dimension)
+    found = even_points(columns, right, cols, centers)
+    return _transposed(found.reshape(cols, rows, dimension)).reshape(rows * cols, dimension)
 
 
 @compiled
-def _equal_gaps(gauge: Array, count: int, centers: bool) -> tuple[Indices, Array]:
-    """Return which rows come before ``count`` places with equal gaps, and the weight of the next row."""
-    before, share = np.empty(count, np.int64), np.empty(count)
-    row, last = 0, len(gauge) - 1
-    for i in range(count):
-        at = gauge[last] * ((i + 0.5) / count if centers else i / (count - 1))
-        while row < last - 1 and gauge[row + 1] <= at:
-            row += 1
-        gap = gauge[row + 1] - gauge[row]
-        before[i], share[i] = row, min((at - gauge[row]) / gap, 1.0) if gap > 0 else 0.0
-    return before, share
+def _transposed(lattice: Array) -> Array:
+    """Return a lattice with its rows and columns exchanged: ``(R, C, D)`` -> ``(C, R, D)``."""
+    return np.ascontiguousarray(lattice.transpose(1, 0, 2))
 
 
 @compiled("(f8[:,:,::1],)")
@@ -208,60 +158,32 @@ def assess_lattice(lattice: Array) -> tuple[float, float, float, float]:
         The corner farthest from a right angle, degrees; the share of cells that face away from a neighbour; by which
         share a side is longer than its chord, at most; standard deviation over mean of the cells' areas.
     """
-    rows, cols = lattice.shape[0], lattice.shape[1]
-    angle, winding = 90.0, 0.0
+    rows, cols = lattice.shape[:2]
+    around = np.concatenate((lattice[0], lattice[1:, -1], lattice[-1, -2::-1], lattice[-2:0:-1, 0]))
+    border = around[:, 0] + 1j * around[:, 1]
+    angle, winding, at = 90.0, 0.0, 0
     for k in range(4):
         count, other = (rows, cols) if k % 2 else (cols, rows)
-        corner, length = _along_border(lattice, k, 0), 0.0
-        ahead, back = (
-            _along_border(lattice, k, max(count // 8, 1)) - corner,
-            _along_border(lattice, (k + 3) % 4, other - 1 - max(other // 8, 1)) - corner,
-        )
+        end = (at + count - 1) % len(border)
+        ahead, back = border[at + max(count // 8, 1)] - border[at], border[at - max(other // 8, 1)] - border[at]
         between = ahead * back.conjugate()
         here = math.degrees(abs(math.atan2(between.imag, between.real)))
         if abs(here - 90) > abs(angle - 90):
             angle = here
-        last = corner
-        for i in range(1, count):
-            place = _along_border(lattice, k, i)
-            length += abs(place - last)
-            last = place
-        winding = max(winding, length / max(abs(last - corner), 1e-9) - 1)
+        length = 0.0
+        for i in range(at, at + count - 1):
+            length += abs(border[(i + 1) % len(border)] - border[i])
+        winding = max(winding, length / max(abs(border[end] - border[at]), 1e-9) - 1)
+        at = end
     area = np.empty((rows - 1, cols - 1))
-    whole = square = 0.0
-    below = above = False
     for r in range(rows - 1):
         for c in range(cols - 1):
             x, y = lattice[r + 1, c + 1, 0] - lattice[r, c, 0], lattice[r + 1, c + 1, 1] - lattice[r, c, 1]
             u, v = lattice[r + 1, c, 0] - lattice[r, c + 1, 0], lattice[r + 1, c, 1] - lattice[r, c + 1, 1]
             area[r, c] = (x * v - y * u) / 2
-            below, above = below or area[r, c] < 0, above or area[r, c] > 0
-            whole += abs(area[r, c])
     folds = 0.0
-    if below and above:
-        apart_down = apart_right = 0
-        for r in range(rows - 1):
-            for c in range(cols - 1):
-                apart_down += r > 0 and area[r, c] * area[r - 1, c] < 0
-                apart_right += c > 0 and area[r, c] * area[r, c - 1] < 0
-        folds = max(apart_down / max((rows - 2) * (cols - 1), 1), apart_right / max((rows - 1) * (cols - 2), 1))
-    mean = whole / area.size
-    for r in range(rows - 1):
-        for c in range(cols - 1):
-            square += (abs(area[r, c]) - mean) ** 2
-    return angle, folds, winding, math.sqrt(square / area.size) / max(mean, 1e-18)
-
-
-@compiled
-def _along_border(lattice: Array, k: int, i: int) -> complex:
-    """Return the point ``i`` steps from corner ``k`` along the border, clockwise."""
-    rows, cols = lattice.shape[0], lattice.shape[1]
-    if k == 0:
-        row, col = 0, i
-    elif k == 1:
-        row, col = i, cols - 1
-    elif k == 2:
-        row, col = rows - 1, cols - 1 - i
-    else:
-        row, col = rows - 1 - i, 0
-    return complex(lattice[row, col, 0], lattice[row, col, 1])
+    if area.min() < 0 < area.max():
+        down, right = area[1:] * area[:-1] < 0, area[:, 1:] * area[:, :-1] < 0
+        folds = max(down.sum() / max(down.size, 1), right.sum() / max(right.size, 1))
+    area = np.abs(area)
+    return angle, folds, winding, area.std() / max(area.mean(), 1e-18)

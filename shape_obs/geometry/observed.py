@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.samples import Samples
-
-if TYPE_CHECKING:
-    pass
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -24,14 +21,12 @@ class Observed(Protocol):
         unit: ``"px"`` or ``"m"``.
         noun: ``"mask"`` or ``"cloud"``, for messages.
         sample_unit: ``"pixels"`` or ``"points"``, for messages.
-        thinnest: The least width that can be measured.
         dimension: 2 for pixels, 3 for metres.
     """
 
     unit: ClassVar[str]
     noun: ClassVar[str]
     sample_unit: ClassVar[str]
-    thinnest: ClassVar[float]
     dimension: ClassVar[int]
 
     @property
@@ -65,33 +60,13 @@ class Observed(Protocol):
         ...
 
     @property
-    def samples(self) -> Samples:
-        """Weighted points of the object, as coarse as its width allows."""
-        ...
-
-    @property
     def outlined_share(self) -> float:
         """The share of the object that its outline goes around."""
         ...
 
     @property
-    def holes(self) -> int:
-        """How many holes the largest piece has."""
-        ...
-
-    @property
-    def hollow_share(self) -> float:
-        """The share of what the outline encloses that is not the object's; 1 if unknown."""
-        ...
-
-    @property
-    def cut_share(self) -> float:
-        """The share of the outline that runs along the edge of the window."""
-        ...
-
-    @property
-    def parts(self) -> tuple[Observed, ...]:
-        """The observations that an initial axis is taken from."""
+    def parts(self) -> tuple[Any, ...]:
+        """The object itself, and if it is a cloud under a mask that mask."""
         ...
 
     def outline_curve(self, hole: int | None = None) -> FittedCurve:
@@ -102,16 +77,8 @@ class Observed(Protocol):
         """Return the points of the outline before any smoothing, weighted by arc length."""
         ...
 
-    def outline_sampling(self, hole: int | None = None) -> tuple[int, float]:
-        """Return how many ``outline_samples`` there are, and how far apart they lie."""
-        ...
-
     def outline_points(self, hole: int | None = None) -> Samples:
         """Return the points of the outline, each counting once."""
-        ...
-
-    def outline_width(self, hole: int | None = None) -> float:
-        """Return how far apart the sides of the outline lie; infinite if unknown."""
         ...
 
     def sheet_outline(self) -> tuple[Array, Array]:
@@ -128,10 +95,6 @@ class Observed(Protocol):
 
     def all_samples(self) -> Samples:
         """Return every pixel or point, each counting once."""
-        ...
-
-    def pixels_of(self, points: Array) -> Array | None:
-        """Return where ``(N, D)`` points are in the image: ``(N, 2)`` pixels; None if no image is known."""
         ...
 
     def seen(self, points: Array, target: Array | None) -> Array:

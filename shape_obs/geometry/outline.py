@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -12,6 +11,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.polyline import arc_length, closed, interpolate
 from shape_obs.geometry.samples import Samples
 
 Array = npt.NDArray[np.float64]
@@ -157,47 +157,23 @@ def pairs(points: Array) -> Array:
 
 @compiled
 def closed_arc(curve: Array) -> Array:
-    """Return the arc length around a closed curve, its first point not repeated: ``(P, 2)`` -> ``(P + 1,)``."""
-    size = len(curve)
-    arc = np.zeros(size + 1)
-    for p in range(size - 1):
-        x, y = curve[p + 1, 0] - curve[p, 0], curve[p + 1, 1] - curve[p, 1]
-        arc[p + 1] = math.sqrt(x * x + y * y)
-    arc[size] = math.sqrt((curve[0, 0] - curve[size - 1, 0]) ** 2 + (curve[0, 1] - curve[size - 1, 1]) ** 2)
-    for p in range(size):
-        arc[p + 1] += arc[p]
-    return arc
+    """Return the arc length around a closed curve, its first point not repeated: ``(P, D)`` -> ``(P + 1,)``."""
+    return arc_length(closed(curve))
 
 
 @compiled
 def even_around(curve: Array, arc: Array, begin: float, count: int) -> Array:
-    """Return ``(count, 2)`` points of equal arc length around a closed curve, from an arc position on.
+    """Return ``(count, D)`` points of equal arc length around a closed curve, from an arc position on.
 
     Args:
-        curve: ``(P, 2)``, the first point not repeated.
+        curve: ``(P, D)``, the first point not repeated.
         arc: ``(P + 1,)`` its arc length.
         begin: Arc position of the first point.
         count: How many.
     """
-    size = len(curve)
-    out = np.empty((count, 2))
-    step, whole = arc[size] / count, arc[size]
-    at, before = begin % whole, 0
-    at = at if at < whole else 0.0
-    while before < size - 1 and arc[before + 1] <= at:
-        before += 1
-    first = at
+    at, whole = np.empty(count), arc[-1]
     for k in range(count):
-        at = first + k * step
-        if at >= whole:
-            at -= whole
-        if at < arc[before]:
-            before = 0
-        while before < size - 1 and arc[before + 1] <= at:
-            before += 1
-        after = before + 1 if before < size - 1 else 0
-        gap = arc[before + 1] - arc[before]
-        share = (at - arc[before]) / gap if gap > 0 else 0.0
-        for d in range(2):
-            out[k, d] = curve[before, d] + share * (curve[after, d] - curve[before, d])
-    return out
+        at[k] = begin % whole + k * (whole / count)
+        if at[k] >= whole:
+            at[k] -= whole
+    return interpolate(closed(curve), arc, at)

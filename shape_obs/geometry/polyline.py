@@ -26,13 +26,11 @@ _BLOCK: Final = 250_000  # pairs of a point and a piece of a polyline in one pas
 @compiled("(f8[:,::1],)")
 def arc_length(curve: Array) -> Array:
     """Return the arc length from the first point to each point: ``(P, D)`` -> ``(P,)``."""
-    arc = np.zeros(len(curve))
-    for p in range(1, len(curve)):
-        square = 0.0
-        for d in range(curve.shape[1]):
-            square += (curve[p, d] - curve[p - 1, d]) ** 2
-        arc[p] = arc[p - 1] + np.sqrt(square)
-    return arc
+    square = np.zeros(len(curve))
+    for d in range(curve.shape[1]):
+        for p in range(1, len(curve)):
+            square[p] += (curve[p, d] - curve[p - 1, d]) ** 2
+    return np.cumsum(np.sqrt(square))
 
 
 @compiled("(f8[:,::1], f8[::1], f8[::1])")
@@ -42,28 +40,16 @@ def interpolate(curve: Array, arc: Array, at: Array) -> Array:
     out = np.empty((len(at), dimension))
     before = 0
     for n in range(len(at)):
-        if at[n] <= arc[0]:
-            for d in range(dimension):
-                out[n, d] = curve[0, d]
-        elif at[n] >= arc[last]:
-            for d in range(dimension):
-                out[n, d] = curve[last, d]
-        else:
-            if arc[before] > at[n] or arc[min(before + 8, last)] < at[n]:
-                low, high = 0, last  # arc[low] < at[n] <= arc[high]
-                while high - low > 1:
-                    middle = (low + high) // 2
-                    if arc[middle] < at[n]:
-                        low = middle
-                    else:
-                        high = middle
-                before = low
-            while arc[before + 1] < at[n]:
-                before += 1
-            gap = arc[before + 1] - arc[before]
-            share = (at[n] - arc[before]) / gap if gap > 0 else 0.0
-            for d in range(dimension):
-                out[n, d] = curve[before, d] + share * (curve[before + 1, d] - curve[before, d])
+        here = min(max(at[n], arc[0]), arc[last])
+        if arc[before] > here or arc[min(before + 8, last)] < here:  # far from the one before
+            before = max(np.searchsorted(arc, here) - 1, 0)
+        while before < last - 1 and arc[before + 1] < here:
+            before += 1
+        after = min(before + 1, last)
+        gap = arc[after] - arc[before]
+        share = (here - arc[before]) / gap if gap > 0 else 0.0
+        for d in range(dimension):
+            out[n, d] = curve[before, d] + share * (curve[after, d] - curve[before, d])
     return out
 
 
@@ -157,69 +143,58 @@ def _end_lines(window: int) -> Array:
 def resample(curve: Array, count: int) -> Array:
     """Return ``count`` points of equal arc length from end to end: ``(P, D)`` -> ``(count, D)``."""
     curve = np.ascontiguousarray(curve, dtype=np.float64)
-    arc = arc_length(curve)
-    return interpolate(curve, arc, np.linspace(0.0, arc[-1], count))
+    return even_points(curve, arc_length(curve), count, False)
 
 
-def equidistant_positions(curve: Array, arc: Array, count: int, *, centers: bool) -> Array:
-    """Return the arc positions of ``count`` >= 2 points with equal chords, increasing.
+@compiled("(f8[:,::1], f8[::1], i8, b1)")
+def even_points(curve: Array, arc: Array, count: int, centers: bool) -> Array:
+    """Return ``count`` points of equal arc length along a polyline.
 
     Args:
         curve: ``(P, D)``.
-        arc: ``(P,)`` its arc length.
+        arc: ``(P,)`` its arc length, or any other measure along it.
         count: How many.
         centers: Whether the points lie at the middle of ``count`` equal pieces; else the first and the last lie at the
             curve's ends.
     """
-    curve = np.ascontiguousarray(curve, dtype=np.float64)
-    return equidistant(curve, arc, count, arc[-1] / (2 * count) if centers else 0.0, MAX_SHIFT)
+    share = (np.arange(count) + 0.5) / count if centers else np.arange(count) / max(count - 1, 1)
+    return interpolate(curve, arc, share * arc[-1])
 
 
-def equidistant_around(curve: Array, arc: Array, count: int) -> Array:
-    """Return the arc positions of ``count`` >= 2 points with equal chords around a closed curve, from its first point.
+@compiled
+def closed(points: Array) -> Array:
+    """Return ``(P, D)`` points with the first one repeated at the end: ``(P + 1, D)``."""
+    return np.append(points, points[0]).reshape(len(points) + 1, points.shape[1])
+
+
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8, f8, f8)")
+def equal_chords(
+    points: Array, arc: Array, metric: Array, metric_arc: Array, count: int, margin: float, max_shift: float
+) -> tuple[Array, Array]:
+    """Return ``count`` >= 2 points of a curve that have equal chords in another space, and their arc positions there.
 
     Args:
-        curve: ``(P, D)``, the first point not repeated.
-        arc: ``(P + 1,)`` its arc length, the last entry the whole.
+        points: ``(P, D)``.
+        arc: ``(P,)`` arc length.
+        metric: ``(P, D')`` the same curve in the space in which chords are to be equal.
+        metric_arc: ``(P,)`` arc length there.
         count: How many.
+        margin: How far the first and the last lie from the curve's ends, in that space.
+        max_shift: No point leaves its position by arc length by more than so many gaps.
     """
-    around = np.ascontiguousarray(np.concatenate([curve, curve[:1]]), dtype=np.float64)
-    return equidistant(around, arc, count + 1, 0.0, MAX_SHIFT_AROUND)[:-1]
-
-
-@compiled("(f8[:,::1], f8[::1], i8, f8, f8)")
-def equidistant(curve: Array, arc: Array, count: int, margin: float, max_shift: float) -> Array:
-    """Return the arc positions of ``count`` points with equal chords, ``margin`` away from both ends.
-
-    No point leaves its position by arc length by more than ``max_shift`` gaps.
-    """
-    even = np.empty(count)
-    for n in range(count):
-        even[n] = margin + (arc[-1] - 2 * margin) * (n / (count - 1))
-    at = np.empty(count)
-    for n in range(count):
-        at[n] = even[n]
+    share = np.arange(count) / (count - 1)
+    even = margin + (metric_arc[-1] - 2 * margin) * share
     shift = max_shift * (even[1] - even[0])
-    share = np.empty(count)
+    at = even
     for _ in range(_EQUALISING_PASSES):
-        chord = arc_length(interpolate(curve, arc, at))
-        least, most = np.inf, 0.0
-        for n in range(count - 1):
-            gap = chord[n + 1] - chord[n]
-            least, most = min(least, gap), max(most, gap)
-        if most - least < _EQUAL * chord[-1] / count:
+        chord = arc_length(interpolate(metric, metric_arc, at))
+        gaps = chord[1:] - chord[:-1]
+        if gaps.max() - gaps.min() < _EQUAL * chord[-1] / count:
             break
-        before = 0
-        for n in range(count):
-            wanted = chord[-1] * n / (count - 1)
-            while before < count - 2 and chord[before + 1] < wanted:
-                before += 1
-            gap = chord[before + 1] - chord[before]
-            part = min(max((wanted - chord[before]) / gap, 0.0), 1.0) if gap > 0 else 0.0
-            share[n] = at[before] + part * (at[before + 1] - at[before])
-        for n in range(count):
-            at[n] = min(max(share[n], even[n] - shift), even[n] + shift)
-    return at
+        moved = interpolate(at.reshape(count, 1), chord, chord[-1] * share).reshape(count)
+        at = np.minimum(np.maximum(moved, even - shift), even + shift)
+    along = interpolate(arc.reshape(len(arc), 1), metric_arc, at).reshape(count)
+    return interpolate(points, arc, along), at
 
 
 def nearest_on(curve: Array, points: Array) -> tuple[Array, Array]:

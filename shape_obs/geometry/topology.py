@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -63,58 +63,48 @@ class _Line(Topology):
     """``count`` nodes, one after another."""
 
     count: int
+    closed: ClassVar[bool] = False
 
     @property
     def size(self) -> int:
         """How many nodes."""
         return self.count
 
+    def offsets(self) -> Array:
+        """Return ``(1, K, K)``, around a ring the shorter way."""
+        at = np.arange(self.count, dtype=np.float64)
+        away, half = at[None, :] - at[:, None], self.count // 2
+        return ((away + half) % self.count - half if self.closed else away)[None]
+
+    def edges(self) -> npt.NDArray[np.intp]:
+        """Return ``(E, 2)``; the last pair closes a ring."""
+        at = np.arange(self.count)
+        pairs = np.stack([at, np.roll(at, -1)], axis=1)
+        return pairs if self.closed else pairs[:-1]
+
+    def unshrink(self, nodes: Array, sigma: float) -> Array:
+        """Undo the pull; the second difference stands for the bend, at an end its neighbour's."""
+        return undo_shrinkage(nodes, shrinkage(sigma), self.closed)
+
+    def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
+        """Interpolate linearly along the index; the ends of a chain are repeated."""
+        at, filled = np.arange(len(values)), values.copy()
+        period = self.count if self.closed else None
+        for d in range(values.shape[1]):
+            filled[~known, d] = np.interp(at[~known], at[known], values[known, d], period=period)
+        return filled
+
 
 @dataclass(frozen=True)
 class Chain(_Line):
     """An open chain of ``count`` nodes."""
-
-    def offsets(self) -> Array:
-        """Return ``(1, K, K)``."""
-        at = np.arange(self.count, dtype=np.float64)
-        return (at[None, :] - at[:, None])[None]
-
-    def edges(self) -> npt.NDArray[np.intp]:
-        """Return ``(K - 1, 2)``."""
-        at = np.arange(self.count)
-        return np.stack([at[:-1], at[1:]], axis=1)
-
-    def unshrink(self, nodes: Array, sigma: float) -> Array:
-        """Undo the pull; the second difference stands for the bend, at an end its neighbour's."""
-        return undo_shrinkage(nodes, shrinkage(sigma), False)
-
-    def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
-        """Interpolate linearly along the index; the ends are repeated."""
-        return _along_index(values, known, None)
 
 
 @dataclass(frozen=True)
 class Ring(_Line):
     """A closed ring of ``count`` nodes."""
 
-    def offsets(self) -> Array:
-        """Return ``(1, K, K)`` the shorter way round."""
-        at = np.arange(self.count, dtype=np.float64)
-        half = self.count // 2
-        return ((at[None, :] - at[:, None] + half) % self.count - half)[None]
-
-    def edges(self) -> npt.NDArray[np.intp]:
-        """(K,2), the last closes the ring."""
-        at = np.arange(self.count)
-        return np.stack([at, np.roll(at, -1)], axis=1)
-
-    def unshrink(self, nodes: Array, sigma: float) -> Array:
-        """Undo the pull; the second difference stands for the bend."""
-        return undo_shrinkage(nodes, shrinkage(sigma), True)
-
-    def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
-        """Interpolate linearly along the index, across the closure too."""
-        return _along_index(values, known, self.count)
+    closed = True
 
 
 @dataclass(frozen=True)
@@ -206,14 +196,6 @@ def undo_shrinkage(nodes: Array, share: float, closed: bool) -> Array:
             bend = nodes[(at + 1) % size, d] - 2 * nodes[at, d] + nodes[at - 1, d]
             out[k, d] = nodes[k, d] - by * bend
     return out
-
-
-def _along_index(values: Values, known: npt.NDArray[np.bool_], period: int | None) -> Values:
-    at = np.arange(len(values))
-    filled = values.copy()
-    for d in range(values.shape[1]):
-        filled[~known, d] = np.interp(at[~known], at[known], values[known, d], period=period)
-    return filled
 
 
 @lru_cache(maxsize=64)

@@ -2,38 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.image.connected_runs import label_runs, largest_first, runs_of_bits
+from shape_obs.image.connected_runs import Components, plausible, shift
 from shape_obs.image.roi import Window
 
-Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 
 # Eight pixels in a row are a byte, the leftmost its lowest bit; here is the byte as eight bytes of a mask.
 _BITS: Final = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1, bitorder="little")
 _SPREAD: Final = np.ascontiguousarray(_BITS * np.uint8(255)).view(np.uint64).ravel()
 _U = np.uint64  # unsigned indices are not checked for being negative
-
-
-class Found(NamedTuple):
-    """The result of a search by colour in a window.
-
-    Args:
-        mask: ``(h, w)`` uint8, 0 or 255, C-contiguous, the plausible components alone.
-        runs: ``(R, 3)`` its runs, see ``connected_runs``.
-        areas: ``(Q,)`` pixels of each component, largest first.
-        box: Left, top, width and height of the rectangle around them, image pixels.
-    """
-
-    mask: Mask
-    runs: Indices
-    areas: Indices
-    box: tuple[int, int, int, int]
 
 
 def find_by_colour(
@@ -43,7 +26,7 @@ def find_by_colour(
     step: int,
     min_area: int,
     min_share: float,
-) -> Found:
+) -> Components:
     """Find the plausible components of a colour without reading every pixel.
 
     One pixel in ``step * step`` is looked at, in a lattice that lies fast in the image with every other row shifted
@@ -57,15 +40,18 @@ def find_by_colour(
         step: 4 or 8 pixels.
         min_area: Components with fewer pixels are dropped.
         min_share: So are those smaller than this share of the largest.
+
+    Returns:
+        What ``find_components`` returns, the mask 0 and 255.
     """
     flat, origin, pitch = _flat(rgb, window)
     left, top, width, height = window
-    mask, runs, areas, box = find_on_lattice(
+    mask, *found = find_on_lattice(
         flat, origin, pitch, left, top, left + width, top + height, table, step, min_area, min_share
     )
     if mask.shape[1] != width:
         mask = np.ascontiguousarray(mask[:, left % 8 : left % 8 + width])
-    return Found(mask, runs, areas, box)
+    return mask, *found
 
 
 def table_mask(rgb: npt.NDArray[np.uint8], window: Window, table: npt.NDArray[np.uint64]) -> Mask:
@@ -121,45 +107,20 @@ def find_on_lattice(
     min_area: int,
     min_share: float,
 ) -> Any:
-    """Find components; the image's pixel (u, v) stands at ``origin + v * pitch + 3 * u``."""
-    west, height = left & ~7, bottom - top
-    across = (right - west + 7) >> 3
-    bits = np.zeros((height, (across + 7) // 8 * 8), np.uint8)
-    words = np.zeros((height, across), np.uint64)
-    _read_near_hits(flat, origin, pitch, left, top, right, bottom, table, step, bits, words)
-    mask = words.view(np.uint8)
-    runs = runs_of_bits(bits.view(np.uint64), west, top)
-    runs, areas, box = _plausible(runs, step, min_area, min_share, west, top, mask)
-    return mask, runs, areas, box
+    """Find components; the image's pixel (u, v) stands at ``origin + v * pitch + 3 * u``.
 
-
-@compiled
-def _read_near_hits(
-    flat: Any,
-    origin: int,
-    pitch: int,
-    left: int,
-    top: int,
-    right: int,
-    bottom: int,
-    table: Any,
-    step: int,
-    bits: Any,
-    words: Any,
-) -> None:
-    """Read cells of 8 x 8 pixels that hold a lattice pixel in the table, and from there on where pixels touch."""
-    west, north, across, down = left & ~7, top & ~7, words.shape[1], (bottom - (top & ~7) + 7) >> 3
+    Cells of 8 x 8 pixels are read that hold a lattice pixel in the table, and from there on where pixels touch.
+    """
+    west, north = left & ~7, top & ~7
+    across, down = (right - west + 7) >> 3, (bottom - north + 7) >> 3
+    words = np.zeros((bottom - top, across), np.uint64)
     stride = across + 2  # cells around the window count as seen
-    seen = np.empty((down + 2) * stride, np.uint8)
-    for cell in range(len(seen)):
-        seen[cell] = 1
-    for row in range(1, down + 1):
-        for cell in range(row * stride + 1, row * stride + 1 + across):
-            seen[cell] = 0
+    seen = np.ones((down + 2) * stride, np.uint8)
+    seen.reshape(down + 2, stride)[1:-1, 1:-1] = 0
     stack, rows = np.empty(across * down, np.int64), np.empty(8, np.uint64)
     for v in range(top + (step // 2 - top) % step, bottom, step):
         line, start = (((v - north) >> 3) + 1) * stride + 1, origin + v * pitch
-        for u in range(left + (_shift(v, step) - left) % step, right, step):
+        for u in range(left + (shift(v, step) - left) % step, right, step):
             cell = line + ((u - west) >> 3)
             if seen[_U(cell)] != 0 or _bit(flat, _U(start + 3 * u), table) == 0:
                 continue
@@ -184,7 +145,6 @@ def _read_near_hits(
                 if every == 0:
                     continue
                 for y in range(max(v0, top), min(v0 + 8, bottom)):
-                    bits[_U(y - top), _U(column)] = rows[y - v0]
                     words[_U(y - top), _U(column)] = _SPREAD[rows[y - v0]]
                 for edge, beside in ((rows[0], cell - stride), (rows[7], cell + stride)):
                     if edge:
@@ -198,37 +158,7 @@ def _read_near_hits(
                     waiting = _push(cell - 1, seen, stack, waiting)
                 if every >> _U(7):
                     waiting = _push(cell + 1, seen, stack, waiting)
-
-
-@compiled
-def _plausible(runs: Indices, step: int, min_area: int, min_share: float, left: int, top: int, mask: Mask) -> Any:
-    """Return the runs of plausible components on the lattice, their areas and box; clear the others from the mask."""
-    label, count = label_runs(runs)
-    areas, met = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    for at in range(len(runs)):
-        row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
-        areas[label[at]] += stop - start
-        if row % step == step // 2 and start + (_shift(row, step) - start) % step < stop:
-            met[label[at]] = 1
-    largest = 0
-    for piece in range(count):
-        areas[piece] *= met[piece]
-        largest = max(largest, areas[piece])
-    floor = max(float(max(min_area, 1)), min_share * largest)
-    held, first, last = 0, 0, 0
-    for at in range(len(runs)):
-        row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
-        if areas[label[at]] >= floor:
-            runs[held, 0], runs[held, 1], runs[held, 2] = row, start, stop
-            first, last = min(first, start) if held else start, max(last, stop)
-            held += 1
-        else:
-            for column in range(start - left, stop - left):
-                mask[row - top, column] = 0
-    box = (left, top, 0, 0)
-    if held:
-        box = (first, runs[0, 0], last - first, runs[held - 1, 0] - runs[0, 0] + 1)
-    return runs[:held], largest_first(areas, floor), box
+    return plausible(words.view(np.uint8), west, top, step, min_area, min_share)
 
 
 @compiled(inline=True)
@@ -264,9 +194,3 @@ def _push(cell: Any, seen: Any, stack: Any, top: Any) -> Any:
         stack[_U(top)] = cell
         top += 1
     return top
-
-
-@compiled(inline=True)
-def _shift(v: Any, step: Any) -> Any:
-    """Return where a row of the lattice begins: every other one half a step further."""
-    return step // 4 + (step // 2) * ((v // step) & 1)

@@ -17,20 +17,15 @@ Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 
 _FAR_OFF: Final = 2.0**30  # pixels; no image reaches there, and integers hold it
-# (w - ones) & ~w & tops is not 0 where one of the bytes of a word w is 0.
-_ONES = np.uint64(0x0101010101010101)
-_TOPS = np.uint64(0x8080808080808080)
-# Where the one bit of a word stands, by the top six bits of the word times a de Bruijn sequence.
-_SEQUENCE: Final = np.uint64(0x03F79D71B4CB0A89)
-_PLACE: Final = np.zeros(64, np.int64)
-_PLACE[[(int(_SEQUENCE) << k & (2**64 - 1)) >> 58 for k in range(64)]] = np.arange(64)
-_U = np.uint64  # unsigned indices are not checked for being negative
+_U = np.uint64
+_TOPS = np.uint64(0x8080808080808080)  # the highest bit of each byte
+
+# A mask, its runs, the areas of its components and their box: see ``find_components``.
+Components = tuple[Mask, Indices, Indices, tuple[int, int, int, int]]
 
 
 @compiled("(u1[:,::1], i8, i8, f8, f8)")
-def find_components(
-    mask: Mask, left: int, top: int, min_area: float, min_share: float
-) -> tuple[Indices, Indices, tuple[int, int, int, int], bool]:
+def find_components(mask: Mask, left: int, top: int, min_area: float, min_share: float) -> Components:
     """Find the plausible components of a mask, 8-connected.
 
     Args:
@@ -41,97 +36,87 @@ def find_components(
         min_share: So are those smaller than this share of the largest.
 
     Returns:
-        ``(R, 3)`` runs, top to bottom and left to right; ``(Q,)`` the components' pixels, largest first; left, top,
-        width and height of the box around them; whether any were dropped.
+        The mask with these components alone, itself if none are dropped; ``(R, 3)`` its runs, top to bottom and left
+        to right; ``(Q,)`` the components' pixels, as they appear; left, top, width and height of the box around them.
     """
-    runs = _runs(mask, left, top)
-    label, count = label_runs(runs)
-    areas = np.zeros(count, np.int64)
-    for at in range(len(runs)):
-        areas[label[at]] += runs[at, 2] - runs[at, 1]
-    if count == 0:
-        return runs, areas, (left, top, 0, 0), False
-    largest = 0
-    for piece in range(count):
-        largest = max(largest, areas[piece])
-    floor = max(float(min_area), min_share * largest)
-    held, first, last = 0, runs[0, 1], 0
-    for at in range(len(runs)):
-        if areas[label[at]] >= floor:
-            for k in range(3):
-                runs[held, k] = runs[at, k]
-            first = min(first, runs[at, 1]) if held else runs[at, 1]
-            last = max(last, runs[at, 2])
-            held += 1
-    box = (left, top, 0, 0)
-    if held:
-        box = (first, runs[0, 0], last - first, runs[held - 1, 0] - runs[0, 0] + 1)
-    kept = largest_first(areas, floor)
-    return runs[:held], kept, box, len(kept) < count
+    return plausible(mask, left, top, 1, min_area, min_share)
 
 
 @compiled
-def largest_first(areas: Indices, floor: float) -> Indices:
-    """Return the areas of at least ``floor``, the largest first."""
-    kept, count = np.empty(len(areas), np.int64), 0
+def plausible(mask: Mask, left: int, top: int, step: int, min_area: float, min_share: float) -> Components:
+    """Return what ``find_components`` returns, of the components that hold a pixel of a lattice, see ``shift``."""
+    runs = _runs(mask, left, top)
+    label, count = label_runs(runs)
+    areas, met = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    for at in range(len(runs)):
+        row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
+        areas[label[at]] += stop - start
+        if row % step == step // 2 and start + (shift(row, step) - start) % step < stop:
+            met[label[at]] = 1
+    areas *= met
+    largest = 0
     for area in areas:
-        if area >= floor:
-            at = count
-            while at > 0 and kept[at - 1] < area:
-                kept[at] = kept[at - 1]
-                at -= 1
-            kept[at] = area
-            count += 1
-    return kept[:count]
+        largest = max(largest, area)
+    floor = max(min_area, 1.0, min_share * largest)
+    held, first, last = 0, 0, 0
+    for at in range(len(runs)):
+        row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
+        if areas[label[at]] >= floor:
+            runs[held, 0], runs[held, 1], runs[held, 2] = row, start, stop
+            first, last = min(first, start) if held else start, max(last, stop)
+            held += 1
+        else:
+            if held == at:  # the first that is dropped
+                mask = mask.copy()
+            mask[row - top, start - left : stop - left] = 0
+    box = (left, top, 0, 0)
+    if held:
+        box = (first, runs[0, 0], last - first, runs[held - 1, 0] - runs[0, 0] + 1)
+    return mask, runs[:held], areas[areas >= floor], box
+
+
+@compiled(inline=True)
+def shift(row: Any, step: Any) -> Any:
+    """Return where a row of a lattice of one pixel in ``step * step`` begins: every other one half a step further."""
+    return step // 4 + (step // 2) * ((row // step) & 1)
 
 
 @compiled
 def _runs(mask: Mask, left: int, top: int) -> Indices:
-    """Return the runs of a mask."""
-    height, width = mask.shape
-    found = np.empty((4 * height + 16, 3), np.int64)
-    count = 0
-    if width % 8 == 0:
-        words = mask.ravel().view(np.uint64)
-        across = width // 8
-    else:
-        words = np.empty(0, np.uint64)
-        across = 0
+    """Return the runs of a mask, which is read eight pixels at once."""
+    height, across = mask.shape[0], (mask.shape[1] + 7) // 8
+    if mask.shape[1] < 8 * across:
+        wide = np.zeros((height, 8 * across), np.uint8)
+        wide[:, : mask.shape[1]] = mask
+        mask = wide
+    words = mask.reshape(height * across * 8).view(np.uint64)
+    found, count = np.empty((height * (4 * across + 1), 3), np.int64), 0
     for row in range(height):
-        if count + width // 2 + 2 > len(found):
-            larger = np.empty((2 * len(found) + width, 3), np.int64)
-            for run in range(count):
-                for k in range(3):
-                    larger[run, k] = found[run, k]
-            found = larger
-        column, inside = 0, False
-        while column < width:
-            if across and column % 8 == 0:  # eight pixels at once, where none or all of them are on
-                at, last = row * across + column // 8, (row + 1) * across
-                if inside:
-                    while at < last and (words[at] - _ONES) & ~words[at] & _TOPS == 0:
-                        at += 1
-                else:
-                    while at + 4 <= last and words[at] | words[at + 1] | words[at + 2] | words[at + 3] == 0:
-                        at += 4
-                    while at < last and words[at] == 0:
-                        at += 1
-                column = (at - row * across) * 8
-                if at == last:
-                    break
-            on = mask[row, column] != 0
-            if on != inside:
-                if on:
-                    found[count, 0], found[count, 1] = row + top, column + left
-                else:
-                    found[count, 2] = column + left
-                    count += 1
-                inside = on
-            column += 1
+        inside, at, last = _U(0), row * across, (row + 1) * across
+        while at < last:
+            word = words[at]
+            at += 1
+            if word | inside == 0:
+                while at + 4 <= last and words[at] | words[at + 1] | words[at + 2] | words[at + 3] == 0:
+                    at += 4
+                continue
+            on = (((word & ~_TOPS) + ~_TOPS) | word) & _TOPS  # the top bit of each byte that is not 0
+            edges = on ^ ((on << _U(8)) | inside)  # where a run begins, and behind its end
+            column = left + (at - 1 - row * across) * 8
+            while edges:
+                if edges & _U(0x80):
+                    inside ^= _U(0x80)
+                    if inside:
+                        found[count, 0], found[count, 1] = row + top, column
+                    else:
+                        found[count, 2] = column
+                        count += 1
+                edges >>= _U(8)
+                column += 1
         if inside:
-            found[count, 2] = width + left
+            found[count, 2] = left + 8 * across
             count += 1
-    return found[:count]
+    return found[:count].copy()
 
 
 @compiled
@@ -184,38 +169,27 @@ def gather_cells(runs: Indices, size: int) -> tuple[Array, Array]:
     if len(runs) == 0:
         return np.empty((0, 2)), np.empty(0)
     top, bottom = runs[0, 0] // size, runs[-1, 0] // size
-    left, right = runs[0, 1], runs[0, 2]
-    for at in range(len(runs)):
-        left, right = min(left, runs[at, 1]), max(right, runs[at, 2])
-    left, right = left // size, (right - 1) // size
-    across = right - left + 1
+    left, right = runs[:, 1].min() // size, (runs[:, 2].max() - 1) // size
+    across, share = right - left + 1, 1 / size  # divisions are slow
     sums = np.zeros(((bottom - top + 1) * across, 3), np.int64)
-    share, base, below = 1 / size, -across - left, top * size  # divisions are slow
     for at in range(len(runs)):
         row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
-        while row >= below:
-            below += size
-            base += across
-        cell = base + int((start + 0.5) * share)
+        column = int((start + 0.5) * share)
+        cell = (int((row + 0.5) * share) - top) * across + column - left
         while start < stop:
-            end = min((cell - base + 1) * size, stop)
+            column += 1
+            end = min(column * size, stop)
             count = end - start
             sums[cell, 0] += count
             sums[cell, 1] += (start + end - 1) * count  # twice the sum of the columns
             sums[cell, 2] += row * count
             start = end
             cell += 1
-    held = 0
-    for cell in range(len(sums)):
-        held += sums[cell, 0] > 0
-    points, weight = np.empty((held, 2)), np.empty(held)
-    at = 0
-    for cell in range(len(sums)):
-        count = sums[cell, 0]
-        if count > 0:
-            points[at, 0], points[at, 1] = sums[cell, 1] / (2 * count), sums[cell, 2] / count
-            weight[at] = count
-            at += 1
+    held = np.flatnonzero(sums[:, 0])
+    points, weight = np.empty((len(held), 2)), np.empty(len(held))
+    for at in range(len(held)):
+        cell, weight[at] = held[at], sums[held[at], 0]
+        points[at, 0], points[at, 1] = sums[cell, 1] / (2 * weight[at]), sums[cell, 2] / weight[at]
     return points, weight
 
 
@@ -240,36 +214,3 @@ def near_mask(mask: Mask, left: int, top: int, points: Array, reach: int) -> npt
 def nearest_pixel(at: float) -> int:
     """Return the nearest pixel; one off every image for NaN and for what no integer can hold."""
     return int(np.rint(at)) if -_FAR_OFF < at < _FAR_OFF else int(-_FAR_OFF)
-
-
-@compiled
-def runs_of_bits(bits: Any, west: int, top: int) -> Indices:
-    """Return the ``(R, 3)`` runs of rows of bits: ``(h, w)`` uint64, the leftmost pixel the lowest bit."""
-    height, width = bits.shape
-    found = np.empty((4 * height + 16, 3), np.int64)
-    count = 0
-    for row in range(height):
-        if count + 32 * width + 1 > len(found):
-            larger = np.empty((2 * len(found) + 32 * width, 3), np.int64)
-            for run in range(count):
-                for k in range(3):
-                    larger[run, k] = found[run, k]
-            found = larger
-        before = _U(0)
-        for column in range(width):
-            word = bits[row, column]
-            edges = word ^ ((word << _U(1)) | before)  # 1 where a run begins, and behind its end
-            before = word >> _U(63)
-            while edges:
-                lowest = edges & (~edges + _U(1))
-                at = west + 64 * column + _PLACE[(lowest * _SEQUENCE) >> _U(58)]
-                if word & lowest:
-                    found[count, 0], found[count, 1] = row + top, at
-                else:
-                    found[count, 2] = at
-                    count += 1
-                edges ^= lowest
-        if before:
-            found[count, 2] = west + 64 * width
-            count += 1
-    return found[:count]

@@ -41,9 +41,7 @@ def segment(frame: Frame, window: Window, rule: Segmentation, roi: ROI, width: f
         table, step = colour_table(rule), _FAR_STEP if width >= _WIDE else _NEAR_STEP if width >= _NARROW else 1
         untouched = max(rule.open, rule.close) <= 1 and type(roi).blank is ROI.blank
         if step > 1 and untouched:
-            mask, runs, areas, box = find_by_colour(rgb, window, table, step, rule.min_area, rule.min_share)
-            sizes = areas.tolist()
-            return Region(window, mask, runs, tuple(sizes), Window(*box), sum(sizes), len(sizes))
+            return _region(window, *find_by_colour(rgb, window, table, step, rule.min_area, rule.min_share))
         mask = rule.clean(table_mask(rgb, window, table))
     return find_region(roi.blank(mask, window), window, rule.min_area, rule.min_share)
 
@@ -64,12 +62,17 @@ def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_
         mask = (mask != 0).view(np.uint8)
     if not (mask.flags.c_contiguous and mask.flags.writeable):
         mask = mask.copy()  # compiled code distinguishes such arrays
-    runs, areas, box, dropped = find_components(mask, window.left, window.top, min_area, min_share)
-    if dropped:
-        mask = np.zeros_like(mask)
-        for row, start, stop in (runs - [window.top, window.left, window.left]).tolist():
-            mask[row, start:stop] = 255
-    sizes = areas.tolist()
+    return _region(window, *find_components(mask, window.left, window.top, min_area, min_share))
+
+
+def _region(
+    window: Window,
+    mask: npt.NDArray[np.uint8],
+    runs: npt.NDArray[np.int64],
+    areas: npt.NDArray[np.int64],
+    box: tuple[int, int, int, int],
+) -> Region:
+    sizes = sorted(areas.tolist(), reverse=True)
     return Region(window, mask, runs, tuple(sizes), Window(*box), sum(sizes), len(sizes))
 
 

@@ -91,10 +91,7 @@ def follow_border(mask: Mask, column: int, row: int, left: int, top: int) -> tup
             return found[:1], 0.0
     while True:
         if count == len(found):
-            larger = np.empty((2 * count, 2))
-            for at in range(count):
-                larger[at, 0], larger[at, 1] = found[at, 0], found[at, 1]
-            found = larger
+            found = np.concatenate((found, np.empty_like(found)))
         found[count, 0], found[count, 1] = u + left, v + top
         count += 1
         next_u, next_v = u, v

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import cv2
 import numpy as np
@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.outline import SAMPLED, Outline
+from shape_obs.geometry.outline import Outline
 from shape_obs.geometry.samples import Samples
 from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.outline_tracing import trace_outline, trace_with_holes
@@ -23,8 +23,6 @@ else:
     from functools import cached_property
 
 Array = npt.NDArray[np.float64]
-
-_MAX_CELL: Final = 24
 
 
 class Component(NamedTuple):
@@ -114,11 +112,6 @@ class Region:
         """The share of the mask that the outline goes around: the largest component."""
         return self.areas[0] / max(self.area, 1)
 
-    @property
-    def holes(self) -> int:
-        """How many holes the largest component has."""
-        return len(self.hole_outlines)
-
     @cached_property
     def hole_outlines(self) -> tuple[Outline, ...]:
         """The outlines of the holes of the largest component, the largest first."""
@@ -143,18 +136,10 @@ class Region:
         """Return the points of the outline before any smoothing, two by two."""
         return self.traced_outline(hole).samples
 
-    def outline_sampling(self, hole: int | None = None) -> tuple[int, float]:
-        """Return how many ``outline_samples`` there are, and how far apart they lie, pixels."""
-        return -(-len(self.traced_outline(hole).traced) // SAMPLED), float(SAMPLED)
-
     def outline_points(self, hole: int | None = None) -> Samples:
         """Return the points of the outline, each counting once."""
         points = self.traced_outline(hole).points
         return Samples(points, np.ones(len(points)), 1.0)
-
-    def outline_width(self, hole: int | None = None) -> float:
-        """Return how far apart the sides of the outline lie; infinite for a hole, where it is unknown."""
-        return self.width if hole is None else np.inf
 
     def sheet_outline(self) -> tuple[Array, Array]:
         """Return the outline of the largest component as a sheet's: in the image and flat, which are the same."""
@@ -176,7 +161,7 @@ class Region:
 
     @property
     def parts(self) -> tuple[Region, ...]:
-        """The observations that an initial axis is taken from: the region itself."""
+        """The region itself."""
         return (self,)
 
     @cached_property
@@ -191,11 +176,6 @@ class Region:
         found = cv2.findNonZero(self.mask)  # OpenCV 4 returns (M, 1, 2), OpenCV 5 (M, 2), both None for an empty one
         return np.zeros((0, 2), np.int32) if found is None else np.asarray(found, dtype=np.int32).reshape(-1, 2)
 
-    @cached_property
-    def samples(self) -> Samples:
-        """The pixels in cells of a third of the object's width; thin ropes keep their pixels."""
-        return self.gather(min(max(self.width / 3, 1), _MAX_CELL))
-
     def gather(self, edge: float) -> Samples:
         """Return the pixels in cells of an edge, whole pixels."""
         return Samples(*gather_cells(self.runs, int(edge)), float(int(edge)))
@@ -204,10 +184,6 @@ class Region:
         """Return every pixel, each counting once."""
         points = self.pixels + np.array([self.window.left, self.window.top], dtype=np.float64)
         return Samples(points, np.ones(len(points)), 1.0)
-
-    def pixels_of(self, points: Array) -> Array:
-        """Return ``(N, 2)`` pixels as they are."""
-        return points
 
     def seen(self, points: Array, target: Array | None) -> Array:
         """Return ``(N, 2)`` pixels as they are."""

@@ -51,28 +51,12 @@ def extend_chain(nodes: Array, mask: Mask, left: int, top: int, width: float, th
         ``(K', 2)`` pixels; the first and the last point lie on the tips.
     """
     width = max(width, thinnest)
-    on = near_mask(mask, left, top, nodes, 1)
-    begin, end = 0, len(nodes)
-    while begin < end and not on[begin]:
-        begin += 1
-    while end > begin + 1 and not on[end - 1]:
-        end -= 1
-    if end - begin < 3:
-        begin, end = 0, len(nodes)
-    first, last = np.empty((3, 2)), np.empty((3, 2))
-    for k in range(3):
-        for d in range(2):
-            first[k, d], last[k, d] = nodes[begin + k, d], nodes[end - 1 - k, d]
-    head, tail = _march(mask, left, top, first, width, thinnest), _march(mask, left, top, last, width, thinnest)
-    out = np.empty((len(head) + end - begin + len(tail), 2))
-    for d in range(2):
-        for k in range(len(head)):
-            out[len(head) - 1 - k, d] = head[k, d]
-        for k in range(begin, end):
-            out[len(head) + k - begin, d] = nodes[k, d]
-        for k in range(len(tail)):
-            out[len(head) + end - begin + k, d] = tail[k, d]
-    return out
+    on = np.flatnonzero(near_mask(mask, left, top, nodes, 1))
+    if len(on) > 0 and on[-1] - on[0] >= 2:
+        nodes = nodes[on[0] : on[-1] + 1]
+    head = _march(mask, left, top, nodes[:3], width, thinnest)
+    tail = _march(mask, left, top, nodes[-3:][::-1].copy(), width, thinnest)
+    return np.concatenate((head[::-1], nodes, tail))
 
 
 @compiled

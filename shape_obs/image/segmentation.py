@@ -1,12 +1,7 @@
-"""What all pixel rules share: clean-up by opening and closing, and the area threshold.
+"""Pixel rules: which pixels belong to the object, by hue, saturation and value, by brightness, or by depth.
 
-Rules that look at the colour of one pixel at a time: they compile to a table.
-
-Segmentation by a range of hue, saturation and value.
-
-Segmentation by brightness.
-
-Segmentation by distance.
+All rules share a clean-up by opening and closing, and the area threshold. Those that look at the colour of one pixel
+at a time compile to a table.
 """
 
 from __future__ import annotations

@@ -127,10 +127,8 @@ def rim_of(outline: Array) -> tuple[Array, Array, Indices, float, float]:
 @compiled
 def _turns(points: Array) -> Array:
     """Return ``(400,)`` radians by which a rim turns about each of its points."""
-    u, v = np.empty(RIM + 2 * TURN_REACH), np.empty(RIM + 2 * TURN_REACH)
-    for p in range(len(u)):
-        at = (p - TURN_REACH) % RIM
-        u[p], v[p] = points[at, 0], points[at, 1]
+    around = np.concatenate((points[-TURN_REACH:], points, points[:TURN_REACH]))
+    u, v = around[:, 0].copy(), around[:, 1].copy()
     sine, cosine, turn = np.empty(RIM), np.empty(RIM), np.empty(RIM)
     for p in range(RIM):
         x, y = u[p + 2 * TURN_REACH] - u[p + TURN_REACH], v[p + 2 * TURN_REACH] - v[p + TURN_REACH]
@@ -152,23 +150,16 @@ def _candidates(turn: Array) -> Indices:
     peaks, count = np.empty(RIM, np.int64), 0
     for p in range(RIM):
         if turn[p] > _LEAST_TURN:
-            highest = True
-            for i in range(1, TURN_REACH + 1):
-                if turn[(p + i) % RIM] > turn[p] or turn[(p - i) % RIM] > turn[p]:
-                    highest = False
+            for i in range(p - TURN_REACH, p + TURN_REACH + 1):
+                if turn[i % RIM] > turn[p]:
                     break
-            if highest:
+            else:
                 peaks[count] = p
                 count += 1
-    while count > _CANDIDATES:
-        least = 0
-        for q in range(1, count):
-            if turn[peaks[q]] <= turn[peaks[least]]:
-                least = q
-        for q in range(least, count - 1):
-            peaks[q] = peaks[q + 1]
-        count -= 1
-    return peaks[:count]
+    peaks = peaks[:count]
+    while len(peaks) > _CANDIDATES:
+        peaks = np.delete(peaks, np.argmin(turn[peaks]))
+    return peaks
 
 
 @compiled("(f8[:,::1], i8[::1], f8, f8[:,::1])")
@@ -184,25 +175,11 @@ def nearest_corners(rim: Array, candidates: Indices, step: float, expected: Arra
     Returns:
         ``(4,)`` points; ``(0,)`` when they are not in order around the rim.
     """
-    dimension = rim.shape[1]
     found = np.empty(4, np.int64)
     for k in range(4):
-        least = np.inf
-        for p in range(RIM):
-            square = 0.0
-            for d in range(dimension):
-                square += (rim[p, d] - expected[k, d]) ** 2
-            if square < least:
-                least = square
-                found[k] = p
-        near, corner = np.inf, -1
-        for q in range(len(candidates)):
-            square = 0.0
-            for d in range(dimension):
-                square += (rim[candidates[q], d] - expected[k, d]) ** 2
-            if square < near:
-                near, corner = square, candidates[q]
-        if corner >= 0 and math.sqrt(near) < max(_NEAR * step, 2 * math.sqrt(least)):
+        found[k], least = _nearest(rim, np.arange(RIM), expected[k])
+        corner, near = _nearest(rim, candidates, expected[k])
+        if near < max(_NEAR * step, 2 * least):
             found[k] = corner
     around = 0
     for k in range(4):
@@ -211,3 +188,16 @@ def nearest_corners(rim: Array, candidates: Indices, step: float, expected: Arra
             return found[:0]
         around += gap
     return found if around == RIM else found[:0]
+
+
+@compiled
+def _nearest(rim: Array, among: Indices, place: Array) -> tuple[int, float]:
+    """Return which of some points of a rim is nearest to a place, and its distance; -1 and infinity for none."""
+    least, nearest = np.inf, -1
+    for p in among:
+        square = 0.0
+        for d in range(rim.shape[1]):
+            square += (rim[p, d] - place[d]) ** 2
+        if square < least:
+            least, nearest = square, p
+    return nearest, math.sqrt(least)

@@ -130,10 +130,8 @@ def _smooth(branch: Branch, width: float) -> Branch:
         return branch
     sigma = _SMOOTHING * width * (len(branch.points) - 1) / max(branch.length, 1e-9)
     pad = min(int(3 * sigma) + 1, len(branch.points) - 1)
-    head = 2 * branch.points[0] - branch.points[pad:0:-1]
-    tail = 2 * branch.points[-1] - branch.points[-2 : -pad - 2 : -1]
-    smooth = gaussian_filter1d(np.concatenate([head, branch.points, tail]), sigma, axis=0)
-    return replace(branch, points=smooth[pad:-pad])
+    padded = np.pad(branch.points, ((pad, pad), (0, 0)), "reflect", reflect_type="odd")
+    return replace(branch, points=gaussian_filter1d(padded, sigma, axis=0)[pad:-pad])
 
 
 def _trim(branch: Branch, free_start: bool, free_end: bool, width: float) -> Array:
@@ -202,28 +200,22 @@ def _routes(kept: tuple[int, ...], partner: dict[Arm, Arm]) -> list[list[Arm]]:
 
 
 def _open_rings(options: Options, chosen: dict[int, int], kept: tuple[int, ...]) -> None:
-    """Change the pairing where it costs least until no ring is left that a change would join to another strand."""
+    """Change the pairing where it costs least, and where a ring is then joined to another strand."""
 
     def count() -> tuple[int, int]:
         partner = _partners(options, chosen)
         routes = _routes(kept, partner)
         return sum(route[0] in partner for route in routes), len(routes)
 
+    changes = [(row[k][0] - row[0][0], zone, k) for zone, row in options.items() for k in range(1, len(row))]
     rings, strands = count()
-    while rings:
-        changes = []
-        for zone, row in options.items():
-            now = chosen[zone]
-            for other in range(len(row)):
-                chosen[zone] = other
-                after = count()
-                if after[0] < rings and after[1] < strands:
-                    changes.append((row[other][0] - row[now][0], zone, other, after))
-            chosen[zone] = now
-        if not changes:
-            return
-        _, zone, chosen_option, (rings, strands) = min(changes)
-        chosen[zone] = chosen_option
+    for _, zone, k in sorted(changes) if rings else ():
+        before, chosen[zone] = chosen[zone], k
+        after = count()
+        if after[0] < rings and after[1] < strands:
+            rings, strands = after
+        else:
+            chosen[zone] = before
 
 
 def _curve(

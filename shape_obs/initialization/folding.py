@@ -7,15 +7,16 @@ mean of both sides between the two tips whose sides lie closest together.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import uniform_filter1d
 
-from shape_obs.compiled import compiled
-from shape_obs.geometry.polyline import arc_length, interpolate
+from shape_obs.geometry.polyline import arc_length
 
 Array = npt.NDArray[np.float64]
+Places = npt.NDArray[Any]  # complex numbers, u + v i
 
 _N: Final = 256  # places around the outline
 _SIDE_POINTS: Final = 96  # along its sides, and of those the ones by which tips are chosen
@@ -24,7 +25,6 @@ _SHARP_BENDS: Final = 8  # bends that are tried as tips
 _NEAR: Final = 3  # places
 
 
-@compiled("(f8[:,::1], f8)")
 def fold_outline(outline: Array, width: float) -> Array:
     """Return the centreline of a ribbon, by folding its outline about its tips.
 
@@ -35,166 +35,63 @@ def fold_outline(outline: Array, width: float) -> Array:
     Returns:
         ``(96, 2)`` centreline from tip to tip, equidistant along the outline, in no particular direction.
     """
-    closed = np.empty((len(outline) + 1, 2))
-    for p in range(len(closed)):
-        for d in range(2):
-            closed[p, d] = outline[p % len(outline), d]
+    closed = np.concatenate([outline, outline[:1]])
     arc = arc_length(closed)
-    perimeter = arc[-1]
+    perimeter = float(arc[-1])
     if perimeter == 0:  # a single pixel
-        pixel = np.empty((_SIDE_POINTS, 2))
-        for s in range(_SIDE_POINTS):
-            pixel[s, 0], pixel[s, 1] = outline[0, 0], outline[0, 1]
-        return pixel
-    steps = np.empty(_N)
-    for i in range(_N):
-        steps[i] = i * (perimeter / _N)
-    even = interpolate(closed, arc, steps)
-    tips = np.empty(2 + _SHARP_BENDS)
-    tips[0] = _half_fold(even)
-    tips[1] = tips[0] + _N / 2
-    known = _different(tips, _sharp_bends(even, width * _N / perimeter, tips, 2))
-    best, least = (0, 1), np.inf
-    for i in range(known):
-        for j in range(i + 1, known):
-            apart = 0.0
-            for s in range(_SIDE_PROBES):
-                share = s / (_SIDE_PROBES - 1)
-                x, y = _place(even, tips[i] + share * (tips[j] - tips[i]))
-                u, v = _place(even, tips[i] - share * (_N - tips[j] + tips[i]))
-                apart += (x - u) ** 2 + (y - v) ** 2
-            if apart < least:
-                best, least = (i, j), apart
-    first, second, step = tips[best[0]], tips[best[1]], perimeter / _N
-    left, right = np.empty(_SIDE_POINTS), np.empty(_SIDE_POINTS)
-    for s in range(_SIDE_POINTS):
-        share = s / (_SIDE_POINTS - 1)
-        left[s] = (first + share * (second - first)) % _N * step
-        right[s] = (first - share * (_N - second + first)) % _N * step
-    middle, other = interpolate(closed, arc, left), interpolate(closed, arc, right)
-    for s in range(_SIDE_POINTS):
-        for d in range(2):
-            middle[s, d] = (middle[s, d] + other[s, d]) / 2
-    return middle
+        return np.repeat(outline[:1], _SIDE_POINTS, axis=0)
+    traced, step = _complex(closed), perimeter / _N
+    even = np.interp(np.arange(_N) * step, arc, traced)
+    tip = _half_fold(even)
+    tips = np.unique(np.array([tip, tip + _N / 2, *_sharp_bends(even, width / step)]) % _N)
+    firsts, seconds = (tips[chosen, None] for chosen in np.triu_indices(len(tips), 1))
+    left, right = (np.interp(side, np.arange(_N), even, period=_N) for side in _sides(firsts, seconds, _SIDE_PROBES))
+    best = int(np.argmin(np.sum(np.abs(left - right) ** 2, axis=1)))
+    sides = _sides(firsts[best], seconds[best], _SIDE_POINTS)
+    middle = sum(np.interp(side % _N * step, arc, traced) for side in sides) / 2
+    return np.stack([middle.real, middle.imag], axis=1)
 
 
-@compiled
-def _different(tips: Array, count: int) -> int:
-    """Sort ``count`` places around the outline in place, drop duplicates, and return how many are left."""
-    known = 0
-    for i in range(count):
-        tip = tips[i] % _N
-        at = known
-        while at > 0 and tips[at - 1] > tip:
-            at -= 1
-        if at > 0 and tips[at - 1] == tip:
-            continue
-        for j in range(known, at, -1):
-            tips[j] = tips[j - 1]
-        tips[at] = tip
-        known += 1
-    return known
-
-
-@compiled("(f8[:,::1], f8[:,::1], f8)")
 def unexplained_share(outline: Array, curve: Array, reach: float) -> float:
     """Return the share of every other point of a ribbon's outline ``(P, 2)`` that lies far from a curve ``(S, 2)``.
 
     Far is more than ``reach`` and half the curve's widest step from all of its points.
     """
-    widest = 0.0
-    for p in range(1, len(curve)):
-        widest = max(widest, (curve[p, 0] - curve[p - 1, 0]) ** 2 + (curve[p, 1] - curve[p - 1, 1]) ** 2)
-    square = (reach + np.sqrt(widest) / 2) ** 2
-    far, near = 0, 0  # the next place on an outline is near what the last one was near to
-    for m in range(0, len(outline), 2):
-        x, y = outline[m, 0], outline[m, 1]
-        if (curve[near, 0] - x) ** 2 + (curve[near, 1] - y) ** 2 <= square:
-            continue
-        far += 1
-        for p in range(len(curve)):
-            if (curve[p, 0] - x) ** 2 + (curve[p, 1] - y) ** 2 <= square:
-                near, far = p, far - 1
-                break
-    return far / ((len(outline) + 1) // 2)
+    points = _complex(curve)
+    widest = np.abs(np.diff(points)).max(initial=0.0)
+    apart = np.abs(_complex(outline[::2])[:, None] - points).min(axis=1)
+    return float(np.mean(apart > reach + widest / 2))
 
 
-@compiled
-def _half_fold(even: Array) -> float:
+def _complex(points: Array) -> Places:
+    return points[:, 0] + 1j * points[:, 1]
+
+
+def _sides(first: Array, second: Array, count: int) -> tuple[Array, Array]:
+    """Return ``count`` places from one tip to another, either way around the outline."""
+    share = np.linspace(0, 1, count)
+    return first + share * (second - first), first - share * (_N - second + first)
+
+
+def _half_fold(even: Places) -> float:
     """Return half of the best k of the fold i -> k - i, one of its fixed points. Every other place finds its region."""
-    x, y, mean_x, mean_y = np.empty(_N), np.empty(_N), 0.0, 0.0
-    for i in range(_N):
-        mean_x += even[i, 0]
-        mean_y += even[i, 1]
-    mean_x, mean_y = mean_x / _N, mean_y / _N
-    for i in range(_N):
-        x[i], y[i] = even[i, 0] - mean_x, even[i, 1] - mean_y
-    back_x, back_y = np.empty(2 * _N), np.empty(2 * _N)
-    for i in range(2 * _N):
-        back_x[i], back_y[i] = x[-i % _N], y[-i % _N]
-    half_x, half_y, half_back_x, half_back_y = np.empty(_N // 2), np.empty(_N // 2), np.empty(_N), np.empty(_N)
-    for i in range(_N // 2):
-        half_x[i], half_y[i] = x[2 * i], y[2 * i]
-    for i in range(_N):
-        half_back_x[i], half_back_y[i] = back_x[2 * i], back_y[2 * i]
-    near, most = 0, -np.inf
-    for k in range(_N // 2):
-        overlap = _overlap(half_x, half_y, half_back_x, half_back_y, k)
-        if overlap > most:
-            near, most = 2 * k, overlap
-    best, most = 0, -np.inf
-    for k in range(near - _NEAR, near + _NEAR + 1):
-        overlap = _overlap(x, y, back_x, back_y, k % _N)
-        if overlap > most:
-            best, most = k % _N, overlap
-    return best / 2
+    near = 2 * int(np.argmax(_overlap(even[::2]))) + np.arange(-_NEAR, _NEAR + 1)
+    return float(near[np.argmax(_overlap(even)[near % _N])] % _N) / 2
 
 
-@compiled(reassociate=True)
-def _overlap(x: Array, y: Array, back_x: Array, back_y: Array, k: int) -> float:
-    """Return how much an outline overlaps itself, folded i -> k - i; ``back`` is it twice around, backwards."""
-    count, overlap = len(x), 0.0
-    for i in range(count):
-        overlap += x[i] * back_x[count - k + i] + y[i] * back_y[count - k + i]
-    return overlap
+def _overlap(even: Places) -> Array:
+    """Return how much an outline overlaps itself for every fold i -> k - i."""
+    centred = even - even.mean()
+    return np.fft.ifft(np.fft.fft(centred) * np.fft.fft(centred.conj())).real
 
 
-@compiled
-def _sharp_bends(even: Array, width: float, tips: Array, known: int) -> int:
-    """Add the places where the outline turns most within a ribbon's width to the tips; return how many there are."""
-    reach = min(max(int(np.rint(width)), 1), _N // 4)
-    turn = np.empty(_N)
-    for i in range(_N):
-        ahead, before = (i + reach) % _N, (i - reach) % _N
-        ax, ay = even[ahead, 0] - even[i, 0], even[ahead, 1] - even[i, 1]
-        bx, by = even[i, 0] - even[before, 0], even[i, 1] - even[before, 1]
-        if bx == 0 and by == 0:
-            bx = 1.0
-        turn[i] = np.arctan2(ay * bx - ax * by, ax * bx + ay * by)
-    total, within = 0.0, np.empty(_N)
-    for i in range(-reach, reach + 1):
-        total += turn[i % _N]
-    for i in range(_N):
-        within[i] = abs(total)
-        total += turn[(i + reach + 1) % _N] - turn[(i - reach) % _N]
-    for _ in range(_SHARP_BENDS):
-        peak = 0
-        for i in range(1, _N):
-            peak = i if within[i] > within[peak] else peak
-        if within[peak] <= 0:
-            break
-        tips[known] = peak
-        known += 1
-        for i in range(peak - 2 * reach, peak + 2 * reach + 1):
-            within[i % _N] = 0.0
-    return known
-
-
-@compiled
-def _place(even: Array, at: float) -> tuple[float, float]:
-    """Return the point of the even outline at a fraction of a step."""
-    at %= _N
-    before = int(at)
-    after, share = (before + 1) % _N, at - before
-    x = even[before, 0] + share * (even[after, 0] - even[before, 0])
-    return x, even[before, 1] + share * (even[after, 1] - even[before, 1])
+def _sharp_bends(even: Places, width: float) -> list[int]:
+    """Return the places where the outline turns most within a ribbon's width, which is in steps."""
+    reach = int(np.clip(np.rint(width), 1, _N // 4))
+    turn = np.angle((np.roll(even, -reach) - even) * (even - np.roll(even, reach)).conj())
+    within = np.abs(uniform_filter1d(turn, 2 * reach + 1, mode="wrap"))
+    bends: list[int] = []
+    while len(bends) < _SHARP_BENDS and within.max() > 0:
+        bends.append(int(np.argmax(within)))
+        within[np.arange(bends[-1] - 2 * reach, bends[-1] + 2 * reach + 1) % _N] = 0.0
+    return bends

@@ -1,11 +1,8 @@
-"""Bridging: the pieces of an interrupted rope, joined end to end.
-
-How much a rope bends that goes on from one strand to another, and the smooth curve it takes.
-"""
+"""The pieces of an interrupted rope joined end to end: what a rope bends over a gap, and the smooth curve it takes."""
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import combinations
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -15,18 +12,14 @@ from shape_obs.geometry.polyline import arc_length, interpolate
 
 Array = npt.NDArray[np.float64]
 
-
 # So many pieces are joined in the best order of all; the work doubles with each more. Beyond, nearest and straightest
 # first.
 _MOST_ORDERED: Final = 7
-
 # In widths: over how much of a piece its direction is taken.
 _REACH: Final = 1.5
-
 # What of a piece's end is not looked at, and cut off in a gap, in widths: at a slanting cut a centreline runs into the
 # sharper corner.
 _RAGGED: Final = 0.7
-
 # What the bending energy of a bridge costs, in widths of gap: a right angle over five widths as much as three widths.
 _STIFFNESS: Final = 6.0
 
@@ -37,14 +30,12 @@ class Bridged(NamedTuple):
     Args:
         curve: (P,2) pixels.
         bridged: (P,) bool, the points in the gaps.
-        bends: What the bridge over each gap bends, radians squared, in the order of the gaps.
         rival: Price of the best way to join the pieces that differs in a gap, over the price of this one; inf if there
             is no other.
     """
 
     curve: Array
     bridged: npt.NDArray[np.bool_]
-    bends: tuple[float, ...]
     rival: float
 
 
@@ -58,27 +49,26 @@ def bridge(pieces: list[Array], width: float) -> Bridged:
         width: Of the rope, pixels.
     """
     if len(pieces) == 1:
-        return Bridged(pieces[0], np.zeros(len(pieces[0]), bool), (), np.inf)
-    price, bend = _prices([_cut(piece, width) for piece in pieces], width)
-    total, order = _ordered(price) if len(pieces) <= _MOST_ORDERED else _greedy(price)
+        return Bridged(pieces[0], np.zeros(len(pieces[0]), bool), np.inf)
+    price = _prices([_cut(piece, width) for piece in pieces], width)
+    ordered = _ordered if len(pieces) <= _MOST_ORDERED else _greedy
+    total, order = ordered(price)
     rival = np.inf
-    if len(pieces) <= _MOST_ORDERED:
+    if ordered is _ordered:
         for out, into in zip(order[1:-1:2], order[2::2], strict=True):
             without = price.copy()
             without[out, into] = without[into, out] = np.inf
             rival = min(rival, _ordered(without)[0])
-    walked = [
-        _cut(pieces[entry // 2][:: 1 - 2 * (entry % 2)], width, start=place > 0, end=place < len(pieces) - 1)
-        for place, entry in enumerate(order[::2])
-    ]
-    run, is_gap = [walked[0]], [np.zeros(len(walked[0]), bool)]
-    for before, after in pairwise(walked):
-        out, into = -lead(before[::-1], width).heading, lead(after, width).heading
-        gap = hermite(before[-1], out, after[0], into, width / 4)
-        run += [gap, after]
-        is_gap += [np.ones(len(gap), bool), np.zeros(len(after), bool)]
-    bends = tuple(float(bend[out, into]) for out, into in zip(order[1:-1:2], order[2::2], strict=True))
-    return Bridged(np.concatenate(run), np.concatenate(is_gap), bends, rival / max(total, 1e-9))
+    run: list[Array] = []
+    for place, entry in enumerate(order[::2]):
+        piece = pieces[entry // 2][:: 1 - 2 * (entry % 2)]
+        piece = _cut(piece, width, start=place > 0, end=place < len(pieces) - 1)
+        if run:
+            out, into = -lead(run[-1][::-1], width).heading, lead(piece, width).heading
+            run.append(hermite(run[-1][-1], out, piece[0], into, width / 4))
+        run.append(piece)
+    is_gap = [np.full(len(part), i % 2 == 1) for i, part in enumerate(run)]
+    return Bridged(np.concatenate(run), np.concatenate(is_gap), rival / max(total, 1e-9))
 
 
 def _cut(piece: Array, width: float, *, start: bool = True, end: bool = True) -> Array:
@@ -91,20 +81,18 @@ def _cut(piece: Array, width: float, *, start: bool = True, end: bool = True) ->
     return np.concatenate([first[None], piece[(arc > low) & (arc < high)], last[None]])
 
 
-def _prices(pieces: list[Array], width: float) -> tuple[Array, Array]:
-    """Return price and bend of going on from each end to each other, ``(2n, 2n)``; end 2 i + e is of piece i."""
+def _prices(pieces: list[Array], width: float) -> Array:
+    """Return the price of going on from each end to each other, ``(2n, 2n)``; end 2 i + e is of piece i."""
     ends = [piece[:: 1 - 2 * e] for piece in pieces for e in (0, 1)]
     leads = [lead(end, _REACH * width) for end in ends]
-    size = len(ends)
-    price, bend = np.full((size, size), np.inf), np.zeros((size, size))
-    for p in range(size):
-        for q in range(p + 1, size):
-            if p // 2 != q // 2:
-                bend[p, q] = bend[q, p] = bending(leads[p], leads[q])
-                gap = float(np.linalg.norm(ends[q][0] - ends[p][0]))
-                reach = float(np.linalg.norm(leads[q].point - leads[p].point)) + width
-                price[p, q] = price[q, p] = gap / width + _STIFFNESS * 4 * bend[p, q] * width / reach
-    return price, bend
+    price = np.full((len(ends), len(ends)), np.inf)
+    for p, q in combinations(range(len(ends)), 2):
+        if p // 2 != q // 2:
+            gap = float(np.linalg.norm(ends[q][0] - ends[p][0]))
+            reach = float(np.linalg.norm(leads[q].point - leads[p].point)) + width
+            bend = bending(leads[p], leads[q])
+            price[p, q] = price[q, p] = gap / width + _STIFFNESS * 4 * bend * width / reach
+    return price
 
 
 def _ordered(price: Array) -> tuple[float, list[int]]:
@@ -139,13 +127,11 @@ def _greedy(price: Array) -> tuple[float, list[int]]:
     total = 0.0
     for place in np.argsort(price, axis=None):
         p, q = divmod(int(place), size)
-        if p in far and q in far and far[p] != q and p // 2 != q // 2:
+        if p in far and q in far and q not in (p, far[p]):
             next_end[p], next_end[q] = q, p
             total += float(price[p, q])
             first, second = far.pop(p), far.pop(q)
             far[first], far[second] = second, first
-            if len(far) == 2:
-                break
     end = min(far)
     order = [end, end ^ 1]
     while order[-1] in next_end:
@@ -170,10 +156,10 @@ def lead(curve: Array, reach: float) -> Lead:
 
     On a bend a chord is parallel to the tangent in its middle, so the two belong together.
     """
-    step = np.diff(curve, axis=0)
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
+    curve = np.ascontiguousarray(curve)
+    arc = arc_length(curve)
     reach = min(reach, arc[-1])
-    start, middle, end = interpolate(np.ascontiguousarray(curve), arc, np.array([0.0, reach / 2, reach]))
+    start, middle, end = interpolate(curve, arc, np.array([0.0, reach / 2, reach]))
     return Lead(middle, unit(end - start))
 
 
@@ -189,7 +175,7 @@ def bending(before: Lead, after: Lead) -> float:
     4 (a^2 - a b + b^2) over its length: an arc is cheaper than an S.
     """
     gap = after.point - before.point
-    first, second = turn(-before.heading, gap), turn(gap, after.heading)
+    first, second = _turn(-before.heading, gap), _turn(gap, after.heading)
     return first * first - first * second + second * second
 
 
@@ -204,6 +190,6 @@ def hermite(start: Array, out: Array, end: Array, into: Array, step: float) -> A
     )
 
 
-def turn(before: Array, after: Array) -> float:
+def _turn(before: Array, after: Array) -> float:
     """Return the signed angle from one direction to another, radians."""
     return float(np.arctan2(before[0] * after[1] - before[1] * after[0], before @ after))

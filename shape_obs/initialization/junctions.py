@@ -5,14 +5,14 @@ share a branch for a while, from the node where they meet to the one where they 
 an even number of branches at a zone, so which odd zones share a branch is a matching (as in route inspection: Kwan,
 "Graphic Programming Using Odd or Even Points", 1962).
 
-What two strands do along a branch that they share: run side by side, or cross.
-
-The silhouette tells: strands side by side are as thick as two, and where one crosses the other they lie on top of each
-other and are as thick as one. Each such waist is a crossing.
+Whether two strands run side by side along a branch that they share, or cross, is seen in the silhouette: side by side
+they are as thick as two, and where one crosses the other they lie on top of each other and are as thick as one. Each
+such waist is a crossing.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import cache
 from typing import Final, NamedTuple
 
@@ -22,24 +22,29 @@ from scipy.ndimage import maximum_filter1d
 
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.initialization.gaps import Lead
-from shape_obs.initialization.skeleton import Branch, Skeleton
+from shape_obs.initialization.skeleton import Branch, Skeleton, connected, degrees
 
+Array = npt.NDArray[np.float64]
 Arm = tuple[int, int]  # a branch, and which of its ends
-
 
 # What it costs that a rope ends in the middle of a mask, as widths of a shared branch: two such ends are dearer than
 # any crossing's shared branch, and cheaper than a rope lying on itself for this far.
 _END: Final = 8.0
-
 # The price of a width of a shared branch where its radius is that of one strand, and of two side by side, in widths.
 _THICK: Final = (0.55, 0.8)
-
 _PER_WIDTH: Final = (3.0, 0.2)
-
-# Of the sum of both radii.
-_WITHIN: Final = 0.5
-
-_MOST_ODD: Final = 16  # the matching is found by trying all; beyond, each zone takes its nearest
+# Radius over the width of one strand: 0.5 to 0.71 in the middle of a crossing, from acute to square; 0.9 to 1 of
+# strands side by side. Below the first they lie on top of each other, above the second they do not.
+_ONE: Final = 0.76
+_TWO: Final = 0.82
+# A waist of strands that cross at 25 degrees is two widths long, a little longer where they bend. Along a longer one
+# strands may change sides unseen.
+_LONGEST: Final = 4.0
+# Nowhere are strands that cross thinner than one strand: a neck is where two touch in a few pixels, side by side.
+_NECK: Final = 0.42
+_NODE: Final = 0.5  # widths: a branch shorter than this is one node that thinning took apart
+# The skeleton strays from the axis by a pixel, and the radius drops: within so many widths the largest counts.
+_JITTER: Final = 0.2
 
 
 class Zones(NamedTuple):
@@ -57,38 +62,23 @@ class Zones(NamedTuple):
 
 
 def find_zones(skeleton: Skeleton) -> Zones:
-    """Gather the nodes of a skeleton into zones."""
-    branches = skeleton.branches
-    parent = {node: node for branch in branches for node in branch.nodes}
-    shared = _matching(branches, skeleton.width)
-    for i in shared:
-        _union(parent, *branches[i].nodes)
-    degree = _degrees(branches)
-    within = [i for i, branch in enumerate(branches) if i not in shared and _is_within(branch, degree)]
-    for i in within:
-        _union(parent, *branches[i].nodes)
-    of = {(i, end): _find(parent, branch.nodes[end]) for i, branch in enumerate(branches) for end in (0, 1)}
-    kept = tuple(i for i in range(len(branches)) if i not in {*shared, *within})
-    return Zones(kept, tuple(shared), of)
+    """Gather the nodes of a skeleton into zones: those at the two ends of a shared branch are one."""
+    branches, degree = skeleton.branches, degrees(skeleton.branches)
+    shared = _matching(branches, degree, skeleton.width)
+    joined = np.array([branches[i].nodes for i in shared], int).reshape(-1, 2)
+    zone = connected(max(degree, default=-1) + 1, joined)
+    of = {(i, end): int(zone[branch.nodes[end]]) for i, branch in enumerate(branches) for end in (0, 1)}
+    return Zones(tuple(i for i in range(len(branches)) if i not in shared), shared, of)
 
 
-def _is_within(branch: Branch, degree: dict[int, int]) -> bool:
-    """Return whether a branch joins nodes that are one: either lies well inside the largest disc about the other."""
-    first, second = branch.nodes
-    joins = first != second and min(degree[first], degree[second]) > 1
-    return joins and branch.length <= _WITHIN * (branch.radius[0] + branch.radius[-1])
-
-
-def _matching(branches: tuple[Branch, ...], width: float) -> list[int]:
+def _matching(branches: tuple[Branch, ...], degree: Counter[int], width: float) -> tuple[int, ...]:
     """Return the branches that two strands share: each odd zone lies at one at most, or holds a rope's end."""
-    degree = _degrees(branches)
     odd = sorted(zone for zone, count in degree.items() if count % 2 and count > 1)
     place = {zone: bit for bit, zone in enumerate(odd)}
     links: list[list[tuple[float, int, int]]] = [[] for _ in odd]
     for i, branch in enumerate(branches):
-        first, second = (place.get(node) for node in branch.nodes)
-        if first is not None and second is not None and first != second:
-            low, high = sorted((first, second))
+        low, high = sorted(place.get(node, -1) for node in branch.nodes)
+        if 0 <= low < high:
             links[low].append((_price(branch, width), high, i))
 
     @cache
@@ -105,15 +95,7 @@ def _matching(branches: tuple[Branch, ...], width: float) -> list[int]:
                 options.append((price + cost, (*chosen, i)))
         return min(options)
 
-    if len(odd) <= _MOST_ODD:
-        return list(best((1 << len(odd)) - 1)[1])
-    matched: set[int] = set()
-    chosen = []
-    for price, low, high, i in sorted((p, low, high, i) for low, row in enumerate(links) for p, high, i in row):
-        if price < 2 * _END and not {low, high} & matched:
-            matched |= {low, high}
-            chosen.append(i)
-    return chosen
+    return best((1 << len(odd)) - 1)[1]
 
 
 def _price(branch: Branch, width: float) -> float:
@@ -122,75 +104,24 @@ def _price(branch: Branch, width: float) -> float:
     return branch.length / width * float(slender.mean())
 
 
-def _degrees(branches: tuple[Branch, ...]) -> dict[int, int]:
-    """Return how many branches leave each node."""
-    degree: dict[int, int] = {}
-    for branch in branches:
-        for node in branch.nodes:
-            degree[node] = degree.get(node, 0) + 1
-    return degree
-
-
-def _find(parent: dict[int, int], node: int) -> int:
-    while parent[node] != node:
-        node = parent[node]
-    return node
-
-
-def _union(parent: dict[int, int], first: int, second: int) -> None:
-    parent[_find(parent, second)] = _find(parent, first)
-
-
-Array = npt.NDArray[np.float64]
-
-
-# Radius over the width of one strand: 0.5 to 0.71 in the middle of a crossing, from acute to square; 0.9 to 1 of
-# strands side by side. Below the first they lie on top of each other, above the second they do not.
-_ONE: Final = 0.76
-
-_TWO: Final = 0.82
-
-# A waist of strands that cross at 25 degrees is two widths long, a little longer where they bend. Along a longer one
-# strands may change sides unseen.
-_LONGEST: Final = 4.0
-
-# Nowhere are strands that cross thinner than one strand: a neck is where two touch in a few pixels, side by side.
-_NECK: Final = 0.42
-
-# In widths: a branch shorter than the first is one node that thinning took apart. Up to the second the crossing is
-# steep, its thickness lies between that of one strand and two, and the bends tell more.
-_NODE: Final = 0.5
-
-_SHORT: Final = 1.2
-
-_TWO_FOR_SURE: Final = 0.92
-
-_TOUCH: Final = 1.3  # the longest branch, in widths, from the axis of one strand to that of another that it touches
-
-# The skeleton strays from the axis by a pixel, and the radius drops: within so many widths the largest counts.
-_JITTER: Final = 0.2
-
-
 class Overlap(NamedTuple):
     """Two strands along a shared branch.
 
     Args:
         pairs: Which strand comes out as which.
         paths: (P,2) pixels each, the centre of either strand on the way, in the direction of its pair.
-        back: Whether the strands may also turn back before the branch: it is no longer than where two touch.
         doubt: Why this may be wrong, or nothing.
     """
 
     pairs: tuple[tuple[Arm, Arm], tuple[Arm, Arm]]
     paths: tuple[Array, Array]
-    back: bool
     doubt: str
 
     @property
     def denied(self) -> tuple[tuple[Arm, Arm], ...]:
         """What the silhouette speaks against."""
         (a, b), (c, d) = self.pairs
-        return ((a, d), (c, b)) if self.back else ((a, d), (c, b), (a, c), (b, d))
+        return (a, d), (c, b), (a, c), (b, d)
 
 
 def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, Lead], width: float) -> Overlap | None:
@@ -203,11 +134,9 @@ def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, 
         leads: How they leave.
         width: Of one strand, pixels.
     """
-    side, thinnest, doubt = _sides(branch, width)
-    is_neck = float(branch.radius.min()) < _NECK * width
-    is_steep = branch.length < _NODE * width or (branch.length < _SHORT * width and _ONE <= thinnest < _TWO_FOR_SURE)
-    if is_neck or is_steep:
+    if float(branch.radius.min()) < _NECK * width or branch.length < _NODE * width:
         return None
+    side, doubt = _sides(branch, width)
     arc = arc_length(np.ascontiguousarray(branch.points))
     near, far = np.searchsorted(arc, (min(width, arc[-1]), max(arc[-1] - width, 0.0)))
     behind = np.mean([leads[arm].point for arm in starts], axis=0)
@@ -221,8 +150,7 @@ def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, 
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
     offset = (side * np.maximum(branch.radius - width / 2, 0.0))[:, None] * normal
     paths = branch.points - offset, branch.points + offset
-    back = branch.length < _TOUCH * width
-    return Overlap(((first[0], last[0]), (first[1], last[1])), paths, back, doubt)
+    return Overlap(((first[0], last[0]), (first[1], last[1])), paths, doubt)
 
 
 def _by_side(arms: list[Arm], leads: dict[Arm, Lead], middle: Array, ahead: Array) -> list[Arm]:
@@ -230,10 +158,10 @@ def _by_side(arms: list[Arm], leads: dict[Arm, Lead], middle: Array, ahead: Arra
     return sorted(arms, key=lambda arm: float((leads[arm].point - middle) @ (-ahead[1], ahead[0])))
 
 
-def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], float, str]:
+def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], str]:
     """Return on which side a strand runs that begins on the right ``(1)``: ``(P,)`` 1 or -1.
 
-    With it the smallest radius over the width, and why the sides may be wrong, or nothing.
+    With it why the sides may be wrong, or nothing.
     """
     arc = arc_length(np.ascontiguousarray(branch.points))
     steps = round(_JITTER * width * (len(arc) - 1) / max(float(arc[-1]), 1e-9))
@@ -249,7 +177,6 @@ def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], float, s
             if arc[i] - arc[start] > _LONGEST * width:
                 doubt = f"strands lie on each other for {arc[i] - arc[start]:.0f} px: which comes out where is a guess"
             start = None
-    thinnest = float(relative.min())
-    if _ONE <= thinnest < _TWO:
+    if _ONE <= relative.min() < _TWO:
         doubt = f"strands touch for {arc[-1]:.0f} px: whether they cross cannot be told"
-    return side, thinnest, doubt
+    return side, doubt

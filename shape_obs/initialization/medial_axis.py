@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from functools import singledispatch
-from typing import Final, NamedTuple
+from typing import Any, Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.image.outline_tracing import SPECK
 from shape_obs.image.region import Component, Region
-from shape_obs.image.roi import Window
 from shape_obs.initialization.crossings import Strands, untangle
 from shape_obs.initialization.folding import fold_outline, unexplained_share
-from shape_obs.initialization.gaps import Bridged, bridge
+from shape_obs.initialization.gaps import bridge
 from shape_obs.initialization.skeleton import skeleton_graph
-from shape_obs.point_cloud.cloud import Cloud
-from shape_obs.point_cloud.deprojection import SeenCloud
-from shape_obs.point_cloud.geodesics import chain
 
 Array = npt.NDArray[np.float64]
 
@@ -36,87 +30,58 @@ _UNEXPLAINED: Final = 0.1
 _MOST_BRANCHES: Final = 60
 # Another way to join the pieces that is dearer by this little is as likely.
 _RIVAL: Final = 1.15
-_MAX_BRIDGED: Final = 0.5  # of a cloud's axis
 
 
-@singledispatch
-def medial_axis(observed: Observed) -> FittedCurve:
+def medial_axis(observed: Any) -> FittedCurve:
     """Return the axis of a rope from tip to tip, in no particular direction, without any previous frame.
 
     A mask is folded, or thinned to a skeleton; a cloud is cut into slices of equal geodesic distance; a cloud under a
     mask takes the mask's axis and puts it in space.
-    """
-    raise TypeError(f"expected a Region or a Cloud, got {type(observed).__name__}.")
-
-
-@medial_axis.register
-def _(region: Region) -> FittedCurve:
-    curve, bridged, doubt = trace(region)
-    return FittedCurve.through(curve, bridged, ambiguity=doubt)
-
-
-@medial_axis.register
-def _(cloud: Cloud) -> FittedCurve:
-    found = chain(cloud.samples, cloud.links, [piece.samples for piece in cloud.components], cloud.width)
-    doubt = found.doubt
-    if not doubt and found.bridged.mean() > _MAX_BRIDGED:
-        doubt = f"{found.bridged.mean():.0%} of the curve would be gaps (at most {_MAX_BRIDGED:.0%})"
-    return FittedCurve.through(found.points, found.bridged, ambiguity=doubt)
-
-
-@medial_axis.register
-def _(cloud: SeenCloud) -> FittedCurve:
-    return cloud.lifted(medial_axis(cloud.region))
-
-
-class Trace(NamedTuple):
-    """The axis of a rope.
 
     Args:
-        curve: (P,2) pixels, image coordinates, from tip to tip (a width short of it, at most).
-        bridged: (P,) bool, the points in gaps between pieces of the mask.
-        doubt: Why the curve may be wrong, in words; empty where there is no reason to doubt it.
+        observed: A region or a cloud.
     """
+    region = observed.parts[-1]
+    if region.dimension == 3:
+        return observed.axis()
+    axis = _axis_of_mask(region)
+    return axis if region is observed else observed.lifted(axis)
 
-    curve: Array
-    bridged: npt.NDArray[np.bool_]
-    doubt: str
 
+def _axis_of_mask(region: Region) -> FittedCurve:
+    """Return the axis of a rope in its mask.
 
-def trace(region: Region) -> Trace:
-    """Find the axis of a rope in its mask.
-
-    A simple ribbon is folded; what crosses itself is thinned to a skeleton, and its strands strung together; the
-    pieces of all components are joined end to end.
-
-    Args:
-        region: With one component or more.
+    A simple ribbon is folded; what crosses itself is thinned to a skeleton, and its strands strung together; the pieces
+    of all components are joined end to end.
     """
     folds = [(component, folded(component)) for component in region.components]
-    ribbons = [(component, curve) for component, curve in folds if curve is not None]
-    if len(ribbons) == len(region.components) == 1:
-        curve = ribbons[0][1]
-        return _doubted(curve, "")
-    pieces = [curve for _, curve in ribbons]
-    width = max((component.width for component, _ in ribbons), default=0.0)
-    doubts: list[str] = []
-    if len(ribbons) < len(region.components):
-        skeleton = skeleton_graph(*_without(region, [component for component, _ in ribbons]))
+    ribbons = [component for component, curve in folds if curve is not None]
+    pieces = [curve for _, curve in folds if curve is not None]
+    if len(pieces) == len(folds) == 1:
+        return _axis(pieces[0])
+    largest, alone, doubts = region.components[0], len(folds) == 1, []
+    width = max((component.width for component in ribbons), default=0.0)
+    if len(pieces) < len(folds):
+        skeleton = skeleton_graph(_without(region, ribbons), region.window[:2])
         if len(skeleton.branches) > _MOST_BRANCHES:
-            curve = fold_outline(region.components[0].outline, region.components[0].width)
-            return _doubted(curve, f"the mask branches {len(skeleton.branches)} times: it is no rope")
+            doubt = f"the mask branches {len(skeleton.branches)} times: it is no rope"
+            return _axis(fold_outline(largest.outline, largest.width), doubt=doubt)
         strands = untangle(skeleton)
-        width = skeleton.width
-        kept = _explained(strands)
+        kept, width = _explained(strands), skeleton.width
         pieces += [strands.curves[i] for i in kept]
-        doubts += _doubts(strands, kept, alone=len(region.components) == 1)
+        doubts = _doubts(strands, kept, alone=alone)
     if not pieces:
-        curve = fold_outline(region.components[0].outline, region.components[0].width)
-        return _doubted(curve, "the mask has no axis")
+        return _axis(fold_outline(largest.outline, largest.width), doubt="the mask has no axis")
     joined = bridge(pieces, width)
-    doubts += _doubts_of_gaps(joined)
+    if joined.rival < _RIVAL:
+        doubts.append("the pieces could be joined in another order about as well")
     curve, bridged = _even(joined.curve, joined.bridged, width)
-    return Trace(curve, bridged & ~region.contains(curve), "; ".join(dict.fromkeys(doubts)))
+    return _axis(curve, bridged & ~region.contains(curve), "; ".join(dict.fromkeys(doubts)))
+
+
+def _axis(curve: Array, bridged: npt.NDArray[np.bool_] | None = None, doubt: str = "") -> FittedCurve:
+    """Return an axis from tip to tip (a width short of it, at most), and why it may be wrong."""
+    return FittedCurve.through(curve, np.zeros(len(curve), bool) if bridged is None else bridged, ambiguity=doubt)
 
 
 def folded(component: Component) -> Array | None:
@@ -128,22 +93,16 @@ def folded(component: Component) -> Array | None:
     return curve if unexplained_share(outline, curve, near * component.width) <= ragged else None
 
 
-def _without(region: Region, ribbons: list[Component]) -> tuple[npt.NDArray[np.uint8], tuple[int, int]]:
-    """Return the region's mask without some of its components, which have no holes, and without specks in the others.
-
-    Cropped to those others, with the image coordinates of its first pixel.
-    """
-    others = np.concatenate([c.outline for c in region.components if not any(c is ribbon for ribbon in ribbons)])
-    (left, top), (right, bottom) = others.min(axis=0).astype(int).tolist(), others.max(axis=0).astype(int).tolist()
-    crop = Window(left - region.window.left, top - region.window.top, right - left + 1, bottom - top + 1)
-    mask = region.mask[crop.slices].copy()
+def _without(region: Region, ribbons: list[Component]) -> npt.NDArray[np.uint8]:
+    """Return a region's mask without some of its components, which have no holes, and without specks in the others."""
+    mask, (left, top) = region.mask.copy(), region.window[:2]
     outlines, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    for outline, parent in zip(outlines, tree[0, :, 3], strict=True):
+    for outline, parent in zip(outlines, np.asarray(tree).reshape(-1, 4)[:, 3], strict=True):
         if parent >= 0 and len(outline) < SPECK:
             cv2.drawContours(mask, [outline], -1, (255.0,), cv2.FILLED)
     drawn = [np.rint(component.outline - (left, top)).astype(np.int32) for component in ribbons]
     cv2.drawContours(mask, drawn, -1, (0.0,), cv2.FILLED)
-    return mask, (left, top)
+    return mask
 
 
 def _explained(strands: Strands) -> list[int]:
@@ -168,17 +127,6 @@ def _doubts(strands: Strands, kept: list[int], *, alone: bool) -> list[str]:
     if len(kept) > 1 and (alone or joints):
         doubts.append(f"the mask branches: {ends} free ends and {joints} that lie on another strand")
     return doubts
-
-
-def _doubts_of_gaps(joined: Bridged) -> list[str]:
-    if joined.rival < _RIVAL:
-        return ["the pieces could be joined in another order about as well"]
-    return []
-
-
-def _doubted(curve: Array, doubt: str) -> Trace:
-    """Return a folded curve."""
-    return Trace(curve, np.zeros(len(curve), bool), doubt)
 
 
 def _even(curve: Array, bridged: npt.NDArray[np.bool_], width: float) -> tuple[Array, npt.NDArray[np.bool_]]:

@@ -1,11 +1,12 @@
 """The skeleton of a mask as a graph: strands thinned to curves, and the places where they meet.
 
-Thinning after Guo and Hall ("Parallel Thinning with Two-Subiteration Algorithms", 1989), eight pixels
-at a time: as bits of a byte.
+Thinning after Guo and Hall, "Parallel Thinning with Two-Subiteration Algorithms", 1989.
 """
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, NamedTuple
@@ -30,9 +31,21 @@ _SLIT: Final = 0.3
 # More branches than this are noise all over, and pruning takes time with the square of their number.
 _MOST_PRUNED: Final = 300
 
-_ONE: Final = np.uint8(1)
-_SEVEN: Final = np.uint8(7)
-_ROWS: Final = (slice(None, -2), slice(1, -1), slice(2, None))  # above, beside, below
+# A pixel's neighbours as a byte: the lowest bit the one above it, then clockwise.
+_NEIGHBOURS: Final = np.array([[128, 1, 2], [64, 0, 4], [32, 16, 8]], np.float32)
+
+
+def _kept(half: int) -> Mask:
+    """Return ``(256,)`` 1 for neighbours with which a pixel is kept in either half of a pass of thinning, else 0."""
+    n, ne, e, se, s, sw, w, nw = (np.arange(256) >> np.arange(8)[:, None] & 1).astype(bool)
+    one, other = np.stack([ne | e, se | s, sw | w, nw | n]), np.stack([n | ne, e | se, s | sw, w | nw])
+    pieces = np.sum(one & ~np.stack([n, e, s, w]), axis=0)
+    count = np.minimum(one.sum(axis=0), other.sum(axis=0))
+    side = (s | sw | ~nw) & w if half == 0 else (n | ne | ~se) & e
+    return 1 - ((pieces == 1) & (count >= 2) & (count <= 3) & ~side).astype(np.uint8)
+
+
+_KEPT: Final = (_kept(0), _kept(1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,18 +107,16 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
         are, for noise.
     """
     left, top, width, height = cv2.boundingRect(mask)
-    grid = _framed((mask[top : top + height, left : left + width] > 0).view(np.uint8), 1)
+    grid = np.pad((mask[top : top + height, left : left + width] > 0).view(np.uint8), 1)
     depth = _depth(grid)
     cell = int(max(2 * _radius(depth.max(initial=0.0)) / _CELLS_ACROSS, 1))
     if cell > 1:
         grid = _coarse(grid[1:-1, 1:-1], cell)
         depth = _depth(grid)
-    if _fill_slits(grid, float(_radius(depth.max(initial=0.0)))):
-        depth = _depth(grid)
-    thin = thinned(grid)
+    _fill_slits(grid, float(_radius(depth.max(initial=0.0))))
     # The frame is a cell wide, and a cell's middle lies between pixels where their number is even.
     shift = np.array([origin[0] + left, origin[1] + top]) - cell + (cell - 1) / 2
-    found = _branches(thin, depth)
+    found = _branches(thinned(grid), _depth(grid))
     typical = float(np.median(np.concatenate([b.radius for b in found]))) if found else 0.5
     branches = _pruned(found) if len(found) <= _MOST_PRUNED else found
     placed = [Branch(b.points * cell + shift, b.radius * cell, b.nodes) for b in branches]
@@ -114,49 +125,12 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
 
 def thinned(mask: Mask) -> Mask:
     """Return a mask of 0 and 1 with a border of 0, thinned to curves one pixel wide: ``(h, w)`` uint8."""
-    bits = np.packbits(mask, axis=1)
-    while True:
-        before = bits.copy()
-        for half in (0, 1):
-            bits[1:-1] &= ~_removable(bits, half)
-        if np.array_equal(bits, before):
-            return np.unpackbits(bits, axis=1, count=mask.shape[1])
-
-
-def _removable(bits: Mask, half: int) -> Mask:
-    """Return which pixels each half of a pass removes, but in the first and last row, packed as ``bits`` are."""
-    flat = bits.reshape(-1)  # rows end in background, so that nothing is carried from one to the next
-    left, right = flat >> _ONE, flat << _ONE
-    left[1:] |= flat[:-1] << _SEVEN
-    right[:-1] |= flat[1:] >> _SEVEN
-    n, s = bits[:-2], bits[2:]
-    nw, w, sw = (left.reshape(bits.shape)[row] for row in _ROWS)
-    ne, e, se = (right.reshape(bits.shape)[row] for row in _ROWS)
-    one = ne | e, se | s, sw | w, nw | n
-    other = n | ne, e | se, s | sw, w | nw
-    pieces = one[0] & ~n, one[1] & ~e, one[2] & ~s, one[3] & ~w
-    side = (s | sw | ~nw) & w if half == 0 else (n | ne | ~se) & e
-    return _exactly_one(*pieces) & _two(*one) & _two(*other) & ~(_all(*one) & _all(*other)) & ~side
-
-
-def _exactly_one(a: Mask, b: Mask, c: Mask, d: Mask) -> Mask:
-    return (a ^ b ^ c ^ d) & ~(a & b | c & d)
-
-
-def _two(a: Mask, b: Mask, c: Mask, d: Mask) -> Mask:
-    """Return where at least two of four are set."""
-    return a & b | c & d | (a | b) & (c | d)
-
-
-def _all(a: Mask, b: Mask, c: Mask, d: Mask) -> Mask:
-    return a & b & c & d
-
-
-def _framed(piece: Mask, edge: int, beyond: tuple[int, int] = (0, 0)) -> Mask:
-    """Return a frame of background about a mask: what touches the border of the image ends there."""
-    down, right = edge + beyond[0], edge + beyond[1]
-    framed = cv2.copyMakeBorder(piece, edge, down, edge, right, cv2.BORDER_CONSTANT, value=(0.0,))
-    return np.asarray(framed, dtype=np.uint8)
+    thin, before = mask.copy(), np.zeros_like(mask)
+    while not np.array_equal(thin, before):
+        before = thin.copy()
+        for kept in _KEPT:
+            thin &= cv2.LUT(cv2.filter2D(thin, -1, _NEIGHBOURS), kept)
+    return thin
 
 
 def _depth(piece: Mask) -> npt.NDArray[np.float32]:
@@ -175,113 +149,99 @@ def _radius(depth: npt.ArrayLike) -> Array:
 def _coarse(piece: Mask, cell: int) -> Mask:
     """Return a mask on a grid of ``cell`` x ``cell`` pixels, set where most of a cell is, and framed by one cell."""
     height, width = piece.shape
-    framed = _framed(piece * np.uint8(255), cell, (-height % cell, -width % cell))
+    framed = np.pad(piece * np.uint8(255), ((cell, cell + -height % cell), (cell, cell + -width % cell)))
     size = (framed.shape[1] // cell, framed.shape[0] // cell)
     return (np.asarray(cv2.resize(framed, size, interpolation=cv2.INTER_AREA)) > 127).view(np.uint8)
 
 
-def _fill_slits(grid: Mask, thickest: float) -> bool:
-    """Fill narrow holes, in place; whether there were any."""
+def _fill_slits(grid: Mask, thickest: float) -> None:
+    """Fill narrow holes, in place."""
     contours, tree = cv2.findContours(grid, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    found = False
     for contour, (_, _, _, parent) in zip(contours, np.reshape(np.asarray(tree), (-1, 4)).tolist(), strict=True):
         # The outline of a hole runs through the pixels around it.
         if parent >= 0 and 2 * cv2.contourArea(contour) / len(contour) - 1 <= max(_SLIT * thickest, 1.0):
             cv2.drawContours(grid, [contour], 0, (1.0,), cv2.FILLED)
-            found = True
-    return found
 
 
 def _branches(thin: Mask, depth: npt.NDArray[np.float32]) -> list[Branch]:
     """Return the curves between the pixels of a skeleton that have one neighbour, or more than two."""
-    at = np.flatnonzero(thin.view(bool))
-    if len(at) == 0:
-        return []
-    first, second = _links(thin, at)
-    count = len(at)
-    degree = np.bincount(np.concatenate([first, second]), minlength=count)
+    at = np.flatnonzero(thin)
+    links = _links(thin, at)
+    degree = np.bincount(links.ravel(), minlength=len(at))
     # Neighbouring pixels with three neighbours each are one node.
-    at_node = (degree[first] > 2) & (degree[second] > 2)
-    node = _connected(count, first[at_node], second[at_node])
-    links = np.stack([first[~at_node], second[~at_node]], axis=1)
-    chains = [np.array(chain) for chain in _chains(links, degree != 2)]
+    at_node = np.all(degree[links] > 2, axis=1)
+    node = connected(len(at), links[at_node])
     pixels = np.stack([at % thin.shape[1], at // thin.shape[1]], axis=1).astype(np.float64)
     wide = _radius(depth.ravel()[at])
-    return [Branch(pixels[chain], wide[chain], (int(node[chain[0]]), int(node[chain[-1]]))) for chain in chains]
+    return [
+        Branch(pixels[chain], wide[chain], (int(node[chain[0]]), int(node[chain[-1]])))
+        for chain in _chains(links[~at_node], degree != 2)
+    ]
 
 
-def _connected(count: int, first: Index, second: Index) -> Index:
-    """Return the component of each of ``count`` pixels, of which pairs are connected, numbered as they appear."""
-    label = np.arange(count)
-    while True:  # the least number spreads; a joint has a few pixels
-        least, before = np.minimum(label[first], label[second]), label.copy()
-        np.minimum.at(label, first, least)
-        np.minimum.at(label, second, least)
-        if np.array_equal(label, before):
-            return np.unique(label, return_inverse=True)[1]
+def connected(count: int, pairs: Index) -> Index:
+    """Return the component of each of ``count`` places, of which pairs ``(L, 2)`` are connected, as they appear."""
+    label, before = np.arange(count), np.zeros(count, int)
+    while not np.array_equal(label, before):  # the least number spreads; a joint has a few pixels
+        before = label.copy()
+        np.minimum.at(label, pairs, label[pairs].min(axis=1, keepdims=True))
+    return np.unique(label, return_inverse=True)[1]
 
 
-def _links(thin: Mask, at: Index) -> tuple[Index, Index]:
-    """Return pairs of neighbouring pixels; a diagonal counts only where no pixel beside it makes the same step.
+def _links(thin: Mask, at: Index) -> Index:
+    """Return ``(L, 2)`` neighbouring pixels; a diagonal counts only where no pixel beside it makes the same step.
 
     Args:
         thin: With a border of 0.
         at: (P,) where it is set, row by row.
     """
-    is_set, down = thin.view(bool).ravel(), thin.shape[1]
+    is_set, down = thin.ravel() > 0, thin.shape[1]
     pairs = []
     for row, right in ((0, 1), (down, 0), (down, 1), (down, -1)):
         linked = is_set[at + row + right]
         if row and right:
             linked &= ~(is_set[at + row] | is_set[at + right])
         first = np.flatnonzero(linked)
-        pairs.append((first, np.searchsorted(at, at[first] + row + right)))
-    return np.concatenate([pair[0] for pair in pairs]), np.concatenate([pair[1] for pair in pairs])
+        pairs.append(np.stack([first, np.searchsorted(at, at[first] + row + right)], axis=1))
+    return np.concatenate(pairs)
 
 
-def _chains(links: Index, is_node: npt.NDArray[np.bool_]) -> list[list[int]]:
+def _chains(links: Index, is_node: npt.NDArray[np.bool_]) -> Iterator[list[int]]:
     """Return every chain of pixels from node to node once, then the rings that no node lies on, closed.
 
     Args:
         links: (L,2) neighbours; pixels that are no node have two.
         is_node: (P,).
     """
-    near, far = links.ravel(), links[:, ::-1].ravel()
-    # From one of a pixel's two neighbours to the other: both together, less the one.
-    both = np.bincount(near, far, minlength=len(is_node)).astype(int).tolist()
-    some = np.zeros(len(is_node), int)
-    some[near[::-1]] = far[::-1]
-    ends, done = is_node.tolist(), is_node.tolist()
+    neighbours: list[list[int]] = [[] for _ in is_node]
+    for first, second in links.tolist():
+        neighbours[first].append(second)
+        neighbours[second].append(first)
+    done: set[int] = set()
 
     def walked(start: int, here: int) -> list[int]:
-        chain, before = [start, here], start
-        while not ends[here] and here != start:
-            done[here] = True
-            before, here = here, both[here] - before
+        chain = [start, here]
+        while not is_node[here] and here != start:
+            done.add(here)
+            here = next(pixel for pixel in neighbours[here] if pixel != chain[-2])
             chain.append(here)
         return chain
 
-    at = np.flatnonzero(is_node[near])
-    at = at[np.argsort(near[at], kind="stable")]
-    chains = []
-    for start, onward in zip(near[at].tolist(), far[at].tolist(), strict=True):
-        if onward >= start if ends[onward] else not done[onward]:
-            chains.append(walked(start, onward))
+    for start in np.flatnonzero(is_node).tolist():
+        for onward in neighbours[start]:
+            if onward >= start if is_node[onward] else onward not in done:
+                yield walked(start, onward)
     for start in np.flatnonzero(~is_node).tolist():
-        if not done[start]:
-            done[start] = True
-            chains.append(walked(start, int(some[start])))
-    return chains
+        if start not in done:
+            done.add(start)
+            yield walked(start, neighbours[start][0])
 
 
 def _pruned(branches: list[Branch]) -> list[Branch]:
     """Remove spurs, shortest first: each one removed may turn two others into one longer branch."""
     kept = list(branches)
     while True:
-        degree: dict[int, int] = {}
-        for branch in kept:
-            for node in branch.nodes:
-                degree[node] = degree.get(node, 0) + 1
+        degree = degrees(kept)
         spurs = [(excess, i) for i, branch in enumerate(kept) if (excess := _excess(branch, degree)) < 0]
         if not spurs:
             return kept
@@ -292,7 +252,12 @@ def _pruned(branches: list[Branch]) -> list[Branch]:
             kept = [branch for branch in kept if node not in branch.nodes] + [left[0].fused(left[1], node)]
 
 
-def _excess(branch: Branch, degree: dict[int, int]) -> float:
+def degrees(branches: Iterable[Branch]) -> Counter[int]:
+    """Return how many branches leave each node."""
+    return Counter(node for branch in branches for node in branch.nodes)
+
+
+def _excess(branch: Branch, degree: Counter[int]) -> float:
     """Return how much longer a branch is than a spur may be, pixels; a spur has one free end and one that is not."""
     ends = [degree[node] for node in branch.nodes]
     if min(ends) > 1 or max(ends) < 3:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import clockwise
 from shape_obs.geometry.samples import Samples
-from shape_obs.point_cloud.geodesics import ring
+from shape_obs.point_cloud.geodesics import chain, ring
 from shape_obs.point_cloud.rope_tip import extend_chain, first_gap
 from shape_obs.point_cloud.unrolling import Chart, border, chart
 from shape_obs.point_cloud.voxels import ConnectedVoxels, Piece, Ribbon, connect, measure
@@ -20,8 +19,6 @@ from shape_obs.point_cloud.voxels import ConnectedVoxels, Piece, Ribbon, connect
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
     from scipy.spatial import KDTree
-
-    pass
 
 if TYPE_CHECKING:  # a protocol's property accepts no other descriptor
     cached_property = property
@@ -33,6 +30,7 @@ Array = npt.NDArray[np.float64]
 _MOST: Final = 20_000  # points; more say nothing new and cost time
 _FEWEST: Final = 4  # samples that a sheet has
 _RING: Final = 8.0  # widths: a ring is longer
+_MAX_BRIDGED: Final = 0.5  # of a rope's axis
 _MAX_PIECES: Final = 16  # and falls into no more: the cost of joining them grows with the cube of their number
 # How near a point of the cloud lies if it carries a place: in widths, and in voxels where the cloud is sparse.
 _NEAR: Final = (0.75, 2.0)
@@ -129,9 +127,9 @@ class Cloud:
         return None
 
     @property
-    def holes(self) -> int:
-        """0: the outline of a cloud has no holes."""
-        return 0
+    def parts(self) -> tuple[Any, ...]:
+        """The cloud itself."""
+        return (self,)
 
     def gather(self, edge: float) -> Samples:
         """Return the cloud's samples: its voxels do not depend on an edge in pixels."""
@@ -193,20 +191,11 @@ class Cloud:
         step = np.diff(curve.arc)
         return Samples(curve.points, (step + np.roll(step, 1)) / 2, curve.size / len(curve.points))
 
-    def outline_sampling(self, hole: int | None = None) -> tuple[int, float]:
-        """Return how many ``outline_samples`` there are, and how far apart they lie, metres."""
-        samples = self.outline_samples()
-        return len(samples), samples.scale
-
     def outline_points(self, hole: int | None = None) -> Samples:
         """Return as many points at equal distances around the boundary, each counting once."""
         curve = self.outline_curve()
         count = len(curve.points)
         return Samples(curve.even(count), np.ones(count), curve.size / count)
-
-    def outline_width(self, hole: int | None = None) -> float:
-        """Return infinity: the boundary may be a ring's own axis, whose sides are not known."""
-        return np.inf
 
     def sheet_outline(self) -> tuple[Array, Array]:
         """Return the outline of the sheet in space, ``(P, 3)``, and unrolled into a plane, ``(P, 2)``."""
@@ -217,20 +206,13 @@ class Cloud:
         """Return places ``(N, 2)`` on the unrolled sheet in space, ``(N, 3)``."""
         return self.chart.to_space(flat)
 
-    @property
-    def cut_share(self) -> float:
-        """0: a cloud has no edge of an image."""
-        return 0.0
-
-    @property
-    def parts(self) -> tuple[Observed, ...]:
-        """The observations that an initial axis is taken from: the cloud itself."""
-        return (self,)
-
-    @property
-    def hollow_share(self) -> float:
-        """1: whether a cloud encloses a hole is not known."""
-        return 1.0
+    def axis(self) -> FittedCurve:
+        """Return the axis of a rope from tip to tip, in no particular direction, without a previous frame."""
+        found = chain(self.samples, self.links, [piece.samples for piece in self.components], self.width)
+        doubt, gaps = found.doubt, float(found.bridged.mean())
+        if not doubt and gaps > _MAX_BRIDGED:
+            doubt = f"{gaps:.0%} of the curve would be gaps (at most {_MAX_BRIDGED:.0%})"
+        return FittedCurve.through(found.points, found.bridged, ambiguity=doubt)
 
     @property
     def outlined_share(self) -> float:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import median
+from scipy.spatial import KDTree
 
 from shape_obs.camera import Intrinsics
 from shape_obs.frame import FARTHEST, depth_in_metres
@@ -78,8 +80,6 @@ class SeenCloud(Cloud):
     @cached_property
     def _sheet(self) -> Sheet:
         """The border is the mask's, which is sharper than the cloud's and knows no holes in the depth."""
-        from scipy.spatial import KDTree
-
         rim = self.region.outline.curve
         if len(self.samples) < _NEIGHBOURS or not rim.size:  # that of a single pixel has no length
             return super()._sheet
@@ -102,10 +102,6 @@ class SeenCloud(Cloud):
 
     def connected_ahead(self, place: Array, points: Array, along: Array, width: float) -> npt.NDArray[np.bool_]:
         """Return which points near a place belong to its strand: those to which the mask goes on straight."""
-        return self.in_sight(place, points)
-
-    def in_sight(self, place: Array, points: Array) -> npt.NDArray[np.bool_]:
-        """Return whether the mask goes on straight from a place ``(3,)`` to ``(N, 3)`` points near it: ``(N,)``."""
         ends, start = self.pixels_of(points), self.pixels_of(place)
         if not np.isfinite(start).all():  # behind the camera
             return np.zeros(len(points), bool)
@@ -158,11 +154,4 @@ def _inner(region: Region) -> npt.NDArray[np.int32]:
 
 def _median(values: Array, cell: npt.NDArray[Any]) -> Array:
     """Return ``(M,)`` the median of each value's cell."""
-    order = np.lexsort((values, cell))
-    sorted_cell = cell[order]
-    first = np.flatnonzero(np.append(True, sorted_cell[1:] != sorted_cell[:-1])) if len(cell) else np.zeros(0, int)
-    count = np.diff(np.append(first, len(cell)))
-    low, high = values[order][first + (count - 1) // 2], values[order][first + count // 2]
-    out = np.empty_like(values)
-    out[order] = np.repeat((low + high) / 2, count)
-    return out
+    return np.asarray(median(values, cell, np.arange(cell.max() + 1)))[cell] if len(cell) else values

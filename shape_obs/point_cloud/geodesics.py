@@ -1,33 +1,37 @@
-"""Strands: the axis of rope-like samples by geodesic distance, open or closed to a loop.
+"""The axis of a rope-like cloud by geodesic distance: strands joined end to end across gaps, or closed to a ring.
 
 Geodesic distance over the links between samples is arc length along the rope, however it bends: the two samples that
 lie farthest apart are its ends, and the samples at equal distance from one of them are its slices.
-
-Chains: the strands of an interrupted rope joined end to end across its gaps, or once around.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
-from typing import TYPE_CHECKING, Final, NamedTuple
+from itertools import combinations, product
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
 
-from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate, resample
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.polyline import arc_length, catmull_rom, resample
 from shape_obs.geometry.samples import Samples
 from shape_obs.point_cloud.voxels import Indices
 
-if TYPE_CHECKING:
-    from scipy.sparse import csr_matrix
-
 Array = npt.NDArray[np.float64]
-
+Mask = npt.NDArray[np.bool_]
 
 _SHORT: Final = 2.5  # widths: a piece shorter than this is a straight line
-
 _SIDE: Final = 0.2  # of a loop's samples, that lie on either side of it at least
+_POINTS: Final = 129
+_REACH: Final = 3.0  # widths: from how far inside of an end its direction is taken
+# A bridge of more than so many widths that turns its strands by more than this (the sum of 1 - cos at both ends; a
+# hidden half turn has 2) joins what no single rope would.
+_JUMP: Final = 3.0
+_TURN: Final = 1.5
+_RING_GAP: Final = 0.25  # of an interrupted ring's length: what it misses at most where its ends meet
 
 
 def strand(samples: Samples, graph: csr_matrix, piece: Indices, width: float) -> Array:
@@ -57,8 +61,6 @@ def loop(samples: Samples, graph: csr_matrix, piece: Indices, width: float) -> A
     The fronts that run from any sample meet on the loop's other side. Without the places where they part and meet, a
     loop falls into two sides, and nothing else does.
     """
-    from scipy.sparse.csgraph import connected_components
-
     points, weight = samples.points[piece], samples.weight[piece]
     own = graph[piece][:, piece]
     distance = _from(own, 0)
@@ -72,8 +74,7 @@ def loop(samples: Samples, graph: csr_matrix, piece: Indices, width: float) -> A
     if len(sides) < 2 or mass[sides].min() < _SIDE * len(between):
         return None
     one, other = (
-        _slices(points[index], weight[index], distance[index], width)[0]
-        for index in (between[label == side] for side in sides)
+        _slices(points[side], weight[side], distance[side], width)[0] for side in (between[label == k] for k in sides)
     )
     near, met = (
         np.average(points[where], axis=0, weights=weight[where])[None]
@@ -83,8 +84,6 @@ def loop(samples: Samples, graph: csr_matrix, piece: Indices, width: float) -> A
 
 
 def _from(graph: csr_matrix, start: int) -> Array:
-    from scipy.sparse.csgraph import dijkstra
-
     return np.asarray(dijkstra(graph, directed=False, indices=start))
 
 
@@ -116,22 +115,6 @@ def _outward(last: Array, before: Array, reach: float) -> Array:
     return last + step * (reach / max(float(np.linalg.norm(step)), 1e-12))
 
 
-Mask = npt.NDArray[np.bool_]
-
-
-_POINTS: Final = 129
-
-_REACH: Final = 3.0  # widths: from how far inside of an end its direction is taken
-
-# A bridge of more than so many widths that turns its strands by more than this (the sum of 1 - cos at both ends; a
-# hidden half turn has 2) joins what no single rope would.
-_JUMP: Final = 3.0
-
-_TURN: Final = 1.5
-
-_RING_GAP: Final = 0.25  # of an interrupted ring's length: what it misses at most where its ends meet
-
-
 class Chain(NamedTuple):
     """An axis from tip to tip.
 
@@ -160,20 +143,17 @@ def chain(samples: Samples, graph: csr_matrix, components: Sequence[Indices], wi
     doubt = ""
     while len(strands) > 1:
         options = [
-            (*_bridge(_directed(strands[i], a)[::-1], _directed(strands[j], b), width), i, j, a, b)
-            for i in range(len(strands))
-            for j in range(i + 1, len(strands))
-            for a, b in product((0, 1), (0, 1))
+            (*_bridge(strands[i][::a], strands[j][::b], width), i, j, a, b)
+            for i, j in combinations(range(len(strands)), 2)
+            for a, b in product((-1, 1), (1, -1))
         ]
         length, turn, i, j, a, b = min(options, key=lambda option: option[0] * (1 + option[1]))
         if length > _JUMP * width and turn > _TURN:
             doubt = f"the cloud falls into pieces that no single rope joins: a gap of {length:.3f} m at a sharp turn"
-        before, after = _directed(strands[i], a)[::-1], _directed(strands[j], b)
+        after, before = strands.pop(j)[::b], strands.pop(i)[::a]
         gaps.append((before[-1], after[0]))
-        strands = [other for index, other in enumerate(strands) if index not in (i, j)]
         strands.append(np.concatenate([before, after]))
-    even = resample(strands[0], _POINTS)
-    return Chain(even, _within(strands[0], gaps), doubt)
+    return Chain(resample(strands[0], _POINTS), _within(strands[0], gaps), doubt)
 
 
 def ring(samples: Samples, graph: csr_matrix, components: Sequence[Indices], width: float) -> Array | None:
@@ -186,16 +166,8 @@ def ring(samples: Samples, graph: csr_matrix, components: Sequence[Indices], wid
         if broken.doubt or gap > _RING_GAP * length:
             return None
         around = resample(broken.points, max(round(length / width), 8))
-    smooth = catmull_rom(around, 4, True)
-    smooth = np.concatenate([smooth, smooth[:1]])
-    arc = arc_length(smooth)
-    count = max(round(4 * arc[-1] / width), 32)
-    return interpolate(smooth, arc, np.arange(count) * (arc[-1] / count))
-
-
-def _directed(curve: Array, end: int) -> Array:
-    """Return the curve so that it begins at its first ``(0)`` or last ``(1)`` point."""
-    return curve[::-1] if end else curve
+    curve = FittedCurve.through(catmull_rom(around, 4, True), np.zeros(4 * len(around), bool), closed=True)
+    return curve.even(max(round(4 * curve.size / width), 32))
 
 
 def _bridge(before: Array, after: Array, width: float) -> tuple[float, float]:

@@ -24,31 +24,24 @@ _STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much wit
 MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
 
 
-def local_depth(points: Array, depth: npt.NDArray[Any], region: Region, width: float) -> Array:
-    """Return the median depth of the mask around each point.
+def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region, width: float) -> Array:
+    """Return ``(P,)`` metres under a form, NaN where it is not known or belongs to something that lies over it.
 
     Looks at the middle half of the object's width (13 pixels at most), so that a round rope's flanks do not pull the
-    median down, and at mask pixels only, so that the table does not either.
+    median down, and at mask pixels only, so that the table does not either. Where fewer than a quarter of these carry
+    depth, a hole stays a hole.
 
     Args:
-        points: ``(N, 2)`` pixels.
+        form: ``(P, 2)`` pixels.
         depth: ``(H, W)`` the frame's depth.
         region: The mask.
         width: The object's width, pixels.
-
-    Returns:
-        ``(N,)`` in metres; NaN where fewer than a quarter of the mask pixels carry depth: a hole stays a hole.
     """
     readable, unit = readable_depth(depth)
     left, top = region.window[:2]
     reach = min(max(round(width / 4), 1), MAX_REACH)
-    points = np.ascontiguousarray(points, dtype=np.float64)
-    return median_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE)
-
-
-def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region, width: float) -> Array:
-    """Return ``(P,)`` metres under a form, NaN where it is not known or belongs to something that lies over it."""
-    z = local_depth(form.points, depth, region, width)
+    points = np.ascontiguousarray(form.points, dtype=np.float64)
+    z = median_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE)
     if isinstance(form, FittedCurve) and not form.whole:
         z[form.interpolated | overlaid(form, z, width)] = np.nan
     return z
@@ -147,34 +140,5 @@ def median_depth(
                         near[known] = z
                         known += 1
         if known >= max(min_share * inside, 1):
-            upper = _select(near, known, known // 2)
-            lower = upper
-            if known % 2 == 0:
-                lower = near[0]
-                for k in range(1, known // 2):
-                    lower = max(lower, near[k])
-            out[n] = (lower + upper) / 2
+            out[n] = np.median(near[:known])
     return out
-
-
-@compiled
-def _select(values: Array, count: int, place: int) -> float:
-    """Return the value at a place of ``count`` values in order; they are left partly sorted (C. A. R. Hoare, 1961)."""
-    low, high = 0, count - 1
-    while low < high:
-        pivot, i, j = values[(low + high) // 2], low, high
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while values[j] > pivot:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i, j = i + 1, j - 1
-        if place <= j:
-            high = j
-        elif place >= i:
-            low = i
-        else:
-            break
-    return values[place]

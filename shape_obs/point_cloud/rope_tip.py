@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -23,38 +23,19 @@ _BEYOND: Final = 0.8  # widths: noise throws single points far, so the bulk must
 _GAP: Final = (0.4, 5.0)  # the least gap between points that ends a strand, in widths and in usual gaps
 
 
-class Ahead(NamedTuple):
-    """The strand ahead of a place.
-
-    Args:
-        offset: ``(P, 3)`` its points from there.
-        along: ``(P,)`` how far each lies ahead.
-        rest: The length of it, metres, if it ends within 1.5 widths.
-        goes_on: Whether there is more of it than a last piece.
-    """
-
-    offset: Array
-    along: Array
-    rest: float
-    goes_on: bool
-
-
-def ahead(cloud: Cloud, front: Array, heading: Array, width: float) -> Ahead:
+def ahead(cloud: Cloud, front: Array, heading: Array, width: float) -> tuple[Array, Array]:
     """Return the strand that goes on from ``front`` ``(3,)`` in the direction ``heading``, a unit vector.
 
-    Noise moves as many points forwards over the start as back, and at the far end it leaves the mean alone. So the
-    length is twice the mean, for points that are spread evenly.
+    Returns:
+        ``(P, 3)`` its points from there; ``(P,)`` how far each lies ahead.
     """
-    points = cloud.around(front, REACH * width)
-    offset = points - front
+    offset = cloud.around(front, REACH * width) - front
     along = offset @ heading
     side = np.sqrt(np.maximum(np.einsum("pd,pd->p", offset, offset) - along**2, 0.0))
     strand = (along > 0) & (side <= SIDE * width)
     # Another strand that passes ahead is no part of this one.
-    strand[strand] = cloud.connected_ahead(front, points[strand], along[strand], width)
-    offset, along = offset[strand], along[strand]
-    rest = 2 * float(along.mean()) if len(along) else 0.0
-    return Ahead(offset, along, rest, rest > _BEYOND * width)
+    strand[strand] = cloud.connected_ahead(front, front + offset[strand], along[strand], width)
+    return offset[strand], along[strand]
 
 
 def first_gap(along: Array, width: float) -> float:
@@ -86,11 +67,14 @@ def extend_chain(nodes: Array, cloud: Cloud, width: float) -> Array:
 
 def _extension(start: Array, cloud: Cloud, width: float) -> Array:
     """Return the way ``(S, 3)`` from the end of a chain, the first of ``(3, 3)`` nodes, to the tip."""
-    front, heading, rest = start[0], _heading(start), 0.0
+    front, heading, rest = start[0], _bent(start[0] - start[1], start[1] - start[2]), 0.0
     path: list[Array] = []
     for _ in range(MAX_STEPS):
-        offset, along, rest, goes_on = ahead(cloud, front, heading, width)
-        if goes_on:
+        offset, along = ahead(cloud, front, heading, width)
+        # Noise moves as many points forwards over the start as back, and at the far end it leaves the mean alone. So
+        # the length is twice the mean, for points that are spread evenly.
+        rest = 2 * float(along.mean()) if len(along) else 0.0
+        if rest > _BEYOND * width:
             piece = (along > STEP_FROM * width) & (along <= STEP_TO * width)
         elif rest > LAST_REST * width:
             piece = along > rest - LAST * width
@@ -99,25 +83,14 @@ def _extension(start: Array, cloud: Cloud, width: float) -> Array:
         if not piece.any():
             break
         step = offset[piece].mean(axis=0)
-        heading = _continue(heading, step)
+        heading = _bent(step, heading)
         front = front + step
         path.append(front)
     return np.array([*path, front + heading * max(rest, SHORTEST * cloud.thinnest)])
 
 
-def _heading(nodes: Array) -> Array:
-    """Return the direction out of the first of three nodes, their curvature continued."""
-    near, far = nodes[0] - nodes[1], nodes[1] - nodes[2]
-    near, far = near / max(np.linalg.norm(near), 1e-9), far / max(np.linalg.norm(far), 1e-9)
-    return _unit(near + (near - far) / 2, near)
-
-
-def _continue(heading: Array, step: Array) -> Array:
-    """Return the heading after a step: on a circle the tangent turns twice as far as the chord; half is added."""
-    chord = _unit(step, heading)
-    return _unit(chord + (chord - heading) / 2, chord)
-
-
-def _unit(vector: Array, otherwise: Array) -> Array:
-    norm = float(np.linalg.norm(vector))
-    return vector / norm if norm > 1e-9 else otherwise
+def _bent(ahead: Array, before: Array) -> Array:
+    """Return the heading after two chords: on a circle the tangent turns twice as far as a chord; half is added."""
+    ahead, before = (way / max(float(np.linalg.norm(way)), 1e-9) for way in (ahead, before))
+    heading = ahead + (ahead - before) / 2
+    return heading / max(float(np.linalg.norm(heading)), 1e-9)

@@ -1,43 +1,46 @@
-"""Unrolling: a bent sheet's points in a plane, distances along the sheet kept.
+"""Unrolling: a bent sheet's points in a plane, distances along the sheet kept, and the sheet's border there.
+
+The border lies where the density of the points has fallen to half.
 
 References:
     J. B. Tenenbaum, V. de Silva, J. C. Langford, "A Global Geometric Framework for Nonlinear Dimensionality
     Reduction", Science 290, 2000 (Isomap); V. de Silva, J. B. Tenenbaum, "Sparse Multidimensional Scaling using
     Landmark Points", 2004.
-
-The border of a sheet on its map: where the density of its points has fallen to half.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import KDTree
 
-from shape_obs.geometry.polyline import arc_length, interpolate
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.outline import clockwise
 from shape_obs.geometry.samples import Samples
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_matrix
 
 Array = npt.NDArray[np.float64]
 
-
 # A sheet whose rms height over its plane is below this share of its rms half breadth is projected: it loses 0.6 %.
 _FLAT: Final = 0.05
-
 _LANDMARKS: Final = 24
-
 _RIDGE: Final = 0.03  # of a neighbourhood's spread: across the sheet there is only noise to fit
-
 _BLENDED: Final = 4
-
 _BRIDGE: Final = 1.3  # shortest gaps: pieces are linked where they lie nearly as close as anywhere
+_PIXELS: Final = 150  # along the map's longer side
+_UNDER_BLUR: Final = 20.0  # points that the blur averages over, so that chance makes no border
+_MIN_BLUR: Final = 1.2  # pixels
+_WIDER: Final = 3.0  # blurs: over which the density may change
+_FINER: Final = 3  # the border is drawn on pixels so many times finer
+_POINTS: Final = 300
+_SMOOTH: Final = 2.0  # points
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +64,6 @@ class Chart:
 
     def to_space(self, flat: Array) -> Array:
         """Return ``(P, 2)`` places on the map as points of the sheet: ``(P, 3)`` metres."""
-        from scipy.spatial import KDTree
-
         tree: Any = KDTree(self.flat)
         distance, nearest = tree.query(flat, k=np.arange(min(_BLENDED, len(self.flat))) + 1)
         offset = flat[:, None] - self.flat[nearest]
@@ -98,17 +99,12 @@ def chart(samples: Samples, links: csr_matrix) -> Chart:
         step = np.linalg.norm(flat[near.row] - flat[near.col], axis=1)
         # Paths over links zigzag, which makes all distances too long by the same few percent.
         flat *= float(step @ near.data) / max(float(step @ step), 1e-18)
-    u, _, v = np.linalg.svd(flat.T @ offset[:, :2])
-    if np.linalg.det(u @ v) < 0:
-        flat = flat * (1, -1)
-        u, _, v = np.linalg.svd(flat.T @ offset[:, :2])
+    u, _, v = np.linalg.svd(flat.T @ offset[:, :2])  # turned as (x, y), and mirrored where that lies nearer
     return Chart(samples, links, flat @ (u @ v))
 
 
 def _isomap(links: csr_matrix, size: int) -> Array:
     """Return the landmark Isomap: ``(M, 2)`` from the distances over the links to a few samples."""
-    from scipy.sparse.csgraph import dijkstra
-
     landmarks = np.random.default_rng(0).choice(size, min(_LANDMARKS, size), replace=False)
     square = np.asarray(dijkstra(links, directed=False, indices=landmarks)) ** 2
     own = square[:, landmarks]
@@ -121,51 +117,24 @@ def _isomap(links: csr_matrix, size: int) -> Array:
 
 def _joined(samples: Samples, links: csr_matrix) -> csr_matrix:
     """Return the links, with bridges between pieces that do not hang together."""
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import KDTree
-
-    label: Any = connected_components(links, directed=False)[1]
-    while np.any(label != label[0]):
-        one, rest = np.flatnonzero(label == label[0]), np.flatnonzero(label != label[0])
+    while np.any(apart := connected_components(links, directed=False)[1] > 0):
+        one, rest = np.flatnonzero(~apart), np.flatnonzero(apart)
         tree: Any = KDTree(samples.points[one])
         distance, nearest = tree.query(samples.points[rest])
         close = distance <= _BRIDGE * distance.min()
         row, column, length = rest[close], one[nearest[close]], distance[close]
         links = links + csr_matrix((length, (row, column)), shape=links.shape)
-        label = connected_components(links, directed=False)[1]
     return links
 
 
 def _regression(row: Array, given: Array, wanted: Array, size: int) -> Array:
     """For each of ``size`` rows the matrix that maps its ``given`` steps (L,G) to its ``wanted`` (L,W): (size,G,W)."""
-    g, w = given.shape[1], wanted.shape[1]
-
-    def summed(values: Array) -> Array:
-        flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
-        return np.stack(
-            [np.bincount(row, weights=column, minlength=size).astype(np.float64) for column in flat.T], axis=1
-        )
-
-    own = summed(given[:, :, None] * given[:, None, :]).reshape(size, g, g)
-    both = summed(given[:, :, None] * wanted[:, None, :]).reshape(size, g, w)
+    count, g, w = len(row), given.shape[1], wanted.shape[1]
+    gathered = csr_matrix((np.ones(count), (row, np.arange(count))), shape=(size, count))
+    own = (gathered @ (given[:, :, None] * given[:, None, :]).reshape(count, g * g)).reshape(size, g, g)
+    both = (gathered @ (given[:, :, None] * wanted[:, None, :]).reshape(count, g * w)).reshape(size, g, w)
     own += (_RIDGE / g * np.trace(own, axis1=1, axis2=2) + 1e-18)[:, None, None] * np.eye(g)
     return np.linalg.solve(own, both)
-
-
-_PIXELS: Final = 150  # along the map's longer side
-
-_UNDER_BLUR: Final = 20.0  # points that the blur averages over, so that chance makes no border
-
-_MIN_BLUR: Final = 1.2  # pixels
-
-_WIDER: Final = 3.0  # blurs: over which the density may change
-
-_FINER: Final = 3  # the border is drawn on pixels so many times finer
-
-_POINTS: Final = 300
-
-_SMOOTH: Final = 2.0  # points
 
 
 def border(flat: Array) -> Array:
@@ -197,13 +166,9 @@ def border(flat: Array) -> Array:
     # Through the centres of the outermost pixels: half a fine pixel inside of the level.
     contour = max(found, key=cv2.contourArea).reshape(-1, 2).astype(np.float64)
     placed = ((contour + 0.5) / _FINER - margin) * pixel + low
-    closed = np.ascontiguousarray(np.concatenate([placed, placed[:1]]))
-    arc = arc_length(closed)
-    even = interpolate(closed, arc, np.arange(_POINTS) * (arc[-1] / _POINTS))
+    even = FittedCurve.through(placed, np.zeros(len(placed), bool), closed=True).even(_POINTS)
     even = gaussian_filter1d(even, _SMOOTH, axis=0, mode="wrap")
-    after = np.roll(even, -1, axis=0)
-    turn = float(np.sum(even[:, 0] * after[:, 1] - even[:, 1] * after[:, 0]))
-    return even if turn > 0 else even[::-1]
+    return even if clockwise(even) else even[::-1]
 
 
 def _blurred(image: npt.NDArray[np.float32], sigma: float) -> npt.NDArray[np.float32]:

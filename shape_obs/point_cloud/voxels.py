@@ -1,121 +1,72 @@
-"""Voxels: a cloud's points gathered into cubes, and how the cubes hang together.
-
-How thick and how long a rope-like cloud is, before anything is fitted to it.
-"""
+"""A cloud's points gathered into cubes, how the cubes hang together, and the measures of the cloud as a rope."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from shape_obs.geometry.samples import Samples
 
-if TYPE_CHECKING:
-    from scipy.sparse import csr_matrix
-
 Array = npt.NDArray[np.float64]
-
 Indices = npt.NDArray[np.intp]
-
 
 _EDGE: Final = 0.5  # of a voxel, in widths
 _COARSE: Final = 1 / 40  # and at most, of the extent: what is no rope is not thin
 _MIN_SHARE: Final = 0.02  # of the largest piece's points; smaller pieces are specks
 _PER_VOXEL: Final = 2.0  # points; with fewer the voxels would be the points, and fall apart
-
 _GROWTH: Final = 1.5
-
 _LINK: Final = 2.0  # edges: diagonal neighbours are linked, and across a voxel that happens to be empty
-
 # Of the cloud's extent: voxels are neither finer nor coarser.
 _FINEST: Final = 1e-3
-
 _COARSEST: Final = 1 / 8
+# So many points stand for all, and neighbourhoods of so many are looked at: both estimates vary by a few percent.
+_POINTS: Final = 1500
+_SEEDS: Final = 32
+# Neighbourhoods grow from a 64th of the cloud by steps of sqrt 2 until they are this many times longer than thick.
+_SMALLEST: Final = 1 / 64
+_RADIUS_GROWTH: Final = 2**0.5
+_STEPS: Final = 13
+_ELONGATED: Final = 2.2
+_CROSSING: Final = 3.0  # of the median spread: no neighbourhood counts as more
+_FEWEST: Final = 12  # points in a neighbourhood; the shape of fewer is chance
 
 
-class Voxels(NamedTuple):
-    """Points in cubes.
-
-    Args:
-        samples: Centroid and count of each cube that holds points; M' of them.
-        cube: (M,) which cube each point lies in.
-    """
-
-    samples: Samples
-    cube: Indices
-
-
-def gather(points: Array, edge: float) -> Voxels:
+def gather(points: Array, edge: float) -> tuple[Samples, Indices]:
     """Gather points into cubes of about ``edge``, larger where the points lie farther apart.
 
     Args:
         points: (M,3) metres, M > 0.
         edge: Metres.
+
+    Returns:
+        Centroid and count of each cube that holds points; ``(M,)`` which cube each point lies in.
     """
     low = points.min(axis=0)
     extent = float(np.linalg.norm(points.max(axis=0) - low))
     edge = max(edge, _FINEST * extent, 1e-9)
     while True:
-        cube, count = _cubes(points - low, edge)
-        if len(points) >= _PER_VOXEL * len(count) or edge >= _COARSEST * extent:
+        cell = ((points - low) / edge).astype(np.int64)
+        key = np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1))
+        _, cube, weight = np.unique(key, return_inverse=True, return_counts=True)
+        if len(points) >= _PER_VOXEL * len(weight) or edge >= _COARSEST * extent:
             break
         edge *= _GROWTH
-    weight = count.astype(np.float64)
     sums = np.stack([np.bincount(cube, weights=points[:, d] - low[d]) for d in range(3)], axis=1)
-    return Voxels(Samples(sums / weight[:, None] + low, weight, edge), cube)
+    return Samples(sums / weight[:, None] + low, weight.astype(np.float64), edge), cube
 
 
 def links(samples: Samples) -> csr_matrix:
     """Return ``(M, M)`` distances between samples that hang together, metres, each pair once."""
-    from scipy.sparse import csr_matrix
-    from scipy.spatial import KDTree
-
     tree = KDTree(samples.points, balanced_tree=False, compact_nodes=False)  # a third faster to build
     pairs = tree.query_pairs(_LINK * samples.scale, output_type="ndarray")
     step = samples.points[pairs[:, 0]] - samples.points[pairs[:, 1]]
     length = np.maximum(np.sqrt(np.einsum("pd,pd->p", step, step)), 1e-12)  # csgraph reads 0 as no link
     return csr_matrix((length, (pairs[:, 0], pairs[:, 1])), shape=(len(samples), len(samples)))
-
-
-def pieces(graph: csr_matrix, weight: Array, min_share: float) -> tuple[Indices, ...]:
-    """Return the samples of each connected piece of at least ``min_share`` of the largest's weight, largest first."""
-    from scipy.sparse.csgraph import connected_components
-
-    count, label = connected_components(graph, directed=False)
-    mass = np.bincount(label, weights=weight, minlength=count)
-    kept = np.argsort(-mass, kind="stable")
-    kept = kept[mass[kept] >= min_share * mass.max(initial=0.0)]
-    return tuple(np.flatnonzero(label == piece) for piece in kept)
-
-
-def _cubes(offset: Array, edge: float) -> tuple[Indices, Indices]:
-    """Return which cube each point lies in, numbered without gaps, and how many points each cube holds."""
-    cell = (offset / edge).astype(np.int64)
-    size = cell.max(axis=0) + 1
-    key = (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]
-    _, cube, count = np.unique(key, return_inverse=True, return_counts=True)
-    return cube.reshape(-1), count
-
-
-# So many points stand for all, and neighbourhoods of so many are looked at: both estimates vary by a few percent.
-_POINTS: Final = 1500
-
-_SEEDS: Final = 32
-
-# Neighbourhoods grow from a 64th of the cloud by steps of sqrt 2 until they are this many times longer than thick.
-_SMALLEST: Final = 1 / 64
-
-_RADIUS_GROWTH: Final = 2**0.5
-
-_STEPS: Final = 13
-
-_ELONGATED: Final = 2.2
-
-_CROSSING: Final = 3.0  # of the median spread: no neighbourhood counts as more
-
-_FEWEST: Final = 12  # points in a neighbourhood; the shape of fewer is chance
 
 
 class Piece(NamedTuple):
@@ -155,27 +106,24 @@ def connect(points: Array, width: float) -> ConnectedVoxels:
         points: ``(M, 3)`` in metres.
         width: Of the object as a rope, metres; 0 if unknown.
     """
-    from scipy.sparse import csr_matrix
-
     if not len(points):
         nothing = Samples(np.zeros((0, 3)), np.zeros(0), 1.0)
         return ConnectedVoxels(points, np.zeros(0, np.intp), nothing, csr_matrix((0, 0)), ())
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
-    voxels = gather(points, min(_EDGE * width, _COARSE * extent))
-    graph = links(voxels.samples)
-    found = pieces(graph, voxels.samples.weight, _MIN_SHARE)
-    samples, cube = voxels
-    weight = samples.weight
-    place = np.arange(len(samples))
-    keep = np.sort(np.concatenate(found))
-    if len(keep) < len(samples):
-        place[:] = -1
+    samples, cube = gather(points, min(_EDGE * width, _COARSE * extent))
+    graph = links(samples)
+    count, label = connected_components(graph, directed=False)
+    mass = np.bincount(label, weights=samples.weight, minlength=count)
+    pieces = [k for k in np.argsort(-mass, kind="stable") if mass[k] >= _MIN_SHARE * mass.max()]
+    if len(pieces) < count:
+        keep = np.flatnonzero(np.isin(label, pieces))
+        place = np.full(len(samples), -1)
         place[keep] = np.arange(len(keep))
-        cube = place[cube]
+        cube, label = place[cube], label[keep]
         points, cube = points[cube >= 0], cube[cube >= 0]
-        samples = Samples(samples.points[keep], weight[keep], samples.scale)
+        samples = Samples(samples.points[keep], samples.weight[keep], samples.scale)
         graph = graph[keep][:, keep]
-    components = tuple(Piece(place[piece], float(weight[piece].sum())) for piece in found)
+    components = tuple(Piece(np.flatnonzero(label == k), float(mass[k])) for k in pieces)
     return ConnectedVoxels(points, cube, samples, graph, components)
 
 

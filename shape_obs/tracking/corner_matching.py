@@ -7,40 +7,39 @@ Point Patterns", 1991), and the fourth has to follow.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
+from shape_obs.geometry.lattice import outer_corners
 
 Array = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
 
 # Of half a diagonal. Cloths that bend and move by 30 px a frame stay below 0.025, a hand 12 px in radius makes 0.11.
 STRAYED: Final = 0.06
 
 
-def match_corners_in_space(expected: Array, corners: Array) -> tuple[int, int, float]:
-    """Return what ``match_corners`` returns, for ``(4, 3)`` corners in space."""
-    away = [np.sum((np.roll(corners, -turn, axis=0) - expected) ** 2) for turn in range(4)]
-    quarters = int(np.argmin(away))
-    found = np.roll(corners, -quarters, axis=0)
-    reach = float(np.linalg.norm(found - found.mean(axis=0), axis=1).max())
-    astray = [_astray(expected, found, corner) / max(reach, 1e-9) for corner in range(4)]
-    worst = int(np.argmax(astray))
-    return quarters, worst, astray[worst]
+@compiled("(f8[:,:,::1], f8[:,:,::1])")
+def match_lattice(lattice: Array, expected: Array) -> tuple[Array, int, float]:
+    """Turn a lattice so that its corners lie nearest to those that are expected.
 
+    Args:
+        lattice: ``(R, C, D)``.
+        expected: ``(R', C', D)`` predicted nodes, at the centres of equal pieces; ``(0, 0, 2)`` without any.
 
-def _astray(expected: Array, found: Array, corner: int) -> float:
-    """Return how far a corner lies from where a similarity transform of the other three puts it."""
-    others = np.arange(4) != corner
-    before, after = expected[others].mean(axis=0), found[others].mean(axis=0)
-    source, target = expected[others] - before, found[others] - after
-    u, overlap, v = np.linalg.svd(source.T @ target)
-    sign = np.ones(len(overlap))
-    sign[-1] = np.sign(np.linalg.det(u @ v))
-    turn = (u * sign) @ v * (overlap @ sign / max(float(np.sum(source**2)), 1e-18))
-    return float(np.linalg.norm((expected[corner] - before) @ turn + after - found[corner]))
+    Returns:
+        The lattice, then which corner strays most, and by which share of half a diagonal: see ``match_corners``.
+    """
+    if len(expected) == 0:
+        return lattice, 0, 0.0
+    found = np.empty((4, lattice.shape[2]))
+    found[0], found[1], found[2], found[3] = lattice[0, 0], lattice[0, -1], lattice[-1, -1], lattice[-1, 0]
+    quarters, corner, share = match_corners(outer_corners(expected), found)
+    return np.ascontiguousarray(np.rot90(lattice, quarters)), corner, share
 
 
 @compiled("(f8[:,::1], f8[:,::1])")
@@ -50,39 +49,41 @@ def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
     The similarity transform of complex numbers is one product: the least squares of ``found = a expected + b``.
 
     Args:
-        expected: ``(4, 2)`` predicted corners, clockwise.
-        corners: ``(4, 2)`` found.
+        expected: ``(4, D)`` predicted corners, clockwise.
+        corners: ``(4, D)`` found.
 
     Returns:
         By how many quarters the found lattice is to be turned, so that its corners lie nearest to the predicted
         ones; then which of them strays most, and by which share of half a diagonal.
     """
-    quarters, least = 0, np.inf
+    found, away = np.concatenate((corners, corners)), np.empty(4)
     for turn in range(4):
-        square = 0.0
-        for k in range(4):
-            for d in range(2):
-                square += (corners[(k + turn) % 4, d] - expected[k, d]) ** 2
-        if square < least:
-            quarters, least = turn, square
-    past, here = np.empty(4, np.complex128), np.empty(4, np.complex128)
+        away[turn] = ((found[turn : turn + 4] - expected) ** 2).sum()
+    quarters = int(np.argmin(away))
+    found = found[quarters : quarters + 4]
+    reach, astray = 1e-9, np.empty(4)
     for k in range(4):
-        past[k] = complex(expected[k, 0], expected[k, 1])
-        here[k] = complex(corners[(k + quarters) % 4, 0], corners[(k + quarters) % 4, 1])
-    past_sum, here_sum = past[0] + past[1] + past[2] + past[3], here[0] + here[1] + here[2] + here[3]
-    middle, reach = here_sum / 4, 1e-9
-    for k in range(4):
-        reach = max(reach, abs(here[k] - middle))
-    worst, most = 0, -1.0
-    for k in range(4):
-        before, after = (past_sum - past[k]) / 3, (here_sum - here[k]) / 3
+        before, rise_before = _seen_by_the_others(expected, k)
+        after, rise_after = _seen_by_the_others(found, k)
         product, spread = 0j, 0.0
         for j in range(4):
             if j != k:
-                source = past[j] - before
-                product += source.conjugate() * (here[j] - after)
-                spread += source.real**2 + source.imag**2
-        astray = abs((past[k] - before) * (product / max(spread, 1e-18)) + after - here[k])
-        if astray > most:
-            worst, most = k, astray
-    return quarters, worst, most / reach
+                product += before[j].conjugate() * after[j]
+                spread += before[j].real ** 2 + before[j].imag ** 2
+        product /= max(spread, 1e-18)
+        astray[k] = math.hypot(abs(before[k] * product - after[k]), rise_before * abs(product) - rise_after)
+        reach = max(reach, math.sqrt(((found[k] - found.sum(axis=0) / 4) ** 2).sum()))
+    worst = int(np.argmax(astray))
+    return quarters, worst, astray[worst] / reach
+
+
+@compiled
+def _seen_by_the_others(corners: Array, k: int) -> tuple[Complexes, float]:
+    """Return ``(4,)`` corners as complex numbers in the plane of all but the k-th, and how far that one lies above."""
+    away = corners - (corners.sum(axis=0) - corners[k]) / 3
+    if corners.shape[1] == 2:
+        return away[:, 0] + 1j * away[:, 1], 0.0
+    right, normal = away[k - 1], np.cross(away[k - 1], away[k - 2])
+    right, normal = right / max(np.sqrt((right**2).sum()), 1e-18), normal / max(np.sqrt((normal**2).sum()), 1e-18)
+    up = np.cross(normal, right)
+    return (away * right).sum(axis=1) + 1j * (away * up).sum(axis=1), (away[k] * normal).sum()

@@ -53,29 +53,16 @@ def lost_shape(
     if policy == "raise":
         raise ShapeLostError(f"shape {name!r} was not found: {reason}")
     no_point = np.zeros(layout.size, bool)
-    nowhere = np.full((layout.size, 3), np.nan, np.float32) if in_3d else None
+    was_found = last is not None
     if last is None or policy == "nan":
-        return Shape(
-            name,
-            np.full((layout.size, 2), np.nan, np.float32) if in_2d else None,
-            nowhere,
-            visible=no_point,
-            valid=no_point,
-            layout=layout,
-            ok=False,
-            quality=0.0,
-            reason=reason,
-            age=age,
-        )
+        pixels = np.full((layout.size, 2), np.nan, np.float32) if in_2d else None
+        last = Shape(name, pixels, None, no_point, no_point, layout)
+    points3d = last.points3d
+    if points3d is None and in_3d:
+        points3d = np.full((layout.size, 3), np.nan, np.float32)
+    ok = policy == "hold" and age <= max_age and was_found
     return replace(
-        last,
-        points3d=nowhere if last.points3d is None else last.points3d,
-        visible=no_point,
-        valid=no_point,
-        ok=policy == "hold" and age <= max_age,
-        quality=0.0,
-        reason=reason,
-        age=age,
+        last, points3d=points3d, visible=no_point, valid=no_point, ok=ok, quality=0.0, reason=reason, age=age
     )
 
 

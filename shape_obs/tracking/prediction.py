@@ -106,6 +106,11 @@ class Prediction(NamedTuple):
     width: float
     steady: bool
 
+    @property
+    def reference(self) -> Array:
+        """``(K, D)`` nodes of the past that a closed curve is numbered by."""
+        return self.nodes if self.hints.reference is None else self.hints.reference
+
 
 def predict(track: Track | None, observed: Observed, stamp: float) -> Prediction | None:
     """Predict the nodes at ``stamp``: the last place plus most of the last step; None without a track.

@@ -22,10 +22,11 @@ from shape_obs.geometry.outline import closed_arc, even_around
 from shape_obs.tracking.prediction import Prediction
 
 Array = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
 
 # Numbered by the last frame alone, an outline of noisy pixels creeps by 6 px in 180 frames. The mean of some twenty
 # frames holds it, and is left behind by slow changes of shape alone.
-FORGETTING: Final = 0.05
+_FORGETTING: Final = 0.05
 # How much the place and direction of an outline weigh against its shape, whose match is worth 1. A square fits itself
 # four ways, a towel two: the way that turns least is chosen.
 _TURNING: Final = 0.05
@@ -37,61 +38,50 @@ _HARMONICS: Final = 12
 # Shifts at which a peak is looked for, ten to the shortest wave, and half-widths of the parabolas through it, in turns.
 _SHIFTS: Final = 128
 _PEAKS: Final = (0.5 / 128, 0.1 / 128)
-_ROUND = 2 * np.pi / _SHIFTS * np.outer(np.arange(1, _HARMONICS + 1), np.arange(_SHIFTS))
-_COS, _SIN = np.cos(_ROUND), np.sin(_ROUND)
 
 
 def match_outline(curve: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, Array]:
-    """Renumber a closed curve in space, clockwise as seen, from the place where the predicted outline begins.
+    """Renumber a closed curve, clockwise as seen, from the place where the predicted outline begins.
 
-    Returns the same curve from there on, and its ``(K, 3)`` nodes, equally spaced.
+    Returns the same curve from there on, and its ``(K, D)`` nodes, equally spaced.
     """
-    count, reference = len(prediction.nodes), prediction.hints.reference
-    reference = prediction.nodes if reference is None else reference
-    shift = _index_shift_space(reference, prediction.nodes, curve.even(count))
-    turned = curve.starting_at(shift * curve.size / count)
-    nodes = turned.even(count)
-    return replace(turned, hints=TrackHints(reference=_blend_space(reference, nodes, FORGETTING))), nodes
+    reference, count = prediction.reference, len(prediction.nodes)
+    if curve.points.shape[1] == 2:
+        points, arc, nodes, reference = renumber_outline(curve.points, reference, prediction.nodes)
+        turned = FittedCurve(points, np.zeros(len(points), bool), arc, True)
+    else:
+        shift = _index_shift_space(reference, prediction.nodes, curve.even(count))
+        turned = curve.starting_at(shift * curve.size / count)
+        nodes = turned.even(count)
+        reference = _blend_space(reference, nodes)
+    return replace(turned, hints=TrackHints(reference=reference)), nodes
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8)")
-def renumber_outline(
-    points: Array, reference: Array, predicted: Array, share: float
-) -> tuple[Array, Array, Array, Array]:
+@compiled("(f8[:,::1], f8[:,::1], f8[:,::1])")
+def renumber_outline(points: Array, reference: Array, predicted: Array) -> tuple[Array, Array, Array, Array]:
     """Renumber an outline in the plane from where it began before.
 
     Args:
         points: ``(P, 2)``.
         reference: ``(K, 2)`` equidistant around the outline as it was, wherever it lay.
         predicted: ``(K, 2)`` the same nodes where they are expected.
-        share: How far the reference moves towards what was found.
 
     Returns:
         ``(P', 2)`` the same outline from there on, P' = P or P + 1; ``(P' + 1,)`` its arc length, the last entry the
         whole; ``(K, 2)`` equidistant places on it; ``(K, 2)`` the reference laid over them and moved towards them.
     """
-    size, count = len(points), len(predicted)
-    arc = closed_arc(points)
-    whole = arc[size]
+    count, arc = len(predicted), closed_arc(points)
+    whole = arc[-1]
     start = index_shift(reference, predicted, even_around(points, arc, 0.0, count)) * (whole / count) % whole
     same = 1e-9 * whole
     if start + same >= whole:
         start = 0.0
-    after = 1
-    while after < size and arc[after] < start + same:
-        after += 1
-    here = start - arc[after - 1] <= same  # the point is there already
-    turned = np.empty((size if here else size + 1, 2))
-    gap = max(arc[after] - arc[after - 1], same)
-    for d in range(2):
-        there = points[after % size, d]
-        turned[0, d] = points[after - 1, d] + (start - arc[after - 1]) / gap * (there - points[after - 1, d])
-    for p in range(1, len(turned)):
-        at = (after + p - 1) % size
-        turned[p, 0], turned[p, 1] = points[at, 0], points[at, 1]
+    after = max(np.searchsorted(arc, start + same), 1)
+    before = after - 1 if start - arc[after - 1] <= same else after  # the point is there already
+    turned = np.concatenate((even_around(points, arc, start, 1), points[after:], points[:before]))
     arc = closed_arc(turned)
     nodes = even_around(turned, arc, 0.0, count)
-    return turned, arc, nodes, blend(reference, nodes, share)
+    return turned, arc, nodes, blend(reference, nodes)
 
 
 @compiled
@@ -107,40 +97,20 @@ def index_shift(reference: Array, predicted: Array, found: Array) -> float:
         Places; fractions of a place too.
     """
     count = len(found)
-    cos, sin = np.empty(count), np.empty(count)
-    for k in range(count):
-        cos[k], sin[k] = math.cos(2 * math.pi * k / count), math.sin(2 * math.pi * k / count)
+    around = 2 * math.pi / count * np.arange(count)
+    cos, sin = np.cos(around), np.sin(around)
     seen = _waves(found, cos, sin)
     shape, place = _spectrum(_waves(reference, cos, sin), seen), _spectrum(_waves(predicted, cos, sin), seen)
-    real, imaginary, still = np.zeros(_SHIFTS), np.zeros(_SHIFTS), np.zeros(_SHIFTS)
-    for h in range(_HARMONICS):
-        for s in range(_SHIFTS):
-            real[s] += shape[0, h] * _COS[h, s] + shape[1, h] * _SIN[h, s]
-            imaginary[s] += shape[2, h] * _COS[h, s] + shape[3, h] * _SIN[h, s]
-            still[s] += place[0, h] * _COS[h, s] + place[1, h] * _SIN[h, s]
-    turned, score, least, most = np.empty(_SHIFTS), np.empty(_SHIFTS), np.inf, 0.0
-    for s in range(_SHIFTS):
-        turned[s] = math.sqrt(real[s] * real[s] + imaginary[s] * imaginary[s])
-        least, most = min(least, turned[s]), max(most, turned[s])
-    flat = _FLAT / (1 + (most - least) / _FLAT)
-    at, best = 0, -np.inf
-    for s in range(_SHIFTS):
-        score[s] = turned[s] + flat * still[s]
-        match = turned[s] + _TURNING * still[s]
-        if match > best:
-            at, best = s, match
-    while True:
-        before, after = at - 1 if at else _SHIFTS - 1, at + 1 if at < _SHIFTS - 1 else 0
-        if max(score[before], score[after]) <= score[at]:
-            break
-        at = before if score[before] >= score[after] else after
+    turned, still = _matches(shape, place, np.arange(_SHIFTS) / _SHIFTS)
+    flat = _FLAT / (1 + (turned.max() - turned.min()) / _FLAT)
+    score, at = turned + flat * still, np.argmax(turned + _TURNING * still)
+    while max(score[at - 1], score[(at + 1) % _SHIFTS]) > score[at]:
+        at = (at - 1 if score[at - 1] >= score[(at + 1) % _SHIFTS] else at + 1) % _SHIFTS
     turns = at / _SHIFTS
     for width in _PEAKS:
-        low, middle, high = (
-            _score(shape, place, flat, turns - width),
-            _score(shape, place, flat, turns),
-            _score(shape, place, flat, turns + width),
-        )
+        turned, still = _matches(shape, place, np.array([turns - width, turns, turns + width]))
+        score = turned + flat * still
+        low, middle, high = score[0], score[1], score[2]
         bend = low - 2 * middle + high
         if bend < 0:
             turns += width * min(max((low - high) / (2 * bend), -1.0), 1.0)
@@ -148,29 +118,17 @@ def index_shift(reference: Array, predicted: Array, found: Array) -> float:
 
 
 @compiled
-def blend(reference: Array, found: Array, share: float) -> Array:
-    """Return the reference laid over ``found`` and moved there by a share, all ``(K, 2)``."""
-    count = len(found)
-    before_u = before_v = after_u = after_v = 0.0
-    for k in range(count):
-        before_u += reference[k, 0] / count
-        before_v += reference[k, 1] / count
-        after_u += found[k, 0] / count
-        after_v += found[k, 1] / count
-    cosine = sine = 0.0
-    for k in range(count):
-        x, y = reference[k, 0] - before_u, reference[k, 1] - before_v
-        u, v = found[k, 0] - after_u, found[k, 1] - after_v
-        cosine += x * u + y * v
-        sine += x * v - y * u
+def blend(reference: Array, found: Array) -> Array:
+    """Return the reference laid over ``found`` and moved a little there, all ``(K, 2)``."""
+    before, after = reference - reference.sum(axis=0) / len(found), found - found.sum(axis=0) / len(found)
+    cosine = (before * after).sum()
+    sine = (before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]).sum()
     reach = math.sqrt(cosine * cosine + sine * sine)
     cosine, sine = (cosine / reach, sine / reach) if reach > 0 else (1.0, 0.0)
-    out = np.empty_like(found)
-    for k in range(count):
-        x, y = reference[k, 0] - before_u, reference[k, 1] - before_v
-        out[k, 0] = found[k, 0] + (1 - share) * (x * cosine - y * sine - (found[k, 0] - after_u))
-        out[k, 1] = found[k, 1] + (1 - share) * (x * sine + y * cosine - (found[k, 1] - after_v))
-    return out
+    laid = np.empty_like(found)
+    laid[:, 0] = before[:, 0] * cosine - before[:, 1] * sine
+    laid[:, 1] = before[:, 0] * sine + before[:, 1] * cosine
+    return found + (1 - _FORGETTING) * (laid - after)
 
 
 @compiled(reassociate=True)
@@ -209,44 +167,50 @@ def _spectrum(before: Array, after: Array) -> Array:
     A wave of u + iv that runs forwards is (u_cos + v_sin) + i (v_cos - u_sin), and one that runs backwards has the
     other signs; the correlation multiplies the conjugate of the one with the other. A perfect match gives 1.
     """
+    ahead = np.conj(_running(before, 1.0)) * _running(after, 1.0)
+    back = np.conj(_running(before, -1.0)) * _running(after, -1.0)
     out = np.empty((4, _HARMONICS))
-    first = second = 0.0
-    for h in range(_HARMONICS):
-        a, b, c, d = before[0, h], before[1, h], before[2, h], before[3, h]
-        e, f, g, i = after[0, h], after[1, h], after[2, h], after[3, h]
-        ahead = complex(a + d, -(c - b)) * complex(e + i, g - f)
-        back = complex(a - d, -(c + b)) * complex(e - i, g + f)
-        first += 2 * (a * a + b * b + c * c + d * d)
-        second += 2 * (e * e + f * f + g * g + i * i)
-        out[0, h], out[1, h] = ahead.real + back.real, back.imag - ahead.imag
-        out[2, h], out[3, h] = ahead.imag + back.imag, ahead.real - back.real
-    scale = max(math.sqrt(first * second), 1e-12)
-    for k in range(4):
-        for h in range(_HARMONICS):
-            out[k, h] /= scale
-    return out
+    out[0], out[1] = ahead.real + back.real, back.imag - ahead.imag
+    out[2], out[3] = ahead.imag + back.imag, ahead.real - back.real
+    return out / max(2 * math.sqrt((before * before).sum() * (after * after).sum()), 1e-12)
 
 
 @compiled
-def _score(shape: Array, place: Array, flat: float, turns: float) -> float:
-    """Return how well two outlines match at one shift, in turns."""
-    base_cos, base_sin = math.cos(2 * math.pi * turns), math.sin(2 * math.pi * turns)
-    cos, sin = base_cos, base_sin
-    real = imaginary = still = 0.0
+def _running(waves: Array, way: float) -> Complexes:
+    """Return the waves of u + iv that run forwards, ``way`` 1, or backwards, ``way`` -1."""
+    return waves[0] + way * waves[3] + 1j * (waves[2] - way * waves[1])
+
+
+@compiled
+def _matches(shape: Array, place: Array, turns: Array) -> tuple[Array, Array]:
+    """Return how well outlines match at ``(S,)`` shifts, in turns: after the best rotation, and without one.
+
+    Args:
+        shape: The correlation with the outline as it was, see ``_spectrum``.
+        place: The correlation with the outline where it is expected.
+        turns: The shifts.
+    """
+    count = len(turns)
+    base_cos, base_sin = np.cos(2 * math.pi * turns), np.sin(2 * math.pi * turns)
+    cos, sin = base_cos.copy(), base_sin.copy()
+    real, imaginary, still = np.zeros(count), np.zeros(count), np.zeros(count)
     for h in range(_HARMONICS):
-        real += shape[0, h] * cos + shape[1, h] * sin
-        imaginary += shape[2, h] * cos + shape[3, h] * sin
-        still += place[0, h] * cos + place[1, h] * sin
-        cos, sin = cos * base_cos - sin * base_sin, sin * base_cos + cos * base_sin
-    return math.sqrt(real * real + imaginary * imaginary) + flat * still
+        for s in range(count):
+            real[s] += shape[0, h] * cos[s] + shape[1, h] * sin[s]
+            imaginary[s] += shape[2, h] * cos[s] + shape[3, h] * sin[s]
+            still[s] += place[0, h] * cos[s] + place[1, h] * sin[s]
+            turned = cos[s] * base_cos[s] - sin[s] * base_sin[s]
+            sin[s] = sin[s] * base_cos[s] + cos[s] * base_sin[s]
+            cos[s] = turned
+    return np.sqrt(real * real + imaginary * imaginary), still
 
 
-def _blend_space(reference: Array, found: Array, share: float) -> Array:
-    """Return the reference laid over ``found`` and moved there by a share, all ``(K, D)``."""
+def _blend_space(reference: Array, found: Array) -> Array:
+    """Return the reference laid over ``found`` and moved a little there, all ``(K, D)``."""
     before, after = reference - reference.mean(axis=0), found - found.mean(axis=0)
     left, _, right = np.linalg.svd(before.T @ after)
     left[:, -1] *= np.sign(np.linalg.det(left) * np.linalg.det(right))
-    return found + (1 - share) * (before @ left @ right - after)
+    return found + (1 - _FORGETTING) * (before @ left @ right - after)
 
 
 def _index_shift_space(reference: Array, predicted: Array, found: Array) -> float:

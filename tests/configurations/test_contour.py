@@ -15,7 +15,7 @@ from shape_obs.bench.scores import outline_score
 from shape_obs.bench.synthetic.blobs import KINDS, draw_blob, random_blob
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.outline import Outline, clockwise
-from shape_obs.geometry.polyline import arc_length, catmull_rom, equidistant_around
+from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, equal_chords
 from shape_obs.geometry.topology import Ring
 from shape_obs.metrics import spacing_cv
 
@@ -215,8 +215,9 @@ class TestClosedCurves:
     @given(n=st.integers(3, 100), seed=st.integers(0, 1000))
     def test_chords_are_equal_around(self, n, seed):
         blob = random_blob(np.random.default_rng(seed)).outline
-        arc = arc_length(np.concatenate([blob, blob[:1]]))
-        at = equidistant_around(blob, arc, n)
+        around = np.concatenate([blob, blob[:1]])
+        arc = arc_length(around)
+        at = equal_chords(around, arc, around, arc, n + 1, 0.0, MAX_SHIFT_AROUND)[1][:n]
         assert at[0] == 0
         assert np.all(np.diff(at) > 0)
         points = FittedCurve.through(blob, np.zeros(len(blob), bool), closed=True).at(at)

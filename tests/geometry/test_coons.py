@@ -51,7 +51,9 @@ def test_the_inside_is_blended_between_the_sides(seed):
 def test_it_runs_through_its_corners_and_its_sides_at_even_steps(seed):
     found, corners, sides, kink = patch(seed)
     np.testing.assert_allclose(found.corners, corners, atol=0.5)
-    for line, side, end in zip(found.sides, sides, np.roll(corners, -1, axis=0), strict=True):
+    lattice = found.lattice
+    lines = lattice[0], lattice[:, -1], lattice[-1, ::-1], lattice[::-1, 0]
+    for line, side, end in zip(lines, sides, np.roll(corners, -1, axis=0), strict=True):
         away = KDTree(np.concatenate([side, end[None]])).query(line)[0]
         assert away.max() < 0.5
         steps = np.linalg.norm(np.diff(line, axis=0), axis=1)

@@ -18,20 +18,19 @@ def test_a_turn_moves_the_corners_and_nothing_else(seed, quarters, dimension):
     patch = FittedLattice.over(rng.normal(size=(63, dimension)), rng.random(63) < 0.3, 7)
     turned = patch.turned(quarters)
     np.testing.assert_allclose(turned.corners, np.roll(patch.corners, -quarters, axis=0))
-    for found, side in zip(turned.sides, (patch.sides * 2)[quarters : quarters + 4], strict=True):
-        np.testing.assert_allclose(found, side)
+    np.testing.assert_allclose(turned.lattice, np.rot90(patch.lattice, quarters))
     back = turned.turned((4 - quarters) % 4)
     np.testing.assert_allclose(back.points, patch.points)
     np.testing.assert_array_equal(back.interpolated, patch.interpolated)
     np.testing.assert_allclose(turned.size, patch.size)
 
 
-def test_places_between_the_points():
+def test_an_even_lattice_is_a_sheet():
     lattice = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1)
     patch = FittedLattice.over(lattice.reshape(-1, 2), np.arange(12) == 5, 3)
-    np.testing.assert_allclose(patch.at(np.array([0.5, 2]), np.array([0, 1.25, 3])), [
-        [0, 0.5], [1.25, 0.5], [3, 0.5], [0, 2], [1.25, 2], [3, 2]])  # fmt: skip
-    assert patch.interpolated_at(np.array([1.0, 2.0]), np.array([1.0, 2.0])).tolist() == [True, False, False, False]
+    index = np.arange(3.0), np.arange(4.0)
+    np.testing.assert_allclose(sample_lattice(patch.lattice, *index, 2, 2, True), [
+        [0.75, 0.5], [2.25, 0.5], [0.75, 1.5], [2.25, 1.5]])  # fmt: skip
     assert patch.size == 5
     np.testing.assert_allclose(assess_lattice(patch.lattice), [90, 0, 0, 0])
 

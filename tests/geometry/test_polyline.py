@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
 from shape_obs.geometry.polyline import (
+    MAX_SHIFT,
+    MAX_SHIFT_AROUND,
     arc_length,
     catmull_rom,
-    equidistant_around,
-    equidistant_positions,
+    equal_chords,
     interpolate,
     nearest_on,
     resample,
@@ -69,12 +70,15 @@ def test_equidistant_points_have_equal_chords(seed, count, centers):
     rng = np.random.default_rng(seed)
     curve = catmull_rom(np.cumsum(rng.uniform(10, 30, (9, 2)), axis=0), 8, False)
     arc = arc_length(curve)
-    at = equidistant_positions(curve, arc, count, centers=centers)
+    margin = arc[-1] / (2 * count) if centers else 0.0
+    points, at = equal_chords(curve, arc, curve, arc, count, margin, MAX_SHIFT)
+    np.testing.assert_allclose(points, interpolate(curve, arc, at))
     chord = np.linalg.norm(np.diff(interpolate(curve, arc, at), axis=0), axis=1)
     assert np.ptp(chord) < 0.01 * chord.mean()
-    margin = arc[-1] / (2 * count) if centers else 0.0
     np.testing.assert_allclose([at[0], arc[-1] - at[-1]], margin, atol=0.35 * arc[-1] / count + 1e-9)
-    around = equidistant_around(curve, arc_length(np.concatenate([curve, curve[:1]])), count)
+    ring = np.concatenate([curve, curve[:1]])
+    arc = arc_length(ring)
+    around = equal_chords(ring, arc, ring, arc, count + 1, 0.0, MAX_SHIFT_AROUND)[1]
     assert around[0] == 0
     assert (np.diff(around) > 0).all()
 

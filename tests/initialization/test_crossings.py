@@ -13,12 +13,13 @@ from scipy.spatial import KDTree
 from shape_obs.bench.synthetic.ropes import draw_rope, random_rope, resample
 from shape_obs.bench.synthetic.tangles import Tangle, crossing_rope, cut_rope, is_traversed
 from shape_obs.bench.tangle_claims import SETS, TangleResult, detected, tangled_ropes
+from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.initialization.folding import fold_outline
 from shape_obs.initialization.gaps import bridge
-from shape_obs.initialization.medial_axis import Trace, trace
+from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import skeleton_graph
 
 
@@ -26,9 +27,9 @@ def region_of(mask: npt.NDArray[np.uint8]) -> Region:
     return find_region(mask, Window(0, 0, mask.shape[1], mask.shape[0]), min_area=20, min_share=0.05)
 
 
-def traced(tangles: list[Tangle]) -> list[tuple[Tangle, Trace, bool]]:
-    found = [(tangle, trace(region_of(tangle.mask))) for tangle in tangles]
-    return [(tangle, result, is_traversed(result.curve, tangle)) for tangle, result in found]
+def traced(tangles: list[Tangle]) -> list[tuple[Tangle, FittedCurve, bool]]:
+    found = [(tangle, medial_axis(region_of(tangle.mask))) for tangle in tangles]
+    return [(tangle, result, is_traversed(result.points, tangle)) for tangle, result in found]
 
 
 def strip(*points: tuple[float, float], width: float = 10.0) -> npt.NDArray[np.uint8]:
@@ -72,11 +73,11 @@ def test_a_traced_curve_keeps_to_the_middle_of_its_strand_at_even_steps():
     rng = np.random.default_rng(11)
     for tangle, result, right in traced([crossing_rope(rng, 1 + i % 2) for i in range(20)]):
         if right:
-            distance = np.linalg.norm(result.curve[:, None] - tangle.curve[None], axis=2).min(axis=1)
-            step = np.linalg.norm(np.diff(result.curve, axis=0), axis=1)
+            distance = np.linalg.norm(result.points[:, None] - tangle.curve[None], axis=2).min(axis=1)
+            step = np.linalg.norm(np.diff(result.points, axis=0), axis=1)
             assert np.percentile(distance[2:-2], 90) <= 0.25 * tangle.width
             assert step.max() <= 1.5 * step.mean()
-            assert 96 <= len(result.curve) <= 256
+            assert 96 <= len(result.points) <= 256
 
 
 @pytest.mark.parametrize("band", [16, 50])
@@ -84,9 +85,9 @@ def test_bridged_points_of_a_traced_curve_lie_off_the_mask_and_are_no_more_than_
     rng = np.random.default_rng(12)
     for tangle, result, right in traced([cut_rope(rng, i % 2, band) for i in range(20)]):
         if right:
-            assert result.bridged.any()
-            assert not region_of(tangle.mask).contains(result.curve[result.bridged]).any()
-            assert result.bridged.mean() < 2.5 * tangle.hidden.mean() + 0.03
+            assert result.interpolated.any()
+            assert not region_of(tangle.mask).contains(result.points[result.interpolated]).any()
+            assert result.interpolated.mean() < 2.5 * tangle.hidden.mean() + 0.03
 
 
 def test_a_simple_ribbon_is_folded():
@@ -94,11 +95,11 @@ def test_a_simple_ribbon_is_folded():
     for kind in ("smooth", "hairpin", "loop", "spiral"):
         rope = random_rope(rng, kind)
         region = region_of(rope.mask)
-        result = trace(region)
-        assert np.array_equal(result.curve, fold_outline(region.components[0].outline, region.components[0].width))
-        assert not result.bridged.any()
-        assert result.doubt == ""
-        away = KDTree(resample(rope.curve, 0.5)).query(result.curve)[0]
+        result = medial_axis(region)
+        assert np.array_equal(result.points, fold_outline(region.components[0].outline, region.components[0].width))
+        assert not result.interpolated.any()
+        assert result.ambiguity == ""
+        away = KDTree(resample(rope.curve, 0.5)).query(result.points)[0]
         assert np.median(away) < 1
 
 
@@ -130,9 +131,9 @@ def test_a_closed_ring_is_refused():
 def test_noise_does_no_harm(seed):
     rng = np.random.default_rng(seed)
     mask = np.where(rng.random((120, 160)) < 0.3 + 0.15 * seed, np.uint8(255), np.uint8(0))
-    result = trace(region_of(mask))
-    assert np.isfinite(result.curve).all()
-    assert len(result.curve) == len(result.bridged)
+    result = medial_axis(region_of(mask))
+    assert np.isfinite(result.points).all()
+    assert len(result.points) == len(result.interpolated)
 
 
 @pytest.mark.parametrize("thickness", [4, 12, 60])

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from shape_obs import ShapeDetector, Surface
 from shape_obs.bench.synthetic.sheets import moving_sheet
-from shape_obs.tracking.corner_matching import STRAYED, match_corners, match_corners_in_space
+from shape_obs.tracking.corner_matching import STRAYED, match_corners
 from shape_obs.tracking.validation import validate_sheet
 
 
@@ -42,8 +42,7 @@ QUAD = np.array([[0.0, 0], [200, 10], [190, 120], [-10, 110]])
 
 
 def strayed(expected: np.ndarray, found: np.ndarray, freedom: float = STRAYED) -> str:
-    match = match_corners if expected.shape[1] == 2 else match_corners_in_space
-    _, corner, share = match(expected, found)
+    _, corner, share = match_corners(expected, np.ascontiguousarray(found))
     return validate_sheet(0.0, (90.0, 0.0, 0.0, 0.0), "mask", 0.0, (corner, share), freedom).reason
 
 
@@ -78,4 +77,4 @@ def test_the_corner_that_strays_is_that_of_least_squares(seed, quarters, corner)
     expected = quarters, int(np.argmax(away)), pytest.approx(share)
     assert match_corners(QUAD, np.roll(found, quarters, axis=0)) == expected
     flat = (np.pad(points, ((0, 0), (0, 1))) for points in (QUAD, np.roll(found, quarters, axis=0)))
-    assert match_corners_in_space(*flat) == expected
+    assert match_corners(*flat) == expected

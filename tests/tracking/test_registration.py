@@ -27,10 +27,10 @@ def shift_of(reference, predicted, found):
     return index_shift(reference, predicted, found)
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8)")
-def blended(reference, found, share):
+@compiled("(f8[:,::1], f8[:,::1])")
+def blended(reference, found):
     """Call a function that is compiled for compiled callers only."""
-    return blend(reference, found, share)
+    return blend(reference, found)
 
 
 class TestRegistration:
@@ -60,7 +60,7 @@ class TestRegistration:
         if dimension == 2:
             behind = shift_of(nodes, nodes, found.at(at * after.size))
             assert abs((behind - 64 * share + 32) % 64 - 32) < 0.05
-            renumbered = renumber_outline(found.points, nodes, nodes, 0.05)[2]
+            renumbered = renumber_outline(found.points, nodes, nodes)[2]
         else:
             prediction = Prediction(nodes, before.size, Ring(64), TrackHints(), 1.0, 0.0, True)
             renumbered = match_outline(found, prediction)[1]
@@ -92,4 +92,4 @@ class TestRegistration:
             rotation = np.linalg.qr(rng.normal(size=(dimension, dimension)))[0]
             rotation[0] *= np.linalg.det(rotation)
             found = reference @ rotation.T + np.arange(1, dimension + 1)
-            np.testing.assert_allclose(laid_over(reference, found, 0.05), found, atol=1e-9)
+            np.testing.assert_allclose(laid_over(reference, found), found, atol=1e-9)

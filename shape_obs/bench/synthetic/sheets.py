@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.optimize import brentq
 
 from shape_obs.configurations.base import Ends
-from shape_obs.geometry.lattice import FittedLattice
+from shape_obs.geometry.lattice import sample_lattice
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
@@ -47,9 +47,8 @@ class Sheet:
 
     def lattice(self, rows: int, cols: int, ends: Ends) -> Array:
         """Return the true positions of a lattice's points in the cloth's frame, (rows, cols, D)."""
-        patch = FittedLattice.over(self.points.reshape(_FINE * _FINE, -1), np.zeros(_FINE * _FINE, bool), _FINE)
-        v, u = (places(count, ends) * (_FINE - 1) for count in (rows, cols))
-        return patch.at(v, u).reshape(rows, cols, -1)
+        index, fine = np.arange(float(_FINE)), np.ascontiguousarray(self.points, dtype=np.float64)
+        return sample_lattice(fine, index, index, rows, cols, ends == "centers").reshape(rows, cols, -1)
 
 
 def places(count: int, ends: Ends) -> Array:
