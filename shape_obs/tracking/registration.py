@@ -224,13 +224,13 @@ def _blend_space(reference: Array, found: Array) -> Array:
 def _index_shift_space(reference: Array, predicted: Array, found: Array) -> float:
     """Return what ``index_shift`` returns, in space: all ``(K, 3)``."""
     shape, place = _cross_spectrum(reference, found), _cross_spectrum(predicted, found)
-    turned, still = (
-        _rotated(_at(shape, np.arange(_SHIFTS) / _SHIFTS)),
-        np.einsum("dds->s", _at(place, np.arange(_SHIFTS) / _SHIFTS)),
-    )
-    contrast = float(np.ptp(turned))
-    flat = _FLAT / (1 + contrast / _FLAT)
-    at = _climb(turned + flat * still, int(np.argmax(turned + _TURNING * still))) / _SHIFTS
+    shifts = np.arange(_SHIFTS) / _SHIFTS
+    turned, still = _rotated(_at(shape, shifts)), np.einsum("dds->s", _at(place, shifts))
+    flat = _FLAT / (1 + float(np.ptp(turned)) / _FLAT)
+    score, at = turned + flat * still, int(np.argmax(turned + _TURNING * still))
+    while max(low := score[(at - 1) % _SHIFTS], high := score[(at + 1) % _SHIFTS]) > score[at % _SHIFTS]:
+        at += -1 if low >= high else 1
+    at /= _SHIFTS
     for width in _PEAKS:
         shifts = at + width * np.array([-1.0, 0.0, 1.0])
         score = _rotated(_at(shape, shifts)) + flat * np.einsum("dds->s", _at(place, shifts))
@@ -259,13 +259,3 @@ def _rotated(covariance: Array) -> Array:
     stacked = np.moveaxis(covariance, -1, 0)
     values = np.linalg.svd(stacked, compute_uv=False)
     return values[:, :-1].sum(axis=1) + np.where(np.linalg.det(stacked) < 0, -1.0, 1.0) * values[:, -1]
-
-
-def _climb(score: Array, at: int) -> int:
-    """Return the nearest maximum uphill from an index, around a ring."""
-    while True:
-        around = (at + np.array([-1, 0, 1])) % len(score)
-        step = int(np.argmax(score[around])) - 1
-        if step == 0 or score[around[step + 1]] <= score[at % len(score)]:
-            return at
-        at += step
