@@ -14,6 +14,7 @@ from shape_obs.drawing import draw_curve, draw_detection, draw_text
 from shape_obs.frame import Frame
 from shape_obs.geometry.curve import FittedCurve, FittedForm
 from shape_obs.geometry.lattice import FittedLattice
+from shape_obs.geometry.outline import SAMPLED, pairs
 from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Topology
 from shape_obs.image.find_region import find_region
@@ -110,10 +111,17 @@ MAP = {
 }
 COLD = {"centerline": "the outline, folded", "contour": "the outline", "surface": "corners and a Coons patch"}
 SAMPLES = {
-    "centerline": lambda region: region.samples,
-    "contour": Region.outline_samples,
+    "centerline": lambda region: region.gather(max(region.width / 3, 1)),
+    "contour": lambda region: in_twos(region.outline.points),
     "surface": lambda region: region.gather(CELL),
 }
+
+
+def in_twos(points: np.ndarray) -> Samples:
+    """The points of an outline, two by two."""
+    weight = np.full((len(points) + 1) // SAMPLED, float(SAMPLED))
+    weight[-1] -= len(points) % SAMPLED
+    return Samples(pairs(points), weight, float(SAMPLED))
 
 
 def initial_form(spec: Configuration, region: Region, found: FittedForm) -> FittedForm:

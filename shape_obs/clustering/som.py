@@ -29,7 +29,7 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.outline import SAMPLED, closed_arc, even_around
 from shape_obs.geometry.samples import Samples
-from shape_obs.geometry.topology import Topology, neighbourhoods
+from shape_obs.geometry.topology import Topology, neighbourhoods, undo_shrinkage
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -272,12 +272,7 @@ def _ring_epoch(nodes: Array, held: Array, total: Array, sigma: float) -> Array:
         over = s0 * s2 - s1 * s1
         out[k, 0], out[k, 1] = (s2 * t0u - s1 * t1u) / over, (s2 * t0v - s1 * t1v) / over
     share = 1 / 24 + near[1] / (1 + 2 * near[1])
-    back = np.empty_like(nodes)
-    for k in range(count):
-        before, after = k - 1 if k else count - 1, k + 1 if k < count - 1 else 0
-        for d in range(2):
-            back[k, d] = out[k, d] - share * (out[after, d] - 2 * out[k, d] + out[before, d])
-    return back
+    return undo_shrinkage(out, share, True)
 
 
 @compiled

@@ -39,7 +39,7 @@ def anchor_point(spec: Configuration, anchors: Anchors, camera: CameraModel | No
     the cloud's own frame.
 
     Raises:
-        ValueError: An unknown name, no finite place, a pixel, or a camera that does not know its place.
+        ValueError: An unknown name, no finite place, a pixel, or a camera whose place is unknown.
     """
     point, text = _point(spec, anchors)
     if point is not None and len(point) == 2:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,9 @@ from shape_obs.image.region import Region
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.registration import match_outline, renumber_outline
 from shape_obs.tracking.validation import outline_miss, ring_miss, validate_outline
+
+if TYPE_CHECKING:
+    from shape_obs.point_cloud.cloud import Cloud
 
 Array = npt.NDArray[np.float64]
 
@@ -111,7 +114,7 @@ class Contour(Configuration, kind="contour"):
             traced = observed.traced_outline(self.hole)
             points, miss = fit_ring_in_mask(traced.traced, traced.hole, start, topology.size)
         else:
-            samples, outline = observed.outline_samples(), observed.outline_curve()
+            samples, outline = cast("Cloud", observed).outline_samples(), observed.outline_curve()
             nearest = np.argmin(np.sum((outline.points - start) ** 2, axis=1))
             begin = outline.starting_at(float(outline.arc[nearest])).even(topology.size)
             points = catmull_rom(run_som(samples, begin, topology, (_SIGMA,)), _PIECES, True)
@@ -120,7 +123,7 @@ class Contour(Configuration, kind="contour"):
 
     def _topology(self, observed: Observed, outline: FittedCurve) -> Ring:
         """Return a ring with a node every three samples, 24 to 192 of them; closer on what is thin."""
-        spacing = _NODE_SPACING * observed.outline_samples(self.hole).scale
+        spacing = _NODE_SPACING * (SAMPLED if observed.dimension == 2 else outline.size / len(outline.points))
         if observed.dimension == 2 and self.hole is None:
             spacing = min(spacing, _THIN * observed.width)
         return Ring(int(np.clip(round(outline.size / spacing), *_NODES)))
@@ -163,7 +166,7 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_ring_in_mask, track_ring_in_mask, _points_around, renumber_outline, material_outline, pairs
+        masks = fit_ring_in_mask, track_ring_in_mask, _points_around, renumber_outline, material_outline
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds
 

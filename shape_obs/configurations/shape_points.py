@@ -69,7 +69,7 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     readable, unit = readable_depth(depth)
     left, top = region.window[:2]
     reach = min(max(round(width / 4), 1), MAX_REACH)
-    visible, z = visible_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE)
+    visible, z = visible_depth(readable, unit, region.mask, left, top, points, reach)
     visible &= ~interpolated
     if in_pieces and under is not None:
         # Next to what hides a piece, depth that is not the form's is not the points' either.
@@ -83,21 +83,14 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
 
 
 @compiled(
-    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8)",
-    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8)",
+    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8)",
+    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8)",
 )
 def visible_depth(
-    depth: npt.NDArray[Any],
-    unit: float,
-    mask: npt.NDArray[np.uint8],
-    left: int,
-    top: int,
-    points: Array,
-    reach: int,
-    min_share: float,
+    depth: npt.NDArray[Any], unit: float, mask: npt.NDArray[np.uint8], left: int, top: int, points: Array, reach: int
 ) -> tuple[Mask, Array]:
     """Return whether the mask has a pixel at each point, and the median depth of the mask around it."""
-    z = median_depth(depth, unit, mask, left, top, points, reach, min_share)
+    z = median_depth(depth, unit, mask, left, top, points, reach, MIN_SHARE)
     return near_mask(mask, left, top, points, 1), z
 
 

@@ -67,11 +67,6 @@ class FittedForm(ABC):
         """Whether no point is interpolated."""
         return not self.interpolated.any()
 
-    @property
-    def unsupported_fraction(self) -> float:
-        """The share of the form that is interpolated."""
-        return np.count_nonzero(self.interpolated) / len(self.interpolated)
-
     @abstractmethod
     def smoothed(self, values: Array, known: Mask) -> Array:
         """Fill ``(P,)`` values at the points where they are unknown, and smooth them over a few points."""

@@ -73,10 +73,6 @@ class Observed(Protocol):
         """Return the outline of the largest piece, or of one of its holes, clockwise as seen."""
         ...
 
-    def outline_samples(self, hole: int | None = None) -> Samples:
-        """Return the points of the outline before any smoothing, weighted by arc length."""
-        ...
-
     def outline_points(self, hole: int | None = None) -> Samples:
         """Return the points of the outline, each counting once."""
         ...

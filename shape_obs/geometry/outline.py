@@ -12,7 +12,6 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import arc_length, closed, interpolate
-from shape_obs.geometry.samples import Samples
 
 Array = npt.NDArray[np.float64]
 
@@ -51,15 +50,6 @@ class Outline:
     def curve(self) -> FittedCurve:
         """The smoothed outline."""
         return FittedCurve.through(self.smooth, np.zeros(len(self.smooth), bool), closed=True)
-
-    @cached_property
-    def samples(self) -> Samples:
-        """``points``, two by two."""
-        points = pairs(self.points)
-        weight = np.full(len(points), float(SAMPLED))
-        if len(self.points) % SAMPLED:
-            weight[-1] = 1.0
-        return Samples(points, weight, float(SAMPLED))
 
     @cached_property
     def _material(self) -> tuple[Array, Array]:

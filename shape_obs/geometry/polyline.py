@@ -143,10 +143,11 @@ def _end_lines(window: int) -> Array:
 def resample(curve: Array, count: int) -> Array:
     """Return ``count`` points of equal arc length from end to end: ``(P, D)`` -> ``(count, D)``."""
     curve = np.ascontiguousarray(curve, dtype=np.float64)
-    return even_points(curve, arc_length(curve), count, False)
+    arc = arc_length(curve)
+    return interpolate(curve, arc, np.linspace(0.0, arc[-1], count))
 
 
-@compiled("(f8[:,::1], f8[::1], i8, b1)")
+@compiled
 def even_points(curve: Array, arc: Array, count: int, centers: bool) -> Array:
     """Return ``count`` points of equal arc length along a polyline.
 

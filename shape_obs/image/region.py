@@ -132,10 +132,6 @@ class Region:
         """Return the outline without the staircase of pixels."""
         return self.traced_outline(hole).curve
 
-    def outline_samples(self, hole: int | None = None) -> Samples:
-        """Return the points of the outline before any smoothing, two by two."""
-        return self.traced_outline(hole).samples
-
     def outline_points(self, hole: int | None = None) -> Samples:
         """Return the points of the outline, each counting once."""
         points = self.traced_outline(hole).points

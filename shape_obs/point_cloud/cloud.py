@@ -185,7 +185,7 @@ class Cloud:
         points = self.sheet().outline if self._ring is None else self._ring
         return FittedCurve.through(points, np.zeros(len(points), bool), closed=True)
 
-    def outline_samples(self, hole: int | None = None) -> Samples:
+    def outline_samples(self) -> Samples:
         """Return the points of the boundary, weighted by arc length."""
         curve = self.outline_curve()
         step = np.diff(curve.arc)

@@ -61,6 +61,7 @@ def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
         away[turn] = ((found[turn : turn + 4] - expected) ** 2).sum()
     quarters = int(np.argmin(away))
     found = found[quarters : quarters + 4]
+    middle = (found[0] + found[1] + found[2] + found[3]) / 4
     reach, astray = 1e-9, np.empty(4)
     for k in range(4):
         before, rise_before = _seen_by_the_others(expected, k)
@@ -72,7 +73,7 @@ def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
                 spread += before[j].real ** 2 + before[j].imag ** 2
         product /= max(spread, 1e-18)
         astray[k] = math.hypot(abs(before[k] * product - after[k]), rise_before * abs(product) - rise_after)
-        reach = max(reach, math.sqrt(((found[k] - found.sum(axis=0) / 4) ** 2).sum()))
+        reach = max(reach, math.sqrt(((found[k] - middle) ** 2).sum()))
     worst = int(np.argmax(astray))
     return quarters, worst, astray[worst] / reach
 
@@ -80,7 +81,7 @@ def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
 @compiled
 def _seen_by_the_others(corners: Array, k: int) -> tuple[Complexes, float]:
     """Return ``(4,)`` corners as complex numbers in the plane of all but the k-th, and how far that one lies above."""
-    away = corners - (corners.sum(axis=0) - corners[k]) / 3
+    away = corners - (corners[k - 1] + corners[k - 2] + corners[k - 3]) / 3
     if corners.shape[1] == 2:
         return away[:, 0] + 1j * away[:, 1], 0.0
     right, normal = away[k - 1], np.cross(away[k - 1], away[k - 2])

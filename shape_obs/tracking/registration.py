@@ -38,6 +38,8 @@ _HARMONICS: Final = 12
 # Shifts at which a peak is looked for, ten to the shortest wave, and half-widths of the parabolas through it, in turns.
 _SHIFTS: Final = 128
 _PEAKS: Final = (0.5 / 128, 0.1 / 128)
+_ROUND = 2 * np.pi / _SHIFTS * np.outer(np.arange(1, _HARMONICS + 1), np.arange(_SHIFTS))
+_COS, _SIN = np.cos(_ROUND), np.sin(_ROUND)
 
 
 def match_outline(curve: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, Array]:
@@ -101,16 +103,21 @@ def index_shift(reference: Array, predicted: Array, found: Array) -> float:
     cos, sin = np.cos(around), np.sin(around)
     seen = _waves(found, cos, sin)
     shape, place = _spectrum(_waves(reference, cos, sin), seen), _spectrum(_waves(predicted, cos, sin), seen)
-    turned, still = _matches(shape, place, np.arange(_SHIFTS) / _SHIFTS)
+    real, imaginary, still = np.zeros(_SHIFTS), np.zeros(_SHIFTS), np.zeros(_SHIFTS)
+    for h in range(_HARMONICS):
+        for s in range(_SHIFTS):
+            real[s] += shape[0, h] * _COS[h, s] + shape[1, h] * _SIN[h, s]
+            imaginary[s] += shape[2, h] * _COS[h, s] + shape[3, h] * _SIN[h, s]
+            still[s] += place[0, h] * _COS[h, s] + place[1, h] * _SIN[h, s]
+    turned = np.sqrt(real * real + imaginary * imaginary)
     flat = _FLAT / (1 + (turned.max() - turned.min()) / _FLAT)
     score, at = turned + flat * still, np.argmax(turned + _TURNING * still)
     while max(score[at - 1], score[(at + 1) % _SHIFTS]) > score[at]:
         at = (at - 1 if score[at - 1] >= score[(at + 1) % _SHIFTS] else at + 1) % _SHIFTS
     turns = at / _SHIFTS
     for width in _PEAKS:
-        turned, still = _matches(shape, place, np.array([turns - width, turns, turns + width]))
-        score = turned + flat * still
-        low, middle, high = score[0], score[1], score[2]
+        low, middle = _score(shape, place, flat, turns - width), _score(shape, place, flat, turns)
+        high = _score(shape, place, flat, turns + width)
         bend = low - 2 * middle + high
         if bend < 0:
             turns += width * min(max((low - high) / (2 * bend), -1.0), 1.0)
@@ -120,15 +127,26 @@ def index_shift(reference: Array, predicted: Array, found: Array) -> float:
 @compiled
 def blend(reference: Array, found: Array) -> Array:
     """Return the reference laid over ``found`` and moved a little there, all ``(K, 2)``."""
-    before, after = reference - reference.sum(axis=0) / len(found), found - found.sum(axis=0) / len(found)
-    cosine = (before * after).sum()
-    sine = (before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]).sum()
+    before, after = _centred(reference), _centred(found)
+    cosine = sine = 0.0
+    for k in range(len(found)):
+        cosine += before[k, 0] * after[k, 0] + before[k, 1] * after[k, 1]
+        sine += before[k, 0] * after[k, 1] - before[k, 1] * after[k, 0]
     reach = math.sqrt(cosine * cosine + sine * sine)
     cosine, sine = (cosine / reach, sine / reach) if reach > 0 else (1.0, 0.0)
-    laid = np.empty_like(found)
-    laid[:, 0] = before[:, 0] * cosine - before[:, 1] * sine
-    laid[:, 1] = before[:, 0] * sine + before[:, 1] * cosine
-    return found + (1 - _FORGETTING) * (laid - after)
+    out = found.copy()
+    for k in range(len(found)):
+        out[k, 0] += (1 - _FORGETTING) * (before[k, 0] * cosine - before[k, 1] * sine - after[k, 0])
+        out[k, 1] += (1 - _FORGETTING) * (before[k, 0] * sine + before[k, 1] * cosine - after[k, 1])
+    return out
+
+
+@compiled
+def _centred(points: Array) -> Array:
+    """Return ``(K, 2)`` points about their mean."""
+    out = np.empty_like(points)
+    out[:, 0], out[:, 1] = points[:, 0] - points[:, 0].mean(), points[:, 1] - points[:, 1].mean()
+    return out
 
 
 @compiled(reassociate=True)
@@ -182,27 +200,17 @@ def _running(waves: Array, way: float) -> Complexes:
 
 
 @compiled
-def _matches(shape: Array, place: Array, turns: Array) -> tuple[Array, Array]:
-    """Return how well outlines match at ``(S,)`` shifts, in turns: after the best rotation, and without one.
-
-    Args:
-        shape: The correlation with the outline as it was, see ``_spectrum``.
-        place: The correlation with the outline where it is expected.
-        turns: The shifts.
-    """
-    count = len(turns)
-    base_cos, base_sin = np.cos(2 * math.pi * turns), np.sin(2 * math.pi * turns)
-    cos, sin = base_cos.copy(), base_sin.copy()
-    real, imaginary, still = np.zeros(count), np.zeros(count), np.zeros(count)
+def _score(shape: Array, place: Array, flat: float, turns: float) -> float:
+    """Return how well two outlines match at one shift, in turns."""
+    step = complex(math.cos(2 * math.pi * turns), math.sin(2 * math.pi * turns))
+    wave = step
+    real = imaginary = still = 0.0
     for h in range(_HARMONICS):
-        for s in range(count):
-            real[s] += shape[0, h] * cos[s] + shape[1, h] * sin[s]
-            imaginary[s] += shape[2, h] * cos[s] + shape[3, h] * sin[s]
-            still[s] += place[0, h] * cos[s] + place[1, h] * sin[s]
-            turned = cos[s] * base_cos[s] - sin[s] * base_sin[s]
-            sin[s] = sin[s] * base_cos[s] + cos[s] * base_sin[s]
-            cos[s] = turned
-    return np.sqrt(real * real + imaginary * imaginary), still
+        real += shape[0, h] * wave.real + shape[1, h] * wave.imag
+        imaginary += shape[2, h] * wave.real + shape[3, h] * wave.imag
+        still += place[0, h] * wave.real + place[1, h] * wave.imag
+        wave *= step
+    return math.sqrt(real * real + imaginary * imaginary) + flat * still
 
 
 def _blend_space(reference: Array, found: Array) -> Array:
@@ -216,13 +224,13 @@ def _blend_space(reference: Array, found: Array) -> Array:
 def _index_shift_space(reference: Array, predicted: Array, found: Array) -> float:
     """Return what ``index_shift`` returns, in space: all ``(K, 3)``."""
     shape, place = _cross_spectrum(reference, found), _cross_spectrum(predicted, found)
-    turned, still = (
-        _rotated(_at(shape, np.arange(_SHIFTS) / _SHIFTS)),
-        np.einsum("dds->s", _at(place, np.arange(_SHIFTS) / _SHIFTS)),
-    )
-    contrast = float(np.ptp(turned))
-    flat = _FLAT / (1 + contrast / _FLAT)
-    at = _climb(turned + flat * still, int(np.argmax(turned + _TURNING * still))) / _SHIFTS
+    shifts = np.arange(_SHIFTS) / _SHIFTS
+    turned, still = _rotated(_at(shape, shifts)), np.einsum("dds->s", _at(place, shifts))
+    flat = _FLAT / (1 + float(np.ptp(turned)) / _FLAT)
+    score, at = turned + flat * still, int(np.argmax(turned + _TURNING * still))
+    while max(low := score[(at - 1) % _SHIFTS], high := score[(at + 1) % _SHIFTS]) > score[at % _SHIFTS]:
+        at += -1 if low >= high else 1
+    at /= _SHIFTS
     for width in _PEAKS:
         shifts = at + width * np.array([-1.0, 0.0, 1.0])
         score = _rotated(_at(shape, shifts)) + flat * np.einsum("dds->s", _at(place, shifts))
@@ -251,13 +259,3 @@ def _rotated(covariance: Array) -> Array:
     stacked = np.moveaxis(covariance, -1, 0)
     values = np.linalg.svd(stacked, compute_uv=False)
     return values[:, :-1].sum(axis=1) + np.where(np.linalg.det(stacked) < 0, -1.0, 1.0) * values[:, -1]
-
-
-def _climb(score: Array, at: int) -> int:
-    """Return the nearest maximum uphill from an index, around a ring."""
-    while True:
-        around = (at + np.array([-1, 0, 1])) % len(score)
-        step = int(np.argmax(score[around])) - 1
-        if step == 0 or score[around[step + 1]] <= score[at % len(score)]:
-            return at
-        at += step

@@ -165,38 +165,25 @@ def validate_sheet(
 def sample_spread(points: Array, weight: Array, curve: Array) -> float:
     """Return the mean square distance of ``(M, D)`` weighted points from the tangents of a curve ``(P, D)``.
 
-    Of 150 or so of the points.
+    About 150 of the points are measured.
     """
-    size, dimension = curve.shape
-    step = -(-len(points) // _JUDGED)
-    count = (len(points) + step - 1) // step
-    some = np.empty((count, dimension))
-    for m in range(count):
-        for d in range(dimension):
-            some[m, d] = points[m * step, d]
-    nearest = best_matching_units(some, curve)
-    tangent, reach = np.empty((size, dimension)), np.empty(size)
-    for p in range(size):
-        before, after = max(p - 1, 0), min(p + 1, size - 1)
-        square = 0.0
-        for d in range(dimension):
-            tangent[p, d] = (curve[after, d] - curve[before, d]) / (after - before)
-            square += tangent[p, d] ** 2
-        reach[p] = np.sqrt(square)
-        for d in range(dimension):
-            tangent[p, d] /= max(reach[p], 1e-9)
-    total = whole = 0.0
-    for m in range(count):
+    step, last = -(-len(points) // _JUDGED), len(curve) - 1
+    nearest = best_matching_units(points[::step].copy(), curve)
+    total = 0.0
+    for m in range(len(nearest)):
         p = nearest[m]
-        along = square = 0.0
-        for d in range(dimension):
-            offset = some[m, d] - curve[p, d]
-            along += offset * tangent[p, d]
+        before, after = max(p - 1, 0), min(p + 1, last)
+        along = reach = square = 0.0
+        for d in range(points.shape[1]):
+            tangent, offset = (curve[after, d] - curve[before, d]) / (after - before), points[m * step, d] - curve[p, d]
+            reach += tangent * tangent
+            along += offset * tangent
             square += offset * offset
-        beyond = min(max(along, -reach[p]), reach[p])
+        reach = math.sqrt(reach)
+        along /= max(reach, 1e-9)
+        beyond = min(max(along, -reach), reach)
         total += weight[m * step] * max(square - 2 * along * beyond + beyond * beyond, 0.0)
-        whole += weight[m * step]
-    return total / whole
+    return total / weight[::step].sum()
 
 
 @compiled("(f8[:,::1], i8[::1], f8[:,::1], i8)")
