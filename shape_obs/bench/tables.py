@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 K = TypeVar("K", bound=Hashable)
 T = TypeVar("T")
 Row = dict[str, Any]
+Column = Callable[[list[Row]], Any]
 
 
 def at_least(what: str, target: float, seen: float | None, unit: str = "x") -> Row:
@@ -34,20 +35,37 @@ def _compared(what: str, target: str, seen: float | None, reached: bool) -> Row:
     }
 
 
-def rows_of(results: Iterable[Any]) -> list[Row]:
-    """Return one row of plain values for each named tuple."""
-    return [
-        {name: value.item() if hasattr(value, "item") else value for name, value in result._asdict().items()}
-        for result in results
-    ]
-
-
 def grouped(values: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
     """Return the values by key, in the order in which the keys first appear."""
     groups: dict[K, list[T]] = {}
     for value in values:
         groups.setdefault(key(value), []).append(value)
     return groups
+
+
+def summary(rows: Iterable[Row], by: Sequence[str], columns: Mapping[str, Column]) -> list[Row]:
+    """Return a row for each group of rows.
+
+    Args:
+        rows: The rows.
+        by: The fields that are equal in a group; they come first.
+        columns: Name of a field of the summary -> function that takes the rows of a group.
+    """
+    groups = grouped(rows, lambda row: tuple(row[name] for name in by))
+    return [
+        dict(zip(by, key, strict=True)) | {name: column(some) for name, column in columns.items()}
+        for key, some in groups.items()
+    ]
+
+
+def of(statistic: Callable[[list[Any]], T], field: str, where: Callable[[Row], bool] = lambda row: True) -> Any:
+    """Return the column of a summary that is a statistic of a field, over the rows that meet a condition."""
+    return lambda rows: statistic([row[field] for row in rows if where(row)])
+
+
+def failures(*fields: str) -> Column:
+    """Return the column of a summary that counts the rows in which one of the fields is not true."""
+    return lambda rows: sum(not all(row[field] for field in fields) for row in rows)
 
 
 def mean(values: Iterable[float]) -> float:
