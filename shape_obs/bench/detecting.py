@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.configurations import Configuration
+from shape_obs.configurations.base import Configuration
 from shape_obs.detector import ShapeDetector
 from shape_obs.shape import Detection, Shape
 
 S = TypeVar("S")
+Mask = npt.NDArray[np.uint8]
 
 
-def cold(spec: Configuration, mask: npt.NDArray[np.uint8]) -> Shape:
+def cold(spec: Configuration, mask: Mask) -> Shape:
     """Detect a shape in one mask, without a track."""
     return ShapeDetector([spec]).detect_mask(mask).shapes[0]
 
@@ -42,7 +43,13 @@ def followed(
         yield scene, detect(detector, scene)
 
 
-def wobble(shapes: Sequence[Shape]) -> npt.NDArray[np.float64]:
-    """Return the squared distances of the points of an object at rest from their mean positions, (frames, N) pixels."""
+def at_rest(spec: Configuration, masks: Iterable[Mask]) -> tuple[list[Shape], npt.NDArray[np.float64]]:
+    """Track an object at rest whose mask changes.
+
+    Returns:
+        The shape in each mask, and the squared distances of its points from their mean positions, (frames, N) pixels.
+    """
+    detector = ShapeDetector([spec])
+    shapes = [detector.detect_mask(mask).shapes[0] for mask in masks]
     points = np.stack([shape.pixels for shape in shapes]).astype(np.float64)
-    return np.sum((points - points.mean(axis=0)) ** 2, axis=2)
+    return shapes, np.sum((points - points.mean(axis=0)) ** 2, axis=2)

@@ -9,17 +9,15 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.detecting import cold, followed, wobble
+from shape_obs.bench.detecting import Mask, at_rest, cold, followed
 from shape_obs.bench.scores import BOTH_ENDS, SLIP, Score, score, tally
 from shape_obs.bench.synthetic.images import BLUE, Where, hidden_rope, photographed, ragged, salted
 from shape_obs.bench.synthetic.ropes import KINDS, Kind, moving_rope, random_rope
 from shape_obs.bench.synthetic.sheets import noisy
 from shape_obs.bench.tables import Row, failures, mean, of, summary, worst
-from shape_obs.configurations import Centerline
+from shape_obs.configurations.centerline import Centerline
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import arc_length, interpolate
-
-Mask = npt.NDArray[np.uint8]
 
 COUNTS: Final = (8, 20, 50, 100)
 
@@ -39,24 +37,24 @@ def drawn_ropes(
             shape = cold(Centerline(n=n, ends=ends), rope.mask)
             found = score(shape.pixels, rope.curve, ends, directed=False)
             hairpin = rope.length / n > 2 * rope.bend_radius
-            yield {"kind": kind, "n": n, "ends": ends, "hairpin": hairpin, "ok": shape.ok, **found._asdict()}
+            yield Row(kind=kind, n=n, ends=ends, hairpin=hairpin, ok=shape.ok, **found._asdict())
 
 
 def rope_table(results: Iterable[Row]) -> list[Row]:
     """Return the mean and the worst result of each kind of rope."""
 
     def from_tip_to_tip(row: Row) -> bool:
-        return row["ends"] == "tips"
+        return row.ends == "tips"
 
     # Where a bend is narrower than a gap, equal chords would move points away from their material.
     def spaced(row: Row) -> bool:
-        return row["n"] >= 12 and not row["hairpin"]
+        return row.n >= 12 and not row.hairpin
 
     def tight(row: Row) -> bool:
-        return row["n"] >= 12 and row["hairpin"]
+        return row.n >= 12 and row.hairpin
 
     columns = {
-        "ropes": lambda found: len(found) // len({(row["n"], row["ends"]) for row in found}),
+        "ropes": lambda found: len(found) // len({(row.n, row.ends) for row in found}),
         "order_wrong": failures("ordered"),
         "not_ok": failures("ok"),
         "distance_mean_px": of(mean, "distance"),
@@ -90,7 +88,7 @@ def moving_ropes(speeds: Iterable[float], seeds: Iterable[int], frames: int = 18
             not_ok += not detection.ok
             scores.append(score(detection.shapes[0].pixels, rope.curve, "tips"))
         flips, distance = sum(each.flipped for each in scores), mean(each.distance for each in scores)
-        yield {"speed": speed, **tally(scores), "flips": flips, "not_ok": not_ok, "mean_distance": distance}
+        yield Row(speed=speed, flips=flips, not_ok=not_ok, mean_distance=distance, **tally(scores))
 
 
 def ropes_under_hands(
@@ -131,18 +129,18 @@ def ropes_under_hands(
             near_seen = seen | np.roll(seen, 1) | np.roll(seen, -1)
             wrong += [np.sum(seen & ~shape.visible), np.sum(~near_seen & shape.visible)]
         hidden, visible = wrong / (n * frames)
-        yield {
-            "where": where,
-            "share": share,
-            "creep": creep,
-            "speed": speed,
-            "frames": frames,
-            "lost": lost,
-            "slips": sum(slip > SLIP for slip in slips),
-            "worst_slip": max(slips),
-            "called_hidden": hidden,
-            "called_visible": visible,
-        }
+        yield Row(
+            where=where,
+            share=share,
+            creep=creep,
+            speed=speed,
+            frames=frames,
+            lost=lost,
+            slips=sum(slip > SLIP for slip in slips),
+            worst_slip=max(slips),
+            called_hidden=float(hidden),
+            called_visible=float(visible),
+        )
 
 
 def ropes_in_noise(per_kind: int, seed: int = 0, kinds: Sequence[Kind] = KINDS, n: int = 20) -> Iterator[Row]:
@@ -163,14 +161,14 @@ def ropes_in_noise(per_kind: int, seed: int = 0, kinds: Sequence[Kind] = KINDS, 
                 shape = (detector.detect_mask(image) if image.ndim == 2 else detector.detect(image)).shapes[0]
                 if shape.ok:
                     found.append(score(shape.pixels, rope.curve, "centers", directed=False))
-            yield {
-                "disturbance": name,
-                "level": level,
-                "ropes": len(ropes),
-                "ordered": sum(each.ordered for each in found) / len(ropes),
-                "refused": (len(ropes) - len(found)) / len(ropes),
-                "mean_distance": mean(each.distance for each in found),
-            }
+            yield Row(
+                disturbance=name,
+                level=level,
+                ropes=len(ropes),
+                ordered=sum(each.ordered for each in found) / len(ropes),
+                refused=(len(ropes) - len(found)) / len(ropes),
+                mean_distance=mean(each.distance for each in found),
+            )
 
 
 def flickering_ropes(
@@ -188,11 +186,10 @@ def flickering_ropes(
         for sigma in sigmas:
             squares = []
             for rope in ropes:
-                detector = ShapeDetector([Centerline(n=n)])
-                shapes = [detector.detect_mask(noisy(rope.mask, rng, sigma)).shapes[0] for _ in range(frames)]
-                squares.append(wobble(shapes).mean())
+                masks = (noisy(rope.mask, rng, sigma) for _ in range(frames))
+                squares.append(at_rest(Centerline(n=n), masks)[1].mean())
             jitter, highest = float(np.sqrt(np.mean(squares))), float(np.sqrt(np.max(squares)))
-            yield {"kind": kind, "noise": sigma, "ropes": per_kind, "jitter_px": jitter, "worst_rope_px": highest}
+            yield Row(kind=kind, noise=sigma, ropes=per_kind, jitter_px=jitter, worst_rope_px=highest)
 
 
 def cable_episodes(camera: Any, renderer: str, seeds: Sequence[int], steps: int = 50) -> Row:
@@ -218,24 +215,24 @@ def cable_episodes(camera: Any, renderer: str, seeds: Sequence[int], steps: int 
             )
             found, mm = score(shape.points3d, axis, "tips"), 1e3 * _apart(shape.points3d, truth)
             wrong = shape.ok and (found.slip > SLIP or mm > 15)
-            frames.append({"ok": shape.ok, "wrong": wrong, "mm": mm, "px": _apart(shape.pixels, pixels), "score": found})
+            frames.append(Row(found._asdict(), ok=shape.ok, wrong=wrong, mm=mm, px=_apart(shape.pixels, pixels)))
             if step < steps:
                 env.step(env.action_space.sample())
     env.close()
-    return {
-        "camera": camera if isinstance(camera, str) else f"{camera[0]}x{camera[1]}",
-        "renderer": renderer,
-        "episodes": len(seeds),
-        "frames": len(frames),
-        "flips": sum(frame["score"].flipped for frame in frames),
-        "slips": sum(frame["score"].slip > SLIP for frame in frames),
-        "not_ok": failures("ok")(frames),
-        "unflagged_wrong": sum(frame["wrong"] for frame in frames),
-        "mean_mm": of(mean, "mm")(frames),
-        "worst_frame_mm": of(worst, "mm")(frames),
-        "mean_px": of(mean, "px")(frames),
-        "worst_frame_px": of(worst, "px")(frames),
-    }
+    return Row(
+        camera=camera if isinstance(camera, str) else f"{camera[0]}x{camera[1]}",
+        renderer=renderer,
+        episodes=len(seeds),
+        frames=len(frames),
+        flips=sum(frame.flipped for frame in frames),
+        slips=sum(frame.slip > SLIP for frame in frames),
+        not_ok=sum(not frame.ok for frame in frames),
+        unflagged_wrong=sum(frame.wrong for frame in frames),
+        mean_mm=mean(frame.mm for frame in frames),
+        worst_frame_mm=max(frame.mm for frame in frames),
+        mean_px=mean(frame.px for frame in frames),
+        worst_frame_px=max(frame.px for frame in frames),
+    )
 
 
 def _apart(points: npt.NDArray[Any], truth: npt.NDArray[Any]) -> float:

@@ -11,7 +11,8 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from shape_obs.bench.synthetic.ropes import resample as resample_by_step
-from shape_obs.configurations import Ends
+from shape_obs.bench.tables import Row
+from shape_obs.configurations.base import Ends
 from shape_obs.geometry.outline import clockwise
 from shape_obs.geometry.polyline import arc_length, interpolate, resample
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
@@ -19,6 +20,8 @@ from shape_obs.metrics import in_order, spacing_cv
 
 Array = npt.NDArray[np.float64]
 
+BOTH_ENDS: Final[tuple[Ends, ...]] = ("centers", "tips")
+SLIP: Final = 0.5  # gaps; a point that is farther from its position is nearer to that of its neighbour
 _FINE_STEP: Final = 0.1  # pixels
 _BEYOND: Final = 100  # points by which a curve is continued at its ends
 _PER_GAP: Final = 50  # points of a simulator's truth for each gap
@@ -83,14 +86,14 @@ def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = T
     )
 
 
-def tally(scores: Sequence[Score]) -> dict[str, Any]:
-    """Count the frames of one track, those in reversed order, and those with a point half a gap from its position."""
-    return {
-        "frames": len(scores),
-        "flips": sum(s.flipped for s in scores),
-        "slips": sum(s.slip > 0.5 for s in scores),
-        "worst_slip": max(s.slip for s in scores),
-    }
+def tally(scores: Sequence[Any]) -> Row:
+    """Count the frames of one track, and those with a point more than half a gap from its position.
+
+    Args:
+        scores: A score with a ``slip`` for each frame.
+    """
+    slips = [each.slip for each in scores]
+    return Row(frames=len(slips), slips=sum(slip > SLIP for slip in slips), worst_slip=max(slips))
 
 
 def _continued(curve: Array, count: int) -> Array:

@@ -8,11 +8,23 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from operator import attrgetter
 from typing import Any, TypeVar
 
 K = TypeVar("K", bound=Hashable)
 T = TypeVar("T")
-Row = dict[str, Any]
+
+
+class Row(dict[str, Any]):
+    """A row of a table, or one result of a measurement; its fields are also attributes."""
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return self[name]
+        except KeyError:
+            raise AttributeError(name) from None
+
+
 Column = Callable[[list[Row]], Any]
 
 
@@ -27,12 +39,8 @@ def at_most(what: str, target: float, seen: float | None, unit: str = "x") -> Ro
 
 
 def _compared(what: str, target: str, seen: float | None, reached: bool) -> Row:
-    return {
-        "what": what,
-        "asked": target,
-        "seen": None if seen is None else float(seen),
-        "reached": "not measured" if seen is None else "yes" if reached else "no",
-    }
+    answer = "not measured" if seen is None else "yes" if reached else "no"
+    return Row(what=what, asked=target, seen=None if seen is None else float(seen), reached=answer)
 
 
 def grouped(values: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
@@ -53,14 +61,21 @@ def summary(rows: Iterable[Row], by: Sequence[str], columns: Mapping[str, Column
     """
     groups = grouped(rows, lambda row: tuple(row[name] for name in by))
     return [
-        dict(zip(by, key, strict=True)) | {name: column(some) for name, column in columns.items()}
+        Row(zip(by, key, strict=True), **{name: column(some) for name, column in columns.items()})
         for key, some in groups.items()
     ]
 
 
-def of(statistic: Callable[[list[Any]], T], field: str, where: Callable[[Row], bool] = lambda row: True) -> Any:
-    """Return the column of a summary that is a statistic of a field, over the rows that meet a condition."""
-    return lambda rows: statistic([row[field] for row in rows if where(row)])
+def of(statistic: Callable[[list[Any]], Any], field: str, where: Callable[[Row], bool] = lambda row: True) -> Column:
+    """Return the column of a summary that is a statistic of a field, over the rows that meet a condition.
+
+    Args:
+        statistic: Takes the values.
+        field: Name of the field, or of an attribute of a field, such as ``"score.slip"``.
+        where: The condition.
+    """
+    value = attrgetter(field)
+    return lambda rows: statistic([value(row) for row in rows if where(row)])
 
 
 def failures(*fields: str) -> Column:
