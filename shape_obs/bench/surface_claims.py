@@ -165,7 +165,8 @@ def noisy_sheets(seeds: Iterable[int], frames: int = 60, rows: int = 4, cols: in
         rng, aspect = np.random.default_rng(seed), ASPECTS[seed % len(ASPECTS)]
         sheet = random_sheet(rng, aspect, float(rng.uniform(0, 360)))
         shapes, squares = at_rest(Surface(rows=rows, cols=cols), (noisy(sheet.mask, rng) for _ in range(frames)))
-        jitter, highest = np.sqrt([squares.mean(), squares.mean(axis=0).max()]).tolist()
+        by_point = squares.mean(axis=0)
+        jitter, highest = np.sqrt([by_point.mean(), by_point.max()]).tolist()
         not_ok = sum(not shape.ok for shape in shapes)
         yield Row(aspect=aspect, frames=frames, not_ok=not_ok, mean=jitter, worst_point=highest)
 
