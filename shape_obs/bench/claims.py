@@ -6,10 +6,11 @@ A group imports its module when it runs, so that the command can list the groups
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from itertools import product
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
-from shape_obs.bench import ENVS, Env
+from shape_obs.bench import ENVS
 from shape_obs.bench.tables import Row
 
 Tables = Iterator[tuple[str, Iterable[Row]]]
@@ -136,14 +137,10 @@ def _envs(effort: Effort) -> Tables:
     settings, seeds = envs.settings(effort.renderer), effort.seeds(150)
     tick = _counter("episode", len(settings) * len(seeds), effort.report)
     found = envs.all_episodes(settings, seeds, effort.jobs, tick=tick)
-    rows = [envs.claim_row(setting, some) for setting, some in found.items()]
+    rows, physics = envs.claim_table(found), envs.physics_table(found)
     yield "simulated environments, random actions, points against truth", rows
-    by_env: dict[Env, list[envs.Episode]] = {
-        env: [each for setting, some in found.items() if setting.env == env for each in some] for env in ENVS
-    }
-    physics = [envs.physics_row(env, some) for env, some in by_env.items()]
     yield "simulated environments, physics over these episodes", physics
-    drawn: list[tuple[Env, str]] = [(env, difficulty) for env in ENVS for difficulty in env_physics.DIFFICULTIES]
+    drawn = list(product(ENVS, env_physics.DIFFICULTIES))
     seeds = effort.seeds(50)
     tick = _counter("goal", len(drawn) * len(seeds), effort.report)
     goals = [env_physics.goals(env, difficulty, seeds, tick) for env, difficulty in drawn]

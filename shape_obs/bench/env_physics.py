@@ -71,34 +71,14 @@ def strain(simulator: Any) -> Strain:
     return Strain(float(pieces.sum() / rest.sum() - 1), float((pieces / rest).max() - 1))
 
 
-class GoalResult(NamedTuple):
-    """Goals of one difficulty; all distances are means between corresponding points, in millimetres.
+def goals(env: Env, difficulty: str, seeds: Sequence[int], tick: Callable[[int], object] = lambda done: None) -> Row:
+    """Draw a goal in each episode and play the actions that lead to it, without rendering.
 
-    Args:
-        env: The environment.
-        difficulty: The difficulty.
-        episodes: Number of episodes.
-        start_mm: Distance of the start from the goal, mean over the episodes.
-        farthest_mm: The largest such distance.
-        played_mm: Distance left after the goal's own actions and a second of rest, mean over the episodes.
-        worst_played_mm: The largest such distance.
-        warnings: Warnings of MuJoCo.
+    Returns:
+        Means over the episodes and the largest values, in millimetres between corresponding points: ``start_mm`` and
+        ``farthest_mm``: distance of the start from the goal; ``played_mm`` and ``worst_played_mm``: distance left after
+        the goal's own actions and a second of rest. ``warnings``: of MuJoCo.
     """
-
-    env: Env
-    difficulty: str
-    episodes: int
-    start_mm: float
-    farthest_mm: float
-    played_mm: float
-    worst_played_mm: float
-    warnings: int
-
-
-def goals(
-    env: Env, difficulty: str, seeds: Sequence[int], tick: Callable[[int], object] = lambda done: None
-) -> GoalResult:
-    """Draw a goal in each episode and play the actions that lead to it, without rendering."""
     simulated = make_env(env, {"render_observation": False, "difficulty": difficulty})
     simulator: Any = simulated.unwrapped
     starts: list[float] = []
@@ -114,10 +94,19 @@ def goals(
         warned += warnings(simulator)
         tick(1)
     simulated.close()
-    return GoalResult(env, difficulty, len(starts), mean(starts), max(starts), mean(ends), max(ends), warned)
+    return Row(
+        env=env,
+        difficulty=difficulty,
+        episodes=len(starts),
+        start_mm=mean(starts),
+        farthest_mm=max(starts),
+        played_mm=mean(ends),
+        worst_played_mm=max(ends),
+        warnings=warned,
+    )
 
 
-def targets(found: Sequence[GoalResult]) -> list[Row]:
+def targets(found: Sequence[Row]) -> list[Row]:
     """Compare goals with their targets."""
     rows: list[Row] = []
     for each in found:
