@@ -14,14 +14,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from shape_obs.bench.scores import simulator_score
+from shape_obs.bench.scores import SLIP, simulator_score
 from shape_obs.bench.tables import Row, at_most, mean
+from shape_obs.geometry.polyline import arc_length
 
 Array = npt.NDArray[np.float64]
 
 SECONDS: Final = 60.0
 FAULTS: Final = {"drop": 0.05, "delay": 0.05, "freeze": 0.05, "black": 0.05, "occluder": 0.15}
-_SLIP: Final = 0.5  # gaps
 _WRONG: Final = 15.0  # mm
 _OWN: Final = 25.0  # ms, 95th percentile
 _OVERRUNS: Final = 1.0  # percent
@@ -70,7 +70,7 @@ class Seen:
         mm = 1e3 * float(off[shape.valid].mean())
         self.mm.append(mm)
         self.hidden.extend(1e3 * off[~shape.valid])
-        slipped = found.slip > _SLIP or found.flipped
+        slipped = found.slip > SLIP or found.flipped
         self.slips += slipped
         self.wrong += slipped or mm > _WRONG
 
@@ -79,7 +79,7 @@ class _At:
     """The truth at the time of a frame, with the method ``truth`` of a simulator."""
 
     def __init__(self, points: Array) -> None:
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        along = arc_length(np.ascontiguousarray(points, np.float64))
         self._curve, self._length = CubicSpline(along, points), along[-1]
 
     def truth(self, n: int) -> Array:
@@ -147,20 +147,17 @@ def clean_targets(report: Any, seen: Seen) -> list[Row]:
 
 def faulty_targets(report: Any, seen: Seen) -> list[Row]:
     """Compare a run with faults with its targets; rows without a target are for information."""
+    hidden = mean(seen.hidden or [np.nan])
     return [
         at_most("wrong shapes that were acted on", 0, seen.wrong, ""),
         at_most("actions on a stale shape", 0, seen.stale, ""),
         at_most("mean error of what was acted on", 5.0, mean(seen.mm), " mm"),
-        _without_target("mean error of the points that were reported hidden", mean(seen.hidden or [np.nan]), " mm"),
-        _without_target("most seconds from an exposure to its arrival", seen.oldest, " s"),
-        _without_target("steps without an action", report.held),
+        Row(what="mean error of the points that were reported hidden", asked="- mm", seen=hidden, reached="-"),
+        Row(what="most seconds from an exposure to its arrival", asked="- s", seen=seen.oldest, reached="-"),
+        Row(what="steps without an action", asked="-", seen=float(report.held), reached="-"),
     ]
-
-
-def _without_target(what: str, seen: float, unit: str = "") -> Row:
-    return {"what": what, "asked": "-" + unit, "seen": float(seen), "reached": "-"}
 
 
 def section_table(report: Any) -> list[Row]:
     """Return the milliseconds of each section of the loop."""
-    return [{"section": name, **vars(section)} for name, section in report.sections.items()]
+    return [Row(section=name, **section._asdict()) for name, section in report.sections.items()]
