@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import cv2
@@ -11,15 +11,17 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench import Clock
-from shape_obs.bench.interleaved_timing import Method, interleaved_timing
+from shape_obs.bench.interleaved_timing import Method, Tick, by_method, interleaved_timing, median_ms
 from shape_obs.bench.synthetic.images import BLUE
 from shape_obs.bench.synthetic.ropes import SIZE, draw_rope
 from shape_obs.bench.synthetic.sheets import draw_sheet
 from shape_obs.bench.synthetic.streams import RGBD, cloths, photo, pinhole, ropes
 from shape_obs.bench.tables import Row, at_most, grouped
-from shape_obs.configurations import Centerline, Configuration, Contour, Surface
+from shape_obs.configurations.base import Configuration
+from shape_obs.configurations.centerline import Centerline
+from shape_obs.configurations.contour import Contour
+from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
-from shape_obs.utils.threads import one_thread
 
 Array = npt.NDArray[np.float64]
 Shapes = tuple[Configuration, ...]
@@ -55,7 +57,7 @@ _CASES: Final = (
 )
 
 
-def growth_rows(frames: int, seed: int, clock: Clock = "wall", tick: Callable[[], Any] = lambda: None) -> list[Row]:
+def growth_rows(frames: int, seed: int, clock: Clock = "wall", tick: Tick = lambda: None) -> list[Row]:
     """Time tracked detectors on growing objects, points and shapes, 640 x 480, in turns on one thread.
 
     Pixels and points are timed from the mask to the points, shapes from the RGB-D image on.
@@ -70,7 +72,6 @@ def growth_rows(frames: int, seed: int, clock: Clock = "wall", tick: Callable[[]
         A row for each point of a growth curve: what grows, its amount (the median number of pixels), the median
         milliseconds of a frame, and the ratio to the smallest amount.
     """
-    spent: dict[str, list[float]] = defaultdict(list)
     pixels: dict[str, list[int]] = defaultdict(list)
 
     def seen() -> Iterator[Frame]:
@@ -79,20 +80,16 @@ def growth_rows(frames: int, seed: int, clock: Clock = "wall", tick: Callable[[]
                 if not isinstance(image, RGBD):
                     pixels[name].append(cv2.countNonZero(image))
             yield frame
-            tick()
 
-    with one_thread():
-        methods = [_method(str(i), case) for i, case in enumerate(_CASES)]
-        for turn in interleaved_timing(seen(), methods, clock, seed):
-            if turn.frame >= WARM_UP:
-                spent[turn.name].append(turn.milliseconds)
+    methods = [_method(i, case) for i, case in enumerate(_CASES)]
+    found = by_method(methods, interleaved_timing(seen(), methods, clock, seed, warm_up=WARM_UP, tick=tick))
     rows: list[Row] = []
     smallest: dict[str, float] = {}
     for i, case in enumerate(_CASES):
-        median = float(np.median(spent[str(i)]))
+        median = median_ms(found[i])
         amount = case.amount or int(np.median(pixels[case.image]))
         ratio = median / smallest.setdefault(case.grows, median)
-        rows.append({"grows": case.grows, "amount": amount, "median_ms": median, "times_smallest": ratio})
+        rows.append(Row(grows=case.grows, amount=amount, median_ms=median, times_smallest=ratio))
     return rows
 
 
@@ -123,7 +120,7 @@ def _shrunk(points: Array, scale: float) -> Array:
     return (points - middle) * scale + middle
 
 
-def _method(name: str, case: _Case) -> Method[Frame]:
+def _method(name: int, case: _Case) -> Method[Frame]:
     detector = ShapeDetector(case.shapes, BLUE)
 
     def touch(frame: Frame) -> None:

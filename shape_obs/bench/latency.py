@@ -5,27 +5,23 @@ from __future__ import annotations
 import gc
 import os
 import sys
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
 
 from shape_obs.bench import Clock, Size
-from shape_obs.bench.interleaved_timing import Method, interleaved_timing
+from shape_obs.bench.interleaved_timing import Method, Tick, Turn, by_method, interleaved_timing, median_ms
 from shape_obs.bench.synthetic.images import BLUE
 from shape_obs.bench.synthetic.streams import RGBD, classic, streams
-from shape_obs.bench.tables import Row, at_least, at_most
-from shape_obs.configurations import Centerline
+from shape_obs.bench.tables import Row, at_least, at_most, median
+from shape_obs.configurations.centerline import Centerline
 from shape_obs.detector import ShapeDetector
-from shape_obs.shape import Detection
 from shape_obs.utils.threads import one_thread
 
 Frame = Mapping[Size, RGBD]
-Tick = Callable[[], Any]
 
 WARM_UP: Final = 5  # frames that are not counted
 ONE_PASS: Final = "one pass: sumElems"
@@ -44,27 +40,7 @@ _SCENES: Final = 60  # played forwards and backwards
 _LOST: Final = 200  # the object is out of sight once in this number of frames
 
 
-@dataclass
-class Latency:
-    """The times of one method at one size.
-
-    Args:
-        milliseconds: The time of each frame.
-        stages: Milliseconds by stage of each frame, as the detector reports them.
-        refused: Frames without a shape.
-    """
-
-    milliseconds: list[float] = field(default_factory=list)
-    stages: list[Mapping[str, float]] = field(default_factory=list)
-    refused: int = 0
-
-    @property
-    def median(self) -> float:
-        """The median time in milliseconds."""
-        return float(np.median(self.milliseconds))
-
-
-Latencies = dict[tuple[Size, str], Latency]
+Latencies = dict[tuple[Size, str], list[Turn]]  # size and method -> the turns
 
 
 def latencies(
@@ -79,25 +55,11 @@ def latencies(
         clock: The clock. The detector's own stages are always timed by the wall clock.
         burst: Frames in a turn.
         tick: Called after each frame.
-
-    Returns:
-        The times by size and method.
     """
-    found: Latencies = defaultdict(Latency)
-    methods = {f"{_name(size)} | {each.name}": (size, each) for size in sizes for each in _methods(size)}
-    timed = [Method(key, each.run, each.before, each.touch) for key, (_, each) in methods.items()]
-    with one_thread():
-        seen = _ticking(streams(sizes, frames + WARM_UP, seed), tick)
-        for turn in interleaved_timing(seen, timed, clock, burst=burst):
-            if turn.frame < WARM_UP:
-                continue
-            size, method = methods[turn.name]
-            latency = found[size, method.name]
-            latency.milliseconds.append(turn.milliseconds)
-            if isinstance(turn.result, Detection):
-                latency.stages.append(turn.result.timings)
-                latency.refused += not turn.result.ok
-    return {(size, method.name): found[size, method.name] for size, method in methods.values()}
+    methods = [method for size in sizes for method in _methods(size)]
+    seen = streams(sizes, frames + WARM_UP, seed)
+    turns = interleaved_timing(seen, methods, clock, burst=burst, warm_up=WARM_UP, tick=tick)
+    return by_method(methods, turns)
 
 
 def _methods(size: Size) -> Iterator[Method[Frame]]:
@@ -105,51 +67,52 @@ def _methods(size: Size) -> Iterator[Method[Frame]]:
         cv2.sumElems(frame[size].rgb)
         frame[size].depth.max()
 
-    yield Method(ONE_PASS, lambda frame: cv2.sumElems(frame[size].rgb), touch=touch)
-    yield Method(CLASSIC, lambda frame: classic(frame[size].rgb), touch=touch)
+    yield Method((size, ONE_PASS), lambda frame: cv2.sumElems(frame[size].rgb), touch=touch)
+    yield Method((size, CLASSIC), lambda frame: classic(frame[size].rgb), touch=touch)
     warm, cold = ShapeDetector([Centerline(n=20)], BLUE), ShapeDetector([Centerline(n=20)], BLUE)
-    yield Method(WARM, lambda frame: warm.detect(*frame[size]), touch=touch)
-    yield Method(COLD, lambda frame: cold.detect(*frame[size]), cold.reset, touch)
+    yield Method((size, WARM), lambda frame: warm.detect(*frame[size]), touch=touch)
+    yield Method((size, COLD), lambda frame: cold.detect(*frame[size]), cold.reset, touch)
 
 
 def total_rows(found: Latencies) -> list[Row]:
     """Return a row for each size and method."""
+    medians = {key: median_ms(turns) for key, turns in found.items()}
     return [
-        {
-            "image": _name(size),
-            "method": method,
-            "median_ms": latency.median,
-            "p95_ms": float(np.percentile(latency.milliseconds, 95)),
-            "passes": latency.median / found[size, ONE_PASS].median,
-            "faster_than_classic": found[size, CLASSIC].median / latency.median,
-            "refused": latency.refused,
-        }
-        for (size, method), latency in found.items()
+        Row(
+            image=_name(size),
+            method=method,
+            median_ms=medians[size, method],
+            p95_ms=float(np.percentile([turn.milliseconds for turn in turns], 95)),
+            passes=medians[size, method] / medians[size, ONE_PASS],
+            faster_than_classic=medians[size, CLASSIC] / medians[size, method],
+            refused=sum(not turn.result.ok for turn in turns if method in (WARM, COLD)),
+        )
+        for (size, method), turns in found.items()
     ]
 
 
 def stage_rows(found: Latencies) -> list[Row]:
     """Return a row for each size and start with the median of each stage in milliseconds."""
-    staged = {key: latency.stages for key, latency in found.items() if latency.stages}
+    staged = {key: [turn.result.timings for turn in turns] for key, turns in found.items() if key[1] in (WARM, COLD)}
     names = list(dict.fromkeys(stage for stages in staged.values() for timings in stages for stage in timings))
     return [
-        {"image": _name(size), "method": method}
-        | {name: float(np.median([timings.get(name, 0.0) for timings in stages])) for name in names}
+        Row(
+            image=_name(size), method=method, **{name: median(each.get(name, 0.0) for each in stages) for name in names}
+        )
         for (size, method), stages in staged.items()
     ]
 
 
-def latency_targets(found: Latencies) -> list[Row]:
-    """Compare the pipeline with its targets."""
-
-    def ratio(one: tuple[Size, str], other: tuple[Size, str]) -> float | None:
-        return found[one].median / found[other].median if one in found and other in found else None
-
-    mine, what = (SMALL, WARM), f"{_name(SMALL)} image to 20 points in 3D, warm"
+def latency_targets(totals: Sequence[Row]) -> list[Row]:
+    """Compare the rows of ``total_rows`` with the targets of the pipeline."""
+    rows = {(row.image, row.method): row for row in totals}
+    small, large = rows.get((_name(SMALL), WARM)), rows.get((_name(LARGE), WARM))
+    what = f"{_name(SMALL)} image to 20 points in 3D, warm"
+    larger = large.median_ms / small.median_ms if small and large else None
     return [
-        at_most(f"{what}: times one pass over the image", _PASSES, ratio(mine, (SMALL, ONE_PASS))),
-        at_least(f"{what}: times faster than classic segmentation", _FASTER, ratio((SMALL, CLASSIC), mine)),
-        at_most(f"{_name(LARGE)} against {_name(SMALL)}, warm", _LARGER, ratio((LARGE, WARM), mine)),
+        at_most(f"{what}: times one pass over the image", _PASSES, small and small.passes),
+        at_least(f"{what}: times faster than classic segmentation", _FASTER, small and small.faster_than_classic),
+        at_most(f"{_name(LARGE)} against {_name(SMALL)}, warm", _LARGER, larger),
     ]
 
 
@@ -201,9 +164,3 @@ def resident() -> float | None:
 
 def _name(size: Size) -> str:
     return f"{size[0]} x {size[1]}"
-
-
-def _ticking(frames: Iterable[Frame], tick: Tick) -> Iterator[Frame]:
-    for frame in frames:
-        yield frame
-        tick()

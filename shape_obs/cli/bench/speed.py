@@ -114,9 +114,10 @@ def _latency(args: Latency) -> Output:
     if "stages" in args.only:
         with progress("stages", "frame", args.frames + latency.WARM_UP) as bar:
             found = latency.latencies(sizes, args.frames, args.seed, args.clock, args.burst, bar.update)
-        output.table("image to points in 3D", latency.total_rows(found), "totals")
+        totals = latency.total_rows(found)
+        output.table("image to points in 3D", totals, "totals")
         output.table("stages, median milliseconds", latency.stage_rows(found), "stages")
-        targets += latency.latency_targets(found)
+        targets += latency.latency_targets(totals)
     if "growth" in args.only:
         with progress("growth", "frame", args.frames + growth.WARM_UP) as bar:
             grown = growth.growth_rows(args.frames, args.seed, args.clock, bar.update)
