@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 
 from shape_obs.bench.detecting import followed
@@ -52,7 +52,7 @@ def rope_clouds(
         cloud = f"rope, seen {'all round' if side == 'all' else 'from the front'}"
         for n in counts:
             shape, times = _twice(Centerline(n=n, ends="tips", radius=rope.radius if side == "front" else 0.0), rope)
-            distance, nearest = cKDTree(resample(rope.curve, 4000)).query(_points(shape)[shape.valid])
+            distance, nearest = _nearest(resample(rope.curve, 4000), _points(shape)[shape.valid])
             steps = np.diff(nearest)
             ordered = bool(len(steps) and (np.all(steps > 0) or np.all(steps < 0)))
             place = _either_way(shape, resample(rope.curve, n))
@@ -172,7 +172,7 @@ def tilted_table(results: Iterable[Row]) -> list[Row]:
 def _around(cloud: str, spec: Configuration, drawn: Any, border: Array) -> Row:
     """Compare a closed shape with its true curve, which is given by close points."""
     shape, times = _twice(spec, drawn)
-    distance, nearest = cKDTree(border).query(_points(shape))
+    distance, nearest = _nearest(border, _points(shape))
     step = np.roll(nearest, -1).astype(int) - nearest
     wrapped = (step + len(border) // 2) % len(border) - len(border) // 2
     ordered = bool(np.all(wrapped > 0) or np.all(wrapped < 0))
@@ -206,6 +206,12 @@ def _twice(spec: Configuration, drawn: Any) -> tuple[Shape, Row]:
 
     first, second = detect(), detect()
     return first.shapes[0], Row(cold_ms=first.timings["total"], warm_ms=second.timings["total"])
+
+
+def _nearest(curve: Array, points: Array) -> tuple[Array, npt.NDArray[np.int_]]:
+    """Return the distance of each point from the nearest point of a curve, and the index of that one."""
+    tree: Any = KDTree(curve)
+    return tree.query(points)
 
 
 def _points(shape: Shape) -> Array:

@@ -110,8 +110,10 @@ def latency_targets(totals: Sequence[Row]) -> list[Row]:
     what = f"{_name(SMALL)} image to 20 points in 3D, warm"
     larger = large.median_ms / small.median_ms if small and large else None
     return [
-        at_most(f"{what}: times one pass over the image", _PASSES, small and small.passes),
-        at_least(f"{what}: times faster than classic segmentation", _FASTER, small and small.faster_than_classic),
+        at_most(f"{what}: times one pass over the image", _PASSES, small.passes if small else None),
+        at_least(
+            f"{what}: times faster than classic segmentation", _FASTER, small.faster_than_classic if small else None
+        ),
         at_most(f"{_name(LARGE)} against {_name(SMALL)}, warm", _LARGER, larger),
     ]
 

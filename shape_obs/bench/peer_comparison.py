@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -13,14 +12,13 @@ from scipy.spatial import KDTree
 
 from shape_obs import metrics
 from shape_obs.bench import Clock
-from shape_obs.bench.interleaved_timing import Method, interleaved_timing
+from shape_obs.bench.interleaved_timing import Method, Tick, Turn, by_method, interleaved_timing, median_ms
 from shape_obs.bench.peers import PEERS
 from shape_obs.bench.synthetic.streams import Name, Scene, Work, work
-from shape_obs.bench.tables import Row, at_least, at_most, mean
+from shape_obs.bench.tables import Row, at_least, at_most
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import nearest_on
 from shape_obs.geometry.topology import Topology
-from shape_obs.utils.threads import one_thread
 
 WARM_UP: Final = 5  # frames that are not counted
 WARM, COLD = "shape_obs, warm", "shape_obs, cold"
@@ -43,23 +41,25 @@ _SILHOUETTE_SLACK: Final = 0.006
 _SPREAD_SHARE: Final[dict[Name, float]] = {"rope": 0.995, "contour": 0.995, "cloth": 0.96}
 
 
-class Quality(NamedTuple):
-    """How well N points represent the pixels of one frame.
+class Result(NamedTuple):
+    """The results of one work.
 
     Args:
-        silhouette: Mean silhouette, -1 to 1.
-        calinski_harabasz: Calinski-Harabasz score over all pixels.
-        spacing: Standard deviation of the gaps over their mean: between successive points along the known line; on a
-            cloth from each point to the nearest other one.
+        turns: Method -> its turns, the detector first.
+        summary: The results as JSON-able values, with one row for each method.
     """
 
-    silhouette: float
-    calinski_harabasz: float
-    spacing: float
+    turns: dict[str, list[Turn]]
+    summary: Row
 
 
-def point_quality(scene: Scene, points: npt.NDArray[np.float64], layout: Topology) -> Quality:
-    """Measure N points in any order; each pixel belongs to the nearest point."""
+def point_quality(scene: Scene, points: npt.NDArray[np.float64], layout: Topology) -> tuple[float, float, float]:
+    """Measure how well N points, in any order, represent the pixels of one frame; each belongs to the nearest point.
+
+    Returns:
+        The mean silhouette, -1 to 1; the Calinski-Harabasz score over all pixels; standard deviation over mean of the
+        gaps between successive points along the known line, on a cloth from each point to the nearest other one.
+    """
     pixels, labels = scene.pixels, metrics.nearest(scene.pixels, points)
     if scene.curve is None:
         gaps = np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
@@ -69,71 +69,14 @@ def point_quality(scene: Scene, points: npt.NDArray[np.float64], layout: Topolog
         spacing = metrics.spacing_cv(points[np.argsort(along, kind="stable")], layout)
     sample = None if len(pixels) <= _EXACT else _SAMPLED
     silhouette = metrics.silhouette(pixels, labels, sample=sample)
-    return Quality(silhouette, metrics.calinski_harabasz(pixels, labels), spacing)
+    return silhouette, metrics.calinski_harabasz(pixels, labels), spacing
 
 
-@dataclass
-class Score:
-    """The results of one method.
-
-    Args:
-        milliseconds: The time of each counted frame, by its number.
-        quality: The quality of its points on the frames on which every method ran.
-    """
-
-    milliseconds: dict[int, float] = field(default_factory=dict)
-    quality: list[Quality] = field(default_factory=list)
-
-    @property
-    def median(self) -> float:
-        """The median time in milliseconds."""
-        return float(np.median([*self.milliseconds.values()]))
-
-    def mean(self, measure: str) -> float:
-        """Return the mean of a measure of quality."""
-        return mean(getattr(quality, measure) for quality in self.quality)
-
-    def times(self, other: Score) -> float:
-        """Return how many times slower this method is than another: the ratio of medians over their common frames."""
-        both = self.milliseconds.keys() & other.milliseconds.keys()
-        mine, theirs = (np.median([score.milliseconds[i] for i in both]) for score in (self, other))
-        return float(mine / theirs)
-
-
-@dataclass(frozen=True)
-class Result:
-    """The results of one work.
-
-    Args:
-        work: The work with its frames.
-        scores: Method -> results, the detector first.
-        refused: Number of detections without a shape, warm and cold together.
-    """
-
-    work: Work
-    scores: Mapping[str, Score]
-    refused: int
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the results as JSON-able values, with one row for each method."""
-        return {
-            "points": self.work.n,
-            "samples": self.work.samples,
-            "frames": len(self.work.scenes) - WARM_UP,
-            "refused": self.refused,
-            "rows": [
-                {
-                    "method": name,
-                    "frames": len(score.milliseconds),
-                    "median_ms": score.median,
-                    "over_ours": score.times(self.scores[WARM]),
-                    "sc": score.mean("silhouette"),
-                    "ch": score.mean("calinski_harabasz"),
-                    "spacing_cv": score.mean("spacing"),
-                }
-                for name, score in self.scores.items()
-            ],
-        }
+def times_slower(turns: Sequence[Turn], others: Sequence[Turn]) -> float:
+    """Return how many times slower one method is than another: the ratio of medians over their common frames."""
+    both = {turn.frame for turn in turns} & {turn.frame for turn in others}
+    one, other = (median_ms(turn for turn in some if turn.frame in both) for some in (turns, others))
+    return one / other
 
 
 def missing() -> dict[str, str]:
@@ -148,7 +91,7 @@ def run_work(
     seed: int,
     clock: Clock = "wall",
     burst: int = 1,
-    tick: Callable[[], Any] = lambda: None,
+    tick: Tick = lambda: None,
 ) -> Result:
     """Run the detector and every installed peer on one work.
 
@@ -172,18 +115,16 @@ def run_work(
         if module is not None:
             some = looked_at if peer.slow else None
             methods.append(Method(peer.name, peer.make(task, module, seed), touch=_touch, frames=some))
-    scores, last = {method.name: Score() for method in methods}, 0
-    with one_thread():
-        for turn in interleaved_timing(task.scenes, methods, clock, burst=burst):
-            if turn.frame > last:
-                tick()
-            last = max(last, turn.frame)
-            if turn.frame >= WARM_UP:
-                scores[turn.name].milliseconds[turn.frame] = turn.milliseconds
-            if turn.frame in looked_at:
-                found = point_quality(task.scenes[turn.frame], turn.result, task.configuration.layout)
-                scores[turn.name].quality.append(found)
-    return Result(task, scores, len(refused))
+    timing = interleaved_timing(task.scenes, methods, clock, burst=burst, warm_up=WARM_UP, tick=tick)
+    found = by_method(methods, timing)
+    rows = []
+    for method, turns in found.items():
+        seen = [(task.scenes[turn.frame], turn.result) for turn in turns if turn.frame in looked_at]
+        qualities = [point_quality(scene, points, task.configuration.layout) for scene, points in seen]
+        sc, ch, spacing = np.mean(qualities, axis=0).tolist()
+        times = {"median_ms": median_ms(turns), "over_ours": times_slower(turns, found[WARM])}
+        rows.append(Row(method=method, frames=len(turns), **times, sc=sc, ch=ch, spacing_cv=spacing))
+    return Result(found, Row(points=task.n, samples=task.samples, frames=frames, refused=len(refused), rows=rows))
 
 
 def _touch(scene: Scene) -> None:
@@ -207,28 +148,26 @@ def targets(results: Mapping[Name, Result]) -> list[Row]:
     """Compare times and quality with their targets."""
     rows = []
     for name, start, peer, bound in TARGETS:
-        scores = results[name].scores if name in results else {}
-        ratio = scores[peer].times(scores[start]) if peer in scores else None
+        turns = results[name].turns if name in results else {}
+        ratio = times_slower(turns[peer], turns[start]) if peer in turns else None
         rows.append(at_least(f"{name}, {start.partition(', ')[2]}: times faster than {peer}", bound, ratio))
     for name, result in results.items():
-        rows += _quality_targets(name, result.scores)
+        rows += _quality_targets(name, {row.method: row for row in result.summary.rows})
     return rows
 
 
-def _quality_targets(name: Name, scores: Mapping[str, Score]) -> list[Row]:
-    mine = scores[WARM]
+def _quality_targets(name: Name, rows: Mapping[str, Row]) -> list[Row]:
+    mine = rows[WARM]
 
     def relative(peer: str, share: float) -> Row:
-        own, other = mine.mean("calinski_harabasz"), scores.get(peer)
-        seen = None if other is None else own / other.mean("calinski_harabasz")
+        seen = mine.ch / rows[peer].ch if peer in rows else None
         return at_least(f"{name}: Calinski-Harabasz relative to {peer}", share, seen)
 
-    rows = [relative(KMEANS_10, _SPREAD_SHARE[name])]
+    compared = [relative(KMEANS_10, _SPREAD_SHARE[name])]
     if name != "cloth":
-        rows.append(relative(MIXTURE, 1.0))
-        best = max(score.mean("silhouette") for score in scores.values())
-        lost = best - mine.mean("silhouette")
-        rows.append(at_most(f"{name}: silhouette below the best", _SILHOUETTE_SLACK, lost, ""))
-        theirs = f" where K-means has {100 * scores[KMEANS].mean('spacing'):.0f} %" if KMEANS in scores else ""
-        rows.append(at_most(f"{name}: spacing CV{theirs}", 1.0, 100 * mine.mean("spacing"), " %"))
-    return rows
+        compared.append(relative(MIXTURE, 1.0))
+        lost = max(row.sc for row in rows.values()) - mine.sc
+        compared.append(at_most(f"{name}: silhouette below the best", _SILHOUETTE_SLACK, lost, ""))
+        theirs = f" where K-means has {100 * rows[KMEANS].spacing_cv:.0f} %" if KMEANS in rows else ""
+        compared.append(at_most(f"{name}: spacing CV{theirs}", 1.0, 100 * mine.spacing_cv, " %"))
+    return compared

@@ -47,7 +47,7 @@ def score_sheet(points: npt.ArrayLike, sheet: Sheet, rows: int, cols: int, ends:
     true = Sheet(np.rot90(sheet.points, quarters), sheet.mask).lattice(rows, cols, ends)
     away = np.asarray(points, dtype=np.float64).reshape(true.shape) - true
     gaps = np.stack([np.gradient(true, axis=0), np.gradient(true, axis=1)], axis=-1)
-    off = np.linalg.solve(gaps, away[..., None])[..., 0]
+    off = np.asarray(np.linalg.solve(gaps, away[..., None])[..., 0], dtype=np.float64)
     distance = np.linalg.norm(away, axis=-1)
     return SheetScore(float(distance.mean()), float(distance.max()), float(np.abs(off).max()), off)
 

@@ -12,8 +12,8 @@ pytest.importorskip("mujoco")
 
 from shape_obs.bench import interleaved_timing
 from shape_obs.bench.env_physics import EPISODE
-from shape_obs.bench.env_speed import Runner, Speed, Stopwatch, speed_targets
-from shape_obs.bench.interleaved_timing import opengl
+from shape_obs.bench.env_speed import Runner, Stopwatch, rate, speed_targets
+from shape_obs.bench.interleaved_timing import Turn, opengl
 from shape_obs.cli import main
 
 GL, NO_GL = opengl()
@@ -98,7 +98,7 @@ def test_targets_are_those_of_training_with_opengl():
 
 
 def test_rates_are_those_of_the_median_step():
-    assert Speed(steps=[1.0, 2.0, 100.0]).rate == 500
+    assert rate([Turn(i, "bare", ms, None) for i, ms in enumerate((1.0, 2.0, 100.0))]) == 500
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ _PARTS: Final = "parts"
 _RESAMPLES: Final = 4000
 _CONFIDENCE: Final = 0.95
 _LONG: Final = ("errors_mm", "start", "goal", "final")  # fields of an episode that do not fit in a cell
+_NAMED: Final = ("env", "difficulty", "source", "size", "features", "law")  # fields of a setting in the tables
 _IF_ANY: Final = ("failed", "invalid")
 
 
@@ -133,13 +134,13 @@ def without_empty(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
     names = rows[0] if rows else ()
     kept = [name for name in names if any(row[name] not in (None, "") for row in rows)]
     kept = [name for name in kept if name not in _IF_ANY or any(row[name] for row in rows)]
-    return [{name: row[name] for name in kept} for row in rows]
+    return [Row({name: row[name] for name in kept}) for row in rows]
 
 
 def episode_rows(found: Found) -> list[Row]:
     """Return a row for each episode with its setting and all of its numbers."""
     return [
-        _named(setting) | {name: value for name, value in episode.to_dict().items() if name not in _LONG}
+        Row(_named(setting), **{name: value for name, value in vars(episode).items() if name not in _LONG})
         for setting, some in found.items()
         for episode in some
     ]
@@ -152,7 +153,7 @@ def summary_rows(found: Found) -> list[Row]:
     95 %; ``ever`` counts goals that were within 10 mm at any time; ``steps`` is the median over the reached goals.
     Episodes that broke off count only in ``failed``.
     """
-    return [_named(setting) | _summary(some) for setting, some in found.items()]
+    return [Row(_named(setting), **_summary(some)) for setting, some in found.items()]
 
 
 def paired_rows(found: Found, seed: int = 0) -> list[Row]:
@@ -176,19 +177,17 @@ def paired_rows(found: Found, seed: int = 0) -> list[Row]:
         pairs[setting] = np.array([(a.success, b.success) for a, b in both], bool).reshape(-1, 2)
     rows = []
     for settings in grouped(pairs, lambda setting: setting._replace(difficulty="near")).values():
-        rows += [_paired(setting, setting.difficulty, pairs[setting], seed) for setting in settings]
+        rows += [_paired(setting, pairs[setting], seed) for setting in settings]
         if len(settings) > 1:
-            rows.append(_paired(settings[0], "all", np.concatenate([pairs[each] for each in settings]), seed))
+            every = np.concatenate([pairs[each] for each in settings])
+            rows.append(Row(_paired(settings[0], every, seed), difficulty="all"))
     return rows
 
 
 def _named(setting: Setting) -> Row:
     wrong = setting.disturbance
     blackout = "" if wrong.blackout is None else "{}+{}".format(*wrong.blackout)
-    return {
-        "env": setting.env, "difficulty": setting.difficulty, "source": setting.source, "size": setting.size,
-        "features": setting.features, "law": setting.law, "invalid": wrong.invalid, "blackout": blackout,
-    }  # fmt: skip
+    return Row({name: getattr(setting, name) for name in _NAMED}, invalid=wrong.invalid, blackout=blackout)
 
 
 def _summary(some: Sequence[Episode]) -> Row:
@@ -197,38 +196,41 @@ def _summary(some: Sequence[Episode]) -> Row:
     low, high = _wilson(reached, len(whole))
     final = [episode.final_mm for episode in whole if episode.final_mm is not None]
     ever = [episode.best_mm is not None and episode.best_mm < REACHED for episode in whole]
-    return {
-        "n": len(whole),
-        "failed": len(some) - len(whole),
-        "success": _percent(reached, len(whole)),
-        "low": low,
-        "high": high,
-        "ever": _percent(sum(ever), len(whole)),
-        "steps": median(episode.steps if episode.success else None for episode in whole),
-        "start_mm": median(episode.start_mm for episode in whole),
-        "median_mm": median(final),
-        "p90_mm": float(np.percentile(final, 90)) if final else None,
-        "prediction": median(episode.prediction for episode in whole),
-        "seen_mm": median(episode.seen_mm for episode in whole),
-        "detector_ms": median(episode.detector_ms for episode in whole),
-        "feature_ms": median(episode.feature_ms for episode in whole),
-        "blackout_action": max((e.blackout_action for e in whole if e.blackout_action is not None), default=None),
-        "blackout_mm": max((e.blackout_mm for e in whole if e.blackout_mm is not None), default=None),
-    }
+
+    def middle(name: str) -> float | None:
+        return median(getattr(episode, name) for episode in whole)
+
+    def largest(name: str) -> float | None:
+        return max((value for episode in whole if (value := getattr(episode, name)) is not None), default=None)
+
+    return Row(
+        n=len(whole),
+        failed=len(some) - len(whole),
+        success=_percent(reached, len(whole)),
+        low=low,
+        high=high,
+        ever=_percent(sum(ever), len(whole)),
+        steps=median(episode.steps if episode.success else None for episode in whole),
+        start_mm=middle("start_mm"),
+        median_mm=median(final),
+        p90_mm=float(np.percentile(final, 90)) if final else None,
+        **{name: middle(name) for name in ("prediction", "seen_mm", "detector_ms", "feature_ms")},
+        **{name: largest(name) for name in ("blackout_action", "blackout_mm")},
+    )
 
 
-def _paired(setting: Setting, difficulty: str, pairs: npt.NDArray[np.bool_], seed: int) -> Row:
+def _paired(setting: Setting, pairs: npt.NDArray[np.bool_], seed: int) -> Row:
     low, high = _ratio_interval(pairs, seed)
     camera, truth = pairs.sum(axis=0).tolist()
-    return _named(setting) | {
-        "difficulty": difficulty,
-        "n": len(pairs),
-        "camera": _percent(camera, len(pairs)),
-        "truth": _percent(truth, len(pairs)),
-        "ratio": camera / truth if truth else None,
-        "low": low,
-        "high": high,
-    }
+    return Row(
+        _named(setting),
+        n=len(pairs),
+        camera=_percent(camera, len(pairs)),
+        truth=_percent(truth, len(pairs)),
+        ratio=camera / truth if truth else None,
+        low=low,
+        high=high,
+    )
 
 
 def _ratio_interval(pairs: npt.NDArray[np.bool_], seed: int) -> tuple[float | None, float | None]:

@@ -9,14 +9,13 @@ import numpy as np
 
 from shape_obs.bench import Clock, Env, Size
 from shape_obs.bench.env_physics import held_actions, make_env
-from shape_obs.bench.interleaved_timing import Method, interleaved_timing
+from shape_obs.bench.interleaved_timing import Method, Tick, by_method, interleaved_timing, median_ms
 from shape_obs.bench.servo.settings import FEATURES, LAYOUTS
 from shape_obs.bench.tables import Row, at_most, grouped
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import Feature, FeatureContext, read_features
 from shape_obs.geometry.topology import Grid
 from shape_obs.shape import Shape
-from shape_obs.utils.threads import one_thread
 from shape_obs.wrappers import env_protocol
 
 WARM_UP: Final = 10  # frames that are not counted
@@ -51,7 +50,7 @@ def feature_times(
     seed: int = 0,
     renderer: str = "auto",
     clock: Clock = "wall",
-    tick: Callable[[int], object] = lambda done: None,
+    tick: Tick = lambda: None,
 ) -> list[Row]:
     """Return a row for each feature: median microseconds, and percent of the tracking detector's median time.
 
@@ -62,7 +61,7 @@ def feature_times(
         seed: Seed of the episode, its actions and its noise.
         renderer: The simulator's renderer.
         clock: The clock.
-        tick: Called with the number of further frames that are done.
+        tick: Called after each frame.
     """
     looks, detector = _looks(env, size, frames + WARM_UP, seed, renderer)
 
@@ -74,26 +73,20 @@ def feature_times(
 
     features = {_label(feature): feature for feature in closed_forms(env)}
     methods = [Method(_DETECTOR, detect), *(Method(name, computing(each)) for name, each in features.items())]
-    taken: dict[str, list[float]] = {method.name: [] for method in methods}
-    with one_thread():
-        for turn in interleaved_timing(looks, methods, clock, burst=_BURST):
-            if turn.frame >= WARM_UP:
-                taken[turn.name].append(turn.milliseconds)
-            if turn.name == _DETECTOR:
-                tick(1)
-    detection = float(np.median(taken.pop(_DETECTOR)))
-    found = {name: float(np.median(each)) for name, each in taken.items()}
+    turns = interleaved_timing(looks, methods, clock, burst=_BURST, warm_up=WARM_UP, tick=tick)
+    medians = {name: median_ms(some) for name, some in by_method(methods, turns).items()}
+    detection = medians.pop(_DETECTOR)
     return [
-        {
-            "env": env,
-            "image": f"{size[0]}x{size[1]}",
-            "feature": name,
-            "values": len(features[name].compute(looks[-1].shape, looks[-1].view)),
-            "us": 1e3 * ms,
-            "detector_ms": detection,
-            "percent": 100 * ms / detection,
-        }
-        for name, ms in found.items()
+        Row(
+            env=env,
+            image=f"{size[0]}x{size[1]}",
+            feature=name,
+            values=len(features[name].compute(looks[-1].shape, looks[-1].view)),
+            us=1e3 * ms,
+            detector_ms=detection,
+            percent=100 * ms / detection,
+        )
+        for name, ms in medians.items()
     ]
 
 

@@ -145,7 +145,7 @@ def _peers(args: Peers) -> Output:
             results[name] = peers.run_work(
                 name, args.frames, args.slow_frames, args.seed, args.clock, args.burst, bar.update
             )
-        work = output.document["works"][name] = results[name].to_dict()
+        work = output.document["works"][name] = results[name].summary
         refused = f", {work['refused']} refused" if work["refused"] else ""
         title = f"{name}: {work['points']} points from {work['samples']} pixels, {work['frames']} frames{refused}"
         output.table(title, work["rows"], "")
@@ -156,7 +156,7 @@ def _peers(args: Peers) -> Output:
 def _envs(args: Envs) -> Output:
     check_minimum(args, steps=1, burst=1)
     sizes = [image_size(text, 16) for text in args.sizes]
-    from shape_obs.bench.env_speed import WARM_UP, Course, speed_row, speed_targets, speeds
+    from shape_obs.bench.env_speed import WARM_UP, Course, speed_row, speed_targets
     from shape_obs.bench.interleaved_timing import opengl
 
     driver, no_opengl = opengl()
@@ -177,7 +177,7 @@ def _envs(args: Envs) -> Output:
     with progress("envs", "step", len(courses) * (args.steps + WARM_UP)) as bar:
         for course in courses:
             bar.set_postfix_str(f"{course.env} {course.image} {course.renderer}")
-            rows.append(speed_row(course, speeds(course, bar.update)))
+            rows.append(speed_row(course, bar.update))
     output.table("steps per second", rows, "single")
     output.claims(speed_targets(rows))
     return output
