@@ -41,10 +41,10 @@ def command(capsys, *arguments):
 
 def episode(seed, final, best=None, steps=None):
     """An episode of which the final error is known."""
-    line = ((0.0, 0.0, 0.0), (10.0, 0.0, 0.0))
+    line = [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]
     best = final if best is None else best
     return Episode(
-        seed, start_mm=50.0, final_mm=final, best_mm=best, success=final < 10, steps=steps, errors_mm=(50.0, final),
+        seed, start_mm=50.0, final_mm=final, best_mm=best, success=final < 10, steps=steps, errors_mm=[50.0, final],
         start=line, goal=line, final=line,
     )  # fmt: skip
 

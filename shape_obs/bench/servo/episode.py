@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -63,21 +63,11 @@ class Episode:
     held: int = 0
     blackout_action: float | None = None
     blackout_mm: float | None = None
-    errors_mm: tuple[float, ...] = ()
-    start: tuple[tuple[float, ...], ...] = ()
-    goal: tuple[tuple[float, ...], ...] = ()
-    final: tuple[tuple[float, ...], ...] = ()
+    errors_mm: Sequence[float] = ()
+    start: Sequence[Sequence[float]] = ()
+    goal: Sequence[Sequence[float]] = ()
+    final: Sequence[Sequence[float]] = ()
     failure: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON-able values."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Episode:
-        """Return the episode from the values of ``to_dict``."""
-        lines = {name: tuple(map(tuple, values[name])) for name in ("start", "goal", "final")}
-        return cls(**{**values, **lines, "errors_mm": tuple(values["errors_mm"])})
 
 
 Found = Mapping[Setting, Sequence[Episode]]
@@ -110,7 +100,7 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
     servo = _servo(world, law)
     vector = FeatureVector(world.features, [world.spec], world.view())
     observation, info = world.env.reset(seed=seed)
-    goal, start = 1e3 * info["truth/goal"], 1e3 * info["truth/points"]
+    goal, start = (1e3 * np.asarray(info[name], np.float64) for name in ("truth/goal", "truth/points"))
     errors, points, blackout = [1e3 * info["truth/mean_error"]], start, _Blackout()
     predicted: list[tuple[int, float]] = []
     seen: list[float] = []
@@ -146,10 +136,10 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
         held=servo.held,
         blackout_action=blackout.action,
         blackout_mm=blackout.moved,
-        errors_mm=tuple(np.round(errors, 3).tolist()),
-        start=_listed(start),
-        goal=_listed(goal),
-        final=_listed(points),
+        errors_mm=np.round(errors, 3).tolist(),
+        start=np.round(start, 2).tolist(),
+        goal=np.round(goal, 2).tolist(),
+        final=np.round(points, 2).tolist(),
     )
 
 
@@ -210,7 +200,3 @@ def _apart(world: World, truth: Array) -> float:
     assert points is not None
     assert camera is not None
     return float(np.linalg.norm(1e3 * camera.to_base(points) - truth, axis=1).mean())
-
-
-def _listed(points: npt.NDArray[Any]) -> tuple[tuple[float, ...], ...]:
-    return tuple(map(tuple, np.round(points.astype(np.float64), 2).tolist()))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,14 +13,13 @@ from scipy.stats import DegenerateDataWarning, binomtest, bootstrap
 
 from shape_obs import __version__
 from shape_obs.bench import run_tasks
+from shape_obs.bench.parts import Parts
 from shape_obs.bench.servo.episode import REACHED, STEPS, Episode, Found, episodes
 from shape_obs.bench.servo.settings import Disturbance, Setting
 from shape_obs.bench.tables import Row, as_csv, as_markdown, grouped, median
-from shape_obs.utils.documents import read_json
-from shape_obs.utils.files import make_folder, write_text
+from shape_obs.utils.files import write_text
 
 _CHUNK: Final = 5  # episodes for which a world is made
-_PARTS: Final = "parts"
 _RESAMPLES: Final = 4000
 _CONFIDENCE: Final = 0.95
 _LONG: Final = ("errors_mm", "start", "goal", "final")  # fields of an episode that do not fit in a cell
@@ -57,10 +55,11 @@ def run(
         ValueError: The folder holds episodes of another version or length, or a setting is not understood.
     """
     kept: dict[Setting, dict[int, Episode]] = {setting: {} for setting in settings}
-    if folder is not None:
-        make_folder(folder / _PARTS)
-        if resume:
-            kept = {setting: _read(folder, setting, steps) for setting in settings}
+    stores = {} if folder is None else {each: Parts(folder, _made_with(each, steps)) for each in settings}
+    if resume:
+        for setting, store in stores.items():
+            found = store.read(setting.name, Episode) or ()
+            kept[setting] = {episode.seed: episode for episode in found if not episode.failure}
     tasks = []
     for setting, done in kept.items():
         for seed in seeds:
@@ -70,10 +69,8 @@ def run(
         tasks += [(setting, left[first : first + _CHUNK], steps) for first in range(0, len(left), _CHUNK)]
     for setting, episode in _played(tasks, jobs):
         kept[setting][episode.seed] = episode
-        if folder is not None:
-            done = [kept[setting][seed].to_dict() for seed in sorted(kept[setting])]
-            document = {"made_with": _made_with(setting, steps), "episodes": done}
-            write_text(_path(folder, setting), json.dumps(document, separators=(",", ":")) + "\n")
+        if stores:
+            stores[setting].write(setting.name, [vars(kept[setting][seed]) for seed in sorted(kept[setting])])
         tick(setting, episode)
     return {setting: [done[seed] for seed in seeds] for setting, done in kept.items()}
 
@@ -89,32 +86,8 @@ def _chunk(setting: Setting, seeds: Sequence[int], steps: int) -> tuple[Setting,
     return setting, list(episodes(setting, seeds, steps))
 
 
-def _read(folder: Path, setting: Setting, steps: int) -> dict[int, Episode]:
-    """Return the kept episodes of a setting by seed, without those that broke off."""
-    path = _path(folder, setting)
-    if not path.exists():
-        return {}
-    document = read_json(path, "episodes")
-    try:
-        before, kept = dict(document["made_with"]), list(document["episodes"])
-        for name, now in _made_with(setting, steps).items():
-            if before.get(name) != now:
-                raise ValueError(
-                    f"{path} holds episodes with {name} = {before.get(name)}, this run has {now}: choose "
-                    "another folder, or leave out --resume to play them again."
-                )
-        found = [Episode.from_dict(values) for values in kept]
-    except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path}: not the episodes of a study ({error!r}): remove it to play them again.") from error
-    return {episode.seed: episode for episode in found if not episode.failure}
-
-
 def _made_with(setting: Setting, steps: int) -> Mapping[str, Any]:
     return {"shape_obs": __version__, "steps": steps, "renderer": setting.renderer, "pca": setting.pca}
-
-
-def _path(folder: Path, setting: Setting) -> Path:
-    return folder / _PARTS / f"{setting.name}.json"
 
 
 def write_tables(found: Found, folder: Path) -> None:

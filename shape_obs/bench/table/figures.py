@@ -11,9 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.table.frames import CONFIGURATIONS, Name, Scene, scenes
-from shape_obs.bench.table.methods import METHODS, Method, Row, Runner, clustered_pixels
+from shape_obs.bench.table.methods import METHODS, Method, Runner, clustered_pixels
 from shape_obs.bench.table.run import Plan
-from shape_obs.bench.table.summary import LABELS, MEASURES, PAPER, Result
+from shape_obs.bench.table.summary import LABELS, MEASURES, PAPER
+from shape_obs.bench.tables import Row
 from shape_obs.metrics import nearest
 from shape_obs.utils.files import write_whole
 
@@ -34,7 +35,7 @@ _MARGIN: Final = 14  # pixels around the object
 _DPI: Final = 105
 
 
-def draw(plan: Plan, found: Sequence[Result], folder: Path) -> list[Path]:
+def draw(plan: Plan, found: Sequence[Row], folder: Path) -> list[Path]:
     """Draw both figures into a folder and return their paths."""
     sheets = (_side_by_side(plan), _bars(found))
     paths = [folder / name for name in PICTURES]
@@ -138,7 +139,7 @@ def _window(scene: Scene) -> tuple[int, int, int, int]:
     return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
 
 
-def _bars(found: Sequence[Result]) -> Any:
+def _bars(found: Sequence[Row]) -> Any:
     """Draw the three measures by configuration with intervals, and those of the paper."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
@@ -153,10 +154,10 @@ def _bars(found: Sequence[Result]) -> Any:
             shift = (i - (len(methods) - 1) / 2) * wide
             for result in found:
                 if result.method == method and result.configuration in names:
-                    at, mean = names.index(result.configuration) + shift, getattr(result, measure)
-                    axis.bar(at, mean.value, wide * 0.92, color=_COLOURS[method])
-                    if np.isfinite(mean.half):
-                        axis.errorbar(at, mean.value, mean.half, color=_INK, linewidth=1, capsize=2)
+                    at, half = names.index(result.configuration) + shift, result[f"{measure}_half_interval"]
+                    axis.bar(at, result[measure], wide * 0.92, color=_COLOURS[method])
+                    if np.isfinite(half):
+                        axis.errorbar(at, result[measure], half, color=_INK, linewidth=1, capsize=2)
             if method in PAPER:
                 axis.bar(
                     len(names) + shift, PAPER[method][measure], wide * 0.92, facecolor="white",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any, Final, Literal, NamedTuple
 
@@ -16,7 +15,11 @@ from shape_obs.bench import Clock
 from shape_obs.bench.interleaved_timing import CLOCKS
 from shape_obs.bench.synthetic.images import BLUE, photographed
 from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, moving_sheet
-from shape_obs.configurations import Centerline, Configuration, Contour, Surface
+from shape_obs.bench.tables import Row
+from shape_obs.configurations.base import Configuration
+from shape_obs.configurations.centerline import Centerline
+from shape_obs.configurations.contour import Contour
+from shape_obs.configurations.surface import Surface
 from shape_obs.frame import Frame
 from shape_obs.geometry.polyline import nearest_on
 from shape_obs.image.roi import Whole
@@ -122,27 +125,6 @@ def _outline(sheet: Sheet) -> Array:
     return np.concatenate([points[0, :-1], points[:-1, -1], points[-1, :0:-1], points[:0:-1, 0]])
 
 
-@dataclass(frozen=True)
-class Trace:
-    """One tracing of one frame.
-
-    Args:
-        frame: Number of the frame.
-        points: Number of points.
-        start: Position of the first point on the material, as a share of the known curve's length.
-        ordered: Whether the points follow each other along the known curve.
-        tips: Pixels of a thinned mask with one neighbour, two for a rope; 0 for a contour.
-        ms: Milliseconds.
-    """
-
-    frame: int
-    points: int
-    start: float
-    ordered: bool
-    tips: int
-    ms: float
-
-
 def _thinned(mask: Mask) -> Array:
     from skimage.morphology import skeletonize
 
@@ -173,21 +155,26 @@ def missing(tracing: Tracing) -> str:
     return ""
 
 
-def traced(tracing: Tracing, chunk: Iterable[tuple[int, Scene]], clock: Clock = "wall") -> Iterator[Trace]:
-    """Trace the numbered frames of one chunk."""
-    run, now = _RUN[tracing], CLOCKS[clock]
+def traced(tracing: Tracing, chunk: Iterable[tuple[int, Scene]], clock: Clock = "wall") -> Iterator[Row]:
+    """Trace the numbered frames of one chunk.
+
+    Yields:
+        Number of the ``frame`` and of ``points``; ``start``: position of the first point on the material, as a share of
+        the known curve's length; ``ordered``: whether the points follow each other along the known curve; ``tips``:
+        pixels of a thinned mask with one neighbour, two for a rope, 0 for a contour; ``ms``.
+    """
+    run, now, closed = _RUN[tracing], CLOCKS[clock], OF[tracing] == "contour"
     for frame, scene in chunk:
         assert not isinstance(scene.truth, Sheet)
         begin = now()
         points = run(scene.mask)
         ms = 1e3 * (now() - begin)
-        closed = OF[tracing] == "contour"
         curve = np.concatenate([scene.truth, scene.truth[:1]]) if closed else scene.truth
         length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
         arc = nearest_on(curve, points)[0]
         ordered = any(in_order(way, length if closed else None) for way in (arc, arc[::-1]))
-        tips = 0 if closed else _tips(points)
-        yield Trace(frame, len(points), float(arc[0]) / length, ordered, tips, ms)
+        tips, start = 0 if closed else _tips(points), float(arc[0]) / length
+        yield Row(frame=frame, points=len(points), start=start, ordered=ordered, tips=tips, ms=ms)
 
 
 def _tips(points: Array) -> int:
