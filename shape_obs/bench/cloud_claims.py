@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import product
 from typing import Any, Final
@@ -14,15 +14,7 @@ from scipy.spatial.distance import pdist
 
 from shape_obs.bench.detecting import followed
 from shape_obs.bench.scores import score, tally
-from shape_obs.bench.synthetic.clouds import (
-    RopeCloud,
-    SheetCloud,
-    Side,
-    moving_rope_cloud,
-    ring_cloud,
-    rope_cloud,
-    sheet_cloud,
-)
+from shape_obs.bench.synthetic import clouds
 from shape_obs.bench.synthetic.images import CAMERA, tilted_rope, tilted_sheet
 from shape_obs.bench.synthetic.ropes import KINDS
 from shape_obs.bench.tables import Row, failures, mean, median, of, summary
@@ -38,19 +30,17 @@ from shape_obs.shape import Detection, Shape
 Array = npt.NDArray[np.float64]
 
 COUNTS: Final = (8, 20, 50)
-SIDES: Final[tuple[Side, ...]] = ("all", "front")
+SIDES: Final[tuple[clouds.Side, ...]] = ("all", "front")
 _WAYS: Final[dict[str, dict[str, Any]]] = {"px": {}, "m": {"spacing": "m"}, "cloud": {"lift": "cloud"}}
 
 
-def rope_clouds(
-    count: int, seed: int = 0, counts: Sequence[int] = COUNTS, sides: Sequence[Side] = SIDES
-) -> Iterator[Row]:
+def rope_clouds(count: int, seed: int = 0) -> Iterator[Row]:
     """Detect rope clouds with 3 mm noise and holes cold, from tip to tip."""
     rng = np.random.default_rng(seed)
-    for side, _ in product(sides, range(count)):
-        rope = rope_cloud(rng, side=side)
+    for side, _ in product(SIDES, range(count)):
+        rope = clouds.rope_cloud(rng, side=side)
         cloud = f"rope, seen {'all round' if side == 'all' else 'from the front'}"
-        for n in counts:
+        for n in COUNTS:
             shape, times = _twice(Centerline(n=n, ends="tips", radius=rope.radius if side == "front" else 0.0), rope)
             distance, nearest = _nearest(resample(rope.curve, 4000), _points(shape)[shape.valid])
             steps = np.diff(nearest)
@@ -59,20 +49,20 @@ def rope_clouds(
             yield _result(cloud, shape, times, ordered=ordered, curve_mm=_mm(distance), place_mm=place)
 
 
-def ring_clouds(count: int, seed: int = 0, n: int = 32) -> Iterator[Row]:
+def ring_clouds(count: int, seed: int = 0) -> Iterator[Row]:
     """Detect closed ropes cold: every third one is whole, the others have two or four holes."""
     rng = np.random.default_rng(seed)
     for index in range(count):
-        ring = ring_cloud(rng, holes=index % 3 * 2)
+        ring = clouds.ring_cloud(rng, holes=index % 3 * 2)
         closed = np.concatenate([ring.curve, ring.curve[:1]])
-        yield _around("ring", Contour(n=n), ring, resample(closed, 4000))
+        yield _around("ring", Contour(), ring, resample(closed, 4000))
 
 
 def sheet_clouds(count: int, seed: int = 0) -> Iterator[Row]:
     """Detect flat and bent sheets cold: the lattice of 4 x 8 points up to the border, and the outline."""
     rng = np.random.default_rng(seed)
     for index in range(count):
-        sheet = sheet_cloud(rng, bend=(0.2, 0.8, 2.0)[index % 3])
+        sheet = clouds.sheet_cloud(rng, bend=(0.2, 0.8, 2.0)[index % 3])
         shape, times = _twice(Surface(rows=4, cols=8, ends="tips"), sheet)
         true = sheet.lattice(4, 8)
         apart = np.linalg.norm(_points(shape) - true, axis=1)
@@ -103,19 +93,19 @@ def cloud_table(results: Iterable[Row]) -> list[Row]:
     return summary(results, ("cloud", "n"), columns)
 
 
-def moving_rope_clouds(speeds: Iterable[float], seeds: Iterable[int], frames: int = 180, n: int = 20) -> Iterator[Row]:
+def moving_rope_clouds(speeds: Iterable[float], seeds: Iterable[int], frames: int = 180) -> Iterator[Row]:
     """Track rope clouds that wander and bend; an anchor gives point 0 in the first frame.
 
     Yields:
         A row for each track; slips in gaps.
     """
 
-    def begin(rope: RopeCloud) -> ShapeDetector:
+    def begin(rope: clouds.RopeCloud) -> ShapeDetector:
         x, y, z = rope.curve[0].tolist()
-        return ShapeDetector([Centerline(n=n, ends="tips", anchor=(x, y, z))], on_invalid="interpolate")
+        return ShapeDetector([Centerline(ends="tips", anchor=(x, y, z))], on_invalid="interpolate")
 
     for seed, speed in product(seeds, speeds):
-        motion = moving_rope_cloud(np.random.default_rng(seed), speed, frames)
+        motion = clouds.moving_rope_cloud(np.random.default_rng(seed), speed, frames)
         pairs = list(followed(motion, begin, lambda detector, rope: detector.detect_cloud(rope.points)))
         scores = [score(_points(found.shapes[0]), rope.curve, "tips") for rope, found in pairs]
         yield Row(
@@ -199,7 +189,7 @@ def _twice(spec: Configuration, drawn: Any) -> tuple[Shape, Row]:
     detector = ShapeDetector([spec], on_invalid="interpolate", on_missing="nan")
 
     def detect() -> Detection:
-        is_cloud = isinstance(drawn, (RopeCloud, SheetCloud))
+        is_cloud = isinstance(drawn, (clouds.RopeCloud, clouds.SheetCloud))
         return (
             detector.detect_cloud(drawn.points) if is_cloud else detector.detect_mask(drawn.mask, drawn.depth, CAMERA)
         )

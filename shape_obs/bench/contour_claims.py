@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from shape_obs.bench.detecting import at_rest, cold, followed
 from shape_obs.bench.scores import outline_score, tally
-from shape_obs.bench.synthetic.blobs import KINDS, Blob, Kind, moving_blob, random_blob
+from shape_obs.bench.synthetic.blobs import KINDS, Blob, moving_blob, random_blob
 from shape_obs.bench.synthetic.ropes import resample
 from shape_obs.bench.tables import Row, failures, mean, median, of, summary, worst
 from shape_obs.configurations.contour import Contour
@@ -36,10 +36,10 @@ MOTIONS: Final[dict[str, dict[str, Any]]] = {
 _COARSE: Final = 1.3
 
 
-def drawn_blobs(per_kind: int, seed: int = 0, kinds: Sequence[Kind] = KINDS) -> Iterator[Blob]:
+def drawn_blobs(per_kind: int, seed: int = 0) -> Iterator[Blob]:
     """Draw random blobs with a known outline."""
     rng = np.random.default_rng(seed)
-    return (random_blob(rng, kind) for kind, _ in product(kinds, range(per_kind)))
+    return (random_blob(rng, kind) for kind, _ in product(KINDS, range(per_kind)))
 
 
 def outlines(blobs: Iterable[Blob], counts: Sequence[int] = COUNTS) -> Iterator[Row]:
@@ -77,9 +77,7 @@ def outline_table(results: Iterable[Row]) -> list[Row]:
     return summary(results, ("kind", "n"), columns)
 
 
-def turning_blobs(
-    motions: Mapping[str, Mapping[str, Any]] = MOTIONS, seeds: Iterable[int] = (0,), frames: int = 180, n: int = 32
-) -> Iterator[Row]:
+def turning_blobs(motions: Mapping[str, Mapping[str, Any]] = MOTIONS, seeds: Iterable[int] = (0,)) -> Iterator[Row]:
     """Track outlines that turn, wander and deform; an anchor gives point 0 in the first frame.
 
     Yields:
@@ -88,10 +86,10 @@ def turning_blobs(
 
     def begin(blob: Blob) -> ShapeDetector:
         (u, v), hole = _tracked(blob)[0].tolist(), None if blob.hole is None else 0
-        return ShapeDetector([Contour(n=n, hole=hole, anchor=(u, v))])
+        return ShapeDetector([Contour(hole=hole, anchor=(u, v))])
 
     for seed, (motion, keywords) in product(seeds, motions.items()):
-        drawn = moving_blob(np.random.default_rng(seed), frames=frames, **keywords)
+        drawn = moving_blob(np.random.default_rng(seed), **keywords)
         pairs = [(_tracked(blob), detection) for blob, detection in followed(drawn, begin)]
         scores = [outline_score(detection.shapes[0].pixels, truth) for truth, detection in pairs]
         yield Row(
@@ -109,9 +107,7 @@ def _tracked(blob: Blob) -> npt.NDArray[np.float64]:
     return blob.outline if blob.hole is None else blob.hole
 
 
-def flickering_blobs(
-    blobs: Iterable[Blob], flipped: Sequence[float] = (0.05, 0.1), seed: int = 0, frames: int = 60, n: int = 32
-) -> Iterator[Row]:
+def flickering_blobs(blobs: Iterable[Blob], flipped: Sequence[float] = (0.05, 0.1), frames: int = 60) -> Iterator[Row]:
     """Detect outlines at rest in masks whose border pixels flip.
 
     Yields:
@@ -121,10 +117,10 @@ def flickering_blobs(
     """
     near, few = np.ones((3, 3), np.uint8), max(frames // 10, 1)
     for blob, share in product(blobs, flipped):
-        rng, border = np.random.default_rng(seed), cv2.dilate(blob.mask, near) != cv2.erode(blob.mask, near)
+        rng, border = np.random.default_rng(0), cv2.dilate(blob.mask, near) != cv2.erode(blob.mask, near)
         flips = (border & (rng.random(border.shape) < share) for _ in range(frames))
         masks = (np.where(each, 255 - blob.mask, blob.mask) for each in flips)
-        shapes, squares = at_rest(Contour(n=n), masks)
+        shapes, squares = at_rest(Contour(), masks)
         first, last = (
             np.mean([shape.pixels for shape in some], axis=0, dtype=np.float64)
             for some in (shapes[:few], shapes[-few:])

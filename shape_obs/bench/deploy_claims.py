@@ -22,6 +22,7 @@ Array = npt.NDArray[np.float64]
 
 SECONDS: Final = 60.0
 FAULTS: Final = {"drop": 0.05, "delay": 0.05, "freeze": 0.05, "black": 0.05, "occluder": 0.15}
+_RATE: Final = 30.0  # hertz, of the loop and the camera
 _WRONG: Final = 15.0  # mm
 _OWN: Final = 25.0  # ms, 95th percentile
 _OVERRUNS: Final = 1.0  # percent
@@ -93,8 +94,6 @@ def run(
     *,
     seed: int = 0,
     renderer: str = "auto",
-    rate: float = 30.0,
-    noise: bool = False,
     progress: Callable[[str], object] = lambda text: None,
 ) -> tuple[Any, Seen]:
     """Run the loop.
@@ -104,8 +103,6 @@ def run(
         faults: Arguments of ``SimulatedRobot.disturb``; None for a clean run.
         seed: Seed of the scene and of the faults.
         renderer: The simulator's renderer.
-        rate: Rate of the loop and the camera in hertz.
-        noise: Whether images have the noise of a D455.
         progress: Called with the progress.
 
     Returns:
@@ -118,17 +115,17 @@ def run(
     from shape_obs.wrappers import ShapeObservation
     from shape_obs_envs.robots import SimulatedRobot
 
-    robot = SimulatedRobot(seed=seed, renderer=renderer, fps=rate, noise=noise)
+    robot = SimulatedRobot(seed=seed, renderer=renderer, fps=_RATE)
     seen = Seen(robot)
 
     def step(moment: Any) -> None:
         if moment.step == 0 and faults is not None:
             robot.disturb(**faults, seed=seed)
         if moment.step % 30 == 0:
-            progress(f"deploy: {moment.step / rate:.0f} of {seconds:.0f} s")
+            progress(f"deploy: {moment.step / _RATE:.0f} of {seconds:.0f} s")
         seen.step(moment)
 
-    env = gym.make("ShapeObs/D455-v0", source="robot", robot=robot, rate=rate, disable_env_checker=True)
+    env = gym.make("ShapeObs/D455-v0", source="robot", robot=robot, rate=_RATE, disable_env_checker=True)
     # A hand may stay for a second, after which the run has to continue.
     report = deploy(ShapeObservation(env), Sway(share=0.25), Limits(hold=5.0), seconds=seconds, on_step=step)
     return report, seen

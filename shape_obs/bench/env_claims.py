@@ -98,9 +98,9 @@ def all_episodes(
     return sorted(found, key=lambda row: settings.index(row.setting))
 
 
-def settings(renderer: str, envs: Sequence[Env] = ENVS) -> list[Setting]:
+def settings(renderer: str) -> list[Setting]:
     """Return the settings of every environment, camera and condition."""
-    return [Setting(env, camera, how, renderer) for env in envs for camera in CAMERAS for how in CONDITIONS]
+    return [Setting(env, camera, how, renderer) for env in ENVS for camera in CAMERAS for how in CONDITIONS]
 
 
 def claim_table(found: Iterable[Row]) -> list[Row]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -40,20 +40,12 @@ _COARSE: Final = Contour(name="coarse", n=12)
 _NUMBERS: Final[tuple[Shapes, ...]] = ((Contour(),), (Contour(), Surface()), (Contour(), _COARSE, Surface()))
 
 
-class _Case(NamedTuple):
-    """One point of a growth curve; an ``amount`` of None is the number of pixels of the mask."""
-
-    grows: str
-    amount: int | None
-    shapes: Shapes
-    image: str
-
-
-_CASES: Final = (
-    *(_Case(ROPE, None, (Centerline(n=20),), f"rope {area}") for area in AREAS),
-    *(_Case(CLOTH, None, (Surface(rows=4, cols=8),), f"cloth {area}") for area in AREAS),
-    *(_Case(POINTS, n, (Centerline(n=n),), f"rope {AREAS[-1]}") for n in COUNTS),
-    *(_Case(NUMBER, len(shapes), shapes, "photo") for shapes in _NUMBERS),
+# What grows, its amount (None is the number of pixels of the mask), the name of the image, and the shapes.
+_CASES: Final[tuple[tuple[str, int | None, str, Shapes], ...]] = (
+    *((ROPE, None, f"rope {area}", (Centerline(n=20),)) for area in AREAS),
+    *((CLOTH, None, f"cloth {area}", (Surface(rows=4, cols=8),)) for area in AREAS),
+    *((POINTS, n, f"rope {AREAS[-1]}", (Centerline(n=n),)) for n in COUNTS),
+    *((NUMBER, len(shapes), "photo", shapes) for shapes in _NUMBERS),
 )
 
 
@@ -81,25 +73,24 @@ def growth_rows(frames: int, seed: int, clock: Clock = "wall", tick: Tick = lamb
                     pixels[name].append(cv2.countNonZero(image))
             yield frame
 
-    methods = [_method(i, case) for i, case in enumerate(_CASES)]
+    methods = [_method(*case) for case in _CASES]
     found = by_method(methods, interleaved_timing(seen(), methods, clock, seed, warm_up=WARM_UP, tick=tick))
     rows: list[Row] = []
     smallest: dict[str, float] = {}
-    for i, case in enumerate(_CASES):
-        median = median_ms(found[i])
-        amount = case.amount or int(np.median(pixels[case.image]))
-        ratio = median / smallest.setdefault(case.grows, median)
-        rows.append(Row(grows=case.grows, amount=amount, median_ms=median, times_smallest=ratio))
+    for (grows, known, image), turns in found.items():
+        median, amount = median_ms(turns), known or int(np.median(pixels[image]))
+        ratio = median / smallest.setdefault(grows, median)
+        rows.append(Row(grows=grows, amount=amount, median_ms=median, times_smallest=ratio))
     return rows
 
 
 def growth_targets(rows: list[Row]) -> list[Row]:
     """Compare the growth with its targets."""
-    compared = []
-    for grows, curve in grouped(rows, lambda row: row["grows"]).items():
-        what = f"{grows} from {curve[0]['amount']} to {curve[-1]['amount']}"
-        compared.append(at_most(what, _TARGETS[grows], curve[-1]["times_smallest"]))
-    return compared
+    curves = grouped(rows, lambda row: row.grows)
+    return [
+        at_most(f"{grows} from {curve[0].amount} to {curve[-1].amount}", _TARGETS[grows], curve[-1].times_smallest)
+        for grows, curve in curves.items()
+    ]
 
 
 def _frames(frames: int, seed: int) -> Iterator[Frame]:
@@ -120,15 +111,13 @@ def _shrunk(points: Array, scale: float) -> Array:
     return (points - middle) * scale + middle
 
 
-def _method(name: int, case: _Case) -> Method[Frame]:
-    detector = ShapeDetector(case.shapes, BLUE)
+def _method(grows: str, amount: int | None, image: str, shapes: Shapes) -> Method[Frame]:
+    detector, is_photo = ShapeDetector(shapes, BLUE), image == "photo"
 
     def touch(frame: Frame) -> None:
-        image = frame[case.image]
-        cv2.sumElems(image.rgb if isinstance(image, RGBD) else image)
+        cv2.sumElems(frame[image].rgb if is_photo else frame[image])
 
     def run(frame: Frame) -> object:
-        image = frame[case.image]
-        return detector.detect(*image) if isinstance(image, RGBD) else detector.detect_mask(image)
+        return detector.detect(*frame[image]) if is_photo else detector.detect_mask(frame[image])
 
-    return Method(name, run, touch=touch)
+    return Method((grows, amount, image), run, touch=touch)

@@ -130,7 +130,7 @@ def camera_points(scene: MarkerScene, rng: np.random.Generator, depth: bool) -> 
     return np.median(frames, axis=0).reshape(-1, 3)
 
 
-def fitted(count: int = 3, seed: int = 0, views: int = 25) -> Row:
+def fitted(count: int = 3, seed: int = 0) -> Row:
     """Calibrate cameras of different focal lengths with a board, and check that wrong projections are reported.
 
     Returns:
@@ -146,7 +146,7 @@ def fitted(count: int = 3, seed: int = 0, views: int = 25) -> Row:
         focal = rng.uniform(370, 400)
         camera = Intrinsics(640, 480, focal, focal * rng.uniform(0.998, 1.002), *rng.uniform((312, 232), (328, 248)))
         seen = BoardViews(board, camera.size)
-        for image in board_images(board, camera, views, rng):
+        for image in board_images(board, camera, 25, rng):
             seen.offer(image)
         results.append((camera, fit_intrinsics(seen.taken, seen.size, board, camera, seen.coverage)))
         longer = replace(camera, fx=1.03 * camera.fx, fy=1.03 * camera.fy)

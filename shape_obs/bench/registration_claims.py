@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+import timeit
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -65,7 +65,7 @@ def registration_table(scenes: int, seed: int = 0) -> list[Row]:
     return rows
 
 
-def time_table(runs: int = 30) -> list[Row]:
+def time_table() -> list[Row]:
     """Return median milliseconds of our parts and of ``rs.align`` at 640 x 480, also as multiples of the latter."""
     from shape_obs_envs.sources.registration import Registration
 
@@ -78,7 +78,9 @@ def time_table(runs: int = 30) -> list[Row]:
             "align": lambda: ours.align(scene.depth),
             "rs.align": lambda: align(frames),
         }
-        times = {name: _median(call, runs) for name, call in calls.items()}
+        times = {
+            name: 1e3 * float(np.median(timeit.repeat(call, repeat=31, number=1)[1:])) for name, call in calls.items()
+        }
     return [Row({"what": what, "ms": ms, "x rs.align": ms / times["rs.align"]}) for what, ms in times.items()]
 
 
@@ -128,16 +130,6 @@ class _Scene:
         self.colour = see(self.blocks, self.colour_camera)[0]
         metres = see(self.blocks, CameraModel(d455.depth, base @ inner))[1]
         self.depth = np.rint(np.nan_to_num(metres) / _UNIT).astype(np.uint16)
-
-
-def _median(call: Callable[[], Any], runs: int) -> float:
-    call()
-    spent = []
-    for _ in range(runs):
-        begin = time.perf_counter()
-        call()
-        spent.append(1e3 * (time.perf_counter() - begin))
-    return float(np.median(spent))
 
 
 def _errors(

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.detecting import Mask, at_rest, cold, followed
-from shape_obs.bench.scores import BOTH_ENDS, SLIP, Score, score, tally
+from shape_obs.bench.scores import BOTH_ENDS, SLIP, score, tally
 from shape_obs.bench.synthetic.images import BLUE, Where, hidden_rope, photographed, ragged, salted
-from shape_obs.bench.synthetic.ropes import KINDS, Kind, moving_rope, random_rope
+from shape_obs.bench.synthetic.ropes import KINDS, Rope, moving_rope, random_rope
 from shape_obs.bench.synthetic.sheets import noisy
 from shape_obs.bench.tables import Row, failures, mean, of, summary, worst
 from shape_obs.configurations.centerline import Centerline
@@ -20,20 +20,19 @@ from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import arc_length, interpolate
 
 COUNTS: Final = (8, 20, 50, 100)
+_N: Final = 20  # points of a tracked rope
 
 
-def drawn_ropes(
-    per_kind: int, seed: int = 0, counts: Sequence[int] = COUNTS, kinds: Sequence[Kind] = KINDS
-) -> Iterator[Row]:
+def drawn_ropes(per_kind: int, seed: int = 0) -> Iterator[Row]:
     """Detect random ropes with a known centreline cold, at each N and in both end modes.
 
     Yields:
         The fields of ``Score`` and the rope's; ``hairpin``: a gap is longer than the tightest bend is wide.
     """
     rng = np.random.default_rng(seed)
-    for kind, _ in product(kinds, range(per_kind)):
+    for kind, _ in product(KINDS, range(per_kind)):
         rope = random_rope(rng, kind)
-        for n, ends in product(counts, BOTH_ENDS):
+        for n, ends in product(COUNTS, BOTH_ENDS):
             shape = cold(Centerline(n=n, ends=ends), rope.mask)
             found = score(shape.pixels, rope.curve, ends, directed=False)
             hairpin = rope.length / n > 2 * rope.bend_radius
@@ -69,25 +68,23 @@ def rope_table(results: Iterable[Row]) -> list[Row]:
     return summary(results, ("kind",), columns)
 
 
-def _anchored(curve: npt.NDArray[np.float64], n: int) -> ShapeDetector:
-    """Return a detector whose point 0 is anchored at the curve's first point."""
-    return ShapeDetector([Centerline(n=n, ends="tips", anchor=(curve[0][0], curve[0][1]))])
+def _anchored(rope: Rope) -> ShapeDetector:
+    """Return a detector whose point 0 is anchored at the rope's first point."""
+    u, v = rope.curve[0].tolist()
+    return ShapeDetector([Centerline(n=_N, ends="tips", anchor=(u, v))])
 
 
-def moving_ropes(speeds: Iterable[float], seeds: Iterable[int], frames: int = 180, n: int = 20) -> Iterator[Row]:
+def moving_ropes(speeds: Iterable[float], seeds: Iterable[int]) -> Iterator[Row]:
     """Track ropes that wander and bend; an anchor gives point 0 in the first frame.
 
     Yields:
         A row for each track; lengths in pixels, slips in gaps.
     """
     for seed, speed in product(seeds, speeds):
-        scores: list[Score] = []
-        not_ok = 0
-        motion = moving_rope(np.random.default_rng(seed), speed, frames)
-        for rope, detection in followed(motion, lambda rope: _anchored(rope.curve, n)):
-            not_ok += not detection.ok
-            scores.append(score(detection.shapes[0].pixels, rope.curve, "tips"))
-        flips, distance = sum(each.flipped for each in scores), mean(each.distance for each in scores)
+        found = list(followed(moving_rope(np.random.default_rng(seed), speed), _anchored))
+        scores = [score(detection.shapes[0].pixels, rope.curve, "tips") for rope, detection in found]
+        flips, not_ok = sum(each.flipped for each in scores), sum(not detection.ok for _, detection in found)
+        distance = mean(each.distance for each in scores)
         yield Row(speed=speed, flips=flips, not_ok=not_ok, mean_distance=distance, **tally(scores))
 
 
@@ -97,9 +94,6 @@ def ropes_under_hands(
     speeds: Sequence[float] = (4, 10),
     shares: Sequence[float] = (0.1, 0.25),
     places: Sequence[Where] = ("start", "end"),
-    creeps: Sequence[int] = (0, 12),
-    frames: int = 180,
-    n: int = 20,
 ) -> Iterator[Row]:
     """Track ropes that wander and bend while a hand covers them and leaves again.
 
@@ -111,30 +105,30 @@ def ropes_under_hands(
         ``called_visible``: share of all points that are hidden, farther than one point from the edge of the hand, and
         were reported visible.
     """
-    for seed, speed, share, where, creep in product(seeds, speeds, shares, places, creeps):
+    for seed, speed, share, where, creep in product(seeds, speeds, shares, places, (0, 12)):
         lost, slips, wrong = 0, [0.0], np.zeros(2)
-        motion = hidden_rope(np.random.default_rng(seed), speed, share, where, creep=creep, frames=frames)
-        for frame, detection in followed(motion, lambda frame: _anchored(frame.rope.curve, n)):
+        motion = list(hidden_rope(np.random.default_rng(seed), speed, share, where, creep=creep))
+        for frame, detection in followed(motion, lambda frame: _anchored(frame.rope)):
             shape = detection.shapes[0]
             if shape.reason:
                 lost += 1
                 continue
             curve = np.ascontiguousarray(frame.rope.curve)
             arc = arc_length(curve)
-            truth = interpolate(curve, arc, np.linspace(0, arc[-1], n))
+            truth = interpolate(curve, arc, np.linspace(0, arc[-1], _N))
             column, row = np.rint(truth).astype(int).T
             seen = frame.mask[row, column] > 0
-            gaps = np.linalg.norm(shape.pixels - truth, axis=1) / (arc[-1] / (n - 1))
+            gaps = np.linalg.norm(shape.pixels - truth, axis=1) / (arc[-1] / (_N - 1))
             slips.append(float(gaps[seen & shape.visible].max(initial=0.0)))
             near_seen = seen | np.roll(seen, 1) | np.roll(seen, -1)
             wrong += [np.sum(seen & ~shape.visible), np.sum(~near_seen & shape.visible)]
-        hidden, visible = wrong / (n * frames)
+        hidden, visible = wrong / (_N * len(motion))
         yield Row(
             where=where,
             share=share,
             creep=creep,
             speed=speed,
-            frames=frames,
+            frames=len(motion),
             lost=lost,
             slips=sum(slip > SLIP for slip in slips),
             worst_slip=max(slips),
@@ -143,7 +137,7 @@ def ropes_under_hands(
         )
 
 
-def ropes_in_noise(per_kind: int, seed: int = 0, kinds: Sequence[Kind] = KINDS, n: int = 20) -> Iterator[Row]:
+def ropes_in_noise(per_kind: int, seed: int = 0) -> Iterator[Row]:
     """Detect drawn ropes with flipped pixels, ragged edges, and photographed in uneven light, each of them cold."""
     rng = np.random.default_rng(seed)
     disturbances: dict[str, tuple[tuple[float, ...], Callable[[Mask, float], Any]]] = {
@@ -151,10 +145,10 @@ def ropes_in_noise(per_kind: int, seed: int = 0, kinds: Sequence[Kind] = KINDS, 
         "ragged edges, px": ((1.0, 2.0), lambda mask, depth: ragged(rng, mask, depth)),
         "light, times brighter": ((2.0, 4.0, 8.0), lambda mask, contrast: photographed(rng, mask, contrast, 6.0)),
     }
-    ropes = [random_rope(rng, kind) for kind in kinds for _ in range(per_kind)]
+    ropes = [random_rope(rng, kind) for kind in KINDS for _ in range(per_kind)]
     for name, (levels, disturb) in disturbances.items():
         for level in levels:
-            detector, found = ShapeDetector([Centerline(n=n)], BLUE), []
+            detector, found = ShapeDetector([Centerline(n=_N)], BLUE), []
             for rope in ropes:
                 detector.reset()
                 image = disturb(rope.mask, level)
@@ -171,10 +165,8 @@ def ropes_in_noise(per_kind: int, seed: int = 0, kinds: Sequence[Kind] = KINDS, 
             )
 
 
-def flickering_ropes(
-    per_kind: int, seed: int = 0, frames: int = 60, n: int = 20, sigmas: Sequence[float] = (0.05, 0.1, 0.15)
-) -> Iterator[Row]:
-    """Detect ropes at rest in masks that are cut from another noisy image in every frame.
+def flickering_ropes(per_kind: int, seed: int = 0) -> Iterator[Row]:
+    """Detect ropes at rest in 60 masks, each of them cut from another noisy image.
 
     Yields:
         ``noise``: RMS noise as a share of the contrast; ``jitter_px``: RMS distance of the points from their mean
@@ -183,29 +175,28 @@ def flickering_ropes(
     rng = np.random.default_rng(seed)
     for kind in KINDS:
         ropes = [random_rope(rng, kind) for _ in range(per_kind)]
-        for sigma in sigmas:
+        for sigma in (0.05, 0.1, 0.15):
             squares = []
             for rope in ropes:
-                masks = (noisy(rope.mask, rng, sigma) for _ in range(frames))
-                squares.append(at_rest(Centerline(n=n), masks)[1].mean())
+                masks = (noisy(rope.mask, rng, sigma) for _ in range(60))
+                squares.append(at_rest(Centerline(n=_N), masks)[1].mean())
             jitter, highest = float(np.sqrt(np.mean(squares))), float(np.sqrt(np.max(squares)))
             yield Row(kind=kind, noise=sigma, ropes=per_kind, jitter_px=jitter, worst_rope_px=highest)
 
 
-def cable_episodes(camera: Any, renderer: str, seeds: Sequence[int], steps: int = 50) -> Row:
+def cable_episodes(camera: Any, renderer: str, seeds: Sequence[int]) -> Row:
     """Run random actions on ``ShapeObs/Cable-v0`` and compare the detected visible surface with the simulator's."""
-    import gymnasium as gym
-
+    from shape_obs.bench.env_physics import EPISODE, make_env
     from shape_obs.wrappers import ShapeObservation
 
     shapes = [{"kind": "centerline", "n": 20, "anchor": "gripper0", "ends": "tips", "spacing": "m"}]
-    env = ShapeObservation(gym.make("shape_obs_envs:ShapeObs/Cable-v0", camera=camera, renderer=renderer), shapes)
+    env = ShapeObservation(make_env("Cable", {"camera": camera, "renderer": renderer}), shapes)
     simulator: Any = env.unwrapped
     frames: list[Row] = []
     for seed in seeds:
         env.action_space.seed(seed)
         env.reset(seed=seed)
-        for step in range(steps + 1):
+        for step in range(EPISODE + 1):
             assert env.detection is not None
             shape = env.detection.shapes[0]
             assert shape.points3d is not None
@@ -216,7 +207,7 @@ def cable_episodes(camera: Any, renderer: str, seeds: Sequence[int], steps: int 
             found, mm = score(shape.points3d, axis, "tips"), 1e3 * _apart(shape.points3d, truth)
             wrong = shape.ok and (found.slip > SLIP or mm > 15)
             frames.append(Row(found._asdict(), ok=shape.ok, wrong=wrong, mm=mm, px=_apart(shape.pixels, pixels)))
-            if step < steps:
+            if step < EPISODE:
                 env.step(env.action_space.sample())
     env.close()
     return Row(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from itertools import pairwise, product
 from typing import Final, NamedTuple
 
@@ -16,12 +16,13 @@ from shape_obs.bench.tables import Row, failures, mean, median, of, summary
 from shape_obs.configurations.base import Ends
 from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
-from shape_obs.shape import Detection, Shape
+from shape_obs.shape import Shape
 
 Array = npt.NDArray[np.float64]
 
 ASPECTS: Final = (1.0, 1.5, 2.0, 3.0, 1 / 2, 1 / 3)
 LATTICES: Final = ((4, 8), (2, 2), (3, 3), (8, 8), (6, 10))
+_SPEC: Final = Surface(rows=4, cols=8)  # of tracked cloths
 # In degrees. This close to an eighth of a turn, either of two corners may count as the top left one.
 _UNDECIDED: Final = 2.0
 
@@ -63,13 +64,7 @@ def first_corner(sheet: Sheet) -> tuple[int, bool]:
     return -quarters % 4, bool(abs(abs(degrees / 90 - quarters) - 0.5) * 90 < _UNDECIDED)
 
 
-def drawn_sheets(
-    count: int,
-    seed: int = 0,
-    lattices: Sequence[tuple[int, int]] = LATTICES,
-    aspects: Sequence[float] = ASPECTS,
-    tilt: float = 0.02,
-) -> Iterator[Row]:
+def drawn_sheets(count: int, seed: int = 0) -> Iterator[Row]:
     """Detect ``count`` bent cloths cold at all angles, with each lattice and in both end modes.
 
     Yields:
@@ -78,11 +73,12 @@ def drawn_sheets(
     """
     rng = np.random.default_rng(seed)
     for number in range(count):
-        aspect, degrees = aspects[number % len(aspects)], 360 * number / count + rng.uniform(-5, 5)
-        sheet = random_sheet(rng, aspect, degrees, tilt=tilt)
-        for (rows, cols), ends in product(lattices, BOTH_ENDS):
-            shape = cold(Surface(rows=rows, cols=cols, ends=ends), sheet.mask)
-            right, score = _by_the_rule(shape, sheet, rows, cols, ends)
+        aspect, degrees = ASPECTS[number % len(ASPECTS)], 360 * number / count + rng.uniform(-5, 5)
+        sheet = random_sheet(rng, aspect, degrees, tilt=0.02)
+        for (rows, cols), ends in product(LATTICES, BOTH_ENDS):
+            spec = Surface(rows=rows, cols=cols, ends=ends)
+            shape = cold(spec, sheet.mask)
+            right, score = _by_the_rule(shape, sheet, spec)
             found = {"ok": shape.ok, "corner_right": right, "quality": shape.quality, "score": score}
             yield Row(aspect=aspect, lattice=f"{rows}x{cols}", ends=ends, **found)
 
@@ -102,29 +98,25 @@ def sheet_table(results: Iterable[Row]) -> list[Row]:
     return summary(results, ("lattice",), columns)
 
 
-def turning_sheets(
-    seeds: Iterable[int], aspects: Sequence[float] = ASPECTS, rows: int = 4, cols: int = 8, step: float = 1.0
-) -> Iterator[Row]:
-    """Track bent cloths that turn once around on the spot by ``step`` degrees per frame, and detect each frame cold.
+def turning_sheets(seeds: Iterable[int]) -> Iterator[Row]:
+    """Track bent cloths that turn once around on the spot, by a degree per frame, and detect each frame cold.
 
     Yields:
         A row for each cloth: slips and moves of the tracked points in gaps, and the cold frames in which the corner or
         a point was wrong.
     """
-    spec = Surface(rows=rows, cols=cols)
     for seed in seeds:
-        aspect = aspects[seed % len(aspects)]
-        scenes = list(turning_sheet(np.random.default_rng(seed), aspect, step))
-        scores, detections = _tracked(scenes, spec)
+        aspect = ASPECTS[seed % len(ASPECTS)]
+        scenes = list(turning_sheet(np.random.default_rng(seed), aspect))
+        tracked, scores, _ = _tracked(scenes)
         moves = [np.abs(after.off - before.off).max() for before, after in pairwise(scores)]
-        shapes = [cold(spec, sheet.mask) for sheet in scenes]
-        found = [_by_the_rule(*pair, rows, cols, "centers") for pair in zip(shapes, scenes, strict=True)]
-        tracked = tally(scores)
+        shapes = [cold(_SPEC, sheet.mask) for sheet in scenes]
+        found = [_by_the_rule(*pair, _SPEC) for pair in zip(shapes, scenes, strict=True)]
         yield Row(
             aspect=aspect,
             frames=tracked.frames,
             tracked_slips=tracked.slips,
-            tracked_not_ok=sum(bool(each.shapes[0].reason) for each in detections),
+            tracked_not_ok=tracked.not_ok,
             worst_slip=tracked.worst_slip,
             worst_move=float(max(moves)),
             cold_wrong=sum(score.slip > SLIP or not right for right, score in found),
@@ -133,29 +125,20 @@ def turning_sheets(
         )
 
 
-def moving_sheets(
-    speeds: Iterable[float], seeds: Iterable[int], frames: int = 180, rows: int = 4, cols: int = 8
-) -> Iterator[Row]:
+def moving_sheets(speeds: Iterable[float], seeds: Iterable[int], frames: int = 180) -> Iterator[Row]:
     """Track cloths that wander, turn and bend.
 
     Yields:
         A row for each track: lengths in pixels, slips in gaps, milliseconds of a warm frame.
     """
     for seed, speed in product(seeds, speeds):
-        aspect = ASPECTS[seed % len(ASPECTS)]
-        motion = moving_sheet(np.random.default_rng(seed), speed, frames, aspect=aspect)
-        scores, detections = _tracked(motion, Surface(rows=rows, cols=cols))
-        yield Row(
-            speed=speed,
-            **tally(scores),
-            not_ok=sum(bool(each.shapes[0].reason) for each in detections),
-            mean_distance=mean(each.mean for each in scores),
-            worst_distance=max(each.worst for each in scores),
-            milliseconds=median(each.timings["fit"] + each.timings["lift"] for each in detections),
-        )
+        motion = moving_sheet(np.random.default_rng(seed), speed, frames, aspect=ASPECTS[seed % len(ASPECTS)])
+        tracked, scores, times = _tracked(motion)
+        distance, worst = mean(each.mean for each in scores), max(each.worst for each in scores)
+        yield Row(speed=speed, **tracked, mean_distance=distance, worst_distance=worst, milliseconds=median(times))
 
 
-def noisy_sheets(seeds: Iterable[int], frames: int = 60, rows: int = 4, cols: int = 8) -> Iterator[Row]:
+def noisy_sheets(seeds: Iterable[int], frames: int = 60) -> Iterator[Row]:
     """Track cloths at rest whose mask is cut from another noisy image in every frame.
 
     Yields:
@@ -164,32 +147,40 @@ def noisy_sheets(seeds: Iterable[int], frames: int = 60, rows: int = 4, cols: in
     for seed in seeds:
         rng, aspect = np.random.default_rng(seed), ASPECTS[seed % len(ASPECTS)]
         sheet = random_sheet(rng, aspect, float(rng.uniform(0, 360)))
-        shapes, squares = at_rest(Surface(rows=rows, cols=cols), (noisy(sheet.mask, rng) for _ in range(frames)))
+        shapes, squares = at_rest(_SPEC, (noisy(sheet.mask, rng) for _ in range(frames)))
         by_point = squares.mean(axis=0)
         jitter, highest = np.sqrt([by_point.mean(), by_point.max()]).tolist()
         not_ok = sum(not shape.ok for shape in shapes)
         yield Row(aspect=aspect, frames=frames, not_ok=not_ok, mean=jitter, worst_point=highest)
 
 
-def _tracked(scenes: Iterable[Sheet], spec: Surface) -> tuple[list[SheetScore], list[Detection]]:
-    """Track a cloth; its first corner is the one at which the first frame fits best."""
-    pairs = list(followed(scenes, lambda sheet: ShapeDetector([spec])))
-    sheet, first = pairs[0]
-    corner = _best(first.shapes[0], sheet, spec.rows, spec.cols, "centers")[0]
-    scores = [
-        score_sheet(found.shapes[0].pixels, sheet, spec.rows, spec.cols, "centers", corner) for sheet, found in pairs
-    ]
-    return scores, [found for _, found in pairs]
+def _tracked(scenes: Iterable[Sheet]) -> tuple[Row, list[SheetScore], list[float]]:
+    """Track a cloth; its first corner is the one at which the first frame fits best.
+
+    Returns:
+        The number of frames, slips and frames without the shape; the scores; the milliseconds of fit and lift.
+    """
+    scores: list[SheetScore] = []
+    times: list[float] = []
+    corner, not_ok = -1, 0
+    for sheet, detection in followed(scenes, lambda sheet: ShapeDetector([_SPEC])):
+        shape = detection.shapes[0]
+        corner = corner if scores else _best(shape, sheet, _SPEC)[0]
+        scores.append(score_sheet(shape.pixels, sheet, _SPEC.rows, _SPEC.cols, "centers", corner))
+        times.append(detection.timings["fit"] + detection.timings["lift"])
+        not_ok += bool(shape.reason)
+    return Row(tally(scores), not_ok=not_ok), scores, times
 
 
-def _best(shape: Shape, sheet: Sheet, rows: int, cols: int, ends: Ends) -> tuple[int, SheetScore]:
+def _best(shape: Shape, sheet: Sheet, spec: Surface) -> tuple[int, SheetScore]:
     """Return the corner of the cloth at which the points fit best, and how well they fit there."""
-    scores = [score_sheet(shape.pixels, sheet, rows, cols, ends, quarters) for quarters in range(4)]
+    ends = spec.ends or "centers"
+    scores = [score_sheet(shape.pixels, sheet, spec.rows, spec.cols, ends, quarters) for quarters in range(4)]
     return min(enumerate(scores), key=lambda pair: pair[1].mean)
 
 
-def _by_the_rule(shape: Shape, sheet: Sheet, rows: int, cols: int, ends: Ends) -> tuple[bool, SheetScore]:
+def _by_the_rule(shape: Shape, sheet: Sheet, spec: Surface) -> tuple[bool, SheetScore]:
     """Return whether point 0 is at the corner that the paper's rule gives, and how well the points fit the cloth."""
     expected, undecided = first_corner(sheet)
-    corner, found = _best(shape, sheet, rows, cols, ends)
+    corner, found = _best(shape, sheet, spec)
     return corner == expected or (undecided and (corner - expected) % 2 == 1), found

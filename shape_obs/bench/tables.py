@@ -90,11 +90,11 @@ def mean(values: Iterable[float]) -> float:
     return float(np.mean(list(values)))
 
 
-def worst(values: Iterable[float], default: float = 0.0) -> float:
-    """Return the largest of some numbers that are not negative, or the default if there are none."""
+def worst(values: Iterable[float]) -> float:
+    """Return the largest of some numbers that are not negative, or 0 if there are none."""
     import numpy as np
 
-    return float(np.max(list(values), initial=default))
+    return float(np.max(list(values), initial=0.0))
 
 
 def median(values: Iterable[float | None]) -> float | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+import timeit
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.util import find_spec
@@ -105,7 +105,7 @@ def _measured(name: str, tangles: list[Tangle]) -> Row:
 
         runs.append(lambda mask: longest_path(np.asarray(skeletonize(mask > 0))))
     # All methods run on every mask in turn, so that other load on the machine slows all of them.
-    taken = np.array([[_milliseconds(run, tangle.mask) for run in runs] for tangle in tangles])
+    taken = np.array([[1e3 * timeit.timeit(partial(run, tangle.mask), number=1) for run in runs] for tangle in tangles])
     shapes = [detected(tangle.mask) for tangle in tangles]
     found = [(shape, tangle) for shape, tangle in zip(shapes, tangles, strict=True) if shape.ok]
     right = [(shape, tangle) for shape, tangle in found if is_traversed(shape.pixels, tangle)]
@@ -129,9 +129,3 @@ def _measured(name: str, tangles: list[Tangle]) -> Row:
 def _start(mask: Mask) -> object:
     window = Window(0, 0, mask.shape[1], mask.shape[0])
     return medial_axis(find_region(mask, window, Segmentation.min_area, Segmentation.min_share))
-
-
-def _milliseconds(run: Callable[[Mask], object], mask: Mask) -> float:
-    begin = time.perf_counter()
-    run(mask)
-    return 1e3 * (time.perf_counter() - begin)
