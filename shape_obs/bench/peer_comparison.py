@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Final, NamedTuple
 
 import cv2
@@ -114,7 +115,7 @@ def run_work(
         module = peer.load() if name in peer.works and (slow_frames or not peer.slow) else None
         if module is not None:
             some = looked_at if peer.slow else None
-            methods.append(Method(peer.name, peer.make(task, module, seed), touch=_touch, frames=some))
+            methods.append(Method(peer.name, partial(peer.run, task, module, seed), touch=_touch, frames=some))
     timing = interleaved_timing(task.scenes, methods, clock, burst=burst, warm_up=WARM_UP, tick=tick)
     found = by_method(methods, timing)
     rows = []

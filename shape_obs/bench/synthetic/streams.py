@@ -17,7 +17,10 @@ from shape_obs.bench.synthetic.images import BLUE, photographed
 from shape_obs.bench.synthetic.ropes import Rope, draw_rope, moving_rope
 from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, moving_sheet
 from shape_obs.camera import Intrinsics
-from shape_obs.configurations import Centerline, Configuration, Contour, Surface
+from shape_obs.configurations.base import Configuration
+from shape_obs.configurations.centerline import Centerline
+from shape_obs.configurations.contour import Contour
+from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
 
 Array = npt.NDArray[np.float64]
@@ -120,10 +123,10 @@ def cloths(frames: int, seed: int) -> Iterator[Sheet]:
         yield draw_sheet((sheet.points - middle) * _ENLARGED + image + (middle - image) * _INWARDS)
 
 
-def outline_pixels(mask: Mask) -> Array:
-    """Return every pixel on the outline of the largest object in order, (M, 2) (u, v)."""
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return np.asarray(max(contours, key=len), dtype=np.float64).reshape(-1, 2)
+def outline_pixels(mask: Mask, approximation: int = cv2.CHAIN_APPROX_NONE) -> Array:
+    """Return pixels on the outline of the largest object in order, (M, 2) (u, v); by default all of them."""
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, approximation)
+    return np.asarray(max(contours, key=cv2.contourArea), dtype=np.float64).reshape(-1, 2)
 
 
 def _fits(mask: Mask) -> bool:

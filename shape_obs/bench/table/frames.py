@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
+from functools import partial
 from importlib.util import find_spec
 from typing import Any, Final, Literal, NamedTuple
 
@@ -14,7 +15,8 @@ import numpy.typing as npt
 from shape_obs.bench import Clock
 from shape_obs.bench.interleaved_timing import CLOCKS
 from shape_obs.bench.synthetic.images import BLUE, photographed
-from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, moving_sheet
+from shape_obs.bench.synthetic.sheets import Sheet, border_of, draw_sheet, moving_sheet
+from shape_obs.bench.synthetic.streams import outline_pixels
 from shape_obs.bench.tables import Row
 from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.centerline import Centerline
@@ -85,7 +87,7 @@ def scenes(name: Name, chunk: int, count: int, seed: int, renderer: str) -> Iter
         yield from _cable(source, count, renderer)
     else:
         for photo, sheet in _cloth(np.random.default_rng(source), count):
-            yield Scene(photo, _segmented(BLUE, photo), _outline(sheet) if name == "contour" else sheet)
+            yield Scene(photo, _segmented(BLUE, photo), border_of(sheet.points) if name == "contour" else sheet)
 
 
 def _cable(source: np.random.SeedSequence, count: int, renderer: str) -> Iterator[Scene]:
@@ -119,12 +121,6 @@ def _segmented(rule: Segmentation, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np
     return rule.apply(frame, Whole().window(frame.size))
 
 
-def _outline(sheet: Sheet) -> Array:
-    """Return the cloth's border from its top left corner, (P, 2), clockwise in the cloth's frame."""
-    points = sheet.points
-    return np.concatenate([points[0, :-1], points[:-1, -1], points[-1, :0:-1], points[:0:-1, 0]])
-
-
 def _thinned(mask: Mask) -> Array:
     from skimage.morphology import skeletonize
 
@@ -133,18 +129,10 @@ def _thinned(mask: Mask) -> Array:
     return np.stack([columns + left, rows + top], axis=1).astype(np.float64)
 
 
-def _traced(approximation: int) -> Callable[[Mask], Array]:
-    def trace(mask: Mask) -> Array:
-        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, approximation)
-        return np.asarray(max(contours, key=cv2.contourArea), dtype=np.float64).reshape(-1, 2)
-
-    return trace
-
-
 _RUN: Final[dict[Tracing, Callable[[Mask], Array]]] = {
     "thinning": _thinned,
-    "contours": _traced(cv2.CHAIN_APPROX_NONE),
-    "corners": _traced(cv2.CHAIN_APPROX_SIMPLE),
+    "contours": outline_pixels,
+    "corners": partial(outline_pixels, approximation=cv2.CHAIN_APPROX_SIMPLE),
 }
 
 
