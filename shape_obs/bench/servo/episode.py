@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.servo.settings import Setting
-from shape_obs.bench.servo.worlds import World, world
+from shape_obs.bench.servo.worlds import World
 from shape_obs.bench.tables import median
 from shape_obs.features import FeatureVector
 from shape_obs.servo import ShapeServo, geometric_weights, make_law
@@ -79,7 +79,7 @@ def episodes(setting: Setting, seeds: Sequence[int], steps: int = STEPS) -> Iter
     Raises:
         ValueError: The setting is not understood.
     """
-    made = world(setting)
+    made = World(setting)
     try:
         with one_thread():
             for seed in seeds:
@@ -98,7 +98,7 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
         steps: Number of steps.
     """
     servo = _servo(world, law)
-    vector = FeatureVector(world.features, [world.spec], world.view())
+    vector = FeatureVector(world.features, [world.spec], world.view)
     observation, info = world.env.reset(seed=seed)
     goal, start = (1e3 * np.asarray(info[name], np.float64) for name in ("truth/goal", "truth/points"))
     errors, points, blackout = [1e3 * info["truth/mean_error"]], start, _Blackout()
@@ -108,13 +108,13 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
     feature: list[float] = []
     for step in range(steps):
         seen.append(_apart(world, points))
-        detector.append(world.milliseconds())
+        detector.append(world.milliseconds)
         feature.append(_milliseconds(vector, world))
         exciting, learnt = servo.exciting, servo.law.learnt
         action = servo.act(observation)
         if servo.law.learnt > learnt and not exciting:
             predicted.append((step, servo.law.estimator.error))
-        dark = world.dark()
+        dark = world.dark
         observation, _, _, _, info = world.env.step(action)
         if dark:
             blackout.watch(action, points, 1e3 * info["truth/points"])
@@ -175,20 +175,20 @@ class _Blackout:
 
 def _servo(world: World, law: str) -> ShapeServo:
     space = world.env.action_space
-    weights = geometric_weights(world.features, world.spec.layout, world.view())
+    weights = geometric_weights(world.features, world.spec.layout, world.view)
     how: Any = "noise" if weights is None else weights
-    vector = FeatureVector(world.features, [world.spec], world.view())
+    vector = FeatureVector(world.features, [world.spec], world.view)
     return ShapeServo(
         make_law(law),
         actions=int(np.prod(space.shape or ())),
-        seen=world.seen,
-        measured=lambda: vector.measured([world.seen()]),
+        seen=lambda: world.seen,
+        measured=lambda: vector.measured([world.seen]),
         weights=how,
     )
 
 
 def _milliseconds(vector: FeatureVector, world: World) -> float:
-    shape, view = [world.seen()], [world.view()]
+    shape, view = [world.seen], [world.view]
     begin = time.perf_counter()
     vector.compute(shape, view)
     return 1e3 * (time.perf_counter() - begin)
@@ -196,7 +196,7 @@ def _milliseconds(vector: FeatureVector, world: World) -> float:
 
 def _apart(world: World, truth: Array) -> float:
     """Return the mean distance of the detected points from the true ones in millimetres."""
-    points, camera = world.seen().points3d, world.view().camera
+    points, camera = world.seen.points3d, world.view.camera
     assert points is not None
     assert camera is not None
     return float(np.linalg.norm(1e3 * camera.to_base(points) - truth, axis=1).mean())
