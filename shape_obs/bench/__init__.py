@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from itertools import starmap
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, Literal, TypeVar, get_args
 
 T = TypeVar("T")
 Clock = Literal["wall", "thread"]
 Env = Literal["Cable", "Ring", "Cloth"]
-ENVS: Final[tuple[Env, ...]] = ("Cable", "Ring", "Cloth")
+ENVS: Final[tuple[Env, ...]] = get_args(Env)
+Difficulty = Literal["near", "middle", "far"]  # distance of a goal from the start
 Size = tuple[int, int]  # (width, height) of an image, in pixels
 
 

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, get_args
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench import Env
+from shape_obs.bench import Difficulty, Env
 from shape_obs.bench.tables import Row, at_most, mean
 
 Array = npt.NDArray[np.float64]
 Actions = npt.NDArray[np.float32]
 
 EPISODE: Final = 50  # steps
-DIFFICULTIES: Final = ("near", "middle", "far")
+DIFFICULTIES: Final = get_args(Difficulty)
 _REST: Final = 20  # steps after which the object should have come to rest
 _FARTHEST: Final = {"near": 50, "middle": 100}  # target in millimetres, in every episode
 _KEPT: Final = 5  # target in millimetres

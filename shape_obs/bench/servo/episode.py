@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from shape_obs.bench.servo.settings import Setting
 from shape_obs.bench.servo.worlds import World
-from shape_obs.bench.tables import median
+from shape_obs.bench.tables import Row, median
 from shape_obs.features import FeatureVector
 from shape_obs.servo import ShapeServo, geometric_weights, make_law
 from shape_obs.utils.threads import one_thread
@@ -101,27 +101,25 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
     vector = FeatureVector(world.features, [world.spec], world.view)
     observation, info = world.env.reset(seed=seed)
     goal, start = (1e3 * np.asarray(info[name], np.float64) for name in ("truth/goal", "truth/points"))
-    errors, points, blackout = [1e3 * info["truth/mean_error"]], start, _Blackout()
-    predicted: list[tuple[int, float]] = []
-    seen: list[float] = []
-    detector: list[float | None] = []
-    feature: list[float] = []
-    for step in range(steps):
-        seen.append(_apart(world, points))
-        detector.append(world.milliseconds)
-        feature.append(_milliseconds(vector, world))
+    errors, points = [1e3 * info["truth/mean_error"]], start
+    frames: list[Row] = []
+    for _ in range(steps):
+        seen, camera = world.seen.points3d, world.view.camera
+        assert seen is not None
+        assert camera is not None
+        times = {"detector": world.milliseconds, "feature": _milliseconds(vector, world)}
+        frame = Row(before=points, seen=_apart(1e3 * camera.to_base(seen), points), dark=world.dark, **times)
         exciting, learnt = servo.exciting, servo.law.learnt
         action = servo.act(observation)
-        if servo.law.learnt > learnt and not exciting:
-            predicted.append((step, servo.law.estimator.error))
-        dark = world.dark
+        is_new = servo.law.learnt > learnt and not exciting
         observation, _, _, _, info = world.env.step(action)
-        if dark:
-            blackout.watch(action, points, 1e3 * info["truth/points"])
         points = 1e3 * info["truth/points"]
+        largest, predicted = float(np.abs(action).max()), servo.law.estimator.error if is_new else None
+        frames.append(Row(frame, action=largest, predicted=predicted, after=points))
         errors.append(1e3 * info["truth/mean_error"])
     final, there = float(np.mean(errors[-_LAST:])), settled(errors)
-    before_goal = [error for step, error in predicted if there is None or step <= there]
+    before_goal = frames if there is None else frames[: there + 1]
+    black = [frame for frame in frames if frame.dark]
     return Episode(
         seed=seed,
         start_mm=errors[0],
@@ -129,13 +127,13 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
         best_mm=min(errors),
         success=final < REACHED,
         steps=there,
-        prediction=median(before_goal),
-        seen_mm=median(seen),
-        detector_ms=median(detector),
-        feature_ms=median(feature),
+        prediction=median(frame.predicted for frame in before_goal),
+        seen_mm=median(frame.seen for frame in frames),
+        detector_ms=median(frame.detector for frame in frames),
+        feature_ms=median(frame.feature for frame in frames),
         held=servo.held,
-        blackout_action=blackout.action,
-        blackout_mm=blackout.moved,
+        blackout_action=max((frame.action for frame in black), default=None),
+        blackout_mm=max((_apart(frame.after, black[0].before) for frame in black), default=None),
         errors_mm=np.round(errors, 3).tolist(),
         start=np.round(start, 2).tolist(),
         goal=np.round(goal, 2).tolist(),
@@ -155,22 +153,6 @@ def _tried(world: World, law: str, seed: int, steps: int) -> Episode:
         return play(world, law, seed, steps)
     except (ValueError, RuntimeError, ArithmeticError) as error:
         return Episode(seed, failure=f"{type(error).__name__}: {error}")
-
-
-class _Blackout:
-    """The largest action and motion during black frames."""
-
-    def __init__(self) -> None:
-        self.action: float | None = None
-        self.moved: float | None = None
-        self._before: Array | None = None
-
-    def watch(self, action: npt.NDArray[np.float32], before: Array, after: Array) -> None:
-        """Add an action that was chosen in a black frame, and the true points before and after it."""
-        self._before = before if self._before is None else self._before
-        moved = float(np.linalg.norm(after - self._before, axis=1).mean())
-        self.action = max(self.action or 0.0, float(np.abs(action).max()))
-        self.moved = max(self.moved or 0.0, moved)
 
 
 def _servo(world: World, law: str) -> ShapeServo:
@@ -194,9 +176,5 @@ def _milliseconds(vector: FeatureVector, world: World) -> float:
     return 1e3 * (time.perf_counter() - begin)
 
 
-def _apart(world: World, truth: Array) -> float:
-    """Return the mean distance of the detected points from the true ones in millimetres."""
-    points, camera = world.seen.points3d, world.view.camera
-    assert points is not None
-    assert camera is not None
-    return float(np.linalg.norm(1e3 * camera.to_base(points) - truth, axis=1).mean())
+def _apart(points: Array, others: Array) -> float:
+    return float(np.linalg.norm(points - others, axis=1).mean())
