@@ -135,29 +135,16 @@ def _envs(effort: Effort) -> Tables:
     from shape_obs.bench import env_physics
 
     settings, seeds = envs.settings(effort.renderer), effort.seeds(150)
-    tick = _counter("episode", len(settings) * len(seeds), effort.report)
-    found = envs.all_episodes(settings, seeds, effort.jobs, tick=tick)
+    found = envs.all_episodes(settings, seeds, effort.jobs, report=effort.report)
     rows, physics = envs.claim_table(found), envs.physics_table(found)
     yield "simulated environments, random actions, points against truth", rows
     yield "simulated environments, physics over these episodes", physics
-    drawn = list(product(ENVS, env_physics.DIFFICULTIES))
-    seeds = effort.seeds(50)
-    tick = _counter("goal", len(drawn) * len(seeds), effort.report)
-    goals = [env_physics.goals(env, difficulty, seeds, tick) for env, difficulty in drawn]
+    goals = []
+    for env, difficulty in product(ENVS, env_physics.DIFFICULTIES):
+        effort.report(f"goals of {env}, {difficulty}")
+        goals.append(env_physics.goals(env, difficulty, effort.seeds(50)))
     yield "simulated environments, goals, and where their own actions lead", goals
     yield "simulated environments, asked and seen", envs.targets(rows, physics) + env_physics.targets(goals)
-
-
-def _counter(what: str, total: int, report: Callable[[str], object]) -> Callable[[int], None]:
-    """Return a function that takes how many more are done, and reports how many are done in all."""
-    done = 0
-
-    def tick(more: int) -> None:
-        nonlocal done
-        done += more
-        report(f"{what} {done} of {total}")
-
-    return tick
 
 
 def _camera(effort: Effort) -> Tables:

@@ -79,7 +79,7 @@ def all_episodes(
     seeds: Sequence[int],
     jobs: int = 1,
     steps: int = EPISODE,
-    tick: Callable[[int], object] = lambda done: None,
+    report: Callable[[str], object] = lambda text: None,
 ) -> list[Row]:
     """Run the same episodes under several settings, and return them setting by setting.
 
@@ -88,13 +88,13 @@ def all_episodes(
         seeds: One seed for each episode.
         jobs: Number of processes.
         steps: Steps of an episode.
-        tick: Called with the number of further episodes that are done.
+        report: Called with the progress.
     """
     chunks = [list(seeds[first : first + _CHUNK]) for first in range(0, len(seeds), _CHUNK)]
     found: list[Row] = []
     for some in run_tasks(episodes, [(setting, chunk, steps) for setting in settings for chunk in chunks], jobs):
         found += some
-        tick(len(some))
+        report(f"episode {len(found)} of {len(settings) * len(seeds)}")
     return sorted(found, key=lambda row: settings.index(row.setting))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple, get_args
 
 import gymnasium as gym
@@ -71,7 +71,7 @@ def strain(simulator: Any) -> Strain:
     return Strain(float(pieces.sum() / rest.sum() - 1), float((pieces / rest).max() - 1))
 
 
-def goals(env: Env, difficulty: str, seeds: Sequence[int], tick: Callable[[int], object] = lambda done: None) -> Row:
+def goals(env: Env, difficulty: str, seeds: Sequence[int]) -> Row:
     """Draw a goal in each episode and play the actions that lead to it, without rendering.
 
     Returns:
@@ -92,7 +92,6 @@ def goals(env: Env, difficulty: str, seeds: Sequence[int], tick: Callable[[int],
             *_, info = simulated.step(action)
         ends.append(1e3 * info["truth/mean_error"])
         warned += warnings(simulator)
-        tick(1)
     simulated.close()
     return Row(
         env=env,

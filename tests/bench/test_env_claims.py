@@ -166,7 +166,7 @@ def test_the_command_tells_points_physics_goals_and_what_was_asked(capsys, monke
     )
     monkeypatch.setattr(env_physics, "DIFFICULTIES", ("near",))
     monkeypatch.setattr(env_claims.episodes, "__defaults__", (4,))
-    monkeypatch.setattr(env_claims.all_episodes, "__defaults__", (1, 4, lambda done: None))
+    monkeypatch.setattr(env_claims.all_episodes, "__defaults__", (1, 4, lambda text: None))
     with pytest.raises(SystemExit) as stop:
         main(["bench", "claims", "--only", "envs", "--share", "0.01", "--json"])
     captured = capsys.readouterr()

@@ -108,7 +108,7 @@ def _output(name: str, args: Any, *packages: str) -> Output:
 def _latency(args: Latency) -> Output:
     check_minimum(args, frames=1, memory=0, burst=1)
     sizes = tuple(image_size(text, 64, landscape=False) for text in args.sizes)
-    from shape_obs.bench import growth, latency
+    from shape_obs.bench import latency
 
     output, targets = _output("latency", args), []
     if "stages" in args.only:
@@ -119,10 +119,10 @@ def _latency(args: Latency) -> Output:
         output.table("stages, median milliseconds", latency.stage_rows(found), "stages")
         targets += latency.latency_targets(totals)
     if "growth" in args.only:
-        with progress("growth", "frame", args.frames + growth.WARM_UP) as bar:
-            grown = growth.growth_rows(args.frames, args.seed, args.clock, bar.update)
+        with progress("growth", "frame", args.frames + latency.WARM_UP) as bar:
+            grown = latency.growth_rows(args.frames, args.seed, args.clock, bar.update)
         output.table("growth, tracked", grown, "growth")
-        targets += growth.growth_targets(grown)
+        targets += latency.growth_targets(grown)
     if args.memory:
         with progress("memory", "frame") as bar:
             megabytes = latency.memory_growth(args.memory, args.seed, tick=bar.update)
