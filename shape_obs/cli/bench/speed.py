@@ -134,7 +134,7 @@ def _latency(args: Latency) -> Output:
 
 def _peers(args: Peers) -> Output:
     check_minimum(args, frames=1, slow_frames=0, burst=1)
-    from shape_obs.bench import peer_comparison as peers
+    from shape_obs.bench import peers
 
     output, results = _output("peers", args), {}
     output.document |= {"missing": peers.missing(), "works": {}}

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from shape_obs.bench.interleaved_timing import Method, Turn, interleaved_timing, median_ms
-from shape_obs.bench.peer_comparison import COLD, TARGETS, WARM, times_slower
-from shape_obs.bench.peers import PEERS, spread
+from shape_obs.bench.peers import COLD, PEERS, TARGETS, WARM, spread, times_slower
 from shape_obs.bench.synthetic.streams import cloths, ropes
 from shape_obs.cli import main
 from shape_obs.utils.threads import one_thread
