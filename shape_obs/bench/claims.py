@@ -171,10 +171,10 @@ def _deploy(effort: Effort) -> Tables:
 def _robustness(effort: Effort) -> Tables:
     from shape_obs.bench import stop_claims
 
-    stopped = list(stop_claims.stops(effort.count(3), effort.seed, effort.report))
-    killed = list(stop_claims.kills(effort.count(100), effort.seed, effort.report))
+    stopped = stop_claims.stops(effort.count(3), effort.seed, effort.report)
+    killed = stop_claims.kills(effort.count(100), effort.seed, effort.report)
     yield "deployments that were ended: longest time until the robot stood still", stop_claims.stop_table(stopped)
-    locked = list(stop_claims.locked(effort.count(5)))
+    locked = stop_claims.locked(effort.count(5), effort.report)
     yield "stopping the robot: asked and seen", stop_claims.targets(stopped, killed, locked)
 
 

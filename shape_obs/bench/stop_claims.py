@@ -201,30 +201,32 @@ def stop(arm: ArmProcess, fault: str, state: State, *, wait: float = 0.15, max_a
         return Row(fault=fault, state=state, seconds=seconds, report=report, **how)
 
 
-def stops(count: int, seed: int, progress: Callable[[str], object] = lambda text: None) -> Iterator[Row]:
+def stops(count: int, seed: int, progress: Callable[[str], object] = lambda text: None) -> list[Row]:
     """Send every signal in every state, and cause every failure in the states where it can happen."""
     chance = random.Random(seed)
     pairs = [*product(SIGNALS, STATES), *product(FAILURES, _OF_FAILURES)]
-    with ArmProcess() as arm:
-        for number, (fault, state) in enumerate(pair for pair in pairs for _ in range(count)):
-            progress(f"robustness: stop {number + 1} of {count * len(pairs)}")
-            yield stop(arm, fault, state, wait=chance.uniform(0.1, 0.2))
+    return _stopped([(*pair, chance.uniform(0.1, 0.2), _LONG) for pair in pairs for _ in range(count)], progress)
 
 
-def kills(count: int, seed: int, progress: Callable[[str], object] = lambda text: None) -> Iterator[Row]:
+def kills(count: int, seed: int, progress: Callable[[str], object] = lambda text: None) -> list[Row]:
     """Kill deployments with SIGKILL at random instants."""
     chance = random.Random(seed)
-    with ArmProcess() as arm:
-        for number in range(count):
-            progress(f"robustness: kill {number + 1} of {count}")
-            yield stop(arm, "SIGKILL", "moving", wait=chance.uniform(0.0, 0.5), max_age=MAX_AGE)
+    return _stopped([("SIGKILL", "moving", chance.uniform(0.0, 0.5), MAX_AGE) for _ in range(count)], progress)
 
 
-def locked(count: int) -> Iterator[Row]:
+def locked(count: int, progress: Callable[[str], object] = lambda text: None) -> list[Row]:
     """Send SIGTERM to deployments whose main thread runs C code that holds Python's lock."""
+    return _stopped([("SIGTERM", "C with the lock", 0.15, MAX_AGE) for _ in range(count)], progress)
+
+
+def _stopped(runs: Sequence[tuple[str, State, float, float]], progress: Callable[[str], object]) -> list[Row]:
+    """Stop a deployment for each fault, state, wait and age of an image."""
+    found = []
     with ArmProcess() as arm:
-        for _ in range(count):
-            yield stop(arm, "SIGTERM", "C with the lock", max_age=MAX_AGE)
+        for fault, state, wait, max_age in runs:
+            progress(f"robustness: {fault} {len(found) + 1} of {len(runs)}")
+            found.append(stop(arm, fault, state, wait=wait, max_age=max_age))
+    return found
 
 
 def stop_table(found: Sequence[Row]) -> list[Row]:

@@ -93,7 +93,7 @@ class Runner:
     def __init__(self, name: Name, method: Method, clock: Clock = "wall") -> None:
         self._spec, self._seen, self._now = CONFIGURATIONS[name], dict[str, Any](), CLOCKS[clock]
         clusterer = METHODS[method]
-        options = {} if clusterer is None else {"clustering": _Watched(clusterer, self._seen, self._now)}
+        options: Any = {} if clusterer is None else {"clustering": _Watched(clusterer, self._seen, self._now)}
         self._detector = ShapeDetector([self._spec], **options)
 
     def points(self, scene: Scene) -> Array | None:

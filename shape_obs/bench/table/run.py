@@ -73,7 +73,7 @@ class Plan:
 
 
 Chunks = list[list[Row]]
-Done = dict[tuple[Name, Method | Tracing], Chunks]  # configuration and method -> the rows of each chunk
+Done = dict[tuple[str, str], Chunks]  # configuration and method -> the rows of each chunk
 
 
 def done(plan: Plan, folder: Path) -> Done:

@@ -141,7 +141,7 @@ def _result(name: str, method: Method, strata: list[Chunks]) -> Row:
 
 def _strata(done: Done, plan: Plan, method: Method) -> dict[Name, Chunks]:
     """Return the rows of a method, chunk by chunk, of the configurations on which it is complete."""
-    found = {name: done.get((name, method), []) for name in CONFIGURATIONS}
+    found: dict[Name, Chunks] = {name: done.get((name, method), []) for name in CONFIGURATIONS}
     return {name: chunks for name, chunks in found.items() if len(chunks) == len(plan.chunks)}
 
 
