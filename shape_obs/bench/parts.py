@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from shape_obs.bench.tables import Row
 from shape_obs.utils.documents import read_json
 from shape_obs.utils.files import make_folder, write_text
-
-T = TypeVar("T")
 
 
 class Parts:
@@ -26,12 +24,8 @@ class Parts:
         self._folder, self._settings = folder / "parts", dict(settings)
         make_folder(self._folder)
 
-    def read(self, name: str, make: Callable[..., T] = Row) -> list[T] | None:
+    def read(self, name: str) -> list[Row] | None:
         """Return the rows of a part, or None if it is not done.
-
-        Args:
-            name: Name of the part.
-            make: Takes the fields of a row as keywords.
 
         Raises:
             ValueError: The file is damaged, or was made with other settings.
@@ -41,7 +35,7 @@ class Parts:
             return None
         document = read_json(path, "results")
         try:
-            before, rows = dict(document["made_with"]), [make(**row) for row in document["rows"]]
+            before, rows = dict(document["made_with"]), [Row(row) for row in document["rows"]]
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path}: not the results of a run ({error!r}): remove it to make them again.") from error
         for setting in {**before, **self._settings}:

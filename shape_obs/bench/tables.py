@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from itertools import chain
 from operator import attrgetter
 from typing import Any, TypeVar
 
@@ -121,9 +122,9 @@ def as_markdown(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return rows of equal keys as CSV: None is an empty cell, booleans are 1 and 0."""
+    """Return rows as CSV: None and fields that a row does not have are empty cells, booleans are 1 and 0."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
+    writer = csv.DictWriter(text, dict.fromkeys(chain(*rows)), lineterminator="\n")
     writer.writeheader()
     writer.writerows({k: int(v) if isinstance(v, bool) else v for k, v in row.items()} for row in rows)
     return text.getvalue()

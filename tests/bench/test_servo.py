@@ -17,11 +17,12 @@ from PIL import Image
 
 from shape_obs.bench import ENVS
 from shape_obs.bench.servo import study
-from shape_obs.bench.servo.episode import Episode, settled
+from shape_obs.bench.servo.episode import settled
 from shape_obs.bench.servo.settings import FEATURES, LAYOUTS, Disturbance, Setting, combinations
 from shape_obs.bench.servo.study import paired_rows, summary_rows
 from shape_obs.bench.servo.times import closed_forms, feature_times
 from shape_obs.bench.servo.worlds import World, without
+from shape_obs.bench.tables import Row
 from shape_obs.cli import main
 from shape_obs.features import read_features
 from shape_obs.geometry.topology import Chain
@@ -43,15 +44,18 @@ def episode(seed, final, best=None, steps=None):
     """An episode of which the final error is known."""
     line = [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]
     best = final if best is None else best
-    return Episode(
-        seed, start_mm=50.0, final_mm=final, best_mm=best, success=final < 10, steps=steps, errors_mm=[50.0, final],
-        start=line, goal=line, final=line,
+    unknown = dict.fromkeys(
+        ("prediction", "seen_mm", "detector_ms", "feature_ms", "blackout_action", "blackout_mm"), None
+    )
+    return Row(
+        unknown, seed=seed, start_mm=50.0, final_mm=final, best_mm=best, success=final < 10, steps=steps, held=0,
+        errors_mm=[50.0, final], start=line, goal=line, final=line, failure="",
     )  # fmt: skip
 
 
 def found(setting, finals):
     """Episodes of seeds from 0 on; None stands for one that broke off."""
-    return {setting: [Episode(i, failure="lost") if mm is None else episode(i, mm) for i, mm in enumerate(finals)]}
+    return {setting: [Row(seed=i, failure="lost") if mm is None else episode(i, mm) for i, mm in enumerate(finals)]}
 
 
 class TestSettings:
@@ -152,7 +156,7 @@ def test_settled_is_the_first_step_of_a_tail_below_10_mm(errors):
 class TestSummary:
     def test_shares_and_medians_are_over_what_did_not_break_off(self):
         some = [episode(0, 2, steps=30), episode(1, 4, steps=50), episode(2, 20, best=9), None]
-        (row,) = summary_rows({SETTING: [each or Episode(3, failure="lost") for each in some]})
+        (row,) = summary_rows({SETTING: [each or Row(seed=3, failure="lost") for each in some]})
         assert (row["n"], row["failed"], row["steps"], row["median_mm"]) == (3, 1, 40, 4)
         assert row["success"] == pytest.approx(100 * 2 / 3)
         assert row["ever"] == 100
@@ -185,7 +189,7 @@ class TestStudy:
 
         def episodes(setting, some, steps):
             for seed in some:
-                yield Episode(1, failure="lost") if seed == 1 and 1 not in seeds else episode(seed, 1.0)
+                yield Row(seed=1, failure="lost") if seed == 1 and 1 not in seeds else episode(seed, 1.0)
                 seeds.append(seed)
 
         monkeypatch.setattr(study, "episodes", episodes)

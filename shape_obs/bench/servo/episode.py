@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -24,56 +23,10 @@ REACHED: Final = 10.0  # millimetres
 _LAST: Final = 5  # steps over which the final error is the mean
 
 
-@dataclass(frozen=True)
-class Episode:
-    """How one goal was approached. Errors are mean distances of the true points from the true goal's, millimetres.
-
-    Args:
-        seed: Seed of the start, the goal and the noise.
-        start_mm: Error before the first step.
-        final_mm: Mean error of the last five steps.
-        best_mm: The smallest error of the episode.
-        success: Whether ``final_mm`` is below 10.
-        steps: The first step after which the error stays below 10 mm, or None.
-        prediction: Median share of a change of features that was not predicted, over the learnt motions after the
-            excitation until the error stayed below 10 mm (at the goal, changes are only noise); None without any.
-        seen_mm: Median over the frames of the mean distance of the detected points from the true ones.
-        detector_ms: Median time of the detector in a frame; None without a detector.
-        feature_ms: Median time of the features of a shape.
-        held: Observations without an action.
-        blackout_action: The largest coordinate of an action that was chosen in a black frame, or None.
-        blackout_mm: Mean distance of the true points from their positions in the first black frame, or None.
-        errors_mm: The error over time, (T+1,).
-        start: True points at the start, (N, 3), millimetres, base frame.
-        goal: True points of the goal, (N, 3).
-        final: True points at the end, (N, 3).
-        failure: Why the episode broke off, or empty. All numbers are None or empty then.
-    """
-
-    seed: int
-    start_mm: float | None = None
-    final_mm: float | None = None
-    best_mm: float | None = None
-    success: bool = False
-    steps: int | None = None
-    prediction: float | None = None
-    seen_mm: float | None = None
-    detector_ms: float | None = None
-    feature_ms: float | None = None
-    held: int = 0
-    blackout_action: float | None = None
-    blackout_mm: float | None = None
-    errors_mm: Sequence[float] = ()
-    start: Sequence[Sequence[float]] = ()
-    goal: Sequence[Sequence[float]] = ()
-    final: Sequence[Sequence[float]] = ()
-    failure: str = ""
+Found = Mapping[Setting, Sequence[Row]]
 
 
-Found = Mapping[Setting, Sequence[Episode]]
-
-
-def episodes(setting: Setting, seeds: Sequence[int], steps: int = STEPS) -> Iterator[Episode]:
+def episodes(setting: Setting, seeds: Sequence[int], steps: int = STEPS) -> Iterator[Row]:
     """Play one episode for each seed, on one thread; an episode that breaks off has a ``failure``.
 
     Raises:
@@ -88,7 +41,7 @@ def episodes(setting: Setting, seeds: Sequence[int], steps: int = STEPS) -> Iter
         made.env.close()
 
 
-def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
+def play(world: World, law: str, seed: int, steps: int = STEPS) -> Row:
     """Bring the shape to the goal of a seed.
 
     Args:
@@ -96,6 +49,19 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
         law: A name of ``shape_obs.servo.LAWS``.
         seed: Seed of the start, the goal and the noise.
         steps: Number of steps.
+
+    Returns:
+        Errors are mean distances of the true points from the true goal's, in millimetres: ``start_mm`` before the first
+        step, ``final_mm`` the mean of the last five steps, ``best_mm`` the smallest one, ``errors_mm`` over time,
+        (T+1,). ``success``: whether ``final_mm`` is below 10; ``steps``: the first step after which the error stays
+        below 10 mm, or None. ``prediction``: median share of a change of features that was not predicted, over the
+        learnt motions after the excitation until the error stayed below 10 mm (at the goal, changes are only noise),
+        None without any. ``seen_mm``: median over the frames of the mean distance of the detected points from the true
+        ones; ``detector_ms``: median time of the detector in a frame, None without a detector; ``feature_ms``: that of
+        the features of a shape. ``held``: observations without an action. ``blackout_action``: the largest coordinate
+        of an action that was chosen in a black frame, ``blackout_mm``: mean distance of the true points from their
+        positions in the first black frame, or None. ``start``, ``goal``, ``final``: true points, (N, 3), millimetres,
+        base frame.
     """
     servo = _servo(world, law)
     vector = FeatureVector(world.features, [world.spec], world.view)
@@ -120,7 +86,7 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
     final, there = float(np.mean(errors[-_LAST:])), settled(errors)
     before_goal = frames if there is None else frames[: there + 1]
     black = [frame for frame in frames if frame.dark]
-    return Episode(
+    return Row(
         seed=seed,
         start_mm=errors[0],
         final_mm=final,
@@ -138,6 +104,7 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
         start=np.round(start, 2).tolist(),
         goal=np.round(goal, 2).tolist(),
         final=np.round(points, 2).tolist(),
+        failure="",
     )
 
 
@@ -148,11 +115,11 @@ def settled(errors: Sequence[float]) -> int | None:
     return first if first < len(errors) else None
 
 
-def _tried(world: World, law: str, seed: int, steps: int) -> Episode:
+def _tried(world: World, law: str, seed: int, steps: int) -> Row:
     try:
         return play(world, law, seed, steps)
     except (ValueError, RuntimeError, ArithmeticError) as error:
-        return Episode(seed, failure=f"{type(error).__name__}: {error}")
+        return Row(seed=seed, failure=f"{type(error).__name__}: {error}")
 
 
 def _servo(world: World, law: str) -> ShapeServo:

@@ -9,8 +9,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.servo.episode import REACHED, Episode, Found
+from shape_obs.bench.servo.episode import REACHED, Found
 from shape_obs.bench.servo.settings import LAYOUTS, Difficulty, Setting
+from shape_obs.bench.tables import Row
 from shape_obs.utils.files import write_whole
 
 Array = npt.NDArray[np.float64]
@@ -103,7 +104,7 @@ def _overlays(found: Found) -> Any:
             (setting for setting in found if (setting.env, setting.difficulty) == group),
             key=lambda setting: _worth(setting, found[setting]),
         )
-        ranked = sorted(found[setting], key=lambda episode: episode.final_mm or 0.0)
+        ranked = sorted(found[setting], key=lambda episode: episode.final_mm)
         shown = {"good": ranked[len(ranked) // 4], "median": ranked[len(ranked) // 2], "worst": ranked[-1]}
         for axis, (name, episode) in zip(row, shown.items(), strict=True):
             _shapes(axis, setting, episode)
@@ -116,17 +117,17 @@ def _overlays(found: Found) -> Any:
     return figure
 
 
-def _worth(setting: Setting, some: Sequence[Episode]) -> tuple[bool, int, float]:
+def _worth(setting: Setting, some: Sequence[Row]) -> tuple[bool, int, float]:
     """Return the rank of a setting: the camera first, then by goals reached, then by the final error."""
-    final = float(np.median([episode.final_mm or 0.0 for episode in some]))
+    final = float(np.median([episode.final_mm for episode in some]))
     return setting.source == "camera", sum(episode.success for episode in some), -final
 
 
-def _shapes(axis: Any, setting: Setting, episode: Episode) -> None:
+def _shapes(axis: Any, setting: Setting, episode: Row) -> None:
     """Draw the start in grey, the end in colour and the goal dotted, from above; point 0 is marked."""
     edges = LAYOUTS[setting.env].edges()
     for name, style in _LINES.items():
-        points = np.asarray(getattr(episode, name))
+        points = np.asarray(episode[name])
         axis.plot(*points[edges][..., :2].transpose(2, 1, 0), **style)
         axis.plot(*points[0, :2], marker="o", markersize=4, color=style["color"])
     axis.set_aspect("equal", adjustable="datalim")

@@ -14,7 +14,7 @@ from scipy.stats import DegenerateDataWarning, binomtest, bootstrap
 from shape_obs import __version__
 from shape_obs.bench import run_tasks
 from shape_obs.bench.parts import Parts
-from shape_obs.bench.servo.episode import REACHED, STEPS, Episode, Found, episodes
+from shape_obs.bench.servo.episode import REACHED, STEPS, Found, episodes
 from shape_obs.bench.servo.settings import Disturbance, Setting
 from shape_obs.bench.tables import Row, as_csv, as_markdown, grouped, median
 from shape_obs.utils.files import write_text
@@ -35,7 +35,7 @@ def run(
     jobs: int = 1,
     folder: Path | None = None,
     resume: bool = False,
-    tick: Callable[[Setting, Episode], object] = lambda setting, episode: None,
+    tick: Callable[[Setting, Row], object] = lambda setting, episode: None,
 ) -> Found:
     """Play the same goals under every setting.
 
@@ -54,11 +54,11 @@ def run(
     Raises:
         ValueError: The folder holds episodes of another version or length, or a setting is not understood.
     """
-    kept: dict[Setting, dict[int, Episode]] = {setting: {} for setting in settings}
+    kept: dict[Setting, dict[int, Row]] = {setting: {} for setting in settings}
     stores = {} if folder is None else {each: Parts(folder, _made_with(each, steps)) for each in settings}
     if resume:
         for setting, store in stores.items():
-            found = store.read(setting.name, Episode) or ()
+            found = store.read(setting.name) or ()
             kept[setting] = {episode.seed: episode for episode in found if not episode.failure}
     tasks = []
     for setting, done in kept.items():
@@ -70,19 +70,19 @@ def run(
     for setting, episode in _played(tasks, jobs):
         kept[setting][episode.seed] = episode
         if stores:
-            stores[setting].write(setting.name, [vars(kept[setting][seed]) for seed in sorted(kept[setting])])
+            stores[setting].write(setting.name, [kept[setting][seed] for seed in sorted(kept[setting])])
         tick(setting, episode)
     return {setting: [done[seed] for seed in seeds] for setting, done in kept.items()}
 
 
-def _played(tasks: Sequence[tuple[Setting, list[int], int]], jobs: int) -> Iterator[tuple[Setting, Episode]]:
+def _played(tasks: Sequence[tuple[Setting, list[int], int]], jobs: int) -> Iterator[tuple[Setting, Row]]:
     chunks: Any = ((task[0], episodes(*task)) for task in tasks) if jobs == 1 else run_tasks(_chunk, tasks, jobs)
     for setting, found in chunks:
         for episode in found:
             yield setting, episode
 
 
-def _chunk(setting: Setting, seeds: Sequence[int], steps: int) -> tuple[Setting, list[Episode]]:
+def _chunk(setting: Setting, seeds: Sequence[int], steps: int) -> tuple[Setting, list[Row]]:
     return setting, list(episodes(setting, seeds, steps))
 
 
@@ -113,7 +113,7 @@ def without_empty(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
 def episode_rows(found: Found) -> list[Row]:
     """Return a row for each episode with its setting and all of its numbers."""
     return [
-        Row(_named(setting), **{name: value for name, value in vars(episode).items() if name not in _LONG})
+        Row(_named(setting), **{name: value for name, value in episode.items() if name not in _LONG})
         for setting, some in found.items()
         for episode in some
     ]
@@ -124,7 +124,7 @@ def summary_rows(found: Found) -> list[Row]:
 
     ``success`` is the percentage of goals whose final error is below 10 mm, ``low`` and ``high`` its Wilson interval of
     95 %; ``ever`` counts goals that were within 10 mm at any time; ``steps`` is the median over the reached goals.
-    Episodes that broke off count only in ``failed``.
+    Rows that broke off count only in ``failed``.
     """
     return [Row(_named(setting), **_summary(some)) for setting, some in found.items()]
 
@@ -163,18 +163,18 @@ def _named(setting: Setting) -> Row:
     return Row({name: getattr(setting, name) for name in _NAMED}, invalid=wrong.invalid, blackout=blackout)
 
 
-def _summary(some: Sequence[Episode]) -> Row:
+def _summary(some: Sequence[Row]) -> Row:
     whole = [episode for episode in some if not episode.failure]
     reached = sum(episode.success for episode in whole)
     low, high = _wilson(reached, len(whole))
-    final = [episode.final_mm for episode in whole if episode.final_mm is not None]
-    ever = [episode.best_mm is not None and episode.best_mm < REACHED for episode in whole]
+    final = [episode.final_mm for episode in whole]
+    ever = [episode.best_mm < REACHED for episode in whole]
 
     def middle(name: str) -> float | None:
-        return median(getattr(episode, name) for episode in whole)
+        return median(episode[name] for episode in whole)
 
     def largest(name: str) -> float | None:
-        return max((value for episode in whole if (value := getattr(episode, name)) is not None), default=None)
+        return max((value for episode in whole if (value := episode[name]) is not None), default=None)
 
     return Row(
         n=len(whole),

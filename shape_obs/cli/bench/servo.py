@@ -15,6 +15,7 @@ from shape_obs.cli.bench.output import Output, check_minimum, image_size, need_m
 
 if TYPE_CHECKING:
     from shape_obs.bench.servo.settings import Setting
+    from shape_obs.bench.tables import Row
 
 Source = Literal["camera", "truth", "taught"]
 FeatureSet = Literal[
@@ -125,7 +126,6 @@ def _settings(args: Servo) -> list[Setting]:
 
 def _study(args: Servo, settings: Sequence[Setting], output: Output) -> int:
     """Play all episodes, write and print the results, and return the number of episodes that broke off."""
-    from shape_obs.bench.servo.episode import Episode
     from shape_obs.bench.servo.pictures import draw
     from shape_obs.bench.servo.study import paired_rows, run, summary_rows, without_empty, write_tables
 
@@ -133,7 +133,7 @@ def _study(args: Servo, settings: Sequence[Setting], output: Output) -> int:
     seeds = range(args.seed, args.seed + args.goals)
     with progress("servo", "episode", len(settings) * len(seeds)) as bar:
 
-        def tick(setting: Setting, episode: Episode) -> None:
+        def tick(setting: Setting, episode: Row) -> None:
             bar.set_postfix_str(setting.name, refresh=False)
             bar.update()
             if episode.failure:
