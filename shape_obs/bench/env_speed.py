@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from typing import Any, Final
 
 import gymnasium as gym
@@ -12,15 +11,7 @@ import numpy as np
 
 from shape_obs.bench import Clock, Env, Size
 from shape_obs.bench.env_physics import EPISODE, Actions, held_actions, make_env
-from shape_obs.bench.interleaved_timing import (
-    CLOCKS,
-    Method,
-    Tick,
-    Turn,
-    by_method,
-    interleaved_timing,
-    median_ms,
-)
+from shape_obs.bench.interleaved_timing import CLOCKS, Method, Tick, Turn, by_method, interleaved_timing, median_ms
 from shape_obs.bench.tables import Row, at_least, at_most
 from shape_obs.wrappers import ShapeObservation
 
@@ -30,34 +21,6 @@ _TRAINING: Final = "84 x 84"
 _OF_NO_RENDERING: Final = 0.4  # target: share of the steps per second without rendering
 _USUAL: Final = "160 x 120"
 _WRAPPER_PERCENT: Final = 10  # target: the wrapper's share of a wrapped step
-
-
-@dataclass(frozen=True)
-class Course:
-    """The environment that is measured.
-
-    Args:
-        env: The environment.
-        size: (width, height) of its images in pixels.
-        renderer: ``"gl"`` or ``"rays"``.
-        steps: Number of counted steps.
-        seed: Seed of episodes and actions.
-        clock: The clock.
-        burst: Steps in a turn.
-    """
-
-    env: Env
-    size: Size
-    renderer: str
-    steps: int
-    seed: int = 0
-    clock: Clock = "wall"
-    burst: int = 10
-
-    @property
-    def image(self) -> str:
-        """The image size as in the tables."""
-        return f"{self.size[0]} x {self.size[1]}"
 
 
 class Runner:
@@ -117,36 +80,50 @@ class Stopwatch(gym.Wrapper[Any, Any, Any, Any]):
         return result
 
 
-def speed_row(course: Course, tick: Tick = lambda: None) -> Row:
+def speed_row(
+    env: Env,
+    size: Size,
+    renderer: str,
+    steps: int,
+    seed: int = 0,
+    clock: Clock = "wall",
+    burst: int = 10,
+    tick: Tick = lambda: None,
+) -> Row:
     """Run the same episodes without rendering, with images and wrapped, in turns of a few steps.
 
     Args:
-        course: The environment that is measured.
+        env: The environment.
+        size: (width, height) of its images in pixels.
+        renderer: ``"gl"`` or ``"rays"``.
+        steps: Number of counted steps.
+        seed: Seed of episodes and actions.
+        clock: The clock.
+        burst: Steps in a turn.
         tick: Called after each step of all.
 
     Returns:
         The steps per second of each way, the wrapper's share of a step, and the time of a reset.
     """
-    options = {"camera": [*course.size], "renderer": course.renderer}
+    options = {"camera": [*size], "renderer": renderer}
     envs = {
-        NO_RENDERING: make_env(course.env, {**options, "render_observation": False}),
-        BARE: make_env(course.env, options),
-        WRAPPED: ShapeObservation(Stopwatch(make_env(course.env, options), course.clock)),
+        NO_RENDERING: make_env(env, {**options, "render_observation": False}),
+        BARE: make_env(env, options),
+        WRAPPED: ShapeObservation(Stopwatch(make_env(env, options), clock)),
     }
     with ExitStack() as stack:
-        for env in envs.values():
-            stack.callback(env.close)
-        runners = {name: Runner(env, course.seed, course.clock) for name, env in envs.items()}
-        shape = envs[BARE].action_space.shape or ()
-        actions = held_actions(np.random.default_rng(course.seed), shape, WARM_UP + course.steps)
+        for each in envs.values():
+            stack.callback(each.close)
+        runners = {name: Runner(each, seed, clock) for name, each in envs.items()}
+        actions = held_actions(np.random.default_rng(seed), envs[BARE].action_space.shape or (), WARM_UP + steps)
         methods = [Method[Actions](name, runner.step, runner.ready) for name, runner in runners.items()]
-        turns = interleaved_timing(actions, methods, course.clock, burst=course.burst, warm_up=WARM_UP, tick=tick)
+        turns = interleaved_timing(actions, methods, clock, burst=burst, warm_up=WARM_UP, tick=tick)
         found = by_method(methods, turns)
     rates = {name: rate(some) for name, some in found.items()}
     return Row(
-        env=course.env,
-        image=course.image,
-        renderer=course.renderer,
+        env=env,
+        image=f"{size[0]} x {size[1]}",
+        renderer=renderer,
         **rates,
         wrapped_of_no_drawing=rates[WRAPPED] / rates[NO_RENDERING],
         wrapper_percent=100 * float(np.median([1 - turn.result / turn.milliseconds for turn in found[WRAPPED]])),

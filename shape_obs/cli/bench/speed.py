@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Final, Literal, get_args
 
 import tyro
@@ -156,7 +157,7 @@ def _peers(args: Peers) -> Output:
 def _envs(args: Envs) -> Output:
     check_minimum(args, steps=1, burst=1)
     sizes = [image_size(text, 16) for text in args.sizes]
-    from shape_obs.bench.env_speed import WARM_UP, Course, speed_row, speed_targets
+    from shape_obs.bench.env_speed import WARM_UP, speed_row, speed_targets
     from shape_obs.bench.interleaved_timing import opengl
 
     driver, no_opengl = opengl()
@@ -167,17 +168,12 @@ def _envs(args: Envs) -> Output:
     renderers = [name for name in args.renderers if name != "gl" or driver]
     if no_opengl and "gl" in args.renderers:
         output.note(f"no OpenGL here, rays alone: {no_opengl}")
-    courses = [
-        Course(env, size, renderer, args.steps, args.seed, args.clock, args.burst)
-        for env in args.envs
-        for size in sizes
-        for renderer in renderers
-    ]
+    courses = list(product(args.envs, sizes, renderers))
     rows = []
     with progress("envs", "step", len(courses) * (args.steps + WARM_UP)) as bar:
         for course in courses:
-            bar.set_postfix_str(f"{course.env} {course.image} {course.renderer}")
-            rows.append(speed_row(course, bar.update))
+            bar.set_postfix_str("{} {} {}".format(*course))
+            rows.append(speed_row(*course, args.steps, args.seed, args.clock, args.burst, bar.update))
     output.table("steps per second", rows, "single")
     output.claims(speed_targets(rows))
     return output
