@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from itertools import product
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple, get_args
 
 from shape_obs.bench import ENVS
 from shape_obs.bench.tables import Row
@@ -178,18 +178,8 @@ def _robustness(effort: Effort) -> Tables:
     yield "stopping the robot: asked and seen", stop_claims.targets(stopped, killed, locked)
 
 
-GROUPS: Final[dict[Group, Callable[[Effort], Tables]]] = {
-    "ropes": _ropes,
-    "tangles": _tangles,
-    "hands": _hands,
-    "noise": _noise,
-    "outlines": _outlines,
-    "sheets": _sheets,
-    "clouds": _clouds,
-    "markers": _markers,
-    "cable": _cable,
-    "envs": _envs,
-    "camera": _camera,
-    "deploy": _deploy,
-    "robustness": _robustness,
-}
+_FUNCTIONS: Final = (
+    _ropes, _tangles, _hands, _noise, _outlines, _sheets, _clouds, _markers, _cable, _envs, _camera, _deploy,
+    _robustness,
+)  # fmt: skip
+GROUPS: Final[dict[Group, Callable[[Effort], Tables]]] = dict(zip(get_args(Group), _FUNCTIONS, strict=True))

@@ -7,7 +7,6 @@ late, frozen and black frames and a hand over the object.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -28,7 +27,6 @@ _OWN: Final = 25.0  # ms, 95th percentile
 _OVERRUNS: Final = 1.0  # percent
 
 
-@dataclass
 class Seen:
     """Compare every frame on which the loop acts with the truth.
 
@@ -44,14 +42,11 @@ class Seen:
         oldest: Longest time from the exposure of an image to the decision to act on it, in seconds.
     """
 
-    robot: Any
-    mm: list[float] = field(default_factory=list)
-    hidden: list[float] = field(default_factory=list)
-    slips: int = 0
-    wrong: int = 0
-    stale: int = 0
-    oldest: float = 0.0
-    _numbers: set[int] = field(default_factory=set)
+    def __init__(self, robot: Any) -> None:
+        self.robot, self._numbers = robot, set[int]()
+        self.mm, self.hidden = list[float](), list[float]()
+        self.slips = self.wrong = self.stale = 0
+        self.oldest = 0.0
 
     def step(self, moment: Any) -> None:
         """Record one step of the loop."""

@@ -17,7 +17,7 @@ from shape_obs.bench.synthetic.sheets import noisy
 from shape_obs.bench.tables import Row, failures, mean, of, summary, worst
 from shape_obs.configurations.centerline import Centerline
 from shape_obs.detector import ShapeDetector
-from shape_obs.geometry.polyline import arc_length, interpolate
+from shape_obs.geometry.polyline import arc_length, resample
 
 COUNTS: Final = (8, 20, 50, 100)
 _N: Final = 20  # points of a tracked rope
@@ -113,12 +113,11 @@ def ropes_under_hands(
             if shape.reason:
                 lost += 1
                 continue
-            curve = np.ascontiguousarray(frame.rope.curve)
-            arc = arc_length(curve)
-            truth = interpolate(curve, arc, np.linspace(0, arc[-1], _N))
+            truth = resample(frame.rope.curve, _N)
             column, row = np.rint(truth).astype(int).T
             seen = frame.mask[row, column] > 0
-            gaps = np.linalg.norm(shape.pixels - truth, axis=1) / (arc[-1] / (_N - 1))
+            gap = arc_length(np.ascontiguousarray(frame.rope.curve))[-1] / (_N - 1)
+            gaps = np.linalg.norm(shape.pixels - truth, axis=1) / gap
             slips.append(float(gaps[seen & shape.visible].max(initial=0.0)))
             near_seen = seen | np.roll(seen, 1) | np.roll(seen, -1)
             wrong += [np.sum(seen & ~shape.visible), np.sum(~near_seen & shape.visible)]

@@ -53,7 +53,7 @@ class DrawnRope(Source):
     def __init__(self) -> None:
         super().__init__()
         self.dark = self.frozen = False
-        self._begin, self._read = time.monotonic(), -1
+        self._begin = time.monotonic()
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -71,27 +71,26 @@ class DrawnRope(Source):
         if self.frozen:
             time.sleep(timeout)
             raise FrameTimeout(f"no frame in {timeout} s")
-        self._read = self._newest() + 1
-        time.sleep(max(0.0, self._begin + self._read / 60 - time.monotonic()))
-        return self._frame()
+        number = self._newest() + 1
+        time.sleep(max(0.0, self._begin + number / 60 - time.monotonic()))
+        return self._frame(number)
 
     def read_latest(self, max_age: float = 0.1) -> Frame:
         """Return the newest frame."""
         if self.frozen or time.monotonic() - (self._begin + self._newest() / 60) > max_age:
             raise StaleFrame("too old")
-        self._read = self._newest()
-        return self._frame()
+        return self._frame(self._newest())
 
     def _newest(self) -> int:
         return int((time.monotonic() - self._begin) * 60)
 
-    def _frame(self) -> Frame:
+    def _frame(self, number: int) -> Frame:
         rgb = np.full((_HEIGHT, _WIDTH, 3), 0 if self.dark else 200, np.uint8)
         if not self.dark:
             cv2.line(rgb, (40, 60), (110, 66), (20, 60, 200), 5)
-        taken = self._begin + self._read / 60
+        taken = self._begin + number / 60
         depth = np.full((_HEIGHT, _WIDTH), 700, np.uint16)
-        return Frame(rgb, depth, CameraModel(_LENS), taken, taken, self._read, taken)
+        return Frame(rgb, depth, CameraModel(_LENS), taken, taken, number, taken)
 
 
 class SlowLog(RunLog):
