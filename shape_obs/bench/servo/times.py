@@ -57,7 +57,9 @@ def feature_times(
 
     features = {_label(feature): feature for feature in closed_forms(env)}
     methods: list[Method[Row]] = [
-        Method(_DETECTOR, lambda look: detector.detect(*look.images, look.view.camera, anchors=look.view.anchors)),
+        Method(
+            _DETECTOR, lambda look: detector.detect(look.rgb, look.depth, look.view.camera, anchors=look.view.anchors)
+        ),
         *(Method(name, lambda look, each=each: each.compute(look.shape, look.view)) for name, each in features.items()),
     ]
     turns = interleaved_timing(looks, methods, clock, burst=_BURST, warm_up=WARM_UP, tick=tick)
@@ -101,9 +103,9 @@ def _looks(env: Env, size: Size, frames: int, seed: int, renderer: str) -> tuple
         named, camera = dict(env_protocol.anchors(simulated)), env_protocol.camera_model(simulated)
         point = env_protocol.base_point(detector.shapes[0], named)
         view = FeatureContext(*size, camera, defaults["workspace"], anchor=point, anchors=named)
-        images = observation["rgb"], observation["depth"]
-        shape = detector.detect(*images, camera, anchors=named).shapes[0]
-        looks.append(Row(images=images, view=view, shape=shape))
+        rgb, depth = observation["rgb"], observation["depth"]
+        shape = detector.detect(rgb, depth, camera, anchors=named).shapes[0]
+        looks.append(Row(rgb=rgb, depth=depth, view=view, shape=shape))
         observation = simulated.step(action)[0]
     simulated.close()
     detector.reset()
