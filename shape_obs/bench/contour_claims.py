@@ -46,7 +46,7 @@ def outlines(blobs: Iterable[Blob], counts: Sequence[int] = COUNTS) -> Iterator[
     """Detect drawn blobs cold at each N.
 
     Yields:
-        The fields of ``OutlineScore`` and the blob's. ``coarse``: equal chords would move so few points by 1.3 gaps or
+        The fields of ``outline_score`` and the blob's. ``coarse``: equal chords would move so few points by 1.3 gaps or
         more from equal arc length, even on the true outline, because it bends within a gap; the gaps may then be
         unequal, so that points stay on their material. ``corners``: the distance of each annotated corner to the
         nearest point, as a share of the outline's length.
@@ -57,7 +57,7 @@ def outlines(blobs: Iterable[Blob], counts: Sequence[int] = COUNTS) -> Iterator[
         found = shape.pixels.astype(np.float64)
         coarse = _shift(blob.outline, found[0], n) > _COARSE
         corners = [np.linalg.norm(found - corner, axis=1).min() / length for corner in blob.corners.values()]
-        scores = outline_score(found, blob.outline)._asdict()
+        scores = outline_score(found, blob.outline)
         yield Row(kind=blob.kind, n=n, coarse=coarse, ok=shape.ok, corners=corners, **scores)
 
 

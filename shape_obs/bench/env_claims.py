@@ -176,8 +176,9 @@ def _episode(env: Any, seed: int, steps: int, goal: npt.NDArray[Any]) -> Row:
         points = observation["achieved_goal"].astype(np.float64).reshape(-1, 3)
         frame = Row(ok=shape.ok, unfolded=unfolded, held=bool(shape.reason), finite=is_finite(simulator))
         if shape.ok and unfolded:
-            frame.update(simulator_score(points, shape.valid, shape.layout, simulator)._asdict())
-        frames.append(Row(frame, **strain(simulator)._asdict()))
+            frame.update(simulator_score(points, shape.valid, shape.layout, simulator))
+        whole, local = strain(simulator)
+        frames.append(Row(frame, whole=whole, local=local))
         if step < steps:
             observation = env.step(actions[step])[0]
     judged = [frame for frame in frames if frame.ok and frame.unfolded]

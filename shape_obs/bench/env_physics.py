@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple, get_args
+from typing import Any, Final, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -33,18 +33,6 @@ def held_actions(rng: np.random.Generator, shape: tuple[int, ...], steps: int, h
     return np.repeat(drawn, held, axis=0)[:steps].astype(np.float32)
 
 
-class Strain(NamedTuple):
-    """How much longer an object is than at rest; 0.05 is five percent.
-
-    Args:
-        whole: Strain of the length from end to end or once around; of a sheet, the same as ``local``.
-        local: Largest strain between two neighbouring joints or masses.
-    """
-
-    whole: float
-    local: float
-
-
 def is_finite(simulator: Any) -> bool:
     """Return whether the whole physics state is finite."""
     return bool(np.isfinite(simulator.get_state()).all())
@@ -55,11 +43,15 @@ def warnings(simulator: Any) -> int:
     return int(np.sum(simulator._body.data.warning.number))
 
 
-def strain(simulator: Any) -> Strain:
-    """Return the strain of a rope's or band's middle line, or of the edges between a sheet's masses."""
+def strain(simulator: Any) -> tuple[float, float]:
+    """Return how much longer an object is than at rest, in all and at most between two neighbouring joints or masses.
+
+    A strain of 0.05 is five percent. That of a rope or a band is measured along its middle line; both values of a sheet
+    are the largest strain of an edge between its masses.
+    """
     body, kind = simulator._body, simulator.goal_layout["kind"]
     if kind == "surface":
-        return Strain(body.stretch(), body.stretch())
+        return body.stretch(), body.stretch()
     if kind == "contour":
         line = body.axis()
         line, rest = np.concatenate([line, line[:1]]), np.full(len(line), body.spec.link_length)
@@ -68,7 +60,7 @@ def strain(simulator: Any) -> Strain:
         rest = np.full(len(line) - 1, body.spec.link_length)
         rest[[0, -1]] += body.spec.radius
     pieces = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    return Strain(float(pieces.sum() / rest.sum() - 1), float((pieces / rest).max() - 1))
+    return float(pieces.sum() / rest.sum() - 1), float((pieces / rest).max() - 1)
 
 
 def goals(env: Env, difficulty: str, seeds: Sequence[int]) -> Row:

@@ -27,7 +27,7 @@ def drawn_ropes(per_kind: int, seed: int = 0) -> Iterator[Row]:
     """Detect random ropes with a known centreline cold, at each N and in both end modes.
 
     Yields:
-        The fields of ``Score`` and the rope's; ``hairpin``: a gap is longer than the tightest bend is wide.
+        The fields of ``score`` and the rope's; ``hairpin``: a gap is longer than the tightest bend is wide.
     """
     rng = np.random.default_rng(seed)
     for kind, _ in product(KINDS, range(per_kind)):
@@ -36,7 +36,7 @@ def drawn_ropes(per_kind: int, seed: int = 0) -> Iterator[Row]:
             shape = cold(Centerline(n=n, ends=ends), rope.mask)
             found = score(shape.pixels, rope.curve, ends, directed=False)
             hairpin = rope.length / n > 2 * rope.bend_radius
-            yield Row(kind=kind, n=n, ends=ends, hairpin=hairpin, ok=shape.ok, **found._asdict())
+            yield Row(kind=kind, n=n, ends=ends, hairpin=hairpin, ok=shape.ok, **found)
 
 
 def rope_table(results: Iterable[Row]) -> list[Row]:
@@ -205,7 +205,7 @@ def cable_episodes(camera: Any, renderer: str, seeds: Sequence[int]) -> Row:
             )
             found, mm = score(shape.points3d, axis, "tips"), 1e3 * _apart(shape.points3d, truth)
             wrong = shape.ok and (found.slip > SLIP or mm > 15)
-            frames.append(Row(found._asdict(), ok=shape.ok, wrong=wrong, mm=mm, px=_apart(shape.pixels, pixels)))
+            frames.append(Row(found, ok=shape.ok, wrong=wrong, mm=mm, px=_apart(shape.pixels, pixels)))
             if step < EPISODE:
                 env.step(env.action_space.sample())
     env.close()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from itertools import pairwise, product
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,6 @@ from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.shape import Shape
 
-Array = npt.NDArray[np.float64]
 
 ASPECTS: Final = (1.0, 1.5, 2.0, 3.0, 1 / 2, 1 / 3)
 LATTICES: Final = ((4, 8), (2, 2), (3, 3), (8, 8), (6, 10))
@@ -27,30 +26,20 @@ _SPEC: Final = Surface(rows=4, cols=8)  # of tracked cloths
 _UNDECIDED: Final = 2.0
 
 
-class SheetScore(NamedTuple):
-    """The distance of found points from their material.
+def score_sheet(points: npt.ArrayLike, sheet: Sheet, rows: int, cols: int, ends: Ends, quarters: int) -> Row:
+    """Compare (N, 2) found points with a cloth whose first corner is number ``quarters``, counted clockwise.
 
-    Args:
-        mean: Mean distance of the points from their true positions, in pixels.
-        worst: The largest such distance.
-        slip: The largest distance of a point from its material, in gaps of the lattice along a row or a column.
-        off: These distances, (rows, cols, 2), down and across.
+    Returns:
+        ``mean`` and ``worst`` distance of the points from their true positions, in pixels; ``slip``: the largest
+        distance of a point from its material, in gaps of the lattice along a row or a column; ``off``: all of these
+        distances, (rows, cols, 2), down and across.
     """
-
-    mean: float
-    worst: float
-    slip: float
-    off: Array
-
-
-def score_sheet(points: npt.ArrayLike, sheet: Sheet, rows: int, cols: int, ends: Ends, quarters: int) -> SheetScore:
-    """Compare (N, 2) found points with a cloth whose first corner is number ``quarters``, counted clockwise."""
     true = Sheet(np.rot90(sheet.points, quarters), sheet.mask).lattice(rows, cols, ends)
     away = np.asarray(points, dtype=np.float64).reshape(true.shape) - true
     gaps = np.stack([np.gradient(true, axis=0), np.gradient(true, axis=1)], axis=-1)
-    off = np.asarray(np.linalg.solve(gaps, away[..., None])[..., 0], dtype=np.float64)
+    off = np.linalg.solve(gaps, away[..., None])[..., 0]
     distance = np.linalg.norm(away, axis=-1)
-    return SheetScore(float(distance.mean()), float(distance.max()), float(np.abs(off).max()), off)
+    return Row(mean=float(distance.mean()), worst=float(distance.max()), slip=float(np.abs(off).max()), off=off)
 
 
 def first_corner(sheet: Sheet) -> tuple[int, bool]:
@@ -68,8 +57,8 @@ def drawn_sheets(count: int, seed: int = 0) -> Iterator[Row]:
     """Detect ``count`` bent cloths cold at all angles, with each lattice and in both end modes.
 
     Yields:
-        A row for each detection; ``corner_right``: point 0 is at the corner that the paper's rule gives; ``score``: a
-        ``SheetScore``.
+        A row for each detection; ``corner_right``: point 0 is at the corner that the paper's rule gives; ``score``:
+        of ``score_sheet``.
     """
     rng = np.random.default_rng(seed)
     for number in range(count):
@@ -154,13 +143,13 @@ def noisy_sheets(seeds: Iterable[int], frames: int = 60) -> Iterator[Row]:
         yield Row(aspect=aspect, frames=frames, not_ok=not_ok, mean=jitter, worst_point=highest)
 
 
-def _tracked(scenes: Iterable[Sheet]) -> tuple[Row, list[SheetScore], list[float]]:
+def _tracked(scenes: Iterable[Sheet]) -> tuple[Row, list[Row], list[float]]:
     """Track a cloth; its first corner is the one at which the first frame fits best.
 
     Returns:
         The number of frames, slips and frames without the shape; the scores; the milliseconds of fit and lift.
     """
-    scores: list[SheetScore] = []
+    scores: list[Row] = []
     times: list[float] = []
     corner, not_ok = -1, 0
     for sheet, detection in followed(scenes, lambda sheet: ShapeDetector([_SPEC])):
@@ -172,14 +161,14 @@ def _tracked(scenes: Iterable[Sheet]) -> tuple[Row, list[SheetScore], list[float
     return Row(tally(scores), not_ok=not_ok), scores, times
 
 
-def _best(shape: Shape, sheet: Sheet, spec: Surface) -> tuple[int, SheetScore]:
+def _best(shape: Shape, sheet: Sheet, spec: Surface) -> tuple[int, Row]:
     """Return the corner of the cloth at which the points fit best, and how well they fit there."""
     ends = spec.ends or "centers"
     scores = [score_sheet(shape.pixels, sheet, spec.rows, spec.cols, ends, quarters) for quarters in range(4)]
     return min(enumerate(scores), key=lambda pair: pair[1].mean)
 
 
-def _by_the_rule(shape: Shape, sheet: Sheet, spec: Surface) -> tuple[bool, SheetScore]:
+def _by_the_rule(shape: Shape, sheet: Sheet, spec: Surface) -> tuple[bool, Row]:
     """Return whether point 0 is at the corner that the paper's rule gives, and how well the points fit the cloth."""
     expected, undecided = first_corner(sheet)
     corner, found = _best(shape, sheet, spec)

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
-from typing import Any, Final, Literal, NamedTuple, get_args
+from typing import Any, Final, NamedTuple, get_args
 
-from shape_obs.bench import Difficulty, Env
+from shape_obs.bench import Difficulty, Env, FeatureSet, Source
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
-
-Source = Literal["camera", "truth", "taught"]
-FeatureSet = Literal[
-    "points3d", "points2d", "fourier", "bezier", "bspline", "tangents", "curvature", "turning_angles", "moments", "pca"
-]
 
 #: The topology of each environment's points, as it publishes it.
 LAYOUTS: Final[Mapping[Env, Topology]] = {"Cable": Chain(20), "Ring": Ring(32), "Cloth": Grid(4, 8)}

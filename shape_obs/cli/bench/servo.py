@@ -10,17 +10,12 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from shape_obs.bench import Clock, Difficulty, Env, Size
+from shape_obs.bench import Clock, Difficulty, Env, FeatureSet, Size, Source
 from shape_obs.cli.bench.output import Output, check_minimum, image_size, need_matplotlib, progress
 
 if TYPE_CHECKING:
     from shape_obs.bench.servo.settings import Setting
     from shape_obs.bench.tables import Row
-
-Source = Literal["camera", "truth", "taught"]
-FeatureSet = Literal[
-    "points3d", "points2d", "fourier", "bezier", "bspline", "tangents", "curvature", "turning_angles", "moments", "pca"
-]
 
 
 @dataclass(frozen=True)

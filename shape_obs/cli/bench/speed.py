@@ -16,7 +16,19 @@ Work = Literal["rope", "contour", "cloth"]
 
 
 @dataclass(frozen=True)
-class Latency:
+class _Timing:
+    seed: int = 0
+    """Seed of everything that is drawn at random."""
+    clock: Clock = "wall"
+    """Clock: elapsed time, or the processor time of the thread, which hardly depends on other load."""
+    burst: int = 10
+    """Frames or steps in a turn. With 1 every method runs with the caches that another one left behind."""
+    json: bool = False
+    """Print JSON instead of tables."""
+
+
+@dataclass(frozen=True)
+class Latency(_Timing):
     """Time every stage from an RGB-D image to 20 points in space, warm and cold, and how the time grows.
 
     One pass over the same image and the usual segmentation are timed with it. All methods take turns on every frame, on
@@ -27,22 +39,14 @@ class Latency:
     """Parts to measure: the stages at every image size; the growth with pixels, points and shapes."""
     frames: int = 60
     """Number of counted frames."""
-    seed: int = 0
-    """Seed of motion, light and noise."""
     sizes: tuple[str, ...] = ("320x240", "640x480", "848x480", "1280x720", "1280x800")
     """Image sizes."""
     memory: int = 0
     """Frames over which the growth of the process is measured; 0 leaves it out."""
-    clock: Clock = "wall"
-    """Clock: elapsed time, or the processor time of the thread, which hardly depends on other load."""
-    burst: int = 10
-    """Frames in a turn. With 1 every method runs with the caches that another one left behind."""
-    json: bool = False
-    """Print JSON instead of tables."""
 
 
 @dataclass(frozen=True)
-class Peers:
+class Peers(_Timing):
     """Compare the detector with other ways to the same points: same masks, same N, in turns, on one thread.
 
     A method's clock starts when the mask, or the mask's pixels as floats, are ready. Clusterers are not charged for
@@ -55,18 +59,10 @@ class Peers:
     """Number of counted frames."""
     slow_frames: int = 5
     """Frames on which slow methods run (n_init 10, mixture, fuzzy); 0 leaves these out."""
-    seed: int = 0
-    """Seed of the motions, and of the methods that draw at random."""
-    clock: Clock = "wall"
-    """Clock: elapsed time, or the processor time of the thread, which hardly depends on other load."""
-    burst: int = 10
-    """Frames in a turn. With 1 every method runs with the caches that another one left behind."""
-    json: bool = False
-    """Print JSON instead of tables."""
 
 
 @dataclass(frozen=True)
-class Envs:
+class Envs(_Timing):
     """Count the steps per second of each environment: without drawing, with images, and wrapped.
 
     All ways take turns through the same episodes, on one thread. Rates are those of the median step; resets have a
@@ -81,14 +77,6 @@ class Envs:
     """Renderers; without OpenGL only rays are measured."""
     steps: int = 200
     """Number of counted steps."""
-    seed: int = 0
-    """Seed of episodes and actions."""
-    clock: Clock = "wall"
-    """Clock: elapsed time, or the processor time of the thread, which hardly depends on other load."""
-    burst: int = 10
-    """Steps in a turn. With 1 every environment runs with the caches that another one left behind."""
-    json: bool = False
-    """Print JSON instead of tables."""
 
 
 def main(name: str, argv: Sequence[str]) -> int:
