@@ -18,7 +18,6 @@ from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.shape import Shape
 
-
 ASPECTS: Final = (1.0, 1.5, 2.0, 3.0, 1 / 2, 1 / 3)
 LATTICES: Final = ((4, 8), (2, 2), (3, 3), (8, 8), (6, 10))
 _SPEC: Final = Surface(rows=4, cols=8)  # of tracked cloths
