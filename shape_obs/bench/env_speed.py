@@ -140,13 +140,13 @@ def speed_targets(rows: Sequence[Row]) -> list[Row]:
     """Compare the rows of ``speed_row`` with the targets for training with OpenGL."""
     compared: list[Row] = []
     for row in rows:
-        what = f"{row['env']}, {row['image']}, OpenGL"
-        if row["renderer"] != "gl":
+        what = f"{row.env}, {row.image}, OpenGL"
+        if row.renderer != "gl":
             continue
-        if row["env"] == "Cable" and row["image"] == _TRAINING:
+        if row.env == "Cable" and row.image == _TRAINING:
             whole = f"{what}, wrapped: of the steps per second without drawing"
-            compared.append(at_least(whole, _OF_NO_RENDERING, row["wrapped_of_no_drawing"]))
-        if row["image"] == _USUAL:
+            compared.append(at_least(whole, _OF_NO_RENDERING, row.wrapped_of_no_drawing))
+        if row.image == _USUAL:
             share = f"{what}: the wrapper's share of a wrapped step"
-            compared.append(at_most(share, _WRAPPER_PERCENT, row["wrapper_percent"], " %"))
+            compared.append(at_most(share, _WRAPPER_PERCENT, row.wrapper_percent, " %"))
     return compared

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-from typing import Any, Final, NamedTuple, get_args
+from typing import Any, Final, get_args
 
 import cv2
 import numpy as np
@@ -148,18 +148,6 @@ def spread(path: Array, n: int, *, closed: bool = False) -> Array:
     return np.stack([np.interp(at, arc, path[:, d]) for d in range(2)], axis=1)
 
 
-class Result(NamedTuple):
-    """The results of one work.
-
-    Args:
-        turns: Method -> its turns, the detector first.
-        summary: The results as JSON-able values, with one row for each method.
-    """
-
-    turns: dict[str, list[Turn]]
-    summary: Row
-
-
 def point_quality(scene: Scene, points: npt.NDArray[np.float64], layout: Topology) -> tuple[float, float, float]:
     """Measure how well N points, in any order, represent the pixels of one frame; each belongs to the nearest point.
 
@@ -199,7 +187,7 @@ def run_work(
     clock: Clock = "wall",
     burst: int = 1,
     tick: Tick = lambda: None,
-) -> Result:
+) -> Row:
     """Run the detector and every installed peer on one work.
 
     Args:
@@ -210,6 +198,10 @@ def run_work(
         clock: The clock.
         burst: Frames in a turn.
         tick: Called after each frame.
+
+    Returns:
+        ``turns``: method -> its turns, the detector first; ``summary``: the results as JSON-able values, with one row
+        for each method.
     """
     task = work(name, frames + WARM_UP, seed)
     counted = range(WARM_UP, len(task.scenes))
@@ -231,7 +223,9 @@ def run_work(
         sc, ch, spacing = np.mean(qualities, axis=0).tolist()
         times = {"median_ms": median_ms(turns), "over_ours": times_slower(turns, found[WARM])}
         rows.append(Row(method=method, frames=len(turns), **times, sc=sc, ch=ch, spacing_cv=spacing))
-    return Result(found, Row(points=task.n, samples=task.samples, frames=frames, refused=len(refused), rows=rows))
+    return Row(
+        turns=found, summary=Row(points=task.n, samples=task.samples, frames=frames, refused=len(refused), rows=rows)
+    )
 
 
 def _touch(scene: Scene) -> None:
@@ -251,7 +245,7 @@ def _detector(task: Work, start: str, refused: list[str]) -> Method[Scene]:
     return Method(start, run, detector.reset if start == COLD else lambda: None, _touch)
 
 
-def targets(results: Mapping[Name, Result]) -> list[Row]:
+def targets(results: Mapping[Name, Row]) -> list[Row]:
     """Compare times and quality with their targets."""
     rows = []
     for name, start, peer, bound in TARGETS:

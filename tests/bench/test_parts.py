@@ -16,7 +16,9 @@ def test_rows_can_be_read_again(tmp_path):
     parts = Parts(tmp_path, {"seed": 0})
     assert parts.read("contour/som/0000") is None
     parts.write("contour/som/0000", ROWS)
-    first, second = Parts(tmp_path, {"seed": 0}).read("contour/som/0000") or ()
+    rows = Parts(tmp_path, {"seed": 0}).read("contour/som/0000")
+    assert rows is not None
+    first, second = rows
     assert (first.n, first.ok) == (3, True)
     assert math.isnan(first.ms)
     assert second == ROWS[1]
