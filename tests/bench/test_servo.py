@@ -46,7 +46,8 @@ def episode(seed, final, best=None, steps=None):
     best = final if best is None else best
     unknown = ("prediction", "seen_mm", "detector_ms", "feature_ms", "blackout_action", "blackout_mm")
     return Row(
-        [(name, None) for name in unknown], seed=seed, start_mm=50.0, final_mm=final, best_mm=best, success=final < 10, steps=steps, held=0,
+        [(name, None) for name in unknown],
+        seed=seed, start_mm=50.0, final_mm=final, best_mm=best, success=final < 10, steps=steps, held=0,
         errors_mm=[50.0, final], start=line, goal=line, final=line, failure="",
     )  # fmt: skip
 
