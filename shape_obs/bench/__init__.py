@@ -7,12 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from itertools import starmap
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, Literal, TypeVar, get_args
 
 T = TypeVar("T")
 Clock = Literal["wall", "thread"]
 Env = Literal["Cable", "Ring", "Cloth"]
-ENVS: Final[tuple[Env, ...]] = ("Cable", "Ring", "Cloth")
+ENVS: Final[tuple[Env, ...]] = get_args(Env)
+Difficulty = Literal["near", "middle", "far"]  # distance of a goal from the start
+Source = Literal["camera", "truth", "taught"]  # of the points in servoing
+FeatureSet = Literal[
+    "points3d", "points2d", "fourier", "bezier", "bspline", "tangents", "curvature", "turning_angles", "moments", "pca"
+]
 Size = tuple[int, int]  # (width, height) of an image, in pixels
 
 

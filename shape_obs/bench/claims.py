@@ -5,14 +5,15 @@ A group imports its module when it runs, so that the command can list the groups
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from itertools import product
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple, get_args
 
-from shape_obs.bench import ENVS, Env
-from shape_obs.bench.tables import Row, rows_of
+from shape_obs.bench import ENVS
+from shape_obs.bench.tables import Row
 
-Tables = Iterator[tuple[str, list[Row]]]
+Tables = Iterator[tuple[str, Iterable[Row]]]
 Group = Literal[
     "ropes", "tangles", "hands", "noise", "outlines", "sheets", "clouds", "markers", "cable", "envs",
     "camera", "deploy", "robustness",
@@ -51,29 +52,29 @@ def _ropes(effort: Effort) -> Tables:
     from shape_obs.bench import rope_claims as ropes
 
     yield "drawn ropes, cold", ropes.rope_table(ropes.drawn_ropes(effort.count(40), effort.seed))
-    yield "moving ropes, tracked", rows_of(ropes.moving_ropes((10, 40), effort.seeds(6)))
-    yield "ropes at rest in masks that flicker", rows_of(ropes.flickering_ropes(effort.count(4), effort.seed))
+    yield "moving ropes, tracked", ropes.moving_ropes((10, 40), effort.seeds(6))
+    yield "ropes at rest in masks that flicker", ropes.flickering_ropes(effort.count(4), effort.seed)
 
 
 def _tangles(effort: Effort) -> Tables:
     from shape_obs.bench.tangle_claims import tangled_ropes
 
     title = "ropes that cross themselves, are cut, or touch themselves, cold"
-    yield title, rows_of(tangled_ropes(effort.count(100), effort.seed))
+    yield title, tangled_ropes(effort.count(100), effort.seed)
 
 
 def _hands(effort: Effort) -> Tables:
     from shape_obs.bench.rope_claims import ropes_under_hands
 
-    yield "moving ropes under a hand", rows_of(ropes_under_hands(effort.seeds(3)))
+    yield "moving ropes under a hand", ropes_under_hands(effort.seeds(3))
     middle = ropes_under_hands(effort.seeds(3), places=("middle",))
-    yield "moving ropes under a hand, in the middle", rows_of(middle)
+    yield "moving ropes under a hand, in the middle", middle
 
 
 def _noise(effort: Effort) -> Tables:
     from shape_obs.bench.rope_claims import ropes_in_noise
 
-    yield "drawn ropes in noise, cold", rows_of(ropes_in_noise(effort.count(12), effort.seed))
+    yield "drawn ropes in noise, cold", ropes_in_noise(effort.count(12), effort.seed)
 
 
 def _outlines(effort: Effort) -> Tables:
@@ -84,9 +85,9 @@ def _outlines(effort: Effort) -> Tables:
     yield "drawn outlines, cold", contours.outline_table(contours.outlines(blobs))
     if effort.garments is not None:
         yield "garments, cold", contours.outline_table(contours.outlines(garments(effort.garments)))
-    yield "turning outlines, tracked", rows_of(contours.turning_blobs(seeds=effort.seeds(2)))
+    yield "turning outlines, tracked", contours.turning_blobs(seeds=effort.seeds(2))
     some = blobs[:: len(blobs) // 4 or 1]
-    yield "outlines at rest in masks that flicker", rows_of(contours.flickering_blobs(some))
+    yield "outlines at rest in masks that flicker", contours.flickering_blobs(some)
 
 
 def _sheets(effort: Effort) -> Tables:
@@ -94,9 +95,9 @@ def _sheets(effort: Effort) -> Tables:
 
     seeds = effort.seeds(6)
     yield "drawn sheets, cold", surfaces.sheet_table(surfaces.drawn_sheets(effort.count(48), effort.seed))
-    yield "sheets that turn once around, in steps of a degree", rows_of(surfaces.turning_sheets(seeds))
-    yield "sheets that wander, turn and bend, tracked", rows_of(surfaces.moving_sheets((12,), seeds))
-    yield "sheets at rest in masks that flicker", rows_of(surfaces.noisy_sheets(seeds))
+    yield "sheets that turn once around, in steps of a degree", surfaces.turning_sheets(seeds)
+    yield "sheets that wander, turn and bend, tracked", surfaces.moving_sheets((12,), seeds)
+    yield "sheets at rest in masks that flicker", surfaces.noisy_sheets(seeds)
 
 
 def _clouds(effort: Effort) -> Tables:
@@ -105,7 +106,7 @@ def _clouds(effort: Effort) -> Tables:
     count, seed = effort.count(30), effort.seed
     found = [*clouds.rope_clouds(count, seed), *clouds.ring_clouds(count, seed), *clouds.sheet_clouds(count, seed)]
     yield "clouds, cold", clouds.cloud_table(found)
-    yield "moving rope clouds, tracked", rows_of(clouds.moving_rope_clouds((0.005, 0.015), effort.seeds(3)))
+    yield "moving rope clouds, tracked", clouds.moving_rope_clouds((0.005, 0.015), effort.seeds(3))
     yield "images at a slant", clouds.tilted_table(clouds.tilted_images(count, seed))
 
 
@@ -113,11 +114,11 @@ def _markers(effort: Effort) -> Tables:
     from shape_obs.bench import marker_claims as markers
 
     top = markers.tops(effort.count(40), effort.seed)
-    yield "tables seen from above, by four markers", rows_of([top])
+    yield "tables seen from above, by four markers", [top]
     placed = [markers.touched(effort.count(20), effort.seed, depth) for depth in (True, False)]
-    yield "cameras placed by touching markers, 0.5 mm of noise along each axis", rows_of(placed)
+    yield "cameras placed by touching markers, 0.5 mm of noise along each axis", placed
     cameras = markers.fitted(effort.count(10), effort.seed)
-    yield "cameras calibrated with a board", rows_of([cameras])
+    yield "cameras calibrated with a board", [cameras]
     yield "markers and calibration, asked and seen", markers.targets(top, placed[0], cameras)
 
 
@@ -126,7 +127,7 @@ def _cable(effort: Effort) -> Tables:
 
     cameras = ("d455", "rl", [84, 84])
     title = "simulated cable, random actions, visible surface"
-    yield title, rows_of(cable_episodes(camera, effort.renderer, effort.seeds(20)) for camera in cameras)
+    yield title, (cable_episodes(camera, effort.renderer, effort.seeds(20)) for camera in cameras)
 
 
 def _envs(effort: Effort) -> Tables:
@@ -134,33 +135,16 @@ def _envs(effort: Effort) -> Tables:
     from shape_obs.bench import env_physics
 
     settings, seeds = envs.settings(effort.renderer), effort.seeds(150)
-    tick = _counter("episode", len(settings) * len(seeds), effort.report)
-    found = envs.all_episodes(settings, seeds, effort.jobs, tick=tick)
-    rows = [envs.claim_row(setting, some) for setting, some in found.items()]
+    found = envs.all_episodes(settings, seeds, effort.jobs, report=effort.report)
+    rows, physics = envs.claim_table(found), envs.physics_table(found)
     yield "simulated environments, random actions, points against truth", rows
-    by_env: dict[Env, list[envs.Episode]] = {
-        env: [each for setting, some in found.items() if setting.env == env for each in some] for env in ENVS
-    }
-    physics = [envs.physics_row(env, some) for env, some in by_env.items()]
     yield "simulated environments, physics over these episodes", physics
-    drawn: list[tuple[Env, str]] = [(env, difficulty) for env in ENVS for difficulty in env_physics.DIFFICULTIES]
-    seeds = effort.seeds(50)
-    tick = _counter("goal", len(drawn) * len(seeds), effort.report)
-    goals = [env_physics.goals(env, difficulty, seeds, tick) for env, difficulty in drawn]
-    yield "simulated environments, goals, and where their own actions lead", rows_of(goals)
+    goals = []
+    for env, difficulty in product(ENVS, env_physics.DIFFICULTIES):
+        effort.report(f"goals of {env}, {difficulty}")
+        goals.append(env_physics.goals(env, difficulty, effort.seeds(50)))
+    yield "simulated environments, goals, and where their own actions lead", goals
     yield "simulated environments, asked and seen", envs.targets(rows, physics) + env_physics.targets(goals)
-
-
-def _counter(what: str, total: int, report: Callable[[str], object]) -> Callable[[int], None]:
-    """Return a function that takes how many more are done, and reports how many are done in all."""
-    done = 0
-
-    def tick(more: int) -> None:
-        nonlocal done
-        done += more
-        report(f"{what} {done} of {total}")
-
-    return tick
 
 
 def _camera(effort: Effort) -> Tables:
@@ -187,25 +171,15 @@ def _deploy(effort: Effort) -> Tables:
 def _robustness(effort: Effort) -> Tables:
     from shape_obs.bench import stop_claims
 
-    stopped = list(stop_claims.stops(effort.count(3), effort.seed, effort.report))
-    killed = list(stop_claims.kills(effort.count(100), effort.seed, effort.report))
+    stopped = stop_claims.stops(effort.count(3), effort.seed, effort.report)
+    killed = stop_claims.kills(effort.count(100), effort.seed, effort.report)
     yield "deployments that were ended: longest time until the robot stood still", stop_claims.stop_table(stopped)
-    locked = list(stop_claims.locked(effort.count(5)))
+    locked = stop_claims.locked(effort.count(5), effort.report)
     yield "stopping the robot: asked and seen", stop_claims.targets(stopped, killed, locked)
 
 
-GROUPS: Final[dict[Group, Callable[[Effort], Tables]]] = {
-    "ropes": _ropes,
-    "tangles": _tangles,
-    "hands": _hands,
-    "noise": _noise,
-    "outlines": _outlines,
-    "sheets": _sheets,
-    "clouds": _clouds,
-    "markers": _markers,
-    "cable": _cable,
-    "envs": _envs,
-    "camera": _camera,
-    "deploy": _deploy,
-    "robustness": _robustness,
-}
+_FUNCTIONS: Final = (
+    _ropes, _tangles, _hands, _noise, _outlines, _sheets, _clouds, _markers, _cable, _envs, _camera, _deploy,
+    _robustness,
+)  # fmt: skip
+GROUPS: Final[dict[Group, Callable[[Effort], Tables]]] = dict(zip(get_args(Group), _FUNCTIONS, strict=True))

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import product
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 
+from shape_obs.bench.detecting import followed
 from shape_obs.bench.scores import score, tally
-from shape_obs.bench.synthetic.clouds import Side, moving_rope_cloud, ring_cloud, rope_cloud, sheet_cloud
+from shape_obs.bench.synthetic import clouds
 from shape_obs.bench.synthetic.images import CAMERA, tilted_rope, tilted_sheet
 from shape_obs.bench.synthetic.ropes import KINDS
-from shape_obs.bench.tables import Row, grouped, mean
+from shape_obs.bench.tables import Row, failures, mean, median, of, summary
 from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.centerline import Centerline
 from shape_obs.configurations.contour import Contour
@@ -24,223 +25,183 @@ from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import resample
 from shape_obs.metrics import spacing_cv
-from shape_obs.shape import Shape
+from shape_obs.shape import Detection, Shape
 
 Array = npt.NDArray[np.float64]
 
 COUNTS: Final = (8, 20, 50)
-SIDES: Final[tuple[Side, ...]] = ("all", "front")
+SIDES: Final[tuple[clouds.Side, ...]] = ("all", "front")
 _WAYS: Final[dict[str, dict[str, Any]]] = {"px": {}, "m": {"spacing": "m"}, "cloud": {"lift": "cloud"}}
 
 
-class CloudResult(NamedTuple):
-    """One cloud, detected cold and then warm.
-
-    Args:
-        what: The object.
-        n: Number of points.
-        ok: Whether it was found.
-        ordered: Whether the order is right.
-        curve_mm: Mean distance of valid points from the true curve (axis or border); for a surface as ``place_mm``.
-        place_mm: Mean distance of valid points from their positions on the material, at equal arc length; NaN if the
-            shape has no first point.
-        gap_cv: Standard deviation over mean of the gaps.
-        valid: Share of valid points.
-        cold_ms: Time of the first frame, in milliseconds.
-        warm_ms: Time of the second frame, in milliseconds.
-    """
-
-    what: str
-    n: int
-    ok: bool
-    ordered: bool
-    curve_mm: float
-    place_mm: float
-    gap_cv: float
-    valid: float
-    cold_ms: float
-    warm_ms: float
-
-
-class CloudMotion(NamedTuple):
-    """One moving rope cloud, tracked; lengths in metres, slips in gaps."""
-
-    speed: float
-    frames: int
-    flips: int
-    slips: int
-    not_ok: int
-    worst_slip: float
-    mean_mm: float
-    warm_ms: float
-
-
-class TiltedResult(NamedTuple):
-    """One image at a slant; ``way`` is the spacing, "px" or "m", with ``lift="points"``, or "cloud"."""
-
-    what: str
-    way: str
-    hairpin: bool
-    ok: bool
-    gap_cv: float
-    place_mm: float
-    warm_ms: float
-
-
-def rope_clouds(
-    count: int, seed: int = 0, counts: Sequence[int] = COUNTS, sides: Sequence[Side] = SIDES
-) -> Iterator[CloudResult]:
+def rope_clouds(count: int, seed: int = 0) -> Iterator[Row]:
     """Detect rope clouds with 3 mm noise and holes cold, from tip to tip."""
     rng = np.random.default_rng(seed)
-    for side in sides:
-        for _ in range(count):
-            rope = rope_cloud(rng, side=side)
-            for n in counts:
-                spec = Centerline(n=n, ends="tips", radius=rope.radius if side == "front" else 0.0)
-                shape, cold, warm = _twice(spec, rope.points)
-                tree: Any = KDTree(resample(rope.curve, 4000))
-                distance, nearest = tree.query(_points(shape)[shape.valid])
-                steps = np.diff(nearest)
-                what = f"rope, seen {'all round' if side == 'all' else 'from the front'}"
-                ordered = bool(len(steps) and (np.all(steps > 0) or np.all(steps < 0)))
-                along = _either_way(shape, resample(rope.curve, n))
-                yield _result(what, shape, ordered, _mm(distance), along, cold, warm)
+    for side, _ in product(SIDES, range(count)):
+        rope = clouds.rope_cloud(rng, side=side)
+        cloud = f"rope, seen {'all round' if side == 'all' else 'from the front'}"
+        for n in COUNTS:
+            shape, times = _twice(Centerline(n=n, ends="tips", radius=rope.radius if side == "front" else 0.0), rope)
+            distance, nearest = _nearest(resample(rope.curve, 4000), _points(shape)[shape.valid])
+            steps = np.diff(nearest)
+            ordered = bool(len(steps) and (np.all(steps > 0) or np.all(steps < 0)))
+            place = _either_way(shape, resample(rope.curve, n))
+            yield _result(cloud, shape, times, ordered=ordered, curve_mm=_mm(distance), place_mm=place)
 
 
-def ring_clouds(count: int, seed: int = 0, n: int = 32) -> Iterator[CloudResult]:
+def ring_clouds(count: int, seed: int = 0) -> Iterator[Row]:
     """Detect closed ropes cold: every third one is whole, the others have two or four holes."""
     rng = np.random.default_rng(seed)
     for index in range(count):
-        ring = ring_cloud(rng, holes=index % 3 * 2)
+        ring = clouds.ring_cloud(rng, holes=index % 3 * 2)
         closed = np.concatenate([ring.curve, ring.curve[:1]])
-        yield _around("ring", Contour(n=n), ring.points, resample(closed, 4000))
+        yield _around("ring", Contour(), ring, resample(closed, 4000))
 
 
-def sheet_clouds(count: int, seed: int = 0) -> Iterator[CloudResult]:
+def sheet_clouds(count: int, seed: int = 0) -> Iterator[Row]:
     """Detect flat and bent sheets cold: the lattice of 4 x 8 points up to the border, and the outline."""
     rng = np.random.default_rng(seed)
     for index in range(count):
-        sheet = sheet_cloud(rng, bend=(0.2, 0.8, 2.0)[index % 3])
-        shape, cold, warm = _twice(Surface(rows=4, cols=8, ends="tips"), sheet.points)
+        sheet = clouds.sheet_cloud(rng, bend=(0.2, 0.8, 2.0)[index % 3])
+        shape, times = _twice(Surface(rows=4, cols=8, ends="tips"), sheet)
         true = sheet.lattice(4, 8)
         apart = np.linalg.norm(_points(shape) - true, axis=1)
         mm, right = _mm(apart[shape.valid]), bool(apart.max() < pdist(true).min() / 2)
-        yield _result("sheet, lattice", shape, right, mm, mm, cold, warm)
+        yield _result("sheet, lattice", shape, times, ordered=right, curve_mm=mm, place_mm=mm)
         share = np.linspace(0, 1, 500)
         zero, one = np.zeros_like(share), np.ones_like(share)
         sides = [(share, zero), (one, share), (share[::-1], one), (zero, share[::-1])]
         border = np.concatenate([sheet.at(np.column_stack(side)) for side in sides])
-        yield _around("sheet, outline", Contour(), sheet.points, border)
+        yield _around("sheet, outline", Contour(), sheet, border)
 
 
-def moving_rope_clouds(
-    speeds: Iterable[float], seeds: Iterable[int], frames: int = 180, n: int = 20
-) -> Iterator[CloudMotion]:
-    """Track rope clouds that wander and bend; an anchor gives point 0 in the first frame."""
+def cloud_table(results: Iterable[Row]) -> list[Row]:
+    """Return the mean and the worst result of each object and N."""
+    columns = {
+        "clouds": len,
+        "not_ok": failures("ok"),
+        "order_wrong": failures("ordered"),
+        "curve_mean_mm": of(np.nanmean, "curve_mm"),
+        "curve_worst_mm": of(np.nanmax, "curve_mm"),
+        "place_mean_mm": of(mean, "place_mm"),
+        "place_worst_mm": of(np.max, "place_mm"),
+        "gap_cv_worst": of(np.nanmax, "gap_cv"),
+        "valid": of(mean, "valid"),
+        "cold_ms": of(median, "cold_ms"),
+        "warm_ms": of(median, "warm_ms"),
+    }
+    return summary(results, ("cloud", "n"), columns)
+
+
+def moving_rope_clouds(speeds: Iterable[float], seeds: Iterable[int], frames: int = 180) -> Iterator[Row]:
+    """Track rope clouds that wander and bend; an anchor gives point 0 in the first frame.
+
+    Yields:
+        A row for each track; slips in gaps.
+    """
+
+    def begin(rope: clouds.RopeCloud) -> ShapeDetector:
+        x, y, z = rope.curve[0].tolist()
+        return ShapeDetector([Centerline(ends="tips", anchor=(x, y, z))], on_invalid="interpolate")
+
     for seed, speed in product(seeds, speeds):
-        detector, scores, times, not_ok = ShapeDetector(), [], [], 0
-        for index, rope in enumerate(moving_rope_cloud(np.random.default_rng(seed), speed, frames)):
-            if index == 0:
-                x, y, z = (float(value) for value in rope.curve[0])
-                spec = Centerline(n=n, ends="tips", anchor=(x, y, z))
-                detector = ShapeDetector([spec], on_invalid="interpolate")
-            detection = detector.detect_cloud(rope.points)
-            not_ok += not detection.ok
-            times.append(detection.timings["total"])
-            scores.append(score(_points(detection.shapes[0]), rope.curve, "tips"))
-        yield CloudMotion(
+        motion = clouds.moving_rope_cloud(np.random.default_rng(seed), speed, frames)
+        pairs = list(followed(motion, begin, lambda detector, rope: detector.detect_cloud(rope.points)))
+        scores = [score(_points(found.shapes[0]), rope.curve, "tips") for rope, found in pairs]
+        yield Row(
             speed=speed,
             **tally(scores),
-            not_ok=not_ok,
-            mean_mm=1e3 * mean(s.distance for s in scores),
-            warm_ms=float(np.median(times[1:])),
+            flips=sum(each.flipped for each in scores),
+            not_ok=sum(not found.ok for _, found in pairs),
+            mean_mm=1e3 * mean(each.distance for each in scores),
+            warm_ms=median(found.timings["total"] for _, found in pairs[1:]),
         )
 
 
-def tilted_images(count: int, seed: int = 0) -> Iterator[TiltedResult]:
-    """Detect ropes (20 points, tip to tip) and sheets (4 x 8) at a slant with every way of lifting."""
+def tilted_images(count: int, seed: int = 0) -> Iterator[Row]:
+    """Detect ropes (20 points, tip to tip) and sheets (4 x 8) at a slant with every way of lifting.
+
+    Yields:
+        A row for each image and way: the spacing, "px" or "m", with ``lift="points"``, or "cloud".
+    """
     rng = np.random.default_rng(seed)
     for index in range(count):
         rope, sheet = tilted_rope(rng, KINDS[index % len(KINDS)]), tilted_sheet(rng)
-        true = resample(rope.curve, 20)
-        for way, given in _WAYS.items():
-            shape, _, warm = _twice(replace(Centerline(ends="tips"), **given), rope.mask, rope.depth)
-            place = _either_way(shape, true)
-            yield TiltedResult("rope", way, rope.hairpin, shape.ok, _gap_cv(shape), place, warm)
-        for way, given in _WAYS.items():
-            spec = replace(Surface(rows=4, cols=8, ends="tips"), **given)
-            shape, _, warm = _twice(spec, sheet.mask, sheet.depth)
-            place = _mm(np.linalg.norm(_points(shape) - sheet.lattice(4, 8), axis=1)[shape.valid])
-            yield TiltedResult("sheet", way, False, shape.ok, _gap_cv(shape), place, warm)
-
-
-def cloud_table(results: Iterable[CloudResult]) -> list[Row]:
-    """Return the mean and the worst result of each object and N."""
-    return [
-        {
-            "cloud": what,
-            "n": n,
-            "clouds": len(found),
-            "not_ok": sum(not r.ok for r in found),
-            "order_wrong": sum(not r.ordered for r in found),
-            "curve_mean_mm": float(np.nanmean([r.curve_mm for r in found])),
-            "curve_worst_mm": float(np.nanmax([r.curve_mm for r in found])),
-            "place_mean_mm": mean(r.place_mm for r in found),
-            "place_worst_mm": float(np.max([r.place_mm for r in found])),
-            "gap_cv_worst": float(np.nanmax([r.gap_cv for r in found])),
-            "valid": mean(r.valid for r in found),
-            "cold_ms": float(np.median([r.cold_ms for r in found])),
-            "warm_ms": float(np.median([r.warm_ms for r in found])),
+        curve, lattice = resample(rope.curve, 20), sheet.lattice(4, 8)
+        specs: dict[str, tuple[Configuration, Any]] = {
+            "rope": (Centerline(ends="tips"), rope),
+            "sheet": (Surface(rows=4, cols=8, ends="tips"), sheet),
         }
-        for (what, n), found in grouped(results, lambda result: (result.what, result.n)).items()
-    ]
+        for (image, (spec, drawn)), (way, given) in product(specs.items(), _WAYS.items()):
+            shape, times = _twice(replace(spec, **given), drawn)
+            place = _either_way(shape, curve) if image == "rope" else _from(lattice, shape)
+            hairpin = image == "rope" and rope.hairpin
+            yield Row(
+                image=image, way=way, hairpin=hairpin, ok=shape.ok, place_mm=place, gap_cv=_gap_cv(shape), **times
+            )
 
 
-def tilted_table(results: Iterable[TiltedResult]) -> list[Row]:
+def tilted_table(results: Iterable[Row]) -> list[Row]:
     """Return the mean and the worst result of each object and way; gaps only where no bend is narrower than one."""
-    return [
-        {
-            "image": what,
-            "way": way,
-            "images": len(found),
-            "not_ok": sum(not r.ok for r in found),
-            "gap_cv_mean": float(np.nanmean([r.gap_cv for r in found if not r.hairpin])),
-            "gap_cv_worst": float(np.nanmax([r.gap_cv for r in found if not r.hairpin])),
-            "place_mean_mm": float(np.nanmean([r.place_mm for r in found if not r.hairpin])),
-            "place_worst_mm": float(np.nanmax([r.place_mm for r in found if not r.hairpin])),
-            "warm_ms": float(np.median([r.warm_ms for r in found])),
-        }
-        for (what, way), found in grouped(results, lambda result: (result.what, result.way)).items()
-    ]
+
+    def wide(row: Row) -> bool:
+        return not row.hairpin
+
+    columns = {
+        "images": len,
+        "not_ok": failures("ok"),
+        "gap_cv_mean": of(np.nanmean, "gap_cv", wide),
+        "gap_cv_worst": of(np.nanmax, "gap_cv", wide),
+        "place_mean_mm": of(np.nanmean, "place_mm", wide),
+        "place_worst_mm": of(np.nanmax, "place_mm", wide),
+        "warm_ms": of(median, "warm_ms"),
+    }
+    return summary(results, ("image", "way"), columns)
 
 
-def _around(what: str, spec: Configuration, points: Array, border: Array) -> CloudResult:
+def _around(cloud: str, spec: Configuration, drawn: Any, border: Array) -> Row:
     """Compare a closed shape with its true curve, which is given by close points."""
-    shape, cold, warm = _twice(spec, points)
-    found = _points(shape)
-    tree: Any = KDTree(border)
-    distance, nearest = tree.query(found)
+    shape, times = _twice(spec, drawn)
+    distance, nearest = _nearest(border, _points(shape))
     step = np.roll(nearest, -1).astype(int) - nearest
     wrapped = (step + len(border) // 2) % len(border) - len(border) // 2
     ordered = bool(np.all(wrapped > 0) or np.all(wrapped < 0))
-    return _result(what, shape, ordered, _mm(distance[shape.valid]), np.nan, cold, warm)
+    return _result(cloud, shape, times, ordered=ordered, curve_mm=_mm(distance[shape.valid]), place_mm=np.nan)
 
 
-def _result(
-    what: str, shape: Shape, ordered: bool, curve: float, place: float, cold: float, warm: float
-) -> CloudResult:
-    spacing, valid = _gap_cv(shape), float(shape.valid.mean())
-    return CloudResult(what, len(shape), shape.ok, ordered, curve, place, spacing, valid, cold, warm)
+def _result(cloud: str, shape: Shape, times: Row, **found: Any) -> Row:
+    """Return the result of a cloud.
+
+    Args:
+        cloud: The object.
+        shape: Its shape.
+        times: The times of the first frame, cold, and of the second one, warm, in milliseconds.
+        found: ``ordered``: whether the order is right; ``curve_mm``: mean distance of valid points from the true curve
+            (axis or border), for a surface as ``place_mm``; ``place_mm``: mean distance of valid points from their
+            positions on the material, at equal arc length, NaN if the shape has no first point.
+    """
+    valid = float(shape.valid.mean())
+    return Row(cloud=cloud, n=len(shape), ok=shape.ok, gap_cv=_gap_cv(shape), valid=valid, **times, **found)
 
 
-def _twice(spec: Configuration, body: Any, depth: Any = None) -> tuple[Shape, float, float]:
-    """Return the shape at a cold start, and the times of that frame and of the next one."""
+def _twice(spec: Configuration, drawn: Any) -> tuple[Shape, Row]:
+    """Return the shape of a cloud or an image at a cold start, and the times of that frame and of the next one."""
     detector = ShapeDetector([spec], on_invalid="interpolate", on_missing="nan")
-    if depth is None:
-        first, second = (detector.detect_cloud(body) for _ in range(2))
-    else:
-        first, second = (detector.detect_mask(body, depth, CAMERA) for _ in range(2))
-    return first.shapes[0], first.timings["total"], second.timings["total"]
+
+    def detect() -> Detection:
+        is_cloud = isinstance(drawn, (clouds.RopeCloud, clouds.SheetCloud))
+        return (
+            detector.detect_cloud(drawn.points) if is_cloud else detector.detect_mask(drawn.mask, drawn.depth, CAMERA)
+        )
+
+    first, second = detect(), detect()
+    return first.shapes[0], Row(cold_ms=first.timings["total"], warm_ms=second.timings["total"])
+
+
+def _nearest(curve: Array, points: Array) -> tuple[Array, npt.NDArray[np.int_]]:
+    """Return the distance of each point from the nearest point of a curve, and the index of that one."""
+    tree: Any = KDTree(curve)
+    return tree.query(points)
 
 
 def _points(shape: Shape) -> Array:
@@ -253,9 +214,14 @@ def _mm(distance: Array) -> float:
     return 1e3 * float(distance.mean()) if len(distance) else np.nan
 
 
+def _from(true: Array, shape: Shape) -> float:
+    """Return the mean distance of valid points from their true positions in mm."""
+    return _mm(np.linalg.norm(_points(shape) - true, axis=1)[shape.valid])
+
+
 def _either_way(shape: Shape, true: Array) -> float:
     """Return the mean distance of valid points from their true positions in mm, whichever end comes first."""
-    return min(_mm(np.linalg.norm(_points(shape) - order, axis=1)[shape.valid]) for order in (true, true[::-1]))
+    return min(_from(true, shape), _from(true[::-1], shape))
 
 
 def _gap_cv(shape: Shape) -> float:

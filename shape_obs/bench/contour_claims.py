@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import product
-from typing import Any, Final, NamedTuple
+from itertools import chain, product
+from typing import Any, Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.scores import OutlineScore, outline_score
-from shape_obs.bench.synthetic.blobs import KINDS, Blob, Kind, moving_blob, random_blob
+from shape_obs.bench.detecting import at_rest, cold, followed
+from shape_obs.bench.scores import outline_score, tally
+from shape_obs.bench.synthetic.blobs import KINDS, Blob, moving_blob, random_blob
 from shape_obs.bench.synthetic.ropes import resample
-from shape_obs.bench.tables import Row, grouped, mean, median, worst
+from shape_obs.bench.tables import Row, failures, mean, median, of, summary, worst
 from shape_obs.configurations.contour import Contour
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.curve import FittedCurve
@@ -35,149 +36,102 @@ MOTIONS: Final[dict[str, dict[str, Any]]] = {
 _COARSE: Final = 1.3
 
 
-class BlobResult(NamedTuple):
-    """One drawn outline, detected cold.
-
-    Args:
-        kind: Kind of blob.
-        n: Number of points.
-        coarse: Equal chords would move so few points by 1.3 gaps or more from equal arc length, even on the true
-            outline, because it bends within a gap. The gaps may then be unequal, so that points stay on their material.
-        ok: Whether it was found.
-        score: The comparison with the truth; its slip has no meaning here.
-        corners: Distance of each annotated corner to the nearest point, as a share of the outline's length.
-    """
-
-    kind: str
-    n: int
-    coarse: bool
-    ok: bool
-    score: OutlineScore
-    corners: tuple[float, ...]
-
-
-class TurningResult(NamedTuple):
-    """One moving outline, tracked; slips in gaps, the rest in pixels and milliseconds."""
-
-    motion: str
-    frames: int
-    disordered: int
-    slips: int
-    not_ok: int
-    worst_slip: float
-    last_slip: float
-    mean_distance: float
-    fit_ms: float
-
-
-class JitterResult(NamedTuple):
-    """One outline at rest while pixels along its border flip.
-
-    Args:
-        kind: Kind of blob.
-        flipped: Share of the pixels on either side of the border that flip.
-        not_ok: Refused frames.
-        rms: Root mean square distance of the points from their mean positions, in pixels.
-        drift: Mean distance of the points between the first and the last tenth of the frames, in pixels.
-    """
-
-    kind: str
-    flipped: float
-    not_ok: int
-    rms: float
-    drift: float
-
-
-def drawn_blobs(per_kind: int, seed: int = 0, kinds: Sequence[Kind] = KINDS) -> Iterator[Blob]:
+def drawn_blobs(per_kind: int, seed: int = 0) -> Iterator[Blob]:
     """Draw random blobs with a known outline."""
     rng = np.random.default_rng(seed)
-    for kind in kinds:
-        for _ in range(per_kind):
-            yield random_blob(rng, kind)
+    return (random_blob(rng, kind) for kind, _ in product(KINDS, range(per_kind)))
 
 
-def outlines(blobs: Iterable[Blob], counts: Sequence[int] = COUNTS) -> Iterator[BlobResult]:
-    """Detect drawn blobs cold at each N."""
-    for blob in blobs:
+def outlines(blobs: Iterable[Blob], counts: Sequence[int] = COUNTS) -> Iterator[Row]:
+    """Detect drawn blobs cold at each N.
+
+    Yields:
+        The fields of ``outline_score`` and the blob's. ``coarse``: equal chords would move so few points by 1.3 gaps or
+        more from equal arc length, even on the true outline, because it bends within a gap; the gaps may then be
+        unequal, so that points stay on their material. ``corners``: the distance of each annotated corner to the
+        nearest point, as a share of the outline's length.
+    """
+    for blob, n in product(blobs, counts):
         length = float(np.linalg.norm(np.roll(blob.outline, -1, axis=0) - blob.outline, axis=1).sum())
-        for n in counts:
-            shape = ShapeDetector([Contour(n=n)]).detect_mask(blob.mask).shapes[0]
-            found = shape.pixels.astype(np.float64)
-            coarse = _shift(blob.outline, found[0], n) > _COARSE
-            missed = (np.linalg.norm(found - corner, axis=1).min() / length for corner in blob.corners.values())
-            corners = tuple(float(each) for each in missed)
-            yield BlobResult(blob.kind, n, coarse, shape.ok, outline_score(found, blob.outline), corners)
+        shape = cold(Contour(n=n), blob.mask)
+        found = shape.pixels.astype(np.float64)
+        coarse = _shift(blob.outline, found[0], n) > _COARSE
+        corners = [np.linalg.norm(found - corner, axis=1).min() / length for corner in blob.corners.values()]
+        scores = outline_score(found, blob.outline)
+        yield Row(kind=blob.kind, n=n, coarse=coarse, ok=shape.ok, corners=corners, **scores)
 
 
-def turning_blobs(
-    motions: Mapping[str, Mapping[str, Any]] = MOTIONS, seeds: Iterable[int] = (0,), frames: int = 180, n: int = 32
-) -> Iterator[TurningResult]:
-    """Track outlines that turn, wander and deform; an anchor gives point 0 in the first frame."""
+def outline_table(results: Iterable[Row]) -> list[Row]:
+    """Return the mean and the worst result of each kind of blob and N."""
+    columns = {
+        "blobs": len,
+        "order_wrong": failures("ordered", "clockwise"),
+        "not_ok": failures("ok"),
+        "distance_mean_px": of(mean, "distance"),
+        "distance_worst_px": of(worst, "distance"),
+        "gap_cv_worst": of(worst, "gap_cv", lambda row: not row.coarse),
+        "too_coarse": of(sum, "coarse"),
+        "gap_cv_worst_there": of(worst, "gap_cv", lambda row: row.coarse),
+        "corner_median_share": of(lambda missed: median(chain(*missed)), "corners"),
+    }
+    return summary(results, ("kind", "n"), columns)
+
+
+def turning_blobs(motions: Mapping[str, Mapping[str, Any]] = MOTIONS, seeds: Iterable[int] = (0,)) -> Iterator[Row]:
+    """Track outlines that turn, wander and deform; an anchor gives point 0 in the first frame.
+
+    Yields:
+        A row for each track; slips in gaps, the rest in pixels and milliseconds.
+    """
+
+    def begin(blob: Blob) -> ShapeDetector:
+        (u, v), hole = _tracked(blob)[0].tolist(), None if blob.hole is None else 0
+        return ShapeDetector([Contour(hole=hole, anchor=(u, v))])
+
     for seed, (motion, keywords) in product(seeds, motions.items()):
-        scores: list[OutlineScore] = []
-        spent: list[float] = []
-        detector, not_ok = None, 0
-        for blob in moving_blob(np.random.default_rng(seed), frames=frames, **keywords):
-            truth = blob.outline if blob.hole is None else blob.hole
-            if detector is None:
-                anchor, hole = (float(truth[0, 0]), float(truth[0, 1])), None if blob.hole is None else 0
-                detector = ShapeDetector([Contour(n=n, hole=hole, anchor=anchor)])
-            detection = detector.detect_mask(blob.mask)
-            not_ok += not detection.shapes[0].ok
-            spent.append(detection.timings["fit"])
-            scores.append(outline_score(detection.shapes[0].pixels, truth))
-        yield TurningResult(
+        drawn = moving_blob(np.random.default_rng(seed), **keywords)
+        pairs = [(_tracked(blob), detection) for blob, detection in followed(drawn, begin)]
+        scores = [outline_score(detection.shapes[0].pixels, truth) for truth, detection in pairs]
+        yield Row(
             motion=motion,
-            frames=len(scores),
-            disordered=sum(not (s.ordered and s.clockwise) for s in scores),
-            slips=sum(s.slip > 0.5 for s in scores),
-            not_ok=not_ok,
-            worst_slip=max(s.slip for s in scores),
+            **tally(scores),
+            disordered=sum(not (score.ordered and score.clockwise) for score in scores),
+            not_ok=sum(not detection.ok for _, detection in pairs),
             last_slip=scores[-1].slip,
-            mean_distance=mean(s.distance for s in scores),
-            fit_ms=float(np.median(spent)),
+            mean_distance=mean(score.distance for score in scores),
+            fit_ms=median(detection.timings["fit"] for _, detection in pairs),
         )
 
 
-def flickering_blobs(
-    blobs: Iterable[Blob], flipped: Sequence[float] = (0.05, 0.1), seed: int = 0, frames: int = 60, n: int = 32
-) -> Iterator[JitterResult]:
-    """Detect outlines at rest in masks whose border pixels flip."""
+def _tracked(blob: Blob) -> npt.NDArray[np.float64]:
+    return blob.outline if blob.hole is None else blob.hole
+
+
+def flickering_blobs(blobs: Iterable[Blob], flipped: Sequence[float] = (0.05, 0.1), frames: int = 60) -> Iterator[Row]:
+    """Detect outlines at rest in masks whose border pixels flip.
+
+    Yields:
+        ``flipped``: share of the pixels on either side of the border that flip; ``rms``: root mean square distance of
+        the points from their mean positions, in pixels; ``drift``: mean distance of the points between the first and
+        the last tenth of the frames, in pixels.
+    """
     near, few = np.ones((3, 3), np.uint8), max(frames // 10, 1)
     for blob, share in product(blobs, flipped):
-        rng, detector = np.random.default_rng(seed), ShapeDetector([Contour(n=n)])
-        border, shapes = cv2.dilate(blob.mask, near) != cv2.erode(blob.mask, near), []
-        for _ in range(frames):
-            flips = border & (rng.random(blob.mask.shape) < share)
-            shapes.append(detector.detect_mask(np.where(flips, 255 - blob.mask, blob.mask)).shapes[0])
-        points = np.array([shape.pixels for shape in shapes], dtype=np.float64)
-        yield JitterResult(
+        rng, border = np.random.default_rng(0), cv2.dilate(blob.mask, near) != cv2.erode(blob.mask, near)
+        flips = (border & (rng.random(border.shape) < share) for _ in range(frames))
+        masks = (np.where(each, 255 - blob.mask, blob.mask) for each in flips)
+        shapes, squares = at_rest(Contour(), masks)
+        first, last = (
+            np.mean([shape.pixels for shape in some], axis=0, dtype=np.float64)
+            for some in (shapes[:few], shapes[-few:])
+        )
+        yield Row(
             kind=blob.kind,
             flipped=share,
             not_ok=sum(not shape.ok for shape in shapes),
-            rms=float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=-1)))),
-            drift=float(np.linalg.norm(points[-few:].mean(axis=0) - points[:few].mean(axis=0), axis=-1).mean()),
+            rms=float(np.sqrt(squares.mean())),
+            drift=float(np.linalg.norm(last - first, axis=-1).mean()),
         )
-
-
-def outline_table(results: Iterable[BlobResult]) -> list[Row]:
-    """Return the mean and the worst result of each kind of blob and N."""
-    return [
-        {
-            "kind": kind,
-            "n": n,
-            "blobs": len(found),
-            "order_wrong": sum(not (r.score.ordered and r.score.clockwise) for r in found),
-            "not_ok": sum(not r.ok for r in found),
-            "distance_mean_px": mean(r.score.distance for r in found),
-            "distance_worst_px": worst(r.score.distance for r in found),
-            "gap_cv_worst": worst(r.score.gap_cv for r in found if not r.coarse),
-            "too_coarse": sum(r.coarse for r in found),
-            "gap_cv_worst_there": worst(r.score.gap_cv for r in found if r.coarse),
-            "corner_median_share": median(corner for r in found for corner in r.corners),
-        }
-        for (kind, n), found in grouped(results, lambda result: (result.kind, result.n)).items()
-    ]
 
 
 def _shift(outline: npt.NDArray[np.float64], start: npt.NDArray[np.float64], n: int) -> float:

@@ -7,27 +7,26 @@ late, frozen and black frames and a hand over the object.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from shape_obs.bench.scores import simulator_score
+from shape_obs.bench.scores import SLIP, simulator_score
 from shape_obs.bench.tables import Row, at_most, mean
+from shape_obs.geometry.polyline import arc_length
 
 Array = npt.NDArray[np.float64]
 
 SECONDS: Final = 60.0
 FAULTS: Final = {"drop": 0.05, "delay": 0.05, "freeze": 0.05, "black": 0.05, "occluder": 0.15}
-_SLIP: Final = 0.5  # gaps
+_RATE: Final = 30.0  # hertz, of the loop and the camera
 _WRONG: Final = 15.0  # mm
 _OWN: Final = 25.0  # ms, 95th percentile
 _OVERRUNS: Final = 1.0  # percent
 
 
-@dataclass
 class Seen:
     """Compare every frame on which the loop acts with the truth.
 
@@ -43,14 +42,11 @@ class Seen:
         oldest: Longest time from the exposure of an image to the decision to act on it, in seconds.
     """
 
-    robot: Any
-    mm: list[float] = field(default_factory=list)
-    hidden: list[float] = field(default_factory=list)
-    slips: int = 0
-    wrong: int = 0
-    stale: int = 0
-    oldest: float = 0.0
-    _numbers: set[int] = field(default_factory=set)
+    def __init__(self, robot: Any) -> None:
+        self.robot, self._numbers = robot, set[int]()
+        self.mm, self.hidden = list[float](), list[float]()
+        self.slips = self.wrong = self.stale = 0
+        self.oldest = 0.0
 
     def step(self, moment: Any) -> None:
         """Record one step of the loop."""
@@ -70,7 +66,7 @@ class Seen:
         mm = 1e3 * float(off[shape.valid].mean())
         self.mm.append(mm)
         self.hidden.extend(1e3 * off[~shape.valid])
-        slipped = found.slip > _SLIP or found.flipped
+        slipped = found.slip > SLIP or found.flipped
         self.slips += slipped
         self.wrong += slipped or mm > _WRONG
 
@@ -79,7 +75,7 @@ class _At:
     """The truth at the time of a frame, with the method ``truth`` of a simulator."""
 
     def __init__(self, points: Array) -> None:
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        along = arc_length(np.ascontiguousarray(points, np.float64))
         self._curve, self._length = CubicSpline(along, points), along[-1]
 
     def truth(self, n: int) -> Array:
@@ -93,8 +89,6 @@ def run(
     *,
     seed: int = 0,
     renderer: str = "auto",
-    rate: float = 30.0,
-    noise: bool = False,
     progress: Callable[[str], object] = lambda text: None,
 ) -> tuple[Any, Seen]:
     """Run the loop.
@@ -104,8 +98,6 @@ def run(
         faults: Arguments of ``SimulatedRobot.disturb``; None for a clean run.
         seed: Seed of the scene and of the faults.
         renderer: The simulator's renderer.
-        rate: Rate of the loop and the camera in hertz.
-        noise: Whether images have the noise of a D455.
         progress: Called with the progress.
 
     Returns:
@@ -118,17 +110,17 @@ def run(
     from shape_obs.wrappers import ShapeObservation
     from shape_obs_envs.robots import SimulatedRobot
 
-    robot = SimulatedRobot(seed=seed, renderer=renderer, fps=rate, noise=noise)
+    robot = SimulatedRobot(seed=seed, renderer=renderer, fps=_RATE)
     seen = Seen(robot)
 
     def step(moment: Any) -> None:
         if moment.step == 0 and faults is not None:
             robot.disturb(**faults, seed=seed)
         if moment.step % 30 == 0:
-            progress(f"deploy: {moment.step / rate:.0f} of {seconds:.0f} s")
+            progress(f"deploy: {moment.step / _RATE:.0f} of {seconds:.0f} s")
         seen.step(moment)
 
-    env = gym.make("ShapeObs/D455-v0", source="robot", robot=robot, rate=rate, disable_env_checker=True)
+    env = gym.make("ShapeObs/D455-v0", source="robot", robot=robot, rate=_RATE, disable_env_checker=True)
     # A hand may stay for a second, after which the run has to continue.
     report = deploy(ShapeObservation(env), Sway(share=0.25), Limits(hold=5.0), seconds=seconds, on_step=step)
     return report, seen
@@ -147,20 +139,17 @@ def clean_targets(report: Any, seen: Seen) -> list[Row]:
 
 def faulty_targets(report: Any, seen: Seen) -> list[Row]:
     """Compare a run with faults with its targets; rows without a target are for information."""
+    hidden = mean(seen.hidden or [np.nan])
     return [
         at_most("wrong shapes that were acted on", 0, seen.wrong, ""),
         at_most("actions on a stale shape", 0, seen.stale, ""),
         at_most("mean error of what was acted on", 5.0, mean(seen.mm), " mm"),
-        _without_target("mean error of the points that were reported hidden", mean(seen.hidden or [np.nan]), " mm"),
-        _without_target("most seconds from an exposure to its arrival", seen.oldest, " s"),
-        _without_target("steps without an action", report.held),
+        Row(what="mean error of the points that were reported hidden", asked="- mm", seen=hidden, reached="-"),
+        Row(what="most seconds from an exposure to its arrival", asked="- s", seen=seen.oldest, reached="-"),
+        Row(what="steps without an action", asked="-", seen=float(report.held), reached="-"),
     ]
-
-
-def _without_target(what: str, seen: float, unit: str = "") -> Row:
-    return {"what": what, "asked": "-" + unit, "seen": float(seen), "reached": "-"}
 
 
 def section_table(report: Any) -> list[Row]:
     """Return the milliseconds of each section of the loop."""
-    return [{"section": name, **vars(section)} for name, section in report.sections.items()]
+    return [Row(section=name, **section._asdict()) for name, section in report.sections.items()]

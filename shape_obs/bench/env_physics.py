@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, get_args
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench import Env
+from shape_obs.bench import Difficulty, Env
 from shape_obs.bench.tables import Row, at_most, mean
 
 Array = npt.NDArray[np.float64]
 Actions = npt.NDArray[np.float32]
 
 EPISODE: Final = 50  # steps
-DIFFICULTIES: Final = ("near", "middle", "far")
+DIFFICULTIES: Final = get_args(Difficulty)
 _REST: Final = 20  # steps after which the object should have come to rest
 _FARTHEST: Final = {"near": 50, "middle": 100}  # target in millimetres, in every episode
 _KEPT: Final = 5  # target in millimetres
@@ -33,18 +33,6 @@ def held_actions(rng: np.random.Generator, shape: tuple[int, ...], steps: int, h
     return np.repeat(drawn, held, axis=0)[:steps].astype(np.float32)
 
 
-class Strain(NamedTuple):
-    """How much longer an object is than at rest; 0.05 is five percent.
-
-    Args:
-        whole: Strain of the length from end to end or once around; of a sheet, the same as ``local``.
-        local: Largest strain between two neighbouring joints or masses.
-    """
-
-    whole: float
-    local: float
-
-
 def is_finite(simulator: Any) -> bool:
     """Return whether the whole physics state is finite."""
     return bool(np.isfinite(simulator.get_state()).all())
@@ -55,11 +43,15 @@ def warnings(simulator: Any) -> int:
     return int(np.sum(simulator._body.data.warning.number))
 
 
-def strain(simulator: Any) -> Strain:
-    """Return the strain of a rope's or band's middle line, or of the edges between a sheet's masses."""
+def strain(simulator: Any) -> tuple[float, float]:
+    """Return how much longer an object is than at rest, in all and at most between two neighbouring joints or masses.
+
+    A strain of 0.05 is five percent. That of a rope or a band is measured along its middle line; both values of a sheet
+    are the largest strain of an edge between its masses.
+    """
     body, kind = simulator._body, simulator.goal_layout["kind"]
     if kind == "surface":
-        return Strain(body.stretch(), body.stretch())
+        return body.stretch(), body.stretch()
     if kind == "contour":
         line = body.axis()
         line, rest = np.concatenate([line, line[:1]]), np.full(len(line), body.spec.link_length)
@@ -68,37 +60,17 @@ def strain(simulator: Any) -> Strain:
         rest = np.full(len(line) - 1, body.spec.link_length)
         rest[[0, -1]] += body.spec.radius
     pieces = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    return Strain(float(pieces.sum() / rest.sum() - 1), float((pieces / rest).max() - 1))
+    return float(pieces.sum() / rest.sum() - 1), float((pieces / rest).max() - 1)
 
 
-class GoalResult(NamedTuple):
-    """Goals of one difficulty; all distances are means between corresponding points, in millimetres.
+def goals(env: Env, difficulty: str, seeds: Sequence[int]) -> Row:
+    """Draw a goal in each episode and play the actions that lead to it, without rendering.
 
-    Args:
-        env: The environment.
-        difficulty: The difficulty.
-        episodes: Number of episodes.
-        start_mm: Distance of the start from the goal, mean over the episodes.
-        farthest_mm: The largest such distance.
-        played_mm: Distance left after the goal's own actions and a second of rest, mean over the episodes.
-        worst_played_mm: The largest such distance.
-        warnings: Warnings of MuJoCo.
+    Returns:
+        Means over the episodes and the largest values, in millimetres between corresponding points: ``start_mm`` and
+        ``farthest_mm``: distance of the start from the goal; ``played_mm`` and ``worst_played_mm``: distance left after
+        the goal's own actions and a second of rest. ``warnings``: of MuJoCo.
     """
-
-    env: Env
-    difficulty: str
-    episodes: int
-    start_mm: float
-    farthest_mm: float
-    played_mm: float
-    worst_played_mm: float
-    warnings: int
-
-
-def goals(
-    env: Env, difficulty: str, seeds: Sequence[int], tick: Callable[[int], object] = lambda done: None
-) -> GoalResult:
-    """Draw a goal in each episode and play the actions that lead to it, without rendering."""
     simulated = make_env(env, {"render_observation": False, "difficulty": difficulty})
     simulator: Any = simulated.unwrapped
     starts: list[float] = []
@@ -112,12 +84,20 @@ def goals(
             *_, info = simulated.step(action)
         ends.append(1e3 * info["truth/mean_error"])
         warned += warnings(simulator)
-        tick(1)
     simulated.close()
-    return GoalResult(env, difficulty, len(starts), mean(starts), max(starts), mean(ends), max(ends), warned)
+    return Row(
+        env=env,
+        difficulty=difficulty,
+        episodes=len(starts),
+        start_mm=mean(starts),
+        farthest_mm=max(starts),
+        played_mm=mean(ends),
+        worst_played_mm=max(ends),
+        warnings=warned,
+    )
 
 
-def targets(found: Sequence[GoalResult]) -> list[Row]:
+def targets(found: Sequence[Row]) -> list[Row]:
     """Compare goals with their targets."""
     rows: list[Row] = []
     for each in found:

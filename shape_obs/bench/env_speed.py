@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from typing import Any, Final
 
 import gymnasium as gym
@@ -13,9 +11,8 @@ import numpy as np
 
 from shape_obs.bench import Clock, Env, Size
 from shape_obs.bench.env_physics import EPISODE, Actions, held_actions, make_env
-from shape_obs.bench.interleaved_timing import CLOCKS, Method, interleaved_timing
+from shape_obs.bench.interleaved_timing import CLOCKS, Method, Tick, Turn, by_method, interleaved_timing, median_ms
 from shape_obs.bench.tables import Row, at_least, at_most
-from shape_obs.utils.threads import one_thread
 from shape_obs.wrappers import ShapeObservation
 
 WARM_UP: Final = 10  # steps that are not counted
@@ -24,34 +21,6 @@ _TRAINING: Final = "84 x 84"
 _OF_NO_RENDERING: Final = 0.4  # target: share of the steps per second without rendering
 _USUAL: Final = "160 x 120"
 _WRAPPER_PERCENT: Final = 10  # target: the wrapper's share of a wrapped step
-
-
-@dataclass(frozen=True)
-class Course:
-    """The environment that is measured.
-
-    Args:
-        env: The environment.
-        size: (width, height) of its images in pixels.
-        renderer: ``"gl"`` or ``"rays"``.
-        steps: Number of counted steps.
-        seed: Seed of episodes and actions.
-        clock: The clock.
-        burst: Steps in a turn.
-    """
-
-    env: Env
-    size: Size
-    renderer: str
-    steps: int
-    seed: int = 0
-    clock: Clock = "wall"
-    burst: int = 10
-
-    @property
-    def image(self) -> str:
-        """The image size as in the tables."""
-        return f"{self.size[0]} x {self.size[1]}"
 
 
 class Runner:
@@ -79,10 +48,12 @@ class Runner:
         self.resets.append(1e3 * (self._now() - begin))
         self._left = EPISODE
 
-    def step(self, action: Actions) -> None:
-        """Take one step."""
+    def step(self, action: Actions) -> float | None:
+        """Take one step, and return the milliseconds of the step inside the wrapper, if there is one."""
         self._left -= 1
         self.env.step(action)
+        inside = getattr(self.env, "env", None)
+        return inside.milliseconds if isinstance(inside, Stopwatch) else None
 
 
 class Stopwatch(gym.Wrapper[Any, Any, Any, Any]):
@@ -109,98 +80,73 @@ class Stopwatch(gym.Wrapper[Any, Any, Any, Any]):
         return result
 
 
-@dataclass
-class Speed:
-    """The times of one way of running an environment.
-
-    Args:
-        steps: Milliseconds of each step.
-        wrapper: Share of each step outside the environment's own step; empty if it is not wrapped.
-        resets: Milliseconds of each reset.
-    """
-
-    steps: list[float] = field(default_factory=list)
-    wrapper: list[float] = field(default_factory=list)
-    resets: list[float] = field(default_factory=list)
-
-    @property
-    def rate(self) -> float:
-        """Steps per second at the median step."""
-        return 1e3 / float(np.median(self.steps))
-
-
-def speeds(course: Course, tick: Callable[[], Any] = lambda: None) -> dict[str, Speed]:
+def speed_row(
+    env: Env,
+    size: Size,
+    renderer: str,
+    steps: int,
+    seed: int = 0,
+    clock: Clock = "wall",
+    burst: int = 10,
+    tick: Tick = lambda: None,
+) -> Row:
     """Run the same episodes without rendering, with images and wrapped, in turns of a few steps.
 
     Args:
-        course: The environment that is measured.
+        env: The environment.
+        size: (width, height) of its images in pixels.
+        renderer: ``"gl"`` or ``"rays"``.
+        steps: Number of counted steps.
+        seed: Seed of episodes and actions.
+        clock: The clock.
+        burst: Steps in a turn.
         tick: Called after each step of all.
 
     Returns:
-        Name of the way -> times.
+        The steps per second of each way, the wrapper's share of a step, and the time of a reset.
     """
-    found: dict[str, Speed] = defaultdict(Speed)
-    with ExitStack() as stack, one_thread():
-        runners = {name: Runner(env, course.seed, course.clock) for name, env in _ways(course, stack)}
-        (shape,) = {runner.env.action_space.shape for runner in runners.values()}
-        assert shape is not None
-        actions = held_actions(np.random.default_rng(course.seed), shape, WARM_UP + course.steps)
-        methods = [Method[Actions](name, runner.step, runner.ready) for name, runner in runners.items()]
-        last = -1
-        for turn in interleaved_timing(actions, methods, course.clock, burst=course.burst):
-            if turn.frame > last:
-                tick()
-                last = turn.frame
-            if turn.frame < WARM_UP:
-                continue
-            speed = found[turn.name]
-            speed.steps.append(turn.milliseconds)
-            inside = getattr(runners[turn.name].env, "env", None)
-            if isinstance(inside, Stopwatch):
-                speed.wrapper.append(1 - inside.milliseconds / turn.milliseconds)
-        for name, runner in runners.items():
-            found[name].resets = runner.resets
-    return dict(found)
-
-
-def _ways(course: Course, stack: ExitStack) -> Iterator[tuple[str, gym.Env[Any, Any]]]:
-    """Make the environments by name; each is closed with the stack."""
-    options = {"camera": [*course.size], "renderer": course.renderer}
-    for name, render in ((NO_RENDERING, False), (BARE, True), (WRAPPED, True)):
-        env = make_env(course.env, options if render else {**options, "render_observation": False})
-        if name == WRAPPED:
-            env = ShapeObservation(Stopwatch(env, course.clock))
-        stack.callback(env.close)
-        yield name, env
-
-
-def speed_row(course: Course, found: dict[str, Speed]) -> Row:
-    """Return the steps per second of each way, the wrapper's share of a step, and the time of a reset."""
-    rates: Row = {name: found[name].rate for name in (NO_RENDERING, BARE, WRAPPED)}
-    return {
-        "env": course.env,
-        "image": course.image,
-        "renderer": course.renderer,
-        **rates,
-        "wrapped_of_no_drawing": rates[WRAPPED] / rates[NO_RENDERING],
-        "wrapper_percent": 100 * float(np.median(found[WRAPPED].wrapper)),
-        "reset_ms": float(np.median(found[BARE].resets)),
+    options = {"camera": [*size], "renderer": renderer}
+    envs = {
+        NO_RENDERING: make_env(env, {**options, "render_observation": False}),
+        BARE: make_env(env, options),
+        WRAPPED: ShapeObservation(Stopwatch(make_env(env, options), clock)),
     }
+    with ExitStack() as stack:
+        for each in envs.values():
+            stack.callback(each.close)
+        runners = {name: Runner(each, seed, clock) for name, each in envs.items()}
+        actions = held_actions(np.random.default_rng(seed), envs[BARE].action_space.shape or (), WARM_UP + steps)
+        methods = [Method[Actions](name, runner.step, runner.ready) for name, runner in runners.items()]
+        turns = interleaved_timing(actions, methods, clock, burst=burst, warm_up=WARM_UP, tick=tick)
+        found = by_method(methods, turns)
+    rates = {name: rate(some) for name, some in found.items()}
+    return Row(
+        env=env,
+        image=f"{size[0]} x {size[1]}",
+        renderer=renderer,
+        **rates,
+        wrapped_of_no_drawing=rates[WRAPPED] / rates[NO_RENDERING],
+        wrapper_percent=100 * float(np.median([1 - turn.result / turn.milliseconds for turn in found[WRAPPED]])),
+        reset_ms=float(np.median(runners[BARE].resets)),
+    )
+
+
+def rate(turns: Iterable[Turn]) -> float:
+    """Return the steps per second at the median step."""
+    return 1e3 / median_ms(turns)
 
 
 def speed_targets(rows: Sequence[Row]) -> list[Row]:
     """Compare the rows of ``speed_row`` with the targets for training with OpenGL."""
     compared: list[Row] = []
     for row in rows:
-        what = f"{row['env']}, {row['image']}, OpenGL"
-        if row["renderer"] != "gl":
+        what = f"{row.env}, {row.image}, OpenGL"
+        if row.renderer != "gl":
             continue
-        if row["env"] == "Cable" and row["image"] == _TRAINING:
-            share = row["wrapped_of_no_drawing"]
-            compared.append(
-                at_least(f"{what}, wrapped: of the steps per second without drawing", _OF_NO_RENDERING, share)
-            )
-        if row["image"] == _USUAL:
-            percent = row["wrapper_percent"]
-            compared.append(at_most(f"{what}: the wrapper's share of a wrapped step", _WRAPPER_PERCENT, percent, " %"))
+        if row.env == "Cable" and row.image == _TRAINING:
+            whole = f"{what}, wrapped: of the steps per second without drawing"
+            compared.append(at_least(whole, _OF_NO_RENDERING, row.wrapped_of_no_drawing))
+        if row.image == _USUAL:
+            share = f"{what}: the wrapper's share of a wrapped step"
+            compared.append(at_most(share, _WRAPPER_PERCENT, row.wrapper_percent, " %"))
     return compared

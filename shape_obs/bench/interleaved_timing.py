@@ -9,15 +9,17 @@ import time
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
-from itertools import count, islice
+from itertools import count, islice, product
 from pathlib import Path
 from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from shape_obs.bench import Clock
+from shape_obs.utils.threads import one_thread
 
 S = TypeVar("S")
+Tick = Callable[[], Any]
 
 # The processor time of this thread ignores other processes on a busy machine, and also other threads of this process.
 CLOCKS: Final[dict[Clock, Callable[[], float]]] = {"wall": time.perf_counter, "thread": time.thread_time}
@@ -36,7 +38,7 @@ class Method(Generic[S]):
         frames: Numbers of the frames on which the method runs; None for all.
     """
 
-    name: str
+    name: Any
     run: Callable[[S], Any]
     before: Callable[[], object] = lambda: None
     touch: Callable[[S], object] = lambda frame: None
@@ -47,7 +49,7 @@ class Turn(NamedTuple):
     """The time and the result of one method on one frame."""
 
     frame: int
-    name: str
+    name: Any
     milliseconds: float
     result: Any
 
@@ -58,8 +60,10 @@ def interleaved_timing(
     clock: Clock = "wall",
     seed: int | None = None,
     burst: int = 1,
+    warm_up: int = 0,
+    tick: Tick = lambda: None,
 ) -> Iterator[Turn]:
-    """Run every method on every frame, in an order that changes from turn to turn.
+    """Run every method on every frame, on one thread, in an order that changes from turn to turn.
 
     Args:
         frames: The frames, in order.
@@ -68,24 +72,43 @@ def interleaved_timing(
         seed: Draws the order in each turn. Without a seed the order rotates: the first method changes, but each one
             always runs after the same other one, which matters for methods that are nearly equal.
         burst: Frames in a turn. With 1 every method runs with the caches that another method left behind.
+        warm_up: Number of the first frames, on which the methods run but nothing is yielded.
+        tick: Called after each frame.
     """
     now = CLOCKS[clock]
     rng = None if seed is None else np.random.default_rng(seed)
     numbered = enumerate(frames)
-    for turn in count():
-        some = list(islice(numbered, burst))
-        if not some:
-            return
-        order = np.roll(np.arange(len(methods)), -turn) if rng is None else rng.permutation(len(methods))
-        for method in (methods[index] for index in order.tolist()):
-            for i, frame in some:
+    with one_thread():
+        for turn in count():
+            some = list(islice(numbered, burst))
+            if not some:
+                return
+            order = np.roll(np.arange(len(methods)), -turn) if rng is None else rng.permutation(len(methods))
+            for method, (i, frame) in product([methods[index] for index in order.tolist()], some):
                 if method.frames is not None and i not in method.frames:
                     continue
                 method.before()
                 method.touch(frame)
                 begin = now()
                 result = method.run(frame)
-                yield Turn(i, method.name, 1e3 * (now() - begin), result)
+                milliseconds = 1e3 * (now() - begin)
+                if i >= warm_up:
+                    yield Turn(i, method.name, milliseconds, result)
+            for _ in some:
+                tick()
+
+
+def by_method(methods: Iterable[Method[S]], turns: Iterable[Turn]) -> dict[Any, list[Turn]]:
+    """Return the turns of each method by its name, in the order of the methods."""
+    found: dict[Any, list[Turn]] = {method.name: [] for method in methods}
+    for turn in turns:
+        found[turn.name].append(turn)
+    return found
+
+
+def median_ms(turns: Iterable[Turn]) -> float:
+    """Return the median time in milliseconds."""
+    return float(np.median([turn.milliseconds for turn in turns]))
 
 
 def machine(*more: str) -> dict[str, str]:

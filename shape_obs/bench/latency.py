@@ -1,4 +1,7 @@
-"""Measure the stages from an RGB-D frame to 20 points in space, at the sizes of real cameras, and the memory."""
+"""Measure the stages from an RGB-D frame to 20 points in space at the sizes of real cameras, growth, and memory.
+
+Growth: how the time of a frame grows with the size of the object, the number of points and of shapes.
+"""
 
 from __future__ import annotations
 
@@ -6,26 +9,32 @@ import gc
 import os
 import sys
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from shape_obs.bench import Clock, Size
-from shape_obs.bench.interleaved_timing import Method, interleaved_timing
+from shape_obs.bench.interleaved_timing import Method, Tick, Turn, by_method, interleaved_timing, median_ms
 from shape_obs.bench.synthetic.images import BLUE
-from shape_obs.bench.synthetic.streams import RGBD, classic, streams
-from shape_obs.bench.tables import Row, at_least, at_most
+from shape_obs.bench.synthetic.ropes import SIZE, draw_rope
+from shape_obs.bench.synthetic.sheets import draw_sheet
+from shape_obs.bench.synthetic.streams import RGBD, classic, cloths, photo, pinhole, ropes, streams
+from shape_obs.bench.tables import Row, at_least, at_most, grouped, median
+from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.centerline import Centerline
+from shape_obs.configurations.contour import Contour
+from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
-from shape_obs.shape import Detection
 from shape_obs.utils.threads import one_thread
 
+Array = npt.NDArray[np.float64]
+Shapes = tuple[Configuration, ...]
 Frame = Mapping[Size, RGBD]
-Tick = Callable[[], Any]
+Images = dict[str, Any]  # name -> mask, (H, W) uint8, or RGB-D image
 
 WARM_UP: Final = 5  # frames that are not counted
 ONE_PASS: Final = "one pass: sumElems"
@@ -42,29 +51,28 @@ _MEMORY_TARGET: Final = 5.0  # megabytes
 _MEMORY_SIZE: Final[Size] = (320, 240)
 _SCENES: Final = 60  # played forwards and backwards
 _LOST: Final = 200  # the object is out of sight once in this number of frames
+AREAS: Final = (0.1, 0.2, 0.5, 1.0)  # shares of the object's full area
+COUNTS: Final = (20, 50, 100, 200)
+ROPE: Final = "pixels of a rope"
+CLOTH: Final = "pixels of a cloth"
+POINTS: Final = "points on a rope"
+NUMBER: Final = "shapes in one RGB-D image"
+# Targets: by how many times a frame may take longer from the smallest to the largest.
+_GROWTH_TARGETS: Final = {ROPE: 2.0, CLOTH: 2.0, POINTS: 1.5, NUMBER: 2.5}
+_COARSE: Final = Contour(name="coarse", n=12)
+_NUMBERS: Final[tuple[Shapes, ...]] = ((Contour(),), (Contour(), Surface()), (Contour(), _COARSE, Surface()))
 
 
-@dataclass
-class Latency:
-    """The times of one method at one size.
-
-    Args:
-        milliseconds: The time of each frame.
-        stages: Milliseconds by stage of each frame, as the detector reports them.
-        refused: Frames without a shape.
-    """
-
-    milliseconds: list[float] = field(default_factory=list)
-    stages: list[Mapping[str, float]] = field(default_factory=list)
-    refused: int = 0
-
-    @property
-    def median(self) -> float:
-        """The median time in milliseconds."""
-        return float(np.median(self.milliseconds))
+# What grows, its amount (None is the number of pixels of the mask), the name of the image, and the shapes.
+_CASES: Final[tuple[tuple[str, int | None, str, Shapes], ...]] = (
+    *((ROPE, None, f"rope {area}", (Centerline(n=20),)) for area in AREAS),
+    *((CLOTH, None, f"cloth {area}", (Surface(rows=4, cols=8),)) for area in AREAS),
+    *((POINTS, n, f"rope {AREAS[-1]}", (Centerline(n=n),)) for n in COUNTS),
+    *((NUMBER, len(shapes), "photo", shapes) for shapes in _NUMBERS),
+)
 
 
-Latencies = dict[tuple[Size, str], Latency]
+Latencies = dict[tuple[Size, str], list[Turn]]  # size and method -> the turns
 
 
 def latencies(
@@ -79,25 +87,11 @@ def latencies(
         clock: The clock. The detector's own stages are always timed by the wall clock.
         burst: Frames in a turn.
         tick: Called after each frame.
-
-    Returns:
-        The times by size and method.
     """
-    found: Latencies = defaultdict(Latency)
-    methods = {f"{_name(size)} | {each.name}": (size, each) for size in sizes for each in _methods(size)}
-    timed = [Method(key, each.run, each.before, each.touch) for key, (_, each) in methods.items()]
-    with one_thread():
-        seen = _ticking(streams(sizes, frames + WARM_UP, seed), tick)
-        for turn in interleaved_timing(seen, timed, clock, burst=burst):
-            if turn.frame < WARM_UP:
-                continue
-            size, method = methods[turn.name]
-            latency = found[size, method.name]
-            latency.milliseconds.append(turn.milliseconds)
-            if isinstance(turn.result, Detection):
-                latency.stages.append(turn.result.timings)
-                latency.refused += not turn.result.ok
-    return {(size, method.name): found[size, method.name] for size, method in methods.values()}
+    methods = [method for size in sizes for method in _methods(size)]
+    seen = streams(sizes, frames + WARM_UP, seed)
+    turns = interleaved_timing(seen, methods, clock, burst=burst, warm_up=WARM_UP, tick=tick)
+    return by_method(methods, turns)
 
 
 def _methods(size: Size) -> Iterator[Method[Frame]]:
@@ -105,52 +99,135 @@ def _methods(size: Size) -> Iterator[Method[Frame]]:
         cv2.sumElems(frame[size].rgb)
         frame[size].depth.max()
 
-    yield Method(ONE_PASS, lambda frame: cv2.sumElems(frame[size].rgb), touch=touch)
-    yield Method(CLASSIC, lambda frame: classic(frame[size].rgb), touch=touch)
+    yield Method((size, ONE_PASS), lambda frame: cv2.sumElems(frame[size].rgb), touch=touch)
+    yield Method((size, CLASSIC), lambda frame: classic(frame[size].rgb), touch=touch)
     warm, cold = ShapeDetector([Centerline(n=20)], BLUE), ShapeDetector([Centerline(n=20)], BLUE)
-    yield Method(WARM, lambda frame: warm.detect(*frame[size]), touch=touch)
-    yield Method(COLD, lambda frame: cold.detect(*frame[size]), cold.reset, touch)
+    yield Method((size, WARM), lambda frame: warm.detect(*frame[size]), touch=touch)
+    yield Method((size, COLD), lambda frame: cold.detect(*frame[size]), cold.reset, touch)
 
 
 def total_rows(found: Latencies) -> list[Row]:
     """Return a row for each size and method."""
+    medians = {key: median_ms(turns) for key, turns in found.items()}
     return [
-        {
-            "image": _name(size),
-            "method": method,
-            "median_ms": latency.median,
-            "p95_ms": float(np.percentile(latency.milliseconds, 95)),
-            "passes": latency.median / found[size, ONE_PASS].median,
-            "faster_than_classic": found[size, CLASSIC].median / latency.median,
-            "refused": latency.refused,
-        }
-        for (size, method), latency in found.items()
+        Row(
+            image=_name(size),
+            method=method,
+            median_ms=medians[size, method],
+            p95_ms=float(np.percentile([turn.milliseconds for turn in turns], 95)),
+            passes=medians[size, method] / medians[size, ONE_PASS],
+            faster_than_classic=medians[size, CLASSIC] / medians[size, method],
+            refused=sum(not turn.result.ok for turn in turns if method in (WARM, COLD)),
+        )
+        for (size, method), turns in found.items()
     ]
 
 
 def stage_rows(found: Latencies) -> list[Row]:
     """Return a row for each size and start with the median of each stage in milliseconds."""
-    staged = {key: latency.stages for key, latency in found.items() if latency.stages}
+    staged = {key: [turn.result.timings for turn in turns] for key, turns in found.items() if key[1] in (WARM, COLD)}
     names = list(dict.fromkeys(stage for stages in staged.values() for timings in stages for stage in timings))
     return [
-        {"image": _name(size), "method": method}
-        | {name: float(np.median([timings.get(name, 0.0) for timings in stages])) for name in names}
+        Row(
+            image=_name(size), method=method, **{name: median(each.get(name, 0.0) for each in stages) for name in names}
+        )
         for (size, method), stages in staged.items()
     ]
 
 
-def latency_targets(found: Latencies) -> list[Row]:
-    """Compare the pipeline with its targets."""
-
-    def ratio(one: tuple[Size, str], other: tuple[Size, str]) -> float | None:
-        return found[one].median / found[other].median if one in found and other in found else None
-
-    mine, what = (SMALL, WARM), f"{_name(SMALL)} image to 20 points in 3D, warm"
+def latency_targets(totals: Sequence[Row]) -> list[Row]:
+    """Compare the rows of ``total_rows`` with the targets of the pipeline."""
+    rows = {(row.image, row.method): row for row in totals}
+    small, large = rows.get((_name(SMALL), WARM)), rows.get((_name(LARGE), WARM))
+    what = f"{_name(SMALL)} image to 20 points in 3D, warm"
+    larger = large.median_ms / small.median_ms if small and large else None
     return [
-        at_most(f"{what}: times one pass over the image", _PASSES, ratio(mine, (SMALL, ONE_PASS))),
-        at_least(f"{what}: times faster than classic segmentation", _FASTER, ratio((SMALL, CLASSIC), mine)),
-        at_most(f"{_name(LARGE)} against {_name(SMALL)}, warm", _LARGER, ratio((LARGE, WARM), mine)),
+        at_most(f"{what}: times one pass over the image", _PASSES, small.passes if small else None),
+        at_least(
+            f"{what}: times faster than classic segmentation", _FASTER, small.faster_than_classic if small else None
+        ),
+        at_most(f"{_name(LARGE)} against {_name(SMALL)}, warm", _LARGER, larger),
     ]
+
+
+def _name(size: Size) -> str:
+    return f"{size[0]} x {size[1]}"
+
+
+def growth_rows(frames: int, seed: int, clock: Clock = "wall", tick: Tick = lambda: None) -> list[Row]:
+    """Time tracked detectors on growing objects, points and shapes, 640 x 480, in turns on one thread.
+
+    Pixels and points are timed from the mask to the points, shapes from the RGB-D image on.
+
+    Args:
+        frames: Number of counted frames.
+        seed: Seed of the motions.
+        clock: The clock.
+        tick: Called after each frame.
+
+    Returns:
+        A row for each point of a growth curve: what grows, its amount (the median number of pixels), the median
+        milliseconds of a frame, and the ratio to the smallest amount.
+    """
+    pixels: dict[str, list[int]] = defaultdict(list)
+
+    def seen() -> Iterator[Images]:
+        for frame in _images(frames + WARM_UP, seed):
+            for name, image in frame.items():
+                if not isinstance(image, RGBD):
+                    pixels[name].append(cv2.countNonZero(image))
+            yield frame
+
+    methods = [_growing(*case) for case in _CASES]
+    found = by_method(methods, interleaved_timing(seen(), methods, clock, seed, warm_up=WARM_UP, tick=tick))
+    rows: list[Row] = []
+    smallest: dict[str, float] = {}
+    for (grows, known, image), turns in found.items():
+        median, amount = median_ms(turns), known or int(np.median(pixels[image]))
+        ratio = median / smallest.setdefault(grows, median)
+        rows.append(Row(grows=grows, amount=amount, median_ms=median, times_smallest=ratio))
+    return rows
+
+
+def growth_targets(rows: list[Row]) -> list[Row]:
+    """Compare the growth with its targets."""
+    curves = grouped(rows, lambda row: row.grows)
+    return [
+        at_most(
+            f"{grows} from {curve[0].amount} to {curve[-1].amount}", _GROWTH_TARGETS[grows], curve[-1].times_smallest
+        )
+        for grows, curve in curves.items()
+    ]
+
+
+def _images(frames: int, seed: int) -> Iterator[Images]:
+    """Draw a rope and a cloth at every size about the middle of the image, and a photo of the largest cloth."""
+    rng, camera = np.random.default_rng(seed), pinhole((SIZE[1], SIZE[0]))
+    for rope, sheet in zip(ropes(frames, seed), cloths(frames, seed), strict=True):
+        frame: Images = {}
+        for area in AREAS:
+            scale = area**0.5
+            frame[f"rope {area}"] = draw_rope(_shrunk(rope.curve, scale), rope.width * scale).mask
+            frame[f"cloth {area}"] = draw_sheet(_shrunk(sheet.points, scale)).mask
+        frame["photo"] = photo(rng, sheet.mask, camera)
+        yield frame
+
+
+def _shrunk(points: Array, scale: float) -> Array:
+    middle = np.array([SIZE[1] - 1, SIZE[0] - 1]) / 2
+    return (points - middle) * scale + middle
+
+
+def _growing(grows: str, amount: int | None, image: str, shapes: Shapes) -> Method[Images]:
+    detector, is_photo = ShapeDetector(shapes, BLUE), image == "photo"
+
+    def touch(frame: Images) -> None:
+        cv2.sumElems(frame[image].rgb if is_photo else frame[image])
+
+    def run(frame: Images) -> object:
+        return detector.detect(*frame[image]) if is_photo else detector.detect_mask(frame[image])
+
+    return Method((grows, amount, image), run, touch=touch)
 
 
 def memory_growth(frames: int, seed: int, *, warm_up: int = 1000, tick: Tick = lambda: None) -> float | None:
@@ -197,13 +274,3 @@ def resident() -> float | None:
 
     # This is the peak: growth shows once the process exceeds it. macOS counts bytes.
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _MEGABYTE
-
-
-def _name(size: Size) -> str:
-    return f"{size[0]} x {size[1]}"
-
-
-def _ticking(frames: Iterable[Frame], tick: Tick) -> Iterator[Frame]:
-    for frame in frames:
-        yield frame
-        tick()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from typing import Any, Final, NamedTuple
+from dataclasses import replace
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -24,74 +25,15 @@ _DEPTH_FRAMES: Final = 5  # frames of which the median is taken, as in ``calibra
 _BOARD_RASTER: Final = 4000  # pixels a metre
 
 
-class TopViews(NamedTuple):
-    """Homographies of tables from above.
+def tops(count: int = 40, seed: int = 0) -> Row:
+    """Find homographies of tables at 0.65 to 0.9 m, tilted by up to 35 degrees, with a D455 at 640 x 480.
 
-    Args:
-        scenes: Number of scenes.
-        found: Scenes in which all four markers were found.
-        worst_mm: The largest error of any position in any rectangle, in millimetres.
-        mean_mm: Mean error over all positions and scenes, in millimetres.
-        corner_px: Mean error of the markers' corners in pixels.
-        fourth_px: Largest error of a marker's centre that was computed from the other three, in pixels.
-        median_ms: Median time from image to homography.
-        late_ms: The 95th percentile of that time.
+    Returns:
+        ``found``: scenes in which all four markers were found; ``worst_mm`` and ``mean_mm``: errors of positions all
+        over the rectangles; ``corner_px``: mean error of the markers' corners; ``fourth_px``: largest error of a
+        marker's centre that was computed from the other three; ``median_ms`` and ``late_ms``, the 95th percentile: time
+        from image to homography.
     """
-
-    scenes: int
-    found: int
-    worst_mm: float
-    mean_mm: float
-    corner_px: float
-    fourth_px: float
-    median_ms: float
-    late_ms: float
-
-
-class Touched(NamedTuple):
-    """Extrinsics that were calibrated by touching markers.
-
-    Args:
-        placements: Number of calibrations.
-        touches: Touches of each calibration.
-        rms_mm: RMS of all residuals in millimetres.
-        worst_rms_mm: RMS of the worst calibration.
-        table_rms_mm: RMS error of positions on the table in the base frame, in millimetres.
-        table_worst_mm: The largest such error.
-        depth: Whether the camera had depth, or only the markers' size.
-    """
-
-    placements: int
-    touches: int
-    rms_mm: float
-    worst_rms_mm: float
-    table_rms_mm: float
-    table_worst_mm: float
-    depth: bool
-
-
-class Fitted(NamedTuple):
-    """Cameras calibrated with a board.
-
-    Args:
-        cameras: Number of cameras.
-        focal_percent: The largest error of a focal length in percent.
-        centre_px: The largest error of the principal point in pixels.
-        rms_px: The largest RMS of the corners in pixels.
-        good: Cameras whose true projection was accepted.
-        reported: Detected wrong projections: 3 % of the focal length, or a lens that bends lines.
-    """
-
-    cameras: int
-    focal_percent: float
-    centre_px: float
-    rms_px: float
-    good: int
-    reported: int
-
-
-def tops(count: int = 40, seed: int = 0) -> TopViews:
-    """Find homographies of tables at 0.65 to 0.9 m, tilted by up to 35 degrees, with a D455 at 640 x 480."""
     scenes = [marker_scene(seed + i) for i in range(count)]
     off: list[Array] = []
     corner: list[Array] = []
@@ -113,27 +55,36 @@ def tops(count: int = 40, seed: int = 0) -> TopViews:
                 continue
             found += 1
             seen = find_markers(scene.rgb)
-            truth = dict(zip(scene.layout.ids, scene.to_pixels(scene.layout.array), strict=True))
-            corner += [np.linalg.norm(seen[each] - truth[each], axis=1) for each in truth]
-            for each in truth:
-                others = {other: corners for other, corners in seen.items() if other in truth and other != each}
+            for each, truth in zip(scene.layout.ids, scene.to_pixels(scene.layout.array), strict=True):
+                corner.append(np.linalg.norm(seen[each] - truth, axis=1))
+                others = {other: seen[other] for other in scene.layout.ids if other != each}
                 middle = fourth_marker(others, (0, 1, 2, 3)).mean(axis=0)
-                fourth.append(float(np.linalg.norm(middle - truth[each].mean(axis=0))))
+                fourth.append(float(np.linalg.norm(middle - truth.mean(axis=0))))
     every = np.concatenate(off)
-    return TopViews(
-        count,
-        found,
-        1e3 * float(every.max()),
-        1e3 * float(every.mean()),
-        float(np.mean(np.concatenate(corner))),
-        max(fourth),
-        float(np.median(spent)),
-        float(np.percentile(spent, 95)),
+    return Row(
+        scenes=count,
+        found=found,
+        worst_mm=1e3 * float(every.max()),
+        mean_mm=1e3 * float(every.mean()),
+        corner_px=float(np.mean(np.concatenate(corner))),
+        fourth_px=max(fourth),
+        median_ms=float(np.median(spent)),
+        late_ms=float(np.percentile(spent, 95)),
     )
 
 
-def touched(count: int = 20, seed: int = 0, depth: bool = True) -> Touched:
-    """Calibrate extrinsics from the 16 corners of four markers, touched with an error of 0.5 mm along each axis."""
+def touched(count: int = 20, seed: int = 0, depth: bool = True) -> Row:
+    """Calibrate extrinsics from the 16 corners of four markers, touched with an error of 0.5 mm along each axis.
+
+    Args:
+        count: Number of calibrations.
+        seed: Seed of the scenes.
+        depth: Whether the camera has depth, or only the markers' size.
+
+    Returns:
+        The RMS of the residuals of all calibrations and of the worst one, and the errors of positions on the table in
+        the base frame, in millimetres.
+    """
     rms: list[float] = []
     off: list[Array] = []
     number = 0
@@ -142,23 +93,30 @@ def touched(count: int = 20, seed: int = 0, depth: bool = True) -> Touched:
         scene = marker_scene(seed + i)
         transform = _somewhere(rng)
         seen = camera_points(scene, rng, depth)
-        truth = scene.to_camera(scene.layout.array).reshape(-1, 3) @ transform[:3, :3].T + transform[:3, 3]
+        truth = _moved(scene.to_camera(scene.layout.array).reshape(-1, 3), transform)
         number = len(truth)
         fit = fit_base(seen, truth + rng.normal(0, TOUCH_NOISE, truth.shape))
         rms.append(fit.rms)
         places = scene.to_camera(scene.grid())
-        found = places @ fit.extrinsics.matrix[:3, :3].T + fit.extrinsics.matrix[:3, 3]
-        off.append(np.linalg.norm(found - (places @ transform[:3, :3].T + transform[:3, 3]), axis=1))
+        off.append(np.linalg.norm(_moved(places, fit.extrinsics.matrix) - _moved(places, transform), axis=1))
     every = np.concatenate(off)
-    return Touched(
-        count,
-        number,
-        1e3 * float(np.sqrt(np.mean(np.square(rms)))),
-        1e3 * max(rms),
-        1e3 * float(np.sqrt(np.mean(every**2))),
-        1e3 * float(every.max()),
-        depth,
+    return Row(
+        placements=count,
+        touches=number,
+        rms_mm=1e3 * _rms(rms),
+        worst_rms_mm=1e3 * max(rms),
+        table_rms_mm=1e3 * _rms(every),
+        table_worst_mm=1e3 * float(every.max()),
+        depth=depth,
     )
+
+
+def _moved(points: Array, transform: Array) -> Array:
+    return points @ transform[:3, :3].T + transform[:3, 3]
+
+
+def _rms(values: npt.ArrayLike) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def camera_points(scene: MarkerScene, rng: np.random.Generator, depth: bool) -> Array:
@@ -172,8 +130,14 @@ def camera_points(scene: MarkerScene, rng: np.random.Generator, depth: bool) -> 
     return np.median(frames, axis=0).reshape(-1, 3)
 
 
-def fitted(count: int = 3, seed: int = 0, views: int = 25) -> Fitted:
-    """Calibrate cameras of different focal lengths with a board, and check that wrong projections are reported."""
+def fitted(count: int = 3, seed: int = 0) -> Row:
+    """Calibrate cameras of different focal lengths with a board, and check that wrong projections are reported.
+
+    Returns:
+        The largest errors of a focal length in percent, of the principal point and of the corners (RMS) in pixels;
+        ``good``: cameras whose true projection was accepted; ``reported``: detected wrong projections, 3 % of the focal
+        length, or a lens that bends lines.
+    """
     board = Board()
     results: list[tuple[Intrinsics, IntrinsicsFit]] = []
     reported = 0
@@ -182,22 +146,19 @@ def fitted(count: int = 3, seed: int = 0, views: int = 25) -> Fitted:
         focal = rng.uniform(370, 400)
         camera = Intrinsics(640, 480, focal, focal * rng.uniform(0.998, 1.002), *rng.uniform((312, 232), (328, 248)))
         seen = BoardViews(board, camera.size)
-        for image in board_images(board, camera, views, rng):
+        for image in board_images(board, camera, 25, rng):
             seen.offer(image)
         results.append((camera, fit_intrinsics(seen.taken, seen.size, board, camera, seen.coverage)))
-        longer = Intrinsics(640, 480, 1.03 * camera.fx, 1.03 * camera.fy, camera.cx, camera.cy)
-        bent = Intrinsics(
-            640, 480, camera.fx, camera.fy, camera.cx, camera.cy, "brown_conrady", (-0.055, 0.066, 0.0, 0.0, -0.02)
-        )
-        for wrong in (longer, bent):
-            reported += not fit_intrinsics(seen.taken, seen.size, board, wrong).good
-    return Fitted(
-        count,
-        100 * max(abs(fit.intrinsics.fx / camera.fx - 1) for camera, fit in results),
-        max(float(np.hypot(fit.intrinsics.cx - at.cx, fit.intrinsics.cy - at.cy)) for at, fit in results),
-        max(fit.rms for _, fit in results),
-        sum(fit.good for _, fit in results),
-        reported,
+        longer = replace(camera, fx=1.03 * camera.fx, fy=1.03 * camera.fy)
+        bent = replace(camera, model="brown_conrady", coeffs=(-0.055, 0.066, 0.0, 0.0, -0.02))
+        reported += sum(not fit_intrinsics(seen.taken, seen.size, board, wrong).good for wrong in (longer, bent))
+    return Row(
+        cameras=count,
+        focal_percent=100 * max(abs(fit.intrinsics.fx / camera.fx - 1) for camera, fit in results),
+        centre_px=max(float(np.hypot(fit.intrinsics.cx - at.cx, fit.intrinsics.cy - at.cy)) for at, fit in results),
+        rms_px=max(fit.rms for _, fit in results),
+        good=sum(fit.good for _, fit in results),
+        reported=reported,
     )
 
 
@@ -213,7 +174,7 @@ def board_images(board: Board, camera: Intrinsics, count: int, rng: np.random.Ge
         yield photograph(drawn, origin, _BOARD_RASTER, pose, camera, rng)
 
 
-def targets(top: TopViews, placed: Touched, cameras: Fitted) -> list[Row]:
+def targets(top: Row, placed: Row, cameras: Row) -> list[Row]:
     """Compare markers and calibration with their targets."""
     return [
         at_least("tables with all four markers found", 100, 100 * top.found / top.scenes, " %"),

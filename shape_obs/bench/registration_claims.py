@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
+import timeit
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Final
 
 import cv2
@@ -24,24 +24,15 @@ _HEIGHT: Final = 0.62  # metres above the table
 _TIMEOUT: Final = 2000  # milliseconds
 
 
-@dataclass(frozen=True)
-class RegistrationError:
-    """Distances between depth and colour, and of blocks from their true positions.
-
-    Args:
-        edges: Distance of each edge pixel of a block in depth from the block's true edge in colour, (M,) pixels.
-        centres: Distance of each block's centre, deprojected from colour and depth, from the truth, (B,) metres.
-    """
-
-    edges: Array
-    centres: Array
-
-
-def registration_errors(seed: int = 0) -> dict[str, RegistrationError]:
+def registration_errors(seed: int = 0) -> dict[str, Row]:
     """Return the errors of "ours" and of "librealsense" (``rs.align``) on the same raw images of a D455.
 
     Args:
         seed: Seed of the blocks.
+
+    Returns:
+        ``edges``: distances of the edge pixels of blocks in depth from their true edges in colour, (M,) pixels;
+        ``centres``: distances of the blocks' centres, deprojected from colour and depth, from the truth, (B,) metres.
 
     Raises:
         ImportError: librealsense is not installed.
@@ -74,7 +65,7 @@ def registration_table(scenes: int, seed: int = 0) -> list[Row]:
     return rows
 
 
-def time_table(runs: int = 30) -> list[Row]:
+def time_table() -> list[Row]:
     """Return median milliseconds of our parts and of ``rs.align`` at 640 x 480, also as multiples of the latter."""
     from shape_obs_envs.sources.registration import Registration
 
@@ -87,8 +78,10 @@ def time_table(runs: int = 30) -> list[Row]:
             "align": lambda: ours.align(scene.depth),
             "rs.align": lambda: align(frames),
         }
-        times = {name: _median(call, runs) for name, call in calls.items()}
-    return [{"what": what, "ms": ms, "x rs.align": ms / times["rs.align"]} for what, ms in times.items()]
+        times = {
+            name: 1e3 * float(np.median(timeit.repeat(call, repeat=31, number=1)[1:])) for name, call in calls.items()
+        }
+    return [Row({"what": what, "ms": ms, "x rs.align": ms / times["rs.align"]}) for what, ms in times.items()]
 
 
 @contextmanager
@@ -139,23 +132,13 @@ class _Scene:
         self.depth = np.rint(np.nan_to_num(metres) / _UNIT).astype(np.uint16)
 
 
-def _median(call: Callable[[], Any], runs: int) -> float:
-    call()
-    spent = []
-    for _ in range(runs):
-        begin = time.perf_counter()
-        call()
-        spent.append(1e3 * (time.perf_counter() - begin))
-    return float(np.median(spent))
-
-
 def _errors(
     blocks: list[Block],
     shown: CameraModel,
     believed: CameraModel,
     rgb: npt.NDArray[np.uint8],
     depth: npt.NDArray[np.uint16],
-) -> RegistrationError:
+) -> Row:
     """Return the errors of images of the camera ``shown`` that are deprojected with the pinhole camera ``believed``."""
     height, width = depth.shape
     rows, columns = np.mgrid[:height, :width]
@@ -174,7 +157,7 @@ def _errors(
         seen = coloured & near & (depth > 0)
         centre = points[seen].mean(axis=0)
         centres.append(np.linalg.norm((centre - block.top_centre)[:2]))
-    return RegistrationError(np.array(edges), np.array(centres))
+    return Row(edges=np.array(edges), centres=np.array(centres))
 
 
 def _crossings(mask: npt.NDArray[np.bool_]) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from shape_obs.bench.synthetic.ropes import resample as resample_by_step
+from shape_obs.bench.tables import Row
 from shape_obs.configurations.base import Ends
 from shape_obs.geometry.outline import clockwise
 from shape_obs.geometry.polyline import arc_length, interpolate, resample
@@ -19,32 +20,14 @@ from shape_obs.metrics import in_order, spacing_cv
 
 Array = npt.NDArray[np.float64]
 
+BOTH_ENDS: Final[tuple[Ends, ...]] = ("centers", "tips")
+SLIP: Final = 0.5  # gaps; a point that is farther from its position is nearer to that of its neighbour
 _FINE_STEP: Final = 0.1  # pixels
 _BEYOND: Final = 100  # points by which a curve is continued at its ends
 _PER_GAP: Final = 50  # points of a simulator's truth for each gap
 
 
-class Score(NamedTuple):
-    """How well ordered points follow a curve; lengths in the curve's unit.
-
-    Args:
-        ordered: Whether the points' positions along the curve strictly increase.
-        flipped: Whether they run against the curve's direction.
-        distance: Mean distance of the points from the curve.
-        tip: The larger distance of the first and last point from the curve's ends.
-        gap_cv: Standard deviation over mean of the distances between neighbours.
-        slip: Largest distance of a point from its true arc position, along the curve, in gaps.
-    """
-
-    ordered: bool
-    flipped: bool
-    distance: float
-    tip: float
-    gap_cv: float
-    slip: float
-
-
-def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = True) -> Score:
+def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = True) -> Row:
     """Compare N found points with a known curve.
 
     Args:
@@ -52,6 +35,13 @@ def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = T
         curve: (P, D), from end to end.
         ends: Where the points belong: ``"centers"`` of N equal pieces, or from tip to tip (``"tips"``).
         directed: Whether point 0 belongs to the curve's start; otherwise either direction is right.
+
+    Returns:
+        ``ordered``: whether the points' positions along the curve strictly increase; ``flipped``: whether they run
+        against the curve's direction; ``distance``: mean distance of the points from the curve, in its unit; ``tip``:
+        the larger distance of the first and last point from the curve's ends; ``gap_cv``: standard deviation over mean
+        of the distances between neighbours; ``slip``: largest distance of a point from its true arc position, along the
+        curve, in gaps.
     """
     found = np.asarray(points, dtype=np.float64)
     size = len(found)
@@ -73,7 +63,7 @@ def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = T
     step = arc[-1] / (len(fine) - 1)
     along = (KDTree(_continued(fine, _BEYOND)).query(found)[1] - _BEYOND) * step
     gap = arc[-1] / (size if ends == "centers" else size - 1)
-    return Score(
+    return Row(
         ordered=in_order(along),
         flipped=bool(flipped),
         distance=float(distance.mean()),
@@ -83,14 +73,14 @@ def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = T
     )
 
 
-def tally(scores: Sequence[Score]) -> dict[str, Any]:
-    """Count the frames of one track, those in reversed order, and those with a point half a gap from its position."""
-    return {
-        "frames": len(scores),
-        "flips": sum(s.flipped for s in scores),
-        "slips": sum(s.slip > 0.5 for s in scores),
-        "worst_slip": max(s.slip for s in scores),
-    }
+def tally(scores: Sequence[Any]) -> Row:
+    """Count the frames of one track, and those with a point more than half a gap from its position.
+
+    Args:
+        scores: A score with a ``slip`` for each frame.
+    """
+    slips = [each.slip for each in scores]
+    return Row(frames=len(slips), slips=sum(slip > SLIP for slip in slips), worst_slip=max(slips))
 
 
 def _continued(curve: Array, count: int) -> Array:
@@ -100,38 +90,26 @@ def _continued(curve: Array, count: int) -> Array:
     return np.concatenate([before, curve, behind])
 
 
-class OutlineScore(NamedTuple):
-    """How well ordered points follow a closed outline; lengths in pixels.
-
-    Args:
-        ordered: Whether the points' positions along the outline strictly increase, once around.
-        clockwise: Whether they run clockwise as seen in the image.
-        distance: Mean distance of the points from the outline.
-        gap_cv: Standard deviation over mean of the distances between neighbours, including last to first.
-        slip: Largest distance of a point from its true arc position, along the outline, in gaps; it has no meaning
-            where the outline does not begin where point 0 belongs.
-    """
-
-    ordered: bool
-    clockwise: bool
-    distance: float
-    gap_cv: float
-    slip: float
-
-
-def outline_score(points: npt.ArrayLike, outline: Array) -> OutlineScore:
+def outline_score(points: npt.ArrayLike, outline: Array) -> Row:
     """Compare N found points with a known outline.
 
     Args:
         points: (N, 2) pixels.
         outline: (P, 2) pixels, closed, clockwise as seen, from where point 0 belongs.
+
+    Returns:
+        ``ordered``: whether the points' positions along the outline strictly increase, once around; ``clockwise``:
+        whether they run clockwise as seen in the image; ``distance``: mean distance of the points from the outline, in
+        pixels; ``gap_cv``: standard deviation over mean of the distances between neighbours, including last to first;
+        ``slip``: largest distance of a point from its true arc position, along the outline, in gaps; it has no meaning
+        where the outline does not begin where point 0 belongs.
     """
     found = np.asarray(points, dtype=np.float64)
     fine = resample_by_step(np.concatenate([outline, outline[:1]]), _FINE_STEP)[:-1]
     distance, nearest = KDTree(fine).query(found)
     along = np.asarray(nearest, dtype=np.float64) / len(fine)
     off = (along - np.arange(len(found)) / len(found) + 0.5) % 1.0 - 0.5
-    return OutlineScore(
+    return Row(
         ordered=in_order(along, period=1.0),
         clockwise=clockwise(found),
         distance=float(distance.mean()),
@@ -140,22 +118,7 @@ def outline_score(points: npt.ArrayLike, outline: Array) -> OutlineScore:
     )
 
 
-class SimulatorScore(NamedTuple):
-    """How far found points are from their true positions on a simulated object.
-
-    Args:
-        mm: Mean distance of all points from their true positions, in millimetres.
-        slip: Largest distance of a valid point from its material, in gaps along the curve or the lattice.
-        flipped: Whether another numbering of the same points (from the other end, the other way round, from another
-            corner) would be nearer.
-    """
-
-    mm: float
-    slip: float
-    flipped: bool
-
-
-def simulator_score(points: Array, valid: npt.NDArray[np.bool_], layout: Topology, simulator: Any) -> SimulatorScore:
+def simulator_score(points: Array, valid: npt.NDArray[np.bool_], layout: Topology, simulator: Any) -> Row:
     """Compare found points with the truth of a simulator.
 
     Args:
@@ -163,6 +126,11 @@ def simulator_score(points: Array, valid: npt.NDArray[np.bool_], layout: Topolog
         valid: (N,) the measured points.
         layout: The topology of the points.
         simulator: The environment; ``truth`` returns its points in the same frame.
+
+    Returns:
+        ``mm``: mean distance of all points from their true positions, in millimetres; ``slip``: largest distance of a
+        valid point from its material, in gaps along the curve or the lattice; ``flipped``: whether another numbering of
+        the same points (from the other end, the other way round, from another corner) would be nearer.
     """
     if isinstance(layout, Grid):
         true = simulator.truth(layout.rows, layout.cols)
@@ -175,7 +143,7 @@ def simulator_score(points: Array, valid: npt.NDArray[np.bool_], layout: Topolog
     distance = np.linalg.norm(points - true, axis=1)
     others = min(float(np.sum((other - true) ** 2)) for other in _renumbered(points, layout))
     slip = float(slips[valid].max(initial=0.0))
-    return SimulatorScore(1e3 * float(distance.mean()), slip, others < float(np.sum(distance**2)))
+    return Row(mm=1e3 * float(distance.mean()), slip=slip, flipped=others < float(np.sum(distance**2)))
 
 
 def _along_curve(points: Array, simulator: Any, closed: bool) -> Array:

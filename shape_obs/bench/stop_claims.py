@@ -13,17 +13,17 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from itertools import repeat
+from itertools import product, repeat
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal
 
 import cv2
 import numpy as np
 
 from shape_obs.bench.remote_arm import Arm, ArmProcess
-from shape_obs.bench.tables import Row, at_most, grouped
+from shape_obs.bench.tables import Column, Row, at_most, summary
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.deploy import Interrupted, Limits, RunLog, deploy
 from shape_obs.frame import Frame
@@ -38,6 +38,7 @@ _LENS: Final = Intrinsics(_WIDTH, _HEIGHT, 100.0, 100.0, 79.5, 59.5)
 SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 #: Faults that end a run without a signal.
 FAILURES: Final = ("exception", "closed stdout")
+_OF_FAILURES: Final[tuple[State, ...]] = ("moving", "log")  # states in which they can happen
 _TARGET: Final = 0.05  # seconds
 _LONG: Final = 10.0  # seconds, longer than any measurement, so that the arm's own limit has no effect
 MAX_AGE: Final = 0.2  # seconds, of an image in a deployment that is killed
@@ -52,7 +53,7 @@ class DrawnRope(Source):
     def __init__(self) -> None:
         super().__init__()
         self.dark = self.frozen = False
-        self._begin, self._read = time.monotonic(), -1
+        self._begin = time.monotonic()
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -70,27 +71,26 @@ class DrawnRope(Source):
         if self.frozen:
             time.sleep(timeout)
             raise FrameTimeout(f"no frame in {timeout} s")
-        self._read = self._newest() + 1
-        time.sleep(max(0.0, self._begin + self._read / 60 - time.monotonic()))
-        return self._frame()
+        number = self._newest() + 1
+        time.sleep(max(0.0, self._begin + number / 60 - time.monotonic()))
+        return self._frame(number)
 
     def read_latest(self, max_age: float = 0.1) -> Frame:
         """Return the newest frame."""
         if self.frozen or time.monotonic() - (self._begin + self._newest() / 60) > max_age:
             raise StaleFrame("too old")
-        self._read = self._newest()
-        return self._frame()
+        return self._frame(self._newest())
 
     def _newest(self) -> int:
         return int((time.monotonic() - self._begin) * 60)
 
-    def _frame(self) -> Frame:
+    def _frame(self, number: int) -> Frame:
         rgb = np.full((_HEIGHT, _WIDTH, 3), 0 if self.dark else 200, np.uint8)
         if not self.dark:
             cv2.line(rgb, (40, 60), (110, 66), (20, 60, 200), 5)
-        taken = self._begin + self._read / 60
+        taken = self._begin + number / 60
         depth = np.full((_HEIGHT, _WIDTH), 700, np.uint16)
-        return Frame(rgb, depth, CameraModel(_LENS), taken, taken, self._read, taken)
+        return Frame(rgb, depth, CameraModel(_LENS), taken, taken, number, taken)
 
 
 class SlowLog(RunLog):
@@ -169,22 +169,15 @@ def run_cell(port: int, state: State, max_age: float, folder: str, parent: Conne
         sys.exit(1)
 
 
-class Stopped(NamedTuple):
-    """How a run ended: the seconds until the arm stood still, whether it moved again, exit code, and report."""
-
-    fault: str
-    state: State
-    seconds: float
-    moved_again: bool
-    code: int | None
-    report: bool
-
-
-def stop(arm: ArmProcess, fault: str, state: State, *, wait: float = 0.15, max_age: float = _LONG) -> Stopped:
+def stop(arm: ArmProcess, fault: str, state: State, *, wait: float = 0.15, max_age: float = _LONG) -> Row:
     """Run a deployment, cause a fault ``wait`` seconds after a state is reached, and measure when the arm stands still.
 
     The fault is the name of a signal, or one of ``FAILURES``. The arm stops by itself ``max_age`` seconds after the
     exposure of the last image.
+
+    Returns:
+        ``seconds`` until the arm stood still; whether it ``moved_again``; the exit ``code``; whether there is a
+        ``report``.
     """
     arm.tell("clear")
     with tempfile.TemporaryDirectory() as folder, _running(arm, state, max_age, folder) as (child, fail, close):
@@ -202,66 +195,68 @@ def stop(arm: ArmProcess, fault: str, state: State, *, wait: float = 0.15, max_a
         time.sleep(max_age + 0.1 if fault == "SIGKILL" else 0.0)
         notes = arm.notes()
         begin = next((moment for what, moment in notes if what == "mark"), begin)
-        report = any(Path(folder).glob("*/report.json"))
-        return Stopped(fault, state, *_after(notes, begin), child.exitcode, report)
+        seconds, moved_again = _after(notes, begin)
+        report, how = any(Path(folder).glob("*/report.json")), {"code": child.exitcode, "moved_again": moved_again}
+        return Row(fault=fault, state=state, seconds=seconds, report=report, **how)
 
 
-def stops(count: int, seed: int, progress: Callable[[str], object] = lambda text: None) -> Iterator[Stopped]:
+def stops(count: int, seed: int, progress: Callable[[str], object] = lambda text: None) -> list[Row]:
     """Send every signal in every state, and cause every failure in the states where it can happen."""
     chance = random.Random(seed)
-    states: dict[str, tuple[State, ...]] = dict.fromkeys(SIGNALS, STATES)
-    states |= dict.fromkeys(FAILURES, ("moving", "log"))
-    pairs: list[tuple[str, State]] = [(fault, state) for fault, of in states.items() for state in of]
-    with ArmProcess() as arm:
-        for number, (fault, state) in enumerate(pair for pair in pairs for _ in range(count)):
-            progress(f"robustness: stop {number + 1} of {count * len(pairs)}")
-            yield stop(arm, fault, state, wait=chance.uniform(0.1, 0.2))
+    pairs = [*product(SIGNALS, STATES), *product(FAILURES, _OF_FAILURES)]
+    return _stopped([(*pair, chance.uniform(0.1, 0.2), _LONG) for pair in pairs for _ in range(count)], progress)
 
 
-def kills(count: int, seed: int, progress: Callable[[str], object] = lambda text: None) -> Iterator[Stopped]:
+def kills(count: int, seed: int, progress: Callable[[str], object] = lambda text: None) -> list[Row]:
     """Kill deployments with SIGKILL at random instants."""
     chance = random.Random(seed)
-    with ArmProcess() as arm:
-        for number in range(count):
-            progress(f"robustness: kill {number + 1} of {count}")
-            yield stop(arm, "SIGKILL", "moving", wait=chance.uniform(0.0, 0.5), max_age=MAX_AGE)
+    return _stopped([("SIGKILL", "moving", chance.uniform(0.0, 0.5), MAX_AGE) for _ in range(count)], progress)
 
 
-def locked(count: int) -> Iterator[Stopped]:
+def locked(count: int, progress: Callable[[str], object] = lambda text: None) -> list[Row]:
     """Send SIGTERM to deployments whose main thread runs C code that holds Python's lock."""
+    return _stopped([("SIGTERM", "C with the lock", 0.15, MAX_AGE) for _ in range(count)], progress)
+
+
+def _stopped(runs: Sequence[tuple[str, State, float, float]], progress: Callable[[str], object]) -> list[Row]:
+    """Stop a deployment for each fault, state, wait and age of an image."""
+    found = []
     with ArmProcess() as arm:
-        for _ in range(count):
-            yield stop(arm, "SIGTERM", "C with the lock", max_age=MAX_AGE)
+        for fault, state, wait, max_age in runs:
+            progress(f"robustness: {fault} {len(found) + 1} of {len(runs)}")
+            found.append(stop(arm, fault, state, wait=wait, max_age=max_age))
+    return found
 
 
-def stop_table(found: Sequence[Stopped]) -> list[Row]:
+def stop_table(found: Sequence[Row]) -> list[Row]:
     """Return a row for each fault with the longest time in each state, in milliseconds."""
-    rows = []
-    for fault, some in grouped(found, lambda each: each.fault).items():
-        times = {state: [1e3 * each.seconds for each in some if each.state == state] for state in STATES}
-        longest = {f"{state} [ms]": round(max(ms), 1) if ms else None for state, ms in times.items()}
-        rows.append({"fault": fault, "runs": len(some), **longest})
-    return rows
+
+    def longest(state: State) -> Column:
+        def column(rows: list[Row]) -> float | None:
+            times = [each.seconds for each in rows if each.state == state]
+            return round(1e3 * max(times), 1) if times else None
+
+        return column
+
+    return summary(found, ("fault",), {"runs": len, **{f"{state} [ms]": longest(state) for state in STATES}})
 
 
-def targets(stopped: Sequence[Stopped], killed: Sequence[Stopped], locked_: Sequence[Stopped]) -> list[Row]:
+def targets(stopped: Sequence[Row], killed: Sequence[Row], locked_: Sequence[Row]) -> list[Row]:
     """Compare the stops with their targets."""
-    orderly = [each for each in stopped if each.fault in SIGNALS]
-    return [
-        at_most("longest time to stand still, process alive", 1e3 * _TARGET, _longest(stopped), " ms"),
-        at_most("motions begun after the stop", 0, sum(each.moved_again for each in stopped), ""),
-        at_most("signals without report or exit code 128 + n", 0, sum(not _orderly(each) for each in orderly), ""),
-        at_most(f"longest time to stand still, {len(killed)} kills", 1e3 * MAX_AGE, _longest(killed), " ms"),
-        at_most("the same, main thread in C code that holds Python's lock", 1e3 * MAX_AGE, _longest(locked_), " ms"),
+
+    def longest(rows: Sequence[Row]) -> float:
+        return 1e3 * max(each.seconds for each in rows)
+
+    orderly = [
+        each.report and each.code == 128 + getattr(signal, each.fault) for each in stopped if each.fault in SIGNALS
     ]
-
-
-def _longest(found: Sequence[Stopped]) -> float:
-    return 1e3 * max(each.seconds for each in found)
-
-
-def _orderly(each: Stopped) -> bool:
-    return each.report and each.code == 128 + getattr(signal, each.fault)
+    return [
+        at_most("longest time to stand still, process alive", 1e3 * _TARGET, longest(stopped), " ms"),
+        at_most("motions begun after the stop", 0, sum(each.moved_again for each in stopped), ""),
+        at_most("signals without report or exit code 128 + n", 0, orderly.count(False), ""),
+        at_most(f"longest time to stand still, {len(killed)} kills", 1e3 * MAX_AGE, longest(killed), " ms"),
+        at_most("the same, main thread in C code that holds Python's lock", 1e3 * MAX_AGE, longest(locked_), " ms"),
+    ]
 
 
 def _after(notes: Sequence[tuple[str, float]], begin: float) -> tuple[float, bool]:

@@ -8,11 +8,25 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from itertools import chain
+from operator import attrgetter
 from typing import Any, TypeVar
 
 K = TypeVar("K", bound=Hashable)
 T = TypeVar("T")
-Row = dict[str, Any]
+
+
+class Row(dict[str, Any]):
+    """A row of a table, or one result of a measurement; its fields are also attributes."""
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return self[name]
+        except KeyError:
+            raise AttributeError(name) from None
+
+
+Column = Callable[[list[Row]], Any]
 
 
 def at_least(what: str, target: float, seen: float | None, unit: str = "x") -> Row:
@@ -26,20 +40,8 @@ def at_most(what: str, target: float, seen: float | None, unit: str = "x") -> Ro
 
 
 def _compared(what: str, target: str, seen: float | None, reached: bool) -> Row:
-    return {
-        "what": what,
-        "asked": target,
-        "seen": None if seen is None else float(seen),
-        "reached": "not measured" if seen is None else "yes" if reached else "no",
-    }
-
-
-def rows_of(results: Iterable[Any]) -> list[Row]:
-    """Return one row of plain values for each named tuple."""
-    return [
-        {name: value.item() if hasattr(value, "item") else value for name, value in result._asdict().items()}
-        for result in results
-    ]
+    answer = "not measured" if seen is None else "yes" if reached else "no"
+    return Row(what=what, asked=target, seen=None if seen is None else float(seen), reached=answer)
 
 
 def grouped(values: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
@@ -50,6 +52,38 @@ def grouped(values: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
     return groups
 
 
+def summary(rows: Iterable[Row], by: Sequence[str], columns: Mapping[str, Column]) -> list[Row]:
+    """Return a row for each group of rows.
+
+    Args:
+        rows: The rows.
+        by: The fields that are equal in a group; they come first.
+        columns: Name of a field of the summary -> function that takes the rows of a group.
+    """
+    groups = grouped(rows, lambda row: tuple(row[name] for name in by))
+    return [
+        Row(zip(by, key, strict=True), **{name: column(some) for name, column in columns.items()})
+        for key, some in groups.items()
+    ]
+
+
+def of(statistic: Callable[[list[Any]], Any], field: str, where: Callable[[Row], bool] = lambda row: True) -> Column:
+    """Return the column of a summary that is a statistic of a field, over the rows that meet a condition.
+
+    Args:
+        statistic: Takes the values.
+        field: Name of the field, or of an attribute of a field, such as ``"score.slip"``.
+        where: The condition.
+    """
+    value = attrgetter(field)
+    return lambda rows: statistic([value(row) for row in rows if where(row)])
+
+
+def failures(*fields: str) -> Column:
+    """Return the column of a summary that counts the rows in which one of the fields is not true."""
+    return lambda rows: sum(not all(row[field] for field in fields) for row in rows)
+
+
 def mean(values: Iterable[float]) -> float:
     """Return the mean of some numbers."""
     import numpy as np
@@ -57,11 +91,11 @@ def mean(values: Iterable[float]) -> float:
     return float(np.mean(list(values)))
 
 
-def worst(values: Iterable[float], default: float = 0.0) -> float:
-    """Return the largest of some numbers that are not negative, or the default if there are none."""
+def worst(values: Iterable[float]) -> float:
+    """Return the largest of some numbers that are not negative, or 0 if there are none."""
     import numpy as np
 
-    return float(np.max(list(values), initial=default))
+    return float(np.max(list(values), initial=0.0))
 
 
 def median(values: Iterable[float | None]) -> float | None:
@@ -88,9 +122,9 @@ def as_markdown(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return rows of equal keys as CSV: None is an empty cell, booleans are 1 and 0."""
+    """Return rows as CSV: None and fields that a row does not have are empty cells, booleans are 1 and 0."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
+    writer = csv.DictWriter(text, dict.fromkeys(chain(*rows)), lineterminator="\n")
     writer.writeheader()
     writer.writerows({k: int(v) if isinstance(v, bool) else v for k, v in row.items()} for row in rows)
     return text.getvalue()

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-import time
+import timeit
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.util import find_spec
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
+from shape_obs.bench.detecting import Mask, cold
 from shape_obs.bench.synthetic.tangles import Tangle, crossing_rope, cut_rope, is_traversed, touching_rope
+from shape_obs.bench.tables import Row, median
 from shape_obs.configurations.centerline import Centerline
-from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.shape import Shape
-
-Mask = npt.NDArray[np.uint8]
 
 SETS: Final[dict[str, Callable[[np.random.Generator], Tangle]]] = {
     "1 crossing": partial(crossing_rope, crossings=1),
@@ -39,38 +38,17 @@ SETS: Final[dict[str, Callable[[np.random.Generator], Tangle]]] = {
 N: Final = 60
 
 
-class TangleResult(NamedTuple):
-    """Drawn ropes of one kind, each detected cold.
+def tangled_ropes(per_set: int, seed: int = 0) -> Iterator[Row]:
+    """Draw and detect ``per_set`` ropes of every kind, each of them cold.
 
-    Args:
-        rope: The kind.
-        masks: Number of masks.
-        right: Share that was found as the rope runs.
-        refused: Share that was refused.
-        silently_wrong: Share that was accepted and does not run as the rope does.
-        hidden: Points under the occluder, on the ropes that were found right.
-        called_visible: How many of them were reported visible.
-        cold_ms: Median time of ``find_region`` and the start of the centerline.
-        detector_ms: Median time of ``detect_mask``.
-        peer_ms: Median time of thinning by scikit-image and the longest path; None without scikit-image.
-        ratio: Median over the masks of cold_ms over peer_ms on the same mask; None without scikit-image.
+    Yields:
+        ``rope``: the kind; ``right``: share that was found as the rope runs; ``refused``: share that was refused;
+        ``silently_wrong``: share that was accepted and does not run as the rope does; ``hidden``: points under the
+        occluder, on the ropes that were found right, and ``called_visible`` how many of them were reported visible;
+        ``cold_ms``: median time of ``find_region`` and the start of the centerline; ``detector_ms``: that of
+        ``detect_mask``; ``peer_ms``: that of thinning by scikit-image and the longest path; ``ratio``: median over the
+        masks of ``cold_ms`` over ``peer_ms`` on the same mask. Without scikit-image both are None.
     """
-
-    rope: str
-    masks: int
-    right: float
-    refused: float
-    silently_wrong: float
-    hidden: int
-    called_visible: int
-    cold_ms: float
-    detector_ms: float
-    peer_ms: float | None
-    ratio: float | None
-
-
-def tangled_ropes(per_set: int, seed: int = 0) -> Iterator[TangleResult]:
-    """Draw and detect ``per_set`` ropes of every kind."""
     for index, (name, draw) in enumerate(SETS.items()):
         rng = np.random.default_rng([seed, index])
         yield _measured(name, [draw(rng) for _ in range(per_set)])
@@ -78,7 +56,7 @@ def tangled_ropes(per_set: int, seed: int = 0) -> Iterator[TangleResult]:
 
 def detected(mask: Mask) -> Shape:
     """Detect a centerline of 60 points without a track."""
-    return ShapeDetector([Centerline(n=N)]).detect_mask(mask).shapes[0]
+    return cold(Centerline(n=N), mask)
 
 
 def points_hidden(shape: Shape, tangle: Tangle) -> npt.NDArray[np.bool_]:
@@ -120,40 +98,34 @@ def longest_path(skeleton: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
     return np.stack([columns[path], rows[path]], axis=1).astype(np.float64)
 
 
-def _measured(name: str, tangles: list[Tangle]) -> TangleResult:
+def _measured(name: str, tangles: list[Tangle]) -> Row:
     runs: list[Callable[[Mask], object]] = [_start, detected]
     if find_spec("skimage") is not None:
         from skimage.morphology import skeletonize
 
         runs.append(lambda mask: longest_path(np.asarray(skeletonize(mask > 0))))
     # All methods run on every mask in turn, so that other load on the machine slows all of them.
-    taken = np.array([[_milliseconds(run, tangle.mask) for run in runs] for tangle in tangles])
+    taken = np.array([[1e3 * timeit.timeit(partial(run, tangle.mask), number=1) for run in runs] for tangle in tangles])
     shapes = [detected(tangle.mask) for tangle in tangles]
     found = [(shape, tangle) for shape, tangle in zip(shapes, tangles, strict=True) if shape.ok]
     right = [(shape, tangle) for shape, tangle in found if is_traversed(shape.pixels, tangle)]
     hidden = [points_hidden(shape, tangle) for shape, tangle in right]
-    times = [float(time) for time in np.median(taken, axis=0)]
-    return TangleResult(
-        name,
-        len(tangles),
+    cold_ms, detector_ms, *peer = np.median(taken, axis=0).tolist()
+    return Row(
+        rope=name,
+        masks=len(tangles),
         right=len(right) / len(tangles),
         refused=1 - len(found) / len(tangles),
         silently_wrong=(len(found) - len(right)) / len(tangles),
         hidden=int(sum(inside.sum() for inside in hidden)),
         called_visible=int(sum((some & each.visible).sum() for some, (each, _) in zip(hidden, right, strict=True))),
-        cold_ms=times[0],
-        detector_ms=times[1],
-        peer_ms=times[2] if len(runs) > 2 else None,
-        ratio=float(np.median(taken[:, 0] / taken[:, 2])) if len(runs) > 2 else None,
+        cold_ms=cold_ms,
+        detector_ms=detector_ms,
+        peer_ms=peer[0] if peer else None,
+        ratio=median(taken[:, 0] / taken[:, 2]) if peer else None,
     )
 
 
 def _start(mask: Mask) -> object:
     window = Window(0, 0, mask.shape[1], mask.shape[0])
     return medial_axis(find_region(mask, window, Segmentation.min_area, Segmentation.min_share))
-
-
-def _milliseconds(run: Callable[[Mask], object], mask: Mask) -> float:
-    begin = time.perf_counter()
-    run(mask)
-    return 1e3 * (time.perf_counter() - begin)

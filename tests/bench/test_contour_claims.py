@@ -35,22 +35,22 @@ class TestClaims:
 
     def test_every_outline_is_found_in_order(self, found):
         assert [result for result in found if not result.ok] == []
-        assert [result for result in found if not (result.score.ordered and result.score.clockwise)] == []
+        assert [result for result in found if not (result.ordered and result.clockwise)] == []
 
     def test_points_lie_on_the_true_outline(self, found):
-        assert max(result.score.distance for result in found) <= 0.3
-        assert np.mean([result.score.distance for result in found]) <= 0.15
+        assert max(result.distance for result in found) <= 0.3
+        assert np.mean([result.distance for result in found]) <= 0.15
 
     def test_gaps_are_equal_where_the_outline_does_not_bend_within_one(self, found):
-        assert max(result.score.gap_cv for result in found if not result.coarse) <= 0.01
+        assert max(result.gap_cv for result in found if not result.coarse) <= 0.01
 
     def test_few_outlines_bend_so_far_within_a_gap(self, found):
-        assert max((result.score.gap_cv for result in found if result.coarse), default=0.0) <= 0.2
+        assert max((result.gap_cv for result in found if result.coarse), default=0.0) <= 0.2
         assert np.mean([result.coarse for result in found]) <= 0.15
 
     @needs_garments
     def test_gaps_are_equal_on_every_garment(self, clothes):
-        assert max(result.score.gap_cv for result in clothes) <= 0.01
+        assert max(result.gap_cv for result in clothes) <= 0.01
 
     @needs_garments
     def test_corners_of_towels_are_near_a_point(self):

@@ -12,9 +12,10 @@ import pytest
 pytest.importorskip("mujoco")
 
 from shape_obs.bench import ENVS, claims, env_claims, env_physics
-from shape_obs.bench.env_claims import Setting, claim_row, episodes, physics_row
+from shape_obs.bench.env_claims import Setting, claim_table, episodes, physics_table
 from shape_obs.bench.env_physics import held_actions, is_finite, make_env, strain, warnings
 from shape_obs.bench.scores import simulator_score
+from shape_obs.bench.tables import Row
 from shape_obs.cli import main
 from shape_obs.geometry.topology import Chain, Grid, Ring
 
@@ -119,25 +120,23 @@ def test_actions_are_held():
 
 @pytest.fixture(scope="module")
 def clean():
-    """Setting -> two short episodes of each environment."""
+    """Two short episodes of each environment."""
     every = [Setting(env, "d455", "clean", "auto") for env in ENVS]
     return env_claims.all_episodes(every, (0, 1), steps=6)
 
 
 def test_every_frame_is_accounted_for(clean):
-    for found in clean.values():
-        assert [each.frames for each in found] == [7, 7]
-        for each in found:
-            # A frame may be both: folded frames are not judged, whatever was told of them.
-            assert each.frames - each.not_ok - each.folded <= len(each.mm) <= each.frames - each.folded
-            assert {*each.held_mm} <= {*each.mm}
-            assert (each.broken, each.warnings) == (0, 0)
+    assert [(each.env, each.frames) for each in clean] == [(env, 7) for env in ENVS for _ in range(2)]
+    for each in clean:
+        # A frame may be both: folded frames are not judged, whatever was told of them.
+        assert each.frames - each.not_ok - each.folded <= len(each.mm) <= each.frames - each.folded
+        assert {*each.held_mm} <= {*each.mm}
+        assert (each.broken, each.warnings) == (0, 0)
 
 
 def test_the_claims_hold_on_ropes_and_bands(clean):
-    for setting, found in clean.items():
-        row = claim_row(setting, found)
-        if setting.env != "Cloth":
+    for row in claim_table(clean):
+        if row.env != "Cloth":
             assert row["mean_mm"] <= 3
             assert (row["slips"], row["flips"], row["not_ok"]) == (0, 0, 0)
 
@@ -147,7 +146,7 @@ def test_noise_and_randomised_scenes_are_looked_at_too(condition):
     setting = Setting("Cable", "rl", condition, "rays")
     (found,) = episodes(setting, [0], steps=3)
     assert found.frames == 4
-    assert claim_row(setting, [found])["condition"] == condition
+    assert claim_table([found])[0]["condition"] == condition
     assert found.mm
     assert max(found.mm) < 20
 
@@ -167,7 +166,7 @@ def test_the_command_tells_points_physics_goals_and_what_was_asked(capsys, monke
     )
     monkeypatch.setattr(env_physics, "DIFFICULTIES", ("near",))
     monkeypatch.setattr(env_claims.episodes, "__defaults__", (4,))
-    monkeypatch.setattr(env_claims.all_episodes, "__defaults__", (1, 4, lambda done: None))
+    monkeypatch.setattr(env_claims.all_episodes, "__defaults__", (1, 4, lambda text: None))
     with pytest.raises(SystemExit) as stop:
         main(["bench", "claims", "--only", "envs", "--share", "0.01", "--json"])
     captured = capsys.readouterr()
@@ -185,15 +184,14 @@ def test_the_command_tells_points_physics_goals_and_what_was_asked(capsys, monke
 
 
 def test_shares_are_of_all_frames_and_all_episodes():
-    setting = Setting("Cloth", "d455", "clean", "auto")
     (one,) = episodes(Setting("Cable", "rl", "clean", "rays"), [0], steps=1)
-    two = one._replace(mm=(), held_mm=(), slips=1, not_ok=1, folded=1, worst_slip=0.7)
-    row = claim_row(setting, [one, two])
+    two = Row(one, mm=[], held_mm=[], slips=1, not_ok=1, folded=1, worst_slip=0.7)
+    (row,) = claim_table([one, two])
     assert (row["episodes_with_slips_percent"], row["not_ok_percent"], row["folded_percent"]) == (50, 25, 25)
     assert row["worst_slip"] == 0.7
     assert row["mean_mm"] == row["found_mean_mm"] == pytest.approx(np.mean(one.mm))
-    assert claim_row(setting, [two])["mean_mm"] is None
-    assert physics_row("Cloth", [one, two])["states"] == 4
+    assert claim_table([two])[0]["mean_mm"] is None
+    assert physics_table([one, two])[0]["states"] == 4
 
 
 def test_the_number_of_jobs_is_checked(capsys):

@@ -12,8 +12,9 @@ pytest.importorskip("mujoco")
 
 from shape_obs.bench import interleaved_timing
 from shape_obs.bench.env_physics import EPISODE
-from shape_obs.bench.env_speed import Runner, Speed, Stopwatch, speed_targets
-from shape_obs.bench.interleaved_timing import opengl
+from shape_obs.bench.env_speed import Runner, Stopwatch, rate, speed_targets
+from shape_obs.bench.interleaved_timing import Turn, opengl
+from shape_obs.bench.tables import Row
 from shape_obs.cli import main
 
 GL, NO_GL = opengl()
@@ -91,14 +92,14 @@ def test_without_opengl_only_rays_are_measured_and_the_reason_is_printed(capsys,
 
 
 def test_targets_are_those_of_training_with_opengl():
-    row = {"env": "Ring", "image": "160 x 120", "renderer": "gl", "wrapper_percent": 30.0}
-    cable = {"env": "Cable", "image": "84 x 84", "renderer": "gl", "wrapped_of_no_drawing": 0.5}
-    compared = speed_targets([row, {**row, "renderer": "rays"}, cable])
+    row = Row(env="Ring", image="160 x 120", renderer="gl", wrapper_percent=30.0)
+    cable = Row(env="Cable", image="84 x 84", renderer="gl", wrapped_of_no_drawing=0.5)
+    compared = speed_targets([row, Row(row, renderer="rays"), cable])
     assert [(each["asked"], each["reached"]) for each in compared] == [("<= 10 %", "no"), (">= 0.4x", "yes")]
 
 
 def test_rates_are_those_of_the_median_step():
-    assert Speed(steps=[1.0, 2.0, 100.0]).rate == 500
+    assert rate([Turn(i, "bare", ms, None) for i, ms in enumerate((1.0, 2.0, 100.0))]) == 500
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,20 @@ import math
 
 import pytest
 
-from shape_obs.bench.growth import AREAS, CLOTH, COUNTS, NUMBER, POINTS, ROPE
-from shape_obs.bench.latency import CLASSIC, COLD, ONE_PASS, WARM, memory_growth, resident
+from shape_obs.bench.latency import (
+    AREAS,
+    CLASSIC,
+    CLOTH,
+    COLD,
+    COUNTS,
+    NUMBER,
+    ONE_PASS,
+    POINTS,
+    ROPE,
+    WARM,
+    memory_growth,
+    resident,
+)
 from shape_obs.cli import main
 
 

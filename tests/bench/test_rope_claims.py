@@ -31,20 +31,20 @@ def test_every_drawn_rope_is_found(drawn):
 
 
 def test_points_are_in_order_on_every_drawn_rope(drawn):
-    assert [result for result in drawn if not result.score.ordered] == []
+    assert [result for result in drawn if not result.ordered] == []
 
 
 def test_points_lie_on_the_true_centreline(drawn):
-    assert max(result.score.distance for result in drawn) <= 0.6
+    assert max(result.distance for result in drawn) <= 0.6
 
 
 def test_tips_are_found(drawn):
-    assert max(result.score.tip for result in drawn if result.ends == "tips") <= 1.5
+    assert max(result.tip for result in drawn if result.ends == "tips") <= 1.5
 
 
 def test_gaps_are_equal_where_a_bend_is_wider_than_a_gap(drawn):
     spaced = [result for result in drawn if result.n >= 12]
-    assert max(result.score.gap_cv for result in spaced if not result.hairpin) <= 0.01
+    assert max(result.gap_cv for result in spaced if not result.hairpin) <= 0.01
     assert sum(result.hairpin for result in spaced) < 0.02 * len(spaced)
 
 

@@ -17,11 +17,12 @@ from PIL import Image
 
 from shape_obs.bench import ENVS
 from shape_obs.bench.servo import study
-from shape_obs.bench.servo.episode import Episode, settled
+from shape_obs.bench.servo.episode import settled
 from shape_obs.bench.servo.settings import FEATURES, LAYOUTS, Disturbance, Setting, combinations
 from shape_obs.bench.servo.study import paired_rows, summary_rows
 from shape_obs.bench.servo.times import closed_forms, feature_times
-from shape_obs.bench.servo.worlds import without, world
+from shape_obs.bench.servo.worlds import World, without
+from shape_obs.bench.tables import Row
 from shape_obs.cli import main
 from shape_obs.features import read_features
 from shape_obs.geometry.topology import Chain
@@ -41,27 +42,29 @@ def command(capsys, *arguments):
 
 def episode(seed, final, best=None, steps=None):
     """An episode of which the final error is known."""
-    line = ((0.0, 0.0, 0.0), (10.0, 0.0, 0.0))
+    line = [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]
     best = final if best is None else best
-    return Episode(
-        seed, start_mm=50.0, final_mm=final, best_mm=best, success=final < 10, steps=steps, errors_mm=(50.0, final),
-        start=line, goal=line, final=line,
+    unknown = ("prediction", "seen_mm", "detector_ms", "feature_ms", "blackout_action", "blackout_mm")
+    return Row(
+        [(name, None) for name in unknown],
+        seed=seed, start_mm=50.0, final_mm=final, best_mm=best, success=final < 10, steps=steps, held=0,
+        errors_mm=[50.0, final], start=line, goal=line, final=line, failure="",
     )  # fmt: skip
 
 
 def found(setting, finals):
     """Episodes of seeds from 0 on; None stands for one that broke off."""
-    return {setting: [Episode(i, failure="lost") if mm is None else episode(i, mm) for i, mm in enumerate(finals)]}
+    return {setting: [Row(seed=i, failure="lost") if mm is None else episode(i, mm) for i, mm in enumerate(finals)]}
 
 
 class TestSettings:
     def test_every_set_can_be_had_of_its_environment(self):
         for env in ENVS:
-            made = world(TRUTH._replace(env=env))
+            made = World(TRUTH._replace(env=env))
             assert made.spec.layout == LAYOUTS[env]
             for specs in FEATURES[env].values():
                 for feature in read_features(specs):
-                    low, high = feature.bounds(made.spec.layout, made.view())
+                    low, high = feature.bounds(made.spec.layout, made.view)
                     assert np.all(low < high)
 
     def test_what_an_environment_does_not_have_is_left_out_and_names_tell_settings_apart(self):
@@ -79,7 +82,7 @@ class TestSettings:
 
 class TestWorlds:
     def test_the_camera_and_the_truth_live_through_the_same_episode(self):
-        camera, truth = (world(setting._replace(features="bspline")) for setting in (SETTING, TRUTH))
+        camera, truth = (World(setting._replace(features="bspline")) for setting in (SETTING, TRUTH))
         (seen, told), (known, also) = (each.env.reset(seed=3) for each in (camera, truth))
         action = np.full(6, 0.3, np.float32)
         for _ in range(3):
@@ -91,35 +94,35 @@ class TestWorlds:
             assert truth.env.observation_space.contains(known)
             seen, _, _, _, told = camera.env.step(action)
             known, _, _, _, also = truth.env.step(action)
-        assert camera.milliseconds() is not None
-        assert truth.milliseconds() is None
+        assert camera.milliseconds is not None
+        assert truth.milliseconds is None
 
     def test_frames_are_black_and_points_lost_when_they_should_be(self):
-        disturbed = world(SETTING._replace(disturbance=Disturbance(0.3, (2, 2))))
+        disturbed = World(SETTING._replace(disturbance=Disturbance(0.3, (2, 2))))
         still = np.zeros(6, np.float32)
         dark: list[bool] = []
         lost: list[np.ndarray] = []
         for _ in range(2):
             disturbed.env.reset(seed=0)
-            dark, lost = [disturbed.dark()], [~disturbed.seen().valid]
+            dark, lost = [disturbed.dark], [~disturbed.seen.valid]
             for _ in range(5):
                 disturbed.env.step(still)
-                dark.append(disturbed.dark())
-                assert bool(disturbed.seen().reason) == disturbed.dark()
-                lost.append(~disturbed.seen().valid)
+                dark.append(disturbed.dark)
+                assert bool(disturbed.seen.reason) == disturbed.dark
+                lost.append(~disturbed.seen.valid)
             assert dark == [False, False, True, True, False, False]
             share = np.mean([each for each, black in zip(lost, dark, strict=True) if not black])
             assert 0.1 < share < 0.5
-        again = world(SETTING._replace(disturbance=Disturbance(0.3)))
+        again = World(SETTING._replace(disturbance=Disturbance(0.3)))
         again.env.reset(seed=0)
-        np.testing.assert_array_equal(~again.seen().valid, lost[0])
+        np.testing.assert_array_equal(~again.seen.valid, lost[0])
 
     @pytest.mark.parametrize(
         "wrong", [Disturbance(1.0), Disturbance(-0.1), Disturbance(0, (0, 3)), Disturbance(0, (3, 0))]
     )
     def test_a_disturbance_that_is_none_is_refused(self, wrong):
         with pytest.raises(ValueError, match=r"expected"):
-            world(SETTING._replace(disturbance=wrong))
+            World(SETTING._replace(disturbance=wrong))
 
 
 @given(lost=st.lists(st.booleans(), min_size=6, max_size=6), held=st.booleans())
@@ -152,7 +155,7 @@ def test_settled_is_the_first_step_of_a_tail_below_10_mm(errors):
 class TestSummary:
     def test_shares_and_medians_are_over_what_did_not_break_off(self):
         some = [episode(0, 2, steps=30), episode(1, 4, steps=50), episode(2, 20, best=9), None]
-        (row,) = summary_rows({SETTING: [each or Episode(3, failure="lost") for each in some]})
+        (row,) = summary_rows({SETTING: [each or Row(seed=3, failure="lost") for each in some]})
         assert (row["n"], row["failed"], row["steps"], row["median_mm"]) == (3, 1, 40, 4)
         assert row["success"] == pytest.approx(100 * 2 / 3)
         assert row["ever"] == 100
@@ -185,7 +188,7 @@ class TestStudy:
 
         def episodes(setting, some, steps):
             for seed in some:
-                yield Episode(1, failure="lost") if seed == 1 and 1 not in seeds else episode(seed, 1.0)
+                yield Row(seed=1, failure="lost") if seed == 1 and 1 not in seeds else episode(seed, 1.0)
                 seeds.append(seed)
 
         monkeypatch.setattr(study, "episodes", episodes)

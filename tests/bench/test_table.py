@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from shape_obs.bench.parts import Parts
 from shape_obs.bench.synthetic.sheets import Sheet
 from shape_obs.bench.table import methods
 from shape_obs.bench.table.frames import CONFIGURATIONS, OF, scenes
-from shape_obs.bench.table.methods import METHODS, Row, Runner
+from shape_obs.bench.table.methods import METHODS, Runner
 from shape_obs.bench.table.report import markdown
-from shape_obs.bench.table.run import Parts, Plan, run
+from shape_obs.bench.table.run import Done, Plan, run
 from shape_obs.bench.table.summary import PAPER, rankings, results
+from shape_obs.bench.tables import Row
 from shape_obs.cli import main
 from shape_obs.clustering.kmeans import KMeans
 
@@ -34,6 +37,11 @@ def command(capsys: Any, *arguments: object) -> tuple[int, str, str]:
 
 def nothing(done: int, total: int) -> None:
     """No progress bar."""
+
+
+def without_times(chunks: list[list[Row]]) -> list[Row]:
+    """All rows but for their times."""
+    return [Row(row, ms=0.0) for row in chain(*chunks)]
 
 
 class StopError(Exception):
@@ -125,51 +133,48 @@ class TestGoingOn:
 
         with pytest.raises(StopError):
             run(plan, tmp_path, tick=stop_after_one)
-        first = tmp_path / "parts" / "contour" / "kmeans" / "0000.csv"
+        first = tmp_path / "parts" / "contour" / "kmeans" / "0000.json"
         written = first.stat().st_mtime_ns
-        assert not (first.parent / "0001.csv").exists()
+        assert not (first.parent / "0001.json").exists()
         seen: list[int] = []
-        parts = run(plan, tmp_path, tick=lambda done, total: seen.append(done))
+        found = run(plan, tmp_path, tick=lambda done, total: seen.append(done))
         assert seen == [1, 2, 3]
         assert first.stat().st_mtime_ns == written
         assert not list(tmp_path.rglob(".*")), "nothing half-written stays"
         whole = run(plan, tmp_path / "again", tick=nothing)
-        for chunk in range(3):
-            a, b = (p.read("contour", "kmeans", chunk, Row) for p in (parts, whole))
-            assert [replace(row, ms=0.0) for row in a] == [replace(row, ms=0.0) for row in b]
+        assert len(found["contour", "kmeans"]) == 3
+        assert without_times(found["contour", "kmeans"]) == without_times(whole["contour", "kmeans"])
 
     def test_one_method_is_measured_anew_alone(self, tmp_path):
         plan = Plan(10, names=("contour",), methods=("kmeans", "som"), tracings=())
         run(plan, tmp_path, tick=nothing)
-        files = {name: tmp_path / "parts" / "contour" / name / "0001.csv" for name in ("kmeans", "som")}
+        files = {name: tmp_path / "parts" / "contour" / name / "0001.json" for name in ("kmeans", "som")}
         before = {name: file.stat().st_mtime_ns for name, file in files.items()}
         run(replace(plan, methods=("som",)), tmp_path, redo=True, tick=nothing)
         assert files["kmeans"].stat().st_mtime_ns == before["kmeans"]
         assert files["som"].stat().st_mtime_ns > before["som"]
 
     @pytest.mark.parametrize(
-        ("change", "told"), [({"seed": 1}, "seed = 0, this one has 1"), ({"frames": 20}, "frames")]
+        ("change", "told"), [({"seed": 1}, "seed = 0, this run has 1"), ({"frames": 20}, "frames")]
     )
     def test_other_settings_are_refused(self, tmp_path, change, told):
         plan = Plan(10, names=("contour",), methods=("som",), tracings=())
-        Parts(tmp_path, plan.settings())
-        with pytest.raises(ValueError, match=f"holds a run with {told}.*choose another folder"):
+        Parts(tmp_path, plan.settings()).write("contour/som/0000", [])
+        with pytest.raises(ValueError, match=f"holds results with {told}.*choose another folder"):
             run(replace(plan, **change), tmp_path, tick=nothing)
 
     @pytest.mark.long
     def test_several_processes_measure_the_same(self, tmp_path):
         plan = Plan(10, names=("contour",), methods=("som",), tracings=())
         one, two = (run(plan, tmp_path / str(jobs), jobs=jobs, tick=nothing) for jobs in (1, 2))
-        for chunk in range(2):
-            a, b = (parts.read("contour", "som", chunk, Row) for parts in (one, two))
-            assert [replace(row, ms=0.0) for row in a] == [replace(row, ms=0.0) for row in b]
+        assert without_times(one["contour", "som"]) == without_times(two["contour", "som"])
 
 
 class TestCommand:
     def test_it_writes_all_it_promises(self, outlines):
         folder, printed = outlines
         assert {path.name for path in folder.iterdir() if path.is_file()} == {
-            "settings.json", "table.md", "table.json", "frames.csv", "side_by_side.jpg", "bars.png",
+            "table.md", "table.json", "frames.csv", "side_by_side.jpg", "bars.png",
         }  # fmt: skip
         assert (folder / "table.md").read_text(encoding="utf-8") == printed.removesuffix("\n")
         with (folder / "frames.csv").open(newline="") as file:
@@ -245,31 +250,29 @@ class TestCommand:
         assert not (tmp_path / "o").exists()
 
 
-def test_the_ranking_counts_pairs_on_equal_frames(tmp_path):
+def test_the_ranking_counts_pairs_on_equal_frames():
     """Made-up rows: every chunk has a level of its own, far above the differences between the methods."""
     plan = Plan(100, tracings=())
-    parts = Parts(tmp_path, plan.settings())
+    done: Done = {}
     quality = {"gmm": 4.0, "kohonen": 3.0, "fcm": 2.0, "kmeans": 2.0, "som": 5.0}
     rng = np.random.default_rng(0)
     for name in CONFIGURATIONS:
-        for chunk, frames in enumerate(plan.chunks):
+        for frames in plan.chunks:
             level, noise = rng.normal(0, 50), rng.normal(0, 0.1, (len(METHODS), len(frames)))
             for method, own in zip(METHODS, noise, strict=True):
-                made = [
-                    Row(frame, 100, True, value, False, value, -value, 0.0, True, True, 1, True)
-                    for frame, value in zip(frames, quality[method] + level + own, strict=True)
-                ]
-                parts.write(name, method, chunk, made)
-    found = rankings(parts, plan)
+                same = {"pixels": 100, "ok": True, "cv": 0.0, "ordered": True, "own_order": True, "settled": True}
+                values = (quality[method] + level + own).tolist()
+                done.setdefault((name, method), []).append([Row(same, sc=v, ch=v, ms=-v) for v in values])
+    found = rankings(done, plan)
     assert [(r.measure, r.here[:2], r.against) for r in found[:2]] == [
         ("sc", ("gmm", "kohonen"), 0),
         ("ch", ("gmm", "kohonen"), 0),
     ]
     assert found[0].pairs == 5, "FCM and KMA are equal, so nothing is said of them"
     assert not found[2].holds, "by time GMM would be the fastest"
-    summary = results(parts, plan)
+    summary = results(done, plan)
     assert [r.method for r in summary if r.configuration == "all"] == list(METHODS)
-    assert summary[0].sc.half > 10 * 0.1, "an episode counts as one"
+    assert summary[0].sc_half_interval > 10 * 0.1, "an episode counts as one"
     page = markdown(plan, {"cores": "2"}, summary, found, [])
     assert "By silhouette the paper's ranking" in page
     assert "| KMA | 0.254 |" in page

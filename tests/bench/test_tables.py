@@ -4,34 +4,30 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
-from typing import NamedTuple
+import pickle
 
-import numpy as np
 import pytest
 
 from shape_obs.bench import run_tasks
 from shape_obs.bench.tables import (
+    Row,
     as_csv,
     as_markdown,
     as_text,
     at_least,
     at_most,
+    failures,
     grouped,
     mean,
     median,
-    rows_of,
+    of,
+    summary,
     worst,
 )
 
 ROWS = [{"name": "a", "ms": 1.25, "n": 3, "ok": True}, {"name": "longer", "ms": None, "n": 12345, "ok": False}]
-
-
-class Result(NamedTuple):
-    """A result with a NumPy scalar."""
-
-    name: str
-    error: float
 
 
 @pytest.mark.parametrize(
@@ -67,10 +63,27 @@ def test_csv_can_be_read_again():
     assert rows == [{"a": "1", "b": "", "c": "x, y", "d": "0.1"}]
 
 
-def test_results_become_plain_values():
-    (row,) = rows_of([Result("a", np.float64(0.5))])
-    assert row == {"name": "a", "error": 0.5}
-    assert type(row["error"]) is float
+def test_the_fields_of_a_row_are_attributes():
+    row = pickle.loads(pickle.dumps(Row(name="a", error=0.5)))
+    assert (row.name, row["error"]) == ("a", 0.5)
+    assert json.dumps(row) == '{"name": "a", "error": 0.5}'
+    with pytest.raises(AttributeError, match="mm"):
+        _ = row.mm
+
+
+def test_a_summary_has_a_row_for_each_group():
+    rows = [Row(kind=kind, mm=mm, ok=mm < 3, score=complex(mm)) for kind, mm in (("a", 1), ("b", 2), ("a", 5))]
+    columns = {
+        "n": len,
+        "not_ok": failures("ok"),
+        "worst": of(worst, "mm"),
+        "small": of(worst, "mm", lambda row: row.ok),
+        "sum": of(sum, "score.real"),
+    }
+    assert summary(rows, ("kind",), columns) == [
+        {"kind": "a", "n": 2, "not_ok": 1, "worst": 5, "small": 1, "sum": 6},
+        {"kind": "b", "n": 1, "not_ok": 0, "worst": 2, "small": 2, "sum": 2},
+    ]
 
 
 def test_groups_and_summaries():

@@ -12,7 +12,8 @@ from scipy.spatial import KDTree
 
 from shape_obs.bench.synthetic.ropes import draw_rope, random_rope, resample
 from shape_obs.bench.synthetic.tangles import Tangle, crossing_rope, cut_rope, is_traversed
-from shape_obs.bench.tangle_claims import SETS, TangleResult, detected, tangled_ropes
+from shape_obs.bench.tables import Row
+from shape_obs.bench.tangle_claims import SETS, detected, tangled_ropes
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region
@@ -37,7 +38,7 @@ def strip(*points: tuple[float, float], width: float = 10.0) -> npt.NDArray[np.u
 
 
 @pytest.fixture(scope="module")
-def claims() -> dict[str, TangleResult]:
+def claims() -> dict[str, Row]:
     return {result.rope: result for result in tangled_ropes(per_set=12, seed=11)}
 
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.servo.settings import Setting
-from shape_obs.bench.servo.worlds import World, world
-from shape_obs.bench.tables import median
+from shape_obs.bench.servo.worlds import World
+from shape_obs.bench.tables import Row, median
 from shape_obs.features import FeatureVector
 from shape_obs.servo import ShapeServo, geometric_weights, make_law
 from shape_obs.utils.threads import one_thread
@@ -24,72 +23,16 @@ REACHED: Final = 10.0  # millimetres
 _LAST: Final = 5  # steps over which the final error is the mean
 
 
-@dataclass(frozen=True)
-class Episode:
-    """How one goal was approached. Errors are mean distances of the true points from the true goal's, millimetres.
-
-    Args:
-        seed: Seed of the start, the goal and the noise.
-        start_mm: Error before the first step.
-        final_mm: Mean error of the last five steps.
-        best_mm: The smallest error of the episode.
-        success: Whether ``final_mm`` is below 10.
-        steps: The first step after which the error stays below 10 mm, or None.
-        prediction: Median share of a change of features that was not predicted, over the learnt motions after the
-            excitation until the error stayed below 10 mm (at the goal, changes are only noise); None without any.
-        seen_mm: Median over the frames of the mean distance of the detected points from the true ones.
-        detector_ms: Median time of the detector in a frame; None without a detector.
-        feature_ms: Median time of the features of a shape.
-        held: Observations without an action.
-        blackout_action: The largest coordinate of an action that was chosen in a black frame, or None.
-        blackout_mm: Mean distance of the true points from their positions in the first black frame, or None.
-        errors_mm: The error over time, (T+1,).
-        start: True points at the start, (N, 3), millimetres, base frame.
-        goal: True points of the goal, (N, 3).
-        final: True points at the end, (N, 3).
-        failure: Why the episode broke off, or empty. All numbers are None or empty then.
-    """
-
-    seed: int
-    start_mm: float | None = None
-    final_mm: float | None = None
-    best_mm: float | None = None
-    success: bool = False
-    steps: int | None = None
-    prediction: float | None = None
-    seen_mm: float | None = None
-    detector_ms: float | None = None
-    feature_ms: float | None = None
-    held: int = 0
-    blackout_action: float | None = None
-    blackout_mm: float | None = None
-    errors_mm: tuple[float, ...] = ()
-    start: tuple[tuple[float, ...], ...] = ()
-    goal: tuple[tuple[float, ...], ...] = ()
-    final: tuple[tuple[float, ...], ...] = ()
-    failure: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON-able values."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Episode:
-        """Return the episode from the values of ``to_dict``."""
-        lines = {name: tuple(map(tuple, values[name])) for name in ("start", "goal", "final")}
-        return cls(**{**values, **lines, "errors_mm": tuple(values["errors_mm"])})
+Found = Mapping[Setting, Sequence[Row]]
 
 
-Found = Mapping[Setting, Sequence[Episode]]
-
-
-def episodes(setting: Setting, seeds: Sequence[int], steps: int = STEPS) -> Iterator[Episode]:
+def episodes(setting: Setting, seeds: Sequence[int], steps: int = STEPS) -> Iterator[Row]:
     """Play one episode for each seed, on one thread; an episode that breaks off has a ``failure``.
 
     Raises:
         ValueError: The setting is not understood.
     """
-    made = world(setting)
+    made = World(setting)
     try:
         with one_thread():
             for seed in seeds:
@@ -98,7 +41,7 @@ def episodes(setting: Setting, seeds: Sequence[int], steps: int = STEPS) -> Iter
         made.env.close()
 
 
-def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
+def play(world: World, law: str, seed: int, steps: int = STEPS) -> Row:
     """Bring the shape to the goal of a seed.
 
     Args:
@@ -106,50 +49,62 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Episode:
         law: A name of ``shape_obs.servo.LAWS``.
         seed: Seed of the start, the goal and the noise.
         steps: Number of steps.
+
+    Returns:
+        Errors are mean distances of the true points from the true goal's, in millimetres: ``start_mm`` before the first
+        step, ``final_mm`` the mean of the last five steps, ``best_mm`` the smallest one, ``errors_mm`` over time,
+        (T+1,). ``success``: whether ``final_mm`` is below 10; ``steps``: the first step after which the error stays
+        below 10 mm, or None. ``prediction``: median share of a change of features that was not predicted, over the
+        learnt motions after the excitation until the error stayed below 10 mm (at the goal, changes are only noise),
+        None without any. ``seen_mm``: median over the frames of the mean distance of the detected points from the true
+        ones; ``detector_ms``: median time of the detector in a frame, None without a detector; ``feature_ms``: that of
+        the features of a shape. ``held``: observations without an action. ``blackout_action``: the largest coordinate
+        of an action that was chosen in a black frame, ``blackout_mm``: mean distance of the true points from their
+        positions in the first black frame, or None. ``start``, ``goal``, ``final``: true points, (N, 3), millimetres,
+        base frame.
     """
     servo = _servo(world, law)
-    vector = FeatureVector(world.features, [world.spec], world.view())
+    vector = FeatureVector(world.features, [world.spec], world.view)
     observation, info = world.env.reset(seed=seed)
-    goal, start = 1e3 * info["truth/goal"], 1e3 * info["truth/points"]
-    errors, points, blackout = [1e3 * info["truth/mean_error"]], start, _Blackout()
-    predicted: list[tuple[int, float]] = []
-    seen: list[float] = []
-    detector: list[float | None] = []
-    feature: list[float] = []
-    for step in range(steps):
-        seen.append(_apart(world, points))
-        detector.append(world.milliseconds())
-        feature.append(_milliseconds(vector, world))
+    goal, start = (1e3 * np.asarray(info[name], np.float64) for name in ("truth/goal", "truth/points"))
+    errors, points = [1e3 * info["truth/mean_error"]], start
+    frames: list[Row] = []
+    for _ in range(steps):
+        seen, camera = world.seen.points3d, world.view.camera
+        assert seen is not None
+        assert camera is not None
+        times = {"detector": world.milliseconds, "feature": _milliseconds(vector, world)}
+        frame = Row(before=points, seen=_apart(1e3 * camera.to_base(seen), points), dark=world.dark, **times)
         exciting, learnt = servo.exciting, servo.law.learnt
         action = servo.act(observation)
-        if servo.law.learnt > learnt and not exciting:
-            predicted.append((step, servo.law.estimator.error))
-        dark = world.dark()
+        is_new = servo.law.learnt > learnt and not exciting
         observation, _, _, _, info = world.env.step(action)
-        if dark:
-            blackout.watch(action, points, 1e3 * info["truth/points"])
         points = 1e3 * info["truth/points"]
+        largest, predicted = float(np.abs(action).max()), servo.law.estimator.error if is_new else None
+        frames.append(Row(frame, action=largest, predicted=predicted, after=points))
         errors.append(1e3 * info["truth/mean_error"])
     final, there = float(np.mean(errors[-_LAST:])), settled(errors)
-    before_goal = [error for step, error in predicted if there is None or step <= there]
-    return Episode(
+    before_goal = frames if there is None else frames[: there + 1]
+    black = [frame for frame in frames if frame.dark]
+    return Row(
         seed=seed,
         start_mm=errors[0],
         final_mm=final,
         best_mm=min(errors),
         success=final < REACHED,
         steps=there,
-        prediction=median(before_goal),
-        seen_mm=median(seen),
-        detector_ms=median(detector),
-        feature_ms=median(feature),
+        prediction=median(frame.predicted for frame in before_goal),
+        seen_mm=median(frame.seen for frame in frames),
+        detector_ms=median(frame.detector for frame in frames),
+        feature_ms=median(frame.feature for frame in frames),
         held=servo.held,
-        blackout_action=blackout.action,
-        blackout_mm=blackout.moved,
-        errors_mm=tuple(np.round(errors, 3).tolist()),
-        start=_listed(start),
-        goal=_listed(goal),
-        final=_listed(points),
+        blackout_action=max((frame.action for frame in black), default=None),
+        blackout_mm=max((_apart(frame.after, black[0].before) for frame in black), default=None),
+        errors_mm=np.round(errors, 3).tolist(),
+        start=np.round(start, 2).tolist(),
+        goal=np.round(goal, 2).tolist(),
+        final=np.round(points, 2).tolist(),
+        failure="",
     )
 
 
@@ -160,57 +115,33 @@ def settled(errors: Sequence[float]) -> int | None:
     return first if first < len(errors) else None
 
 
-def _tried(world: World, law: str, seed: int, steps: int) -> Episode:
+def _tried(world: World, law: str, seed: int, steps: int) -> Row:
     try:
         return play(world, law, seed, steps)
     except (ValueError, RuntimeError, ArithmeticError) as error:
-        return Episode(seed, failure=f"{type(error).__name__}: {error}")
-
-
-class _Blackout:
-    """The largest action and motion during black frames."""
-
-    def __init__(self) -> None:
-        self.action: float | None = None
-        self.moved: float | None = None
-        self._before: Array | None = None
-
-    def watch(self, action: npt.NDArray[np.float32], before: Array, after: Array) -> None:
-        """Add an action that was chosen in a black frame, and the true points before and after it."""
-        self._before = before if self._before is None else self._before
-        moved = float(np.linalg.norm(after - self._before, axis=1).mean())
-        self.action = max(self.action or 0.0, float(np.abs(action).max()))
-        self.moved = max(self.moved or 0.0, moved)
+        return Row(seed=seed, failure=f"{type(error).__name__}: {error}")
 
 
 def _servo(world: World, law: str) -> ShapeServo:
     space = world.env.action_space
-    weights = geometric_weights(world.features, world.spec.layout, world.view())
+    weights = geometric_weights(world.features, world.spec.layout, world.view)
     how: Any = "noise" if weights is None else weights
-    vector = FeatureVector(world.features, [world.spec], world.view())
+    vector = FeatureVector(world.features, [world.spec], world.view)
     return ShapeServo(
         make_law(law),
         actions=int(np.prod(space.shape or ())),
-        seen=world.seen,
-        measured=lambda: vector.measured([world.seen()]),
+        seen=lambda: world.seen,
+        measured=lambda: vector.measured([world.seen]),
         weights=how,
     )
 
 
 def _milliseconds(vector: FeatureVector, world: World) -> float:
-    shape, view = [world.seen()], [world.view()]
+    shape, view = [world.seen], [world.view]
     begin = time.perf_counter()
     vector.compute(shape, view)
     return 1e3 * (time.perf_counter() - begin)
 
 
-def _apart(world: World, truth: Array) -> float:
-    """Return the mean distance of the detected points from the true ones in millimetres."""
-    points, camera = world.seen().points3d, world.view().camera
-    assert points is not None
-    assert camera is not None
-    return float(np.linalg.norm(1e3 * camera.to_base(points) - truth, axis=1).mean())
-
-
-def _listed(points: npt.NDArray[Any]) -> tuple[tuple[float, ...], ...]:
-    return tuple(map(tuple, np.round(points.astype(np.float64), 2).tolist()))
+def _apart(points: Array, others: Array) -> float:
+    return float(np.linalg.norm(points - others, axis=1).mean())

@@ -9,18 +9,23 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.servo.episode import REACHED, Episode, Found
+from shape_obs.bench.servo.episode import REACHED, Found
 from shape_obs.bench.servo.settings import LAYOUTS, Difficulty, Setting
+from shape_obs.bench.tables import Row
 from shape_obs.utils.files import write_whole
 
 Array = npt.NDArray[np.float64]
 
 PICTURES: Final = ("curves.png", "overlays.png")
-_INK, _START, _GOAL = "#22313f", "#b8bcc0", "#22313f"
+_INK: Final = "#22313f"
 _COLOURS: Final = (
     "#1f6fb4", "#d4541a", "#3a8f4d", "#8a56a8", "#b08a1e", "#2a9aa0", "#c0417c", "#6d6d6d", "#7a4a2b", "#4b5fd0",
 )  # fmt: skip
-_FINAL: Final = _COLOURS[1]
+_LINES: Final[dict[str, dict[str, Any]]] = {
+    "start": {"color": "#b8bcc0", "linewidth": 2.0},
+    "final": {"color": _COLOURS[1], "linewidth": 1.8},
+    "goal": {"color": _INK, "linewidth": 1.4, "linestyle": ":"},
+}
 _STYLES: Final = {"camera": "-", "truth": (0, (4, 2))}
 _DPI: Final = 110
 _FINEST: Final = 0.3  # millimetres; only the true points get below it
@@ -61,15 +66,12 @@ def _curves(found: Found) -> Any:
             axis.fill_between(steps, low, high, color=colour, alpha=0.14, linewidth=0)
     for row, panel in zip(axes, panels, strict=True):
         for axis, difficulty in zip(row, columns, strict=True):
-            _plain(axis)
-            axis.set_yscale("log")
+            _plain(axis, f"{' '.join(panel)}, {difficulty}")
+            axis.set(yscale="log", xlabel="step" if panel == panels[-1] else "")
             axis.set_ylim(bottom=_FINEST)
             axis.yaxis.set_major_formatter("{x:g}")
             axis.axhline(REACHED, color=_INK, linewidth=0.8, linestyle=":")
-            axis.set_title(f"{' '.join(panel)}, {difficulty}", fontsize=9, color=_INK)
         row[0].set_ylabel("mean error [mm]")
-    for axis in axes[-1]:
-        axis.set_xlabel("step")
     figure.legend(handles=_legend(lines, found), loc="outside upper center", ncols=6, frameon=False, fontsize=9)
     return figure
 
@@ -102,47 +104,37 @@ def _overlays(found: Found) -> Any:
             (setting for setting in found if (setting.env, setting.difficulty) == group),
             key=lambda setting: _worth(setting, found[setting]),
         )
-        ranked = sorted(found[setting], key=lambda episode: episode.final_mm or 0.0)
+        ranked = sorted(found[setting], key=lambda episode: episode.final_mm)
         shown = {"good": ranked[len(ranked) // 4], "median": ranked[len(ranked) // 2], "worst": ranked[-1]}
         for axis, (name, episode) in zip(row, shown.items(), strict=True):
             _shapes(axis, setting, episode)
-            error = f"{episode.start_mm:.0f} to {episode.final_mm:.1f} mm"
-            axis.set_title(f"{name}: seed {episode.seed}, {error}", fontsize=9, color=_INK)
+            _plain(axis, f"{name}: seed {episode.seed}, {episode.start_mm:.0f} to {episode.final_mm:.1f} mm")
         row[0].set_ylabel(f"{setting.env}, {setting.difficulty}\n{setting.features}, {setting.law}\ny [mm]", fontsize=9)
     for axis in axes[-1]:
         axis.set_xlabel("x [mm]")
-    handles = [
-        Line2D([], [], color=_START, linewidth=2, label="start"),
-        Line2D([], [], color=_FINAL, linewidth=1.8, label="end"),
-        Line2D([], [], color=_GOAL, linewidth=1.4, linestyle=":", label="goal"),
-    ]
+    handles = [Line2D([], [], label="end" if name == "final" else name, **style) for name, style in _LINES.items()]
     figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False, fontsize=9)
     return figure
 
 
-def _worth(setting: Setting, some: Sequence[Episode]) -> tuple[bool, int, float]:
+def _worth(setting: Setting, some: Sequence[Row]) -> tuple[bool, int, float]:
     """Return the rank of a setting: the camera first, then by goals reached, then by the final error."""
-    final = float(np.median([episode.final_mm or 0.0 for episode in some]))
+    final = float(np.median([episode.final_mm for episode in some]))
     return setting.source == "camera", sum(episode.success for episode in some), -final
 
 
-def _shapes(axis: Any, setting: Setting, episode: Episode) -> None:
+def _shapes(axis: Any, setting: Setting, episode: Row) -> None:
     """Draw the start in grey, the end in colour and the goal dotted, from above; point 0 is marked."""
     edges = LAYOUTS[setting.env].edges()
-    styles: dict[str, dict[str, Any]] = {
-        "start": {"color": _START, "linewidth": 2.0},
-        "final": {"color": _FINAL, "linewidth": 1.8},
-        "goal": {"color": _GOAL, "linewidth": 1.4, "linestyle": ":"},
-    }
-    for name, style in styles.items():
-        points = np.asarray(getattr(episode, name))
+    for name, style in _LINES.items():
+        points = np.asarray(episode[name])
         axis.plot(*points[edges][..., :2].transpose(2, 1, 0), **style)
         axis.plot(*points[0, :2], marker="o", markersize=4, color=style["color"])
-    _plain(axis)
     axis.set_aspect("equal", adjustable="datalim")
 
 
-def _plain(axis: Any) -> None:
+def _plain(axis: Any, title: str) -> None:
+    axis.set_title(title, fontsize=9, color=_INK)
     axis.spines[["top", "right"]].set_visible(False)
     axis.grid(color="#e4e4e0", linewidth=0.7)
     axis.set_axisbelow(True)

@@ -4,20 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
-from typing import Any, Final, Literal, NamedTuple, get_args
+from typing import Any, Final, NamedTuple, get_args
 
-from shape_obs.bench import Env
+from shape_obs.bench import Difficulty, Env, FeatureSet, Source
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
-Difficulty = Literal["near", "middle", "far"]
-Source = Literal["camera", "truth", "taught"]
-FeatureSet = Literal[
-    "points3d", "points2d", "fourier", "bezier", "bspline", "tangents", "curvature", "turning_angles", "moments", "pca"
-]
-
-DIFFICULTIES: Final[tuple[Difficulty, ...]] = get_args(Difficulty)
-SOURCES: Final[tuple[Source, ...]] = ("camera", "truth")
-SETS: Final[tuple[FeatureSet, ...]] = get_args(FeatureSet)
 #: The topology of each environment's points, as it publishes it.
 LAYOUTS: Final[Mapping[Env, Topology]] = {"Cable": Chain(20), "Ring": Ring(32), "Cloth": Grid(4, 8)}
 
@@ -112,7 +103,8 @@ class Setting(NamedTuple):
     @property
     def pixels(self) -> tuple[int, int]:
         """(width, height) of the images."""
-        return image_size(self.size)
+        width, _, height = self.size.partition("x")
+        return int(width), int(height)
 
     @property
     def name(self) -> str:
@@ -123,18 +115,6 @@ class Setting(NamedTuple):
         if self.disturbance.blackout is not None:
             parts.append("blackout{}x{}".format(*self.disturbance.blackout))
         return "-".join(parts)
-
-
-def image_size(text: str) -> tuple[int, int]:
-    """Return (width, height) from text such as ``"160x120"``.
-
-    Raises:
-        ValueError: The text is not a size.
-    """
-    width, x, height = text.partition("x")
-    if not (x and width.isdigit() and height.isdigit()):
-        raise ValueError(f"size: expected WIDTHxHEIGHT in pixels, such as 160x120, got {text!r}.")
-    return int(width), int(height)
 
 
 def feature_set(env: Env, name: FeatureSet, pca: str | None = None) -> tuple[dict[str, Any], ...] | None:
@@ -154,8 +134,8 @@ def combinations(
     envs: Sequence[Env],
     features: Sequence[FeatureSet],
     laws: Sequence[str],
-    difficulties: Sequence[Difficulty] = DIFFICULTIES,
-    sources: Sequence[Source] = SOURCES,
+    difficulties: Sequence[Difficulty] = get_args(Difficulty),
+    sources: Sequence[Source] = ("camera", "truth"),
     sizes: Sequence[str] = ("160x120",),
     disturbance: Disturbance = Disturbance(),  # noqa: B008  a tuple of constants
     renderer: str = "auto",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,17 +13,17 @@ from scipy.stats import DegenerateDataWarning, binomtest, bootstrap
 
 from shape_obs import __version__
 from shape_obs.bench import run_tasks
-from shape_obs.bench.servo.episode import REACHED, STEPS, Episode, Found, episodes
+from shape_obs.bench.parts import Parts
+from shape_obs.bench.servo.episode import REACHED, STEPS, Found, episodes
 from shape_obs.bench.servo.settings import Disturbance, Setting
 from shape_obs.bench.tables import Row, as_csv, as_markdown, grouped, median
-from shape_obs.utils.documents import read_json
-from shape_obs.utils.files import make_folder, write_text
+from shape_obs.utils.files import write_text
 
 _CHUNK: Final = 5  # episodes for which a world is made
-_PARTS: Final = "parts"
 _RESAMPLES: Final = 4000
 _CONFIDENCE: Final = 0.95
 _LONG: Final = ("errors_mm", "start", "goal", "final")  # fields of an episode that do not fit in a cell
+_NAMED: Final = ("env", "difficulty", "source", "size", "features", "law")  # fields of a setting in the tables
 _IF_ANY: Final = ("failed", "invalid")
 
 
@@ -36,7 +35,7 @@ def run(
     jobs: int = 1,
     folder: Path | None = None,
     resume: bool = False,
-    tick: Callable[[Setting, Episode], object] = lambda setting, episode: None,
+    tick: Callable[[Setting, Row], object] = lambda setting, episode: None,
 ) -> Found:
     """Play the same goals under every setting.
 
@@ -55,11 +54,12 @@ def run(
     Raises:
         ValueError: The folder holds episodes of another version or length, or a setting is not understood.
     """
-    kept: dict[Setting, dict[int, Episode]] = {setting: {} for setting in settings}
-    if folder is not None:
-        make_folder(folder / _PARTS)
-        if resume:
-            kept = {setting: _read(folder, setting, steps) for setting in settings}
+    kept: dict[Setting, dict[int, Row]] = {setting: {} for setting in settings}
+    stores = {} if folder is None else {each: Parts(folder, _made_with(each, steps)) for each in settings}
+    if resume:
+        for setting, store in stores.items():
+            found = store.read(setting.name) or ()
+            kept[setting] = {episode.seed: episode for episode in found if not episode.failure}
     tasks = []
     for setting, done in kept.items():
         for seed in seeds:
@@ -69,51 +69,25 @@ def run(
         tasks += [(setting, left[first : first + _CHUNK], steps) for first in range(0, len(left), _CHUNK)]
     for setting, episode in _played(tasks, jobs):
         kept[setting][episode.seed] = episode
-        if folder is not None:
-            done = [kept[setting][seed].to_dict() for seed in sorted(kept[setting])]
-            document = {"made_with": _made_with(setting, steps), "episodes": done}
-            write_text(_path(folder, setting), json.dumps(document, separators=(",", ":")) + "\n")
+        if stores:
+            stores[setting].write(setting.name, [kept[setting][seed] for seed in sorted(kept[setting])])
         tick(setting, episode)
     return {setting: [done[seed] for seed in seeds] for setting, done in kept.items()}
 
 
-def _played(tasks: Sequence[tuple[Setting, list[int], int]], jobs: int) -> Iterator[tuple[Setting, Episode]]:
+def _played(tasks: Sequence[tuple[Setting, list[int], int]], jobs: int) -> Iterator[tuple[Setting, Row]]:
     chunks: Any = ((task[0], episodes(*task)) for task in tasks) if jobs == 1 else run_tasks(_chunk, tasks, jobs)
     for setting, found in chunks:
         for episode in found:
             yield setting, episode
 
 
-def _chunk(setting: Setting, seeds: Sequence[int], steps: int) -> tuple[Setting, list[Episode]]:
+def _chunk(setting: Setting, seeds: Sequence[int], steps: int) -> tuple[Setting, list[Row]]:
     return setting, list(episodes(setting, seeds, steps))
-
-
-def _read(folder: Path, setting: Setting, steps: int) -> dict[int, Episode]:
-    """Return the kept episodes of a setting by seed, without those that broke off."""
-    path = _path(folder, setting)
-    if not path.exists():
-        return {}
-    document = read_json(path, "episodes")
-    try:
-        before, kept = dict(document["made_with"]), list(document["episodes"])
-        for name, now in _made_with(setting, steps).items():
-            if before.get(name) != now:
-                raise ValueError(
-                    f"{path} holds episodes with {name} = {before.get(name)}, this run has {now}: choose "
-                    "another folder, or leave out --resume to play them again."
-                )
-        found = [Episode.from_dict(values) for values in kept]
-    except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path}: not the episodes of a study ({error!r}): remove it to play them again.") from error
-    return {episode.seed: episode for episode in found if not episode.failure}
 
 
 def _made_with(setting: Setting, steps: int) -> Mapping[str, Any]:
     return {"shape_obs": __version__, "steps": steps, "renderer": setting.renderer, "pca": setting.pca}
-
-
-def _path(folder: Path, setting: Setting) -> Path:
-    return folder / _PARTS / f"{setting.name}.json"
 
 
 def write_tables(found: Found, folder: Path) -> None:
@@ -133,13 +107,13 @@ def without_empty(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
     names = rows[0] if rows else ()
     kept = [name for name in names if any(row[name] not in (None, "") for row in rows)]
     kept = [name for name in kept if name not in _IF_ANY or any(row[name] for row in rows)]
-    return [{name: row[name] for name in kept} for row in rows]
+    return [Row({name: row[name] for name in kept}) for row in rows]
 
 
 def episode_rows(found: Found) -> list[Row]:
     """Return a row for each episode with its setting and all of its numbers."""
     return [
-        _named(setting) | {name: value for name, value in episode.to_dict().items() if name not in _LONG}
+        Row(_named(setting), **{name: value for name, value in episode.items() if name not in _LONG})
         for setting, some in found.items()
         for episode in some
     ]
@@ -150,9 +124,9 @@ def summary_rows(found: Found) -> list[Row]:
 
     ``success`` is the percentage of goals whose final error is below 10 mm, ``low`` and ``high`` its Wilson interval of
     95 %; ``ever`` counts goals that were within 10 mm at any time; ``steps`` is the median over the reached goals.
-    Episodes that broke off count only in ``failed``.
+    Rows that broke off count only in ``failed``.
     """
-    return [_named(setting) | _summary(some) for setting, some in found.items()]
+    return [Row(_named(setting), **_summary(some)) for setting, some in found.items()]
 
 
 def paired_rows(found: Found, seed: int = 0) -> list[Row]:
@@ -176,59 +150,60 @@ def paired_rows(found: Found, seed: int = 0) -> list[Row]:
         pairs[setting] = np.array([(a.success, b.success) for a, b in both], bool).reshape(-1, 2)
     rows = []
     for settings in grouped(pairs, lambda setting: setting._replace(difficulty="near")).values():
-        rows += [_paired(setting, setting.difficulty, pairs[setting], seed) for setting in settings]
+        rows += [_paired(setting, pairs[setting], seed) for setting in settings]
         if len(settings) > 1:
-            rows.append(_paired(settings[0], "all", np.concatenate([pairs[each] for each in settings]), seed))
+            every = np.concatenate([pairs[each] for each in settings])
+            rows.append(Row(_paired(settings[0], every, seed), difficulty="all"))
     return rows
 
 
 def _named(setting: Setting) -> Row:
     wrong = setting.disturbance
     blackout = "" if wrong.blackout is None else "{}+{}".format(*wrong.blackout)
-    return {
-        "env": setting.env, "difficulty": setting.difficulty, "source": setting.source, "size": setting.size,
-        "features": setting.features, "law": setting.law, "invalid": wrong.invalid, "blackout": blackout,
-    }  # fmt: skip
+    return Row({name: getattr(setting, name) for name in _NAMED}, invalid=wrong.invalid, blackout=blackout)
 
 
-def _summary(some: Sequence[Episode]) -> Row:
+def _summary(some: Sequence[Row]) -> Row:
     whole = [episode for episode in some if not episode.failure]
     reached = sum(episode.success for episode in whole)
     low, high = _wilson(reached, len(whole))
-    final = [episode.final_mm for episode in whole if episode.final_mm is not None]
-    ever = [episode.best_mm is not None and episode.best_mm < REACHED for episode in whole]
-    return {
-        "n": len(whole),
-        "failed": len(some) - len(whole),
-        "success": _percent(reached, len(whole)),
-        "low": low,
-        "high": high,
-        "ever": _percent(sum(ever), len(whole)),
-        "steps": median(episode.steps if episode.success else None for episode in whole),
-        "start_mm": median(episode.start_mm for episode in whole),
-        "median_mm": median(final),
-        "p90_mm": float(np.percentile(final, 90)) if final else None,
-        "prediction": median(episode.prediction for episode in whole),
-        "seen_mm": median(episode.seen_mm for episode in whole),
-        "detector_ms": median(episode.detector_ms for episode in whole),
-        "feature_ms": median(episode.feature_ms for episode in whole),
-        "blackout_action": max((e.blackout_action for e in whole if e.blackout_action is not None), default=None),
-        "blackout_mm": max((e.blackout_mm for e in whole if e.blackout_mm is not None), default=None),
-    }
+    final = [episode.final_mm for episode in whole]
+    ever = [episode.best_mm < REACHED for episode in whole]
+
+    def middle(name: str) -> float | None:
+        return median(episode[name] for episode in whole)
+
+    def largest(name: str) -> float | None:
+        return max((value for episode in whole if (value := episode[name]) is not None), default=None)
+
+    return Row(
+        n=len(whole),
+        failed=len(some) - len(whole),
+        success=_percent(reached, len(whole)),
+        low=low,
+        high=high,
+        ever=_percent(sum(ever), len(whole)),
+        steps=median(episode.steps if episode.success else None for episode in whole),
+        start_mm=middle("start_mm"),
+        median_mm=median(final),
+        p90_mm=float(np.percentile(final, 90)) if final else None,
+        **{name: middle(name) for name in ("prediction", "seen_mm", "detector_ms", "feature_ms")},
+        **{name: largest(name) for name in ("blackout_action", "blackout_mm")},
+    )
 
 
-def _paired(setting: Setting, difficulty: str, pairs: npt.NDArray[np.bool_], seed: int) -> Row:
+def _paired(setting: Setting, pairs: npt.NDArray[np.bool_], seed: int) -> Row:
     low, high = _ratio_interval(pairs, seed)
     camera, truth = pairs.sum(axis=0).tolist()
-    return _named(setting) | {
-        "difficulty": difficulty,
-        "n": len(pairs),
-        "camera": _percent(camera, len(pairs)),
-        "truth": _percent(truth, len(pairs)),
-        "ratio": camera / truth if truth else None,
-        "low": low,
-        "high": high,
-    }
+    return Row(
+        _named(setting),
+        n=len(pairs),
+        camera=_percent(camera, len(pairs)),
+        truth=_percent(truth, len(pairs)),
+        ratio=camera / truth if truth else None,
+        low=low,
+        high=high,
+    )
 
 
 def _ratio_interval(pairs: npt.NDArray[np.bool_], seed: int) -> tuple[float | None, float | None]:

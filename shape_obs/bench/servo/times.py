@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
 from shape_obs.bench import Clock, Env, Size
 from shape_obs.bench.env_physics import held_actions, make_env
-from shape_obs.bench.interleaved_timing import Method, interleaved_timing
+from shape_obs.bench.interleaved_timing import Method, Tick, by_method, interleaved_timing, median_ms
 from shape_obs.bench.servo.settings import FEATURES, LAYOUTS
 from shape_obs.bench.tables import Row, at_most, grouped
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import Feature, FeatureContext, read_features
 from shape_obs.geometry.topology import Grid
-from shape_obs.shape import Shape
-from shape_obs.utils.threads import one_thread
 from shape_obs.wrappers import env_protocol
 
 WARM_UP: Final = 10  # frames that are not counted
 _TARGET: Final = 10  # percent of the detector's time
 _BURST: Final = 10  # frames in a turn
 _DETECTOR: Final = "detector"
-
-
-class _Look(NamedTuple):
-    """One frame, and the shape that was detected in it."""
-
-    rgb: Any
-    depth: Any
-    view: FeatureContext
-    shape: Shape
 
 
 def closed_forms(env: Env) -> list[Feature]:
@@ -51,7 +40,7 @@ def feature_times(
     seed: int = 0,
     renderer: str = "auto",
     clock: Clock = "wall",
-    tick: Callable[[int], object] = lambda done: None,
+    tick: Tick = lambda: None,
 ) -> list[Row]:
     """Return a row for each feature: median microseconds, and percent of the tracking detector's median time.
 
@@ -62,52 +51,45 @@ def feature_times(
         seed: Seed of the episode, its actions and its noise.
         renderer: The simulator's renderer.
         clock: The clock.
-        tick: Called with the number of further frames that are done.
+        tick: Called after each frame.
     """
     looks, detector = _looks(env, size, frames + WARM_UP, seed, renderer)
 
-    def detect(look: _Look) -> object:
-        return detector.detect(look.rgb, look.depth, look.view.camera, anchors=look.view.anchors)
-
-    def computing(feature: Feature) -> Callable[[_Look], object]:
-        return lambda look: feature.compute(look.shape, look.view)
-
     features = {_label(feature): feature for feature in closed_forms(env)}
-    methods = [Method(_DETECTOR, detect), *(Method(name, computing(each)) for name, each in features.items())]
-    taken: dict[str, list[float]] = {method.name: [] for method in methods}
-    with one_thread():
-        for turn in interleaved_timing(looks, methods, clock, burst=_BURST):
-            if turn.frame >= WARM_UP:
-                taken[turn.name].append(turn.milliseconds)
-            if turn.name == _DETECTOR:
-                tick(1)
-    detection = float(np.median(taken.pop(_DETECTOR)))
-    found = {name: float(np.median(each)) for name, each in taken.items()}
+    methods: list[Method[Row]] = [
+        Method(
+            _DETECTOR, lambda look: detector.detect(look.rgb, look.depth, look.view.camera, anchors=look.view.anchors)
+        ),
+        *(Method(name, lambda look, each=each: each.compute(look.shape, look.view)) for name, each in features.items()),
+    ]
+    turns = interleaved_timing(looks, methods, clock, burst=_BURST, warm_up=WARM_UP, tick=tick)
+    medians = {name: median_ms(some) for name, some in by_method(methods, turns).items()}
+    detection = medians.pop(_DETECTOR)
     return [
-        {
-            "env": env,
-            "image": f"{size[0]}x{size[1]}",
-            "feature": name,
-            "values": len(features[name].compute(looks[-1].shape, looks[-1].view)),
-            "us": 1e3 * ms,
-            "detector_ms": detection,
-            "percent": 100 * ms / detection,
-        }
-        for name, ms in found.items()
+        Row(
+            env=env,
+            image=f"{size[0]}x{size[1]}",
+            feature=name,
+            values=len(features[name].compute(looks[-1].shape, looks[-1].view)),
+            us=1e3 * ms,
+            detector_ms=detection,
+            percent=100 * ms / detection,
+        )
+        for name, ms in medians.items()
     ]
 
 
 def targets(rows: Sequence[Row]) -> list[Row]:
     """Compare the slowest feature of each environment and image size with the target."""
-    compared = []
-    for (env, image), some in grouped(rows, lambda row: (row["env"], row["image"])).items():
-        slowest = max(some, key=lambda row: row["us"])
-        what = f"{env} {image}: {slowest['feature']}, of the detector's time"
-        compared.append(at_most(what, _TARGET, slowest["percent"], " %"))
-    return compared
+    groups = grouped(rows, lambda row: (row.env, row.image))
+    slowest = [max(some, key=lambda row: row.us) for some in groups.values()]
+    return [
+        at_most(f"{row.env} {row.image}: {row.feature}, of the detector's time", _TARGET, row.percent, " %")
+        for row in slowest
+    ]
 
 
-def _looks(env: Env, size: Size, frames: int, seed: int, renderer: str) -> tuple[list[_Look], ShapeDetector]:
+def _looks(env: Env, size: Size, frames: int, seed: int, renderer: str) -> tuple[list[Row], ShapeDetector]:
     """Return the frames of one episode with their detected shapes, and the detector."""
     from shape_obs_envs.d455 import D455Noise
 
@@ -121,8 +103,9 @@ def _looks(env: Env, size: Size, frames: int, seed: int, renderer: str) -> tuple
         named, camera = dict(env_protocol.anchors(simulated)), env_protocol.camera_model(simulated)
         point = env_protocol.base_point(detector.shapes[0], named)
         view = FeatureContext(*size, camera, defaults["workspace"], anchor=point, anchors=named)
-        shape = detector.detect(observation["rgb"], observation["depth"], camera, anchors=named).shapes[0]
-        looks.append(_Look(observation["rgb"], observation["depth"], view, shape))
+        rgb, depth = observation["rgb"], observation["depth"]
+        shape = detector.detect(rgb, depth, camera, anchors=named).shapes[0]
+        looks.append(Row(rgb=rgb, depth=depth, view=view, shape=shape))
         observation = simulated.step(action)[0]
     simulated.close()
     detector.reset()

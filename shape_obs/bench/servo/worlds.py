@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import gymnasium as gym
 import numpy as np
@@ -12,15 +12,14 @@ import numpy.typing as npt
 
 from shape_obs.bench.env_physics import make_env
 from shape_obs.bench.servo.settings import Disturbance, Setting, feature_set
-from shape_obs.configurations.base import Configuration
 from shape_obs.detector import ShapeDetector
-from shape_obs.features import Feature, FeatureContext, read_features
+from shape_obs.features import FeatureContext, read_features
 from shape_obs.shape import Detection, Shape
-from shape_obs.wrappers import ShapeGoal, ShapeObservation, env_protocol
+from shape_obs.wrappers import ShapeGoal, ShapeObservation
 from shape_obs.wrappers.goal_points import shape_at
-from shape_obs.wrappers.goals import EnvGoal, GoalVector
 from shape_obs.wrappers.shape_goal import record_goal
 
+Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 #: Separates the lost points from everything that the environment draws from the same seed.
 _STREAM: Final = 0x1057
@@ -106,42 +105,43 @@ def without(shape: Shape, lost: Mask) -> Shape:
     )
 
 
-class World(NamedTuple):
-    """An env whose observation has ``achieved_goal`` and ``desired_goal`` in the features of a setting.
-
-    ``info`` has ``truth/mean_error``, the mean distance of the true points from the true goal in metres, and
-    ``truth/points`` and ``truth/goal``, (N, 3) metres, base frame. Equal seeds give equal episodes in all worlds.
+class TrueDetector(ShapeDetector):
+    """Return the simulator's points as the detected shape, whatever the images are.
 
     Args:
-        env: The env; it never ends an episode by itself.
-        features: The features of the goals.
-        spec: The configuration of the shape.
-        seen: Returns the shape of the last observation.
-        view: Returns the context of its features.
-        milliseconds: Returns the detector's time for it; None without a detector.
-        dark: Returns whether the last frame was black.
+        truth: Returns the points, (N, 3) metres, base frame.
+        config: The arguments of ``ShapeDetector``.
     """
 
-    env: gym.Env[Any, Any]
-    features: tuple[Feature, ...]
-    spec: Configuration
-    seen: Callable[[], Shape]
-    view: Callable[[], FeatureContext]
-    milliseconds: Callable[[], float | None]
-    dark: Callable[[], bool]
+    def __init__(self, truth: Callable[[], Array], **config: Any) -> None:
+        self._truth = truth
+        super().__init__(**config)
+
+    def detect(self, *args: Any, stamp: float = 0.0, **options: Any) -> Detection:
+        """Return the points; ``args`` are the images and the camera."""
+        camera, spec = args[2], self.shapes[0]
+        return Detection((shape_at(camera.from_base(self._truth()), spec, camera.intrinsics),), stamp)
 
 
-def world(setting: Setting) -> World:
-    """Make the world of a setting.
+class Unseen(gym.ObservationWrapper[Any, Any, Any]):
+    """Add black images to the observation of a simulated environment that does not render.
 
-    Raises:
-        ValueError: The setting has features that do not exist for the environment, or is otherwise not understood.
+    Args:
+        env: The environment.
+        size: (width, height) of the images in pixels.
     """
-    specs = feature_set(setting.env, setting.features, setting.pca)
-    if specs is None:
-        raise ValueError(f"there are no features {setting.features!r} of {setting.env}.")
-    features = read_features(specs)
-    return (_true_world if setting.source == "truth" else _camera_world)(setting, features)
+
+    def __init__(self, env: gym.Env[Any, Any], size: tuple[int, int]) -> None:
+        super().__init__(env)
+        width, height = size
+        self._images = {"rgb": np.zeros((height, width, 3), np.uint8), "depth": np.zeros((height, width), np.uint16)}
+        boxes = {key: gym.spaces.Box(0, 255, image.shape, image.dtype.type) for key, image in self._images.items()}
+        assert isinstance(env.observation_space, gym.spaces.Dict)
+        self.observation_space = gym.spaces.Dict({**env.observation_space.spaces, **boxes})
+
+    def observation(self, observation: Any) -> Any:
+        """Return the observation with the images."""
+        return {**observation, **self._images}
 
 
 class Witness(gym.Wrapper[Any, Any, Any, Any]):
@@ -171,94 +171,65 @@ class Taught(gym.Wrapper[Any, Any, Any, Any]):
         return self.env.reset(seed=seed, options={**(options or {}), "goal": seen})
 
 
-class TrueGoal(gym.Wrapper[Any, Any, Any, Any]):
-    """Express goals in features of the true points, with the code that ``ShapeGoal`` uses for detected points.
+class World:
+    """An environment of a setting, with goals in its features.
+
+    The observation has ``achieved_goal`` and ``desired_goal``; ``info`` has ``truth/mean_error``, the mean distance of
+    the true points from the true goal in metres, and ``truth/points`` and ``truth/goal``, (N, 3) metres, base frame.
+    Equal seeds give equal episodes in all worlds.
 
     Args:
-        env: A simulated environment, which need not render.
-        features: The features of the goals.
-        size: (width, height) of the image for features in pixels.
+        setting: The setting.
 
     Attributes:
-        configuration: The configuration of the shape.
-        shape: The true points as a shape, after ``reset``.
-        view: The context of the features.
+        env: The env; it never ends an episode by itself.
+        features: The features of the goals.
+        spec: The configuration of the shape.
+
+    Raises:
+        ValueError: The setting has features that do not exist for the environment, or is otherwise not understood.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], features: Sequence[Feature], size: tuple[int, int]) -> None:
-        super().__init__(env)
-        defaults = env_protocol.defaults(env)
-        self.configuration = Configuration.from_dict(defaults["shapes"][0])
-        self.view = FeatureContext(*size, env_protocol.camera_model(env), defaults["workspace"])
-        self._place()
-        self._vector = GoalVector(features, self.configuration, self.view)
-        space = env.observation_space
-        assert isinstance(space, gym.spaces.Dict)
-        # The target is located by the code of ShapeObservation, whatever the features are.
-        metric = read_features(defaults["features"])
-        known = EnvGoal.find(space, metric, [self.configuration], self.view, env_protocol.goal_layout(env))
-        assert known is not None
-        self._goal = known
-        bounds = gym.spaces.Box(self._vector.low, self._vector.high, dtype=np.float32)
-        self.observation_space = gym.spaces.Dict(dict.fromkeys(env_protocol.GOALS, bounds))
-        self.shape: Shape | None = None
+    def __init__(self, setting: Setting) -> None:
+        from shape_obs_envs.d455 import D455Noise
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the env."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        self.view = replace(self.view, camera=env_protocol.camera_model(self.env))
-        return self._observe(observation), info
+        specs = feature_set(setting.env, setting.features, setting.pca)
+        if specs is None:
+            raise ValueError(f"there are no features {setting.features!r} of {setting.env}.")
+        is_true, wrong = setting.source == "truth", setting.disturbance
+        options = {"camera": setting.pixels, "renderer": setting.renderer, "difficulty": setting.difficulty}
+        env = Witness(make_env(setting.env, {**options, "render_observation": not is_true}))
+        self._disturbed = Disturbed(Unseen(env, setting.pixels) if is_true else D455Noise(env), wrong)
+        self._observing = ShapeObservation(self._disturbed)
+        config = self._observing.detector.config.to_dict()
+        if is_true:
+            self._observing.detector = TrueDetector(env.get_wrapper_attr("truth"), **config)
+        elif wrong.invalid:
+            self._observing.detector = LosingDetector(self._disturbed.lost, **config)
+        self.features, self.spec = tuple(read_features(specs)), self._observing.detector.shapes[0]
+        # A reward needs a threshold, but the reward is not used here.
+        self.env: gym.Env[Any, Any] = ShapeGoal(self._observing, features=self.features, threshold=0.01)
+        if setting.source == "taught":
+            self.env = Taught(self.env)
 
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the env."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        return self._observe(observation), float(reward), terminated, truncated, info
+    @property
+    def seen(self) -> Shape:
+        """The shape of the last observation."""
+        assert self._observing.detection is not None
+        return self._observing.detection.shapes[0]
 
-    def _place(self) -> None:
-        named = env_protocol.anchors(self.env)
-        self.view = replace(self.view, anchor=env_protocol.base_point(self.configuration, named), anchors=named)
+    @property
+    def view(self) -> FeatureContext:
+        """The context of its features."""
+        return self._observing.contexts[0]
 
-    def _observe(self, observation: Any) -> dict[str, Any]:
-        self._place()
-        camera, simulator = self.view.camera, self.unwrapped
-        assert camera is not None
-        points = camera.from_base(simulator.truth())  # type: ignore[attr-defined]
-        self.shape = shape_at(points, self.configuration, camera.intrinsics)
-        target = self._goal.target(observation["desired_goal"], camera)
-        return dict(zip(env_protocol.GOALS, self._vector.pair(self.shape, target, self.view), strict=True))
+    @property
+    def milliseconds(self) -> float | None:
+        """The detector's time for it; None without a detector."""
+        assert self._observing.detection is not None
+        return self._observing.detection.timings.get("total")
 
-
-def _true_world(setting: Setting, features: Sequence[Feature]) -> World:
-    options = {"camera": setting.pixels, "render_observation": False, "difficulty": setting.difficulty}
-    env = TrueGoal(Witness(make_env(setting.env, options)), features, setting.pixels)
-
-    def seen() -> Shape:
-        assert env.shape is not None
-        return env.shape
-
-    return World(env, tuple(features), env.configuration, seen, lambda: env.view, lambda: None, lambda: False)
-
-
-def _camera_world(setting: Setting, features: Sequence[Feature]) -> World:
-    from shape_obs_envs.d455 import D455Noise
-
-    options = {"camera": setting.pixels, "renderer": setting.renderer, "difficulty": setting.difficulty}
-    disturbed = Disturbed(D455Noise(Witness(make_env(setting.env, options))), setting.disturbance)
-    observing = ShapeObservation(disturbed)
-    if setting.disturbance.invalid:
-        observing.detector = LosingDetector(disturbed.lost, **observing.detector.config.to_dict())
-    # A reward needs a threshold, but the reward is not used here.
-    env: gym.Env[Any, Any] = ShapeGoal(observing, features=features, threshold=0.01)
-    if setting.source == "taught":
-        env = Taught(env)
-
-    def seen() -> Shape:
-        assert observing.detection is not None
-        return observing.detection.shapes[0]
-
-    def milliseconds() -> float | None:
-        assert observing.detection is not None
-        return observing.detection.timings["total"]
-
-    spec = observing.detector.shapes[0]
-    return World(env, tuple(features), spec, seen, lambda: observing.contexts[0], milliseconds, lambda: disturbed.dark)
+    @property
+    def dark(self) -> bool:
+        """Whether the last frame was black."""
+        return self._disturbed.dark

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.synthetic.ropes import SIZE, resample
+from shape_obs.bench.synthetic.ropes import SIZE, resample, rotation
 from shape_obs.geometry.outline import clockwise
 from shape_obs.utils.documents import read_json
 
 Array = npt.NDArray[np.float64]
 Kind = Literal["smooth", "c", "horseshoe", "star"]
-KINDS: Final[tuple[Kind, ...]] = ("smooth", "c", "horseshoe", "star")
+KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 _MARGIN: Final = 8.0
 _ANGLES: Final = 2 * np.pi * np.arange(1440) / 1440
 
@@ -43,9 +43,7 @@ class Blob:
 def random_blob(rng: np.random.Generator, kind: Kind = "smooth", size: tuple[int, int] = SIZE) -> Blob:
     """Draw a blob with rounded corners inside an image of ``size`` (H, W)."""
     for _ in range(2000):
-        outline = _MAKERS[kind](rng)
-        angle = rng.uniform(0, 2 * np.pi)
-        outline = outline @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        outline = _MAKERS[kind](rng) @ rotation(rng.uniform(0, 2 * np.pi)).T
         low, high = outline.min(axis=0), outline.max(axis=0)
         room = np.array([size[1], size[0]]) - 2 * _MARGIN - (high - low)
         if np.all(room >= 0):
@@ -110,10 +108,9 @@ def moving_blob(
     for i in range(frames):
         at = i * speed / max(around, 1e-9)
         centre = middle + around * np.array([np.cos(at), np.sin(at)])
-        rotation = np.array([[np.cos(i * turn), np.sin(i * turn)], [-np.sin(i * turn), np.cos(i * turn)]])
         swollen = np.stack([1 + swell * np.sin(pace * i + begin), np.ones(3)], axis=1)
-        outline = radius * _radial(waves * swollen) @ rotation + centre
-        inside = 0.45 * radius * _radial(inner * swollen) @ rotation + centre if hole else None
+        outline = radius * _radial(waves * swollen) @ rotation(i * turn).T + centre
+        inside = 0.45 * radius * _radial(inner * swollen) @ rotation(i * turn).T + centre if hole else None
         yield draw_blob(outline, inside, kind="moving")
 
 
@@ -180,9 +177,4 @@ def _thick(line: Array, width: float) -> Array:
     return np.concatenate([line + side, last, (line - side)[::-1], first])
 
 
-_MAKERS: Final[dict[str, Callable[[Any], Array]]] = {
-    "smooth": _smooth,
-    "c": _c,
-    "horseshoe": _horseshoe,
-    "star": _star,
-}
+_MAKERS: Final = dict(zip(KINDS, (_smooth, _c, _horseshoe, _star), strict=True))

@@ -84,9 +84,7 @@ def rope_cloud(
     raise RuntimeError("no rope found that keeps clear of itself.")
 
 
-def ring_cloud(
-    rng: np.random.Generator, *, count: int = 6000, noise: float = NOISE, holes: int = 0, side: Side = "all"
-) -> RopeCloud:
+def ring_cloud(rng: np.random.Generator, *, count: int = 6000, holes: int = 0) -> RopeCloud:
     """Sample a closed rope of 0.09 to 0.2 m radius, bent out of its plane."""
     radius = float(rng.uniform(0.004, 0.008))
     phase = np.arange(0, 2 * np.pi, 0.005)
@@ -95,22 +93,20 @@ def ring_cloud(
     flat = np.stack([np.cos(phase), np.sin(phase), height], axis=1) * (1 + np.asarray(swing))[:, None]
     curve = _place(flat * rng.uniform(0.09, 0.2), rng, turn=np.pi / 4)
     closed = np.concatenate([curve, curve[:1]])
-    return RopeCloud(_without(rng, _tube(rng, closed, radius, count, noise, side), closed, holes), curve, radius)
+    return RopeCloud(_without(rng, _tube(rng, closed, radius, count), closed, holes), curve, radius)
 
 
-def sheet_cloud(rng: np.random.Generator, *, count: int = 6000, noise: float = NOISE, bend: float = 1.2) -> SheetCloud:
+def sheet_cloud(rng: np.random.Generator, *, count: int = 6000, bend: float = 1.2) -> SheetCloud:
     """Sample a sheet of 0.2 to 0.4 m, bent by at most ``bend`` radians, with its front towards the camera."""
     size = (float(rng.uniform(0.3, 0.4)), float(rng.uniform(0.2, 0.28)))
     turn = _rotation(rng.uniform(-np.pi / 5, np.pi / 5, 3) * (1, 1, 0.3))
     place = np.column_stack([turn, rng.uniform(-0.1, 0.1, 3) + (0, 0, 0.9)])
     sheet = SheetCloud(np.zeros((0, 3)), size, float(rng.uniform(-bend, bend)), float(rng.uniform(0, np.pi)), place)
     points = sheet.at(rng.uniform(size=(count, 2)))
-    return SheetCloud(points + rng.normal(0, noise, points.shape), size, sheet.bend, sheet.axis, place)
+    return SheetCloud(points + rng.normal(0, NOISE, points.shape), size, sheet.bend, sheet.axis, place)
 
 
-def moving_rope_cloud(
-    rng: np.random.Generator, speed: float, frames: int = 180, *, count: int = 6000, side: Side = "all", holes: int = 2
-) -> Iterator[RopeCloud]:
+def moving_rope_cloud(rng: np.random.Generator, speed: float, frames: int = 180) -> Iterator[RopeCloud]:
     """Sample a rope of 0.7 m that turns, bends and wanders; its fastest point moves ``speed`` metres per frame."""
     base, swing = _amplitudes(rng), _amplitudes(rng)
     rates, turn = rng.uniform(0.4, 1.0, swing.shape), rng.uniform(-0.3, 0.3, 3)
@@ -123,8 +119,8 @@ def moving_rope_cloud(
 
     time, curve = 0.0, curve_at(0.0)
     for _ in range(frames):
-        points = _tube(rng, curve, 0.006, count, NOISE, side)
-        yield RopeCloud(_without(rng, points, curve, holes), curve, 0.006)
+        points = _tube(rng, curve, 0.006)
+        yield RopeCloud(_without(rng, points, curve, 2), curve, 0.006)
         rate = float(np.linalg.norm(curve_at(time + 1e-3) - curve, axis=1).max()) / 1e-3
         time += speed / rate
         curve = curve_at(time)
@@ -172,7 +168,9 @@ def _rotation(angles: Array) -> Array:
     return about_z @ about_y @ about_x
 
 
-def _tube(rng: np.random.Generator, curve: Array, radius: float, count: int, noise: float, side: Side) -> Array:
+def _tube(
+    rng: np.random.Generator, curve: Array, radius: float, count: int = 6000, noise: float = NOISE, side: Side = "all"
+) -> Array:
     """Sample a tube's surface: all of it, or the half that is visible from the origin, evenly in the image."""
     fine = resample(curve, _STEP / 4)
     at = rng.integers(len(fine), size=count)

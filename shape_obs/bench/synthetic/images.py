@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.synthetic.ropes import Kind, Rope, moving_rope, random_rope
+from shape_obs.bench.synthetic.ropes import Kind, Rope, blank, covered, moving_rope, random_rope, subpixel
 from shape_obs.camera import Intrinsics
 from shape_obs.image.segmentation import HSVRange
 
@@ -35,7 +35,6 @@ _BEHIND: Final = 0.012  # distance of the table behind the object in metres
 _FLYING: Final = 0.10  # largest distance of flying pixels behind it in metres
 _SPECKLE: Final = 0.10  # share of single pixels without depth
 _HOLES: Final = (6, 9)  # number and side of squares on the object without depth
-_SUPERSAMPLING: Final = 4
 
 
 def salted(rng: np.random.Generator, mask: Mask, share: float) -> Mask:
@@ -147,17 +146,9 @@ class TiltedSheet:
 
     def lattice(self, rows: int, cols: int) -> Array:
         """Return a lattice up to the border, (rows*cols, 3) metres, row by row from the top left."""
-        v, u = (
-            share[..., None] for share in np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, cols), indexing="ij")
-        )
+        v, u = np.linspace(0, 1, rows)[:, None, None], np.linspace(0, 1, cols)[:, None]
         first, right, _, down = self.corners
         return (first + u * (right - first) + v * (down - first)).reshape(-1, 3)
-
-    def border(self, count: int = 2000) -> Array:
-        """Return points around the sheet, (count, 3) metres."""
-        at = np.linspace(0, 4, count, endpoint=False)
-        closed = np.concatenate([self.corners, self.corners[:1]])
-        return np.stack([np.interp(at, np.arange(5), closed[:, d]) for d in range(3)], axis=1)
 
 
 def tilted_rope(rng: np.random.Generator, kind: Kind = "smooth") -> TiltedRope:
@@ -177,11 +168,9 @@ def tilted_sheet(rng: np.random.Generator) -> TiltedSheet:
     down, turn = np.cross(normal, right), rng.uniform(-0.35, 0.35)
     right, down = np.cos(turn) * right + np.sin(turn) * down, np.cos(turn) * down - np.sin(turn) * right
     corners = np.array([point + x * 0.18 * right + y * 0.12 * down for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-    canvas = np.zeros((480 * _SUPERSAMPLING, 640 * _SUPERSAMPLING), np.uint8)
-    pixels = (CAMERA.project(corners) + 0.5) * _SUPERSAMPLING - 0.5
-    cv2.fillPoly(canvas, [np.round(pixels * 256).astype(np.int32)], 255, shift=8)
-    small = cv2.resize(canvas, (640, 480), interpolation=cv2.INTER_AREA)
-    mask = np.where(small > 127, np.uint8(255), np.uint8(0))
+    canvas = blank((480, 640))
+    cv2.fillPoly(canvas, [subpixel(CAMERA.project(corners))], 255, shift=8)
+    mask = covered(canvas)
     return TiltedSheet(mask, _depth(rng, mask, normal, point), corners)
 
 

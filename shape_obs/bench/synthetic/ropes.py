@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 Curve = npt.NDArray[np.float64]
 Kind = Literal["smooth", "u", "s", "hairpin", "loop", "spiral", "fat"]
-KINDS: Final[tuple[Kind, ...]] = ("smooth", "u", "s", "hairpin", "loop", "spiral", "fat")
+KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 SIZE: Final = (480, 640)
 _STEP: Final = 1.0
 _SUPERSAMPLING: Final = 4
@@ -57,7 +57,7 @@ def random_rope(rng: np.random.Generator, kind: Kind = "smooth", size: tuple[int
     """Draw a rope 8 to 16 px thick that neither crosses nor touches itself, inside an image of ``size`` (H, W)."""
     for _ in range(2000):
         width = float(rng.uniform(8, 16))
-        curve = _place(resample(_MAKERS[kind](rng, width), _STEP), rng, size, width)
+        curve = place(resample(_MAKERS[kind](rng, width), _STEP), rng, size, width)
         if curve is not None and not _touches(curve, width):
             flat = bool(rng.integers(2))
             return draw_rope(curve, width, flat_caps=flat, size=size, kind=kind)
@@ -68,22 +68,30 @@ def draw_rope(
     curve: Curve, width: float, *, flat_caps: bool = True, size: tuple[int, int] = SIZE, kind: str = "given"
 ) -> Rope:
     """Draw a ribbon of ``width`` about a curve of (P, 2) pixels; round caps add half a width at both ends."""
-    scale = _SUPERSAMPLING
-    canvas = np.zeros((size[0] * scale, size[1] * scale), np.uint8)
+    canvas = blank(size)
     tangent = np.gradient(curve, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1) * width / 2
-    left, right = _subpixel(curve + normal), _subpixel(curve - normal)
+    left, right = subpixel(curve + normal), subpixel(curve - normal)
     for i in range(len(curve) - 1):
         cv2.fillConvexPoly(canvas, np.stack([left[i], left[i + 1], right[i + 1], right[i]]), 255, shift=8)
     if not flat_caps:
-        for end in _subpixel(curve[[0, -1]]):
-            cv2.circle(canvas, end.tolist(), round(width / 2 * scale * 256), 255, -1, shift=8)
-        curve = np.concatenate(
-            [curve[:1] - tangent[:1] * width / 2, curve, curve[-1:] + tangent[-1:] * width / 2], axis=0
-        )
-    small = cv2.resize(canvas, (size[1], size[0]), interpolation=cv2.INTER_AREA)
-    return Rope(curve, width, np.where(small > 127, np.uint8(255), np.uint8(0)), kind)
+        for end in subpixel(curve[[0, -1]]):
+            cv2.circle(canvas, end.tolist(), round(width / 2 * _SUPERSAMPLING * 256), 255, -1, shift=8)
+        curve = np.concatenate([curve[:1] - tangent[:1] * width / 2, curve, curve[-1:] + tangent[-1:] * width / 2])
+    return Rope(curve, width, covered(canvas), kind)
+
+
+def blank(size: tuple[int, int]) -> npt.NDArray[np.uint8]:
+    """Return an empty, supersampled canvas for an image of ``size`` (H, W)."""
+    return np.zeros((size[0] * _SUPERSAMPLING, size[1] * _SUPERSAMPLING), np.uint8)
+
+
+def covered(canvas: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """Return the mask of the pixels of which at least a half is drawn on a supersampled canvas."""
+    height, width = (side // _SUPERSAMPLING for side in canvas.shape)
+    small = cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
+    return np.where(small > 127, np.uint8(255), np.uint8(0))
 
 
 def resample(curve: Curve, step: float) -> Curve:
@@ -93,48 +101,54 @@ def resample(curve: Curve, step: float) -> Curve:
     return np.stack([np.interp(at, arc, curve[:, d]) for d in range(curve.shape[1])], axis=1)
 
 
-def _subpixel(points: Curve) -> npt.NDArray[np.int32]:
+def subpixel(points: Curve) -> npt.NDArray[np.int32]:
     """Convert pixels to OpenCV's fixed-point coordinates on the supersampled canvas."""
     return np.round(((points + 0.5) * _SUPERSAMPLING - 0.5) * 256).astype(np.int32)
 
 
-def _from_heading(heading: npt.NDArray[Any], step: float) -> Curve:
-    return np.cumsum(np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0) * step
+def from_heading(heading: npt.NDArray[Any]) -> Curve:
+    """Return a curve with steps of a pixel in the given directions, in radians."""
+    return np.cumsum(np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0)
+
+
+def rotation(radians: float) -> Array:
+    """Return a rotation that is clockwise as seen, since v points down, (2, 2)."""
+    return np.array([[np.cos(radians), -np.sin(radians)], [np.sin(radians), np.cos(radians)]])
 
 
 def _smooth(rng: np.random.Generator, width: float) -> Curve:
     length = rng.uniform(250, 800)
     t = np.linspace(0, 1, int(length))
     heading = sum(rng.normal(0, 1.6 / k) * np.sin(np.pi * k * t + rng.uniform(0, 2 * np.pi)) for k in range(1, 5))
-    return _from_heading(np.asarray(heading), 1.0)
+    return from_heading(np.asarray(heading))
 
 
-def _arcs(*pieces: tuple[float, float]) -> Curve:
+def arcs(*pieces: tuple[float, float]) -> Curve:
     """Join pieces of (length, turned angle) smoothly."""
     turn = np.concatenate([np.full(int(length), angle / int(length)) for length, angle in pieces])
-    return _from_heading(np.cumsum(turn), 1.0)
+    return from_heading(np.cumsum(turn))
 
 
 def _u(rng: np.random.Generator, width: float) -> Curve:
     radius, arm = rng.uniform(2.5, 7) * width, rng.uniform(60, 220)
-    return _arcs((arm, 0.0), (np.pi * radius, np.pi), (arm * rng.uniform(0.5, 1), 0.0))
+    return arcs((arm, 0.0), (np.pi * radius, np.pi), (arm * rng.uniform(0.5, 1), 0.0))
 
 
 def _s(rng: np.random.Generator, width: float) -> Curve:
     radius, arm = rng.uniform(2.5, 6) * width, rng.uniform(40, 160)
     bend = (np.pi * radius, np.pi)
-    return _arcs((arm, 0.0), bend, (arm, 0.0), (bend[0], -bend[1]), (arm, 0.0))
+    return arcs((arm, 0.0), bend, (arm, 0.0), (bend[0], -bend[1]), (arm, 0.0))
 
 
 def _hairpin(rng: np.random.Generator, width: float) -> Curve:
     radius, arm = rng.uniform(0.95, 1.4) * width, rng.uniform(100, 260)
-    return _arcs((arm, 0.0), (np.pi * radius, np.pi), (arm * rng.uniform(0.6, 1), 0.0))
+    return arcs((arm, 0.0), (np.pi * radius, np.pi), (arm * rng.uniform(0.6, 1), 0.0))
 
 
 def _loop(rng: np.random.Generator, width: float) -> Curve:
     radius = rng.uniform(60, 150)
     gap = (width * rng.uniform(1.8, 2.5)) / radius
-    return _arcs(((2 * np.pi - gap) * radius, 2 * np.pi - gap))
+    return arcs(((2 * np.pi - gap) * radius, 2 * np.pi - gap))
 
 
 def _spiral(rng: np.random.Generator, width: float) -> Curve:
@@ -146,25 +160,15 @@ def _spiral(rng: np.random.Generator, width: float) -> Curve:
 
 def _fat(rng: np.random.Generator, width: float) -> Curve:
     length = rng.uniform(4, 7) * width
-    return _arcs((length / 2, rng.uniform(-0.6, 0.6)), (length / 2, rng.uniform(-0.6, 0.6)))
+    return arcs((length / 2, rng.uniform(-0.6, 0.6)), (length / 2, rng.uniform(-0.6, 0.6)))
 
 
-_MAKERS: Final = {
-    "smooth": _smooth,
-    "u": _u,
-    "s": _s,
-    "hairpin": _hairpin,
-    "loop": _loop,
-    "spiral": _spiral,
-    "fat": _fat,
-}
+_MAKERS: Final = dict(zip(KINDS, (_smooth, _u, _s, _hairpin, _loop, _spiral, _fat), strict=True))
 
 
-def _place(curve: Curve, rng: np.random.Generator, size: tuple[int, int], width: float) -> Curve | None:
+def place(curve: Curve, rng: np.random.Generator, size: tuple[int, int], width: float) -> Curve | None:
     """Turn the curve at random and move it inside the image; None if it does not fit."""
-    angle = rng.uniform(0, 2 * np.pi)
-    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    curve = curve @ rotation.T
+    curve = curve @ rotation(rng.uniform(0, 2 * np.pi)).T
     if rng.integers(2):
         curve = curve[:, ::-1]
     low, high = curve.min(axis=0), curve.max(axis=0)
@@ -206,7 +210,7 @@ def moving_rope(
         heading = start[0] + turn * time
         for k in range(_HARMONICS):
             heading = heading + bends[k] * np.sin(rates[k] * time + phases[k]) * np.cos(np.pi * (k + 1) * along)
-        curve = np.cumsum(np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0)
+        curve = from_heading(heading)
         room = (np.array([SIZE[1], SIZE[0]]) - length) / 2 - width
         middle = np.array([SIZE[1], SIZE[0]]) / 2 + np.maximum(room, 20) * np.sin([0.7 * time, 0.5 * time] + start[1:])
         return curve - curve.mean(axis=0) + middle

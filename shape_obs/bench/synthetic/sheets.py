@@ -14,15 +14,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 
+from shape_obs.bench.synthetic.ropes import SIZE, blank, covered, subpixel
+from shape_obs.bench.synthetic.ropes import rotation as turned_by
 from shape_obs.configurations.base import Ends
 from shape_obs.geometry.lattice import sample_lattice
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
 
-SIZE: Final = (480, 640)
 _FINE: Final = 65  # points along each side of the known lattice
-_SUPERSAMPLING: Final = 4
 _MARGIN: Final = 12.0
 _MOVING: Final = 0.8  # size of a moving cloth relative to one at rest, so that there is room to move
 # Cloth bends and shears in the image plane and hardly stretches: the standard deviation by which sides bend, as a share
@@ -63,9 +63,8 @@ def random_sheet(
     *,
     tilt: float = 0.0,
     bend: float = _BEND,
-    size: tuple[int, int] = SIZE,
 ) -> Sheet:
-    """Draw a cloth with bent sides and corners that are not right angles, inside an image of ``size`` (H, W).
+    """Draw a cloth with bent sides and corners that are not right angles.
 
     Args:
         rng: Draws the deformation.
@@ -73,14 +72,13 @@ def random_sheet(
         degrees: Rotation, clockwise as seen.
         tilt: Perspective: how much nearer the near edge is than the far one, as a share.
         bend: Standard deviation of each bending mode, in short sides.
-        size: Size of the image.
     """
     for _ in range(200):
         flat = regular(aspect)
         field = _field(rng, flat, bend)
         points = _projected(flat + field(0.0), tilt, rng.uniform(0, 2 * np.pi)) @ rotation(degrees).T
         if is_cloth(points):
-            return draw_sheet(_fitted(points, size, rng), size)
+            return draw_sheet(_fitted(points, rng))
     raise RuntimeError(f"no sheet of aspect {aspect} was found that neither folds nor loses its corners.")
 
 
@@ -117,18 +115,19 @@ def moving_sheet(rng: np.random.Generator, speed: float, frames: int = 180, *, a
 
 def draw_sheet(points: Array, size: tuple[int, int] = SIZE) -> Sheet:
     """Draw the cloth with a given lattice, (65, 65, 2) pixels."""
-    scale = _SUPERSAMPLING
-    border = np.concatenate([points[0, :-1], points[:-1, -1], points[-1, :0:-1], points[:0:-1, 0]])
+    border = border_of(points)
     low = np.clip(np.floor(border.min(axis=0)).astype(int) - 1, 0, (size[1] - 1, size[0] - 1))
     high = np.clip(np.ceil(border.max(axis=0)).astype(int) + 2, low + 1, (size[1], size[0]))
-    width, height = (int(extent) for extent in high - low)
-    canvas = np.zeros((height * scale, width * scale), np.uint8)
-    fixed = np.round(((border - low + 0.5) * scale - 0.5) * 256).astype(np.int32)
-    cv2.fillPoly(canvas, [fixed], (255,), shift=8)
-    mask = np.zeros(size, np.uint8)
-    small = cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
-    mask[low[1] : high[1], low[0] : high[0]] = np.where(small > 127, 255, 0)
+    width, height = (high - low).tolist()
+    canvas, mask = blank((height, width)), np.zeros(size, np.uint8)
+    cv2.fillPoly(canvas, [subpixel(border - low)], (255,), shift=8)
+    mask[low[1] : high[1], low[0] : high[0]] = covered(canvas)
     return Sheet(points, mask)
+
+
+def border_of(points: Array) -> Array:
+    """Return the border of a cloth from its top left corner, (P, 2), clockwise in the cloth's frame."""
+    return np.concatenate([points[0, :-1], points[:-1, -1], points[-1, :0:-1], points[:0:-1, 0]])
 
 
 def noisy(mask: Mask, rng: np.random.Generator, sigma: float = 0.15) -> Mask:
@@ -146,8 +145,7 @@ def regular(aspect: float) -> Array:
 
 def rotation(degrees: float) -> Array:
     """Return a rotation that is clockwise as seen, since v points down, (2, 2)."""
-    angle = np.radians(degrees)
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return turned_by(np.radians(degrees))
 
 
 def is_cloth(points: Array) -> bool:
@@ -186,10 +184,10 @@ def _projected(points: Array, tilt: float, direction: float) -> Array:
     return points / depth[..., None]
 
 
-def _fitted(points: Array, size: tuple[int, int], rng: np.random.Generator) -> Array:
+def _fitted(points: Array, rng: np.random.Generator) -> Array:
     """Move points to a random position inside the image."""
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
-    room = np.array([size[1], size[0]]) - 2 * _MARGIN - (high - low)
+    room = np.array([SIZE[1], SIZE[0]]) - 2 * _MARGIN - (high - low)
     return points - low + _MARGIN + np.maximum(room, 0) * rng.uniform(size=2)
 
 

@@ -123,10 +123,10 @@ def cloths(frames: int, seed: int) -> Iterator[Sheet]:
         yield draw_sheet((sheet.points - middle) * _ENLARGED + image + (middle - image) * _INWARDS)
 
 
-def outline_pixels(mask: Mask) -> Array:
-    """Return every pixel on the outline of the largest object in order, (M, 2) (u, v)."""
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return np.asarray(max(contours, key=len), dtype=np.float64).reshape(-1, 2)
+def outline_pixels(mask: Mask, approximation: int = cv2.CHAIN_APPROX_NONE) -> Array:
+    """Return pixels on the outline of the largest object in order, (M, 2) (u, v); by default all of them."""
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, approximation)
+    return np.asarray(max(contours, key=cv2.contourArea), dtype=np.float64).reshape(-1, 2)
 
 
 def _fits(mask: Mask) -> bool:

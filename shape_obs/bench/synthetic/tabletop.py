@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench.synthetic.ropes import rotation
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.markers import MarkerLayout
 from shape_obs.markers.finder import dictionary_named
@@ -74,13 +75,11 @@ class MarkerScene:
         return depth + sigma * noise / noise.std()
 
 
-def marker_scene(
-    seed: int, hidden: tuple[int, ...] = (), layout: MarkerLayout = LAYOUT, intrinsics: Intrinsics = CAMERA
-) -> MarkerScene:
+def marker_scene(seed: int, layout: MarkerLayout = LAYOUT, intrinsics: Intrinsics = CAMERA) -> MarkerScene:
     """Draw a scene whose distance, tilt, turn, light and noise depend on the seed."""
     rng = np.random.default_rng(seed)
     transform = random_pose(rng, np.mean(layout.box, axis=0), DISTANCE, TILT)
-    table, origin = _table(layout, hidden, rng)
+    table, origin = _table(layout, rng)
     return MarkerScene(photograph(table, origin, _RASTER, transform, intrinsics, rng), transform, intrinsics, layout)
 
 
@@ -118,7 +117,7 @@ def photograph(
     return np.clip(np.round(rgb), 0, 255).astype(np.uint8)
 
 
-def _table(layout: MarkerLayout, hidden: tuple[int, ...], rng: np.random.Generator) -> tuple[Image, Array]:
+def _table(layout: MarkerLayout, rng: np.random.Generator) -> tuple[Image, Array]:
     """Draw a speckled table with the markers on white paper; return it and its upper left corner in metres."""
     low, high = np.array(layout.box[0]) - _MARGIN, np.array(layout.box[1]) + _MARGIN
     width, height = np.ceil((high - low) * _RASTER).astype(int)
@@ -127,8 +126,6 @@ def _table(layout: MarkerLayout, hidden: tuple[int, ...], rng: np.random.Generat
         np.uint8
     )
     for each, corners in zip(layout.ids, layout.array, strict=True):
-        if each in hidden:
-            continue
         places = (corners - low) * _RASTER - 0.5
         side = 600
         marker = cv2.aruco.generateImageMarker(dictionary_named(layout.dictionary), each, side)
@@ -176,14 +173,13 @@ class Block:
     @property
     def rotation(self) -> Array:
         """Rotation from block to base, (2, 2)."""
-        cos, sin = np.cos(self.yaw), np.sin(self.yaw)
-        return np.array([[cos, -sin], [sin, cos]])
+        return rotation(self.yaw)
 
 
-def rows_of_blocks(rng: np.random.Generator, height: float = 0.03) -> list[Block]:
+def rows_of_blocks(rng: np.random.Generator) -> list[Block]:
     """Draw twelve blocks of 45 to 60 mm at any angle, in three rows that fill the image of a D455 at 0.62 m."""
     return [
-        Block((x, y), (rng.uniform(0.045, 0.06), rng.uniform(0.045, 0.06), height), rng.uniform(0, np.pi))
+        Block((x, y), (rng.uniform(0.045, 0.06), rng.uniform(0.045, 0.06), 0.03), rng.uniform(0, np.pi))
         for y in (-0.22, 0.0, 0.22)
         for x in (-0.33, -0.11, 0.11, 0.33)
     ]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.ndimage import minimum_filter1d
 from scipy.spatial import KDTree
 
-from shape_obs.bench.synthetic.ropes import SIZE, Curve, _arcs, _place, draw_rope, resample
+from shape_obs.bench.synthetic.ropes import SIZE, Curve, arcs, draw_rope, from_heading, place, resample
 
 _TRIES: Final = 20000
 _GAP: Final = 3  # pixels between strands that do not touch, as in ``ropes``
@@ -65,32 +65,32 @@ class Meeting(NamedTuple):
     angle: float
 
 
-def crossing_rope(rng: np.random.Generator, crossings: int, size: tuple[int, int] = SIZE) -> Tangle:
+def crossing_rope(rng: np.random.Generator, crossings: int) -> Tangle:
     """Draw a rope 8 to 16 px thick that crosses itself ``crossings`` times, at 25 degrees or more.
 
     Crossings are at least four widths apart, and from the tips along the rope; elsewhere strands do not touch.
     """
     for _ in range(_TRIES):
         width = float(rng.uniform(8, 16))
-        curve = _placed(_curly(rng, width, crossings), rng, size, width)
+        curve = _placed(_curly(rng, width, crossings), rng, width)
         if curve is None:
             continue
         found = meetings(curve)
         if len(found) == crossings and _is_clear(curve, width, found):
-            rope = draw_rope(curve, width, flat_caps=bool(rng.integers(2)), size=size)
+            rope = draw_rope(curve, width, flat_caps=bool(rng.integers(2)))
             places = np.array([meeting.place for meeting in found]).reshape(-1, 2)
             return Tangle(rope.curve, width, rope.mask, places, np.zeros(len(rope.curve), bool))
-    raise RuntimeError(f"no rope with {crossings} crossings found that fits {size[1]} x {size[0]} pixels.")
+    raise RuntimeError(f"no rope with {crossings} crossings found that fits the image.")
 
 
-def cut_rope(rng: np.random.Generator, crossings: int, band: float, size: tuple[int, int] = SIZE) -> Tangle:
+def cut_rope(rng: np.random.Generator, crossings: int, band: float) -> Tangle:
     """Draw a rope under an occluder: a straight band, ``band`` pixels wide, as long as the image.
 
     Every stretch under the band passes from one side to the other, every visible stretch is long enough to be
     recognised as rope, and the band covers no crossing.
     """
     for _ in range(_TRIES):
-        whole = crossing_rope(rng, crossings, size)
+        whole = crossing_rope(rng, crossings)
         for _ in range(20):
             angle = rng.uniform(0, np.pi)
             normal = np.array([np.cos(angle), np.sin(angle)])
@@ -99,14 +99,14 @@ def cut_rope(rng: np.random.Generator, crossings: int, band: float, size: tuple[
             hidden = np.abs(across) <= band / 2
             clear = np.abs(whole.crossings @ normal - middle) > band / 2 + _CLEAR * whole.width
             if clear.all() and _is_passed(across, hidden, whole.width, band):
-                rows, columns = np.mgrid[: size[0], : size[1]]
+                rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
                 seen = np.abs(columns * normal[0] + rows * normal[1] - middle) > band / 2
                 mask = np.where(seen, whole.mask, np.uint8(0))
                 return Tangle(whole.curve, whole.width, mask, whole.crossings, hidden)
     raise RuntimeError(f"no cut of {band} pixels found that every strand passes.")
 
 
-def touching_rope(rng: np.random.Generator, size: tuple[int, int] = SIZE) -> Tangle:
+def touching_rope(rng: np.random.Generator) -> Tangle:
     """Draw a rope with two touching strands, 0.85 to 1.15 widths from centre to centre over 2 to 12 widths.
 
     The rope returns from a bend (a keyhole) or goes once around (a spiral), so that the strands run in opposite or in
@@ -115,11 +115,11 @@ def touching_rope(rng: np.random.Generator, size: tuple[int, int] = SIZE) -> Tan
     for _ in range(_TRIES):
         width = float(rng.uniform(8, 16))
         flat = (_keyhole if rng.integers(2) else _once_around)(rng, width)
-        curve = _placed(_bent(flat, rng), rng, size, width)
+        curve = _placed(_bent(flat, rng), rng, width)
         if curve is not None and len(meetings(curve)) == 0 and _turns_gently(curve, width):
-            rope = draw_rope(curve, width, flat_caps=bool(rng.integers(2)), size=size)
+            rope = draw_rope(curve, width, flat_caps=bool(rng.integers(2)))
             return Tangle(rope.curve, width, rope.mask, np.zeros((0, 2)), np.zeros(len(rope.curve), bool))
-    raise RuntimeError(f"no touching rope found that fits {size[1]} x {size[0]} pixels.")
+    raise RuntimeError("no touching rope found that fits the image.")
 
 
 def is_traversed(found: npt.ArrayLike, tangle: Tangle) -> bool:
@@ -187,7 +187,7 @@ def _curly(rng: np.random.Generator, width: float, crossings: int) -> Curve:
     t = np.linspace(0, 1, int(length))
     waves = sum(rng.normal(0, 2.2 / k**0.7) * np.sin(np.pi * k * t + rng.uniform(0, 2 * np.pi)) for k in range(1, 6))
     heading = np.asarray(waves) + rng.uniform(-1.5, 1.5) * np.pi * crossings * t
-    return np.cumsum(np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0)
+    return from_heading(heading)
 
 
 def _keyhole(rng: np.random.Generator, width: float) -> Curve:
@@ -198,7 +198,7 @@ def _keyhole(rng: np.random.Generator, width: float) -> Curve:
     # The bulb for which the way back runs at this distance from the way out.
     bulb = (beside / 2 + radius * (1 - np.cos(opening))) / np.cos(opening)
     half = ((radius * opening, -opening), (bulb * (np.pi / 2 + opening), np.pi / 2 + opening))
-    return _arcs((out + stretch, 0.0), *half, *half[::-1], (stretch, 0.0), (radius * part, -part), (tail, 0.0))
+    return arcs((out + stretch, 0.0), *half, *half[::-1], (stretch, 0.0), (radius * part, -part), (tail, 0.0))
 
 
 def _once_around(rng: np.random.Generator, width: float) -> Curve:
@@ -207,7 +207,7 @@ def _once_around(rng: np.random.Generator, width: float) -> Curve:
     inner, out = rng.uniform(4.5, 8) * width, rng.uniform(4, 8) * width
     part, radius = rng.uniform(0.5, 1.0, size=2), rng.uniform(2.5, 4) * width
     tail = rng.uniform(3, 5) * width, rng.uniform(5, 12) * width
-    return _arcs(
+    return arcs(
         *((tail[0], 0.0), (radius * part[0], part[0]), (stretch, 0.0), (np.pi * inner, np.pi)),
         *((stretch + out, 0.0), (np.pi * (inner + beside / 2), np.pi), (out + stretch, 0.0)),
         *((radius * part[1], -part[1]), (tail[1], 0.0)),
@@ -264,5 +264,5 @@ def _turns_gently(curve: Curve, width: float) -> bool:
     return bool(np.abs(heading[reach:] - heading[:-reach]).max(initial=0.0) * _TIGHTEST <= 1.0)
 
 
-def _placed(curve: Curve, rng: np.random.Generator, size: tuple[int, int], width: float) -> Curve | None:
-    return _place(resample(curve, 1.0), rng, size, width)
+def _placed(curve: Curve, rng: np.random.Generator, width: float) -> Curve | None:
+    return place(resample(curve, 1.0), rng, SIZE, width)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,9 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.table.frames import CONFIGURATIONS, Name, Scene, scenes
-from shape_obs.bench.table.methods import METHODS, Method, Row, Runner, clustered_pixels
+from shape_obs.bench.table.methods import Method, Runner, clustered_pixels
 from shape_obs.bench.table.run import Plan
-from shape_obs.bench.table.summary import LABELS, MEASURES, PAPER, Result
+from shape_obs.bench.table.summary import LABELS, MEASURES, PAPER
+from shape_obs.bench.tables import Row
 from shape_obs.metrics import nearest
 from shape_obs.utils.files import write_whole
 
@@ -34,7 +36,7 @@ _MARGIN: Final = 14  # pixels around the object
 _DPI: Final = 105
 
 
-def draw(plan: Plan, found: Sequence[Result], folder: Path) -> list[Path]:
+def draw(plan: Plan, found: Sequence[Row], folder: Path) -> list[Path]:
     """Draw both figures into a folder and return their paths."""
     sheets = (_side_by_side(plan), _bars(found))
     paths = [folder / name for name in PICTURES]
@@ -85,13 +87,9 @@ def _looked_at(plan: Plan, name: Name) -> tuple[Scene, dict[Method, tuple[Array 
 def _panel(axis: Any, name: Name, scene: Scene, result: tuple[Array | None, Row], window: tuple[int, ...]) -> None:
     points, _ = result
     left, top, width, height = window
-    axis.set_xlim(left - 0.5, left + width - 0.5)
-    axis.set_ylim(top + height - 0.5, top - 0.5)
-    axis.set_xticks([])
-    axis.set_yticks([])
-    axis.set_facecolor(_PAPER)
-    for spine in axis.spines.values():
-        spine.set_color("#d5d5d0")
+    limits = {"xlim": (left - 0.5, left + width - 0.5), "ylim": (top + height - 0.5, top - 0.5)}
+    axis.set(**limits, xticks=[], yticks=[], facecolor=_PAPER)
+    axis.spines[:].set_color("#d5d5d0")
     if points is None:
         axis.text(0.5, 0.5, "not found", transform=axis.transAxes, ha="center", color=_FIRST)
         return
@@ -113,16 +111,15 @@ def _panel(axis: Any, name: Name, scene: Scene, result: tuple[Array | None, Row]
 
 def _tinted(scene: Scene, pixels: Array, points: Array, *, thick: bool) -> npt.NDArray[np.uint8]:
     """Draw the mask with each clustered pixel in the tint of its cluster; an outline is three pixels thick."""
-    tints = np.array([[int(tint[i : i + 2], 16) for i in (1, 3, 5)] for tint in _TINTS])
-    paper = np.array([int(_PAPER[i : i + 2], 16) for i in (1, 3, 5)])
+    from matplotlib.colors import to_rgba_array
+
+    *tints, paper = np.rint(255 * to_rgba_array([*_TINTS, _PAPER])[:, :3])
     picture = np.where(scene.mask[..., None] > 0, 228 if thick else 205, paper).astype(np.uint8)
-    colour = tints[nearest(pixels, points) % len(tints)]
-    reach = (-1, 0, 1) if thick else (0,)
-    for down in reach:
-        for right in reach:
-            at = np.rint(pixels).astype(int) + (right, down)
-            inside = np.all((at >= 0) & (at < scene.mask.shape[::-1]), axis=1)
-            picture[at[inside, 1], at[inside, 0]] = colour[inside]
+    colour = np.stack(tints)[nearest(pixels, points) % len(tints)]
+    for offset in product((-1, 0, 1), repeat=2) if thick else [(0, 0)]:
+        at = np.rint(pixels).astype(int) + offset[::-1]
+        inside = np.all((at >= 0) & (at < scene.mask.shape[::-1]), axis=1)
+        picture[at[inside, 1], at[inside, 0]] = colour[inside]
     return picture
 
 
@@ -138,25 +135,25 @@ def _window(scene: Scene) -> tuple[int, int, int, int]:
     return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
 
 
-def _bars(found: Sequence[Result]) -> Any:
+def _bars(found: Sequence[Row]) -> Any:
     """Draw the three measures by configuration with intervals, and those of the paper."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
-    methods: list[Method] = [method for method in METHODS if any(result.method == method for result in found)]
-    names: list[str] = [name for name in CONFIGURATIONS if any(result.configuration == name for result in found)]
+    shown = [result for result in found if result.configuration in CONFIGURATIONS]
+    methods: list[Method] = list(dict.fromkeys(result.method for result in shown))
+    names = [name for name in CONFIGURATIONS if any(result.configuration == name for result in shown)]
     figure = Figure(figsize=(13.5, 3.9), layout="constrained")
     heads = ("silhouette", "Calinski-Harabasz", "time of a frame [ms]")
     for axis, measure, head in zip(figure.subplots(1, 3), MEASURES, heads, strict=True):
         wide = 0.84 / max(len(methods), 1)
         for i, method in enumerate(methods):
             shift = (i - (len(methods) - 1) / 2) * wide
-            for result in found:
-                if result.method == method and result.configuration in names:
-                    at, mean = names.index(result.configuration) + shift, getattr(result, measure)
-                    axis.bar(at, mean.value, wide * 0.92, color=_COLOURS[method])
-                    if np.isfinite(mean.half):
-                        axis.errorbar(at, mean.value, mean.half, color=_INK, linewidth=1, capsize=2)
+            for result in (result for result in shown if result.method == method):
+                at, half = names.index(result.configuration) + shift, result[f"{measure}_half_interval"]
+                axis.bar(at, result[measure], wide * 0.92, color=_COLOURS[method])
+                if np.isfinite(half):
+                    axis.errorbar(at, result[measure], half, color=_INK, linewidth=1, capsize=2)
             if method in PAPER:
                 axis.bar(
                     len(names) + shift, PAPER[method][measure], wide * 0.92, facecolor="white",
@@ -164,11 +161,9 @@ def _bars(found: Sequence[Result]) -> Any:
                 )  # fmt: skip
         axis.set_xticks(range(len(names) + 1), [*names, "paper,\nits own data"])
         axis.set_title(head, fontsize=11, color=_INK)
+        axis.set(axisbelow=True, yscale="linear" if measure == "sc" else "log")
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(axis="y", color="#e4e4e0", linewidth=0.8)
-        axis.set_axisbelow(True)
-        if measure != "sc":
-            axis.set_yscale("log")
     handles = [Patch(color=_COLOURS[method], label=LABELS[method]) for method in methods]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(methods), frameon=False)
     return figure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from typing import Any, Final, Literal, NamedTuple
 
@@ -15,7 +15,9 @@ import numpy.typing as npt
 from shape_obs.bench import Clock
 from shape_obs.bench.interleaved_timing import CLOCKS
 from shape_obs.bench.synthetic.images import BLUE, photographed
-from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, moving_sheet
+from shape_obs.bench.synthetic.sheets import Sheet, border_of, draw_sheet, moving_sheet
+from shape_obs.bench.synthetic.streams import outline_pixels
+from shape_obs.bench.tables import Row
 from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.centerline import Centerline
 from shape_obs.configurations.contour import Contour
@@ -85,7 +87,7 @@ def scenes(name: Name, chunk: int, count: int, seed: int, renderer: str) -> Iter
         yield from _cable(source, count, renderer)
     else:
         for photo, sheet in _cloth(np.random.default_rng(source), count):
-            yield Scene(photo, _segmented(BLUE, photo), _outline(sheet) if name == "contour" else sheet)
+            yield Scene(photo, _segmented(BLUE, photo), border_of(sheet.points) if name == "contour" else sheet)
 
 
 def _cable(source: np.random.SeedSequence, count: int, renderer: str) -> Iterator[Scene]:
@@ -119,33 +121,6 @@ def _segmented(rule: Segmentation, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np
     return rule.apply(frame, Whole().window(frame.size))
 
 
-def _outline(sheet: Sheet) -> Array:
-    """Return the cloth's border from its top left corner, (P, 2), clockwise in the cloth's frame."""
-    points = sheet.points
-    return np.concatenate([points[0, :-1], points[:-1, -1], points[-1, :0:-1], points[:0:-1, 0]])
-
-
-@dataclass(frozen=True)
-class Trace:
-    """One tracing of one frame.
-
-    Args:
-        frame: Number of the frame.
-        points: Number of points.
-        start: Position of the first point on the material, as a share of the known curve's length.
-        ordered: Whether the points follow each other along the known curve.
-        tips: Pixels of a thinned mask with one neighbour, two for a rope; 0 for a contour.
-        ms: Milliseconds.
-    """
-
-    frame: int
-    points: int
-    start: float
-    ordered: bool
-    tips: int
-    ms: float
-
-
 def _thinned(mask: Mask) -> Array:
     from skimage.morphology import skeletonize
 
@@ -154,18 +129,10 @@ def _thinned(mask: Mask) -> Array:
     return np.stack([columns + left, rows + top], axis=1).astype(np.float64)
 
 
-def _traced(approximation: int) -> Callable[[Mask], Array]:
-    def trace(mask: Mask) -> Array:
-        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, approximation)
-        return np.asarray(max(contours, key=cv2.contourArea), dtype=np.float64).reshape(-1, 2)
-
-    return trace
-
-
 _RUN: Final[dict[Tracing, Callable[[Mask], Array]]] = {
     "thinning": _thinned,
-    "contours": _traced(cv2.CHAIN_APPROX_NONE),
-    "corners": _traced(cv2.CHAIN_APPROX_SIMPLE),
+    "contours": outline_pixels,
+    "corners": partial(outline_pixels, approximation=cv2.CHAIN_APPROX_SIMPLE),
 }
 
 
@@ -176,21 +143,26 @@ def missing(tracing: Tracing) -> str:
     return ""
 
 
-def traced(tracing: Tracing, chunk: Iterable[tuple[int, Scene]], clock: Clock = "wall") -> Iterator[Trace]:
-    """Trace the numbered frames of one chunk."""
-    run, now = _RUN[tracing], CLOCKS[clock]
+def traced(tracing: Tracing, chunk: Iterable[tuple[int, Scene]], clock: Clock = "wall") -> Iterator[Row]:
+    """Trace the numbered frames of one chunk.
+
+    Yields:
+        Number of the ``frame`` and of ``points``; ``start``: position of the first point on the material, as a share of
+        the known curve's length; ``ordered``: whether the points follow each other along the known curve; ``tips``:
+        pixels of a thinned mask with one neighbour, two for a rope, 0 for a contour; ``ms``.
+    """
+    run, now, closed = _RUN[tracing], CLOCKS[clock], OF[tracing] == "contour"
     for frame, scene in chunk:
         assert not isinstance(scene.truth, Sheet)
         begin = now()
         points = run(scene.mask)
         ms = 1e3 * (now() - begin)
-        closed = OF[tracing] == "contour"
         curve = np.concatenate([scene.truth, scene.truth[:1]]) if closed else scene.truth
         length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
         arc = nearest_on(curve, points)[0]
         ordered = any(in_order(way, length if closed else None) for way in (arc, arc[::-1]))
-        tips = 0 if closed else _tips(points)
-        yield Trace(frame, len(points), float(arc[0]) / length, ordered, tips, ms)
+        tips, start = 0 if closed else _tips(points), float(arc[0]) / length
+        yield Row(frame=frame, points=len(points), start=start, ordered=ordered, tips=tips, ms=ms)
 
 
 def _tips(points: Array) -> int:

@@ -11,10 +11,11 @@ import numpy.typing as npt
 
 from shape_obs.bench import Clock
 from shape_obs.bench.interleaved_timing import CLOCKS
-from shape_obs.bench.scores import outline_score, score
+from shape_obs.bench.scores import SLIP, outline_score, score
 from shape_obs.bench.surface_claims import score_sheet
 from shape_obs.bench.synthetic.sheets import Sheet
 from shape_obs.bench.table.frames import CONFIGURATIONS, Name, Scene
+from shape_obs.bench.tables import Row
 from shape_obs.clustering.base import Centres, Clusterer
 from shape_obs.clustering.fcm import FuzzyCMeans
 from shape_obs.clustering.gmm import GaussianMixture
@@ -42,41 +43,19 @@ METHODS: Final[dict[Method, Clusterer | None]] = {
     "som": None,
 }
 SAMPLED: Final = 2000  # pixels that the silhouette counts where it does not count all
-_SLIP: Final = 0.5  # cells
-
-
-@dataclass(frozen=True)
-class Row:
-    """One method on one frame.
-
-    Args:
-        frame: Number of the frame.
-        pixels: M, the number of clustered pixels.
-        ok: Whether the shape was found; otherwise the other values have no meaning.
-        sc: Silhouette.
-        exact: Whether the silhouette counts all pixels, not ``SAMPLED`` of them.
-        ch: Calinski-Harabasz over all pixels.
-        ms: Milliseconds: of a clusterer from the pixels to its centres; of ours from the mask to the ordered points.
-        cv: Standard deviation over mean of the gaps.
-        ordered: Whether the points follow each other along the known curve; on a surface, whether each is within half a
-            cell of its position on the material.
-        own_order: The same for the order that the method itself returns.
-        steps: Iterations of a clusterer.
-        settled: Whether it converged.
-    """
-
-    frame: int
-    pixels: int
-    ok: bool
-    sc: float
-    exact: bool
-    ch: float
-    ms: float
-    cv: float
-    ordered: bool
-    own_order: bool
-    steps: int
-    settled: bool
+# The measures of a frame on which the shape was not found.
+_REFUSED: Final = Row(
+    pixels=0,
+    ok=False,
+    sc=np.nan,
+    ch=np.nan,
+    ms=np.nan,
+    cv=np.nan,
+    ordered=False,
+    own_order=False,
+    steps=0,
+    settled=False,
+)
 
 
 @dataclass(frozen=True)
@@ -114,9 +93,7 @@ class Runner:
     def __init__(self, name: Name, method: Method, clock: Clock = "wall") -> None:
         self._spec, self._seen, self._now = CONFIGURATIONS[name], dict[str, Any](), CLOCKS[clock]
         clusterer = METHODS[method]
-        options: dict[str, Any] = (
-            {} if clusterer is None else {"clustering": _Watched(clusterer, self._seen, self._now)}
-        )
+        options: Any = {} if clusterer is None else {"clustering": _Watched(clusterer, self._seen, self._now)}
         self._detector = ShapeDetector([self._spec], **options)
 
     def points(self, scene: Scene) -> Array | None:
@@ -124,16 +101,24 @@ class Runner:
         return self._found(scene)[0]
 
     def measure(self, scene: Scene, frame: int, exact: bool) -> tuple[Array | None, Row]:
-        """Return the points and their measures.
+        """Return the points, and their measures if the shape was found.
 
         Args:
             scene: The frame.
             frame: Number of the frame.
-            exact: Whether the silhouette counts all pixels.
+            exact: Whether the silhouette counts all pixels, not ``SAMPLED`` of them.
+
+        Returns:
+            The points, and a row: ``pixels``: M, the number of clustered pixels; ``ok``: whether the shape was found;
+            ``sc``: silhouette; ``ch``: Calinski-Harabasz over all pixels; ``ms``: of a clusterer from the pixels to its
+            centres, of ours from the mask to the ordered points; ``cv``: standard deviation over mean of the gaps;
+            ``ordered``: whether the points follow each other along the known curve, on a surface whether each is within
+            half a cell of its position on the material; ``own_order``: the same for the order that the method itself
+            returns; ``steps`` of a clusterer, and whether it ``settled``.
         """
         points, ms, centres = self._found(scene)
         if points is None:
-            return None, Row(frame, 0, False, np.nan, exact, np.nan, np.nan, np.nan, False, False, 0, False)
+            return None, Row(_REFUSED, frame=frame, exact=exact)
         pixels = clustered_pixels(self._spec, scene)
         labels = nearest(pixels, points)
         ordered = in_order(self._spec, points, scene)
@@ -182,7 +167,7 @@ def in_order(spec: Configuration, points: Array, scene: Scene) -> bool:
     if isinstance(scene.truth, Sheet):
         assert isinstance(spec, Surface)
         found = [score_sheet(points, scene.truth, spec.rows, spec.cols, "centers", quarters) for quarters in range(4)]
-        return min(result.slip for result in found) <= _SLIP
+        return min(result.slip for result in found) <= SLIP
     if isinstance(spec.layout, Ring):
         return any(outline_score(way, scene.truth).ordered for way in (points, points[::-1]))
     return score(points, scene.truth, "centers", directed=False).ordered

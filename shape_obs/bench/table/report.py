@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from itertools import product
 from typing import Any, Final
 
 from shape_obs.bench.table.frames import CONFIGURATIONS, OF, missing
 from shape_obs.bench.table.methods import SAMPLED, Method
 from shape_obs.bench.table.run import EXACT, Plan
-from shape_obs.bench.table.summary import LABELS, MEASURES, PAPER, TRACED, Mean, Ranking, Result, Traced
-from shape_obs.bench.tables import as_markdown
+from shape_obs.bench.table.summary import LABELS, MEASURES, PAPER, TRACED
+from shape_obs.bench.tables import Row, as_markdown
 
 _COLUMNS: Final = {"sc": "SC", "ch": "CH", "ms": "time [s]"}
 _SHOWN: Final[dict[str, tuple[float, int]]] = {"sc": (1, 3), "ch": (1, 0), "ms": (1e-3, 4)}  # factor, digits
@@ -23,7 +23,7 @@ _HEADS: Final = {
 
 
 def markdown(
-    plan: Plan, machine: Mapping[str, str], found: Sequence[Result], ranked: Sequence[Ranking], traces: Sequence[Traced]
+    plan: Plan, machine: Mapping[str, str], found: Sequence[Row], ranked: Sequence[Row], traces: Sequence[Row]
 ) -> str:
     """Return the results as one page."""
     blocks = [_preface(plan, found), _ran_on(machine), _overall(found), *map(_verdict, ranked), _beaten(found)]
@@ -33,30 +33,15 @@ def markdown(
 
 
 def as_values(
-    plan: Plan, machine: Mapping[str, str], found: Sequence[Result], ranked: Sequence[Ranking], traces: Sequence[Traced]
+    plan: Plan, machine: Mapping[str, str], found: Sequence[Row], ranked: Sequence[Row], traces: Sequence[Row]
 ) -> dict[str, Any]:
     """Return the results as JSON-able values; None is unknown."""
-    return _plain(
-        {
-            "settings": plan.settings(),
-            "machine": dict(machine),
-            "paper": PAPER,
-            "results": [
-                {
-                    **asdict(result),
-                    **{name: getattr(result, name).value for name in MEASURES},
-                    **{f"{name}_half_interval": getattr(result, name).half for name in MEASURES},
-                }
-                for result in found
-            ],
-            "rankings": [{**ranking._asdict(), "holds": ranking.holds} for ranking in ranked],
-            "tracings": [asdict(trace) for trace in traces],
-            "skipped": {tracing: missing(tracing) for tracing in OF if missing(tracing)},
-        }
-    )
+    skipped = {tracing: missing(tracing) for tracing in OF if missing(tracing)}
+    run = {"settings": plan.settings(), "machine": dict(machine), "paper": PAPER}
+    return _plain({**run, "results": found, "rankings": ranked, "tracings": traces, "skipped": skipped})
 
 
-def _preface(plan: Plan, found: Sequence[Result]) -> str:
+def _preface(plan: Plan, found: Sequence[Row]) -> str:
     exact = (
         f" on {EXACT} evenly spaced frames of each configuration, on the others of {SAMPLED} pixels drawn by lot, each "
         "against all pixels"
@@ -76,30 +61,30 @@ def _preface(plan: Plan, found: Sequence[Result]) -> str:
     return "\n\n".join(lines)
 
 
-def _overall(found: Sequence[Result]) -> str:
+def _overall(found: Sequence[Row]) -> str:
     rows = []
-    for method in LABELS:
-        result = next((r for r in found if r.configuration == "all" and r.method == method), None)
-        if result is None:
-            continue
-        row = {"": LABELS[method]}
+    for result in (result for result in found if result.configuration == "all"):
+        row = {"": LABELS[result.method]}
         for measure, head in _COLUMNS.items():
-            row |= {f"{head}, paper": _of_paper(method, measure), head: _shown(getattr(result, measure), measure)}
-        rows.append({**row, "gap CV": f"{100 * result.cv:.1f} %", "order right": f"{100 * result.ordered:.1f} %"})
+            row |= {f"{head}, paper": _of_paper(result.method, measure), head: _shown(result, measure)}
+        rows.append({**row, **_quality(result)})
     return "## All three configurations\n\n" + as_markdown(rows) if rows else ""
 
 
-def _configuration(name: str, found: Sequence[Result]) -> str:
+def _configuration(name: str, found: Sequence[Row]) -> str:
     rows = []
     of = [result for result in found if result.configuration == name]
     for result in of:
         has_order = result.method in ("som", "kohonen")
-        row = {"": LABELS[result.method]}
-        row |= {head: _shown(getattr(result, measure), measure) for measure, head in _COLUMNS.items()}
-        row |= {"gap CV": f"{100 * result.cv:.1f} %", "order right": f"{100 * result.ordered:.1f} %"}
+        row = {"": LABELS[result.method]} | {head: _shown(result, measure) for measure, head in _COLUMNS.items()}
+        row |= _quality(result)
         row["own order right"] = f"{100 * result.own_order:.1f} %" if has_order else "none"
         rows.append({**row, "settled": "" if has_order else f"{100 * result.settled:.0f} %"})
     return f"## {_HEADS[name]}, M = {of[0].pixels:.0f}\n\n" + as_markdown(rows) if rows else ""
+
+
+def _quality(result: Row) -> dict[str, str]:
+    return {"gap CV": f"{100 * result.cv:.1f} %", "order right": f"{100 * result.ordered:.1f} %"}
 
 
 def _ran_on(machine: Mapping[str, str]) -> str:
@@ -108,27 +93,20 @@ def _ran_on(machine: Mapping[str, str]) -> str:
     return f"Machine: {hardware}; {', '.join(f'{name} {what}' for name, what in rest.items())}."
 
 
-def _beaten(found: Sequence[Result]) -> str:
+def _beaten(found: Sequence[Row]) -> str:
     """List the measures by which another method has a better mean than ours."""
     lines = []
-    for name in CONFIGURATIONS:
+    for name, measure in product(CONFIGURATIONS, MEASURES):
         of = {result.method: result for result in found if result.configuration == name}
-        ours = of.pop("som", None)
-        if ours is None or not of:
-            continue
-        for measure in MEASURES:
-            sign = -1 if measure == "ms" else 1
-            best = max(of.values(), key=lambda result, m=measure, s=sign: s * getattr(result, m).value)
-            theirs, own = getattr(best, measure), getattr(ours, measure)
-            if sign * (theirs.value - own.value) > 0:
-                lines.append(
-                    f"- {name}, {MEASURES[measure]}: {LABELS[best.method]} {_shown(theirs, measure)}, ours "
-                    f"{_shown(own, measure)}"
-                )
+        sign = -1 if measure == "ms" else 1
+        best = max(of.values(), key=lambda result, m=measure, s=sign: s * result[m], default=None)
+        if "som" in of and best and sign * (best[measure] - of["som"][measure]) > 0:
+            theirs, own = _shown(best, measure), _shown(of["som"], measure)
+            lines.append(f"- {name}, {MEASURES[measure]}: {LABELS[best.method]} {theirs}, ours {own}")
     return "Ours does not have the best mean in:\n\n" + "\n".join(lines) if lines else ""
 
 
-def _verdict(ranking: Ranking) -> str:
+def _verdict(ranking: Row) -> str:
     paper, here = (" > ".join(LABELS[method] for method in order) for order in (ranking.paper, ranking.here))
     word = "holds" if ranking.holds else "does not hold"
     open_ones = 6 - ranking.pairs - ranking.against
@@ -139,7 +117,7 @@ def _verdict(ranking: Ranking) -> str:
     )
 
 
-def _tracings(traces: Sequence[Traced]) -> str:
+def _tracings(traces: Sequence[Row]) -> str:
     rows = [
         {
             "": TRACED[trace.tracing],
@@ -165,10 +143,10 @@ def _of_paper(method: Method, measure: str) -> str:
     return "" if value is None else f"{value * factor:g}"
 
 
-def _shown(mean: Mean, measure: str) -> str:
+def _shown(result: Row, measure: str) -> str:
     factor, digits = _SHOWN[measure]
-    half = "" if math.isnan(mean.half) else f" ± {mean.half * factor:.{digits}f}"
-    return f"{mean.value * factor:.{digits}f}{half}"
+    half = result[f"{measure}_half_interval"] * factor
+    return f"{result[measure] * factor:.{digits}f}" + ("" if math.isnan(half) else f" ± {half:.{digits}f}")
 
 
 def _plain(value: Any) -> Any:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
-from shape_obs.bench.table.frames import CONFIGURATIONS, OF, Name, Trace, Tracing, missing
-from shape_obs.bench.table.methods import METHODS, Method, Row
-from shape_obs.bench.table.run import Parts, Plan
+from shape_obs.bench.table.frames import CONFIGURATIONS, OF, Name, Tracing
+from shape_obs.bench.table.methods import METHODS, Method
+from shape_obs.bench.table.run import Chunks, Done, Plan
+from shape_obs.bench.tables import Row, mean
 
 Array = npt.NDArray[np.float64]
 
@@ -38,116 +38,33 @@ PAPER: Final[dict[Method, dict[str, float]]] = {
 MEASURES: Final = {"sc": "silhouette", "ch": "Calinski-Harabasz", "ms": "time"}
 
 
-class Mean(NamedTuple):
-    """A mean and half its 95 % interval, which is NaN if there are too few chunks."""
+def results(done: Done, plan: Plan) -> list[Row]:
+    """Summarise every method that is complete on a configuration, and over all if it is complete on each.
 
-    value: float
-    half: float
-
-
-@dataclass(frozen=True)
-class Result:
-    """One method on one configuration, or on all.
-
-    Args:
-        configuration: Name of the configuration, or ``"all"``.
-        method: Name of the method.
-        frames: Number of frames.
-        refused: Frames without a shape, which the other values leave out.
-        pixels: Mean of M.
-        sc: Silhouette.
-        ch: Calinski-Harabasz.
-        ms: Milliseconds.
-        cv: Standard deviation over mean of the gaps.
-        ordered: Share of the frames with the order right.
-        own_order: Share of the frames on which the method itself returns the right order.
-        settled: Share of the frames on which it converged.
+    Returns:
+        Rows with number of ``frames``, and those ``refused``, which the other values leave out; the means of M
+        (``pixels``), of the measures with half their 95 % intervals (NaN if there are too few chunks), and of ``cv``;
+        the shares of the frames with the order right (``ordered``, ``own_order``) and on which the method ``settled``.
     """
-
-    configuration: str
-    method: Method
-    frames: int
-    refused: int
-    pixels: float
-    sc: Mean
-    ch: Mean
-    ms: Mean
-    cv: float
-    ordered: float
-    own_order: float
-    settled: float
-
-
-@dataclass(frozen=True)
-class Traced:
-    """A tracing over all frames of its configuration.
-
-    Args:
-        tracing: Name of the tracing.
-        points: Least, median and largest number of points.
-        changed: Share of the frames with another number of points than the previous frame.
-        moved: Median and largest motion of the first point over the material within an episode, as shares of the curve.
-        ordered: Share of the frames whose points follow each other along the known curve.
-        tips: Largest number of ends of a thinned mask; a rope has two.
-        ms: Mean milliseconds.
-    """
-
-    tracing: Tracing
-    points: tuple[int, int, int]
-    changed: float
-    moved: tuple[float, float]
-    ordered: float
-    tips: int
-    ms: float
-
-
-class Ranking(NamedTuple):
-    """The paper's four methods by one measure, best first.
-
-    Args:
-        measure: Name of the measure.
-        paper: The order in the paper.
-        here: The order in this run.
-        pairs: How many of the six pairs are ordered as in the paper: the mean difference on equal frames is farther
-            from zero than half its 95 % interval.
-        against: How many are ordered the other way round; the others are undecided.
-    """
-
-    measure: str
-    paper: tuple[Method, ...]
-    here: tuple[Method, ...]
-    pairs: int
-    against: int
-
-    @property
-    def holds(self) -> bool:
-        """Whether the order is that of the paper."""
-        return self.paper == self.here
-
-
-def results(parts: Parts, plan: Plan) -> list[Result]:
-    """Summarise every method that is complete on a configuration, and over all if it is complete on each."""
-    found: list[Result] = []
+    found: list[Row] = []
     for method in METHODS:
-        strata = _strata(parts, plan, method)
+        strata = _strata(done, plan, method)
         found += [_result(name, method, [chunks]) for name, chunks in strata.items()]
         if len(strata) == len(CONFIGURATIONS):
             found.append(_result("all", method, list(strata.values())))
     return found
 
 
-def tracings(parts: Parts, plan: Plan) -> list[Traced]:
-    """Summarise every tracing that is complete."""
-    found, chunks = [], range(len(plan.chunks))
-    for tracing, name in OF.items():
-        if not missing(tracing) and all(parts.has(name, tracing, chunk) for chunk in chunks):
-            found.append(_traced(tracing, [parts.read(name, tracing, chunk, Trace) for chunk in chunks]))
-    return found
+def rankings(done: Done, plan: Plan) -> list[Row]:
+    """Rank the paper's methods by each measure over all configurations, if all of them are complete.
 
-
-def rankings(parts: Parts, plan: Plan) -> list[Ranking]:
-    """Rank the methods by each measure over all configurations, if all of the paper's methods are complete."""
-    strata = {method: list(_strata(parts, plan, method).values()) for method in PAPER}
+    Returns:
+        For each measure the orders in the ``paper`` and ``here``, best first, and whether the paper's ``holds``;
+        ``pairs``: how many of the six pairs are ordered as in the paper: the mean difference on equal frames is farther
+        from zero than half its 95 % interval; ``against``: how many are ordered the other way round; the others are
+        undecided.
+    """
+    strata = {method: list(_strata(done, plan, method).values()) for method in PAPER}
     if any(len(of) < len(CONFIGURATIONS) for of in strata.values()):
         return []
     ranked = []
@@ -155,67 +72,87 @@ def rankings(parts: Parts, plan: Plan) -> list[Ranking]:
         worse_is = 1 if measure == "ms" else -1  # the sign of a difference towards the worse
         means = {method: [_chunk_means(chunks, measure) for chunks in of] for method, of in strata.items()}
         paper = sorted(PAPER, key=lambda method, m=measure, sign=worse_is: sign * PAPER[method][m])
-        here = sorted(PAPER, key=lambda method, of=means, sign=worse_is: sign * _mean(of[method]).value)
+        here = sorted(PAPER, key=lambda method, of=means, sign=worse_is: sign * _mean(of[method])[0])
         votes = {-1: 0, 0: 0, 1: 0}
         for better, worse in combinations(paper, 2):
             pairs = zip(means[better], means[worse], strict=True)
-            gap = _mean([worse_is * (theirs - ours) for ours, theirs in pairs])
-            votes[int(np.sign(gap.value)) if abs(gap.value) > gap.half else 0] += 1
-        ranked.append(Ranking(measure, tuple(paper), tuple(here), votes[1], votes[-1]))
+            gap, half = _mean([worse_is * (theirs - ours) for ours, theirs in pairs])
+            votes[int(np.sign(gap)) if abs(gap) > half else 0] += 1
+        orders = {"paper": tuple(paper), "here": tuple(here), "holds": paper == here}
+        ranked.append(Row(measure=measure, **orders, pairs=votes[1], against=votes[-1]))
     return ranked
 
 
-def every_row(parts: Parts, plan: Plan) -> list[dict[str, Any]]:
+def tracings(done: Done, plan: Plan) -> list[Row]:
+    """Summarise every tracing that is complete over all frames of its configuration.
+
+    Returns:
+        Least, median and largest number of ``points``; ``changed``: share of the frames with another number of points
+        than the previous frame; ``moved``: median and largest motion of the first point over the material within an
+        episode, as shares of the curve; ``ordered``: share of the frames whose points follow each other along the known
+        curve; ``tips``: largest number of ends of a thinned mask, a rope has two; ``ms``: mean milliseconds.
+    """
+    found = []
+    for tracing, name in OF.items():
+        chunks = done.get((name, tracing), [])
+        if len(chunks) < len(plan.chunks):
+            continue
+        rows = [row for chunk in chunks for row in chunk]
+        points = np.array([row.points for row in rows])
+        changed = np.concatenate([np.diff([row.points for row in chunk]) != 0 for chunk in chunks])
+        moved = [_reach(np.array([row.start for row in chunk]), closed=name == "contour") for chunk in chunks]
+        found.append(
+            Row(
+                tracing=tracing,
+                points=(int(points.min()), int(np.median(points)), int(points.max())),
+                changed=float(changed.mean()) if len(changed) else np.nan,
+                moved=(float(np.median(moved)), float(np.max(moved))),
+                ordered=mean(row.ordered for row in rows),
+                tips=max(row.tips for row in rows),
+                ms=mean(row.ms for row in rows),
+            )
+        )
+    return found
+
+
+def every_row(done: Done) -> list[Row]:
     """Return all frames of all measured methods as flat rows."""
-    rows = []
-    for name in CONFIGURATIONS:
-        for method in METHODS:
-            head = {"configuration": name, "method": method}
-            for chunk in range(len(plan.chunks)):
-                if parts.has(name, method, chunk):
-                    rows += [{**head, **vars(row)} for row in parts.read(name, method, chunk, Row)]
-    return rows
+    return [
+        Row(configuration=name, method=method, **row)
+        for (name, method), chunks in done.items()
+        if method in METHODS
+        for chunk in chunks
+        for row in chunk
+    ]
 
 
-def _result(name: str, method: Method, strata: list[list[list[Row]]]) -> Result:
+def _result(name: str, method: Method, strata: list[Chunks]) -> Row:
     """Summarise strata (configurations) of chunks of rows."""
     rows = [row for chunks in strata for chunk in chunks for row in chunk]
     good = [row for row in rows if row.ok]
-    if not good:
-        nothing = Mean(np.nan, np.nan)
-        return Result(name, method, len(rows), len(rows), np.nan, nothing, nothing, nothing, *4 * (np.nan,))
-    return Result(
-        configuration=name,
-        method=method,
-        frames=len(rows),
-        refused=len(rows) - len(good),
-        pixels=float(np.mean([row.pixels for row in good])),
-        **{measure: _mean([_chunk_means(chunks, measure) for chunks in strata]) for measure in MEASURES},
-        cv=float(np.mean([row.cv for row in good])),
-        ordered=float(np.mean([row.ordered for row in good])),
-        own_order=float(np.mean([row.own_order for row in good])),
-        settled=float(np.mean([row.settled for row in good])),
-    )
+    result = Row(configuration=name, method=method, frames=len(rows), refused=len(rows) - len(good))
+    for value in ("pixels", "cv", "ordered", "own_order", "settled"):
+        result[value] = mean(row[value] for row in good) if good else np.nan
+    for measure in MEASURES:
+        means = [_chunk_means(chunks, measure) for chunks in strata]
+        result[measure], result[f"{measure}_half_interval"] = _mean(means) if good else (np.nan, np.nan)
+    return result
 
 
-def _strata(parts: Parts, plan: Plan, method: Method) -> dict[Name, list[list[Row]]]:
+def _strata(done: Done, plan: Plan, method: Method) -> dict[Name, Chunks]:
     """Return the rows of a method, chunk by chunk, of the configurations on which it is complete."""
-    chunks = range(len(plan.chunks))
-    return {
-        name: [parts.read(name, method, chunk, Row) for chunk in chunks]
-        for name in CONFIGURATIONS
-        if all(parts.has(name, method, chunk) for chunk in chunks)
-    }
+    found: dict[Name, Chunks] = {name: done.get((name, method), []) for name in CONFIGURATIONS}
+    return {name: chunks for name, chunks in found.items() if len(chunks) == len(plan.chunks)}
 
 
-def _chunk_means(chunks: list[list[Row]], measure: str) -> Array:
+def _chunk_means(chunks: Chunks, measure: str) -> Array:
     """Return the mean over the frames of each chunk, (C,); NaN for a chunk without any shape."""
-    values = [[getattr(row, measure) for row in chunk if row.ok] for chunk in chunks]
+    values = [[row[measure] for row in chunk if row.ok] for chunk in chunks]
     return np.array([np.mean(of) if of else np.nan for of in values])
 
 
-def _mean(strata: list[Array]) -> Mean:
-    """Return the mean of the strata's means with its interval; each chunk counts as one sample."""
+def _mean(strata: list[Array]) -> tuple[float, float]:
+    """Return the mean of the strata's means and half its 95 % interval; each chunk counts as one sample."""
     values, squares, freedom = [], [], 0
     for means in strata:
         known = means[np.isfinite(means)]
@@ -224,23 +161,7 @@ def _mean(strata: list[Array]) -> Mean:
             squares.append(known.var(ddof=1) / len(known) if len(known) > 1 else np.nan)
             freedom += len(known) - 1
     half = student.ppf(0.975, freedom) * np.sqrt(np.sum(squares)) / len(squares) if freedom else np.nan
-    return Mean(float(np.mean(values)), float(half))
-
-
-def _traced(tracing: Tracing, chunks: list[list[Trace]]) -> Traced:
-    rows = [row for chunk in chunks for row in chunk]
-    points = np.array([row.points for row in rows])
-    changed = np.concatenate([np.diff([row.points for row in chunk]) != 0 for chunk in chunks])
-    moved = [_reach(np.array([row.start for row in chunk]), closed=OF[tracing] == "contour") for chunk in chunks]
-    return Traced(
-        tracing=tracing,
-        points=(int(points.min()), int(np.median(points)), int(points.max())),
-        changed=float(changed.mean()) if len(changed) else np.nan,
-        moved=(float(np.median(moved)), float(np.max(moved))),
-        ordered=float(np.mean([row.ordered for row in rows])),
-        tips=max(row.tips for row in rows),
-        ms=float(np.mean([row.ms for row in rows])),
-    )
+    return float(np.mean(values)), float(half)
 
 
 def _reach(start: Array, *, closed: bool) -> float:

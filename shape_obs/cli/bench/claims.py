@@ -47,7 +47,7 @@ def main(argv: Sequence[str]) -> int:
         for group in groups:
             bar.set_postfix_str(group)
             for title, rows in GROUPS[group](effort):
-                output.table(title, rows)
+                output.table(title, list(rows))
             bar.update()
     output.close()
     return 0

@@ -10,17 +10,12 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from shape_obs.bench import Clock, Env, Size
+from shape_obs.bench import Clock, Difficulty, Env, FeatureSet, Size, Source
 from shape_obs.cli.bench.output import Output, check_minimum, image_size, need_matplotlib, progress
 
 if TYPE_CHECKING:
     from shape_obs.bench.servo.settings import Setting
-
-Difficulty = Literal["near", "middle", "far"]
-Source = Literal["camera", "truth", "taught"]
-FeatureSet = Literal[
-    "points3d", "points2d", "fourier", "bezier", "bspline", "tangents", "curvature", "turning_angles", "moments", "pca"
-]
+    from shape_obs.bench.tables import Row
 
 
 @dataclass(frozen=True)
@@ -126,7 +121,6 @@ def _settings(args: Servo) -> list[Setting]:
 
 def _study(args: Servo, settings: Sequence[Setting], output: Output) -> int:
     """Play all episodes, write and print the results, and return the number of episodes that broke off."""
-    from shape_obs.bench.servo.episode import Episode
     from shape_obs.bench.servo.pictures import draw
     from shape_obs.bench.servo.study import paired_rows, run, summary_rows, without_empty, write_tables
 
@@ -134,7 +128,7 @@ def _study(args: Servo, settings: Sequence[Setting], output: Output) -> int:
     seeds = range(args.seed, args.seed + args.goals)
     with progress("servo", "episode", len(settings) * len(seeds)) as bar:
 
-        def tick(setting: Setting, episode: Episode) -> None:
+        def tick(setting: Setting, episode: Row) -> None:
             bar.set_postfix_str(setting.name, refresh=False)
             bar.update()
             if episode.failure:

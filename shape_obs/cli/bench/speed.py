@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Final, Literal, get_args
 
 import tyro
@@ -15,7 +16,19 @@ Work = Literal["rope", "contour", "cloth"]
 
 
 @dataclass(frozen=True)
-class Latency:
+class _Timing:
+    seed: int = 0
+    """Seed of everything that is drawn at random."""
+    clock: Clock = "wall"
+    """Clock: elapsed time, or the processor time of the thread, which hardly depends on other load."""
+    burst: int = 10
+    """Frames or steps in a turn. With 1 every method runs with the caches that another one left behind."""
+    json: bool = False
+    """Print JSON instead of tables."""
+
+
+@dataclass(frozen=True)
+class Latency(_Timing):
     """Time every stage from an RGB-D image to 20 points in space, warm and cold, and how the time grows.
 
     One pass over the same image and the usual segmentation are timed with it. All methods take turns on every frame, on
@@ -26,22 +39,14 @@ class Latency:
     """Parts to measure: the stages at every image size; the growth with pixels, points and shapes."""
     frames: int = 60
     """Number of counted frames."""
-    seed: int = 0
-    """Seed of motion, light and noise."""
     sizes: tuple[str, ...] = ("320x240", "640x480", "848x480", "1280x720", "1280x800")
     """Image sizes."""
     memory: int = 0
     """Frames over which the growth of the process is measured; 0 leaves it out."""
-    clock: Clock = "wall"
-    """Clock: elapsed time, or the processor time of the thread, which hardly depends on other load."""
-    burst: int = 10
-    """Frames in a turn. With 1 every method runs with the caches that another one left behind."""
-    json: bool = False
-    """Print JSON instead of tables."""
 
 
 @dataclass(frozen=True)
-class Peers:
+class Peers(_Timing):
     """Compare the detector with other ways to the same points: same masks, same N, in turns, on one thread.
 
     A method's clock starts when the mask, or the mask's pixels as floats, are ready. Clusterers are not charged for
@@ -54,18 +59,10 @@ class Peers:
     """Number of counted frames."""
     slow_frames: int = 5
     """Frames on which slow methods run (n_init 10, mixture, fuzzy); 0 leaves these out."""
-    seed: int = 0
-    """Seed of the motions, and of the methods that draw at random."""
-    clock: Clock = "wall"
-    """Clock: elapsed time, or the processor time of the thread, which hardly depends on other load."""
-    burst: int = 10
-    """Frames in a turn. With 1 every method runs with the caches that another one left behind."""
-    json: bool = False
-    """Print JSON instead of tables."""
 
 
 @dataclass(frozen=True)
-class Envs:
+class Envs(_Timing):
     """Count the steps per second of each environment: without drawing, with images, and wrapped.
 
     All ways take turns through the same episodes, on one thread. Rates are those of the median step; resets have a
@@ -80,14 +77,6 @@ class Envs:
     """Renderers; without OpenGL only rays are measured."""
     steps: int = 200
     """Number of counted steps."""
-    seed: int = 0
-    """Seed of episodes and actions."""
-    clock: Clock = "wall"
-    """Clock: elapsed time, or the processor time of the thread, which hardly depends on other load."""
-    burst: int = 10
-    """Steps in a turn. With 1 every environment runs with the caches that another one left behind."""
-    json: bool = False
-    """Print JSON instead of tables."""
 
 
 def main(name: str, argv: Sequence[str]) -> int:
@@ -108,20 +97,21 @@ def _output(name: str, args: Any, *packages: str) -> Output:
 def _latency(args: Latency) -> Output:
     check_minimum(args, frames=1, memory=0, burst=1)
     sizes = tuple(image_size(text, 64, landscape=False) for text in args.sizes)
-    from shape_obs.bench import growth, latency
+    from shape_obs.bench import latency
 
     output, targets = _output("latency", args), []
     if "stages" in args.only:
         with progress("stages", "frame", args.frames + latency.WARM_UP) as bar:
             found = latency.latencies(sizes, args.frames, args.seed, args.clock, args.burst, bar.update)
-        output.table("image to points in 3D", latency.total_rows(found), "totals")
+        totals = latency.total_rows(found)
+        output.table("image to points in 3D", totals, "totals")
         output.table("stages, median milliseconds", latency.stage_rows(found), "stages")
-        targets += latency.latency_targets(found)
+        targets += latency.latency_targets(totals)
     if "growth" in args.only:
-        with progress("growth", "frame", args.frames + growth.WARM_UP) as bar:
-            grown = growth.growth_rows(args.frames, args.seed, args.clock, bar.update)
+        with progress("growth", "frame", args.frames + latency.WARM_UP) as bar:
+            grown = latency.growth_rows(args.frames, args.seed, args.clock, bar.update)
         output.table("growth, tracked", grown, "growth")
-        targets += growth.growth_targets(grown)
+        targets += latency.growth_targets(grown)
     if args.memory:
         with progress("memory", "frame") as bar:
             megabytes = latency.memory_growth(args.memory, args.seed, tick=bar.update)
@@ -133,7 +123,7 @@ def _latency(args: Latency) -> Output:
 
 def _peers(args: Peers) -> Output:
     check_minimum(args, frames=1, slow_frames=0, burst=1)
-    from shape_obs.bench import peer_comparison as peers
+    from shape_obs.bench import peers
 
     output, results = _output("peers", args), {}
     output.document |= {"missing": peers.missing(), "works": {}}
@@ -144,7 +134,7 @@ def _peers(args: Peers) -> Output:
             results[name] = peers.run_work(
                 name, args.frames, args.slow_frames, args.seed, args.clock, args.burst, bar.update
             )
-        work = output.document["works"][name] = results[name].to_dict()
+        work = output.document["works"][name] = results[name].summary
         refused = f", {work['refused']} refused" if work["refused"] else ""
         title = f"{name}: {work['points']} points from {work['samples']} pixels, {work['frames']} frames{refused}"
         output.table(title, work["rows"], "")
@@ -155,7 +145,7 @@ def _peers(args: Peers) -> Output:
 def _envs(args: Envs) -> Output:
     check_minimum(args, steps=1, burst=1)
     sizes = [image_size(text, 16) for text in args.sizes]
-    from shape_obs.bench.env_speed import WARM_UP, Course, speed_row, speed_targets, speeds
+    from shape_obs.bench.env_speed import WARM_UP, speed_row, speed_targets
     from shape_obs.bench.interleaved_timing import opengl
 
     driver, no_opengl = opengl()
@@ -166,17 +156,12 @@ def _envs(args: Envs) -> Output:
     renderers = [name for name in args.renderers if name != "gl" or driver]
     if no_opengl and "gl" in args.renderers:
         output.note(f"no OpenGL here, rays alone: {no_opengl}")
-    courses = [
-        Course(env, size, renderer, args.steps, args.seed, args.clock, args.burst)
-        for env in args.envs
-        for size in sizes
-        for renderer in renderers
-    ]
+    courses = list(product(args.envs, sizes, renderers))
     rows = []
     with progress("envs", "step", len(courses) * (args.steps + WARM_UP)) as bar:
         for course in courses:
-            bar.set_postfix_str(f"{course.env} {course.image} {course.renderer}")
-            rows.append(speed_row(course, speeds(course, bar.update)))
+            bar.set_postfix_str("{} {} {}".format(*course))
+            rows.append(speed_row(*course, args.steps, args.seed, args.clock, args.burst, bar.update))
     output.table("steps per second", rows, "single")
     output.claims(speed_targets(rows))
     return output

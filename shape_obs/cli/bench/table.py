@@ -71,17 +71,17 @@ def main(argv: Sequence[str]) -> int:
     plan = replace(whole, names=names, methods=methods, tracings=traced)
     with progress("table", "chunk") as bar:
 
-        def tick(done: int, total: int) -> None:
+        def tick(finished: int, total: int) -> None:
             bar.total = total
-            bar.update(done - bar.n)
+            bar.update(finished - bar.n)
 
-        parts = run(plan, folder, jobs=args.jobs, redo=args.redo, tick=tick)
-    found, ranked, traces = results(parts, whole), rankings(parts, whole), tracings(parts, whole)
+        done = run(plan, folder, jobs=args.jobs, redo=args.redo, tick=tick)
+    found, ranked, traces = results(done, whole), rankings(done, whole), tracings(done, whole)
     page = markdown(whole, machine(), found, ranked, traces)
     values = json.dumps(as_values(whole, machine(), found, ranked, traces), indent=2)
     write_text(folder / "table.md", page)
     write_text(folder / "table.json", values + "\n")
-    write_text(folder / "frames.csv", as_csv(every_row(parts, whole)))
+    write_text(folder / "frames.csv", as_csv(every_row(done)))
     if args.figures and found:
         draw(plan, found, folder)
     print(values if args.json else page)

@@ -10,9 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from shape_obs.bench.interleaved_timing import Method, interleaved_timing
-from shape_obs.bench.peer_comparison import COLD, TARGETS, WARM, Score
-from shape_obs.bench.peers import PEERS, spread
+from shape_obs.bench.interleaved_timing import Method, Turn, interleaved_timing, median_ms
+from shape_obs.bench.peers import COLD, PEERS, TARGETS, WARM, spread, times_slower
 from shape_obs.bench.synthetic.streams import cloths, ropes
 from shape_obs.cli import main
 from shape_obs.utils.threads import one_thread
@@ -78,9 +77,16 @@ def test_what_is_not_installed_is_left_out_and_told(capsys, monkeypatch):
 
 
 def test_ratios_are_over_the_frames_of_both():
-    often, seldom = Score({1: 1.0, 2: 2.0, 3: 30.0}), Score({2: 8.0})
-    assert seldom.times(often) == 4
-    assert often.median == 2
+    often = [Turn(1, "often", 1.0, None), Turn(2, "often", 2.0, None), Turn(3, "often", 30.0, None)]
+    assert times_slower([Turn(2, "seldom", 8.0, None)], often) == 4
+    assert median_ms(often) == 2
+
+
+def test_frames_of_the_warm_up_run_but_do_not_count():
+    ran, done = [], []
+    turns = interleaved_timing("xyz", [Method("a", ran.append)], burst=2, warm_up=1, tick=lambda: done.append(1))
+    assert [turn.frame for turn in turns] == [1, 2]
+    assert (ran, len(done)) == (["x", "y", "z"], 3)
 
 
 def test_all_run_on_every_frame_and_who_begins_changes():
