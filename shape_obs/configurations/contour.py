@@ -14,9 +14,9 @@ from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.observed import Observed
-from shape_obs.geometry.outline import SAMPLED, clockwise, material_outline, pairs
+from shape_obs.geometry.outline import clockwise, material_outline
 from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, closed, equal_chords, interpolate
-from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.samples import SAMPLED, Samples, pairs
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.region import Region
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction

@@ -11,11 +11,9 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.polyline import arc_length, closed, interpolate
 
 Array = npt.NDArray[np.float64]
 
-SAMPLED: Final = 2  # points of an outline in one sample: half the work, and no bend is lost
 # Smoothing along an outline, in its steps: enough to see a direction and a length through the staircase of pixels, at
 # 0.2 px off a bend of radius 10. What is fitted is not smoothed.
 _STAIRCASE: Final = 2.0
@@ -129,41 +127,3 @@ def _wrap(padded: Array) -> None:
     for i in range(_PAD):
         padded[i] = padded[_PAD + (i - _PAD) % size]
         padded[_PAD + size + i] = padded[_PAD + i % size]
-
-
-@compiled("(f8[:,::1],)")
-def pairs(points: Array) -> Array:
-    """Return the mean of each two points, the last alone if they are odd: ``(P, D)`` -> ``(ceil(P / 2), D)``."""
-    size, dimension = points.shape
-    out = np.empty(((size + 1) // 2, dimension))
-    for p in range(size // 2):
-        for d in range(dimension):
-            out[p, d] = (points[2 * p, d] + points[2 * p + 1, d]) / 2
-    if size % 2:
-        for d in range(dimension):
-            out[size // 2, d] = points[size - 1, d]
-    return out
-
-
-@compiled
-def closed_arc(curve: Array) -> Array:
-    """Return the arc length around a closed curve, its first point not repeated: ``(P, D)`` -> ``(P + 1,)``."""
-    return arc_length(closed(curve))
-
-
-@compiled
-def even_around(curve: Array, arc: Array, begin: float, count: int) -> Array:
-    """Return ``(count, D)`` points of equal arc length around a closed curve, from an arc position on.
-
-    Args:
-        curve: ``(P, D)``, the first point not repeated.
-        arc: ``(P + 1,)`` its arc length.
-        begin: Arc position of the first point.
-        count: How many.
-    """
-    at, whole = np.empty(count), arc[-1]
-    for k in range(count):
-        at[k] = begin % whole + k * (whole / count)
-        if at[k] >= whole:
-            at[k] -= whole
-    return interpolate(closed(curve), arc, at)

@@ -168,6 +168,30 @@ def closed(points: Array) -> Array:
     return np.append(points, points[0]).reshape(len(points) + 1, points.shape[1])
 
 
+@compiled
+def closed_arc(curve: Array) -> Array:
+    """Return the arc length around a closed curve, its first point not repeated: ``(P, D)`` -> ``(P + 1,)``."""
+    return arc_length(closed(curve))
+
+
+@compiled
+def even_around(curve: Array, arc: Array, begin: float, count: int) -> Array:
+    """Return ``(count, D)`` points of equal arc length around a closed curve, from an arc position on.
+
+    Args:
+        curve: ``(P, D)``, the first point not repeated.
+        arc: ``(P + 1,)`` its arc length.
+        begin: Arc position of the first point.
+        count: How many.
+    """
+    at, whole = np.empty(count), arc[-1]
+    for k in range(count):
+        at[k] = begin % whole + k * (whole / count)
+        if at[k] >= whole:
+            at[k] -= whole
+    return interpolate(closed(curve), arc, at)
+
+
 @compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8, f8, f8)")
 def equal_chords(
     points: Array, arc: Array, metric: Array, metric_arc: Array, count: int, margin: float, max_shift: float

@@ -11,14 +11,15 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.outline import Outline
 from shape_obs.geometry.samples import Samples
 from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.outline_tracing import trace_outline, trace_with_holes
 from shape_obs.image.roi import Window
 
-if TYPE_CHECKING:  # a protocol's property accepts no other descriptor
-    cached_property = property
+if TYPE_CHECKING:
+    from shape_obs.geometry.outline import Outline
+
+    cached_property = property  # a protocol's property accepts no other descriptor
 else:
     from functools import cached_property
 
@@ -105,6 +106,8 @@ class Region:
     @cached_property
     def outline(self) -> Outline:
         """The outer outline of the largest component."""
+        from shape_obs.geometry.outline import Outline  # a rope needs none
+
         return Outline(self.components[0].outline)
 
     @property
@@ -115,6 +118,8 @@ class Region:
     @cached_property
     def hole_outlines(self) -> tuple[Outline, ...]:
         """The outlines of the holes of the largest component, the largest first."""
+        from shape_obs.geometry.outline import Outline
+
         found, table = cv2.findContours(self.mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
         contours = [contour.reshape(-1, 2) + (self.window.left, self.window.top) for contour in found]
         start = self.components[0].outline[0]

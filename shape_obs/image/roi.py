@@ -26,13 +26,6 @@ class Window(NamedTuple):
         """Row and column slices."""
         return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
-    def united(self, other: Window) -> Window:
-        """Return the least window that holds both."""
-        left, top = min(self.left, other.left), min(self.top, other.top)
-        right = max(self.left + self.width, other.left + other.width)
-        bottom = max(self.top + self.height, other.top + other.height)
-        return Window(left, top, right - left, bottom - top)
-
 
 class Place(NamedTuple):
     """Where a region is in one frame.

@@ -18,8 +18,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.coons import RIM, TURN_REACH, coons_patch
-from shape_obs.geometry.outline import closed_arc, even_around
-from shape_obs.geometry.polyline import arc_length, interpolate
+from shape_obs.geometry.polyline import arc_length, closed_arc, even_around, interpolate
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]

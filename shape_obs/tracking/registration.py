@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, TrackHints
-from shape_obs.geometry.outline import closed_arc, even_around
+from shape_obs.geometry.polyline import closed_arc, even_around
 from shape_obs.tracking.prediction import Prediction
 
 Array = npt.NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Outlines of masks: where a circle ends, SciPy's smoothing, pairs of points."""
+"""Outlines of masks: where a circle ends, SciPy's smoothing."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from shape_obs.geometry.outline import clockwise, material_outline, pairs
+from shape_obs.geometry.outline import clockwise, material_outline
 
 
 def traced(radius: float = 40.0) -> np.ndarray:
@@ -25,10 +25,3 @@ def test_the_material_ends_half_a_pixel_outside_of_the_border_pixels(hole, step)
     assert wide == pytest.approx(-0.45 if hole else 0.45, abs=0.1)
     expected = gaussian_filter1d(points, 2.0, axis=0, mode="wrap", truncate=2.0)
     np.testing.assert_allclose(smooth, expected, atol=1e-9)
-
-
-@pytest.mark.parametrize("count", [1, 2, 7, 8])
-def test_pairs_are_means_of_two(count):
-    points = np.random.default_rng(0).uniform(0, 9, (count, 2))
-    expected = [points[k : k + 2].mean(axis=0) for k in range(0, count, 2)]
-    np.testing.assert_allclose(pairs(points), expected)
