@@ -10,7 +10,7 @@ import numpy as np
 from shape_obs import HSVRange, Markers, Polygon, ShapeDetector, TopView
 from shape_obs.bench.synthetic.tabletop import LAYOUT, MarkerScene, marker_scene
 from shape_obs.calibration import Board
-from shape_obs.cli.markers import board_words
+from shape_obs.cli.markers import describe_board
 from shape_obs.drawing import draw_curve, draw_detection, draw_text
 from shape_obs.markers import find_markers
 from shape_obs.markers.sheet import PER_MM, board_page, marker_pages
@@ -78,7 +78,7 @@ def tile(panel: np.ndarray, title: str, height: int = 384) -> np.ndarray:
 
 def sheets() -> np.ndarray:
     """The two pages that can be printed."""
-    pages = [marker_pages([0, 1, 2, 3], 60)[0], board_page(Board().picture(1000 * PER_MM), board_words(Board()))]
+    pages = [marker_pages([0, 1, 2, 3], 60)[0], board_page(Board().picture(1000 * PER_MM), describe_board(Board()))]
     shown = []
     for page in pages:
         framed = np.pad(page, 6, constant_values=120)

@@ -1,13 +1,24 @@
-"""The page on failures says what comes out, case by case."""
+"""The scripts of the pictures find what they import; the page on failures says what comes out, case by case."""
 
 from __future__ import annotations
 
+import ast
 import re
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 DOCS = Path(__file__).parents[2] / "docs"
+
+
+@pytest.mark.parametrize("script", sorted((DOCS / "pictures").glob("*.py")), ids=lambda script: script.name)
+def test_a_script_finds_what_it_imports(script):
+    for statement in ast.walk(ast.parse(script.read_text(encoding="utf-8"))):
+        if isinstance(statement, ast.ImportFrom) and str(statement.module).startswith("shape_obs"):
+            module = import_module(str(statement.module))
+            for alias in statement.names:
+                assert hasattr(module, alias.name), f"{statement.module} has no {alias.name}"
 
 
 @pytest.fixture(scope="module")
