@@ -7,12 +7,13 @@ mean of both sides between the two tips whose sides lie closest together.
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import uniform_filter1d
 
+from shape_obs.compiled import compiled
 from shape_obs.geometry.polyline import arc_length
 
 Array = npt.NDArray[np.float64]
@@ -43,34 +44,62 @@ def fold_outline(outline: Array, width: float) -> Array:
     traced, step = _complex(closed), perimeter / _N
     even = np.interp(np.arange(_N) * step, arc, traced)
     tip = _half_fold(even)
-    tips = np.unique(np.array([tip, tip + _N / 2, *_sharp_bends(even, width / step)]) % _N)
-    firsts, seconds = (tips[chosen, None] for chosen in np.triu_indices(len(tips), 1))
-    left, right = (np.interp(side, np.arange(_N), even, period=_N) for side in _sides(firsts, seconds, _SIDE_PROBES))
-    best = int(np.argmin(np.sum(np.abs(left - right) ** 2, axis=1)))
-    sides = _sides(firsts[best], seconds[best], _SIDE_POINTS)
+    tips = np.unique(np.array([tip, tip + _N / 2, *sharp_bends(even, width / step)]) % _N)
+    first, second = (tips[chosen] for chosen in closest_sides(even, tips))
+    share = np.linspace(0, 1, _SIDE_POINTS)
+    sides = first + share * (second - first), first - share * (_N - second + first)
     middle = sum(np.interp(side % _N * step, arc, traced) for side in sides) / 2
     return np.stack([middle.real, middle.imag], axis=1)
 
 
+@compiled("(f8[:,::1], f8[:,::1], f8)")
 def unexplained_share(outline: Array, curve: Array, reach: float) -> float:
     """Return the share of every other point of a ribbon's outline ``(P, 2)`` that lies far from a curve ``(S, 2)``.
 
     Far is more than ``reach`` and half the curve's widest step from all of its points.
     """
-    points = _complex(curve)
-    widest = np.abs(np.diff(points)).max(initial=0.0)
-    apart = np.abs(_complex(outline[::2])[:, None] - points).min(axis=1)
-    return float(np.mean(apart > reach + widest / 2))
+    widest = 0.0
+    for s in range(1, len(curve)):
+        widest = max(widest, math.hypot(curve[s, 0] - curve[s - 1, 0], curve[s, 1] - curve[s - 1, 1]))
+    square, far, near = (reach + widest / 2) ** 2, 0, 0
+    for p in range(0, len(outline), 2):
+        for s in range(len(curve)):
+            k = (near + s) % len(curve)  # the next place on an outline is near what the last one was near to
+            if (curve[k, 0] - outline[p, 0]) ** 2 + (curve[k, 1] - outline[p, 1]) ** 2 <= square:
+                near = k
+                break
+        else:
+            far += 1
+    return far / ((len(outline) + 1) // 2)
 
 
 def _complex(points: Array) -> Places:
     return points[:, 0] + 1j * points[:, 1]
 
 
-def _sides(first: Array, second: Array, count: int) -> tuple[Array, Array]:
-    """Return ``count`` places from one tip to another, either way around the outline."""
-    share = np.linspace(0, 1, count)
-    return first + share * (second - first), first - share * (_N - second + first)
+@compiled("(c16[::1], f8[::1])")
+def closest_sides(even: Places, tips: Array) -> tuple[int, int]:
+    """Return the two of some tips between which both sides of an even outline lie closest together."""
+    best, least = (0, 1), np.inf
+    for i in range(len(tips)):
+        for j in range(i + 1, len(tips)):
+            apart = 0.0
+            for s in range(_SIDE_PROBES):
+                share = s / (_SIDE_PROBES - 1)
+                left = _place(even, tips[i] + share * (tips[j] - tips[i]))
+                right = _place(even, tips[i] - share * (_N - tips[j] + tips[i]))
+                apart += (left.real - right.real) ** 2 + (left.imag - right.imag) ** 2
+            if apart < least:
+                best, least = (i, j), apart
+    return best
+
+
+@compiled
+def _place(even: Places, at: float) -> complex:
+    """Return the point of an even outline at a fraction of a step."""
+    at %= _N
+    before = int(at)
+    return even[before] + (at - before) * (even[(before + 1) % _N] - even[before])
 
 
 def _half_fold(even: Places) -> float:
@@ -85,13 +114,25 @@ def _overlap(even: Places) -> Array:
     return np.fft.ifft(np.fft.fft(centred) * np.fft.fft(centred.conj())).real
 
 
-def _sharp_bends(even: Places, width: float) -> list[int]:
-    """Return the places where the outline turns most within a ribbon's width, which is in steps."""
-    reach = int(np.clip(np.rint(width), 1, _N // 4))
-    turn = np.angle((np.roll(even, -reach) - even) * (even - np.roll(even, reach)).conj())
-    within = np.abs(uniform_filter1d(turn, 2 * reach + 1, mode="wrap"))
-    bends: list[int] = []
-    while len(bends) < _SHARP_BENDS and within.max() > 0:
-        bends.append(int(np.argmax(within)))
-        within[np.arange(bends[-1] - 2 * reach, bends[-1] + 2 * reach + 1) % _N] = 0.0
+@compiled("(c16[::1], f8)")
+def sharp_bends(even: Places, width: float) -> Array:
+    """Return the places where an even outline turns most within a ribbon's width, which is in steps."""
+    reach = min(max(int(np.rint(width)), 1), _N // 4)
+    turn, within = np.empty(_N), np.empty(_N)
+    for i in range(_N):
+        turn[i] = np.angle((even[(i + reach) % _N] - even[i]) * np.conj(even[i] - even[i - reach]))
+    total = 0.0
+    for i in range(-reach, reach + 1):
+        total += turn[i]
+    for i in range(_N):
+        within[i] = abs(total)
+        total += turn[(i + reach + 1) % _N] - turn[i - reach]
+    bends = np.empty(_SHARP_BENDS)
+    for found in range(_SHARP_BENDS):
+        peak = np.argmax(within)
+        if within[peak] <= 0:
+            return bends[:found]
+        bends[found] = peak
+        for i in range(peak - 2 * reach, peak + 2 * reach + 1):
+            within[i % _N] = 0.0
     return bends
