@@ -158,14 +158,21 @@ def even_points(curve: Array, arc: Array, count: int, centers: bool) -> Array:
         centers: Whether the points lie at the middle of ``count`` equal pieces; else the first and the last lie at the
             curve's ends.
     """
-    share = (np.arange(count) + 0.5) / count if centers else np.arange(count) / max(count - 1, 1)
-    return interpolate(curve, arc, share * arc[-1])
+    at = np.empty(count)
+    for n in range(count):
+        at[n] = ((n + 0.5) / count if centers else n / max(count - 1, 1)) * arc[-1]
+    return interpolate(curve, arc, at)
 
 
 @compiled
 def closed(points: Array) -> Array:
     """Return ``(P, D)`` points with the first one repeated at the end: ``(P + 1, D)``."""
-    return np.append(points, points[0]).reshape(len(points) + 1, points.shape[1])
+    size, dimension = points.shape
+    out = np.empty((size + 1, dimension))
+    for p in range(size + 1):
+        for d in range(dimension):
+            out[p, d] = points[p % size, d]
+    return out
 
 
 @compiled

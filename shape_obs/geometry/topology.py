@@ -186,11 +186,15 @@ def undo_shrinkage(nodes: Array, share: float, closed: bool) -> Array:
 
     The ends of an open line move by 1/24 of their neighbour's.
     """
-    around = np.concatenate((nodes[-1:], nodes, nodes[:1]))
-    out = nodes - share * (around[2:] - 2 * nodes + around[:-2])
-    if not closed:
-        out[0] = nodes[0] - (nodes[2] - 2 * nodes[1] + nodes[0]) / 24
-        out[-1] = nodes[-1] - (nodes[-1] - 2 * nodes[-2] + nodes[-3]) / 24
+    size, dimension = nodes.shape
+    out = np.empty_like(nodes)
+    for k in range(size):
+        end = not closed and (k == 0 or k == size - 1)
+        at = min(max(k, 1), size - 2) if end else k
+        by = 1 / 24 if end else share
+        for d in range(dimension):
+            bend = nodes[(at + 1) % size, d] - 2 * nodes[at, d] + nodes[at - 1, d]
+            out[k, d] = nodes[k, d] - by * bend
     return out
 
 

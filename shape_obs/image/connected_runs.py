@@ -169,27 +169,38 @@ def gather_cells(runs: Indices, size: int) -> tuple[Array, Array]:
     if len(runs) == 0:
         return np.empty((0, 2)), np.empty(0)
     top, bottom = runs[0, 0] // size, runs[-1, 0] // size
-    left, right = runs[:, 1].min() // size, (runs[:, 2].max() - 1) // size
-    across, share = right - left + 1, 1 / size  # divisions are slow
+    left, right = runs[0, 1], runs[0, 2]
+    for at in range(len(runs)):
+        left, right = min(left, runs[at, 1]), max(right, runs[at, 2])
+    left, right = left // size, (right - 1) // size
+    across = right - left + 1
     sums = np.zeros(((bottom - top + 1) * across, 3), np.int64)
+    share, base, below = 1 / size, -across - left, top * size  # divisions are slow
     for at in range(len(runs)):
         row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
-        column = int((start + 0.5) * share)
-        cell = (int((row + 0.5) * share) - top) * across + column - left
+        while row >= below:
+            below += size
+            base += across
+        cell = base + int((start + 0.5) * share)
         while start < stop:
-            column += 1
-            end = min(column * size, stop)
+            end = min((cell - base + 1) * size, stop)
             count = end - start
             sums[cell, 0] += count
             sums[cell, 1] += (start + end - 1) * count  # twice the sum of the columns
             sums[cell, 2] += row * count
             start = end
             cell += 1
-    held = np.flatnonzero(sums[:, 0])
-    points, weight = np.empty((len(held), 2)), np.empty(len(held))
-    for at in range(len(held)):
-        cell, weight[at] = held[at], sums[held[at], 0]
-        points[at, 0], points[at, 1] = sums[cell, 1] / (2 * weight[at]), sums[cell, 2] / weight[at]
+    held = 0
+    for cell in range(len(sums)):
+        held += sums[cell, 0] > 0
+    points, weight = np.empty((held, 2)), np.empty(held)
+    at = 0
+    for cell in range(len(sums)):
+        count = sums[cell, 0]
+        if count > 0:
+            points[at, 0], points[at, 1] = sums[cell, 1] / (2 * count), sums[cell, 2] / count
+            weight[at] = count
+            at += 1
     return points, weight
 
 
