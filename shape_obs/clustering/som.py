@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.polyline import closed_arc, even_around
+from shape_obs.geometry.polyline import arc_length, closed, even_around
 from shape_obs.geometry.samples import SAMPLED, Samples
 from shape_obs.geometry.topology import Topology, neighbourhoods, undo_shrinkage
 
@@ -209,13 +209,14 @@ def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma:
         ``(K, 2)`` nodes, the pull of the averaging undone; ``(M,)`` the best-matching unit of each sample.
     """
     size = len(smooth)
-    arc = closed_arc(smooth)
+    around = closed(smooth)
+    arc = arc_length(around)
     begin, least = 0.0, np.inf
     for p in range(size):
         square = (smooth[p, 0] - start[0]) ** 2 + (smooth[p, 1] - start[1]) ** 2
         if square < least:
             begin, least = arc[p], square
-    nodes, gap = even_around(smooth, arc, begin, count), arc[size] / count
+    nodes, gap = even_around(around, arc, begin, count), arc[size] / count
     middle_u = middle_v = 0.0
     for k in range(count):
         middle_u += nodes[k, 0]

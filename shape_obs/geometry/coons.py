@@ -122,4 +122,6 @@ def _side(rim: Array, begin: int, end: int, skip: int, places: Array, k: int, ou
     for i in range(inner):
         p = (begin + skip + i) % RIM
         line[i + 1, 0], line[i + 1, 1] = rim[p, 0], rim[p, 1]
-    out[:] = even_points(line, arc_length(line), len(out), False)
+    even = even_points(line, arc_length(line), len(out), False)
+    for i in range(len(out)):
+        out[i, 0], out[i, 1] = even[i, 0], even[i, 1]

@@ -134,7 +134,13 @@ def sample_lattice(lattice: Array, down: Array, right: Array, rows: int, cols: i
 @compiled
 def _transposed(lattice: Array) -> Array:
     """Return a lattice with its rows and columns exchanged: ``(R, C, D)`` -> ``(C, R, D)``."""
-    return np.ascontiguousarray(lattice.transpose(1, 0, 2))
+    rows, cols, dimension = lattice.shape
+    out = np.empty((cols, rows, dimension))
+    for r in range(rows):
+        for c in range(cols):
+            for d in range(dimension):
+                out[c, r, d] = lattice[r, c, d]
+    return out
 
 
 @compiled("(f8[:,:,::1],)")
@@ -159,8 +165,13 @@ def assess_lattice(lattice: Array) -> tuple[float, float, float, float]:
         share a side is longer than its chord, at most; standard deviation over mean of the cells' areas.
     """
     rows, cols = lattice.shape[:2]
-    around = np.concatenate((lattice[0], lattice[1:, -1], lattice[-1, -2::-1], lattice[-2:0:-1, 0]))
-    border = around[:, 0] + 1j * around[:, 1]
+    border, count = np.empty(2 * (rows + cols) - 4, np.complex128), 0
+    for k in range(4):
+        for i in range((rows if k % 2 else cols) - 1):
+            r = (0, i, rows - 1, rows - 1 - i)[k]
+            c = (i, cols - 1, cols - 1 - i, 0)[k]
+            border[count] = complex(lattice[r, c, 0], lattice[r, c, 1])
+            count += 1
     angle, winding, at = 90.0, 0.0, 0
     for k in range(4):
         count, other = (rows, cols) if k % 2 else (cols, rows)
@@ -175,15 +186,25 @@ def assess_lattice(lattice: Array) -> tuple[float, float, float, float]:
             length += abs(border[(i + 1) % len(border)] - border[i])
         winding = max(winding, length / max(abs(border[end] - border[at]), 1e-9) - 1)
         at = end
-    area = np.empty((rows - 1, cols - 1))
+    area, whole, square = np.empty((rows - 1, cols - 1)), 0.0, 0.0
+    below = above = False
     for r in range(rows - 1):
         for c in range(cols - 1):
             x, y = lattice[r + 1, c + 1, 0] - lattice[r, c, 0], lattice[r + 1, c + 1, 1] - lattice[r, c, 1]
             u, v = lattice[r + 1, c, 0] - lattice[r, c + 1, 0], lattice[r + 1, c, 1] - lattice[r, c + 1, 1]
             area[r, c] = (x * v - y * u) / 2
+            below, above = below or area[r, c] < 0, above or area[r, c] > 0
+            whole += abs(area[r, c])
     folds = 0.0
-    if area.min() < 0 < area.max():
-        down, right = area[1:] * area[:-1] < 0, area[:, 1:] * area[:, :-1] < 0
-        folds = max(down.sum() / max(down.size, 1), right.sum() / max(right.size, 1))
-    area = np.abs(area)
-    return angle, folds, winding, area.std() / max(area.mean(), 1e-18)
+    if below and above:
+        down = right = 0
+        for r in range(rows - 1):
+            for c in range(cols - 1):
+                down += r > 0 and area[r, c] * area[r - 1, c] < 0
+                right += c > 0 and area[r, c] * area[r, c - 1] < 0
+        folds = max(down / max((rows - 2) * (cols - 1), 1), right / max((rows - 1) * (cols - 2), 1))
+    mean = whole / area.size
+    for r in range(rows - 1):
+        for c in range(cols - 1):
+            square += (abs(area[r, c]) - mean) ** 2
+    return angle, folds, winding, math.sqrt(square / area.size) / max(mean, 1e-18)

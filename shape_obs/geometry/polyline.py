@@ -42,7 +42,10 @@ def interpolate(curve: Array, arc: Array, at: Array) -> Array:
     for n in range(len(at)):
         here = min(max(at[n], arc[0]), arc[last])
         if arc[before] > here or arc[min(before + 8, last)] < here:  # far from the one before
-            before = max(np.searchsorted(arc, here) - 1, 0)
+            before, beyond = 0, last
+            while before < beyond:
+                middle = (before + beyond + 1) // 2
+                before, beyond = (middle, beyond) if arc[middle] < here else (before, middle - 1)
         while before < last - 1 and arc[before + 1] < here:
             before += 1
         after = min(before + 1, last)
@@ -147,7 +150,7 @@ def resample(curve: Array, count: int) -> Array:
     return interpolate(curve, arc, np.linspace(0.0, arc[-1], count))
 
 
-@compiled
+@compiled("(f8[:,::1], f8[::1], i8, b1)")
 def even_points(curve: Array, arc: Array, count: int, centers: bool) -> Array:
     """Return ``count`` points of equal arc length along a polyline.
 
@@ -164,21 +167,17 @@ def even_points(curve: Array, arc: Array, count: int, centers: bool) -> Array:
     return interpolate(curve, arc, at)
 
 
-@compiled
+@compiled("(f8[:,::1],)")
 def closed(points: Array) -> Array:
     """Return ``(P, D)`` points with the first one repeated at the end: ``(P + 1, D)``."""
     size, dimension = points.shape
     out = np.empty((size + 1, dimension))
-    for p in range(size + 1):
+    for p in range(size):
         for d in range(dimension):
-            out[p, d] = points[p % size, d]
+            out[p, d] = points[p, d]
+    for d in range(dimension):
+        out[size, d] = points[0, d]
     return out
-
-
-@compiled
-def closed_arc(curve: Array) -> Array:
-    """Return the arc length around a closed curve, its first point not repeated: ``(P, D)`` -> ``(P + 1,)``."""
-    return arc_length(closed(curve))
 
 
 @compiled
@@ -186,8 +185,8 @@ def even_around(curve: Array, arc: Array, begin: float, count: int) -> Array:
     """Return ``(count, D)`` points of equal arc length around a closed curve, from an arc position on.
 
     Args:
-        curve: ``(P, D)``, the first point not repeated.
-        arc: ``(P + 1,)`` its arc length.
+        curve: ``(P, D)``, the last point the first, see ``closed``.
+        arc: ``(P,)`` its arc length.
         begin: Arc position of the first point.
         count: How many.
     """
@@ -196,7 +195,7 @@ def even_around(curve: Array, arc: Array, begin: float, count: int) -> Array:
         at[k] = begin % whole + k * (whole / count)
         if at[k] >= whole:
             at[k] -= whole
-    return interpolate(closed(curve), arc, at)
+    return interpolate(curve, arc, at)
 
 
 @compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8, f8, f8)")
@@ -214,17 +213,23 @@ def equal_chords(
         margin: How far the first and the last lie from the curve's ends, in that space.
         max_shift: No point leaves its position by arc length by more than so many gaps.
     """
-    share = np.arange(count) / (count - 1)
-    even = margin + (metric_arc[-1] - 2 * margin) * share
-    shift = max_shift * (even[1] - even[0])
-    at = even
+    gap = (metric_arc[-1] - 2 * margin) / (count - 1)
+    at, wanted = np.empty(count), np.empty(count)
+    for k in range(count):
+        at[k] = margin + gap * k
     for _ in range(_EQUALISING_PASSES):
         chord = arc_length(interpolate(metric, metric_arc, at))
-        gaps = chord[1:] - chord[:-1]
-        if gaps.max() - gaps.min() < _EQUAL * chord[-1] / count:
+        least, most = np.inf, 0.0
+        for k in range(count):
+            wanted[k] = chord[-1] * k / (count - 1)
+            if k > 0:
+                least, most = min(least, chord[k] - chord[k - 1]), max(most, chord[k] - chord[k - 1])
+        if most - least < _EQUAL * chord[-1] / count:
             break
-        moved = interpolate(at.reshape(count, 1), chord, chord[-1] * share).reshape(count)
-        at = np.minimum(np.maximum(moved, even - shift), even + shift)
+        moved = interpolate(at.reshape(count, 1), chord, wanted)
+        for k in range(count):
+            even = margin + gap * k
+            at[k] = min(max(moved[k, 0], even - max_shift * gap), even + max_shift * gap)
     along = interpolate(arc.reshape(len(arc), 1), metric_arc, at).reshape(count)
     return interpolate(points, arc, along), at
 

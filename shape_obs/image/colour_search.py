@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.image.connected_runs import Components, plausible, shift
+from shape_obs.image.connected_runs import Components, find_components, shift
 from shape_obs.image.roi import Window
 
 Mask = npt.NDArray[np.uint8]
@@ -93,7 +93,7 @@ def look_up(flat: Any, origin: int, pitch: int, width: int, height: int, table: 
     return out
 
 
-@compiled("(Array(u1, 1, 'C', readonly=True), i8, i8, i8, i8, i8, i8, Array(u8, 1, 'C', readonly=True), i8, i8, f8)")
+@compiled("(Array(u1, 1, 'C', readonly=True), i8, i8, i8, i8, i8, i8, Array(u8, 1, 'C', readonly=True), i8, f8, f8)")
 def find_on_lattice(
     flat: Any,
     origin: int,
@@ -104,7 +104,7 @@ def find_on_lattice(
     bottom: int,
     table: Any,
     step: int,
-    min_area: int,
+    min_area: float,
     min_share: float,
 ) -> Any:
     """Find components; the image's pixel (u, v) stands at ``origin + v * pitch + 3 * u``.
@@ -158,7 +158,7 @@ def find_on_lattice(
                     waiting = _push(cell - 1, seen, stack, waiting)
                 if every >> _U(7):
                     waiting = _push(cell + 1, seen, stack, waiting)
-    return plausible(words.view(np.uint8), west, top, step, min_area, min_share)
+    return find_components(words.view(np.uint8), west, top, step, min_area, min_share)
 
 
 @compiled(inline=True)

@@ -24,14 +24,16 @@ _TOPS = np.uint64(0x8080808080808080)  # the highest bit of each byte
 Components = tuple[Mask, Indices, Indices, tuple[int, int, int, int]]
 
 
-@compiled("(u1[:,::1], i8, i8, f8, f8)")
-def find_components(mask: Mask, left: int, top: int, min_area: float, min_share: float) -> Components:
+@compiled("(u1[:,::1], i8, i8, i8, f8, f8)")
+def find_components(mask: Mask, left: int, top: int, step: int, min_area: float, min_share: float) -> Components:
     """Find the plausible components of a mask, 8-connected.
 
     Args:
         mask: ``(h, w)`` uint8, C-contiguous, 0 = background.
         left: Image column of its first pixel.
         top: Image row of its first pixel.
+        step: Components that hold no pixel of a lattice are dropped, one pixel in ``step * step``, see ``shift``; a
+            power of 2, and with 1 the lattice has every pixel.
         min_area: Smaller components are dropped, pixels.
         min_share: So are those smaller than this share of the largest.
 
@@ -39,25 +41,24 @@ def find_components(mask: Mask, left: int, top: int, min_area: float, min_share:
         The mask with these components alone, itself if none are dropped; ``(R, 3)`` its runs, top to bottom and left
         to right; ``(Q,)`` the components' pixels, as they appear; left, top, width and height of the box around them.
     """
-    return plausible(mask, left, top, 1, min_area, min_share)
-
-
-@compiled
-def plausible(mask: Mask, left: int, top: int, step: int, min_area: float, min_share: float) -> Components:
-    """Return what ``find_components`` returns, of the components that hold a pixel of a lattice, see ``shift``."""
     runs = _runs(mask, left, top)
     label, count = label_runs(runs)
     areas, met = np.zeros(count, np.int64), np.zeros(count, np.int64)
     for at in range(len(runs)):
         row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
         areas[label[at]] += stop - start
-        if row % step == step // 2 and start + (shift(row, step) - start) % step < stop:
+        if row & (step - 1) == step // 2 and start + ((shift(row, step) - start) & (step - 1)) < stop:
             met[label[at]] = 1
-    areas *= met
     largest = 0
-    for area in areas:
-        largest = max(largest, area)
+    for piece in range(count):
+        areas[piece] *= met[piece]
+        largest = max(largest, areas[piece])
     floor = max(min_area, 1.0, min_share * largest)
+    kept, found = np.empty(count, np.int64), 0
+    for piece in range(count):
+        if areas[piece] >= floor:
+            kept[found] = areas[piece]
+            found += 1
     held, first, last = 0, 0, 0
     for at in range(len(runs)):
         row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
@@ -68,17 +69,21 @@ def plausible(mask: Mask, left: int, top: int, step: int, min_area: float, min_s
         else:
             if held == at:  # the first that is dropped
                 mask = mask.copy()
-            mask[row - top, start - left : stop - left] = 0
+            for column in range(start - left, stop - left):
+                mask[row - top, column] = 0
     box = (left, top, 0, 0)
     if held:
         box = (first, runs[0, 0], last - first, runs[held - 1, 0] - runs[0, 0] + 1)
-    return mask, runs[:held], areas[areas >= floor], box
+    return mask, runs[:held], kept[:found], box
 
 
 @compiled(inline=True)
 def shift(row: Any, step: Any) -> Any:
-    """Return where a row of a lattice of one pixel in ``step * step`` begins: every other one half a step further."""
-    return step // 4 + (step // 2) * ((row // step) & 1)
+    """Return where a row of a lattice of one pixel in ``step * step`` begins: every other one half a step further.
+
+    The step is a power of 2, and the bits of a row are cheaper than a division.
+    """
+    return step // 4 + (step // 2 if row & step else 0)
 
 
 @compiled
@@ -87,7 +92,9 @@ def _runs(mask: Mask, left: int, top: int) -> Indices:
     height, across = mask.shape[0], (mask.shape[1] + 7) // 8
     if mask.shape[1] < 8 * across:
         wide = np.zeros((height, 8 * across), np.uint8)
-        wide[:, : mask.shape[1]] = mask
+        for row in range(height):
+            for column in range(mask.shape[1]):
+                wide[row, column] = mask[row, column]
         mask = wide
     words = mask.reshape(height * across * 8).view(np.uint64)
     found, count = np.empty((height * (4 * across + 1), 3), np.int64), 0

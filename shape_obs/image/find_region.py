@@ -62,7 +62,7 @@ def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_
         mask = (mask != 0).view(np.uint8)
     if not (mask.flags.c_contiguous and mask.flags.writeable):
         mask = mask.copy()  # compiled code distinguishes such arrays
-    return _region(window, *find_components(mask, window.left, window.top, min_area, min_share))
+    return _region(window, *find_components(mask, window.left, window.top, 1, min_area, min_share))
 
 
 def _region(

@@ -51,22 +51,35 @@ def extend_chain(nodes: Array, mask: Mask, left: int, top: int, width: float, th
         ``(K', 2)`` pixels; the first and the last point lie on the tips.
     """
     width = max(width, thinnest)
-    on = np.flatnonzero(near_mask(mask, left, top, nodes, 1))
-    if len(on) > 0 and on[-1] - on[0] >= 2:
-        nodes = nodes[on[0] : on[-1] + 1]
-    head = _march(mask, left, top, nodes[:3], width, thinnest)
-    tail = _march(mask, left, top, nodes[-3:][::-1].copy(), width, thinnest)
-    return np.concatenate((head[::-1], nodes, tail))
+    on = near_mask(mask, left, top, nodes, 1)
+    first, last = 0, len(nodes) - 1
+    while first < last and not on[first]:
+        first += 1
+    while first < last and not on[last]:
+        last -= 1
+    if last - first < 2:  # too little to lengthen
+        first, last = 0, len(nodes) - 1
+    head = _march(mask, left, top, nodes, first, 1, width, thinnest)
+    tail = _march(mask, left, top, nodes, last, -1, width, thinnest)
+    out, count = np.empty((len(head) + last - first + 1 + len(tail), 2)), 0
+    for way, begin, stop, step in ((head, len(head) - 1, -1, -1), (nodes, first, last + 1, 1), (tail, 0, len(tail), 1)):
+        for p in range(begin, stop, step):
+            out[count, 0], out[count, 1] = way[p, 0], way[p, 1]
+            count += 1
+    return out
 
 
 @compiled
-def _march(mask: Mask, left: int, top: int, start: Array, width: float, thinnest: float) -> Array:
-    """Return the way from a chain's end, the first of ``(3, 2)`` nodes, along its strand to the tip: ``(S, 2)``."""
-    hx, hy = start[0, 0] - start[1, 0], start[0, 1] - start[1, 1]
-    gx, gy = start[1, 0] - start[2, 0], start[1, 1] - start[2, 1]
+def _march(
+    mask: Mask, left: int, top: int, nodes: Array, end: int, inwards: int, width: float, thinnest: float
+) -> Array:
+    """Return the way from the end of a chain along its strand to the tip: ``(S, 2)``; the next node is ``inwards``."""
+    next_u, next_v = nodes[end + inwards, 0], nodes[end + inwards, 1]
+    hx, hy = nodes[end, 0] - next_u, nodes[end, 1] - next_v
+    gx, gy = next_u - nodes[end + 2 * inwards, 0], next_v - nodes[end + 2 * inwards, 1]
     norm, other = max(np.sqrt(hx * hx + hy * hy), 1e-9), max(np.sqrt(gx * gx + gy * gy), 1e-9)
     hx, hy = _bend(hx / norm, hy / norm, gx / other, gy / other, 0.5)
-    u, v = start[0, 0] - left, start[0, 1] - top
+    u, v = nodes[end, 0] - left, nodes[end, 1] - top
     edge = int(2 * (REACH * width + 2)) + 4
     seen = np.empty((edge * edge, 4))
     path, steps, rest = np.empty((MAX_STEPS + 1, 2)), 0, 0.0

@@ -8,6 +8,7 @@ quadrilateral that fills the outline.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
@@ -18,7 +19,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.coons import RIM, TURN_REACH, coons_patch
-from shape_obs.geometry.polyline import arc_length, closed_arc, even_around, interpolate
+from shape_obs.geometry.polyline import arc_length, closed, even_around, interpolate
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -116,18 +117,21 @@ def rim_of(outline: Array) -> tuple[Array, Array, Indices, float, float]:
         ``(Q,)`` the points where it turns most, in order, at most ten; the distance between two points; that between
         two points of the outline.
     """
-    arc = closed_arc(outline)
-    points = even_around(outline, arc, 0.0, RIM)
+    around = closed(outline)
+    arc = arc_length(around)
+    points = even_around(around, arc, 0.0, RIM)
     turn = _turns(points)
-    step = closed_arc(points)[RIM] / RIM
+    step = arc_length(closed(points))[RIM] / RIM
     return points, turn, _candidates(turn), step, arc[-1] / len(outline)
 
 
 @compiled
 def _turns(points: Array) -> Array:
     """Return ``(400,)`` radians by which a rim turns about each of its points."""
-    around = np.concatenate((points[-TURN_REACH:], points, points[:TURN_REACH]))
-    u, v = around[:, 0].copy(), around[:, 1].copy()
+    u, v = np.empty(RIM + 2 * TURN_REACH), np.empty(RIM + 2 * TURN_REACH)
+    for p in range(len(u)):
+        at = (p - TURN_REACH) % RIM
+        u[p], v[p] = points[at, 0], points[at, 1]
     sine, cosine, turn = np.empty(RIM), np.empty(RIM), np.empty(RIM)
     for p in range(RIM):
         x, y = u[p + 2 * TURN_REACH] - u[p + TURN_REACH], v[p + 2 * TURN_REACH] - v[p + TURN_REACH]
@@ -155,10 +159,15 @@ def _candidates(turn: Array) -> Indices:
             else:
                 peaks[count] = p
                 count += 1
-    peaks = peaks[:count]
-    while len(peaks) > _CANDIDATES:
-        peaks = np.delete(peaks, np.argmin(turn[peaks]))
-    return peaks
+    while count > _CANDIDATES:
+        least = 0
+        for k in range(count):
+            if turn[peaks[k]] < turn[peaks[least]]:
+                least = k
+        count -= 1
+        for k in range(least, count):
+            peaks[k] = peaks[k + 1]
+    return peaks[:count]
 
 
 @compiled("(f8[:,::1], i8[::1], f8, f8[:,::1])")
@@ -176,7 +185,7 @@ def nearest_corners(rim: Array, candidates: Indices, step: float, expected: Arra
     """
     found = np.empty(4, np.int64)
     for k in range(4):
-        found[k], least = _nearest(rim, np.arange(RIM), expected[k])
+        found[k], least = _nearest(rim, range(RIM), expected[k])
         corner, near = _nearest(rim, candidates, expected[k])
         if near < max(_NEAR * step, 2 * least):
             found[k] = corner
@@ -190,7 +199,7 @@ def nearest_corners(rim: Array, candidates: Indices, step: float, expected: Arra
 
 
 @compiled
-def _nearest(rim: Array, among: Indices, place: Array) -> tuple[int, float]:
+def _nearest(rim: Array, among: Iterable[int], place: Array) -> tuple[int, float]:
     """Return which of some points of a rim is nearest to a place, and its distance; -1 and infinity for none."""
     least, nearest = np.inf, -1
     for p in among:

@@ -18,6 +18,7 @@ from shape_obs.geometry.lattice import outer_corners
 
 Array = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
+Vector = tuple[float, float, float]
 
 # Of half a diagonal. Cloths that bend and move by 30 px a frame stay below 0.025, a hand 12 px in radius makes 0.11.
 STRAYED: Final = 0.06
@@ -36,10 +37,27 @@ def match_lattice(lattice: Array, expected: Array) -> tuple[Array, int, float]:
     """
     if len(expected) == 0:
         return lattice, 0, 0.0
-    found = np.empty((4, lattice.shape[2]))
-    found[0], found[1], found[2], found[3] = lattice[0, 0], lattice[0, -1], lattice[-1, -1], lattice[-1, 0]
+    rows, cols, dimension = lattice.shape
+    found = np.empty((4, dimension))
+    for d in range(dimension):
+        found[0, d], found[1, d] = lattice[0, 0, d], lattice[0, cols - 1, d]
+        found[2, d], found[3, d] = lattice[rows - 1, cols - 1, d], lattice[rows - 1, 0, d]
     quarters, corner, share = match_corners(outer_corners(expected), found)
-    return np.ascontiguousarray(np.rot90(lattice, quarters)), corner, share
+    for _ in range(quarters):
+        lattice = _quarter_turned(lattice)
+    return lattice, corner, share
+
+
+@compiled
+def _quarter_turned(lattice: Array) -> Array:
+    """Return the same lattice with its second corner first: ``(R, C, D)`` -> ``(C, R, D)``."""
+    rows, cols, dimension = lattice.shape
+    out = np.empty((cols, rows, dimension))
+    for r in range(rows):
+        for c in range(cols):
+            for d in range(dimension):
+                out[cols - 1 - c, r, d] = lattice[r, c, d]
+    return out
 
 
 @compiled("(f8[:,::1], f8[:,::1])")
@@ -56,35 +74,67 @@ def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
         By how many quarters the found lattice is to be turned, so that its corners lie nearest to the predicted
         ones; then which of them strays most, and by which share of half a diagonal.
     """
-    found, away = np.concatenate((corners, corners)), np.empty(4)
+    dimension = corners.shape[1]
+    quarters, least = 0, np.inf
     for turn in range(4):
-        away[turn] = ((found[turn : turn + 4] - expected) ** 2).sum()
-    quarters = int(np.argmin(away))
-    found = found[quarters : quarters + 4]
-    middle = (found[0] + found[1] + found[2] + found[3]) / 4
-    reach, astray = 1e-9, np.empty(4)
+        square = 0.0
+        for k in range(4):
+            for d in range(dimension):
+                square += (corners[(k + turn) % 4, d] - expected[k, d]) ** 2
+        if square < least:
+            quarters, least = turn, square
+    found, middle = np.empty((4, dimension)), np.zeros(dimension)
+    for k in range(4):
+        for d in range(dimension):
+            found[k, d] = corners[(k + quarters) % 4, d]
+            middle[d] += found[k, d] / 4
+    worst, most, reach = 0, -1.0, 1e-18
     for k in range(4):
         before, rise_before = _seen_by_the_others(expected, k)
         after, rise_after = _seen_by_the_others(found, k)
-        product, spread = 0j, 0.0
+        product, spread, square = 0j, 1e-18, 0.0
         for j in range(4):
             if j != k:
                 product += before[j].conjugate() * after[j]
                 spread += before[j].real ** 2 + before[j].imag ** 2
-        product /= max(spread, 1e-18)
-        astray[k] = math.hypot(abs(before[k] * product - after[k]), rise_before * abs(product) - rise_after)
-        reach = max(reach, math.sqrt(((found[k] - middle) ** 2).sum()))
-    worst = int(np.argmax(astray))
-    return quarters, worst, astray[worst] / reach
+        product /= spread
+        astray = math.hypot(abs(before[k] * product - after[k]), rise_before * abs(product) - rise_after)
+        if astray > most:
+            worst, most = k, astray
+        for d in range(dimension):
+            square += (found[k, d] - middle[d]) ** 2
+        reach = max(reach, square)
+    return quarters, worst, most / math.sqrt(reach)
 
 
 @compiled
 def _seen_by_the_others(corners: Array, k: int) -> tuple[Complexes, float]:
     """Return ``(4,)`` corners as complex numbers in the plane of all but the k-th, and how far that one lies above."""
-    away = corners - (corners[k - 1] + corners[k - 2] + corners[k - 3]) / 3
-    if corners.shape[1] == 2:
-        return away[:, 0] + 1j * away[:, 1], 0.0
-    right, normal = away[k - 1], np.cross(away[k - 1], away[k - 2])
-    right, normal = right / max(np.sqrt((right**2).sum()), 1e-18), normal / max(np.sqrt((normal**2).sum()), 1e-18)
-    up = np.cross(normal, right)
-    return (away * right).sum(axis=1) + 1j * (away * up).sum(axis=1), (away[k] * normal).sum()
+    away = np.zeros((4, 3))
+    for d in range(corners.shape[1]):
+        middle = (corners[k - 1, d] + corners[k - 2, d] + corners[k - 3, d]) / 3
+        for j in range(4):
+            away[j, d] = corners[j, d] - middle
+    right, normal = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    if corners.shape[1] == 3:
+        right = _unit(away[k - 1, 0], away[k - 1, 1], away[k - 1, 2])
+        normal = _unit(*_cross(right, (away[k - 2, 0], away[k - 2, 1], away[k - 2, 2])))
+    up = _cross(normal, right)
+    seen = np.empty(4, np.complex128)
+    for j in range(4):
+        x, y, z = away[j, 0], away[j, 1], away[j, 2]
+        seen[j] = complex(x * right[0] + y * right[1] + z * right[2], x * up[0] + y * up[1] + z * up[2])
+    return seen, away[k, 0] * normal[0] + away[k, 1] * normal[1] + away[k, 2] * normal[2]
+
+
+@compiled
+def _unit(x: float, y: float, z: float) -> Vector:
+    """Return a vector of length 1; zeros for zeros."""
+    length = max(math.sqrt(x * x + y * y + z * z), 1e-18)
+    return x / length, y / length, z / length
+
+
+@compiled
+def _cross(a: Vector, b: Vector) -> Vector:
+    """Return the cross product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

@@ -18,11 +18,10 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, TrackHints
-from shape_obs.geometry.polyline import closed_arc, even_around
+from shape_obs.geometry.polyline import arc_length, closed, even_around
 from shape_obs.tracking.prediction import Prediction
 
 Array = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 
 # Numbered by the last frame alone, an outline of noisy pixels creeps by 6 px in 180 frames. The mean of some twenty
 # frames holds it, and is left behind by slow changes of shape alone.
@@ -72,17 +71,21 @@ def renumber_outline(points: Array, reference: Array, predicted: Array) -> tuple
         ``(P', 2)`` the same outline from there on, P' = P or P + 1; ``(P' + 1,)`` its arc length, the last entry the
         whole; ``(K, 2)`` equidistant places on it; ``(K, 2)`` the reference laid over them and moved towards them.
     """
-    count, arc = len(predicted), closed_arc(points)
+    count, around = len(predicted), closed(points)
+    arc = arc_length(around)
     whole = arc[-1]
-    start = index_shift(reference, predicted, even_around(points, arc, 0.0, count)) * (whole / count) % whole
+    start = index_shift(reference, predicted, even_around(around, arc, 0.0, count)) * (whole / count) % whole
     same = 1e-9 * whole
     if start + same >= whole:
         start = 0.0
-    after = max(np.searchsorted(arc, start + same), 1)
+    after = 1
+    while arc[after] < start + same:
+        after += 1
     before = after - 1 if start - arc[after - 1] <= same else after  # the point is there already
-    turned = np.concatenate((even_around(points, arc, start, 1), points[after:], points[:before]))
-    arc = closed_arc(turned)
-    nodes = even_around(turned, arc, 0.0, count)
+    turned = np.concatenate((even_around(around, arc, start, 1), points[after:], points[:before]))
+    around = closed(turned)
+    arc = arc_length(around)
+    nodes = even_around(around, arc, 0.0, count)
     return turned, arc, nodes, blend(reference, nodes)
 
 
@@ -99,8 +102,9 @@ def index_shift(reference: Array, predicted: Array, found: Array) -> float:
         Places; fractions of a place too.
     """
     count = len(found)
-    around = 2 * math.pi / count * np.arange(count)
-    cos, sin = np.cos(around), np.sin(around)
+    cos, sin = np.empty(count), np.empty(count)
+    for k in range(count):
+        cos[k], sin[k] = math.cos(2 * math.pi * k / count), math.sin(2 * math.pi * k / count)
     seen = _waves(found, cos, sin)
     shape, place = _spectrum(_waves(reference, cos, sin), seen), _spectrum(_waves(predicted, cos, sin), seen)
     real, imaginary, still = np.zeros(_SHIFTS), np.zeros(_SHIFTS), np.zeros(_SHIFTS)
@@ -109,9 +113,17 @@ def index_shift(reference: Array, predicted: Array, found: Array) -> float:
             real[s] += shape[0, h] * _COS[h, s] + shape[1, h] * _SIN[h, s]
             imaginary[s] += shape[2, h] * _COS[h, s] + shape[3, h] * _SIN[h, s]
             still[s] += place[0, h] * _COS[h, s] + place[1, h] * _SIN[h, s]
-    turned = np.sqrt(real * real + imaginary * imaginary)
-    flat = _FLAT / (1 + (turned.max() - turned.min()) / _FLAT)
-    score, at = turned + flat * still, np.argmax(turned + _TURNING * still)
+    turned, score, least, most = np.empty(_SHIFTS), np.empty(_SHIFTS), np.inf, 0.0
+    at, best = 0, -np.inf
+    for s in range(_SHIFTS):
+        turned[s] = math.sqrt(real[s] * real[s] + imaginary[s] * imaginary[s])
+        least, most = min(least, turned[s]), max(most, turned[s])
+        match = turned[s] + _TURNING * still[s]
+        if match > best:
+            at, best = s, match
+    flat = _FLAT / (1 + (most - least) / _FLAT)
+    for s in range(_SHIFTS):
+        score[s] = turned[s] + flat * still[s]
     while max(score[at - 1], score[(at + 1) % _SHIFTS]) > score[at]:
         at = (at - 1 if score[at - 1] >= score[(at + 1) % _SHIFTS] else at + 1) % _SHIFTS
     turns = at / _SHIFTS
@@ -127,25 +139,26 @@ def index_shift(reference: Array, predicted: Array, found: Array) -> float:
 @compiled
 def blend(reference: Array, found: Array) -> Array:
     """Return the reference laid over ``found`` and moved a little there, all ``(K, 2)``."""
-    before, after = _centred(reference), _centred(found)
+    count = len(found)
+    before_u = before_v = after_u = after_v = 0.0
+    for k in range(count):
+        before_u += reference[k, 0] / count
+        before_v += reference[k, 1] / count
+        after_u += found[k, 0] / count
+        after_v += found[k, 1] / count
     cosine = sine = 0.0
-    for k in range(len(found)):
-        cosine += before[k, 0] * after[k, 0] + before[k, 1] * after[k, 1]
-        sine += before[k, 0] * after[k, 1] - before[k, 1] * after[k, 0]
+    for k in range(count):
+        x, y = reference[k, 0] - before_u, reference[k, 1] - before_v
+        u, v = found[k, 0] - after_u, found[k, 1] - after_v
+        cosine += x * u + y * v
+        sine += x * v - y * u
     reach = math.sqrt(cosine * cosine + sine * sine)
     cosine, sine = (cosine / reach, sine / reach) if reach > 0 else (1.0, 0.0)
-    out = found.copy()
-    for k in range(len(found)):
-        out[k, 0] += (1 - _FORGETTING) * (before[k, 0] * cosine - before[k, 1] * sine - after[k, 0])
-        out[k, 1] += (1 - _FORGETTING) * (before[k, 0] * sine + before[k, 1] * cosine - after[k, 1])
-    return out
-
-
-@compiled
-def _centred(points: Array) -> Array:
-    """Return ``(K, 2)`` points about their mean."""
-    out = np.empty_like(points)
-    out[:, 0], out[:, 1] = points[:, 0] - points[:, 0].mean(), points[:, 1] - points[:, 1].mean()
+    out = np.empty_like(found)
+    for k in range(count):
+        x, y = reference[k, 0] - before_u, reference[k, 1] - before_v
+        out[k, 0] = found[k, 0] + (1 - _FORGETTING) * (x * cosine - y * sine - (found[k, 0] - after_u))
+        out[k, 1] = found[k, 1] + (1 - _FORGETTING) * (x * sine + y * cosine - (found[k, 1] - after_v))
     return out
 
 
@@ -185,18 +198,22 @@ def _spectrum(before: Array, after: Array) -> Array:
     A wave of u + iv that runs forwards is (u_cos + v_sin) + i (v_cos - u_sin), and one that runs backwards has the
     other signs; the correlation multiplies the conjugate of the one with the other. A perfect match gives 1.
     """
-    ahead = np.conj(_running(before, 1.0)) * _running(after, 1.0)
-    back = np.conj(_running(before, -1.0)) * _running(after, -1.0)
     out = np.empty((4, _HARMONICS))
-    out[0], out[1] = ahead.real + back.real, back.imag - ahead.imag
-    out[2], out[3] = ahead.imag + back.imag, ahead.real - back.real
-    return out / max(2 * math.sqrt((before * before).sum() * (after * after).sum()), 1e-12)
-
-
-@compiled
-def _running(waves: Array, way: float) -> Complexes:
-    """Return the waves of u + iv that run forwards, ``way`` 1, or backwards, ``way`` -1."""
-    return waves[0] + way * waves[3] + 1j * (waves[2] - way * waves[1])
+    first = second = 0.0
+    for h in range(_HARMONICS):
+        a, b, c, d = before[0, h], before[1, h], before[2, h], before[3, h]
+        e, f, g, i = after[0, h], after[1, h], after[2, h], after[3, h]
+        ahead = complex(a + d, -(c - b)) * complex(e + i, g - f)
+        back = complex(a - d, -(c + b)) * complex(e - i, g + f)
+        first += 2 * (a * a + b * b + c * c + d * d)
+        second += 2 * (e * e + f * f + g * g + i * i)
+        out[0, h], out[1, h] = ahead.real + back.real, back.imag - ahead.imag
+        out[2, h], out[3, h] = ahead.imag + back.imag, ahead.real - back.real
+    scale = max(math.sqrt(first * second), 1e-12)
+    for k in range(4):
+        for h in range(_HARMONICS):
+            out[k, h] /= scale
+    return out
 
 
 @compiled

@@ -35,7 +35,7 @@ def test_components_are_those_of_opencv(seed, share, grain, floors):
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     areas = stats[1:count, cv2.CC_STAT_AREA]
     kept = areas >= max(floors[0], floors[1] * max(areas, default=0))
-    plausible, runs, found, box = find_components(mask, -3, 7, *floors)
+    plausible, runs, found, box = find_components(mask, -3, 7, 1, *floors)
     left = mask * np.isin(labels, 1 + np.flatnonzero(kept))
     np.testing.assert_array_equal(runs, runs_of(left))
     np.testing.assert_array_equal(plausible, left)
@@ -48,7 +48,7 @@ def test_components_are_those_of_opencv(seed, share, grain, floors):
 
 def test_corners_touch_and_a_gap_of_one_pixel_does_not():
     def count(rows):
-        return len(find_components(np.array(rows, np.uint8), 0, 0, 1, 0.0)[2])
+        return len(find_components(np.array(rows, np.uint8), 0, 0, 1, 1, 0.0)[2])
 
     assert count(np.eye(5)) == 1
     assert count([[1, 0, 1, 1]]) == 2
@@ -60,7 +60,7 @@ def test_rows_in_the_hole_of_a_ring_are_a_component_of_their_own():
     mask = np.zeros((60, 60), np.uint8)
     cv2.circle(mask, (30, 30), 25, 255, 5)
     mask[28:33, 28:33] = 255
-    assert find_components(mask, 0, 0, 1, 0.0)[2].tolist() == [int((mask > 0).sum()) - 25, 25]
+    assert find_components(mask, 0, 0, 1, 1, 0.0)[2].tolist() == [int((mask > 0).sum()) - 25, 25]
 
 
 @given(SEEDS, st.floats(0, 1), st.integers(1, 9))

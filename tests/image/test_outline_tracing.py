@@ -28,7 +28,7 @@ def pieces(count):
 def test_outlines_are_those_of_opencv():
     with_holes = 0
     for piece in pieces(300):
-        _, runs, _, _ = find_components(piece, 5, -3, 1, 0.0)
+        _, runs, _, _ = find_components(piece, 5, -3, 1, 1, 0.0)
         outline, length = trace_component(piece, runs, 5, -3)
         expected, expected_length, _ = trace_with_holes(piece, 5, -3)
         if len(outline):
