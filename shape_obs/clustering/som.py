@@ -90,48 +90,35 @@ def batch_epochs(points: Array, weight: Array, nodes: Array, first: Array, secon
     for k in range(size):
         for d in range(dimension):
             out[k, d] = nodes[k, d] - middle[d]
-    count, total = np.empty(size), np.empty((size, dimension))
-    planes = first.shape[1]
+    planes, count, total = first.shape[1], np.empty(size), np.empty((dimension, size))
+    moments, sums = np.empty((planes, planes)), np.empty((planes, dimension))
     for epoch in range(len(first)):
         unit = best_matching_units(moved, out)
         trace = _TRACE * whole / size
         for k in range(size):
             count[k] = trace
             for d in range(dimension):
-                total[k, d] = trace * out[k, d]
+                total[d, k] = trace * out[k, d]
         for m in range(len(points)):
             k = unit[m]
             count[k] += weight[m]
             for d in range(dimension):
-                total[k, d] += weight[m] * moved[m, d]
-        if planes == 2:
-            for k in range(size):
-                s0 = s1 = s2 = 0.0
-                for j in range(size):
-                    s0 += second[epoch, 0, 0, k, j] * count[j]
-                    s1 += second[epoch, 0, 1, k, j] * count[j]
-                    s2 += second[epoch, 1, 1, k, j] * count[j]
-                for d in range(dimension):
-                    t0 = t1 = 0.0
+                total[d, k] += weight[m] * moved[m, d]
+        for k in range(size):
+            for a in range(planes):
+                for b in range(a, planes):
+                    moment = 0.0
                     for j in range(size):
-                        t0 += first[epoch, 0, k, j] * total[j, d]
-                        t1 += first[epoch, 1, k, j] * total[j, d]
-                    out[k, d] = (s2 * t0 - s1 * t1) / (s0 * s2 - s1 * s1)
-        else:
-            moments, sums = np.empty((planes, planes)), np.empty((planes, dimension))
-            for k in range(size):
-                for a in range(planes):
-                    for b in range(planes):
-                        moments[a, b] = 0.0
-                        for j in range(size):
-                            moments[a, b] += second[epoch, a, b, k, j] * count[j]
-                    for d in range(dimension):
-                        sums[a, d] = 0.0
-                        for j in range(size):
-                            sums[a, d] += first[epoch, a, k, j] * total[j, d]
-                _solve_first(moments, sums)
+                        moment += second[epoch, a, b, k, j] * count[j]
+                    moments[a, b] = moments[b, a] = moment
                 for d in range(dimension):
-                    out[k, d] = sums[0, d]
+                    pull = 0.0
+                    for j in range(size):
+                        pull += first[epoch, a, k, j] * total[d, j]
+                    sums[a, d] = pull
+            _solve_first(moments, sums)
+            for d in range(dimension):
+                out[k, d] = sums[0, d]
     for k in range(size):
         for d in range(dimension):
             out[k, d] += middle[d]
