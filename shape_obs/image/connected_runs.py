@@ -64,7 +64,7 @@ def find_components(mask: Mask, left: int, top: int, step: int, min_area: float,
         row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
         if areas[label[at]] >= floor:
             runs[held, 0], runs[held, 1], runs[held, 2] = row, start, stop
-            first, last = min(first, start) if held else start, max(last, stop)
+            first, last = (min(first, start), max(last, stop)) if held else (start, stop)
             held += 1
         else:
             if held == at:  # the first that is dropped

@@ -21,7 +21,7 @@ _RIGHT = np.array([1, 1, 0, -1, -1, -1, 0, 1])
 _DOWN = np.array([0, -1, -1, -1, 0, 1, 1, 1])
 
 
-@compiled
+@compiled("(u1[:,::1], i8[:,::1], i8, i8)")
 def trace_outline(mask: Mask, runs: Indices, left: int, top: int) -> tuple[Array, float]:
     """Trace the outline of a mask of one component without holes.
 

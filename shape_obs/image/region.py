@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.samples import Samples
 from shape_obs.image.connected_runs import gather_cells, near_mask
@@ -79,7 +78,7 @@ class Region:
         if not self.areas:
             return ()
         if self.pieces == 1:
-            outline, length = trace_component(self.mask, self.runs, self.window.left, self.window.top)
+            outline, length = trace_outline(self.mask, self.runs, self.window.left, self.window.top)
             if len(outline):
                 return (_component(self.area, outline, length, 0.0),)
         left, top = self.box.left - self.window.left, self.box.top - self.window.top
@@ -199,14 +198,6 @@ class Region:
         """Return whether the mask has ``(N, 2)`` pixels: ``(N,)`` bool."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         return near_mask(self.mask, self.window.left, self.window.top, points, 0)
-
-
-@compiled("(u1[:,::1], i8[:,::1], i8, i8)")
-def trace_component(
-    mask: npt.NDArray[np.uint8], runs: npt.NDArray[np.int64], left: int, top: int
-) -> tuple[Array, float]:
-    """Return what ``trace_outline`` returns."""
-    return trace_outline(mask, runs, left, top)
 
 
 def _component(area: int, outline: Array, perimeter: float, holes: float) -> Component:

@@ -75,7 +75,7 @@ class ColourRule(Segmentation):
     """A pixel rule for which the colour of a pixel alone decides, not its place, its neighbours or the frame.
 
     Such a rule is compiled to a table of all colours, once, and looked up from then on where that is faster: see
-    ``segmentation.table``. The result is the same to the pixel.
+    ``colour_table``. The result is the same to the pixel.
 
     Example:
         >>> @dataclass(frozen=True)

@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 
 from shape_obs.image.connected_runs import find_components
-from shape_obs.image.outline_tracing import follow_border, trace_with_holes
-from shape_obs.image.region import trace_component
+from shape_obs.image.outline_tracing import follow_border, trace_outline, trace_with_holes
 
 FOLLOW: Any = getattr(follow_border, "py_func", follow_border)  # compiled for compiled callers only
 
@@ -29,7 +28,7 @@ def test_outlines_are_those_of_opencv():
     with_holes = 0
     for piece in pieces(300):
         _, runs, _, _ = find_components(piece, 5, -3, 1, 1, 0.0)
-        outline, length = trace_component(piece, runs, 5, -3)
+        outline, length = trace_outline(piece, runs, 5, -3)
         expected, expected_length, _ = trace_with_holes(piece, 5, -3)
         if len(outline):
             np.testing.assert_array_equal(outline, expected)
