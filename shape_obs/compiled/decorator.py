@@ -21,7 +21,7 @@ _OPTIONS: Final[dict[str, Any]] = {"nopython": True, "nogil": True, "no_cfunc_wr
 # Sums may be taken in any order, so that several terms are added at once: the last of 16 digits differ.
 _REASSOCIATE: Final = {"reassoc", "contract", "nsz"}
 # Compile time is proportional to the code of a function and of all that it calls, roughly.
-_SECONDS_PER_BYTE: Final = 0.4e-3
+_SECONDS_PER_BYTE: Final = 0.5e-3
 _WORTH_SAYING: Final = 2.0  # seconds
 _PATIENCE: Final = 300.0  # seconds to wait for another process, which may hang
 _preparing = threading.RLock()
