@@ -91,7 +91,7 @@ def _enlarged(points: npt.NDArray[Any], scale: int) -> Array:
 def _beside(points: Array, layout: Topology, distance: float = 16.0) -> Array:
     """Return the way from each point to its number, which hides no other point.
 
-    Beside a curve, on the outside of its bends; within a mesh, up and to the left.
+    Next to a curve, on the outside of its bends; within a mesh, up and to the left.
     """
     if isinstance(layout, Grid):
         return np.full(points.shape, -0.7 * distance)

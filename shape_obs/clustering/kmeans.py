@@ -41,7 +41,7 @@ class KMeans(Clusterer, kind="kmeans"):
         from sklearn.cluster import KMeans as Estimator
         from sklearn.exceptions import ConvergenceWarning
 
-        n_init: Any = self.n_init  # scikit-learn's annotation knows "auto" alone
+        n_init: Any = self.n_init  # scikit-learn's annotation allows "auto" alone
         estimator = Estimator(layout.size, n_init=n_init, max_iter=self.max_iter, random_state=seed)
         with single_thread(), warnings.catch_warnings():
             # Fewer places than clusters: some centres coincide, which is what the points then say too.

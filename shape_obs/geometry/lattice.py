@@ -102,12 +102,12 @@ def lattice_gauges(lattice: Array) -> tuple[Array, Array]:
     down, right = np.zeros(rows), np.zeros(cols)
     for r in range(rows):
         for c in range(cols):
-            above = beside = 0.0
+            upwards = leftwards = 0.0
             for d in range(dimension):
-                above += (lattice[r, c, d] - lattice[r - 1, c, d]) ** 2
-                beside += (lattice[r, c, d] - lattice[r, c - 1, d]) ** 2
-            down[r] += math.sqrt(above) / cols
-            right[c] += math.sqrt(beside) / rows
+                upwards += (lattice[r, c, d] - lattice[r - 1, c, d]) ** 2
+                leftwards += (lattice[r, c, d] - lattice[r, c - 1, d]) ** 2
+            down[r] += math.sqrt(upwards) / cols
+            right[c] += math.sqrt(leftwards) / rows
     down[0] = right[0] = 0.0  # nothing is above the first row, or left of the first column
     return np.cumsum(down), np.cumsum(right)
 
@@ -150,9 +150,9 @@ def outer_corners(nodes: Array) -> Array:
     out = np.empty((4, dimension))
     for k in range(4):
         r, c = rows - 1 if k >= 2 else 0, cols - 1 if k in (1, 2) else 0
-        beneath, beside = r - 1 if r else 1, c - 1 if c else 1
+        next_r, next_c = r - 1 if r else 1, c - 1 if c else 1
         for d in range(dimension):
-            out[k, d] = 2 * nodes[r, c, d] - (nodes[r, beside, d] + nodes[beneath, c, d]) / 2
+            out[k, d] = 2 * nodes[r, c, d] - (nodes[r, next_c, d] + nodes[next_r, c, d]) / 2
     return out
 
 

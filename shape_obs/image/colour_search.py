@@ -146,14 +146,14 @@ def find_on_lattice(
                     continue
                 for y in range(max(v0, top), min(v0 + 8, bottom)):
                     words[_U(y - top), _U(column)] = _SPREAD[rows[y - v0]]
-                for edge, beside in ((rows[0], cell - stride), (rows[7], cell + stride)):
+                for edge, neighbour in ((rows[0], cell - stride), (rows[7], cell + stride)):
                     if edge:
-                        waiting = _push(beside, seen, stack, waiting)
+                        waiting = _push(neighbour, seen, stack, waiting)
                         if edge & _U(1):
-                            waiting = _push(beside - 1, seen, stack, waiting)
+                            waiting = _push(neighbour - 1, seen, stack, waiting)
                         if edge >> _U(7):
-                            waiting = _push(beside + 1, seen, stack, waiting)
-                # Beside before below: what lies in one row of memory is read together.
+                            waiting = _push(neighbour + 1, seen, stack, waiting)
+                # The last to be pushed are read first: those in the same row, which lie together in memory.
                 if every & _U(1):
                     waiting = _push(cell - 1, seen, stack, waiting)
                 if every >> _U(7):

@@ -178,5 +178,5 @@ def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], str]:
                 doubt = f"strands lie on each other for {arc[i] - arc[start]:.0f} px: which comes out where is a guess"
             start = None
     if _ONE <= relative.min() < _TWO:
-        doubt = f"strands touch for {arc[-1]:.0f} px: whether they cross cannot be told"
+        doubt = f"strands touch for {arc[-1]:.0f} px: whether they cross is unknown"
     return side, doubt

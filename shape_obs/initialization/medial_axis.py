@@ -121,7 +121,7 @@ def _doubts(strands: Strands, kept: list[int], *, alone: bool) -> list[str]:
     """Return why the strands of a skeleton may not be those of one rope; ``alone`` if there is nothing but them."""
     doubts = list(strands.doubts)
     if strands.rings:
-        doubts.append("the mask holds a closed ring: where the rope begins cannot be told")
+        doubts.append("the mask holds a closed ring: where the rope begins is unknown")
     ends = sum(not inside for i in kept for inside in strands.inside[i])
     joints = sum(inside for i in kept for inside in strands.inside[i])
     if len(kept) > 1 and (alone or joints):

@@ -25,7 +25,7 @@ _CELLS_ACROSS: Final = 20.0
 # skeleton runs into a square corner for 1.4 radii.
 _SPUR: Final = 1.7
 # Holes no wider on average than this share of the thickest radius are noise, or the seam between strands side by side:
-# each would make a loop, and strands that part are told by their thickness as well.
+# each would make a loop, and strands that part are recognised by their thickness as well.
 _SLIT: Final = 0.3
 
 # More branches than this are noise all over, and pruning takes time with the square of their number.
@@ -141,7 +141,7 @@ def _depth(piece: Mask) -> npt.NDArray[np.float32]:
 def _radius(depth: npt.ArrayLike) -> Array:
     """Return the distance to the outline, cells, of cells of the skeleton.
 
-    The outline lies half a cell before the background's centre, and a cell of the skeleton a quarter beside the axis.
+    The outline lies half a cell before the background's centre, and a cell of the skeleton a quarter off the axis.
     """
     return np.maximum(np.asarray(depth, dtype=np.float64) - 0.25, 0.0)
 
@@ -189,7 +189,7 @@ def connected(count: int, pairs: Index) -> Index:
 
 
 def _links(thin: Mask, at: Index) -> Index:
-    """Return ``(L, 2)`` neighbouring pixels; a diagonal counts only where no pixel beside it makes the same step.
+    """Return ``(L, 2)`` neighbouring pixels; a diagonal counts only where no shared neighbour connects the two.
 
     Args:
         thin: With a border of 0.

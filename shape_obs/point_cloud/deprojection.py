@@ -1,4 +1,4 @@
-"""A cloud that a camera saw: the depth under a mask, as a body in space that still knows its image."""
+"""A cloud that a camera saw: the depth under a mask, as a body in space, with its image."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _THICK: Final = 5.0  # pixels: from this width on a mask can spare its border, w
 _CELL: Final = (6, 16)
 _OFF: Final = 3 * 1.4826
 _TOLERANCE: Final = 0.004
-# Points of a sheet's border, each on the plane through so many samples beside it; and what keeps that plane from
+# Points of a sheet's border, each on the plane through so many samples near it; and what keeps that plane from
 # tipping where they lie in a line, square pixels.
 _RIM: Final = 300
 _NEIGHBOURS: Final = 8
@@ -79,7 +79,7 @@ class SeenCloud(Cloud):
 
     @cached_property
     def _sheet(self) -> Sheet:
-        """The border is the mask's, which is sharper than the cloud's and knows no holes in the depth."""
+        """The border is the mask's, which is sharper than the cloud's and has no holes where depth is missing."""
         rim = self.region.outline.curve
         if len(self.samples) < _NEIGHBOURS or not rim.size:  # that of a single pixel has no length
             return super()._sheet

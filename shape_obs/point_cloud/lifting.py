@@ -51,7 +51,7 @@ def lift_form(form: FittedForm, z: Array, intrinsics: Intrinsics) -> Array | Non
     """Return a whole form in space, for measuring distances in metres.
 
     Holes are bridged and the depth is smoothed over a few points (millimetre steps would make the form longer than it
-    is); the points that leave the detector are lifted afresh.
+    is); the points that leave the detector are lifted again.
 
     Args:
         form: (P,2) pixels.
@@ -86,10 +86,10 @@ def overlaid(curve: FittedCurve, metres: Array, width: float) -> npt.NDArray[np.
     apart = np.abs(arc[:, None] - arc)
     if curve.closed:
         apart = np.minimum(apart, curve.size - apart)
-    beside = apart[:, curve.interpolated].min(axis=1) <= _SMEARED * width
-    own = np.where(beside | curve.interpolated, np.nan, metres)
+    nearby = apart[:, curve.interpolated].min(axis=1) <= _SMEARED * width
+    own = np.where(nearby | curve.interpolated, np.nan, metres)
     over = np.zeros(len(metres), bool)
-    for at in np.flatnonzero(beside & ~curve.interpolated & np.isfinite(metres)):
+    for at in np.flatnonzero(nearby & ~curve.interpolated & np.isfinite(metres)):
         near = own[apart[at] <= _COMPARED * width]
         near = near[np.isfinite(near)] if np.isfinite(near).any() else own[np.isfinite(own)]
         over[at] = len(near) > 0 and metres[at] < np.median(near) - _STEP

@@ -81,11 +81,11 @@ def _ends(curve: FittedCurve, depth: npt.NDArray[Any]) -> list[_End | None]:
     ends: list[_End | None] = []
     for hidden, away in ((head, arc), (tail, size - arc)):
         under = metres[away < hidden - 1e-9]
-        beside = metres[inside & (away < hidden + _NEARBY * size)]
-        if hidden <= curve.hints.slack or not len(under) or not np.isfinite(beside).any():
+        nearby = metres[inside & (away < hidden + _NEARBY * size)]
+        if hidden <= curve.hints.slack or not len(under) or not np.isfinite(nearby).any():
             ends.append(None)
             continue
-        over = float(np.nanmedian(beside)) - _CLEARANCE
+        over = float(np.nanmedian(nearby)) - _CLEARANCE
         tip = curve.points[np.argmin(np.where(inside, away, np.inf))]
         covered = bool(np.mean(np.isnan(under) | (under < over)) >= _COVERED)
         ends.append(_End(tip, over, covered, hidden > LONG * size))
