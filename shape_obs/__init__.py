@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from shape_obs.camera import CameraModel as CameraModel
     from shape_obs.camera import Intrinsics as Intrinsics
-    from shape_obs.config import load_config as load_config
-    from shape_obs.config import save_config as save_config
-    from shape_obs.config import schema_hash as schema_hash
+    from shape_obs.config.config_file import load_config as load_config
+    from shape_obs.config.config_file import save_config as save_config
+    from shape_obs.config.config_file import schema_hash as schema_hash
     from shape_obs.configurations.base import Configuration as Configuration
     from shape_obs.configurations.centerline import Centerline as Centerline
     from shape_obs.configurations.contour import Contour as Contour
@@ -52,7 +52,7 @@ __version__ = "0.1.0"
 _HOME = {
     "shape_obs.deploy.policy_bundle": ("load_bundle", "save_bundle"),
     "shape_obs.camera": ("CameraModel", "Intrinsics"),
-    "shape_obs.config": ("load_config", "save_config", "schema_hash"),
+    "shape_obs.config.config_file": ("load_config", "save_config", "schema_hash"),
     "shape_obs.configurations.base": ("Configuration",),
     "shape_obs.configurations.centerline": ("Centerline",),
     "shape_obs.configurations.contour": ("Contour",),

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
 from shape_obs.clustering.base import Clusterer
 from shape_obs.compiled import compile_now
-from shape_obs.config import DetectorConfig
+from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.anchors import Anchors, anchor_pixel, anchor_point
 from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.shape_points import shape_of

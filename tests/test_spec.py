@@ -28,7 +28,7 @@ from shape_obs import (
     SpecError,
     Whole,
 )
-from shape_obs.config import DetectorConfig
+from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.features import Points3D
 
 BYTE = st.integers(0, 255)

@@ -135,7 +135,7 @@ def _load(path: Path, trust: bool) -> Any:
 
 def _scene(args: ControllerArguments, robot: Any) -> dict[str, Any]:
     """Return the entries of the config that differ between training and this site."""
-    from shape_obs.config import SECTIONS
+    from shape_obs.config.config_file import SECTIONS
 
     config = read_config(args, robot)
     scene = {name: config[name] for name in ("shapes", *SECTIONS["scene"], *SECTIONS["runtime"]) if name in config}

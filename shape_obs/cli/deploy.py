@@ -106,7 +106,7 @@ def _run(args: Arguments) -> int:
 
 def _header(setup: Deployment, limits: Any) -> dict[str, Any]:
     """Return the header of the log: options, robot, limits and detector."""
-    from shape_obs.config import schema_hash
+    from shape_obs.config.config_file import schema_hash
     from shape_obs.robot import robot_name
 
     detector = setup.env.get_wrapper_attr("detector")

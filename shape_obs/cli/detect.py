@@ -108,7 +108,7 @@ def _detect(detector: ShapeDetector, args: Arguments, i: int, out: Path) -> dict
 
 def _detector_arguments(args: Arguments) -> dict[str, Any]:
     """Return the arguments of the detector that the options describe."""
-    from shape_obs.config import detector_arguments, load_config, save_config
+    from shape_obs.config.config_file import detector_arguments, load_config, save_config
     from shape_obs.configurations.base import Configuration
     from shape_obs.image.colour_picker import propose_hsv
     from shape_obs.image.segmentation import HSVRange

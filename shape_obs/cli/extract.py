@@ -56,7 +56,7 @@ def main(argv: Sequence[str]) -> int:
     args = tyro.cli(Arguments, args=list(argv), prog="shape-obs extract")
     from tqdm import tqdm
 
-    from shape_obs.config import load_config
+    from shape_obs.config.config_file import load_config
     from shape_obs.extraction import Extraction, all_tasks, extract
     from shape_obs.features import read_features
 

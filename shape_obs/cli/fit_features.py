@@ -223,7 +223,7 @@ def _read_table(args: Arguments, source: str, hashes: dict[str, Any]) -> Generat
 
 def _read_recording(args: Arguments, source: str, hashes: dict[str, Any]) -> Generator[Sample, None, None]:
     """Yield the shapes that the detector finds in a recording."""
-    from shape_obs.config import config_hash, detector_arguments, load_config, schema_hash
+    from shape_obs.config.config_file import config_hash, detector_arguments, load_config, schema_hash
     from shape_obs.detector import ShapeDetector
     from shape_obs.features import FeatureContext
     from shape_obs.recording import replay

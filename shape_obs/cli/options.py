@@ -170,7 +170,7 @@ def read_config(args: RobotArguments, robot: Any) -> dict[str, Any]:
     Raises:
         ValueError: There is no config, and the robot has none of its own.
     """
-    from shape_obs.config import load_config
+    from shape_obs.config.config_file import load_config
 
     if args.config is None and not getattr(robot, "shape_obs_defaults", None):
         raise ValueError(

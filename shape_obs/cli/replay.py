@@ -55,7 +55,7 @@ def main(argv: Sequence[str]) -> int:
     args = tyro.cli(Arguments, args=list(argv), prog="shape-obs replay")
     if args.config is None and not args.verify:
         raise ValueError("give --config FILE to detect with, or --verify to check the recording.")
-    from shape_obs.config import load_config
+    from shape_obs.config.config_file import load_config
 
     arguments = None if args.config is None else load_config(args.config)
     tables = _tables(args)
@@ -127,7 +127,7 @@ def _replay(args: Arguments, arguments: dict[str, Any], source: RGBDSource, tabl
     import numpy as np
     from tqdm import tqdm
 
-    from shape_obs.config import detector_arguments
+    from shape_obs.config.config_file import detector_arguments
     from shape_obs.detector import ShapeDetector
     from shape_obs.recording import OverlayVideo, ShapeLog, replay
     from shape_obs.recording.replay import check_depth

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from shape_obs import __version__
-from shape_obs.config import config_hash, detector_arguments, schema_hash
+from shape_obs.config.config_file import config_hash, detector_arguments, schema_hash
 from shape_obs.configurations.base import Configuration
 from shape_obs.detector import ShapeDetector
 from shape_obs.extraction.task import Outcome, Task

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from shape_obs.config import config_hash, dump_config, schema_hash
+from shape_obs.config.config_file import config_hash, dump_config, schema_hash
 from shape_obs.detector import ShapeDetector
 from shape_obs.extrinsics import now
 from shape_obs.features import read_features

@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
-from shape_obs.config import DetectorConfig
+from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import Feature, FeatureContext, FeatureVector, read_features
 from shape_obs.shape import Detection, Shape

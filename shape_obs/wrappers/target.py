@@ -13,7 +13,7 @@ import numpy.typing as npt
 import yaml
 
 from shape_obs.camera import CameraModel
-from shape_obs.config import VERSION
+from shape_obs.config.config_file import VERSION
 from shape_obs.configurations.base import Configuration
 from shape_obs.features import FeatureContext
 from shape_obs.geometry.topology import Grid

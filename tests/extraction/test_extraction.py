@@ -22,7 +22,7 @@ from pyarrow import dataset, parquet
 
 from shape_obs import save_config
 from shape_obs.cli import main
-from shape_obs.config import load_config, schema_hash
+from shape_obs.config.config_file import load_config, schema_hash
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import FeatureContext, FeatureVector, read_features
 from shape_obs.recording import record, replay

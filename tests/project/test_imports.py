@@ -26,7 +26,7 @@ def loaded(statement: str) -> set[str]:
         ("import shape_obs; shape_obs.__version__; dir(shape_obs)", HEAVY),
         ("import shape_obs.cli", HEAVY),
         ("import shape_obs.spec", HEAVY),
-        ("import shape_obs.detector, shape_obs.config, shape_obs.features, shape_obs.camera", NOT_THE_CORE),
+        ("import shape_obs.detector, shape_obs.config.config_file, shape_obs.features, shape_obs.camera", NOT_THE_CORE),
         ("from shape_obs import *; import shape_obs.wrappers", tuple(set(NOT_THE_CORE) - {"gymnasium"})),
         (
             "import shape_obs_envs",

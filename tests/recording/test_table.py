@@ -11,7 +11,7 @@ from scripted_source import equal
 
 import shape_obs
 from shape_obs import schema_hash
-from shape_obs.config import config_hash, load_config
+from shape_obs.config.config_file import config_hash, load_config
 from shape_obs.recording import ShapeLog, ShapeTable
 
 

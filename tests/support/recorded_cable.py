@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from shape_obs import ShapeDetector
-from shape_obs.config import detector_arguments
+from shape_obs.config.config_file import detector_arguments
 
 CABLE = "shape_obs_envs:ShapeObs/Cable-v0"
 OPTIONS: dict[str, Any] = {"actions": "random", "seed": 4, "renderer": "rays", "camera": [128, 96]}

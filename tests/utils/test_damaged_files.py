@@ -22,7 +22,7 @@ from shape_obs.ablation.executors import Outcome, Task
 from shape_obs.ablation.results import RunFolder, finished_runs
 from shape_obs.ablation.scores import SCORES, Row, Score, scores_csv
 from shape_obs.cli import main
-from shape_obs.config import save_config
+from shape_obs.config.config_file import save_config
 from shape_obs.recording import Recording, ShapeTable
 from shape_obs.source import BadRecording
 

@@ -12,7 +12,7 @@ from dataclasses import fields, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
-from shape_obs.config import DetectorConfig
+from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.base import Configuration
 from shape_obs.deploy.policy_bundle.documents import BundleError, is_number, needs_trust
 from shape_obs.features import Feature, read_features

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.config import SECTIONS
+from shape_obs.config.config_file import SECTIONS
 from shape_obs.deploy.policy_bundle import environment
 from shape_obs.deploy.policy_bundle.documents import MALFORMED, BundleError
 from shape_obs.deploy.policy_bundle.environment import obstacle, reading_wrappers

@@ -11,7 +11,8 @@ from importlib.util import find_spec
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, Final
 
-from shape_obs.config import DetectorConfig, detector_arguments, schema_hash
+from shape_obs.config.config_file import detector_arguments, schema_hash
+from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.deploy.policy_bundle.documents import BundleError
 from shape_obs.deploy.policy_bundle.spaces import layout_differences, space_from_dict, space_to_dict
 from shape_obs.features import Feature, read_features

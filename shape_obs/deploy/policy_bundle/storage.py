@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from shape_obs.config import SECTIONS, DetectorConfig, detector_arguments, dump_config
+from shape_obs.config.config_file import SECTIONS, detector_arguments, dump_config
+from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.deploy.policy_bundle import environment
 from shape_obs.deploy.policy_bundle.archive import (
     CONFIG,
@@ -48,12 +49,7 @@ from shape_obs.deploy.policy_bundle.limits import check_configuration, check_reb
 from shape_obs.deploy.policy_bundle.network import Network, read_pickled_policy
 from shape_obs.deploy.policy_bundle.policy import Bundle
 from shape_obs.deploy.policy_bundle.record import Record, Surroundings, version_differences, versions
-from shape_obs.deploy.policy_bundle.spaces import (
-    Statistics,
-    channels_first,
-    layout_differences,
-    space_to_dict,
-)  # fmt: skip
+from shape_obs.deploy.policy_bundle.spaces import Statistics, channels_first, layout_differences, space_to_dict
 from shape_obs.robot import ActionSpec
 from shape_obs.spec import to_plain
 from shape_obs.utils.arrays import decode_npz

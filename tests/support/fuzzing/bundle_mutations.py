@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from fuzzing.bundle_sample import Members, edited, pack
-from shape_obs.config import SECTIONS, schema_hash
+from shape_obs.config.config_file import SECTIONS, schema_hash
 from shape_obs.deploy.policy_bundle.archive import CONFIG, ENV, RECORD, STATISTICS, WEIGHTS, extract, unpack
 from shape_obs.deploy.policy_bundle.documents import MALFORMED
 

@@ -20,7 +20,7 @@ from shape_obs.bench.tables import at_least, at_most
 from shape_obs.calibration.intrinsics import IntrinsicsFit
 from shape_obs.calibration.touch_points import read_touches
 from shape_obs.camera import Intrinsics
-from shape_obs.config import detector_arguments, dump_config, load_config
+from shape_obs.config.config_file import detector_arguments, dump_config, load_config
 from shape_obs.detector import ShapeDetector
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.features import PointDistribution

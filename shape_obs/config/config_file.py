@@ -1,4 +1,4 @@
-"""A detector's configuration, as one spec and as a YAML file of three sections.
+"""A detector's arguments as a YAML file of three sections.
 
 ``shape`` says what comes out (hashed: a policy is trained for it), ``scene`` where to look for it (differs from site
 to site), ``runtime`` how to behave while running (free).
@@ -8,25 +8,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import warnings
-from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from shape_obs.clustering.base import Clusterer, Clustering, SelfOrganisingMap
-from shape_obs.configurations.base import Anchor, Configuration, Ends, Order
-from shape_obs.image.roi import ROI, Whole
-from shape_obs.image.segmentation import Segmentation
-from shape_obs.spec import Spec, SpecError, did_you_mean, to_plain
-from shape_obs.tracking.missing import OnInvalid, OnMissing
+from shape_obs.config.detector_config import NO_BACKEND, DetectorConfig
+from shape_obs.spec import SpecError, did_you_mean, to_plain
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
-
     from shape_obs.features import Feature
 
 VERSION: Final = 1
@@ -35,79 +26,7 @@ SECTIONS: Final = {
     "scene": ("segmentation", "roi", "workspace"),
     "runtime": ("on_missing", "on_invalid", "max_age", "dt"),
 }
-_NO_BACKEND: Final = "backend={!r} is ignored: the inner loops are always compiled with Numba. Remove it."
 _WRAPPER_ONLY: Final = ("features", "workspace")
-
-
-@dataclass(frozen=True)
-class DetectorConfig(Spec):
-    """The arguments of a ``ShapeDetector``.
-
-    Args:
-        shapes: The configurations to find, all in one pass.
-        segmentation: The pixel rule; None when masks are given, or every shape has its own.
-        roi: Where to look.
-        order: ``"tracked"`` keeps point 0 on its material point; ``"image"`` numbers each frame again.
-        ends: Default for shapes with ends or a border: ``"centers"`` or ``"tips"``.
-        anchor: Default for shapes without one: where point 0 belongs.
-        clustering: Where the points come from: ``"som"`` spreads them evenly over the form that the map is fitted with;
-            ``"kmeans"``, ``"gmm"``, ``"fcm"`` and ``"kohonen"`` take a clusterer's centres, sorted along that form.
-        on_missing: What a lost shape becomes: ``"hold"``, ``"truncate"``, ``"raise"`` or ``"nan"``.
-        on_invalid: What a point without depth becomes: ``"nan"``, ``"interpolate"`` or ``"hold"``.
-        max_age: Seconds for which a held shape counts as ok.
-        dt: Seconds between frames that carry no stamp.
-    """
-
-    shapes: tuple[Configuration, ...] = field(default_factory=lambda: (Configuration.from_dict("centerline"),))
-    segmentation: Segmentation | None = None
-    roi: ROI = field(default_factory=Whole)
-    order: Order = "tracked"
-    ends: Ends = "centers"
-    anchor: Anchor = None
-    clustering: Clustering = field(default_factory=SelfOrganisingMap)
-    on_missing: OnMissing = "hold"
-    on_invalid: OnInvalid = "nan"
-    max_age: float = 0.5
-    dt: float = 1 / 30
-
-    @classmethod
-    def from_dict(cls, value: Any) -> Self:
-        """Build the configuration as ``Spec.from_dict`` does; a ``backend`` of an older version is ignored.
-
-        Warns:
-            UserWarning: There is a ``backend``: the inner loops are always compiled now.
-        """
-        if isinstance(value, Mapping) and "backend" in value:
-            warnings.warn(_NO_BACKEND.format(value["backend"]), stacklevel=2)
-            value = {name: field for name, field in value.items() if name != "backend"}
-        return super().from_dict(value)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.shapes:
-            raise SpecError("shapes: expected at least one configuration, got none.")
-        twice = [name for name, count in Counter(shape.name for shape in self.shapes).items() if count > 1]
-        if twice:
-            raise SpecError(f"shapes: two are named {twice[0]!r}; give each its own name=.")
-        if not (0 <= self.max_age < math.inf and 0 < self.dt < math.inf):
-            raise SpecError(f"expected finite max_age >= 0 and dt > 0 seconds, got {self.max_age} and {self.dt}.")
-        if isinstance(self.clustering, Clusterer):
-            for shape in self.resolved():
-                for name, wanted in (("ends", "centers"), ("spacing", "px")):
-                    if getattr(shape, name, wanted) != wanted:
-                        raise SpecError(
-                            f"shape {shape.name!r}: {name}={getattr(shape, name)!r} needs clustering='som': "
-                            f"{self.clustering.kind!r} has its own centres; give {name}={wanted!r}."
-                        )
-
-    def resolved(self) -> tuple[Configuration, ...]:
-        """Return the configurations with this detector's defaults filled in."""
-        filled = []
-        defaults = {"order": self.order, "segmentation": self.segmentation, "anchor": self.anchor, "ends": self.ends}
-        for shape in self.shapes:
-            open_ones = {name: value for name, value in defaults.items() if getattr(shape, name, value) is None}
-            filled.append(replace(shape, **open_ones))
-        return tuple(filled)
 
 
 def load_config(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -120,7 +39,7 @@ def load_config(path: str | os.PathLike[str]) -> dict[str, Any]:
         FileNotFoundError: There is no such file.
         SpecError: The file is no YAML, of another version, or holds an unknown section or field.
     """
-    from shape_obs.utils.documents import read_yaml  # a detector that is made in Python reads no files
+    from shape_obs.utils.documents import read_yaml
 
     data = read_yaml(path, "config")
     if not isinstance(data, Mapping):
@@ -137,7 +56,7 @@ def load_config(path: str | os.PathLike[str]) -> dict[str, Any]:
             raise SpecError(f"{path}: section {section!r} must be a mapping, got {type(content).__name__}.")
         for name, value in content.items():
             if section == "runtime" and name == "backend":
-                warnings.warn(f"{path}: {_NO_BACKEND.format(value)}", stacklevel=2)
+                warnings.warn(f"{path}: {NO_BACKEND.format(value)}", stacklevel=2)
                 continue
             if name not in SECTIONS[section]:
                 raise SpecError(f"{path}: {section}: unknown field {name!r}{did_you_mean(name, SECTIONS[section])}")

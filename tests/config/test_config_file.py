@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from shape_obs import Centerline, GrayRange, HSVRange, Rectangle, ShapeDetector, load_config, save_config, schema_hash
-from shape_obs.config import detector_arguments
+from shape_obs.config.config_file import detector_arguments
 from shape_obs.features import Ok, Points3D
 
 ARGUMENTS: dict[str, Any] = {

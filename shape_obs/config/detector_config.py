@@ -1,0 +1,93 @@
+"""The arguments of a detector, as one spec."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
+
+from shape_obs.clustering.base import Clusterer, Clustering, SelfOrganisingMap
+from shape_obs.configurations.base import Anchor, Configuration, Ends, Order
+from shape_obs.image.roi import ROI, Whole
+from shape_obs.image.segmentation import Segmentation
+from shape_obs.spec import Spec, SpecError
+from shape_obs.tracking.missing import OnInvalid, OnMissing
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+NO_BACKEND: Final = "backend={!r} is ignored: the inner loops are always compiled with Numba. Remove it."
+
+
+@dataclass(frozen=True)
+class DetectorConfig(Spec):
+    """The arguments of a ``ShapeDetector``.
+
+    Args:
+        shapes: The configurations to find, all in one pass.
+        segmentation: The pixel rule; None when masks are given, or every shape has its own.
+        roi: Where to look.
+        order: ``"tracked"`` keeps point 0 on its material point; ``"image"`` numbers each frame again.
+        ends: Default for shapes with ends or a border: ``"centers"`` or ``"tips"``.
+        anchor: Default for shapes without one: where point 0 belongs.
+        clustering: Where the points come from: ``"som"`` spreads them evenly over the form that the map is fitted with;
+            ``"kmeans"``, ``"gmm"``, ``"fcm"`` and ``"kohonen"`` take a clusterer's centres, sorted along that form.
+        on_missing: What a lost shape becomes: ``"hold"``, ``"truncate"``, ``"raise"`` or ``"nan"``.
+        on_invalid: What a point without depth becomes: ``"nan"``, ``"interpolate"`` or ``"hold"``.
+        max_age: Seconds for which a held shape counts as ok.
+        dt: Seconds between frames that carry no stamp.
+    """
+
+    shapes: tuple[Configuration, ...] = field(default_factory=lambda: (Configuration.from_dict("centerline"),))
+    segmentation: Segmentation | None = None
+    roi: ROI = field(default_factory=Whole)
+    order: Order = "tracked"
+    ends: Ends = "centers"
+    anchor: Anchor = None
+    clustering: Clustering = field(default_factory=SelfOrganisingMap)
+    on_missing: OnMissing = "hold"
+    on_invalid: OnInvalid = "nan"
+    max_age: float = 0.5
+    dt: float = 1 / 30
+
+    @classmethod
+    def from_dict(cls, value: Any) -> Self:
+        """Build the configuration as ``Spec.from_dict`` does; a ``backend`` of an older version is ignored.
+
+        Warns:
+            UserWarning: There is a ``backend``: the inner loops are always compiled now.
+        """
+        if isinstance(value, Mapping) and "backend" in value:
+            warnings.warn(NO_BACKEND.format(value["backend"]), stacklevel=2)
+            value = {name: field for name, field in value.items() if name != "backend"}
+        return super().from_dict(value)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.shapes:
+            raise SpecError("shapes: expected at least one configuration, got none.")
+        twice = [name for name, count in Counter(shape.name for shape in self.shapes).items() if count > 1]
+        if twice:
+            raise SpecError(f"shapes: two are named {twice[0]!r}; give each its own name=.")
+        if not (0 <= self.max_age < math.inf and 0 < self.dt < math.inf):
+            raise SpecError(f"expected finite max_age >= 0 and dt > 0 seconds, got {self.max_age} and {self.dt}.")
+        if isinstance(self.clustering, Clusterer):
+            for shape in self.resolved():
+                for name, wanted in (("ends", "centers"), ("spacing", "px")):
+                    if getattr(shape, name, wanted) != wanted:
+                        raise SpecError(
+                            f"shape {shape.name!r}: {name}={getattr(shape, name)!r} needs clustering='som': "
+                            f"{self.clustering.kind!r} has its own centres; give {name}={wanted!r}."
+                        )
+
+    def resolved(self) -> tuple[Configuration, ...]:
+        """Return the configurations with this detector's defaults filled in."""
+        filled = []
+        defaults = {"order": self.order, "segmentation": self.segmentation, "anchor": self.anchor, "ends": self.ends}
+        for shape in self.shapes:
+            open_ones = {name: value for name, value in defaults.items() if getattr(shape, name, value) is None}
+            filled.append(replace(shape, **open_ones))
+        return tuple(filled)
