@@ -2,8 +2,8 @@
 
 The env was not written for shape_obs and observes its joints; ``AddRenderObservation`` gives it an image instead.
 
-Run: ``uv run --extra sim --with "gymnasium[mujoco]" examples/foreign_env.py``. Gymnasium's renderer needs
-OpenGL; on Linux without a display put ``MUJOCO_GL=egl`` before the command.
+Run: ``uv run --extra sim --with "gymnasium[mujoco]" examples/foreign_env.py``. Gymnasium's renderer needs OpenGL;
+on Linux without a display put ``MUJOCO_GL=egl`` before the command.
 """
 
 import gymnasium as gym

@@ -1,6 +1,6 @@
 """Wrap one of Gymnasium's own envs, seen in RGB-D: the Swimmer as 13 points in metres, in the world's frame.
 
-``RGBDCamera`` is for ``render_mode="rgbd_tuple"`` what ``AddRenderObservation`` is for ``"rgb_array"``. It also publishes
+``RGBDCamera`` is for ``render_mode="rgbd_tuple"`` what ``AddRenderObservation`` is for ``"rgb_array"``. It publishes
 the pose of the camera, and works with any ``gymnasium.envs.mujoco.MujocoEnv``, including your own.
 
 Run: ``uv run --extra sim --with "gymnasium[mujoco]" examples/foreign_env_depth.py``; on Linux without a display put

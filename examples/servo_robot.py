@@ -1,9 +1,9 @@
 """Servo a shape on a robot, using only the camera: the law of shape_servo.py with a software D455.
 
 The simulated robot moves a rope in real time; images pass through librealsense, are rectified and aligned, and the
-shape is found in them, as with a camera on USB. The law learns how the rope responds to the motions. It assumes that the
-next image shows the effect of each motion: ten steps per second leave enough time for that, and a small gain tolerates
-small delays.
+shape is found in them, as with a camera on USB. The law learns how the rope responds to the motions. It assumes that
+the next image shows the effect of each motion: ten steps per second leave enough time for that, and a small gain
+tolerates small delays.
 
 Run: ``uv run --extra sim --extra realsense examples/servo_robot.py [SEED]``
 """
