@@ -1,8 +1,8 @@
-"""A controller on a robot, from the camera alone: the deployment loop before a simulated robot and a software D455.
+"""Run a controller on a robot, using only the camera: the deployment loop with a simulated robot and a software D455.
 
-Images come through librealsense, are rectified and aligned, and the shape is found in them, as with a camera on USB.
-The law is simple: each gripper goes where the goal's end is, and turns as the goal does there. Yours takes its place,
-and `shape_obs_envs.robots:SimulatedRobot` becomes your arm.
+Images pass through librealsense, are rectified and aligned, and the shape is found in them, as with a camera on USB.
+The law is simple: each gripper moves and turns towards the goal's end. Replace it by your own controller, and
+``shape_obs_envs.robots:SimulatedRobot`` by your arm.
 
 Run: ``uv run examples/deploy_loop.py`` (needs the extras ``sim`` and ``realsense``)
 """
@@ -16,16 +16,16 @@ from shape_obs_envs.robots import SimulatedRobot
 
 
 class EndsFirst:
-    """Moves the rope's ends to the goal's, at most as far as the robot goes in a step."""
+    """Move the rope's ends to those of the goal, at most as far as the robot moves in a step."""
 
     gain = 0.15
 
     def bind(self, action_spec):
-        """The loop tells what actions mean."""
+        """Store the scale of an action. The loop calls this at the start."""
         self.scale = np.reshape(action_spec.scale, (2, 3))  # x, y [m] and yaw [rad] of both grippers
 
     def act(self, observation):
-        """(6,) in -1 ... 1."""
+        """Return an action, (6,) in -1 ... 1."""
         seen, goal = (observation[key].reshape(-1, 3) for key in ("achieved_goal", "desired_goal"))
         away = (goal - seen)[[0, -1], :2]
         turn = heading(goal) - heading(seen)
@@ -34,7 +34,7 @@ class EndsFirst:
 
 
 def heading(points):
-    """(2,) radians in which the rope leaves its first end, and arrives at its last."""
+    """Return the headings of the rope at its first and last end, (2,) in radians."""
     x, y, _ = np.array([points[2] - points[0], points[-1] - points[-3]]).T
     return np.arctan2(y, x)
 
@@ -44,7 +44,7 @@ def main() -> None:
     robot.connect()
     robot.reset()
     goal = Target.read(robot.goal)  # on a real table: shape-obs goal -o goal.yaml, and Target.load("goal.yaml")
-    robot.disconnect()  # the next connection begins with the same start
+    robot.disconnect()  # the next connection starts from the same state
 
     env = gym.make("shape_obs_envs:ShapeObs/D455-v0", source="robot", robot=robot, rate=30)
     env = ShapeGoal(ShapeObservation(env), goal=goal, threshold=0.015)

@@ -1,6 +1,6 @@
-"""A policy from its training to a robot: save it with all that it needs, load it, and let it act from a camera.
+"""Bring a policy from training to a robot: save it as a bundle, load it, and let it act on a camera's images.
 
-The policy here has learnt nothing yet: train it longer (`train_sac_her.py`), or run a bundle of your own:
+The policy here is untrained: train it longer (``train_sac_her.py``), or run your own bundle:
 ``shape-obs deploy cable.policy --source robot --robot shape_obs_envs.robots:SimulatedRobot --goal robot --episodes 20``
 
 Run: ``uv run examples/deploy_policy.py`` (needs the extras ``sim``, ``sb3`` and ``realsense``)
@@ -28,14 +28,14 @@ def main() -> None:
     robot.connect()
     robot.reset()
     goal = Target.read(robot.goal)
-    robot.disconnect()  # the next connection begins with the same start
+    robot.disconnect()  # the next connection starts from the same state
 
     cell = gym.make(
         "shape_obs_envs:ShapeObs/D455-v0",
         source="robot",
         robot=robot,
         rate=1 / bundle.dt,
-        settle=0.05,  # as in the simulator, an image is taken when the motion is over
+        settle=0.05,  # as in the simulator, take the image when the motion is over
     )
     print(deploy(bundle.wrap(cell, goal), bundle.controller(), steps=10))
 

@@ -1,6 +1,6 @@
-"""A photo in, ordered points and a picture out, without any env.
+"""Find ordered points in a photo and draw them, without an env.
 
-Run: ``uv run examples/detect_photo.py PHOTO u,v`` where u,v is a pixel on the rope; without arguments it draws a rope.
+Run: ``uv run examples/detect_photo.py PHOTO u,v``, where u,v is a pixel on the rope; without arguments it draws a rope.
 """
 
 import sys
@@ -16,7 +16,7 @@ from shape_obs.image.colour_picker import propose_hsv
 
 
 def drawn_photo() -> np.ndarray:
-    """A blue rope on a light table."""
+    """Return an image of a blue rope on a light table."""
     s = np.linspace(0, 1, 200)
     rope = np.stack([80 + 480 * s, 240 + 120 * np.sin(7 * s) * s], axis=1)
     photo = np.full((480, 640, 3), (200, 198, 190), np.uint8)

@@ -1,7 +1,7 @@
-"""Features of a recording, offline: curves' coefficients and principal components, and how well they give points back.
+"""Compute features of a recording: coefficients of curves, principal components, and the error of their points.
 
-Without FOLDER, a simulated rope that is held at one end is recorded first. Components are fitted to four of five
-episodes, and every error is that of the fifth ones.
+Without FOLDER, a simulated rope that is held at one end is recorded first. Components are fitted to four of every five
+episodes, and all errors are those of the fifth ones.
 
 Run: ``uv run --extra sim examples/features_offline.py [FOLDER]``
 """
@@ -27,7 +27,7 @@ FEATURES = [
 
 
 def recording() -> Path:
-    """A folder of frames: the one that is given, or a new one of the simulated rope."""
+    """Return a folder of frames: the given one, or a new recording of the simulated rope."""
     if len(sys.argv) > 1:
         return Path(sys.argv[1])
     folder = Path("rope")
@@ -37,7 +37,7 @@ def recording() -> Path:
 
 
 def shapes_of(folder: Path) -> tuple[list[Shape], list[FeatureContext], np.ndarray]:
-    """Every whole shape, what it was seen in, and its episode."""
+    """Return the completely measured shapes, the context of each, and their episodes."""
     detector = ShapeDetector(
         [{"kind": "centerline", "name": "rope", "n": 20, "anchor": "gripper0", "ends": "tips", "spacing": "m"}],  # type: ignore[list-item]
         {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]},  # type: ignore[arg-type]
@@ -54,7 +54,7 @@ def shapes_of(folder: Path) -> tuple[list[Shape], list[FeatureContext], np.ndarr
 
 
 def tell(name: str, feature: Feature, shapes: Sequence[Shape], views: Sequence[FeatureContext]) -> None:
-    """How many values a feature has, and the error of the points that it gives back."""
+    """Print the number of values of a feature, and the error of the points reconstructed from it."""
     values = [feature.compute(shape, view) for shape, view in zip(shapes, views, strict=True)]
     text = f"{name:<14} {len(values[0]):3d} values"
     if feature.invertible:

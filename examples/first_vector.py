@@ -1,4 +1,4 @@
-"""The simulated cable as 60 numbers: 20 points along its axis, in metres, in the robot's base frame.
+"""Observe the simulated cable as 60 numbers: 20 points along its axis, in metres, in the robot's base frame.
 
 Run: ``uv run --extra sim examples/first_vector.py``
 """

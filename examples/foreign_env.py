@@ -1,9 +1,9 @@
-"""Wrap an env of Gymnasium's own, seen in colour: the Swimmer, a chain of three links, as 13 points in the image.
+"""Wrap one of Gymnasium's own envs, seen in colour: the Swimmer, a chain of three links, as 13 points in the image.
 
-The env knows nothing of shape_obs and observes its joints; ``AddRenderObservation`` gives it an image instead.
+The env was not written for shape_obs and observes its joints; ``AddRenderObservation`` gives it an image instead.
 
-Run: ``uv run --extra sim --with "gymnasium[mujoco]" examples/foreign_env.py``. Gymnasium's renderer opens a window's
-OpenGL; on Linux without a display put ``MUJOCO_GL=egl`` before the command.
+Run: ``uv run --extra sim --with "gymnasium[mujoco]" examples/foreign_env.py``. Gymnasium's renderer needs OpenGL;
+on Linux without a display put ``MUJOCO_GL=egl`` before the command.
 """
 
 import gymnasium as gym
@@ -13,11 +13,11 @@ from gymnasium.wrappers import AddRenderObservation
 from shape_obs import Centerline, HSVRange, ShapeObservation
 
 WIDTH, HEIGHT = 320, 240
-# A camera that stands still, 6 m above the start, and looks straight down. When none is asked for, Gymnasium 1.1 takes
-# the Swimmer's own, which swims along, and 1.4 one that stands still at a slant.
+# A fixed camera, 6 m above the start, that looks straight down. Without a choice Gymnasium 1.1 uses the Swimmer's own
+# camera, which moves along, and 1.4 a fixed one at a slant.
 FROM_ABOVE = {"lookat": [0.0, 0.0, 0.0], "distance": 6.0, "azimuth": 90.0, "elevation": -90.0}
-# The floor is black, white and a little green, so hue and saturation tell the links from it. So they do from the white
-# highlight along the links, which would leave a crack: hence the closing.
+# The floor is black, white and slightly green, so hue and saturation separate the links from it. They also exclude the
+# white highlight along the links, which would leave a gap, so the mask is closed.
 ORANGE = HSVRange(low=(5, 100, 60), high=(25, 255, 255), close=3)
 
 
@@ -32,7 +32,7 @@ def make_env() -> ShapeObservation:
     )
     return ShapeObservation(
         AddRenderObservation(env),
-        # Point 0 is the nose: it starts at the right of the image, and stays the nose wherever it swims.
+        # Point 0 is the nose: it starts at the right of the image, and stays the nose as the Swimmer moves.
         shapes=[Centerline(n=13, ends="tips", anchor=(WIDTH - 1, HEIGHT / 2))],
         segmentation=ORANGE,
         features=["points2d", "ok"],
@@ -40,7 +40,7 @@ def make_env() -> ShapeObservation:
 
 
 def stroke(step: int) -> np.ndarray:
-    """An action: the joints swing, the second after the first."""
+    """Return an action that swings the joints, the second after the first."""
     return np.array([np.sin(step / 4), np.cos(step / 4)], np.float32)
 
 

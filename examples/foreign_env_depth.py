@@ -1,7 +1,7 @@
-"""Wrap an env of Gymnasium's own, seen in RGB-D: the Swimmer as 13 points in metres, in the world's frame.
+"""Wrap one of Gymnasium's own envs, seen in RGB-D: the Swimmer as 13 points in metres, in the world's frame.
 
-``RGBDCamera`` does for ``render_mode="rgbd_tuple"`` what ``AddRenderObservation`` does for ``"rgb_array"``, and tells
-where the camera stands. It serves any env that is a ``gymnasium.envs.mujoco.MujocoEnv``, yours too.
+``RGBDCamera`` is for ``render_mode="rgbd_tuple"`` what ``AddRenderObservation`` is for ``"rgb_array"``. It publishes
+the pose of the camera, and works with any ``gymnasium.envs.mujoco.MujocoEnv``, including your own.
 
 Run: ``uv run --extra sim --with "gymnasium[mujoco]" examples/foreign_env_depth.py``; on Linux without a display put
 ``MUJOCO_GL=egl`` before the command.
@@ -17,12 +17,12 @@ from shape_obs import CameraModel, Centerline, Intrinsics, ShapeObservation
 
 
 class RGBDCamera(gym.ObservationWrapper):
-    """Observes what a MuJoCo env draws: ``rgb``, ``depth`` in metres. Publishes ``camera_model``."""
+    """Observe the images of a MuJoCo env: ``rgb``, and ``depth`` in metres. Publishes ``camera_model``."""
 
     def __init__(self, env: gym.Env) -> None:
         super().__init__(env)
         self._mujoco: Any = env.unwrapped
-        # Both before the first picture. Antialiased depth is that of a place beside the pixel's centre.
+        # Set both before the first image. Antialiasing would sample depth next to the pixel's centre.
         self._mujoco.model.vis.quality.offsamples = 0
         self._mujoco.model.vis.quality.shadowsize = 0  # no shadows: faster without a GPU
         env.reset()
@@ -39,15 +39,15 @@ class RGBDCamera(gym.ObservationWrapper):
         # The buffer runs from 0 at the near plane to 1 at the far one, as 1/z does.
         near, far = self._eye.frustum_near, self._eye.frustum_far
         depth = near * far / (far - buffer.astype(np.float64) * (far - near))
-        return {"rgb": rgb, "depth": np.where(buffer < 1, depth, 0).astype(np.float32)}  # 0: there is only sky
+        return {"rgb": rgb, "depth": np.where(buffer < 1, depth, 0).astype(np.float32)}  # 0: no surface
 
     @property
     def camera_model(self) -> CameraModel:
-        """The camera of the last picture, whichever it was: free, fixed or tracking."""
+        """Return the camera of the last image: free, fixed or tracking."""
         forward, down = np.float64(self._eye.forward), -np.float64(self._eye.up)
         pose = np.eye(4)
         pose[:3, :3] = np.stack([np.cross(down, forward), down, forward], axis=1)
-        pose[:3, 3] = np.mean([eye.pos for eye in self._eyes], axis=0)  # MuJoCo draws from between two eyes
+        pose[:3, 3] = np.mean([eye.pos for eye in self._eyes], axis=0)  # MuJoCo renders from the middle of two eyes
         width, height = self._mujoco.width, self._mujoco.height
         focal = height * self._eye.frustum_near / (self._eye.frustum_top - self._eye.frustum_bottom)
         return CameraModel(Intrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2), pose)
@@ -67,7 +67,7 @@ def make_env() -> ShapeObservation:
         shapes=[Centerline(n=13, ends="tips", spacing="m", radius=0.1, anchor=(1.5, 0, 0))],  # radius: of the links
         segmentation=ORANGE,
         features=[{"kind": "points3d", "frame": "base"}, "ok"],
-        workspace=((-3.5, -2.5, -0.2), (3.5, 2.5, 0.2)),  # bounds; without one they are those of a table, 2 m away
+        workspace=((-3.5, -2.5, -0.2), (3.5, 2.5, 0.2)),  # bounds; the default reaches only 2 m
     )
 
 

@@ -1,7 +1,7 @@
-"""Four ArUco markers on a table: they say where to look, and they turn pixels into metres without depth.
+"""Use four ArUco markers on a table as the region of interest, and to convert pixels to metres without depth.
 
-A rope lies between the markers, and another one of the same colour outside. The camera looks at the table from aside,
-and is pushed in the middle of it all.
+A rope lies between the markers, and another one of the same colour outside. The camera looks at the table at a slant,
+and is pushed after ten frames.
 
 Run: ``uv run examples/markers.py FOLDER``; the pictures go to that folder, by default ``overlays``.
 """
@@ -15,25 +15,25 @@ import numpy as np
 from shape_obs import Centerline, HSVRange, MarkerLayout, ShapeDetector, TopView
 from shape_obs.drawing import draw_detection
 
-# 60 mm markers in the corners of 600 x 420 mm, as they are laid: from outer edge to outer edge.
+# 60 mm markers in the corners of 600 x 420 mm, measured from outer edge to outer edge.
 LAYOUT = MarkerLayout.rectangle(marker=0.06, width=0.60, height=0.42)
-PER_METRE, MARGIN = 1500, 0.2  # of the drawn table
+PER_METRE, MARGIN = 1500, 0.2  # pixels and metres, of the drawn table
 BLUE = HSVRange(low=(100, 80, 40), high=(125, 255, 255))
 
 
 def rope() -> np.ndarray:
-    """(P,2) metres on the table."""
+    """Return the axis of the rope, (P, 2) in metres on the table."""
     s = np.linspace(0, 1, 200)
     return np.stack([0.13 + 0.34 * s, 0.21 + 0.08 * np.sin(5 * s)], axis=1)
 
 
 def to_drawing(points: np.ndarray) -> np.ndarray:
-    """Metres on the table -> pixels of the drawn table."""
+    """Convert metres on the table to pixels of the drawn table."""
     return (points + MARGIN) * PER_METRE - 0.5
 
 
 def drawn_table() -> np.ndarray:
-    """(h,w,3) the table from above."""
+    """Return an image of the table from above, (h, w, 3)."""
     width, height = ((np.array(LAYOUT.box[1]) + 2 * MARGIN) * PER_METRE).astype(int)
     table = np.full((height, width, 3), (200, 198, 190), np.uint8)
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
@@ -48,7 +48,7 @@ def drawn_table() -> np.ndarray:
 
 
 def camera_image(aside: float) -> tuple[np.ndarray, np.ndarray]:
-    """(480,640,3) what the camera sees, and the homography from metres on the table to its pixels."""
+    """Return the camera's image (480, 640, 3), and the homography from metres on the table to its pixels."""
     seen = np.array([(120, 90), (500, 70), (570, 370), (70, 350)], np.float32) + np.array((aside, 0), np.float32)
     corners = np.array([LAYOUT.array[i, i] for i in range(4)], np.float32)
     homography = cv2.getPerspectiveTransform(corners, seen)

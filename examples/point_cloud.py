@@ -1,9 +1,9 @@
-"""A cloud of a rope's points in no order, from anywhere, in; ordered points in metres out. No image, no camera.
+"""Find ordered points in an unordered cloud of a rope, without an image or a camera.
 
-``detect_cloud`` takes an (M,3) array of floating metres, the points of one object. From Open3D that is
+``detect_cloud`` takes the points of one object as an array (M, 3) of floats in metres. From Open3D that is
 ``np.asarray(pcd.points)``; from a ROS 2 PointCloud2,
 ``sensor_msgs_py.point_cloud2.read_points_numpy(message, field_names=("x", "y", "z"))``.
-Neither is needed here: the cloud is made up.
+Neither is needed here: the cloud is synthetic.
 
 Run: ``uv run examples/point_cloud.py``
 """
@@ -17,7 +17,7 @@ START = (0.25, 0.0, 0.60)
 
 
 def made_up_cloud(m: int = 4000) -> np.ndarray:
-    """(M,3) metres, shuffled: the surface of a rope that rises from its start in half a turn, with 1 mm of noise."""
+    """Return points on a rope that rises in half a turn, (M, 3) in metres, shuffled, with 1 mm of noise."""
     rng = np.random.default_rng(0)
     t = rng.uniform(0, np.pi, m)
     axis = np.stack([START[0] * np.cos(t), START[0] * np.sin(t), START[2] + 0.05 * t], axis=1)

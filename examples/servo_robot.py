@@ -1,9 +1,9 @@
-"""Shape servoing on a robot, from the camera alone: the law of shape_servo.py before a software D455.
+"""Servo a shape on a robot, using only the camera: the law of shape_servo.py with a software D455.
 
-The simulated robot moves a rope in real time; images come through librealsense, are rectified and aligned, and the
-shape is found in them, as with a camera on USB. The law learns how the rope answers while it moves it. Ten steps a
-second leave each motion the time to be seen in the next image, which is what the law takes for granted, and a small
-gain forgives it where that is not quite so.
+The simulated robot moves a rope in real time; images pass through librealsense, are rectified and aligned, and the
+shape is found in them, as with a camera on USB. The law learns how the rope responds to the motions. It assumes that
+the next image shows the effect of each motion: ten steps per second leave enough time for that, and a small gain
+tolerates small delays.
 
 Run: ``uv run --extra sim --extra realsense examples/servo_robot.py [SEED]``
 """
@@ -21,7 +21,7 @@ from shape_obs_envs.robots import SimulatedRobot
 
 def main() -> None:
     robot = SimulatedRobot(seed=int(sys.argv[1]) if len(sys.argv) > 1 else 5, difficulty="near")
-    robot.connect()  # the run's first reset is to the start that this goal belongs to
+    robot.connect()  # the first reset of the run restores the start of this goal
     goal = Target.read(robot.goal)  # on a real table: shape-obs goal -o goal.yaml, and Target.load("goal.yaml")
 
     env = gym.make("shape_obs_envs:ShapeObs/D455-v0", source="robot", robot=robot, rate=10)

@@ -1,7 +1,7 @@
-"""Goals in features: bring a simulated cable into a shape, and score it by what the camera sees.
+"""Use goals in features: bring a simulated cable into a shape, and score it by the camera's points.
 
-The environment's own demonstration is played. Then the shape it has led to is recorded as a goal, and the same motion
-is scored against that.
+The example plays the environment's own demonstration, records the final shape as a goal, and scores the same motion
+against it.
 
 Run: ``uv run --extra sim examples/shape_goal.py``
 """
@@ -14,7 +14,7 @@ from shape_obs import ShapeGoal, ShapeObservation, Target
 
 
 def play(env: ShapeGoal, seed: int) -> None:
-    """Play the demonstration that belongs to a seed, and tell how the goal comes nearer."""
+    """Play the demonstration of a seed, and print the distance from the goal."""
     observation, info = env.reset(seed=seed)
     print(f"start: {1e3 * info['goal/distance']:.0f} mm from the goal, is_success: {info['is_success']}")
     actions = env.unwrapped.goal_actions  # type: ignore[attr-defined]
@@ -27,7 +27,7 @@ def play(env: ShapeGoal, seed: int) -> None:
         observation, reward, _, _, info = env.step(rest)
     print(f"end: is_success: {info['is_success']}, the simulator says {info['truth/is_success']}")
     relabelled = env.compute_reward(observation["achieved_goal"], observation["achieved_goal"], {})
-    assert relabelled == 0  # as hindsight replay asks: what was achieved had been the goal
+    assert relabelled == 0  # as in hindsight replay: the achieved goal replaces the desired one
 
 
 def main() -> None:

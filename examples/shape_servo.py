@@ -1,8 +1,8 @@
-"""Shape servoing from the camera alone: a cable, a ring and a cloth are brought into the shapes of their goals.
+"""Servo shapes using only the camera: bring a cable, a ring and a cloth into the shapes of their goals.
 
-Nothing is known of the objects, of the robot or of where the camera stands: the law moves each coordinate of the robot
-a little, learns how the shape answers, and goes on learning on the way. The images are those of a simulated D455, with
-its noise and its holes. The simulator's points only tell, at the end, how far the goal really was.
+The law has no model of the objects, the robot or the camera's pose: it moves each coordinate of the robot a little,
+learns how the shape responds, and continues to learn on the way. The images are those of a simulated D455, with its
+noise and its holes. The simulator's points are only used to measure the distance from the goal.
 
 Run: ``uv run --extra sim examples/shape_servo.py --steps 150``
 """
@@ -23,7 +23,7 @@ FEATURES = {
 
 
 def make(name: str, difficulty: str) -> ShapeGoal:
-    """An env whose goals are given in features of what the camera sees."""
+    """Return an env whose goals are features of the camera's points."""
     env = gym.make(
         f"shape_obs_envs:ShapeObs/{name}-v0", camera=(160, 120), difficulty=difficulty, max_episode_steps=1000
     )
@@ -31,7 +31,7 @@ def make(name: str, difficulty: str) -> ShapeGoal:
 
 
 def bring(env: ShapeGoal, law: str, seed: int, most: int) -> bool:
-    """Bring the shape to the goal of a seed, tell how that went, and whether it came within 10 mm."""
+    """Bring the shape to the goal of a seed, print the result, and return whether it came within 10 mm."""
     servo = ShapeServo(law)
     servo.attach(env)
     observation, info = env.reset(seed=seed)

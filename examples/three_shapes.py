@@ -1,6 +1,6 @@
-"""A rope, an elastic band and a cloth in one picture: three configurations, each with its own colour, one detector.
+"""Find a rope, an elastic band and a cloth in one image: three configurations with their own colours in one detector.
 
-The cloth turns by 60 degrees in 20 frames, and point i stays where it is on the cloth.
+The cloth turns by 60 degrees in 20 frames, and each point stays on its place of the cloth.
 
 Run: ``uv run examples/three_shapes.py FOLDER``; the picture goes to that folder, by default ``overlays``.
 """
@@ -19,13 +19,13 @@ TABLE, BLUE, ORANGE, GREEN = (200, 198, 190), (20, 70, 160), (225, 120, 40), (60
 
 
 def rope(t: float) -> np.ndarray:
-    """(P,2) the axis of a rope whose right end swings."""
+    """Return the axis (P, 2) of a rope whose right end swings."""
     s = np.linspace(0, 1, 200)
     return np.stack([40 + 260 * s, 120 + 50 * np.sin(6 * s) + 40 * t * s**2], axis=1)
 
 
 def band(t: float) -> np.ndarray:
-    """(P,2) an elastic band that turns by 40 degrees."""
+    """Return the axis (P, 2) of an elastic band that turns by 40 degrees."""
     angle = np.linspace(0, 2 * np.pi, 200, endpoint=False)
     radius = 70 + 12 * np.cos(2 * angle) + 8 * np.cos(3 * angle)
     at = angle + np.radians(40) * t
@@ -33,14 +33,14 @@ def band(t: float) -> np.ndarray:
 
 
 def cloth(t: float) -> np.ndarray:
-    """(4,2) the corners of a cloth that turns by 60 degrees."""
+    """Return the corners (4, 2) of a cloth that turns by 60 degrees."""
     corners = np.array([[-110.0, -60], [110, -60], [110, 60], [-110, 60]])
     cos, sin = np.cos(np.radians(60) * t), np.sin(np.radians(60) * t)
     return corners @ np.array([[cos, sin], [-sin, cos]]) + (320, 340)
 
 
 def drawn_scene(t: float) -> np.ndarray:
-    """(H,W,3) the scene at t = 0...1."""
+    """Return the image (H, W, 3) of the scene at t = 0...1."""
     scene = np.full((480, 640, 3), TABLE, np.uint8)
     cv2.polylines(scene, [fixed(rope(t))], False, BLUE, 11, cv2.LINE_AA, 4)
     cv2.polylines(scene, [fixed(band(t))], True, ORANGE, 13, cv2.LINE_AA, 4)
@@ -49,7 +49,7 @@ def drawn_scene(t: float) -> np.ndarray:
 
 
 def fixed(points: np.ndarray) -> np.ndarray:
-    """Pixels as OpenCV draws them, in sixteenths."""
+    """Convert pixels to OpenCV's fixed-point numbers, in sixteenths."""
     return np.round(16 * points).astype(np.int32)
 
 

@@ -1,9 +1,9 @@
-"""The image through a convolutional network in place of ordered points: what train_sac_her.py learns, for comparison.
+"""Learn the task of train_sac_her.py from the image, through a convolutional network, for comparison.
 
-The goal is told in points, and the reward is the simulator's, which an image does not tell. Much slower, step by step.
+The goal is given in points, and the reward is the simulator's. Each step is much slower.
 
-Run: ``uv run --extra sim --extra sb3 --extra fast examples/train_cnn.py``; ``--help`` tells what can be set,
-``tensorboard --logdir runs`` draws the curves, and ``--resume`` goes on from the last checkpoint.
+Run: ``uv run --extra sim --extra sb3 examples/train_cnn.py``; ``--help`` lists the options,
+``tensorboard --logdir runs`` draws the curves, and ``--resume`` continues from the last checkpoint.
 """
 
 import sys
@@ -22,8 +22,8 @@ from stable_baselines3.common.vec_env import VecNormalize, VecTransposeImage
 from shape_obs.deploy.policy_bundle import save_bundle
 from shape_obs.training import Curriculum, ImageAndGoal, PixelPolicy, Pixels
 
-HELD_OUT = 1_000_000  # seed of the goals that policies are tried out on; trainings count on from far below
-# The network scales the image by itself. 1e-4 m2: what moves by less than a centimetre is not blown up.
+HELD_OUT = 1_000_000  # seed of the goals for evaluation; trainings use seeds far below
+# The network scales the image. 1e-4 m2: coordinates that vary by less than a centimetre are not scaled up.
 FLOOR: dict[str, Any] = {"norm_reward": False, "epsilon": 1e-4, "norm_obs_keys": ["achieved_goal", "desired_goal"]}
 
 
@@ -35,12 +35,12 @@ class Args:
     steps: int = 50_000
     seed: int = 0
     size: int = 84  # side of the images, pixels
-    buffer: int = 20_000  # steps that are remembered, each of two images: at 84 x 84 pixels 20,000 of them are 0.9 GB
+    buffer: int = 20_000  # stored steps, of two images each: 20,000 steps of 84 x 84 pixels are 0.9 GB
     learning_starts: int = 1000
     evaluate_every: int = 5_000
-    goals: int = 30  # how many an evaluation plays
+    goals: int = 30  # number of episodes of an evaluation
     checkpoint_every: int = 10_000
-    resume: bool = False  # go on from the last checkpoint
+    resume: bool = False  # continue from the last checkpoint
 
 
 def make_env(size: int) -> gym.Env:

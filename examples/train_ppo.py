@@ -1,7 +1,7 @@
-"""PPO on a shape vector: bring a cable, wherever and however it lies, into one shape, in four envs at once.
+"""Train PPO on a shape vector: bring a cable, from any start, into one shape, in four envs at once.
 
-Run: ``uv run --extra sim --extra sb3 --extra fast examples/train_ppo.py``; ``--help`` tells what can be set,
-``tensorboard --logdir runs`` draws the curves, and ``--resume`` goes on from the last checkpoint.
+Run: ``uv run --extra sim --extra sb3 examples/train_ppo.py``; ``--help`` lists the options,
+``tensorboard --logdir runs`` draws the curves, and ``--resume`` continues from the last checkpoint.
 """
 
 import sys
@@ -21,8 +21,8 @@ from shape_obs import ShapeGoal, ShapeObservation
 from shape_obs.deploy.policy_bundle import save_bundle
 from shape_obs.training import GoalDifference
 
-HELD_OUT = 1_000_000  # seed of the starts that policies are tried out on; trainings count on from far below
-# 1e-4 m2: what moves by less than a centimetre is not blown up. Rewards are centimetres: they are.
+HELD_OUT = 1_000_000  # seed of the starts for evaluation; trainings use seeds far below
+# 1e-4 m2: coordinates that vary by less than a centimetre are not scaled up. Rewards, which are centimetres, are.
 SCALE: dict[str, Any] = {"gamma": 0.95, "epsilon": 1e-4}
 
 
@@ -33,15 +33,15 @@ class Args:
     out: Path = Path("runs/ppo")
     steps: int = 100_000
     seed: int = 0
-    goal: int = 7  # seed of the shape that the cable is to take, one that grippers can give it
+    goal: int = 7  # seed of the goal shape, which grippers can reach
     size: int = 84  # side of the images, pixels
     envs: int = 4
-    start_method: Literal["forkserver", "spawn", "fork"] | None = None  # of a process for each; None: all in this one
+    start_method: Literal["forkserver", "spawn", "fork"] | None = None  # of one process per env; None: no processes
     rollout: int = 256  # steps of each env between two updates
     evaluate_every: int = 10_000
-    starts: int = 20  # how many an evaluation plays
+    starts: int = 20  # number of episodes of an evaluation
     checkpoint_every: int = 50_000
-    resume: bool = False  # go on from the last checkpoint
+    resume: bool = False  # continue from the last checkpoint
 
 
 def make_env(size: int, goal: int) -> gym.Env:

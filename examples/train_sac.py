@@ -1,7 +1,7 @@
-"""SAC on a shape vector: bring a cable, wherever and however it lies, into one shape, with a dense reward.
+"""Train SAC on a shape vector: bring a cable, from any start, into one shape, with a dense reward.
 
-Run: ``uv run --extra sim --extra sb3 --extra fast examples/train_sac.py``; ``--help`` tells what can be set,
-``tensorboard --logdir runs`` draws the curves, and ``--resume`` goes on from the last checkpoint.
+Run: ``uv run --extra sim --extra sb3 examples/train_sac.py``; ``--help`` lists the options,
+``tensorboard --logdir runs`` draws the curves, and ``--resume`` continues from the last checkpoint.
 """
 
 import sys
@@ -21,8 +21,8 @@ from shape_obs import ShapeGoal, ShapeObservation
 from shape_obs.deploy.policy_bundle import save_bundle
 from shape_obs.training import GoalDifference
 
-HELD_OUT = 1_000_000  # seed of the starts that policies are tried out on; trainings count on from far below
-# 1e-4 m2: what moves by less than a centimetre is not blown up. Rewards are centimetres: they are.
+HELD_OUT = 1_000_000  # seed of the starts for evaluation; trainings use seeds far below
+# 1e-4 m2: coordinates that vary by less than a centimetre are not scaled up. Rewards, which are centimetres, are.
 SCALE: dict[str, Any] = {"gamma": 0.95, "epsilon": 1e-4}
 
 
@@ -33,14 +33,14 @@ class Args:
     out: Path = Path("runs/sac")
     steps: int = 10_000
     seed: int = 0
-    goal: int = 7  # seed of the shape that the cable is to take, one that grippers can give it
+    goal: int = 7  # seed of the goal shape, which grippers can reach
     size: int = 84  # side of the images, pixels
-    buffer: int = 50_000  # steps that are remembered
+    buffer: int = 50_000  # stored steps
     learning_starts: int = 1000
     evaluate_every: int = 1_000
-    starts: int = 20  # how many an evaluation plays
+    starts: int = 20  # number of episodes of an evaluation
     checkpoint_every: int = 5_000
-    resume: bool = False  # go on from the last checkpoint
+    resume: bool = False  # continue from the last checkpoint
 
 
 def make_env(size: int, goal: int) -> gym.Env:

@@ -1,7 +1,7 @@
-"""SAC with hindsight replay on ordered points: bring a cable with two grippers into any shape, seen by an RGB-D camera.
+"""Train SAC with hindsight replay on ordered points: bring a cable with two grippers into any shape, seen by a camera.
 
-Run: ``uv run --extra sim --extra sb3 --extra fast examples/train_sac_her.py``; ``--help`` tells what can be set,
-``tensorboard --logdir runs`` draws the curves, and ``--resume`` goes on from the last checkpoint.
+Run: ``uv run --extra sim --extra sb3 examples/train_sac_her.py``; ``--help`` lists the options,
+``tensorboard --logdir runs`` draws the curves, and ``--resume`` continues from the last checkpoint.
 """
 
 import sys
@@ -23,8 +23,8 @@ from shape_obs.deploy.policy_bundle import save_bundle
 from shape_obs.training import Curriculum, GoalDifference
 
 GOALS = ("near", "middle", "far")
-HELD_OUT = 1_000_000  # seed of the goals that policies are tried out on; trainings count on from far below
-# 1e-4 m2: what moves by less than a centimetre is not blown up.
+HELD_OUT = 1_000_000  # seed of the goals for evaluation; trainings use seeds far below
+# 1e-4 m2: coordinates that vary by less than a centimetre are not scaled up.
 FLOOR: dict[str, Any] = {"norm_reward": False, "epsilon": 1e-4}
 
 
@@ -36,12 +36,12 @@ class Args:
     steps: int = 25_000
     seed: int = 0
     camera: tuple[int, int] = (160, 120)  # width and height of the images, pixels; smaller ones learn slower
-    buffer: int = 50_000  # steps that are remembered
+    buffer: int = 50_000  # stored steps
     learning_starts: int = 1000
     evaluate_every: int = 2_500
-    goals: int = 30  # how many an evaluation plays
+    goals: int = 30  # number of episodes of an evaluation
     checkpoint_every: int = 10_000
-    resume: bool = False  # go on from the last checkpoint
+    resume: bool = False  # continue from the last checkpoint
 
 
 def make_env(camera: tuple[int, int], difficulties: tuple[str, ...]) -> gym.Env:

@@ -1,4 +1,4 @@
-"""Two cameras see the same rope; each has its own detector, because a detector stores the track of one camera.
+"""Use one detector for each of two cameras that see the same rope, because a detector stores the track of one camera.
 
 Run: ``uv run examples/two_cameras.py``
 """

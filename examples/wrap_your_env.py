@@ -1,6 +1,6 @@
-"""Wrap an env of your own that knows nothing of shape_obs: say how the object looks, and what the camera is.
+"""Wrap your own env, which was not written for shape_obs: describe the colour of the object and the camera.
 
-The env here is a stand-in: a red band that swings, seen by a depth camera. Yours only needs an RGB image in its
+The env here is an example: a red band that swings, seen by a depth camera. Your env only needs an RGB image in its
 observation, and a depth image if you want metres.
 
 Run: ``uv run examples/wrap_your_env.py``
@@ -17,7 +17,7 @@ WIDTH, HEIGHT = 320, 240
 
 
 class SwingingBand(gym.Env):
-    """An action bends the band; the observation has an image, depth and the bend."""
+    """A band that actions bend; the observation has an image, depth and the bend."""
 
     observation_space = spaces.Dict(
         {
@@ -51,7 +51,7 @@ def main() -> None:
         SwingingBand(),
         shapes=[Centerline(n=12, ends="tips")],
         segmentation=HSVRange(low=(170, 120, 80), high=(10, 255, 255)),  # red: the hue wraps around
-        features=["points3d", "ok", "age"],  # the last two tell a policy how far to trust the first
+        features=["points3d", "ok", "age"],  # the last two show a policy how reliable the points are
         camera=Intrinsics(WIDTH, HEIGHT, fx=300.0, fy=300.0, cx=159.5, cy=119.5),
         rgb_key="image",
         depth_key="range",

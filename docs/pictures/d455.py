@@ -105,7 +105,7 @@ def picture() -> np.ndarray:
 
 
 def milliseconds(call: Callable[[], object], runs: int) -> float:
-    """Least time of a call: whatever else the machine does only adds to it."""
+    """Return the shortest time of a call, since other load on the machine can only add to it."""
     call()
     times = []
     for _ in range(runs):

@@ -69,7 +69,7 @@ def touching() -> Case:
 
 
 def keyhole(beside: float) -> np.ndarray:
-    """A rope that turns round and comes back beside itself."""
+    """Return the mask of a rope that turns round and comes back next to itself."""
     out = np.stack([np.linspace(40, 190, 150), np.full(150, 130.0)], axis=1)
     angle = np.linspace(np.pi / 2, -1.32 * np.pi / 2 - np.pi * 0.34, 200)
     loop = np.stack([200 + 42 * np.cos(angle), 130 - 42 + 42 * np.sin(angle)], axis=1)
