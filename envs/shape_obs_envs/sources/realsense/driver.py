@@ -249,8 +249,6 @@ def _installation_advice(error: ImportError) -> str:
             "pyrealsense2 has no packages for macOS: build librealsense with its Python wrapper, or use the camera on "
             f"Linux or Windows. ({error})"
         )
-    if sys.version_info >= (3, 14):
-        return f"pyrealsense2 has no packages for Python 3.14 yet: use Python 3.10 to 3.13. ({error})"
     return (
         "RealSense cameras and their recordings need librealsense, which is not installed: "
         f"pip install 'shape-obs[realsense]'. ({error})"
