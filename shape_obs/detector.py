@@ -19,7 +19,7 @@ from shape_obs.compiled import compile_now
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.anchors import Anchors, anchor_pixel, anchor_point
 from shape_obs.configurations.base import Configuration
-from shape_obs.configurations.shape_points import shape_of
+from shape_obs.configurations.shape_points import shape_of, visible_depth
 from shape_obs.frame import Frame, check_mask
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.find_region import prepare
@@ -85,7 +85,7 @@ class ShapeDetector:
         self.config = DetectorConfig.from_dict(options)
         self.shapes = self.config.resolved()
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
-        functions = [*prepare(spec.segmentation for spec in self.shapes), median_depth]
+        functions = [*prepare(spec.segmentation for spec in self.shapes), visible_depth, median_depth]
         compile_now([*functions, *(function for spec in self.shapes for function in spec.compiled_functions)])
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it

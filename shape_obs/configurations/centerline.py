@@ -103,7 +103,7 @@ class Centerline(Configuration, kind="centerline"):
         if prediction is None:
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
         assert found.nodes is not None
-        nodes = even_points(curve.points, curve.arc, len(found.nodes), True)
+        nodes = _nodes_on(curve.points, curve.arc, len(found.nodes))
         seen_width = max(observed.area / max(_seen_length(curve), 1e-9), 1.0) if observed.dimension == 2 else 0.0
         size = curve.hints.size or float(curve.arc[-1])
         return found._replace(form=curve, nodes=nodes, size=size, width=seen_width)
@@ -118,7 +118,7 @@ class Centerline(Configuration, kind="centerline"):
             topology = Chain(int(np.clip(round(observed.length / (_NODE_SPACING * observed.width)), *_NODES)))
         else:
             axis, topology = match_chain(axis, prediction, depth), prediction.topology
-        start, bridged = even_points(axis.points, axis.arc, topology.size, True), axis.unsupported_fraction
+        start, bridged = _nodes_on(axis.points, axis.arc, topology.size), axis.unsupported_fraction
         return self._refine(observed, start, topology, _SIGMAS_INITIAL, observed.width, bridged, prediction, depth)
 
     def _refine(
@@ -168,14 +168,14 @@ class Centerline(Configuration, kind="centerline"):
             form = form.cut(piece)
             metric = form if same else metric.cut(piece)
         margin = 0.0 if self.ends == "tips" else metric.arc[-1] / (2 * self.n)
-        places, at = equal_chords(form.points, form.arc, metric.points, metric.arc, self.n, margin, MAX_SHIFT)
+        places, at = _points_on(form.points, form.arc, metric.points, metric.arc, self.n, margin)
         interpolated = metric.interpolated_at(at) if metric.interpolated.any() else np.zeros(self.n, bool)
         return Points(places, interpolated)
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_chain_in_mask, equal_chords, even_points, closest_sides, sharp_bends, unexplained_share
+        masks = fit_chain_in_mask, _points_on, _nodes_on, closest_sides, sharp_bends, unexplained_share
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + clouds
 
@@ -215,6 +215,20 @@ def fit_chain_in_mask(
     nodes = undo_shrinkage(batch_epochs(points, weight, start, moments[0], moments[1]), pull, False)
     curve = catmull_rom(extend_chain(nodes, mask, left, top, width, _THINNEST), 4, False)
     return curve, arc_length(curve), near_mask(mask, left, top, curve, 1), sample_spread(points, weight, curve)
+
+
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8, f8)")
+def _points_on(
+    points: Array, arc: Array, metric: Array, metric_arc: Array, count: int, margin: float
+) -> tuple[Array, Array]:
+    """Return ``count`` points of a curve with equal chords in a metric, and their arc positions there."""
+    return equal_chords(points, arc, metric, metric_arc, count, margin, MAX_SHIFT)
+
+
+@compiled("(f8[:,::1], f8[::1], i8)")
+def _nodes_on(points: Array, arc: Array, count: int) -> Array:
+    """Return the middles of ``count`` equal pieces of a curve."""
+    return even_points(points, arc, count, True)
 
 
 def _hidden(found: Fit) -> float:

@@ -156,8 +156,7 @@ class Contour(Configuration, kind="contour"):
 
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
         """Return points with equal chords around, from the form's first point."""
-        around, other = closed(form.points), closed(metric.points)
-        places = equal_chords(around, form.arc, other, metric.arc, self.n + 1, 0.0, MAX_SHIFT_AROUND)[0][:-1]
+        places = _points_around(form.points, form.arc, metric.points, metric.arc, self.n)
         return Points(places, np.zeros(self.n, bool))
 
     def clusterer_samples(self, observed: Observed) -> Samples:
@@ -167,7 +166,7 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_ring_in_mask, track_ring_in_mask, closed, equal_chords, renumber_outline, material_outline
+        masks = fit_ring_in_mask, track_ring_in_mask, _points_around, renumber_outline, material_outline
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds
 
@@ -200,6 +199,13 @@ def track_ring_in_mask(
     curve, miss = fit_ring_in_mask(traced, hole, start, len(predicted))
     points, arc, nodes, reference = renumber_outline(curve, reference, predicted)
     return points, arc, nodes, reference, miss
+
+
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8)")
+def _points_around(points: Array, arc: Array, metric: Array, metric_arc: Array, count: int) -> Array:
+    """Return ``count`` points of a closed curve with equal chords in a metric, from its first point."""
+    places, _ = equal_chords(closed(points), arc, closed(metric), metric_arc, count + 1, 0.0, MAX_SHIFT_AROUND)
+    return places[:count]
 
 
 def _least(values: Array, form: FittedCurve) -> float:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
 from shape_obs.camera import Intrinsics
+from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.frame import Frame, readable_depth
 from shape_obs.geometry.curve import FittedCurve
+from shape_obs.image.connected_runs import near_mask
 from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, form_depth, lift_form, median_depth
 from shape_obs.shape import Shape
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
@@ -61,13 +63,14 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         lifted = lift_form(form, under, camera.intrinsics) if spec.spacing == "m" else None
         metric = form if lifted is None else form.with_points(lifted)
     points, interpolated = spec.resample(form, metric) if found.centres is None else _without_gaps(found.centres)
-    visible = region.carries(points) & ~interpolated
     if depth is None or camera is None:
+        visible = region.carries(points) & ~interpolated
         return points.astype(np.float32), None, visible, visible.copy()
     readable, unit = readable_depth(depth)
     left, top = region.window[:2]
     reach = min(max(round(width / 4), 1), MAX_REACH)
-    z = median_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE)
+    on_mask, z = visible_depth(readable, unit, region.mask, left, top, points, reach)
+    visible = on_mask & ~interpolated
     if in_pieces and under is not None:
         # Next to what hides a piece, depth that is not the form's is not the points' either.
         z[np.isnan(under)[_nearest(points, form.points)]] = np.nan
@@ -77,6 +80,18 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     points3d = _lift(points, z, camera.intrinsics, spec.radius)
     valid &= np.isfinite(points3d).all(axis=1)  # the lens may have no ray there
     return points.astype(np.float32), points3d.astype(np.float32), visible, valid
+
+
+@compiled(
+    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8)",
+    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8)",
+)
+def visible_depth(
+    depth: npt.NDArray[Any], unit: float, mask: npt.NDArray[np.uint8], left: int, top: int, points: Array, reach: int
+) -> tuple[Mask, Array]:
+    """Return whether the mask has a pixel at each point, and the median depth of the mask around it."""
+    z = median_depth(depth, unit, mask, left, top, points, reach, MIN_SHARE)
+    return near_mask(mask, left, top, points, 1), z
 
 
 def _lift(points: Array, z: Array, intrinsics: Intrinsics, radius: float) -> Array:

@@ -188,16 +188,16 @@ class Surface(Configuration, kind="surface"):
     def resample(self, form: FittedLattice, metric: FittedLattice) -> Points:
         """Return points with equal gaps down and across, on the mean over the lattice."""
         where = *metric.gauges, self.rows, self.cols, self.ends != "tips"
-        places = sample_lattice(form.points.reshape(form.rows, -1, form.points.shape[1]), *where)
+        places = _points_over(form.points.reshape(form.rows, -1, form.points.shape[1]), *where)
         if not form.interpolated.any():
             return Points(places, np.zeros(len(places), bool))
         share = form.interpolated.reshape(form.rows, -1, 1).astype(np.float64)
-        return Points(places, sample_lattice(share, *where)[:, 0] > 0.5)
+        return Points(places, _points_over(share, *where)[:, 0] > 0.5)
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_patch_in_mask, rim_of, material_outline, coons_patch, nearest_corners, match_lattice
+        masks = fit_patch_in_mask, _points_over, rim_of, material_outline, coons_patch, nearest_corners, match_lattice
         lattices = assess_lattice, lattice_gauges, outer_corners, sample_lattice, arc_length, interpolate
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
         return masks + lattices + maps
@@ -235,3 +235,9 @@ def fit_patch_in_mask(
     patch = lattice.reshape(FINE * FINE, 2)
     on_mask = near_mask(mask, left, top, patch, 1)
     return patch, on_mask, kink, corner, share, assess_lattice(lattice), down, right, nodes
+
+
+@compiled("(f8[:,:,::1], f8[::1], f8[::1], i8, i8, b1)")
+def _points_over(lattice: Array, down: Array, right: Array, rows: int, cols: int, centers: bool) -> Array:
+    """Return ``(rows*cols, D)`` points of a lattice with equal gaps down and across, on the mean."""
+    return sample_lattice(lattice, down, right, rows, cols, centers)

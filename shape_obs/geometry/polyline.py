@@ -150,7 +150,7 @@ def resample(curve: Array, count: int) -> Array:
     return interpolate(curve, arc, np.linspace(0.0, arc[-1], count))
 
 
-@compiled("(f8[:,::1], f8[::1], i8, b1)")
+@compiled
 def even_points(curve: Array, arc: Array, count: int, centers: bool) -> Array:
     """Return ``count`` points of equal arc length along a polyline.
 
@@ -167,7 +167,7 @@ def even_points(curve: Array, arc: Array, count: int, centers: bool) -> Array:
     return interpolate(curve, arc, at)
 
 
-@compiled("(f8[:,::1],)")
+@compiled
 def closed(points: Array) -> Array:
     """Return ``(P, D)`` points with the first one repeated at the end: ``(P + 1, D)``."""
     size, dimension = points.shape
