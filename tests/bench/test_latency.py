@@ -5,6 +5,7 @@ import math
 
 import pytest
 
+from shape_obs.bench.interleaved_timing import Timing
 from shape_obs.bench.latency import (
     AREAS,
     CLASSIC,
@@ -78,7 +79,7 @@ def test_growth_is_told_for_pixels_points_and_shapes(capsys):
 def test_frame_after_frame_the_process_does_not_grow():
     if resident() is None:
         pytest.skip("the system does not tell the size of a process")
-    grown = memory_growth(2_000, 0, warm_up=300)
+    grown = memory_growth(2_000, Timing(), warm_up=300)
     assert grown is not None
     assert grown < 5
 

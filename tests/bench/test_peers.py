@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from shape_obs.bench.interleaved_timing import Method, Turn, interleaved_timing, median_ms
+from shape_obs.bench.interleaved_timing import Method, Timing, Turn, interleaved_timing, median_ms
 from shape_obs.bench.peers import COLD, PEERS, TARGETS, WARM, spread, times_slower
 from shape_obs.bench.synthetic.streams import cloths, ropes
 from shape_obs.cli import main
@@ -84,18 +84,19 @@ def test_ratios_are_over_the_frames_of_both():
 
 def test_frames_of_the_warm_up_run_but_do_not_count():
     ran, done = [], []
-    turns = interleaved_timing("xyz", [Method("a", ran.append)], burst=2, warm_up=1, tick=lambda: done.append(1))
+    timing = Timing(burst=2, tick=lambda: done.append(1))
+    turns = interleaved_timing("xyz", [Method("a", ran.append)], timing, warm_up=1)
     assert [turn.frame for turn in turns] == [1, 2]
     assert (ran, len(done)) == (["x", "y", "z"], 3)
 
 
 def test_all_run_on_every_frame_and_who_begins_changes():
     methods = [Method(name, lambda frame, name=name: f"{name}{frame}") for name in "abc"]
-    assert [turn.result for turn in interleaved_timing("xy", methods)] == ["ax", "bx", "cx", "by", "cy", "ay"]
-    assert [turn.frame for turn in interleaved_timing("x", methods, "thread")] == [0, 0, 0]
-    drawn = [turn.result for turn in interleaved_timing("xy", methods, seed=1)]
+    assert [turn.result for turn in interleaved_timing("xy", methods, Timing())] == ["ax", "bx", "cx", "by", "cy", "ay"]
+    assert [turn.frame for turn in interleaved_timing("x", methods, Timing(clock="thread"))] == [0, 0, 0]
+    drawn = [turn.result for turn in interleaved_timing("xy", methods, Timing(seed=1), shuffled=True)]
     assert sorted(drawn) == ["ax", "ay", "bx", "by", "cx", "cy"]
-    assert drawn == [turn.result for turn in interleaved_timing("xy", methods, seed=1)]
+    assert drawn == [turn.result for turn in interleaved_timing("xy", methods, Timing(seed=1), shuffled=True)]
 
 
 def test_threads_are_given_back():

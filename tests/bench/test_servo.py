@@ -16,6 +16,7 @@ pytest.importorskip("mujoco")
 from PIL import Image
 
 from shape_obs.bench import ENVS
+from shape_obs.bench.interleaved_timing import Timing
 from shape_obs.bench.servo import study
 from shape_obs.bench.servo.episode import settled
 from shape_obs.bench.servo.settings import FEATURES, LAYOUTS, Disturbance, Setting, combinations
@@ -273,7 +274,7 @@ class TestCommand:
 
 
 def test_every_closed_form_is_timed_beside_the_detector():
-    rows = feature_times("Cable", (160, 120), 2)
+    rows = feature_times("Cable", (160, 120), 2, Timing())
     kinds = {row["feature"].split()[0] for row in rows}
     assert kinds == {feature.kind for feature in closed_forms("Cable")}
     assert {"points3d", "fourier", "bspline", "length", "contour_moments"} <= kinds
