@@ -1,4 +1,4 @@
-"""Whatever comes in, a clear error or the declared policy comes out: never a warning, never a crash."""
+"""Bad input leads to a clear error or to the declared policy, never to a warning or a crash."""
 
 from __future__ import annotations
 

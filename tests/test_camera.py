@@ -86,7 +86,7 @@ def realsense() -> Any:
     [("pinhole", "none"), ("brown_conrady", "brown_conrady"), ("inverse_brown_conrady", "inverse_brown_conrady")],
 )
 def test_librealsense_agrees(realsense, model, theirs):
-    coeffs = (-0.056, 0.067, 4e-4, -6e-4, -0.021)  # a D455's, as its firmware tells them
+    coeffs = (-0.056, 0.067, 4e-4, -6e-4, -0.021)  # a D455's, as its firmware reports them
     camera = Intrinsics(**D455, model=model, coeffs=coeffs)
     raw = realsense.intrinsics()
     raw.width, raw.height, raw.fx, raw.fy, raw.ppx, raw.ppy = 1280, 800, 636.5, 635.9, 644.4, 407.8

@@ -118,7 +118,7 @@ def test_pixels_to_which_the_lens_has_no_ray_have_no_points(model, coeffs):
     assert np.isfinite(shape.points2d).all()
 
 
-def test_points_beside_or_behind_the_camera_have_no_pixels():
+def test_points_next_to_or_behind_the_camera_have_no_pixels():
     camera = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5, "brown_conrady", (0.1, 0.1, 0.0, 0.0, 0.1))
     pixels = camera.project([[0, 0, 1], [0.1, 0, 1], [0, 0, 0], [0, 0, -1], [1, 0, 1e-300], [1e300, 0, 1]])
     np.testing.assert_array_equal(np.isfinite(pixels).all(axis=1), [True, True, False, False, False, False])

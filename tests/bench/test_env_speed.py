@@ -58,7 +58,7 @@ def test_a_runner_resets_between_episodes_and_not_within():
     assert len(runner.resets) == 2
 
 
-def test_the_stopwatch_tells_of_the_step_within():
+def test_the_stopwatch_times_the_step_within():
     inside = Counting()
     env = Stopwatch(inside, "wall")
     env.step(np.zeros(2, np.float32))

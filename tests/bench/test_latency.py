@@ -31,7 +31,7 @@ def run(capsys, *arguments):
     return stop.value.code, captured.out, captured.err
 
 
-def test_every_stage_is_told_at_every_size(capsys):
+def test_every_stage_is_reported_at_every_size(capsys):
     code, out, _ = run(
         capsys, "--only", "stages", "--frames", 2, "--sizes", "320x240", "640x480", "--memory", 5, "--json"
     )
@@ -57,7 +57,7 @@ def test_every_stage_is_told_at_every_size(capsys):
     assert document["memory"][0]["frames"] == 5
 
 
-def test_growth_is_told_for_pixels_points_and_shapes(capsys):
+def test_growth_is_reported_for_pixels_points_and_shapes(capsys):
     code, out, _ = run(capsys, "--only", "growth", "--frames", 1, "--json")
     document = json.loads(out)
     rows = document["growth"]
@@ -78,7 +78,7 @@ def test_growth_is_told_for_pixels_points_and_shapes(capsys):
 
 def test_frame_after_frame_the_process_does_not_grow():
     if resident() is None:
-        pytest.skip("the system does not tell the size of a process")
+        pytest.skip("the system does not report the size of a process")
     grown = memory_growth(2_000, Timing(), warm_up=300)
     assert grown is not None
     assert grown < 5

@@ -1,4 +1,4 @@
-"""`shape-obs bench peers`: everyone who is installed takes part, and what is missing is told. Times decide nothing."""
+"""`shape-obs bench peers`: all installed peers take part, and missing ones are reported. No test depends on times."""
 
 import json
 import math
@@ -30,9 +30,9 @@ def run(capsys, *arguments):
 @pytest.fixture(scope="module")
 def document():
     arguments = ["bench", "peers", "--only", "rope", "contour", "--frames", "2", "--slow-frames", "1", "--json"]
-    with redirect_stdout(StringIO()) as told, pytest.raises(SystemExit):
+    with redirect_stdout(StringIO()) as printed, pytest.raises(SystemExit):
         main(arguments)
-    return json.loads(told.getvalue())
+    return json.loads(printed.getvalue())
 
 
 @pytest.mark.parametrize("work", ["rope", "contour"])
@@ -53,7 +53,7 @@ def test_everyone_who_is_installed_takes_part_with_finite_figures(document, work
     assert rows[WARM]["spacing_cv"] < 0.01 < rows["K-means, n_init 1"]["spacing_cv"]
 
 
-def test_what_is_asked_stands_beside_what_was_seen(document):
+def test_targets_are_compared_with_the_results(document):
     asked = {row["what"]: row for row in document["claims"]}
     for work, start, peer, bound in TARGETS:
         row = asked[f"{work}, {start.removeprefix('shape_obs, ')}: times faster than {peer}"]
@@ -65,7 +65,7 @@ def test_what_is_asked_stands_beside_what_was_seen(document):
     assert asked["contour: Calinski-Harabasz relative to K-means, n_init 10"]["seen"] > 0.9
 
 
-def test_what_is_not_installed_is_left_out_and_told(capsys, monkeypatch):
+def test_what_is_not_installed_is_left_out_and_reported(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "minisom", None)
     out = run(capsys, "--only", "contour", "--frames", 1, "--slow-frames", 0)
     assert "minisom is not installed and left out: pip install minisom" in out
@@ -106,7 +106,7 @@ def test_threads_are_given_back():
     assert cv2.getNumThreads() == before
 
 
-def test_objects_have_the_sizes_that_are_told():
+def test_objects_have_the_documented_sizes():
     masks = [rope.mask for rope in ropes(3, 0)]
     assert all(7_000 <= np.count_nonzero(mask) <= 9_000 for mask in masks)
     assert not any(mask[[0, -1]].any() or mask[:, [0, -1]].any() for mask in masks)

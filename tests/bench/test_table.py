@@ -98,7 +98,7 @@ class TestMeasuring:
         assert max(row.cv for row in ours) < 0.01 < min(row.cv for row in kmeans)
         assert [row.exact for row in ours] == [True, False, False]
         assert {row.pixels for row in ours} == {row.pixels for row in kmeans}
-        assert not any(row.own_order for row in kmeans), "K-means knows no order"
+        assert not any(row.own_order for row in kmeans), "K-means has no order"
 
     def test_the_lattice_of_a_turned_cloth_lies_along_it(self):
         for chunk in range(6):
@@ -145,7 +145,7 @@ class TestGoingOn:
         assert len(found["contour", "kmeans"]) == 3
         assert without_times(found["contour", "kmeans"]) == without_times(whole["contour", "kmeans"])
 
-    def test_one_method_is_measured_anew_alone(self, tmp_path):
+    def test_one_method_is_measured_again_alone(self, tmp_path):
         plan = Plan(10, names=("contour",), methods=("kmeans", "som"), tracings=())
         run(plan, tmp_path, tick=nothing)
         files = {name: tmp_path / "parts" / "contour" / name / "0001.json" for name in ("kmeans", "som")}
@@ -155,12 +155,12 @@ class TestGoingOn:
         assert files["som"].stat().st_mtime_ns > before["som"]
 
     @pytest.mark.parametrize(
-        ("change", "told"), [({"seed": 1}, "seed = 0, this run has 1"), ({"frames": 20}, "frames")]
+        ("change", "message"), [({"seed": 1}, "seed = 0, this run has 1"), ({"frames": 20}, "frames")]
     )
-    def test_other_settings_are_refused(self, tmp_path, change, told):
+    def test_other_settings_are_refused(self, tmp_path, change, message):
         plan = Plan(10, names=("contour",), methods=("som",), tracings=())
         Parts(tmp_path, plan.settings()).write("contour/som/0000", [])
-        with pytest.raises(ValueError, match=f"holds results with {told}.*choose another folder"):
+        with pytest.raises(ValueError, match=f"holds results with {message}.*choose another folder"):
             run(replace(plan, **change), tmp_path, tick=nothing)
 
     @pytest.mark.long

@@ -91,7 +91,7 @@ def test_one_bad_file_does_not_lose_the_others(photo, capsys):
     assert "image" in err, "a progress bar belongs to several files"
 
 
-def test_a_shape_that_is_not_there_is_told(photo, capsys):
+def test_a_shape_that_is_not_there_is_reported(photo, capsys):
     red = ["--hsv", "170", "200", "200", "10", "255", "255"]
     code, out, _ = run(capsys, "detect", photo / "rope.png", *red, "--out", photo / "o")
     result = json.loads(out)
@@ -134,7 +134,7 @@ def test_unknown_commands_get_a_hint(capsys):
     assert "unknown command 'detekt'; did you mean 'detect'?" in err
 
 
-def test_an_unwritable_folder_is_told_before_work_begins(photo, capsys):
+def test_an_unwritable_folder_is_reported_before_work_begins(photo, capsys):
     blocked = photo / "file"
     blocked.write_text("")
     code, out, err = run(capsys, "detect", photo / "rope.png", *HSV, "--out", blocked / "o")

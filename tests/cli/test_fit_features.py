@@ -97,7 +97,7 @@ class TestCommand:
             heights.append(PointDistribution.load(tmp_path / "o.npz").mean[:, 2])
         np.testing.assert_allclose(heights[1] - heights[0], 0.5, atol=1e-6)
 
-    def test_what_is_wrong_is_told_in_a_line(self, table, tmp_path, capsys):
+    def test_mistakes_are_reported_in_a_line(self, table, tmp_path, capsys):
         table.save(tmp_path / "t.npz")
         blind = {**table.metadata, "camera": None}
         ShapeTable(table.columns, blind).save(tmp_path / "blind.npz")

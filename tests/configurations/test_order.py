@@ -69,7 +69,7 @@ def test_a_shape_that_is_gone_for_a_while_comes_back_with_its_numbering(case):
             assert off.max() < 8, index
 
 
-def test_after_max_age_the_papers_rule_numbers_anew(case):
+def test_after_max_age_the_papers_rule_numbers_again(case):
     frames, spec, _ = case
     first, *_, last = islice(frames(), 60)
     detector = ShapeDetector([spec], max_age=0.5)

@@ -155,7 +155,7 @@ class TestNumbering:
         np.testing.assert_allclose(shape.points2d[0], places[corner], atol=3)
         np.testing.assert_allclose(shape.points2d[7], places[(corner + 1) % 4], atol=3)
 
-    def test_image_order_numbers_each_frame_anew(self):
+    def test_image_order_numbers_each_frame_again(self):
         tracked, image = ShapeDetector([Surface()]), ShapeDetector([Surface()], order="image")
         firsts: list[list[np.ndarray]] = []
         for degrees in range(0, 100, 4):

@@ -1,4 +1,4 @@
-"""``shape-obs extract``: the same dataset whatever happens on the way, with the features that a policy would see."""
+"""``shape-obs extract``: the same dataset even after interruptions, with the features that a policy would see."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ from shape_obs.cli import main
 whole, left = table.write_whole, [8]
 
 def dying(path, write):
-    def half(beside):
-        write(beside)
-        os.truncate(beside, beside.stat().st_size // 2)
+    def half(temporary):
+        write(temporary)
+        os.truncate(temporary, temporary.stat().st_size // 2)
         os.kill(os.getpid(), signal.SIGKILL)
 
     left[0] -= 1
@@ -108,7 +108,7 @@ def test_one_table_of_all_episodes(place, clean):
 
 
 def test_features_are_those_of_the_vector(place, clean):
-    """As a detector and a feature vector of one's own give them, with units and hashes beside."""
+    """The columns equal those of a separate detector and feature vector, and have units and hashes."""
     config = load_config(place / "c.yaml")
     detector = ShapeDetector(**{name: value for name, value in config.items() if name != "features"})
     with open_source(place / "recorded" / "r03") as source:
@@ -143,7 +143,7 @@ def test_killed_and_restarted_is_one_clean_run(place, clean, capsys, monkeypatch
     assert died.returncode == -signal.SIGKILL
     before = content(place / "killed")
     half = [name for name in before if name.startswith(".")]
-    assert len(half) == 1, "beside its place"
+    assert len(half) == 1, "one temporary file"
     assert sum(name.startswith("part-") for name in before) == 7
     code, report, _ = run(capsys, *arguments)
     assert (code, report["done"], report["kept"], report["failed"]) == (0, COUNT + 1 - 7, 7, [])
@@ -200,7 +200,7 @@ def test_a_damaged_recording_loses_only_itself(place, tmp_path, capsys):
     assert not (tmp_path / "out" / "_failures.json").exists()
 
 
-def test_what_changed_is_done_anew_or_refused(place, tmp_path, capsys):
+def test_what_changed_is_done_again_or_refused(place, tmp_path, capsys):
     shutil.copytree(place / "recorded" / "r00", tmp_path / "in" / "a")
     shutil.copytree(place / "recorded" / "r19", tmp_path / "in" / "b")
     arguments = (tmp_path / "in", "--config", place / "c.yaml", "-o", tmp_path / "out")

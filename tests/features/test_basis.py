@@ -281,7 +281,7 @@ def test_a_name_and_a_number_are_all_that_a_config_needs(feature, layout):
         (Fourier(), Grid(2, 3), r"at least 9 points on a lattice, got Grid\(rows=2, cols=3\): use more points"),
     ],
 )
-def test_what_a_layout_does_not_have_is_told(feature, layout, message):
+def test_what_a_layout_does_not_have_raises_an_error(feature, layout, message):
     with pytest.raises(ValueError, match=message):
         feature.compute(shape(np.zeros((layout.size, 3)), layout), VIEW)
 
@@ -295,6 +295,6 @@ def test_what_a_layout_does_not_have_is_told(feature, layout, message):
         ({"kind": "bspline", "coefficients": 3}, "more coefficients than that, got degree=3 and coefficients=3"),
     ],
 )
-def test_numbers_that_make_no_basis_are_told(spec, message):
+def test_numbers_that_make_no_basis_raise_an_error(spec, message):
     with pytest.raises(SpecError, match=message):
         Feature.from_dict(spec)

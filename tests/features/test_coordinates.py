@@ -106,7 +106,7 @@ class TestAnchors:
             ),
         ],
     )
-    def test_what_is_wrong_is_told(self, feature, view, message):
+    def test_mistakes_raise_an_error(self, feature, view, message):
         with pytest.raises(ValueError, match=re.escape(message)):
             feature.compute(rope(), view)
 

@@ -1,4 +1,4 @@
-"""Clouds as bodies: ropes, rings and sheets in space, the cloud under a mask, anchors, and whatever else comes in."""
+"""Test detection in clouds: ropes, rings and sheets in space, the cloud under a mask, anchors, and bad input."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class TestDetectCloud:
             swapped += np.linalg.norm(one(image, cloud).points3d[0] - true) > 0.1
         assert swapped > 5
 
-    def test_a_detector_that_is_given_masks_and_clouds_in_turn_starts_anew(self, wave, intrinsics):
+    def test_a_detector_that_is_given_masks_and_clouds_in_turn_starts_again(self, wave, intrinsics):
         detector = ShapeDetector(TIPS)
         for _ in range(2):
             assert one(detector, straight()).ok

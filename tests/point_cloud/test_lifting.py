@@ -150,7 +150,7 @@ def test_a_hole_is_reported_and_never_filled_unasked(wave, intrinsics, nothing):
     assert shape.quality < one(ShapeDetector(Centerline(n=30)), wave.mask, np.full((240, 320), 0.8), intrinsics).quality
 
 
-def test_a_bridged_point_is_not_valid_though_the_rope_beside_it_has_depth(wave, intrinsics):
+def test_a_bridged_point_is_not_valid_though_the_rope_next_to_it_has_depth(wave, intrinsics):
     mask = wave.mask.copy()
     mask[:, 150:164] = 0
     shape = one(ShapeDetector(Centerline(n=200)), mask, np.full(mask.shape, 0.8), intrinsics)
@@ -161,7 +161,7 @@ def test_a_bridged_point_is_not_valid_though_the_rope_beside_it_has_depth(wave, 
 
 
 class TestInvalidPoints:
-    """What fills a point without depth; whatever does, it stays invalid."""
+    """A point without depth is filled by the policy, and stays invalid."""
 
     @pytest.fixture
     def frames(self, wave):
@@ -262,7 +262,7 @@ def test_a_hidden_piece_is_not_visible_where_another_strand_lies_under_it(intrin
     assert (shape.points3d is None) == (depth is None)
 
 
-def test_a_centre_beside_the_mask_is_not_valid_though_depth_lies_near_it(intrinsics):
+def test_a_centre_outside_the_mask_is_not_valid_though_depth_lies_near_it(intrinsics):
     """A clusterer may put a centre between two strands."""
     mask = np.zeros((240, 320), np.uint8)
     mask[108:132, 10:310] = 1

@@ -188,7 +188,7 @@ def test_it_says_what_it_expects():
         plant.run(servo_of(plant, weights=np.eye(5)), 1)
 
 
-def test_bind_tells_the_number_of_actions():
+def test_bind_sets_the_number_of_actions():
     servo = ShapeServo()
     servo.bind([1, 2, 3, 4])  # type: ignore[arg-type]
     assert isinstance(servo, Controller)

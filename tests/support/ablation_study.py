@@ -57,7 +57,7 @@ def killing(run: Path) -> Iterator[list[int]]:
 
 
 def worker_of(run: Path) -> int | None:
-    """The process that does a run; None while it does not tell."""
+    """Return the id of the process that does a run; None until it is known."""
     try:
         return int(json.loads((run / "progress.json").read_text())["pid"])
     except (OSError, ValueError):

@@ -36,7 +36,7 @@ def source(device: Any, **options: Any) -> RealSenseSource:
 
 
 def picture(number: int = 0, size: tuple[int, int] = (120, 160)) -> tuple[np.ndarray, np.ndarray]:
-    """A raw pair that tells its number: (H,W,3) uint8 and (H,W) uint16."""
+    """Draw a raw pair that depends on its number: (H, W, 3) uint8 and (H, W) uint16."""
     rng = np.random.default_rng(number)
     return rng.integers(0, 256, (*size, 3), np.uint8), rng.integers(400, 900, size, np.uint16)
 

@@ -85,7 +85,7 @@ class FlatGoalEnv(gym.Env[Any, Any]):
         across the sheet and down it, s and t in 0...1 from the gripper on."""
         x, y, turn, bend, stretch = state
         s, t = np.broadcast_arrays(np.asarray(s, float), np.asarray(t, float))
-        if self.kind == "centerline":  # as long as ever, whatever its bends
+        if self.kind == "centerline":  # the length is the same for all bends
             at = np.linspace(0, 1, 401)
             heading = np.exp(1j * (5 * bend * np.cos(np.pi * at) + 2 * (stretch - 1) * np.cos(3 * np.pi * at)))
             along = np.concatenate([[0], np.cumsum((heading[1:] + heading[:-1]) / 2)]) / 400 * 0.3

@@ -50,7 +50,7 @@ def asynchronous(method: str) -> int:
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     envs = AsyncVectorEnv([make] * WORKERS, context=method, autoreset_mode=AutoresetMode.SAME_STEP)
-    spaces = DummyVecEnv([make] * WORKERS)  # tells the model what there is; nobody steps it
+    spaces = DummyVecEnv([make] * WORKERS)  # gives the model its spaces; it is never stepped
     model = SAC("MultiInputPolicy", spaces, batch_size=16, buffer_size=400, policy_kwargs=NET, device="cpu")
     model.set_logger(configure(None, []))
     buffer: Any = model.replay_buffer

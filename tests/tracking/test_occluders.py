@@ -100,7 +100,7 @@ def test_a_long_end_that_a_hand_takes_at_once_stays_hidden(first):
 
 
 @pytest.mark.parametrize("smear", [0, 6, 14])
-def test_a_hands_depth_beside_it_is_not_the_ropes(smear):
+def test_the_depth_of_a_hand_next_to_it_is_not_the_ropes(smear):
     detector = metric_detector()
     whole = detector.detect_mask(*rope(220)[:2], CAMERA).shapes[0]
     hidden = under_hand(120, 150, smear)

@@ -72,7 +72,7 @@ class TestOffTheMask:
         assert on.quality > 0.9
         assert 0.3 < near.quality < 0.6  # 8 % off
 
-    def test_more_is_refused_whatever_the_rest_looks_like(self):
+    def test_more_is_refused_even_if_the_rest_is_good(self):
         """The spread alone would pass it: the rope is a ribbon about the curve."""
         observed = rope()
         verdict = judged_ribbon(straight(observed, 340), observed, 0.0)
@@ -104,7 +104,7 @@ class TestSpread:
         assert verdict.reason.endswith("widths about the curve (a ribbon 0.29, at most 0.40): it is no single rope")
         assert verdict.quality == 0
 
-    def test_a_second_rope_beside_the_curve_is_refused(self):
+    def test_a_second_rope_next_to_the_curve_is_refused(self):
         mask = np.zeros(SIZE, np.uint8)
         mask[55:65, 20:300] = mask[85:95, 20:300] = 1
         observed = region(mask)

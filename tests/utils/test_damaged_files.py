@@ -106,8 +106,8 @@ def test_extract_verifies_what_it_keeps(tmp_path, capsys):
     whole = part.read_bytes()
     for at in (100, len(whole) // 2, len(whole) - 300):
         part.write_bytes(whole[:at] + bytes([whole[at] ^ 4]) + whole[at + 1 :])
-        told = extract()
-        assert (told["done"], told["kept"]) == (1, 1), at
+        report = extract()
+        assert (report["done"], report["kept"]) == (1, 1), at
         assert part.read_bytes() == whole
 
 

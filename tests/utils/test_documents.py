@@ -1,4 +1,4 @@
-"""JSON and YAML from other people: plain values or a declared error come out, whatever a file holds."""
+"""Any JSON or YAML file is read as plain values, or raises a declared error."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ def test_what_cannot_be_written_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("error", [OSError("the disk is full"), ValueError("no"), KeyboardInterrupt()])
-def test_whatever_goes_wrong_the_old_file_stays(tmp_path, error):
+def test_the_old_file_survives_every_error(tmp_path, error):
     (tmp_path / "file").write_text("before")
 
     def write(temporary: Path) -> None:

@@ -60,7 +60,7 @@ def test_it_travels_as_json_and_yaml():
     assert Target.read(target) is target
 
 
-def test_bare_points_are_metres_in_the_base_frame_placed_anew():
+def test_bare_points_are_metres_in_the_base_frame_and_are_resampled():
     target = Target.read(LINE)
     assert target == Target.read(LINE.ravel()) == Target.read(LINE.tolist()) == Target(LINE.tolist())  # type: ignore[arg-type]
     env = observing(KINDS[0])

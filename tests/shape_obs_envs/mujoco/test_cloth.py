@@ -154,7 +154,7 @@ def test_it_falls_comes_to_rest_and_does_not_buzz(env):
         play(env, [([0, 0, 0], 1)])
         after = env._sheet.mesh.masses(env._body.data)
         assert np.linalg.norm(after - before, axis=-1).max() < 2e-4, name
-        # whatever is not near the held edge lies on the table again
+        # everything that is not near the held edge lies on the table again
         assert after[-1, 2:-2, 2].max() < 0.003, name
 
 
@@ -181,7 +181,7 @@ def test_starts_are_unfolded_and_far_goals_are_not():
         assert crossings(env._sheet.mesh.masses(env._body.data)) == 0
 
 
-def test_a_fold_is_told(env):
+def test_a_fold_is_reported(env):
     env.reset(seed=1)
     assert env.unfolded
     carry_over(env)
@@ -217,7 +217,7 @@ def test_frames_of_the_truth_agree(env):
     assert np.array_equal(env.truth(5, 6, surface=True), env.truth(5, 6))
 
 
-def test_truth_tells_what_it_takes(env):
+def test_truth_names_its_arguments_in_its_errors(env):
     with pytest.raises(ValueError, match=r"rows: expected a whole number, 2 or more, got 1"):
         env.truth(1)
     with pytest.raises(ValueError, match=r"cols: expected a whole number, 2 or more, got 2.5"):

@@ -163,7 +163,7 @@ def test_an_episode_goes_on_from_its_state(name):
     assert len(two.goal_actions) > 0
 
 
-def test_bad_options_are_told(env):
+def test_bad_options_raise_an_error(env):
     count = len(env.observation_space["desired_goal"].low) // 3
     with pytest.raises(ValueError, match=r"options: expected one of 'start', 'goal', got 'gaol'. Did you mean 'goal'"):
         env.reset(options={"gaol": 1})

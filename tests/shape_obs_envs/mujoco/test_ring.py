@@ -156,7 +156,7 @@ def test_the_wrapper_sees_the_true_outline(camera, most):
     assert slips == 0
 
 
-def test_truth_tells_what_it_takes():
+def test_truth_names_its_arguments_in_its_errors():
     env = make()
     with pytest.raises(ValueError, match=r"n: expected a whole number, 3 or more, got 2"):
         env.truth(2)

@@ -146,7 +146,7 @@ def test_a_fork_after_use_does_not_hang():
 
 
 def test_a_forked_child_leaves_opencvs_threads_alone():
-    """The pool's threads exist in the parent alone, and whatever lock one of them held stays held in the child."""
+    """The pool's threads exist only in the parent, and any lock that one of them held stays held in the child."""
     code = """
 import multiprocessing, cv2
 import shape_obs.detector

@@ -57,7 +57,7 @@ def make(robot, source=None, **options) -> Any:
     return ShapeObservation(env, **ROPE)
 
 
-def test_a_motion_that_nothing_replaces_ends_at_its_time_whatever_the_robot_does():
+def test_a_motion_that_nothing_replaces_ends_on_time_even_if_the_robot_is_busy():
     robot = TimedRobot()
     interlock = Interlock(robot)
     until = time.monotonic() + 0.1

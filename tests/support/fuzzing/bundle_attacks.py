@@ -43,7 +43,7 @@ def _pickles(sample: Members) -> Crafted:
         saved.writestr("data", json.dumps({"policy_class": {":type:": "x", ":serialized:": _base64(code)}}))
         saved.writestr("policy.pth", code)
     yield "version 1 with a pickled model", pack({**_old(sample), "model.zip": model.getvalue()}, version=1)
-    yield "model.zip beside the weights", pack({**sample, "model.zip": model.getvalue()})
+    yield "model.zip next to the weights", pack({**sample, "model.zip": model.getvalue()})
 
 
 def _classes(sample: Members) -> Crafted:

@@ -56,7 +56,7 @@ def bundle_claims(mutated: int = 1000, every: int = 1, kills: int = 30, seed: in
         at_most(f"{what}: lost or half-written bundles", 0, killed["broken"], ""),
         at_most(f"{what}: bundles that do not load", 0, killed["unread"], ""),
         at_least(f"{what}: kills during the writing of the file", 1, killed["writing"], ""),
-        at_most(f"{what}: temporary files left beside it, a kill", 1, killed["left"] / kills, ""),
+        at_most(f"{what}: temporary files left next to it, per kill", 1, killed["left"] / kills, ""),
     ]
 
 

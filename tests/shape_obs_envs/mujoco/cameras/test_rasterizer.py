@@ -69,9 +69,9 @@ def distances(env: ClothEnv, pixels: np.ndarray) -> np.ndarray:
         scale = np.einsum("ij,ij->i", b - a, across)
         with np.errstate(divide="ignore", invalid="ignore"):
             first = np.einsum("ij,ij->i", -a, across) / scale
-            beside = np.cross(-a, b - a)
-            second = beside @ ray / scale
-            depth = np.einsum("ij,ij->i", c - a, beside) / scale
+            moment = np.cross(-a, b - a)
+            second = moment @ ray / scale
+            depth = np.einsum("ij,ij->i", c - a, moment) / scale
         hit = (first >= 0) & (second >= 0) & (first + second <= 1) & (depth > 0)
         nearest[i] = depth[hit].min(initial=np.inf)
     return nearest

@@ -88,7 +88,7 @@ def test_a_timeout_is_kept_to(timeout: float) -> None:
         assert time.monotonic() - begun < max(2 * timeout, 0.2)
 
 
-def test_a_missing_camera_is_told_soon() -> None:
+def test_a_missing_camera_is_reported_soon() -> None:
     begun = time.monotonic()
     with pytest.raises(CameraNotFound, match="No camera with the serial number 0000 is connected") as error:
         RealSenseSource(serial="0000").connect()
@@ -109,7 +109,7 @@ def test_two_cameras_need_a_serial_number() -> None:
         assert (stream.name, numbers(stream, 2)) == ("software:2", [1, 2])
 
 
-def test_a_camera_in_use_is_told() -> None:
+def test_a_camera_in_use_is_reported() -> None:
     device = camera()
     with source(device) as stream:
         with pytest.raises(SourceError, match=r"455 \(USB 3\.2\) is in use"):
