@@ -19,7 +19,7 @@ D455 = {"width": 1280, "height": 800, "fx": 636.5, "fy": 635.9, "cx": 644.4, "cy
 
 
 def unfolded(coeffs: tuple[float, ...]) -> bool:
-    """Whether radii grow monotonously out to the corners of the image: what folds over cannot be undone."""
+    """Return whether radii grow towards the corners of the image; a fold could not be undone."""
     r = np.linspace(0, 1.6, 60)
     slope = 1 + 3 * coeffs[0] * r**2 + 5 * coeffs[1] * r**4 + 7 * coeffs[4] * r**6
     reached = r * (1 + coeffs[0] * r**2 + coeffs[1] * r**4 + coeffs[4] * r**6)

@@ -65,7 +65,7 @@ def study():
 def finished(
     arm: str, seed: int, shares: dict[int, tuple[int, int]], hand: tuple[int, int] | None = None
 ) -> FinishedRun:
-    """A run that reached so many of ten near and of ten far goals after so many steps."""
+    """Return a run that reached so many of ten near and of ten far goals after so many steps."""
     counts = [(steps, "", reached) for steps, reached in shares.items()]
     if hand is not None:
         counts.append((max(shares), "hand", hand))

@@ -46,7 +46,7 @@ def study_file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory, study_file):
-    """The study, done in one go."""
+    """Return the folder of the study, run without an interruption."""
     study, root = load_study(study_file), tmp_path_factory.mktemp("clean")
     outcomes = sweep(study, left(study, root), here)
     assert not [outcome.error for outcome in outcomes if outcome.error]

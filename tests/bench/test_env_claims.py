@@ -120,7 +120,7 @@ def test_actions_are_held():
 
 @pytest.fixture(scope="module")
 def clean():
-    """Two short episodes of each environment."""
+    """Return two short episodes of each environment."""
     every = [Setting(env, "d455", "clean", "auto") for env in ENVS]
     return env_claims.all_episodes(every, (0, 1), steps=6)
 

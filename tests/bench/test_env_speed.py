@@ -21,7 +21,7 @@ GL, NO_GL = opengl()
 
 
 def run(capsys, *arguments):
-    """(exit code, stdout, stderr) of the command."""
+    """Return (exit code, stdout, stderr) of the command."""
     with pytest.raises(SystemExit) as stop:
         main(["bench", "envs", *map(str, arguments)])
     captured = capsys.readouterr()

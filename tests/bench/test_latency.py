@@ -24,7 +24,7 @@ from shape_obs.cli import main
 
 
 def run(capsys, *arguments):
-    """(exit code, stdout, stderr) of the command."""
+    """Return (exit code, stdout, stderr) of the command."""
     with pytest.raises(SystemExit) as stop:
         main(["bench", "latency", *map(str, arguments)])
     captured = capsys.readouterr()

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceW
 
 
 def run(capsys, *arguments):
-    """What a command that succeeds writes to stdout."""
+    """Return what the command prints to stdout if it succeeds."""
     with pytest.raises(SystemExit) as stop:
         main(["bench", "peers", *map(str, arguments)])
     assert stop.value.code == 0

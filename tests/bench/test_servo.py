@@ -34,7 +34,7 @@ TRUTH = SETTING._replace(source="truth")
 
 
 def command(capsys, *arguments):
-    """(exit code, stdout, stderr) of the command."""
+    """Return (exit code, stdout, stderr) of the command."""
     with pytest.raises(SystemExit) as stop:
         main(["bench", "servo", *map(str, arguments)])
     captured = capsys.readouterr()
@@ -42,7 +42,7 @@ def command(capsys, *arguments):
 
 
 def episode(seed, final, best=None, steps=None):
-    """An episode of which the final error is known."""
+    """Return an episode with a given final error."""
     line = [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]
     best = final if best is None else best
     unknown = ("prediction", "seen_mm", "detector_ms", "feature_ms", "blackout_action", "blackout_mm")
@@ -54,7 +54,7 @@ def episode(seed, final, best=None, steps=None):
 
 
 def found(setting, finals):
-    """Episodes of seeds from 0 on; None stands for one that broke off."""
+    """Return episodes of the seeds from 0 on; None stands for one that broke off."""
     return {setting: [Row(seed=i, failure="lost") if mm is None else episode(i, mm) for i, mm in enumerate(finals)]}
 
 
@@ -184,7 +184,7 @@ class TestSummary:
 class TestStudy:
     @pytest.fixture
     def played(self, monkeypatch):
-        """What is played, while nothing is simulated: seed 1 breaks off the first time."""
+        """Return the seeds that are played, without a simulation: seed 1 breaks off the first time."""
         seeds = []
 
         def episodes(setting, some, steps):

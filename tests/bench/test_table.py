@@ -27,7 +27,7 @@ from shape_obs.clustering.kmeans import KMeans
 
 
 def command(capsys: Any, *arguments: object) -> tuple[int, str, str]:
-    """(exit code, stdout, stderr)."""
+    """Return (exit code, stdout, stderr) of the command."""
     with pytest.raises(SystemExit) as stop:
         main(["bench", "table", *map(str, arguments)])
     captured = capsys.readouterr()
@@ -40,7 +40,7 @@ def nothing(done: int, total: int) -> None:
 
 
 def without_times(chunks: list[list[Row]]) -> list[Row]:
-    """All rows but for their times."""
+    """Return all rows without their times."""
     return [Row(row, ms=0.0) for row in chain(*chunks)]
 
 
@@ -50,7 +50,7 @@ class StopError(Exception):
 
 @pytest.fixture(scope="module")
 def outlines(tmp_path_factory):
-    """A run of ten frames of contours, as the command makes it: its folder and what it printed."""
+    """Return the folder and the output of the command's run of ten frames of contours."""
     import contextlib
     import io
 

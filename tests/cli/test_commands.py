@@ -21,7 +21,7 @@ HSV = ["--hsv", "100", "100", "50", "130", "255", "255"]
 
 @pytest.fixture
 def photo(tmp_path):
-    """A blue rope on gray, at millimetre depth 700 on a table at 720."""
+    """Return a blue rope on gray, at millimetre depth 700 on a table at 720."""
     t = np.linspace(0, 1, 400)
     rope = draw_rope(np.stack([60 + 200 * t, 120 + 50 * np.sin(5 * t)], axis=1), 11.0, size=(240, 320))
     rgb = np.full((240, 320, 3), (190, 185, 180), np.uint8)
@@ -33,7 +33,7 @@ def photo(tmp_path):
 
 
 def run(capsys, *arguments):
-    """(exit code, stdout, stderr) of a command run in this process."""
+    """Return (exit code, stdout, stderr) of a command run in this process."""
     with pytest.raises(SystemExit) as stop:
         main([str(argument) for argument in arguments])
     captured = capsys.readouterr()

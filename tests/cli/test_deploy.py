@@ -26,7 +26,7 @@ CELL = ["--source", "robot", "--robot", "shape_obs_envs.robots:SimulatedRobot"]
 
 
 def run(capsys, *arguments):
-    """(exit code, stdout, stderr) of a command run in this process."""
+    """Return (exit code, stdout, stderr) of a command run in this process."""
     with pytest.raises(SystemExit) as stop:
         main([str(argument) for argument in arguments])
     captured = capsys.readouterr()

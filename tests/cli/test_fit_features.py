@@ -36,7 +36,7 @@ class TestCommand:
 
     @pytest.fixture
     def table(self, tmp_path, overhead) -> ShapeTable:
-        """Ten episodes of 12 ropes; in each one rope is lost and one has a hole."""
+        """Return ten episodes of 12 ropes; in each one rope is lost and one has a hole."""
         detector = ShapeDetector([{"kind": "centerline", "name": "rope", "n": N}], BLUE)  # type: ignore[list-item, arg-type]
         log = ShapeLog(detector)
         log.metadata["camera"] = {

@@ -33,7 +33,7 @@ def one(mask: np.ndarray, spec: Surface | None = None, **kwargs: Any) -> Any:
 
 
 def placed(points: np.ndarray, degrees: float = 0.0, scale: float = 1.0, size: tuple[int, int] = (480, 640)) -> Sheet:
-    """A lattice about the origin, turned and put into the middle of an image."""
+    """Return a lattice about the origin, turned and put into the middle of an image."""
     return draw_sheet(points @ rotation(degrees).T * scale + np.array([size[1] - 1, size[0] - 1]) / 2, size)
 
 
@@ -243,7 +243,7 @@ CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 
 @pytest.fixture(scope="module", params=[0, 25, 40])
 def tilted(request):
-    """A flat cloth of 0.3 x 0.2 m under a tilt: its material in metres, its mask and its depth."""
+    """Return a flat cloth of 0.3 x 0.2 m under a tilt: its material in metres, its mask and its depth."""
     angle = np.radians(request.param)
     v, u = np.meshgrid(np.linspace(-0.1, 0.1, 65), np.linspace(-0.15, 0.15, 65), indexing="ij")
     points = np.stack([u, v * np.cos(angle), 0.8 + v * np.sin(angle)], axis=-1)

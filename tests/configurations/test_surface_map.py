@@ -18,7 +18,7 @@ def lattice(mask: np.ndarray, epochs: int, ends: str = "tips") -> np.ndarray:
 
 
 def clustering(mask: np.ndarray, centres: np.ndarray) -> float:
-    """The Calinski-Harabasz score of the mask's pixels about centres."""
+    """Return the Calinski-Harabasz score of the mask's pixels about centres."""
     pixels = np.argwhere(mask)[:, ::-1]
     nearest = np.argmin(np.linalg.norm(pixels[:, None] - centres.reshape(1, -1, 2), axis=2), axis=1)
     return float(calinski_harabasz_score(pixels, nearest))

@@ -58,7 +58,7 @@ main(sys.argv[1:])
 
 
 def run(capsys, *arguments) -> tuple[object, Any, str]:
-    """(exit code, what --json printed or None, stderr) of the command in this process."""
+    """Return (exit code, parsed output of --json or None, stderr) of the command, run in this process."""
     with pytest.raises(SystemExit) as stop:
         main(["extract", *map(str, arguments), "--json"])
     captured = capsys.readouterr()
@@ -66,13 +66,13 @@ def run(capsys, *arguments) -> tuple[object, Any, str]:
 
 
 def content(folder):
-    """Name -> bytes of everything in a folder, hidden files too."""
+    """Return the bytes of every file in a folder by name, including hidden files."""
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """Twenty recordings of a simulated cable in ``recorded``, the last with two episodes, and a config."""
+    """Return a folder with twenty recordings of a cable in ``recorded``, the last with two episodes, and a config."""
     folder = tmp_path_factory.mktemp("place")
     save_config(folder / "c.yaml", {"shapes": [ROPE], "segmentation": BLUE, "features": FEATURES})
     with open_source(
@@ -85,7 +85,7 @@ def place(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def clean(place):
-    """The dataset as one undisturbed run makes it."""
+    """Return the dataset of an undisturbed run."""
     with pytest.raises(SystemExit) as stop:
         main(["extract", str(place / "recorded"), "--config", str(place / "c.yaml"), "-o", str(place / "clean")])
     assert stop.value.code == 0

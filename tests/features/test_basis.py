@@ -37,17 +37,17 @@ def shape(points: Any, layout: Topology, known: Any = None) -> Shape:
 
 
 def fit(feature: Any, points: Any, layout: Topology, known: Any = None) -> np.ndarray:
-    """(K,3) coefficients."""
+    """Return the coefficients, (K, 3)."""
     return feature.compute(shape(points, layout, known), VIEW).reshape(-1, 3)
 
 
 def rebuilt(feature: Any, points: Any, layout: Topology, known: Any = None) -> np.ndarray:
-    """(N,3) the points that the coefficients stand for."""
+    """Return the points that the coefficients describe, (N, 3)."""
     return feature.reconstruct(fit(feature, points, layout, known), layout, VIEW)
 
 
 def draw(layout: Topology, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Wild points, a fifth of them unknown."""
+    """Return irregular points, a fifth of them unknown."""
     rng = np.random.default_rng(seed)
     points, known = rng.uniform(-0.3, 0.3, (layout.size, 3)), rng.permutation(layout.size) >= layout.size // 5
     points[~known & (rng.random(layout.size) < 0.5)] = np.nan
@@ -56,7 +56,7 @@ def draw(layout: Topology, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def recorded():
-    """True shapes of random episodes with far goals, and their goals: {layout: (M,N,3)}, metres."""
+    """Return true shapes of random episodes with far goals, and their goals: {layout: (M, N, 3)}, in metres."""
     pytest.importorskip("mujoco")
     import shape_obs_envs  # noqa: F401
 

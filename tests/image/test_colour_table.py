@@ -46,7 +46,7 @@ class BlueAndNear(HSVRange, kind="test_blue_and_near"):
 
 
 def photograph(mask, rng, noise=5.0, colour=(30, 60, 200)):
-    """A blue object over a grayish uneven background, blurred as lenses do, with sensor noise: (H,W,3) uint8."""
+    """Return a blue object on a grayish, uneven background, with lens blur and sensor noise, (H, W, 3) uint8."""
     size = (mask.shape[1], mask.shape[0])
     table = cv2.resize(rng.uniform(100, 190, (6, 8, 3)).astype(np.float32), size, interpolation=cv2.INTER_CUBIC)
     image = np.where(mask[..., None] > 0, np.array(colour, np.float32), 0.3 * table + 100)
@@ -61,7 +61,7 @@ def assert_same_region(found, expected):
 
 
 def runs_of(mask, left, top):
-    """(R,3) row, first column, column past the last one, image coordinates."""
+    """Return row, first column and column past the last one of each run, (R, 3), in image coordinates."""
     found = []
     for row, line in enumerate(mask):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], line, [0]]).astype(int)))

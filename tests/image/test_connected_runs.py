@@ -12,7 +12,7 @@ from shape_obs.image.connected_runs import find_components, gather_cells, label_
 
 
 def runs_of(mask):
-    """(R,3) row, first column, column past the last one."""
+    """Return row, first column and column past the last one of each run, (R, 3)."""
     found = []
     for row, line in enumerate(mask):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], line > 0, [0]]).astype(int)))

@@ -45,7 +45,7 @@ def shifted(corners, by: float):
 
 
 def found_rope(detection, scene: MarkerScene, shift=(0, 0)) -> bool:
-    """Whether the points lie along the rope inside the markers, and not on the thicker one outside."""
+    """Return whether the points lie along the rope inside the markers, and not on the thicker one outside."""
     shape = detection.shapes[0]
     if shape.reason:
         return False

@@ -18,7 +18,7 @@ from shape_obs.markers.sheet import PER_MM, marker_pages, write_pages
 
 class TestSheets:
     def pictures(self, path: Path) -> list[tuple[np.ndarray, float]]:
-        """Each page as pixels, and how many of them are a millimetre on paper."""
+        """Return each page as pixels, and the number of pixels per printed millimetre."""
         if path.suffix == ".png":
             with Image.open(path) as picture:
                 return [(np.asarray(picture.convert("L")), picture.info["dpi"][0] / 25.4)]
@@ -94,7 +94,7 @@ def pdf(path: Path) -> PdfParser.PdfParser:
 
 
 def pdf_page(path: Path, number: int) -> tuple[np.ndarray, float]:
-    """A page's picture, and its pixels a millimetre: a PDF's units are 1/72 inch."""
+    """Return a page's picture and its pixels per millimetre; a PDF's units are 1/72 inch."""
     with pdf(path) as document:
         page = document.read_indirect(document.pages[number])
         box = page[b"MediaBox"]

@@ -31,7 +31,7 @@ def one(detector: ShapeDetector, points: Any, **kwargs: Any) -> Any:
 
 
 def straight(count: int = 3000, start: float = -0.3, end: float = 0.3, y: float = 0.0, z: float = 1.0) -> np.ndarray:
-    """A rope of 4 mm noise along x."""
+    """Return a cloud of a rope along x with 4 mm noise."""
     draw = np.random.default_rng(1)
     points = draw.normal(0, 0.004, (count, 3)) + (0, y, z)
     points[:, 0] = draw.uniform(start, end, count)

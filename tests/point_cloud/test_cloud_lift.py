@@ -20,7 +20,7 @@ from shape_obs.point_cloud.deprojection import deproject
 
 
 def straight(count: int = 3000) -> np.ndarray:
-    """A rope of 4 mm noise along x."""
+    """Return a cloud of a rope along x with 4 mm noise."""
     draw = np.random.default_rng(1)
     points = draw.normal(0, 0.004, (count, 3)) + (0, 0, 1)
     points[:, 0] = draw.uniform(-0.3, 0.3, count)

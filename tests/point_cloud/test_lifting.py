@@ -58,7 +58,7 @@ def tilted() -> Tilted:
 
 
 def matched(points: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """Distances of points to the truth, whichever end came first."""
+    """Return the distances of points from the truth, in the better of both directions."""
     return min((np.linalg.norm(points - order, axis=1) for order in (true, true[::-1])), key=np.mean)
 
 

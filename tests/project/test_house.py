@@ -29,7 +29,7 @@ def rooms(package: Path) -> set[str]:
 
 
 def layers(container: str) -> list[list[str]]:
-    """The layers of import-linter's contract for a package, lowest first."""
+    """Return the layers of import-linter's contract for a package, lowest first."""
     text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     contract = re.search(rf'containers = \["{container}"\]\n.*?layers = \[\n(.*?)\n\]', text, flags=re.S)
     assert contract is not None

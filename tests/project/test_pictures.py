@@ -36,7 +36,7 @@ def page():
 
 
 def unnumbered(text: str) -> str:
-    """The last digits differ between versions of NumPy and OpenCV."""
+    """Hide the digits: the last ones differ between versions of NumPy and OpenCV."""
     return re.sub(r"\d+(\.\d+)?", "#", text)
 
 

@@ -22,7 +22,7 @@ def cable():
 
 @pytest.fixture(scope="session")
 def recorded(cable, tmp_path_factory):
-    """The same frames, recorded by another run of the same environment."""
+    """Return the same frames, recorded by another run of the same environment."""
     folder = tmp_path_factory.mktemp("cable") / "recording"
     with EnvSource(CABLE, **OPTIONS) as source:
         summary = record(source, folder, frames=FRAMES)

@@ -25,7 +25,7 @@ FRAMES = 20
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """Some frames."""
+    """Return some frames."""
     folder = tmp_path_factory.mktemp("noise") / "recording"
     source: Any = Script(noise(FRAMES))
     source.live = False

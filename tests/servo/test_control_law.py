@@ -28,7 +28,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def learnt(estimator, plant, motions):
-    """The estimate after motions of a plant, which is a matrix, or one for each motion."""
+    """Return the estimate after motions of a plant, given by one matrix or one for each motion."""
     estimator.start(*plant.shape[-2:])
     plants = np.broadcast_to(plant, (len(motions), *plant.shape[-2:]))
     for matrix, motion in zip(plants, motions, strict=True):

@@ -18,7 +18,7 @@ from shape_obs.ablation.scores import read_scores
 
 
 def numbers(root: Path) -> dict[str, list[tuple]]:
-    """All scores of the done runs of a study, by run; without times."""
+    """Return all scores of the finished runs of a study by run, without times."""
     return {
         f"{path.parts[-3]}/{path.parts[-2]}": [
             (row.steps, row.disturbance, *row.score._replace(ms=0.0))
@@ -29,7 +29,7 @@ def numbers(root: Path) -> dict[str, list[tuple]]:
 
 
 def here(tasks: Sequence[Task], poll: Callable[[], object]) -> Iterator[Outcome]:
-    """The plainest engine: one run after the other in this process."""
+    """Execute one run after the other in this process."""
     return map(work, tasks)
 
 

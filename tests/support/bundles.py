@@ -36,7 +36,7 @@ def learner(env, algorithm="SAC", **options) -> Any:
 
 
 def train(path: Path) -> Any:
-    """(model, vector env), saved: hindsight replay, normalised, in a monitor and a curriculum, as trainings are."""
+    """Return a saved model and its vector env with hindsight replay, normalisation, monitor and curriculum."""
     import stable_baselines3 as sb3
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize

@@ -25,7 +25,7 @@ def environment() -> dict[str, str]:
 
 @cache
 def missing() -> str:
-    """Why Gymnasium cannot draw a MuJoCo env here; empty if it can."""
+    """Return why Gymnasium cannot draw a MuJoCo env here, or an empty string."""
     for name in ("mujoco", "imageio", "packaging"):
         if find_spec(name) is None:
             return f"Gymnasium's MuJoCo envs need {name}: pip install 'gymnasium[mujoco]'"

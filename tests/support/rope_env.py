@@ -58,12 +58,12 @@ class RopeEnv(gym.Env[Any, Any]):
         return {"hand": (x, y, z)}
 
     def curve(self) -> np.ndarray:
-        """(P,2) pixels, the true centreline from left to right."""
+        """Return the true centreline from left to right, (P, 2) pixels."""
         u = np.linspace(25, 135, 300)
         return np.stack([u, self.row + 14 * np.sin((u - 25) / 22)], axis=1)
 
     def true_points(self, n: int = 20) -> np.ndarray:
-        """(n,2) true pixels from the hand's end, at the centres of equal pieces."""
+        """Return the true points from the hand's end, at the centres of equal pieces, (n, 2) pixels."""
         curve = self.curve()[::-1]
         arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
         at = (np.arange(n) + 0.5) / n * arc[-1]

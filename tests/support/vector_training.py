@@ -22,7 +22,7 @@ def make(renderer: str = "auto", clustering: str = "som") -> gym.Env[Any, Any]:
 
 
 def use_here() -> None:
-    """What a notebook may have done before: warm Numba, OpenCV and scikit-learn, whose threads a fork does not take."""
+    """Warm up Numba, OpenCV and scikit-learn, as a notebook may have done; a fork does not copy their threads."""
     env = make("rays", "kmeans")
     env.reset(seed=0)
     env.step(env.action_space.sample())

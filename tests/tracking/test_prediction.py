@@ -26,7 +26,7 @@ def curve(length: float = 100.0, hidden: bool = False) -> FittedCurve:
 
 
 def observation(box: Window | None = None, area: int = 800, resolution: float = 1.0) -> Any:
-    """The part of an ``Observed`` that tracks read."""
+    """Return the part of an ``Observed`` that tracks read."""
     return SimpleNamespace(box=box, area=area, resolution=resolution)
 
 

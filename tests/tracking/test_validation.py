@@ -35,14 +35,14 @@ def region(mask: np.ndarray) -> Region:
 
 
 def rope(thick: int = 10, last: int = 300) -> Region:
-    """A straight ribbon from column 20 to ``last``, around row 60."""
+    """Return a straight ribbon from column 20 to ``last``, around row 60."""
     mask = np.zeros(SIZE, np.uint8)
     mask[60 - thick // 2 : 60 + thick // 2, 20:last] = 1
     return region(mask)
 
 
 def straight(observed: Region, end: float, row: float = 59.5) -> FittedCurve:
-    """A curve from column 20 to ``end``; interpolated where it lies off the mask."""
+    """Return a curve from column 20 to ``end``; interpolated where it lies off the mask."""
     points = np.stack([np.linspace(20, end, 281), np.full(281, row)], axis=1)
     return FittedCurve.through(points, ~observed.carries(points))
 

@@ -144,7 +144,7 @@ def whole(tmp_path_factory):
 
 @pytest.fixture
 def folder(whole, tmp_path):
-    """A copy of a recording, to be damaged."""
+    """Return a copy of a recording that may be damaged."""
     return Path(shutil.copytree(whole, tmp_path / "recording"))
 
 

@@ -31,7 +31,7 @@ def points(goal: Any) -> np.ndarray:
 
 
 def apart(env: ShapeObservation, observation: Any) -> np.ndarray:
-    """(N,) pixels between the achieved and the desired points."""
+    """Return the distances between the achieved and the desired points, (N,) pixels."""
     inner: Any = env.unwrapped
     seen, wanted = (inner.camera_model.project_from_base(points(observation[key])) for key in GOALS)
     return np.linalg.norm(seen - wanted, axis=1)

@@ -80,7 +80,7 @@ MODELS = {
 
 
 def made(name: str) -> tuple[Any, Any]:
-    """(model, vector env) whose statistics have seen some steps; the weights are those of a start."""
+    """Return a model with untrained weights, and a vector env whose statistics have seen some steps."""
     make, algorithm, policy, arguments, options = MODELS[name]
     torch.set_num_threads(1)
     keys = ["achieved_goal", "desired_goal"] if make is pixels else None
@@ -144,14 +144,14 @@ def test_a_fresh_process_acts_bit_for_bit_and_leaves_nothing(tmp_path):
 
 
 def acted(model: Any, env: Any, observation: Any) -> Any:
-    """What the model itself does."""
+    """Return the actions of the model itself."""
     whole = not isinstance(observation, dict)
     batch = observation[None] if whole else {key: value[None] for key, value in observation.items()}
     return model.predict(env.normalize_obs(batch), deterministic=True)[0][0]
 
 
 def played(model: Any, env: Any) -> list[Any]:
-    """What the model does in its environment."""
+    """Return the actions of the model in its environment."""
     plain = cable()
     observation, _ = plain.reset(seed=4)
     actions = []
@@ -162,7 +162,7 @@ def played(model: Any, env: Any) -> list[Any]:
 
 
 def fitted(folder: Path) -> tuple[Path, list[Any], list[Any]]:
-    """A policy that reads fitted features: (bundle, observations, actions)."""
+    """Return a policy that reads fitted features: (bundle, observations, actions)."""
     file = folder / "ropes.npz"
     fit(ropes(50)).save(file)
     env = wrapped(gym.make(registered(), disable_env_checker=True), features=[{"kind": "pca", "file": str(file)}])
@@ -174,7 +174,7 @@ def fitted(folder: Path) -> tuple[Path, list[Any], list[Any]]:
 
 @pytest.fixture(scope="module")
 def sac(tmp_path_factory) -> dict[str, bytes]:
-    """The members of a bundle."""
+    """Return the members of a bundle."""
     path = Path(tmp_path_factory.mktemp("sac")) / "sac.policy"
     save_bundle(*made("SAC"), path)
     return read_archive(path).members

@@ -24,7 +24,7 @@ with_d455 = pytest.mark.skipif(not find_spec("pyrealsense2"), reason="the softwa
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory) -> Any:
-    """A policy that has learnt nothing, trained for points in the base frame at 20 Hz."""
+    """Return an untrained policy for points in the base frame at 20 Hz."""
     import stable_baselines3 as sb3
     import torch
 
@@ -37,7 +37,7 @@ def path(tmp_path_factory) -> Any:
 
 
 def run(capsys, *arguments):
-    """(exit code, stdout, stderr) of a command run in this process."""
+    """Return (exit code, stdout, stderr) of a command run in this process."""
     with pytest.raises(SystemExit) as stop:
         main(["deploy", *(str(argument) for argument in arguments)])
     captured = capsys.readouterr()

@@ -28,7 +28,7 @@ from shape_obs_envs.robots import NullRobot
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory) -> Any:
-    """(model, vector env, path)."""
+    """Return (model, vector env, path)."""
     path = tmp_path_factory.mktemp("bundle") / "cable.policy"
     return *train(path), path
 

@@ -26,7 +26,7 @@ FORMS = pytest.mark.parametrize("fast", [False, True], ids=["exact", "fast"])
 def measure(
     model: D455Model, metres: Any, fast: bool = False, value: int = 255, seed: int = 0, frames: int = 1
 ) -> list[Measurement]:
-    """Frames of one scene of one brightness."""
+    """Return frames of one scene with one brightness."""
     metres = np.asarray(metres)
     camera, rng = D455Camera(model, metres.shape, fast), np.random.default_rng(seed)
     rgb = np.full((*metres.shape, 3), value, np.uint8)

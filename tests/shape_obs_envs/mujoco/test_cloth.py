@@ -36,7 +36,7 @@ def carry_over(env: ClothEnv) -> None:
 
 
 def crossings(masses: np.ndarray) -> int:
-    """How many edges of the mesh of masses (R, C, 3) pass through a triangle of it that lies clear of the table."""
+    """Return how many edges of the mesh of masses (R, C, 3) cross one of its triangles above the table."""
     rows, cols, _ = masses.shape
     index = np.arange(rows * cols).reshape(rows, cols)
     a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
@@ -67,7 +67,7 @@ def env():
 
 @pytest.fixture(scope="module")
 def episodes() -> dict[str, np.ndarray]:
-    """What 20 episodes of held actions, white noise and full strength do to the sheet."""
+    """Return the effect of 20 episodes on the sheet: held actions, white noise, full strength."""
     env = make(render_observation=False)
     rng, action = np.random.default_rng(0), IDLE
     seen: dict[str, list[Any]] = {name: [] for name in ("stretch", "crossings", "pixels", "surface", "grippers")}

@@ -29,14 +29,14 @@ ENVS = {
 
 
 def make(name: str, **options: Any) -> ShapeGoalEnv:
-    """The bare environment."""
+    """Return the bare environment."""
     env_id, arguments = ENVS[name]
     env = gym.make(env_id, **{"camera": [84, 84], "renderer": "rays", **arguments, **options})
     return cast(ShapeGoalEnv, env.unwrapped)
 
 
 def play(env: gym.Env[Any, Any], steps: int = 4, **reset: Any) -> list[Any]:
-    """Observations and infos of a few random steps."""
+    """Return observations and infos of a few random steps."""
     rng = np.random.default_rng(1)
     assert env.action_space.shape is not None
     out = [env.reset(**reset)]

@@ -44,7 +44,7 @@ def video(tmp_path_factory):
 
 
 def rest(source):
-    """All frames."""
+    """Return all remaining frames."""
     frames: list[Any] = [moment.frame for moment in read_moments(source)]
     with pytest.raises(EndOfSource, match=f"end of its {len(frames)} frames"):
         source.read()

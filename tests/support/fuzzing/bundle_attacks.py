@@ -167,7 +167,7 @@ def _old(sample: Members) -> Members:
 
 
 def _with_fitted(sample: Members, data: bytes) -> Members:
-    """The sample with another fitted file, which its configuration and its environment read."""
+    """Return the sample with another fitted file, which its configuration and its environment read."""
     fitted = next(name for name in sample if name.startswith("files/"))
     moved = {
         name: content.replace(fitted.encode(), _FITTED.encode()) for name, content in sample.items() if name != fitted

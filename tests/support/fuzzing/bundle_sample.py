@@ -56,7 +56,7 @@ def save_sample(folder: Path) -> Path:
 
 
 def members_of(path: Path) -> Members:
-    """The members of a bundle, without its manifest."""
+    """Return the members of a bundle, without its manifest."""
     return read_archive(path).members
 
 
@@ -78,7 +78,7 @@ def pack_plain(members: Mapping[str, bytes]) -> bytes:
 
 
 def edited(members: Mapping[str, bytes], name: str, **changes: Any) -> Members:
-    """The members with entries of one JSON document replaced."""
+    """Return the members with entries of one JSON document replaced."""
     return {**members, name: json.dumps({**json.loads(members[name]), **changes}).encode()}
 
 

@@ -176,7 +176,7 @@ def _act(bundle: Bundle) -> None:
 
 
 def _memory() -> float:
-    """The most memory that this process has had, in MB."""
+    """Return the most memory that this process has had, in MB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 

@@ -24,7 +24,7 @@ OTHER = {".db3": ".bag", ".bag": ".db3"}
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory):
-    """A recording, and the frames that were read while it was made."""
+    """Return a recording, and the frames that were read while it was made."""
     path = tmp_path_factory.mktemp("recording") / f"rope{recording_suffix()}"
     device = camera()
     frames = []

@@ -199,7 +199,7 @@ def _open() -> tuple[int, int]:
 
 
 def _resident() -> int:
-    """Bytes."""
+    """Return the resident memory of this process in bytes."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
