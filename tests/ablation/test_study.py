@@ -1,4 +1,4 @@
-"""Ablations on this machine: what is done stays, what fails or is killed loses nothing but itself."""
+"""Ablations on this machine: finished runs are kept, and a failed or killed run affects no other."""
 
 from __future__ import annotations
 

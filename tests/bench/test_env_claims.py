@@ -1,4 +1,4 @@
-"""`shape-obs bench claims --only envs`: the simulated environments against their own truth."""
+"""`shape-obs bench claims --only envs` compares the simulated environments with their own truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`shape-obs bench envs`: steps per second of the simulated environments. Times decide nothing."""
+"""`shape-obs bench envs`: steps per second of the simulated environments. No test depends on times."""
 
 from __future__ import annotations
 

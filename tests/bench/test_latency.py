@@ -1,4 +1,4 @@
-"""`shape-obs bench latency`: stages, growth, memory. Times decide nothing."""
+"""`shape-obs bench latency`: stages, growth, memory. No test depends on times."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""`shape-obs bench servo`: equal episodes, what counts as reached, what goes wrong on purpose. Times decide nothing."""
+"""`shape-obs bench servo`: equal episodes, when a goal is reached, disturbances. No test depends on times."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``shape-obs bench table``: what it measures, that it goes on where it stopped, and what it writes."""
+"""``shape-obs bench table``: measurements, resumed runs, and written files."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def command(capsys: Any, *arguments: object) -> tuple[int, str, str]:
 
 
 def nothing(done: int, total: int) -> None:
-    """No progress bar."""
+    """Ignore the progress."""
 
 
 def without_times(chunks: list[list[Row]]) -> list[Row]:
@@ -45,7 +45,7 @@ def without_times(chunks: list[list[Row]]) -> list[Row]:
 
 
 class StopError(Exception):
-    """Stands for an interruption."""
+    """Raised in place of an interruption."""
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The file that says where a camera stands."""
+"""The file with the pose of a camera."""
 
 from __future__ import annotations
 

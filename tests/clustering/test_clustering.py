@@ -1,4 +1,4 @@
-"""Clusterers: what each finds, its points in order along the form."""
+"""The centres of every clusterer, in order along the shape."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contours of closed bands: what covers one is reported."""
+"""Contours of closed bands: an occluder is reported."""
 
 from __future__ import annotations
 

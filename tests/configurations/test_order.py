@@ -17,7 +17,7 @@ from shape_obs.geometry.curve import FittedCurve
 
 
 class Frame(NamedTuple):
-    """A mask, and where the material of points 0 and about a quarter of the way on lies."""
+    """A mask, and the positions of the material of point 0 and of a point about a quarter further."""
 
     mask: np.ndarray
     marks: np.ndarray

@@ -1,4 +1,4 @@
-"""A surface's self-organising map: what its epochs change, and what they leave alone."""
+"""The self-organising map of a surface: effect and limits of its epochs."""
 
 from __future__ import annotations
 

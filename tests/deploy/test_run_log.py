@@ -1,4 +1,4 @@
-"""What a deployment leaves behind: the log, written by a thread, and the report, in constant memory."""
+"""The log of a deployment, written by a thread, and its report, in constant memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Features of form when the shape is moved, turned, scaled or read backwards, and when points of it are unknown."""
+"""Features of shapes that are moved, turned, scaled or reversed, or have unknown points."""
 
 from __future__ import annotations
 

@@ -135,7 +135,7 @@ class TestClosedForms:
 
 
 class TestMoved:
-    """What moving a shape does to its coefficients, with a fifth of the points missing."""
+    """The effect of moving a shape on its coefficients, with a fifth of the points missing."""
 
     @each_fit
     @given(seed=seeds)

@@ -1,4 +1,4 @@
-"""What points can be relative to: their centroid, the shape's anchor, or an anchor by name."""
+"""Origins of points: their centroid, the shape's anchor, or a named anchor."""
 
 from __future__ import annotations
 

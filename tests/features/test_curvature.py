@@ -1,4 +1,4 @@
-"""Features of form: tangents, bending, moments, length, centroid, orientation; what they promise, and closed forms."""
+"""Tangents, bending, moments, length, centroid and orientation against closed forms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""PointDistribution: against scikit-learn and shapes that are known; the file that keeps it."""
+"""PointDistribution against scikit-learn and known shapes, and its file."""
 
 from __future__ import annotations
 

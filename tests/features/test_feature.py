@@ -1,4 +1,4 @@
-"""Features: dimension, units, frames, bounds; what is unknown and what is out of bounds."""
+"""Features: dimension, units, frames, bounds, unknown points and clipped values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What surfaces are made of: corners of outlines, Coons patches, and lattices that can be sampled and validated."""
+"""Corners of outlines, Coons patches, and lattices that are sampled and validated."""
 
 from __future__ import annotations
 

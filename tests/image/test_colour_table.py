@@ -1,4 +1,4 @@
-"""Colour rules as tables, and the search that reads few pixels: the same pixels as the rule itself gives."""
+"""Colour tables and the sparse search give the same pixels as the rule itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Markers: found, a region of interest between them, the table from above. `shape-obs bench claims --only markers`."""
+"""Detection of markers, the region of interest between them, and the table from above."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Printed sheets: true to scale, whole or not at all."""
+"""Printed sheets are true to scale, and are written completely or not at all."""
 
 from __future__ import annotations
 

@@ -172,7 +172,7 @@ class TestAnchors:
 
 
 class TestRefusals:
-    """What is no rope is refused in words."""
+    """Clouds that are no rope are refused with a reason."""
 
     @pytest.mark.parametrize(
         ("points", "reason"),

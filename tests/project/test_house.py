@@ -1,4 +1,4 @@
-"""The layout of the repository: how many rooms and files there are, their order, and the tests that mirror them."""
+"""The layout of the repository: number and order of packages and files, and mirrored tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an import may load: each in its own process, and asserted, not timed."""
+"""The modules that an import may load, each tested in a separate process."""
 
 from __future__ import annotations
 

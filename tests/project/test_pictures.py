@@ -1,4 +1,4 @@
-"""The scripts of the pictures find what they import; the page on failures says what comes out, case by case."""
+"""The scripts of the pictures can be imported; the page on failures has their results."""
 
 from __future__ import annotations
 

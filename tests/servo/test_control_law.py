@@ -1,4 +1,4 @@
-"""Estimators, laws and the excitation: what they learn, and where they send a robot, against closed form."""
+"""Estimators, control laws and excitation against closed forms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""ShapeServo: it reaches goals, learns only from what was seen, and stands still otherwise; what errors are worth."""
+"""ShapeServo reaches goals, learns only from measured points, and otherwise stands still."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ POINTS = 8
 
 
 class Plant:
-    """Features that answer linearly, ``x += J a``, seen with noise; the shape is lost when `lost` says so."""
+    """A linear plant, ``x += J a``, whose features are noisy; `lost` marks the shape as lost."""
 
     def __init__(self, seed: int = 0, features: int = 6, actions: int = 3, noise: float = 1e-3) -> None:
         self._rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""A study as small as can be, for the tests of ablations: the simulator's points, near goals, tiny networks."""
+"""The smallest study for tests of ablations: the simulator's points, near goals, tiny networks."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def here(tasks: Sequence[Task], poll: Callable[[], object]) -> Iterator[Outcome]
 
 @contextmanager
 def killing(run: Path) -> Iterator[list[int]]:
-    """Kills the process that does a run in its first step, once; the list is of its id then."""
+    """Kill the process of a run once, in its first step; yield a list that receives its id."""
     killed: list[int] = []
     over = threading.Event()
 

@@ -1,4 +1,4 @@
-"""What tests of bundles share: the cable as policies see it, and a learner of it."""
+"""A cable environment and a small trained policy for tests of bundles."""
 
 from __future__ import annotations
 

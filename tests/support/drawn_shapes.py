@@ -1,4 +1,4 @@
-"""Shapes in the plane to compute features of, and which features there are of which layout."""
+"""Plane shapes for tests of features, and the features of each layout."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gymnasium's envs against their simulator's truth, printed as JSON; a process of its own, since it needs OpenGL.
+"""Compare Gymnasium's envs with their simulator's truth as JSON, in a process of its own for OpenGL.
 
 Run by test_foreign_envs.py; on Linux without a display with MUJOCO_GL=egl.
 """

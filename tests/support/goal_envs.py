@@ -1,4 +1,4 @@
-"""Goal-conditioned envs that draw a flat thing on a table: no physics, no renderer, everything known."""
+"""Goal-conditioned envs that draw a flat object on a table, without physics and renderer."""
 
 from __future__ import annotations
 

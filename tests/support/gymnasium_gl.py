@@ -1,4 +1,4 @@
-"""Gymnasium's renderer in processes of their own: it takes its OpenGL from MUJOCO_GL, which tests leave as it is."""
+"""Run Gymnasium's renderer in separate processes, which take their OpenGL from MUJOCO_GL."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Randomised environments that several tests play with."""
+"""Randomised environments for several tests."""
 
 from __future__ import annotations
 

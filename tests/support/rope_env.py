@@ -1,4 +1,4 @@
-"""A small env that draws a rope: no physics, no renderer, everything known."""
+"""A small env that draws a rope with known truth, without physics and renderer."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class RopeEnv(gym.Env[Any, Any]):
 
 
 class PixelEnv(gym.ObservationWrapper[Any, Any, Any]):
-    """The rope as a plain RGB image; its own wrapper, so that nothing but the image is left."""
+    """A wrapper that leaves only the RGB image."""
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)

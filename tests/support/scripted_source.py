@@ -1,4 +1,4 @@
-"""What the tests of recordings share: a source of given frames, and frames that no codec makes small."""
+"""A source of given frames, and frames that no codec can compress, for tests of recordings."""
 
 from __future__ import annotations
 

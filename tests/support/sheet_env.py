@@ -1,4 +1,4 @@
-"""A small env that draws a sheet: no physics, no renderer, everything known."""
+"""A small env that draws a sheet with known truth, without physics and renderer."""
 
 from __future__ import annotations
 

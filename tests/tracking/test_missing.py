@@ -1,4 +1,4 @@
-"""A lost shape: hold, truncate, raise, nan; by stamps and without."""
+"""The policies for a lost shape (hold, truncate, raise, nan), with and without stamps."""
 
 from __future__ import annotations
 

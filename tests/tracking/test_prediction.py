@@ -1,4 +1,4 @@
-"""What is remembered of a shape, and where it is expected next."""
+"""The stored state of a tracked shape, and its predicted position."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A tracked shape is looked for where it is expected; what is not there is looked for everywhere."""
+"""A tracked shape is searched in its window first, and in the whole image if it is not there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the quality check refuses, one check at a time: each test fails if that single check is removed."""
+"""The quality check, one criterion at a time: each test fails if that criterion is removed."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ WRAPPED = {
 
 
 class Levels(gym.Env[Any, Any]):
-    """Has a difficulty, and nothing to do."""
+    """An environment with a difficulty and no task."""
 
     action_space = observation_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
     difficulty = "middle"

@@ -1,4 +1,4 @@
-"""The hyperparameters for rl-baselines3-zoo: what it would make of them fits the env and trains."""
+"""The hyperparameters for rl-baselines3-zoo fit the environment and train."""
 
 from __future__ import annotations
 

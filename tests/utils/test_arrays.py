@@ -1,4 +1,4 @@
-"""Arrays that come out share no memory with what is computed later, and arrays that go in are not kept."""
+"""Returned arrays share no memory with later results, and argument arrays are not kept."""
 
 from __future__ import annotations
 

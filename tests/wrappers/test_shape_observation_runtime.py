@@ -1,4 +1,4 @@
-"""ShapeObservation while it runs: info, lost shapes, state, copies, and images that hold anything."""
+"""ShapeObservation at run time: info, lost shapes, state, copies, and arbitrary images."""
 
 from __future__ import annotations
 

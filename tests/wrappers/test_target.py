@@ -1,4 +1,4 @@
-"""Target: goals as plain records, from points, from mappings and from what is seen."""
+"""Target: goals as plain records, from points, mappings and detections."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def test_a_record_of_another_configuration_is_refused():
 
 
 class Hidden(FlatGoalEnv):
-    """Nothing to be seen, or no depth on the right."""
+    """An env without a visible shape, or without depth on the right."""
 
     def __init__(self, what: str) -> None:
         super().__init__("contour", goals=False)
@@ -202,7 +202,7 @@ def test_only_what_was_seen_is_recorded():
 
 
 class RgbOnly(gym.ObservationWrapper[Any, Any, Any]):
-    """Colour alone, and nothing published."""
+    """An env with colour images that publishes nothing."""
 
     camera_model, anchors = None, {}
 

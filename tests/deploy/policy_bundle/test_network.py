@@ -1,4 +1,4 @@
-"""Policies of several algorithms as bundles: they act as the models did, bit for bit, in another process."""
+"""Bundles of several algorithms act exactly as the models did, in another process."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from shape_obs.training import GoalDifference, ImageAndGoal, PixelPolicy, Pixels
 
 
 class Switches(gym.Env[Any, Any]):
-    """Three numbers and four actions, which move nothing."""
+    """An environment with three numbers and four actions that have no effect."""
 
     observation_space = spaces.Box(-1.0, 1.0, (3,), np.float32)
     action_space = spaces.Discrete(4)
@@ -49,7 +49,7 @@ class Switches(gym.Env[Any, Any]):
 
 
 class OwnExtractor(FlattenExtractor):
-    """An extractor of somebody else's."""
+    """A feature extractor of another package."""
 
 
 def switches() -> Any:
@@ -181,7 +181,7 @@ def sac(tmp_path_factory) -> dict[str, bytes]:
 
 
 class TestTrust:
-    """What names or holds code is read with trust alone, and the message says so."""
+    """Content that names or holds code is read only with ``trust``, and the message says so."""
 
     WORDS = r"trust=True \(--trust on the command line\) only if you trust who made the file"
 

@@ -1,4 +1,4 @@
-"""Bundles in other environments: what does not fit is refused, and by its name."""
+"""Bundles in other environments: differences are refused by name."""
 
 from __future__ import annotations
 

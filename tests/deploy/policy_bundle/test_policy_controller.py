@@ -100,7 +100,7 @@ def test_another_rate_is_a_warning_and_a_robot_without_goals_is_reported(capsys,
 
 
 class TestSettle:
-    """An image is taken when the motion is over."""
+    """The next image is taken after the motion has ended."""
 
     def cell(self, source=None, **options) -> Any:
         robot = ListRobot()

@@ -1,4 +1,4 @@
-"""Bundles: what was trained is what acts; what does not fit is refused, and by its name."""
+"""Saved and loaded bundles act as trained; what does not fit is refused by name."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from shape_obs_envs.real.interlock import Interlock
 
 
 class TimedRobot(ListRobot):
-    """Notes when it was sent what. It ignores `until`, as a careless driver would; tests block or break its calls."""
+    """A robot that records its commands with their times, and ignores `until` as a careless driver would."""
 
     def __init__(self, **spec: Any) -> None:
         super().__init__(**spec)

@@ -1,4 +1,4 @@
-"""Faults in tracking, in the order of points, and in what stands in for a lost shape."""
+"""Faults in tracking, in the order of points, and in the replacement of a lost shape."""
 
 from __future__ import annotations
 
