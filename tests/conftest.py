@@ -42,7 +42,7 @@ def intrinsics() -> Intrinsics:
 
 @pytest.fixture(scope="session")
 def overhead(intrinsics: Intrinsics) -> CameraModel:
-    """That pinhole one metre above the base frame's origin, looking straight down, image right along base x."""
+    """Return a camera one metre above the base frame's origin that looks down, with image right along base x."""
     return CameraModel(intrinsics, np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 1], [0, 0, 0, 1]]))
 
 

@@ -61,7 +61,7 @@ def test_brown_conrady_is_opencvs(coeffs):
 
 
 def test_distortion_moves_pixels():
-    """The comparisons above would also pass if coefficients were ignored on both ways."""
+    """The comparisons above would also pass if coefficients were ignored in both directions."""
     pinhole = Intrinsics(**D455)
     corner = pinhole.deproject([[100.0, 100.0]], [1.0])
     for model in MODELS[1:]:

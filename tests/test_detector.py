@@ -34,7 +34,7 @@ def gaps(points: np.ndarray) -> np.ndarray:
 @settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(KINDS), n=st.sampled_from([8, 20, 50]))
 def test_points_lie_on_the_centreline_in_order(seed, kind, n):
-    """A sample of what tests/bench/test_claims.py counts in full."""
+    """Run a sample of the measurement `shape-obs bench claims`."""
     rope = random_rope(np.random.default_rng(seed), kind)
     shape = one(ShapeDetector(Centerline(n=n, ends="tips")), rope.mask)
     assert shape.ok, shape.reason

@@ -251,7 +251,7 @@ class TestCommand:
 
 
 def test_the_ranking_counts_pairs_on_equal_frames():
-    """Made-up rows: every chunk has a level of its own, far above the differences between the methods."""
+    """Return artificial rows: each chunk has its own level, and methods differ by much less."""
     plan = Plan(100, tracings=())
     done: Done = {}
     quality = {"gmm": 4.0, "kohonen": 3.0, "fcm": 2.0, "kmeans": 2.0, "som": 5.0}

@@ -145,7 +145,7 @@ class TestCommand:
         assert err
 
     def test_recorded_ropes_come_back_within_two_millimetres(self, tmp_path, capsys):
-        """Simulated, seen by the camera; held at one end, whole episodes held out."""
+        """Components are fitted to the camera's points of some episodes, and tested on others."""
         pytest.importorskip("mujoco")
         rope = {"kind": "centerline", "n": N, "anchor": "gripper0", "ends": "tips", "spacing": "m"}
         save_config(tmp_path / "c.yaml", {"shapes": [rope], "segmentation": {**BLUE, "low": [100, 120, 40]}})

@@ -137,7 +137,7 @@ class TestNumbering:
     @settings(max_examples=10)
     @given(seed=st.integers(0, 2**32 - 1), quarters=st.integers(1, 3))
     def test_a_picture_on_its_side_has_the_same_square_lattice(self, seed, quarters):
-        """What turns with the picture is the numbering alone."""
+        """Only the numbering turns with the picture."""
         sheet = random_sheet(np.random.default_rng(seed), 1.0, 10.0)
         upright = one(sheet.mask, Surface(rows=5, cols=5)).points2d
         turned = one(np.ascontiguousarray(np.rot90(sheet.mask, quarters)), Surface(rows=5, cols=5)).points2d
@@ -279,7 +279,7 @@ class TestInSpace:
 @pytest.mark.skipif(not REAL.exists(), reason=f"the shared data is not there: {REAL}")
 class TestRealMasks:
     def test_silhouettes_score_by_what_they_are(self):
-        """Towels, T-shirts and shorts as people photographed them: the aRTF Clothes data."""
+        """The images are photos of towels, T-shirts and shorts: the aRTF Clothes data."""
         quality: dict[str, list[float]] = {}
         for garment in json.loads((REAL / "garment_silhouettes.json").read_text()):
             mask = np.zeros((garment["height"] // 3, garment["width"] // 3), np.uint8)

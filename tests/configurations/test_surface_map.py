@@ -26,7 +26,7 @@ def clustering(mask: np.ndarray, centres: np.ndarray) -> float:
 
 @pytest.fixture
 def trapezium() -> np.ndarray:
-    """Wide at the left, narrow at the right: equal steps along its sides give unequal areas."""
+    """The cloth is wide at the left and narrow at the right: equal steps along its sides give unequal areas."""
     outline = np.array([[60, 40], [420, 130], [420, 210], [60, 300]], np.int32)
     return cv2.fillPoly(np.zeros((340, 480), np.uint8), [outline], 255)
 

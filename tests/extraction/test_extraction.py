@@ -175,7 +175,7 @@ def test_ray_gives_the_same(place, clean, capsys, monkeypatch):
 
 
 def test_a_damaged_recording_loses_only_itself(place, tmp_path, capsys):
-    """An image of the one, the lines of the other; and of one with two episodes, only the one that is damaged."""
+    """An image of one recording is damaged, and the lines of another; of two episodes in a third, only one fails."""
     for name in ("r00", "r01", "r02", "r19"):
         shutil.copytree(place / "recorded" / name, tmp_path / "in" / name)
     whole = (tmp_path / "in" / "r01" / "rgb" / "000002.png").read_bytes()

@@ -106,7 +106,7 @@ def pdf_page(path: Path, number: int) -> tuple[np.ndarray, float]:
 
 
 def fax_as_tiff(data: bytes, width: int, height: int) -> bytes:
-    """CCITT group 4 data as a TIFF file that Pillow reads."""
+    """Return CCITT group 4 data as a TIFF file that Pillow reads."""
     tags = [(256, 4, width), (257, 4, height), (258, 3, 1), (259, 3, 4), (262, 3, 0), (273, 4, 122), (277, 3, 1)]
     tags += [(278, 4, height), (279, 4, len(data))]
     head = struct.pack("<2sHLH", b"II", 42, 8, len(tags))

@@ -101,7 +101,7 @@ def test_a_lens_is_taken_into_account(wave):
 
 
 def test_radius_gives_the_axis_of_a_cylinder():
-    """A cylinder of 10 mm radius, 0.6 m away, cast ray by ray."""
+    """The scene is a cylinder of 10 mm radius at 0.6 m, rendered ray by ray."""
     radius, distance = 0.010, 0.6
     v, u = np.mgrid[:480, :640]
     rays = CAMERA.rays(np.stack([u, v], axis=-1))

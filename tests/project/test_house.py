@@ -23,7 +23,7 @@ def folders_in(folder: Path) -> list[Path]:
 
 
 def rooms(package: Path) -> set[str]:
-    """Packages and modules at the top of a package, without its ``__init__``."""
+    """Return the packages and modules at the top of a package, without its ``__init__``."""
     modules = {path.stem for path in package.glob("*.py")} - {"__init__"}
     return modules | {path.parent.name for path in package.glob("*/__init__.py")}
 

@@ -129,7 +129,7 @@ def test_in_a_blackout_nothing_moves_and_nothing_is_learnt_and_then_it_goes_on(l
 
 @pytest.mark.parametrize("law", ["mfac", "rls", "kalman", "broyden"])
 def test_features_that_come_and_go_are_left_out_while_they_are_gone(law):
-    """A fifth of them at random, at a place far from the true one."""
+    """A random fifth of the features is reported far from its true value."""
     plant, rng = Plant(noise=2e-4), np.random.default_rng(4)
     known = np.ones(6, bool)
     servo = servo_of(plant, law, measured=lambda: known)

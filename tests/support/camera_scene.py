@@ -31,7 +31,7 @@ def camera(serial: str = "455", **options: Any) -> SoftwareD455:
 
 
 def source(device: Any, **options: Any) -> RealSenseSource:
-    """Its source."""
+    """Return the source of a software camera."""
     return RealSenseSource(device, **{**SMALL, **options})
 
 

@@ -52,7 +52,7 @@ def shape(points: Any, layout: Topology, unknown: Any = (), filled: Any = ()) ->
 
 
 def circle(n: int, radius: float = 0.1, arc: float = 2 * np.pi, closed: bool = True) -> np.ndarray:
-    """From the first axis towards the second."""
+    """Return points on an arc from the first axis towards the second, (N, 2)."""
     at = np.linspace(0, arc, n, endpoint=not closed)
     return radius * np.stack([np.cos(at), np.sin(at)], axis=1)
 

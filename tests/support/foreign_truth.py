@@ -59,7 +59,7 @@ def away(points: Array, corners: Array) -> Array:
 
 
 def surfaces(**camera: Any) -> dict[str, float]:
-    """How far the pixels of the Swimmer's depth lie from a surface that is really there, metres."""
+    """Return the distances of the Swimmer's depth pixels from the true surface in metres."""
     gc.collect()
     size = {"width": foreign_env.WIDTH, "height": foreign_env.HEIGHT}
     env = foreign_env_depth.RGBDCamera(gym.make("Swimmer-v5", render_mode="rgbd_tuple", **camera, **size))

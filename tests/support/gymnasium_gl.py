@@ -18,7 +18,7 @@ OffScreenViewer(model, mujoco.MjData(model), 16, 16).render("rgbd_tuple")
 
 
 def environment() -> dict[str, str]:
-    """This process's, where Linux gets EGL, which needs no display, unless MUJOCO_GL says otherwise."""
+    """Return the variables of this process; on Linux MUJOCO_GL is EGL by default, which needs no display."""
     default = {"MUJOCO_GL": "egl"} if sys.platform.startswith("linux") else {}
     return {**default, **os.environ}
 

@@ -53,7 +53,7 @@ class RopeEnv(gym.Env[Any, Any]):
 
     @property
     def anchors(self) -> dict[str, tuple[float, float, float]]:
-        """The hand holds the right end."""
+        """The position of the hand, which holds the right end."""
         x, y, z = self.camera_model.to_base(INTRINSICS.deproject(self.curve()[-1], DEPTH)).tolist()
         return {"hand": (x, y, z)}
 

@@ -30,7 +30,7 @@ def use_here() -> None:
 
 
 def subproc(method: str) -> int:
-    """PPO on a vector env of Stable-Baselines3; returns the steps."""
+    """Train PPO on a vector env of Stable-Baselines3, and return the steps."""
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import SubprocVecEnv, VecNormalize
 
@@ -44,7 +44,7 @@ def subproc(method: str) -> int:
 
 
 def asynchronous(method: str) -> int:
-    """SAC on a vector env of Gymnasium, which Stable-Baselines3 does not take: the loop is here; returns the steps."""
+    """Train SAC in a loop on a vector env of Gymnasium, which Stable-Baselines3 refuses, and return the steps."""
     from stable_baselines3 import SAC
     from stable_baselines3.common.logger import configure
     from stable_baselines3.common.vec_env import DummyVecEnv

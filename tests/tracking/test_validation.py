@@ -48,7 +48,7 @@ def straight(observed: Region, end: float, row: float = 59.5) -> FittedCurve:
 
 
 def judged_ribbon(curve: FittedCurve, observed: Region, expected_off: float) -> FitQuality:
-    """Validate a curve by the samples of the mask; their cells hide a part of how far it spreads."""
+    """Validate a curve by the samples of the mask; the spread within their cells is estimated."""
     samples = observed.gather(min(max(observed.width / 3, 1), 24))
     hidden = min(samples.scale, observed.width) ** 2 / 12
     spread = sample_spread(samples.points, samples.weight, curve.points) + hidden
@@ -121,7 +121,7 @@ class TestSpread:
 
     @pytest.mark.parametrize("thick", [24, 30])
     def test_quality_is_that_of_every_pixel(self, thick):
-        """A rope that tapers from 1.67 to 0.33 of its mean width, and the distance of all its pixels from its axis."""
+        """The rope tapers from 1.67 to 0.33 of its mean width; the distances of all its pixels count."""
         mask = np.zeros((120, 560), np.uint8)
         half = thick / 2 * np.linspace(5 / 3, 1 / 3, 520)
         mask[:, 20:540] = np.abs(np.arange(120)[:, None] - 60) < half
@@ -150,7 +150,7 @@ class TestSpread:
         )
 
     def test_the_detector_refuses_a_rope_with_a_thick_end(self):
-        """A lollipop: every part of its curve lies on the mask, and it does not branch."""
+        """The mask is a lollipop: every part of its curve lies on the mask, and it does not branch."""
         mask = np.zeros((240, 400), np.uint8)
         mask[116:124, 20:300] = 1
         cv2.circle(mask, (320, 120), 34, 1, -1)
@@ -194,7 +194,7 @@ class TestSheet:
     def lattice(
         observed: Region, corners=((80, 40), (240, 40), (240, 200), (80, 200)), bow: float = 0.0
     ) -> FittedLattice:
-        """Bilinear between the corners, 17 x 17; the upper side is bowed inwards by so many pixels."""
+        """Return a bilinear lattice, 17 x 17, whose upper side is bowed inwards by some pixels."""
         at = np.linspace(0, 1, 17)
         v, u = (side[..., None] for side in np.meshgrid(at, at, indexing="ij"))
         first, second, third, fourth = np.array(corners, float)

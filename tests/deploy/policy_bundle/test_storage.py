@@ -108,7 +108,7 @@ def test_fitted_features_travel_along(tmp_path):
 
 @pytest.mark.parametrize("trust", [False, True])
 def test_wrappers_that_have_moved_since_are_found_and_a_backend_is_no_error(tmp_path, trust):
-    """Entry points and configuration as earlier releases wrote them."""
+    """The record has entry points and a configuration of earlier releases."""
     env = Shuffled(cable())
     save_bundle(learner(env), env, tmp_path / "a.policy")
     members = read_archive(tmp_path / "a.policy").members

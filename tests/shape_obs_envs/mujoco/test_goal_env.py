@@ -150,7 +150,7 @@ def test_far_goals_are_farther_and_difficulty_can_grow(name):
 
 
 def test_an_episode_goes_on_from_its_state(name):
-    """The physics, and with them the images, are those of the state; goals can be taken over."""
+    """A restored state has the same physics and images; goals can be transferred."""
     one, two = make(name), make(name)
     before = play(one, seed=4)[-1]
     options = {"start": one.get_state().tolist(), "goal": before[0]["desired_goal"].tolist()}
@@ -243,7 +243,7 @@ def test_bad_arguments(name, arguments, message):
 
 
 def test_the_medium_is_stable_and_the_scene_stays_in_view(name):
-    """Held actions at full strength: the hardest that can be asked."""
+    """Held actions at full strength are the hardest case."""
     env = make(name, render_observation=False)
     assert env.action_space.shape is not None
     rng, action = np.random.default_rng(0), np.zeros(env.action_space.shape, np.float32)

@@ -56,7 +56,7 @@ def test_the_newest_frame_is_taken_at_once_if_it_arrived_after_the_moment():
 
 
 def test_the_newest_frame_is_refused_if_it_arrived_before_the_moment():
-    """It is 50 ms older than the action: it shows the world before it."""
+    """The frame is 50 ms older than the action, so it shows the scene before it."""
     now = time.monotonic()
     eye = reader(frame(now - 0.05, 7), [frame(now + 10.0, 8)])
     assert eye.frame_after(now).number == 8

@@ -123,7 +123,7 @@ def test_a_robot_that_cannot_be_stopped_is_an_error_of_the_next_call(caplog):
 def test_a_robot_that_takes_no_end_of_its_motions_is_refused():
     class Endless(ListRobot):
         def send(self, action: Any) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
-            """Move on for ever."""
+            """Ignore the end of the motion."""
 
     with pytest.raises(TypeError, match=r"expected Endless.send\(action, until\), got Endless.send\(action\)"):
         make(Endless())

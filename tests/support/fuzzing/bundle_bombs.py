@@ -23,7 +23,7 @@ _DATE: Final = (1980, 1, 1, 0, 0, 0)
 
 
 def bombs(sample: Members) -> Crafted:
-    """Files that are small and ask for much: (name, content)."""
+    """Yield small files that demand many resources: (name, content)."""
     for group in (_archives, _names, _documents, _tensors):
         yield from group(sample)
 

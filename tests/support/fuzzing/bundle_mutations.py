@@ -64,7 +64,7 @@ def _swapped(sample: Members, plain: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _member_flipped(sample: Members, plain: bytes, rng: np.random.Generator) -> bytes:
-    """Bits within a member, with the checksum of the result."""
+    """Flip bits within a member, with the checksum of the result."""
     name = list(sample)[int(rng.integers(len(sample)))]
     data = bytearray(sample[name])
     for at in rng.integers(len(data), size=int(rng.integers(1, 8))):

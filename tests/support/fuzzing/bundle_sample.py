@@ -83,7 +83,7 @@ def edited(members: Mapping[str, bytes], name: str, **changes: Any) -> Members:
 
 
 def _fitted() -> PointDistribution:
-    """Principal components of smooth curves on a table."""
+    """Return principal components of smooth curves on a table."""
     rng = np.random.default_rng(0)
     along = np.linspace(-0.2, 0.2, _POINTS)
     bends = rng.normal(scale=0.03, size=(_SHAPES, 4))

@@ -53,7 +53,7 @@ class Outcomes:
 
     @property
     def total(self) -> int:
-        """How many were tried."""
+        """The number of trials."""
         return sum(self.counts.values())
 
 

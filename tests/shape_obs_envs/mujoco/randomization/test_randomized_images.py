@@ -50,7 +50,7 @@ def test_gl_and_rays_agree(name, camera):
 
 @needs_gl
 def test_a_print_lies_where_opengl_lays_it():
-    """A texture that shows places: red grows with x, green falls with y."""
+    """Use a texture that encodes positions: red grows with x, green falls with y."""
     pictures = []
     for renderer in ("gl", "rays"):
         env = make(

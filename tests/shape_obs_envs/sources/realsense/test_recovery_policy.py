@@ -37,7 +37,7 @@ def test_a_frozen_stream_never_yields_a_frame(stream_name: str) -> None:
 
 
 def test_colour_that_lags_behind_depth_never_yields_a_frame() -> None:
-    """Both images are new, but not of one moment."""
+    """Both images are new, but were not taken at the same time."""
     device = camera()
     with source(device, max_gap=0.0) as stream:
         arrived(stream, device.push_raw(*picture(), 1.0))
@@ -194,7 +194,7 @@ def test_a_program_may_end_while_a_camera_streams() -> None:
 
 
 def _open() -> tuple[int, int]:
-    """File descriptors and threads of this process."""
+    """Return the numbers of file descriptors and threads of this process."""
     return len(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task"))
 
 
