@@ -19,6 +19,7 @@ from shape_obs.bench import Clock
 from shape_obs.utils.threads import one_thread
 
 S = TypeVar("S")
+T = TypeVar("T")
 
 # The processor time of this thread ignores other processes on a busy machine, and also other threads of this process.
 CLOCKS: Final[dict[Clock, Callable[[], float]]] = {"wall": time.perf_counter, "thread": time.thread_time}
@@ -42,6 +43,13 @@ class Method(Generic[S]):
     before: Callable[[], object] = lambda: None
     touch: Callable[[S], object] = lambda frame: None
     frames: Container[int] | None = None
+
+
+def timed(call: Callable[[], T], now: Callable[[], float] = time.perf_counter) -> tuple[T, float]:
+    """Return the result of a call and its milliseconds."""
+    begin = now()
+    result = call()
+    return result, 1e3 * (now() - begin)
 
 
 class Turn(NamedTuple):
@@ -110,10 +118,12 @@ def interleaved_timing(
                 timing.tick()
 
 
-def by_method(methods: Iterable[Method[S]], turns: Iterable[Turn]) -> dict[Any, list[Turn]]:
-    """Return the turns of each method by its name, in the order of the methods."""
+def time_methods(
+    frames: Iterable[S], methods: Sequence[Method[S]], timing: Timing, *, warm_up: int, shuffled: bool = False
+) -> dict[Any, list[Turn]]:
+    """Return the turns of ``interleaved_timing`` by the name of their method, in the order of the methods."""
     found: dict[Any, list[Turn]] = {method.name: [] for method in methods}
-    for turn in turns:
+    for turn in interleaved_timing(frames, methods, timing, warm_up=warm_up, shuffled=shuffled):
         found[turn.name].append(turn)
     return found
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench import Size
-from shape_obs.bench.interleaved_timing import Method, Timing, Turn, by_method, interleaved_timing, median_ms
+from shape_obs.bench.interleaved_timing import Method, Timing, Turn, median_ms, time_methods
 from shape_obs.bench.synthetic.images import BLUE
 from shape_obs.bench.synthetic.ropes import SIZE, draw_rope
 from shape_obs.bench.synthetic.sheets import draw_sheet
@@ -86,7 +86,7 @@ def latencies(sizes: tuple[Size, ...], frames: int, timing: Timing) -> Latencies
     """
     methods = [method for size in sizes for method in _methods(size)]
     seen = streams(sizes, frames + WARM_UP, timing.seed)
-    return by_method(methods, interleaved_timing(seen, methods, timing, warm_up=WARM_UP))
+    return time_methods(seen, methods, timing, warm_up=WARM_UP)
 
 
 def _methods(size: Size) -> Iterator[Method[Frame]]:
@@ -172,8 +172,7 @@ def growth_rows(frames: int, timing: Timing) -> list[Row]:
             yield frame
 
     methods = [_growing(*case) for case in _CASES]
-    turns = interleaved_timing(seen(), methods, timing._replace(burst=1), warm_up=WARM_UP, shuffled=True)
-    found = by_method(methods, turns)
+    found = time_methods(seen(), methods, timing._replace(burst=1), warm_up=WARM_UP, shuffled=True)
     rows: list[Row] = []
     smallest: dict[str, float] = {}
     for (grows, known, image), turns in found.items():

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from shape_obs import metrics
-from shape_obs.bench.interleaved_timing import Method, Timing, Turn, by_method, interleaved_timing, median_ms
+from shape_obs.bench.interleaved_timing import Method, Timing, Turn, median_ms, time_methods
 from shape_obs.bench.synthetic.streams import Name, Scene, Work, outline_pixels, work
 from shape_obs.bench.tables import Row, at_least, at_most
 from shape_obs.bench.tangle_claims import longest_path
@@ -202,7 +202,7 @@ def run_work(name: Name, frames: int, slow_frames: int, timing: Timing) -> Row:
         if module is not None:
             some = looked_at if peer.slow else None
             methods.append(Method(peer.name, partial(peer.run, task, module, timing.seed), touch=_touch, frames=some))
-    found = by_method(methods, interleaved_timing(task.scenes, methods, timing, warm_up=WARM_UP))
+    found = time_methods(task.scenes, methods, timing, warm_up=WARM_UP)
     rows = []
     for method, turns in found.items():
         seen = [(task.scenes[turn.frame], turn.result) for turn in turns if turn.frame in looked_at]

@@ -9,7 +9,7 @@ import numpy as np
 
 from shape_obs.bench import Env, Size
 from shape_obs.bench.env_physics import held_actions, make_env
-from shape_obs.bench.interleaved_timing import Method, Timing, by_method, interleaved_timing, median_ms
+from shape_obs.bench.interleaved_timing import Method, Timing, median_ms, time_methods
 from shape_obs.bench.servo.settings import FEATURES, LAYOUTS
 from shape_obs.bench.tables import Row, at_most, grouped
 from shape_obs.detector import ShapeDetector
@@ -57,8 +57,8 @@ def feature_times(
         ),
         *(Method(name, lambda look, each=each: each.compute(look.shape, look.view)) for name, each in features.items()),
     ]
-    turns = interleaved_timing(looks, methods, timing._replace(burst=_BURST), warm_up=WARM_UP)
-    medians = {name: median_ms(some) for name, some in by_method(methods, turns).items()}
+    turns = time_methods(looks, methods, timing._replace(burst=_BURST), warm_up=WARM_UP)
+    medians = {name: median_ms(some) for name, some in turns.items()}
     detection = medians.pop(_DETECTOR)
     return [
         Row(
