@@ -78,7 +78,7 @@ def test_what_is_not_installed_is_left_out_and_reported(capsys, monkeypatch):
 
 def test_ratios_are_over_the_frames_of_both():
     often = [Turn(1, "often", 1.0, None), Turn(2, "often", 2.0, None), Turn(3, "often", 30.0, None)]
-    assert times_slower([Turn(2, "seldom", 8.0, None)], often) == 4
+    assert times_slower([Turn(2, "rare", 8.0, None)], often) == 4
     assert median_ms(often) == 2
 
 

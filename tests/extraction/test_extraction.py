@@ -245,7 +245,7 @@ def test_images_and_a_video_without_depth(tmp_path, capsys):
     assert np.isnan(np.stack(table["centerline/points3d"].to_pylist())).all(), "the column is there, its values are not"
 
 
-@pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not at hand")
+@pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not available")
 def test_the_recording_of_a_real_camera(tmp_path, capsys):
     try:
         librealsense()

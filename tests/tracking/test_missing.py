@@ -83,7 +83,7 @@ def test_with_nothing_to_hold_there_are_no_points(empty, policy):
 
 
 @pytest.mark.parametrize(("wait", "first"), [(0.2, 270), (2.0, 50)])
-def test_a_short_loss_keeps_the_index_and_a_long_one_starts_afresh(wave, empty, wait, first):
+def test_a_short_loss_keeps_the_index_and_a_long_one_starts_again(wave, empty, wait, first):
     """The hand has moved to the left end: only a new start uses it as the anchor."""
     detector = ShapeDetector(Centerline(ends="tips", anchor="hand"), max_age=0.5)
     right, left = {"hand": (319, 110)}, {"hand": (0, 140)}

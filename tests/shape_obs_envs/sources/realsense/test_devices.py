@@ -54,7 +54,7 @@ def test_a_recording_gives_the_same_frames(recorded) -> None:
                     read()
 
 
-@pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not at hand")
+@pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not available")
 def test_the_recording_of_a_real_camera() -> None:
     with RealSenseSource(recording=REAL) as stream:
         frame = stream.read(10)
@@ -91,7 +91,7 @@ def test_bad_files(recorded, tmp_path: Path) -> None:
             RealSenseSource(recording=path).connect()
 
 
-@pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not at hand")
+@pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not available")
 def test_bad_bags(tmp_path: Path) -> None:
     shutil.copy(REAL, tmp_path / "real.db3")
     (tmp_path / "half.bag").write_bytes(REAL.read_bytes()[:300_000])
