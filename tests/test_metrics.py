@@ -112,7 +112,7 @@ class TestSpacing:
         angle = 2 * np.pi * np.arange(12) / 12
         assert spacing_cv(np.stack([np.cos(angle), np.sin(angle)], axis=1), Ring(12)) == pytest.approx(0)
         grid = np.stack(np.meshgrid(np.arange(4.0) * 7, np.arange(3.0)), axis=-1).reshape(-1, 2)
-        assert spacing_cv(grid, Grid(3, 4)) == pytest.approx(0), "rows and columns have gaps of their own"
+        assert spacing_cv(grid, Grid(3, 4)) == pytest.approx(0), "rows and columns have separate gaps"
 
     @given(st.lists(st.floats(0.1, 10), min_size=2, max_size=20))
     def test_gaps_along_a_line_are_reported(self, gaps):

@@ -93,7 +93,7 @@ def test_it_learns_from_motions_that_are_long_enough(least, learnt):
 
 def test_weights_by_noise_wait_and_look_first():
     plant = Plant()
-    plant.matrix[0], plant.noise = 0, 0.0  # a feature that never answers, and no noise at all
+    plant.matrix[0], plant.noise = 0, 0.0  # a feature that never answers, and no noise
     servo = servo_of(plant, weights="noise")
     assert (plant.run(servo, 8) == 0).all()
     plant.run(servo, 40)

@@ -1,4 +1,4 @@
-"""Compare Gymnasium's envs with their simulator's truth as JSON, in a process of its own for OpenGL.
+"""Compare Gymnasium's envs with their simulator's truth as JSON, in a separate process for OpenGL.
 
 Run by test_foreign_envs.py; on Linux without a display with MUJOCO_GL=egl.
 """

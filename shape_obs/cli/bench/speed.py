@@ -71,7 +71,7 @@ class Envs(_TimingOptions):
     """Count the steps per second of each environment: without drawing, with images, and wrapped.
 
     All ways take turns through the same episodes, on one thread. Rates are those of the median step; resets have a
-    column of their own.
+    separate column.
     """
 
     envs: tuple[Env, ...] = ENVS

@@ -68,7 +68,7 @@ def pack(members: Mapping[str, bytes], /, *, version: Any = VERSION, **manifest:
 
 
 def pack_plain(members: Mapping[str, bytes]) -> bytes:
-    """Make a zip as ``save_bundle`` does, without a manifest of its own."""
+    """Make a zip as ``save_bundle`` does, without its own manifest."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, data in members.items():

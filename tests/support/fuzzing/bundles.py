@@ -63,7 +63,7 @@ def bundle_claims(mutated: int = 1000, every: int = 1, kills: int = 30, seed: in
 def read_all(
     folder: Path, files: Sequence[Named], trusted: Sequence[Named] = (), kills: int = 0, seed: int = 0
 ) -> tuple[list[dict[str, Any]], dict[str, int]]:
-    """Read files, each in a process of its own, then kill processes that save a bundle.
+    """Read files, each in a separate process, then kill processes that save a bundle.
 
     Args:
         folder: With ``sample.policy``.

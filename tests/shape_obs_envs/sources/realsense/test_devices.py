@@ -124,7 +124,7 @@ def test_a_killed_recording_loses_nothing(tmp_path: Path) -> None:
         "for _ in range(20):\n"
         "    device.push_raw(np.zeros((120, 160, 3), np.uint8), np.full((120, 160), 700, np.uint16))\n"
         "    stream.read(5)\n"
-        "time.sleep(0.5)\n"  # the recorder has a thread of its own
+        "time.sleep(0.5)\n"  # the recorder runs in a separate thread
         "os.kill(os.getpid(), signal.SIGKILL)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
