@@ -29,24 +29,24 @@ settings.load_profile("shape_obs")
 
 @pytest.fixture(scope="session")
 def wave() -> Rope:
-    """A wavy rope from left to right, 10 px thick, flat ends, in 320 x 240 pixels; its left end lies at (50, 140)."""
+    """Return a wavy rope from (50, 140) to the right, 10 px thick, with flat ends, in 320 x 240 pixels."""
     u = np.linspace(50, 270, 400)
     return draw_rope(np.stack([u, 140 + 40 * np.sin((u - 50) / 40)], axis=1), 10.0, size=(240, 320))
 
 
 @pytest.fixture(scope="session")
 def intrinsics() -> Intrinsics:
-    """A pinhole of 320 x 240 pixels."""
+    """Return the intrinsics of a pinhole camera of 320 x 240 pixels."""
     return Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 
 
 @pytest.fixture(scope="session")
 def overhead(intrinsics: Intrinsics) -> CameraModel:
-    """That pinhole one metre above the base frame's origin, looking straight down, image right along base x."""
+    """Return a camera one metre above the base frame's origin that looks down, with image right along base x."""
     return CameraModel(intrinsics, np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 1], [0, 0, 0, 1]]))
 
 
 @pytest.fixture(scope="session")
 def blue(wave: Rope) -> np.ndarray:
-    """The wavy rope in blue on gray: (240,320,3) uint8."""
+    """Return an image of the wavy rope in blue on gray, (240, 320, 3) uint8."""
     return np.where(wave.mask[..., None] > 0, np.array([30, 60, 200]), np.array([150, 150, 150])).astype(np.uint8)

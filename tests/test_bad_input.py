@@ -1,4 +1,4 @@
-"""Whatever comes in, a clear error or the declared policy comes out: never a warning, never a crash."""
+"""Bad input leads to a clear error or to the declared policy, never to a warning or a crash."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_a_table_full_of_specks_is_no_rope_and_takes_no_time():
 
 @pytest.mark.parametrize("blob", ["whole", "square", "disc", "cross"])
 def test_a_blob_is_refused(blob):
-    """As a colour range that is too wide gives."""
+    """The mask is that of a colour range that is too wide."""
     mask = np.zeros((240, 320), np.uint8)
     if blob == "whole":
         mask[:] = 1
@@ -217,7 +217,7 @@ def test_garbage_images_never_break_the_detector(data, size, rule):
 @settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.floats(0.02, 0.98), st.integers(1, 9), st.integers(40, 160))
 def test_noise_of_every_grain_never_breaks_the_detector(seed, share, grain, side):
-    """Random blobs: many pieces, holes, crossings, touching edges."""
+    """Masks are random blobs: many pieces, holes, crossings, touching edges."""
     rng = np.random.default_rng(seed)
     detector = ShapeDetector(Centerline(n=9), GrayRange(min_area=1, min_share=0), max_age=0.05)
     for _ in range(2):

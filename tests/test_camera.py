@@ -19,7 +19,7 @@ D455 = {"width": 1280, "height": 800, "fx": 636.5, "fy": 635.9, "cx": 644.4, "cy
 
 
 def unfolded(coeffs: tuple[float, ...]) -> bool:
-    """Whether radii grow monotonously out to the corners of the image: what folds over cannot be undone."""
+    """Return whether radii grow towards the corners of the image; a fold could not be undone."""
     r = np.linspace(0, 1.6, 60)
     slope = 1 + 3 * coeffs[0] * r**2 + 5 * coeffs[1] * r**4 + 7 * coeffs[4] * r**6
     reached = r * (1 + coeffs[0] * r**2 + coeffs[1] * r**4 + coeffs[4] * r**6)
@@ -61,7 +61,7 @@ def test_brown_conrady_is_opencvs(coeffs):
 
 
 def test_distortion_moves_pixels():
-    """The comparisons above would also pass if coefficients were ignored on both ways."""
+    """The comparisons above would also pass if coefficients were ignored in both directions."""
     pinhole = Intrinsics(**D455)
     corner = pinhole.deproject([[100.0, 100.0]], [1.0])
     for model in MODELS[1:]:
@@ -86,7 +86,7 @@ def realsense() -> Any:
     [("pinhole", "none"), ("brown_conrady", "brown_conrady"), ("inverse_brown_conrady", "inverse_brown_conrady")],
 )
 def test_librealsense_agrees(realsense, model, theirs):
-    coeffs = (-0.056, 0.067, 4e-4, -6e-4, -0.021)  # a D455's, as its firmware tells them
+    coeffs = (-0.056, 0.067, 4e-4, -6e-4, -0.021)  # a D455's, as its firmware reports them
     camera = Intrinsics(**D455, model=model, coeffs=coeffs)
     raw = realsense.intrinsics()
     raw.width, raw.height, raw.fx, raw.fy, raw.ppx, raw.ppy = 1280, 800, 636.5, 635.9, 644.4, 407.8

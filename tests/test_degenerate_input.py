@@ -28,7 +28,7 @@ def _no_warnings():
 
 
 def test_random_inputs_break_no_promise():
-    """A slice of the 10,000 inputs of a full sweep."""
+    """Run a sample of the 10,000 inputs of a full sweep."""
     rows = inputs_table(sweep(200, 10_000), seed=11)
     assert [(row["what"], row["seen"], row["first"]) for row in rows if row["seen"]] == []
     assert len(rows) == 4
@@ -40,7 +40,7 @@ def test_no_drawn_case_breaks_a_promise(seed, case):
 
 
 def test_an_outline_without_extent_is_no_sheet():
-    """Specks hundreds of metres apart, as a lens of 0.1 px sees them; found by the random inputs."""
+    """A lens of 0.1 px puts specks hundreds of metres apart. The random inputs found this case."""
     assert run_case(5, 93) == (8, [])
 
 
@@ -85,7 +85,7 @@ def test_a_cloud_contour_over_random_depth_is_seen_whole_or_refused(seed):
 
 
 def test_pixels_that_no_image_holds_lie_off_the_mask():
-    """In compiled code an integer made of NaN or 1e30 would read memory that is not the image's."""
+    """In compiled code, an integer made of NaN or 1e30 would read memory outside the image."""
     mask, depth = np.ones((9, 12), np.uint8), np.full((9, 12), 0.5, np.float32)
     off = [np.nan, np.inf, -np.inf, 1e30, -1e30, 2.0**62, -(2.0**63)]
     points = np.array([[5.0, 4.0], *([x, 4.0] for x in off), *([5.0, x] for x in off), *([x, x] for x in off)])
@@ -103,7 +103,7 @@ def test_pixels_that_no_image_holds_lie_off_the_mask():
 @pytest.mark.parametrize("model", ["brown_conrady", "inverse_brown_conrady"])
 @pytest.mark.parametrize("coeffs", [(0.0, 0.0, 9.0, 9.0, 0.0), (-3.0, 0.0, 0.0, 0.0, 0.0)], ids=["beyond", "folded"])
 def test_pixels_to_which_the_lens_has_no_ray_have_no_points(model, coeffs):
-    """What undoes the distortion runs away for the first lens, and to and fro for the second."""
+    """The iteration that undoes the distortion diverges for the first lens, and oscillates for the second."""
     camera = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5, model, coeffs)
     rays = camera.rays(np.array([[159.5, 119.5], [162.0, 119.5], [0.0, 0.0], [319.0, 239.0]]))
     np.testing.assert_array_equal(np.isnan(rays).all(axis=1), [False, False, True, True])
@@ -118,7 +118,7 @@ def test_pixels_to_which_the_lens_has_no_ray_have_no_points(model, coeffs):
     assert np.isfinite(shape.points2d).all()
 
 
-def test_points_beside_or_behind_the_camera_have_no_pixels():
+def test_points_next_to_or_behind_the_camera_have_no_pixels():
     camera = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5, "brown_conrady", (0.1, 0.1, 0.0, 0.0, 0.1))
     pixels = camera.project([[0, 0, 1], [0.1, 0, 1], [0, 0, 0], [0, 0, -1], [1, 0, 1e-300], [1e300, 0, 1]])
     np.testing.assert_array_equal(np.isfinite(pixels).all(axis=1), [True, True, False, False, False, False])
@@ -139,7 +139,7 @@ def test_a_pose_is_rigid_and_of_this_world(transform, usable):
 
 
 def test_a_clock_that_goes_back_makes_no_held_shape_younger(wave):
-    """A camera that restarts may count from zero: what was held for 0.4 s has been held for 0.4 s still."""
+    """A camera may restart its clock at zero; a shape that was held for 0.4 s still counts as held for 0.4 s."""
     detector, empty = ShapeDetector(max_age=0.5), np.zeros_like(wave.mask)
     detector.detect_mask(wave.mask, stamp=3600.0)
     assert detector.detect_mask(empty, stamp=3600.4).shapes[0].ok
@@ -161,7 +161,7 @@ def test_stamps_that_nearly_stand_still_give_no_velocity(wave, interval):
 
 
 def test_what_is_counted_notices_broken_promises():
-    """The measure itself: of shapes that break the contract, and of exceptions that are not the package's own."""
+    """The measure counts shapes that break the contract, and undeclared exceptions."""
     fine: dict[str, Any] = {"points2d": np.zeros((3, 2)), "points3d": np.ones((3, 3)), "visible": np.ones(3, bool)}
     fine |= {"valid": np.ones(3, bool), "layout": Chain(3)}
     one_nan = np.where(np.arange(3)[:, None] == 1, np.nan, 1.0)

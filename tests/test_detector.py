@@ -34,7 +34,7 @@ def gaps(points: np.ndarray) -> np.ndarray:
 @settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(KINDS), n=st.sampled_from([8, 20, 50]))
 def test_points_lie_on_the_centreline_in_order(seed, kind, n):
-    """A sample of what tests/bench/test_claims.py counts in full."""
+    """Run a sample of the measurement `shape-obs bench claims`."""
     rope = random_rope(np.random.default_rng(seed), kind)
     shape = one(ShapeDetector(Centerline(n=n, ends="tips")), rope.mask)
     assert shape.ok, shape.reason
@@ -71,7 +71,7 @@ def test_an_image_and_its_mask_give_the_same_points(wave, blue, intrinsics):
 
 
 class TestAnchors:
-    """Point 0 belongs to the end nearest the anchor, whatever kind of anchor it is."""
+    """Point 0 belongs to the end nearest the anchor, for anchors of every kind."""
 
     LEFT, RIGHT = (50.0, 140.0), (270.0, 112.0)
 
@@ -234,7 +234,7 @@ def test_a_detection_is_read_by_name_and_place(wave):
     assert error.value.args[0] == "no shape named 'roep'; did you mean 'rope'? Known: rope, cable."
 
 
-def test_timings_tell_each_stage_in_milliseconds(blue, intrinsics):
+def test_timings_hold_each_stage_in_milliseconds(blue, intrinsics):
     timings = ShapeDetector(segmentation=BLUE).detect(blue, np.full((240, 320), 800, np.uint16), intrinsics).timings
     assert {"segmentation", "fit", "lift", "total"} <= set(timings)
     assert 0 < sum(v for stage, v in timings.items() if stage != "total") <= timings["total"]

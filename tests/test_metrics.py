@@ -26,7 +26,7 @@ from shape_obs.metrics import (
 
 
 def mask_pixels(mask: np.ndarray) -> np.ndarray:
-    """``(M, 2)`` pixels (u, v)."""
+    """Return the pixels (u, v) of a mask, ``(M, 2)``."""
     return np.argwhere(mask)[:, ::-1]
 
 
@@ -35,7 +35,7 @@ sklearn_metrics = pytest.importorskip("sklearn.metrics")
 
 @st.composite
 def clusterings(draw):
-    """(M,D) points, many of them in one place, and (M,) labels with gaps in their numbers."""
+    """Return (M, D) points, many of them in one place, and (M,) labels with gaps in their numbers."""
     dimension = draw(st.integers(1, 3))
     count = draw(st.integers(4, 60))
     values = st.one_of(st.integers(-3, 3).map(float), st.floats(-1e3, 1e3).map(lambda x: round(x, 3)))
@@ -47,7 +47,7 @@ def clusterings(draw):
 
 @pytest.fixture(scope="module")
 def drawn():
-    """Pixels of a rope, an outline and a cloth, with the labels of nearest centres drawn by lot."""
+    """Return pixels of a rope, an outline and a cloth, with the labels of the nearest of random centres."""
     rng = np.random.default_rng(3)
     masks = [
         random_rope(rng, "s", (240, 320)).mask,
@@ -112,7 +112,7 @@ class TestSpacing:
         angle = 2 * np.pi * np.arange(12) / 12
         assert spacing_cv(np.stack([np.cos(angle), np.sin(angle)], axis=1), Ring(12)) == pytest.approx(0)
         grid = np.stack(np.meshgrid(np.arange(4.0) * 7, np.arange(3.0)), axis=-1).reshape(-1, 2)
-        assert spacing_cv(grid, Grid(3, 4)) == pytest.approx(0), "rows and columns have gaps of their own"
+        assert spacing_cv(grid, Grid(3, 4)) == pytest.approx(0), "rows and columns have separate gaps"
 
     @given(st.lists(st.floats(0.1, 10), min_size=2, max_size=20))
     def test_gaps_along_a_line_are_reported(self, gaps):

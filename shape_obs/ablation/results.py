@@ -128,7 +128,7 @@ class RunFolder:
 
 
 def done_runs(study: Study, root: Path) -> list[RunFolder]:
-    """Return all finished runs of a study's arms, whatever their seeds.
+    """Return all finished runs of a study's arms, with all seeds.
 
     Raises:
         ValueError: A run was done with another configuration.

@@ -11,7 +11,7 @@ import numpy as np
 
 from shape_obs.bench import Clock, Env, Size
 from shape_obs.bench.env_physics import EPISODE, Actions, held_actions, make_env
-from shape_obs.bench.interleaved_timing import CLOCKS, Method, Tick, Turn, by_method, interleaved_timing, median_ms
+from shape_obs.bench.interleaved_timing import CLOCKS, Method, Timing, Turn, median_ms, time_methods, timed
 from shape_obs.bench.tables import Row, at_least, at_most
 from shape_obs.wrappers import ShapeObservation
 
@@ -43,9 +43,7 @@ class Runner:
         """Reset if the next step needs it."""
         if self._left:
             return
-        begin = self._now()
-        self.env.reset(seed=self._seed + 1000 * len(self.resets))
-        self.resets.append(1e3 * (self._now() - begin))
+        self.resets.append(timed(lambda: self.env.reset(seed=self._seed + 1000 * len(self.resets)), self._now)[1])
         self._left = EPISODE
 
     def step(self, action: Actions) -> float | None:
@@ -74,22 +72,11 @@ class Stopwatch(gym.Wrapper[Any, Any, Any, Any]):
 
     def step(self, action: Any) -> Any:
         """Step the environment."""
-        begin = self._now()
-        result = self.env.step(action)
-        self.milliseconds = 1e3 * (self._now() - begin)
+        result, self.milliseconds = timed(lambda: self.env.step(action), self._now)
         return result
 
 
-def speed_row(
-    env: Env,
-    size: Size,
-    renderer: str,
-    steps: int,
-    seed: int = 0,
-    clock: Clock = "wall",
-    burst: int = 10,
-    tick: Tick = lambda: None,
-) -> Row:
+def speed_row(env: Env, size: Size, renderer: str, steps: int, timing: Timing) -> Row:
     """Run the same episodes without rendering, with images and wrapped, in turns of a few steps.
 
     Args:
@@ -97,10 +84,7 @@ def speed_row(
         size: (width, height) of its images in pixels.
         renderer: ``"gl"`` or ``"rays"``.
         steps: Number of counted steps.
-        seed: Seed of episodes and actions.
-        clock: The clock.
-        burst: Steps in a turn.
-        tick: Called after each step of all.
+        timing: Clock and number of steps in a turn; seed of episodes and actions.
 
     Returns:
         The steps per second of each way, the wrapper's share of a step, and the time of a reset.
@@ -109,16 +93,15 @@ def speed_row(
     envs = {
         NO_RENDERING: make_env(env, {**options, "render_observation": False}),
         BARE: make_env(env, options),
-        WRAPPED: ShapeObservation(Stopwatch(make_env(env, options), clock)),
+        WRAPPED: ShapeObservation(Stopwatch(make_env(env, options), timing.clock)),
     }
     with ExitStack() as stack:
         for each in envs.values():
             stack.callback(each.close)
-        runners = {name: Runner(each, seed, clock) for name, each in envs.items()}
-        actions = held_actions(np.random.default_rng(seed), envs[BARE].action_space.shape or (), WARM_UP + steps)
+        runners = {name: Runner(each, timing.seed, timing.clock) for name, each in envs.items()}
+        actions = held_actions(np.random.default_rng(timing.seed), envs[BARE].action_space.shape or (), WARM_UP + steps)
         methods = [Method[Actions](name, runner.step, runner.ready) for name, runner in runners.items()]
-        turns = interleaved_timing(actions, methods, clock, burst=burst, warm_up=WARM_UP, tick=tick)
-        found = by_method(methods, turns)
+        found = time_methods(actions, methods, timing, warm_up=WARM_UP)
     rates = {name: rate(some) for name, some in found.items()}
     return Row(
         env=env,

@@ -19,7 +19,7 @@ from shape_obs.bench import Clock
 from shape_obs.utils.threads import one_thread
 
 S = TypeVar("S")
-Tick = Callable[[], Any]
+T = TypeVar("T")
 
 # The processor time of this thread ignores other processes on a busy machine, and also other threads of this process.
 CLOCKS: Final[dict[Clock, Callable[[], float]]] = {"wall": time.perf_counter, "thread": time.thread_time}
@@ -45,6 +45,13 @@ class Method(Generic[S]):
     frames: Container[int] | None = None
 
 
+def timed(call: Callable[[], T], now: Callable[[], float] = time.perf_counter) -> tuple[T, float]:
+    """Return the result of a call and its milliseconds."""
+    begin = now()
+    result = call()
+    return result, 1e3 * (now() - begin)
+
+
 class Turn(NamedTuple):
     """The time and the result of one method on one frame."""
 
@@ -54,33 +61,46 @@ class Turn(NamedTuple):
     result: Any
 
 
+class Timing(NamedTuple):
+    """The options that every measurement of speed has.
+
+    Args:
+        seed: Seed of everything that is drawn at random.
+        clock: ``"wall"`` counts elapsed time, ``"thread"`` the processor time of this thread.
+        burst: Frames in a turn. With 1 every method runs with the caches that another method left behind.
+        tick: Called after each frame.
+    """
+
+    seed: int = 0
+    clock: Clock = "wall"
+    burst: int = 1
+    tick: Callable[[], Any] = lambda: None
+
+
 def interleaved_timing(
     frames: Iterable[S],
     methods: Sequence[Method[S]],
-    clock: Clock = "wall",
-    seed: int | None = None,
-    burst: int = 1,
+    timing: Timing,
+    *,
     warm_up: int = 0,
-    tick: Tick = lambda: None,
+    shuffled: bool = False,
 ) -> Iterator[Turn]:
     """Run every method on every frame, on one thread, in an order that changes from turn to turn.
 
     Args:
         frames: The frames, in order.
         methods: The methods.
-        clock: ``"wall"`` counts elapsed time, ``"thread"`` the processor time of this thread.
-        seed: Draws the order in each turn. Without a seed the order rotates: the first method changes, but each one
-            always runs after the same other one, which matters for methods that are nearly equal.
-        burst: Frames in a turn. With 1 every method runs with the caches that another method left behind.
+        timing: Clock, length of a turn, and the seed that draws the order.
         warm_up: Number of the first frames, on which the methods run but nothing is yielded.
-        tick: Called after each frame.
+        shuffled: Whether the order of each turn is drawn. Otherwise it rotates: the first method changes, but each one
+            always runs after the same other one, which matters for methods that are nearly equal.
     """
-    now = CLOCKS[clock]
-    rng = None if seed is None else np.random.default_rng(seed)
+    now = CLOCKS[timing.clock]
+    rng = np.random.default_rng(timing.seed) if shuffled else None
     numbered = enumerate(frames)
     with one_thread():
         for turn in count():
-            some = list(islice(numbered, burst))
+            some = list(islice(numbered, timing.burst))
             if not some:
                 return
             order = np.roll(np.arange(len(methods)), -turn) if rng is None else rng.permutation(len(methods))
@@ -95,13 +115,15 @@ def interleaved_timing(
                 if i >= warm_up:
                     yield Turn(i, method.name, milliseconds, result)
             for _ in some:
-                tick()
+                timing.tick()
 
 
-def by_method(methods: Iterable[Method[S]], turns: Iterable[Turn]) -> dict[Any, list[Turn]]:
-    """Return the turns of each method by its name, in the order of the methods."""
+def time_methods(
+    frames: Iterable[S], methods: Sequence[Method[S]], timing: Timing, *, warm_up: int, shuffled: bool = False
+) -> dict[Any, list[Turn]]:
+    """Return the turns of ``interleaved_timing`` by the name of their method, in the order of the methods."""
     found: dict[Any, list[Turn]] = {method.name: [] for method in methods}
-    for turn in turns:
+    for turn in interleaved_timing(frames, methods, timing, warm_up=warm_up, shuffled=shuffled):
         found[turn.name].append(turn)
     return found
 

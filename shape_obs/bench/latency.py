@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench import Clock, Size
-from shape_obs.bench.interleaved_timing import Method, Tick, Turn, by_method, interleaved_timing, median_ms
+from shape_obs.bench import Size
+from shape_obs.bench.interleaved_timing import Method, Timing, Turn, median_ms, time_methods
 from shape_obs.bench.synthetic.images import BLUE
 from shape_obs.bench.synthetic.ropes import SIZE, draw_rope
 from shape_obs.bench.synthetic.sheets import draw_sheet
@@ -75,23 +75,18 @@ _CASES: Final[tuple[tuple[str, int | None, str, Shapes], ...]] = (
 Latencies = dict[tuple[Size, str], list[Turn]]  # size and method -> the turns
 
 
-def latencies(
-    sizes: tuple[Size, ...], frames: int, seed: int, clock: Clock = "wall", burst: int = 1, tick: Tick = lambda: None
-) -> Latencies:
+def latencies(sizes: tuple[Size, ...], frames: int, timing: Timing) -> Latencies:
     """Time the pipeline, one pass over the image and classic segmentation at every size, in turns on one thread.
 
     Args:
         sizes: (width, height) of the images in pixels.
         frames: Number of counted frames.
-        seed: Seed of motion, light and noise.
-        clock: The clock. The detector's own stages are always timed by the wall clock.
-        burst: Frames in a turn.
-        tick: Called after each frame.
+        timing: Clock and length of a turn; seed of motion, light and noise. The detector's own stages are always
+            timed by the wall clock.
     """
     methods = [method for size in sizes for method in _methods(size)]
-    seen = streams(sizes, frames + WARM_UP, seed)
-    turns = interleaved_timing(seen, methods, clock, burst=burst, warm_up=WARM_UP, tick=tick)
-    return by_method(methods, turns)
+    seen = streams(sizes, frames + WARM_UP, timing.seed)
+    return time_methods(seen, methods, timing, warm_up=WARM_UP)
 
 
 def _methods(size: Size) -> Iterator[Method[Frame]]:
@@ -154,16 +149,14 @@ def _name(size: Size) -> str:
     return f"{size[0]} x {size[1]}"
 
 
-def growth_rows(frames: int, seed: int, clock: Clock = "wall", tick: Tick = lambda: None) -> list[Row]:
+def growth_rows(frames: int, timing: Timing) -> list[Row]:
     """Time tracked detectors on growing objects, points and shapes, 640 x 480, in turns on one thread.
 
     Pixels and points are timed from the mask to the points, shapes from the RGB-D image on.
 
     Args:
         frames: Number of counted frames.
-        seed: Seed of the motions.
-        clock: The clock.
-        tick: Called after each frame.
+        timing: The clock, and the seed of the motions. Turns have one frame each.
 
     Returns:
         A row for each point of a growth curve: what grows, its amount (the median number of pixels), the median
@@ -172,14 +165,14 @@ def growth_rows(frames: int, seed: int, clock: Clock = "wall", tick: Tick = lamb
     pixels: dict[str, list[int]] = defaultdict(list)
 
     def seen() -> Iterator[Images]:
-        for frame in _images(frames + WARM_UP, seed):
+        for frame in _images(frames + WARM_UP, timing.seed):
             for name, image in frame.items():
                 if not isinstance(image, RGBD):
                     pixels[name].append(cv2.countNonZero(image))
             yield frame
 
     methods = [_growing(*case) for case in _CASES]
-    found = by_method(methods, interleaved_timing(seen(), methods, clock, seed, warm_up=WARM_UP, tick=tick))
+    found = time_methods(seen(), methods, timing._replace(burst=1), warm_up=WARM_UP, shuffled=True)
     rows: list[Row] = []
     smallest: dict[str, float] = {}
     for (grows, known, image), turns in found.items():
@@ -230,19 +223,18 @@ def _growing(grows: str, amount: int | None, image: str, shapes: Shapes) -> Meth
     return Method((grows, amount, image), run, touch=touch)
 
 
-def memory_growth(frames: int, seed: int, *, warm_up: int = 1000, tick: Tick = lambda: None) -> float | None:
+def memory_growth(frames: int, timing: Timing, *, warm_up: int = 1000) -> float | None:
     """Return by how many megabytes the process grows while a detector tracks a rope, loses it and finds it again.
 
     Args:
         frames: Number of RGB-D frames, 320 x 240.
-        seed: Seed of motion, light and noise.
+        timing: Seed of motion, light and noise; the rest is ignored, except ``tick``.
         warm_up: Frames before the first measurement of the process.
-        tick: Called after each frame.
 
     Returns:
         None where the system does not report the size of a process.
     """
-    scenes = [frame[_MEMORY_SIZE] for frame in streams((_MEMORY_SIZE,), _SCENES, seed)]
+    scenes = [frame[_MEMORY_SIZE] for frame in streams((_MEMORY_SIZE,), _SCENES, timing.seed)]
     scenes += scenes[-2:0:-1]
     gone = scenes[0]._replace(rgb=scenes[0].rgb[..., ::-1].copy())  # red instead of blue
     detector = ShapeDetector([Centerline(n=20)], BLUE)
@@ -252,7 +244,7 @@ def memory_growth(frames: int, seed: int, *, warm_up: int = 1000, tick: Tick = l
             if i == warm_up:
                 before = resident()
             detector.detect(*(gone if i % _LOST == _LOST - 1 else scenes[i % len(scenes)]))
-            tick()
+            timing.tick()
     after = resident()
     return None if before is None or after is None else after - before
 

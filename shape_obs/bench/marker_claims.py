@@ -21,7 +21,7 @@ from shape_obs.utils.threads import one_thread
 Array = npt.NDArray[np.float64]
 
 TOUCH_NOISE: Final = 0.0005  # metres, along each axis
-_DEPTH_FRAMES: Final = 5  # frames of which the median is taken, as in ``calibrate base``
+_DEPTH_FRAMES: Final = 5  # frames in the median, as in ``calibrate base``
 _BOARD_RASTER: Final = 4000  # pixels a metre
 
 

@@ -17,8 +17,7 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from shape_obs import metrics
-from shape_obs.bench import Clock
-from shape_obs.bench.interleaved_timing import Method, Tick, Turn, by_method, interleaved_timing, median_ms
+from shape_obs.bench.interleaved_timing import Method, Timing, Turn, median_ms, time_methods
 from shape_obs.bench.synthetic.streams import Name, Scene, Work, outline_pixels, work
 from shape_obs.bench.tables import Row, at_least, at_most
 from shape_obs.bench.tangle_claims import longest_path
@@ -179,31 +178,20 @@ def missing() -> dict[str, str]:
     return {peer.module.partition(".")[0]: peer.package for peer in PEERS if peer.load() is None}
 
 
-def run_work(
-    name: Name,
-    frames: int,
-    slow_frames: int,
-    seed: int,
-    clock: Clock = "wall",
-    burst: int = 1,
-    tick: Tick = lambda: None,
-) -> Row:
+def run_work(name: Name, frames: int, slow_frames: int, timing: Timing) -> Row:
     """Run the detector and every installed peer on one work.
 
     Args:
         name: The work.
         frames: Number of counted frames.
         slow_frames: Frames on which slow methods run and the quality is measured; 0 leaves slow methods out.
-        seed: Seed of the motion, and of the methods that draw at random.
-        clock: The clock.
-        burst: Frames in a turn.
-        tick: Called after each frame.
+        timing: Clock and length of a turn; seed of the motion, and of the methods that draw at random.
 
     Returns:
         ``turns``: method -> its turns, the detector first; ``summary``: the results as JSON-able values, with one row
         for each method.
     """
-    task = work(name, frames + WARM_UP, seed)
+    task = work(name, frames + WARM_UP, timing.seed)
     counted = range(WARM_UP, len(task.scenes))
     chosen = np.linspace(0, len(counted) - 1, min(slow_frames or _LOOKED_AT, len(counted))).astype(int)
     looked_at = {counted[i] for i in chosen}
@@ -213,9 +201,8 @@ def run_work(
         module = peer.load() if name in peer.works and (slow_frames or not peer.slow) else None
         if module is not None:
             some = looked_at if peer.slow else None
-            methods.append(Method(peer.name, partial(peer.run, task, module, seed), touch=_touch, frames=some))
-    timing = interleaved_timing(task.scenes, methods, clock, burst=burst, warm_up=WARM_UP, tick=tick)
-    found = by_method(methods, timing)
+            methods.append(Method(peer.name, partial(peer.run, task, module, timing.seed), touch=_touch, frames=some))
+    found = time_methods(task.scenes, methods, timing, warm_up=WARM_UP)
     rows = []
     for method, turns in found.items():
         seen = [(task.scenes[turn.frame], turn.result) for turn in turns if turn.frame in looked_at]

@@ -76,17 +76,17 @@ class ArmProcess:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.tell("quit")
+        self.send_message("quit")
         self._process.wait(5.0)
         self._socket.close()
 
-    def tell(self, *message: Any) -> None:
+    def send_message(self, *message: Any) -> None:
         """Send a message."""
         self._socket.send(json.dumps(message).encode())
 
     def notes(self) -> list[tuple[str, float]]:
         """Return what happened since the last ``clear``: (what, ``time.monotonic()``)."""
-        self.tell("notes")
+        self.send_message("notes")
         return [(what, moment) for what, moment in json.loads(self._socket.recv(1 << 20))[0]]
 
 

@@ -134,7 +134,8 @@ def simulator_score(points: Array, valid: npt.NDArray[np.bool_], layout: Topolog
     """
     if isinstance(layout, Grid):
         true = simulator.truth(layout.rows, layout.cols)
-        slips = _off_lattice(layout.lattice(points - true), layout.lattice(true))
+        away = off_lattice(layout.lattice(points - true), layout.lattice(true))
+        slips = np.abs(away).max(axis=-1).ravel()
     elif isinstance(layout, (Chain, Ring)):
         true = simulator.truth(layout.size)
         slips = _along_curve(points, simulator, isinstance(layout, Ring))
@@ -156,16 +157,15 @@ def _along_curve(points: Array, simulator: Any, closed: bool) -> Array:
     return np.abs(cdist(points, line).argmin(axis=1) / _PER_GAP - 1 - np.arange(count))
 
 
-def _off_lattice(away: Array, true: Array) -> Array:
-    """Return the distances of points from their true positions on a sheet, (N,), in gaps down or across.
+def off_lattice(away: Array, true: Array) -> Array:
+    """Return the distances of points from their true positions on a sheet, (rows, cols, 2), in gaps down and across.
 
     Args:
-        away: From the true positions to the found ones, (rows, cols, 3).
-        true: The true positions, (rows, cols, 3).
+        away: From the true positions to the found ones, (rows, cols, D).
+        true: The true positions, (rows, cols, D).
     """
     gaps = np.stack([np.gradient(true, axis=0), np.gradient(true, axis=1)], axis=-1)
-    off = np.linalg.pinv(gaps) @ away[..., None]
-    return np.asarray(np.abs(off).max(axis=(-2, -1)).ravel(), dtype=np.float64)
+    return np.asarray(np.linalg.pinv(gaps) @ away[..., None], dtype=np.float64)[..., 0]
 
 
 def _renumbered(points: Array, layout: Topology) -> list[Array]:

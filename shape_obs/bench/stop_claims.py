@@ -179,7 +179,7 @@ def stop(arm: ArmProcess, fault: str, state: State, *, wait: float = 0.15, max_a
         ``seconds`` until the arm stood still; whether it ``moved_again``; the exit ``code``; whether there is a
         ``report``.
     """
-    arm.tell("clear")
+    arm.send_message("clear")
     with tempfile.TemporaryDirectory() as folder, _running(arm, state, max_age, folder) as (child, fail, close):
         time.sleep(wait)
         # A failure is recorded by the process in which it happens, a signal here.

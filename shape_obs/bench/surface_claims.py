@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.detecting import at_rest, cold, followed
-from shape_obs.bench.scores import BOTH_ENDS, SLIP, tally
+from shape_obs.bench.scores import BOTH_ENDS, SLIP, off_lattice, tally
 from shape_obs.bench.synthetic.sheets import Sheet, moving_sheet, noisy, random_sheet, turning_sheet
 from shape_obs.bench.tables import Row, failures, mean, median, of, summary
 from shape_obs.configurations.base import Ends
@@ -35,8 +35,7 @@ def score_sheet(points: npt.ArrayLike, sheet: Sheet, rows: int, cols: int, ends:
     """
     true = Sheet(np.rot90(sheet.points, quarters), sheet.mask).lattice(rows, cols, ends)
     away = np.asarray(points, dtype=np.float64).reshape(true.shape) - true
-    gaps = np.stack([np.gradient(true, axis=0), np.gradient(true, axis=1)], axis=-1)
-    off = np.linalg.solve(gaps, away[..., None])[..., 0]
+    off = off_lattice(away, true)
     distance = np.linalg.norm(away, axis=-1)
     return Row(mean=float(distance.mean()), worst=float(distance.max()), slip=float(np.abs(off).max()), off=off)
 

@@ -53,7 +53,7 @@ def deploy(
     park: bool = True,
     close: bool = True,
 ) -> Report:
-    """Run a controller on a robot, and stop, park and disconnect the robot at the end, whatever happens.
+    """Run a controller on a robot, and stop, park and disconnect the robot at the end, also after an error.
 
     The environment keeps the rate with absolute deadlines, and its action limiter clips actions, limits steps and keeps
     the robot in the workspace. SIGINT, SIGTERM, SIGHUP and SIGQUIT stop the robot at once, from a thread, if this
@@ -136,7 +136,7 @@ class _Run:
         except Interrupted as interrupted:
             ended, failed = str(interrupted), False
             raise
-        except BaseException as error:
+        except BaseException as error:  # also SystemExit: the report gives the reason; raised again below
             ended = f"{type(error).__name__}: {error}"
             raise
         finally:

@@ -146,7 +146,7 @@ class Quantiles:
         self._most = max(self._most, value)
 
     def section(self) -> Section:
-        """Return the quantiles of all values, of which there must be at least one."""
+        """Return the quantiles of all values; there must be at least one."""
         return Section(self._quantile(0.5), self._quantile(0.95), round(self._most, 3))
 
     def _quantile(self, fraction: float) -> float:

@@ -123,7 +123,7 @@ class SignalStop:
 
 @contextmanager
 def supervised(env: gym.Env[Any, Any], *, park: bool = True, close: bool = True) -> Iterator[SignalStop]:
-    """Stop the robot at once on a signal; at the end stop, park and disconnect it, whatever happens.
+    """Stop the robot at once on a signal; at the end stop, park and disconnect it, also after an error.
 
     Each of these is done even if the previous one fails. A second signal skips or ends parking.
 

@@ -145,9 +145,9 @@ def _foot(page: Page, words: str) -> None:
         length = (4 if tick % 50 == 0 else 3 if tick % 10 == 0 else 1.5) * PER_MM
         column = left + tick * PER_MM
         page[line - round(length) : line, column - 1 : column + 2] = _INK
-    beside = (left / PER_MM) + _SCALE + 4
-    _write(page, f"This line is {_SCALE} mm long. If it is not: print again", beside, line / PER_MM - 6.5, 3.0)
-    _write(page, "at 100 %, without 'fit to page'.", beside, line / PER_MM - 2.5, 3.0)
+    text_left = (left / PER_MM) + _SCALE + 4
+    _write(page, f"This line is {_SCALE} mm long. If it is not: print again", text_left, line / PER_MM - 6.5, 3.0)
+    _write(page, "at 100 %, without 'fit to page'.", text_left, line / PER_MM - 2.5, 3.0)
     _write(page, words, left / PER_MM, line / PER_MM + 1.5, 3.0)
 
 

@@ -20,10 +20,10 @@ class PointReward(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """Compute the reward from the points of a ``ShapeGoal``, while the policy reads its other features.
 
     Rewards in different features cannot be compared, nor can the policies that maximise them. With this wrapper, every
-    policy gets the reward of the environment, the distance of the detected points from those of the goal, whatever
-    features it reads. The last feature of the ``ShapeGoal`` must be ``points3d``. ``observation`` holds the features of
-    the detected shape without the points. The first ``visible`` numbers of the goals are these features, and a policy
-    may read no others (see ``GoalDifference``); hindsight replay replaces features and points together.
+    policy gets the reward of the environment, the distance of the detected points from those of the goal, for any
+    features that it reads. The last feature of the ``ShapeGoal`` must be ``points3d``. ``observation`` holds the
+    features of the detected shape without the points. The first ``visible`` numbers of the goals are these features,
+    and a policy may read no others (see ``GoalDifference``); hindsight replay replaces features and points together.
 
     ``info`` has ``goal/distance`` in metres, and ``is_success``: the distance is below the threshold, and the shape is
     ok.

@@ -1,22 +1,8 @@
-"""Measure the stages of a frame, and keep a fixed rate with absolute deadlines."""
+"""Keep a fixed rate with absolute deadlines."""
 
 from __future__ import annotations
 
 import time
-
-
-class Timed:
-    """Add the time spent in a ``with`` block to a stage, in milliseconds."""
-
-    def __init__(self, timings: dict[str, float], stage: str) -> None:
-        self._timings, self._stage = timings, stage
-
-    def __enter__(self) -> None:
-        self._begin = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        spent = 1e3 * (time.perf_counter() - self._begin)
-        self._timings[self._stage] = self._timings.get(self._stage, 0.0) + spent
 
 
 class Rate:

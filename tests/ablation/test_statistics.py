@@ -65,13 +65,13 @@ def study():
 def finished(
     arm: str, seed: int, shares: dict[int, tuple[int, int]], hand: tuple[int, int] | None = None
 ) -> FinishedRun:
-    """A run that reached so many of ten near and of ten far goals after so many steps."""
-    told = [(steps, "", reached) for steps, reached in shares.items()]
+    """Return a run that reached so many of ten near and of ten far goals after so many steps."""
+    counts = [(steps, "", reached) for steps, reached in shares.items()]
     if hand is not None:
-        told.append((max(shares), "hand", hand))
+        counts.append((max(shares), "hand", hand))
     rows = [
         Row(steps, disturbance, Score(difficulty, goal, 50.0, 5.0 if goal < count else 20.0, goal < count, 8.0))
-        for steps, disturbance, reached in told
+        for steps, disturbance, reached in counts
         for difficulty, count in zip(("near", "far"), reached, strict=True)
         for goal in range(10)
     ]
@@ -102,12 +102,12 @@ def test_the_tables_say_what_is_not_there(study):
 
 
 def test_a_study_that_cannot_be_meant_is_refused():
-    for wrong, told in (
+    for wrong, message in (
         ({"arms": {}}, "arms: expected at least one"),
         ({"arms": {"a/b": {}}}, "a name is also the name of a folder"),
         ({"arms": {"a": {}}, "reference": "b"}, "no arm 'b'"),
         ({"arms": {"a": {"observation": "truth", "noise": {}}}}, "the simulator's points have no noise"),
         ({"arms": {"a": {}}, "her": {}, "algorithm": "PPO"}, "hindsight replay needs one of SAC"),
     ):
-        with pytest.raises(SpecError, match=told):
+        with pytest.raises(SpecError, match=message):
             Study.from_dict(wrong)

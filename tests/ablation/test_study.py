@@ -1,4 +1,4 @@
-"""Ablations on this machine: what is done stays, what fails or is killed loses nothing but itself."""
+"""Ablations on this machine: finished runs are kept, and a failed or killed run affects no other."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def study_file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory, study_file):
-    """The study, done in one go."""
+    """Return the folder of the study, run without an interruption."""
     study, root = load_study(study_file), tmp_path_factory.mktemp("clean")
     outcomes = sweep(study, left(study, root), here)
     assert not [outcome.error for outcome in outcomes if outcome.error]
@@ -75,7 +75,7 @@ def test_a_study_that_was_killed_goes_on_to_the_same_numbers(study_file, clean, 
         process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     command_line = Path("/proc", str(workers[0]), "cmdline")
-    assert wait_for(lambda: not command_line.exists() or not command_line.read_bytes())  # nobody would take its result
+    assert wait_for(lambda: not command_line.exists() or not command_line.read_bytes())  # its result would be lost
     finished = [path.parent for path in tmp_path.glob("*/*/run.json")]
     assert 1 <= len(finished) <= 3
     done = {path: (path.stat().st_mtime_ns, path.read_bytes()) for run in finished for path in run.iterdir()}
@@ -130,18 +130,18 @@ def test_a_run_that_fails_or_is_killed_loses_only_itself(clean, tmp_path):
 def test_another_config_for_the_same_folder_is_refused(clean, tmp_path, capsys):
     other = written(tmp_path / "other.yaml", steps=90, normalize=None)
     assert run(other, "--out", clean) == 1
-    told = capsys.readouterr().err
-    assert "steps was 60, is now 90" in told
-    assert "normalize was {}, is now null" in told
+    errors = capsys.readouterr().err
+    assert "steps was 60, is now 90" in errors
+    assert "normalize was {}, is now null" in errors
 
 
-def test_mistakes_are_told_before_anything_runs(tmp_path, study_file, capsys):
+def test_mistakes_are_reported_before_anything_runs(tmp_path, study_file, capsys):
     arms = {"typo": {"hyperparameters": {"gama": 0.9}}, "factor": {"env": {"randomize": {"hat": True}}}}
     assert run(written(tmp_path / "wrong.yaml", arms=arms), "--out", tmp_path / "out") == 1
-    told = capsys.readouterr().err
-    assert "arms.typo: " in told
-    assert "gama" in told
-    assert "arms.factor: " in told
+    errors = capsys.readouterr().err
+    assert "arms.typo: " in errors
+    assert "gama" in errors
+    assert "arms.factor: " in errors
     assert not list((tmp_path / "out").iterdir())
     assert run(study_file, "--out", tmp_path, "--only", "smal") == 1
     assert "did you mean 'small'?" in capsys.readouterr().err

@@ -54,7 +54,7 @@ class TestClaims:
 
     @needs_garments
     def test_corners_of_towels_are_near_a_point(self):
-        """At the size of the photos; 64 points on the annotated polygon itself miss them by 0.45 %."""
+        """Images have the size of the photos; 64 points on the annotated polygon itself miss the corners by 0.45 %."""
         towels = (blob for blob in garments(GARMENTS, size=(1242, 2208)) if blob.kind == "towels")
         missed = [corner for result in outlines(towels, counts=(64,)) for corner in result.corners]
         assert len(missed) == 153
@@ -70,7 +70,7 @@ class TestClaims:
     @needs_garments
     @pytest.mark.parametrize("which", [0, 45, 100], ids=["towel", "tshirt", "shorts"])
     def test_a_turning_garment_keeps_its_index(self, which):
-        """A towel fits itself two ways."""
+        """A towel looks the same after half a turn."""
         blob = list(garments(GARMENTS))[which]
         outline = 0.8 * (blob.outline - blob.outline.mean(axis=0))
         detector, first = ShapeDetector([Contour()]), None

@@ -1,4 +1,4 @@
-"""`shape-obs bench claims --only envs`: the simulated environments against their own truth."""
+"""`shape-obs bench claims --only envs` compares the simulated environments with their own truth."""
 
 from __future__ import annotations
 
@@ -63,10 +63,10 @@ def test_points_where_they_belong_have_no_error(layout, simulator, truth):
     assert simulator_score(truth + (0, 0, 0.002), ALL[: len(truth)], layout, simulator).mm == pytest.approx(2)
 
 
-def test_a_slip_is_told_along_the_material_and_counts_for_valid_points_alone():
+def test_a_slip_is_measured_along_the_material_and_counts_only_for_valid_points():
     points = Line().truth(11)
     points[3, 0] += 0.06  # six tenths of a gap along the rope
-    points[5, 1] += 0.06  # and six tenths beside it, which is no slip
+    points[5, 1] += 0.06  # and six tenths away from it, which is no slip
     valid = np.ones(11, bool)
     assert simulator_score(points, valid, Chain(11), Line()).slip == pytest.approx(0.6, abs=0.02)
     valid[3] = False
@@ -120,7 +120,7 @@ def test_actions_are_held():
 
 @pytest.fixture(scope="module")
 def clean():
-    """Two short episodes of each environment."""
+    """Return two short episodes of each environment."""
     every = [Setting(env, "d455", "clean", "auto") for env in ENVS]
     return env_claims.all_episodes(every, (0, 1), steps=6)
 
@@ -128,7 +128,7 @@ def clean():
 def test_every_frame_is_accounted_for(clean):
     assert [(each.env, each.frames) for each in clean] == [(env, 7) for env in ENVS for _ in range(2)]
     for each in clean:
-        # A frame may be both: folded frames are not judged, whatever was told of them.
+        # A frame may be both: folded frames are never judged.
         assert each.frames - each.not_ok - each.folded <= len(each.mm) <= each.frames - each.folded
         assert {*each.held_mm} <= {*each.mm}
         assert (each.broken, each.warnings) == (0, 0)
@@ -159,7 +159,7 @@ def test_goals_are_as_far_as_they_are_said_to_be_and_are_reached():
         assert found.played_mm <= found.worst_played_mm < 5
 
 
-def test_the_command_tells_points_physics_goals_and_what_was_asked(capsys, monkeypatch):
+def test_the_command_reports_points_physics_goals_and_targets(capsys, monkeypatch):
     monkeypatch.setattr(claims, "ENVS", ("Cable",))
     monkeypatch.setattr(
         env_claims, "settings", lambda renderer: [Setting("Cable", "d455", how, renderer) for how in ("clean", "noise")]

@@ -1,4 +1,4 @@
-"""`shape-obs bench envs`: steps per second of the simulated environments. Times decide nothing."""
+"""`shape-obs bench envs`: steps per second of the simulated environments. No test depends on times."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ GL, NO_GL = opengl()
 
 
 def run(capsys, *arguments):
-    """(exit code, stdout, stderr) of the command."""
+    """Return (exit code, stdout, stderr) of the command."""
     with pytest.raises(SystemExit) as stop:
         main(["bench", "envs", *map(str, arguments)])
     captured = capsys.readouterr()
@@ -58,7 +58,7 @@ def test_a_runner_resets_between_episodes_and_not_within():
     assert len(runner.resets) == 2
 
 
-def test_the_stopwatch_tells_of_the_step_within():
+def test_the_stopwatch_times_the_step_within():
     inside = Counting()
     env = Stopwatch(inside, "wall")
     env.step(np.zeros(2, np.float32))

@@ -1,10 +1,11 @@
-"""`shape-obs bench latency`: stages, growth, memory. Times decide nothing."""
+"""`shape-obs bench latency`: stages, growth, memory. No test depends on times."""
 
 import json
 import math
 
 import pytest
 
+from shape_obs.bench.interleaved_timing import Timing
 from shape_obs.bench.latency import (
     AREAS,
     CLASSIC,
@@ -23,14 +24,14 @@ from shape_obs.cli import main
 
 
 def run(capsys, *arguments):
-    """(exit code, stdout, stderr) of the command."""
+    """Return (exit code, stdout, stderr) of the command."""
     with pytest.raises(SystemExit) as stop:
         main(["bench", "latency", *map(str, arguments)])
     captured = capsys.readouterr()
     return stop.value.code, captured.out, captured.err
 
 
-def test_every_stage_is_told_at_every_size(capsys):
+def test_every_stage_is_reported_at_every_size(capsys):
     code, out, _ = run(
         capsys, "--only", "stages", "--frames", 2, "--sizes", "320x240", "640x480", "--memory", 5, "--json"
     )
@@ -56,7 +57,7 @@ def test_every_stage_is_told_at_every_size(capsys):
     assert document["memory"][0]["frames"] == 5
 
 
-def test_growth_is_told_for_pixels_points_and_shapes(capsys):
+def test_growth_is_reported_for_pixels_points_and_shapes(capsys):
     code, out, _ = run(capsys, "--only", "growth", "--frames", 1, "--json")
     document = json.loads(out)
     rows = document["growth"]
@@ -77,8 +78,8 @@ def test_growth_is_told_for_pixels_points_and_shapes(capsys):
 
 def test_frame_after_frame_the_process_does_not_grow():
     if resident() is None:
-        pytest.skip("the system does not tell the size of a process")
-    grown = memory_growth(2_000, 0, warm_up=300)
+        pytest.skip("the system does not report the size of a process")
+    grown = memory_growth(2_000, Timing(), warm_up=300)
     assert grown is not None
     assert grown < 5
 

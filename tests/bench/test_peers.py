@@ -1,4 +1,4 @@
-"""`shape-obs bench peers`: everyone who is installed takes part, and what is missing is told. Times decide nothing."""
+"""`shape-obs bench peers`: all installed peers take part, and missing ones are reported. No test depends on times."""
 
 import json
 import math
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from shape_obs.bench.interleaved_timing import Method, Turn, interleaved_timing, median_ms
+from shape_obs.bench.interleaved_timing import Method, Timing, Turn, interleaved_timing, median_ms
 from shape_obs.bench.peers import COLD, PEERS, TARGETS, WARM, spread, times_slower
 from shape_obs.bench.synthetic.streams import cloths, ropes
 from shape_obs.cli import main
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceW
 
 
 def run(capsys, *arguments):
-    """What a command that succeeds writes to stdout."""
+    """Return what the command prints to stdout if it succeeds."""
     with pytest.raises(SystemExit) as stop:
         main(["bench", "peers", *map(str, arguments)])
     assert stop.value.code == 0
@@ -30,9 +30,9 @@ def run(capsys, *arguments):
 @pytest.fixture(scope="module")
 def document():
     arguments = ["bench", "peers", "--only", "rope", "contour", "--frames", "2", "--slow-frames", "1", "--json"]
-    with redirect_stdout(StringIO()) as told, pytest.raises(SystemExit):
+    with redirect_stdout(StringIO()) as printed, pytest.raises(SystemExit):
         main(arguments)
-    return json.loads(told.getvalue())
+    return json.loads(printed.getvalue())
 
 
 @pytest.mark.parametrize("work", ["rope", "contour"])
@@ -53,7 +53,7 @@ def test_everyone_who_is_installed_takes_part_with_finite_figures(document, work
     assert rows[WARM]["spacing_cv"] < 0.01 < rows["K-means, n_init 1"]["spacing_cv"]
 
 
-def test_what_is_asked_stands_beside_what_was_seen(document):
+def test_targets_are_compared_with_the_results(document):
     asked = {row["what"]: row for row in document["claims"]}
     for work, start, peer, bound in TARGETS:
         row = asked[f"{work}, {start.removeprefix('shape_obs, ')}: times faster than {peer}"]
@@ -65,7 +65,7 @@ def test_what_is_asked_stands_beside_what_was_seen(document):
     assert asked["contour: Calinski-Harabasz relative to K-means, n_init 10"]["seen"] > 0.9
 
 
-def test_what_is_not_installed_is_left_out_and_told(capsys, monkeypatch):
+def test_what_is_not_installed_is_left_out_and_reported(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "minisom", None)
     out = run(capsys, "--only", "contour", "--frames", 1, "--slow-frames", 0)
     assert "minisom is not installed and left out: pip install minisom" in out
@@ -78,24 +78,25 @@ def test_what_is_not_installed_is_left_out_and_told(capsys, monkeypatch):
 
 def test_ratios_are_over_the_frames_of_both():
     often = [Turn(1, "often", 1.0, None), Turn(2, "often", 2.0, None), Turn(3, "often", 30.0, None)]
-    assert times_slower([Turn(2, "seldom", 8.0, None)], often) == 4
+    assert times_slower([Turn(2, "rare", 8.0, None)], often) == 4
     assert median_ms(often) == 2
 
 
 def test_frames_of_the_warm_up_run_but_do_not_count():
     ran, done = [], []
-    turns = interleaved_timing("xyz", [Method("a", ran.append)], burst=2, warm_up=1, tick=lambda: done.append(1))
+    timing = Timing(burst=2, tick=lambda: done.append(1))
+    turns = interleaved_timing("xyz", [Method("a", ran.append)], timing, warm_up=1)
     assert [turn.frame for turn in turns] == [1, 2]
     assert (ran, len(done)) == (["x", "y", "z"], 3)
 
 
 def test_all_run_on_every_frame_and_who_begins_changes():
     methods = [Method(name, lambda frame, name=name: f"{name}{frame}") for name in "abc"]
-    assert [turn.result for turn in interleaved_timing("xy", methods)] == ["ax", "bx", "cx", "by", "cy", "ay"]
-    assert [turn.frame for turn in interleaved_timing("x", methods, "thread")] == [0, 0, 0]
-    drawn = [turn.result for turn in interleaved_timing("xy", methods, seed=1)]
+    assert [turn.result for turn in interleaved_timing("xy", methods, Timing())] == ["ax", "bx", "cx", "by", "cy", "ay"]
+    assert [turn.frame for turn in interleaved_timing("x", methods, Timing(clock="thread"))] == [0, 0, 0]
+    drawn = [turn.result for turn in interleaved_timing("xy", methods, Timing(seed=1), shuffled=True)]
     assert sorted(drawn) == ["ax", "ay", "bx", "by", "cx", "cy"]
-    assert drawn == [turn.result for turn in interleaved_timing("xy", methods, seed=1)]
+    assert drawn == [turn.result for turn in interleaved_timing("xy", methods, Timing(seed=1), shuffled=True)]
 
 
 def test_threads_are_given_back():
@@ -105,7 +106,7 @@ def test_threads_are_given_back():
     assert cv2.getNumThreads() == before
 
 
-def test_objects_have_the_sizes_that_are_told():
+def test_objects_have_the_documented_sizes():
     masks = [rope.mask for rope in ropes(3, 0)]
     assert all(7_000 <= np.count_nonzero(mask) <= 9_000 for mask in masks)
     assert not any(mask[[0, -1]].any() or mask[:, [0, -1]].any() for mask in masks)

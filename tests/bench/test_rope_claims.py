@@ -67,5 +67,5 @@ def test_the_cables_points_are_where_the_simulator_says(cable):
         assert (cable.slips, cable.unflagged_wrong) == (0, 0)
     else:
         assert cable.mean_px <= 1
-        # Half a gap is 1.6 px at 84 x 84: a tip that is off by two pixels for a frame is told here, not hidden.
+        # Half a gap is 1.6 px at 84 x 84: a tip that is off by two pixels for a frame counts as a slip.
         assert cable.slips <= 0.01 * cable.frames

@@ -1,4 +1,4 @@
-"""`shape-obs bench servo`: equal episodes, what counts as reached, what goes wrong on purpose. Times decide nothing."""
+"""`shape-obs bench servo`: equal episodes, when a goal is reached, disturbances. No test depends on times."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ pytest.importorskip("mujoco")
 from PIL import Image
 
 from shape_obs.bench import ENVS
+from shape_obs.bench.interleaved_timing import Timing
 from shape_obs.bench.servo import study
 from shape_obs.bench.servo.episode import settled
 from shape_obs.bench.servo.settings import FEATURES, LAYOUTS, Disturbance, Setting, combinations
@@ -33,7 +34,7 @@ TRUTH = SETTING._replace(source="truth")
 
 
 def command(capsys, *arguments):
-    """(exit code, stdout, stderr) of the command."""
+    """Return (exit code, stdout, stderr) of the command."""
     with pytest.raises(SystemExit) as stop:
         main(["bench", "servo", *map(str, arguments)])
     captured = capsys.readouterr()
@@ -41,7 +42,7 @@ def command(capsys, *arguments):
 
 
 def episode(seed, final, best=None, steps=None):
-    """An episode of which the final error is known."""
+    """Return an episode with a given final error."""
     line = [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]
     best = final if best is None else best
     unknown = ("prediction", "seen_mm", "detector_ms", "feature_ms", "blackout_action", "blackout_mm")
@@ -53,7 +54,7 @@ def episode(seed, final, best=None, steps=None):
 
 
 def found(setting, finals):
-    """Episodes of seeds from 0 on; None stands for one that broke off."""
+    """Return episodes of the seeds from 0 on; None stands for one that broke off."""
     return {setting: [Row(seed=i, failure="lost") if mm is None else episode(i, mm) for i, mm in enumerate(finals)]}
 
 
@@ -67,7 +68,7 @@ class TestSettings:
                     low, high = feature.bounds(made.spec.layout, made.view)
                     assert np.all(low < high)
 
-    def test_what_an_environment_does_not_have_is_left_out_and_names_tell_settings_apart(self):
+    def test_what_an_environment_does_not_have_is_left_out_and_names_distinguish_settings(self):
         settings = list(
             combinations(ENVS, ["bezier", "bspline"], ["rls", "mfac"], disturbance=Disturbance(0.2, (5, 2)))
         )
@@ -83,17 +84,17 @@ class TestSettings:
 class TestWorlds:
     def test_the_camera_and_the_truth_live_through_the_same_episode(self):
         camera, truth = (World(setting._replace(features="bspline")) for setting in (SETTING, TRUTH))
-        (seen, told), (known, also) = (each.env.reset(seed=3) for each in (camera, truth))
+        (seen, info), (known, true_info) = (each.env.reset(seed=3) for each in (camera, truth))
         action = np.full(6, 0.3, np.float32)
         for _ in range(3):
             for name in ("truth/mean_error", "truth/points"):
-                np.testing.assert_array_equal(told[name], also[name])
+                np.testing.assert_array_equal(info[name], true_info[name])
             np.testing.assert_allclose(seen["desired_goal"], known["desired_goal"], atol=1e-6)
             off = np.abs(seen["achieved_goal"] - known["achieved_goal"])
             assert 0 < off.mean() < 0.005, "noise there, none here"
             assert truth.env.observation_space.contains(known)
-            seen, _, _, _, told = camera.env.step(action)
-            known, _, _, _, also = truth.env.step(action)
+            seen, _, _, _, info = camera.env.step(action)
+            known, _, _, _, true_info = truth.env.step(action)
         assert camera.milliseconds is not None
         assert truth.milliseconds is None
 
@@ -183,7 +184,7 @@ class TestSummary:
 class TestStudy:
     @pytest.fixture
     def played(self, monkeypatch):
-        """What is played, while nothing is simulated: seed 1 breaks off the first time."""
+        """Return the seeds that are played, without a simulation: seed 1 breaks off the first time."""
         seeds = []
 
         def episodes(setting, some, steps):
@@ -196,16 +197,16 @@ class TestStudy:
 
     def test_it_goes_on_where_it_stopped_and_tries_again_what_broke_off(self, played, tmp_path):
         study.run([SETTING], range(3), folder=tmp_path)
-        told = []
+        reported = []
         results = study.run(
-            [SETTING], range(4), folder=tmp_path, resume=True, tick=lambda setting, each: told.append(each.seed)
+            [SETTING], range(4), folder=tmp_path, resume=True, tick=lambda setting, each: reported.append(each.seed)
         )
         assert played == [0, 1, 2, 1, 3]
-        assert sorted(told) == [0, 1, 2, 3]
+        assert sorted(reported) == [0, 1, 2, 3]
         assert [each.seed for each in results[SETTING]] == [0, 1, 2, 3]
         assert results[SETTING][0] == episode(0, 1.0)
 
-    def test_without_resume_all_is_played_anew(self, played, tmp_path):
+    def test_without_resume_all_is_played_again(self, played, tmp_path):
         study.run([SETTING], range(2), folder=tmp_path)
         study.run([SETTING], range(2), folder=tmp_path)
         assert played == [0, 1, 0, 1]
@@ -215,7 +216,7 @@ class TestStudy:
         with pytest.raises(ValueError, match=r"steps = 200, this run has 100"):
             study.run([SETTING], range(1), folder=tmp_path, resume=True, steps=100)
 
-    def test_the_command_tells_what_broke_off(self, played, tmp_path, capsys):
+    def test_the_command_reports_what_broke_off(self, played, tmp_path, capsys):
         arguments = ("--goals", 2, "--sources", "truth", "--laws", "rls", "--difficulties", "near", "--no-figures")
         code, _, err = command(capsys, *arguments, "--features", "points3d", "--out", tmp_path)
         assert code == 1
@@ -250,7 +251,7 @@ class TestCommand:
         for name in ("curves.png", "overlays.png"):
             picture = np.asarray(Image.open(tmp_path / name).convert("L"))
             assert np.ptp(picture) > 150
-        assert not list(tmp_path.rglob(".*")), "nothing is left beside"
+        assert not list(tmp_path.rglob(".*")), "no temporary file is left"
 
     @pytest.mark.parametrize(
         ("arguments", "message"),
@@ -265,15 +266,15 @@ class TestCommand:
             (("--blackout", "199", "9"), "end after --steps"),
         ],
     )
-    def test_mistakes_are_told_before_anything_runs(self, arguments, message, tmp_path, capsys):
+    def test_mistakes_are_reported_before_anything_runs(self, arguments, message, tmp_path, capsys):
         code, _, err = command(capsys, *arguments, "--out", tmp_path / "none")
         assert code == 1
         assert message in err
         assert not (tmp_path / "none").exists()
 
 
-def test_every_closed_form_is_timed_beside_the_detector():
-    rows = feature_times("Cable", (160, 120), 2)
+def test_every_closed_form_is_timed_along_with_the_detector():
+    rows = feature_times("Cable", (160, 120), 2, Timing())
     kinds = {row["feature"].split()[0] for row in rows}
     assert kinds == {feature.kind for feature in closed_forms("Cable")}
     assert {"points3d", "fourier", "bspline", "length", "contour_moments"} <= kinds

@@ -1,4 +1,4 @@
-"""``shape-obs bench table``: what it measures, that it goes on where it stopped, and what it writes."""
+"""``shape-obs bench table``: measurements, resumed runs, and written files."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from shape_obs.clustering.kmeans import KMeans
 
 
 def command(capsys: Any, *arguments: object) -> tuple[int, str, str]:
-    """(exit code, stdout, stderr)."""
+    """Return (exit code, stdout, stderr) of the command."""
     with pytest.raises(SystemExit) as stop:
         main(["bench", "table", *map(str, arguments)])
     captured = capsys.readouterr()
@@ -36,21 +36,21 @@ def command(capsys: Any, *arguments: object) -> tuple[int, str, str]:
 
 
 def nothing(done: int, total: int) -> None:
-    """No progress bar."""
+    """Ignore the progress."""
 
 
 def without_times(chunks: list[list[Row]]) -> list[Row]:
-    """All rows but for their times."""
+    """Return all rows without their times."""
     return [Row(row, ms=0.0) for row in chain(*chunks)]
 
 
 class StopError(Exception):
-    """Stands for an interruption."""
+    """Raised in place of an interruption."""
 
 
 @pytest.fixture(scope="module")
 def outlines(tmp_path_factory):
-    """A run of ten frames of contours, as the command makes it: its folder and what it printed."""
+    """Return the folder and the output of the command's run of ten frames of contours."""
     import contextlib
     import io
 
@@ -98,7 +98,7 @@ class TestMeasuring:
         assert max(row.cv for row in ours) < 0.01 < min(row.cv for row in kmeans)
         assert [row.exact for row in ours] == [True, False, False]
         assert {row.pixels for row in ours} == {row.pixels for row in kmeans}
-        assert not any(row.own_order for row in kmeans), "K-means knows no order"
+        assert not any(row.own_order for row in kmeans), "K-means has no order"
 
     def test_the_lattice_of_a_turned_cloth_lies_along_it(self):
         for chunk in range(6):
@@ -145,7 +145,7 @@ class TestGoingOn:
         assert len(found["contour", "kmeans"]) == 3
         assert without_times(found["contour", "kmeans"]) == without_times(whole["contour", "kmeans"])
 
-    def test_one_method_is_measured_anew_alone(self, tmp_path):
+    def test_one_method_is_measured_again_alone(self, tmp_path):
         plan = Plan(10, names=("contour",), methods=("kmeans", "som"), tracings=())
         run(plan, tmp_path, tick=nothing)
         files = {name: tmp_path / "parts" / "contour" / name / "0001.json" for name in ("kmeans", "som")}
@@ -155,12 +155,12 @@ class TestGoingOn:
         assert files["som"].stat().st_mtime_ns > before["som"]
 
     @pytest.mark.parametrize(
-        ("change", "told"), [({"seed": 1}, "seed = 0, this run has 1"), ({"frames": 20}, "frames")]
+        ("change", "message"), [({"seed": 1}, "seed = 0, this run has 1"), ({"frames": 20}, "frames")]
     )
-    def test_other_settings_are_refused(self, tmp_path, change, told):
+    def test_other_settings_are_refused(self, tmp_path, change, message):
         plan = Plan(10, names=("contour",), methods=("som",), tracings=())
         Parts(tmp_path, plan.settings()).write("contour/som/0000", [])
-        with pytest.raises(ValueError, match=f"holds results with {told}.*choose another folder"):
+        with pytest.raises(ValueError, match=f"holds results with {message}.*choose another folder"):
             run(replace(plan, **change), tmp_path, tick=nothing)
 
     @pytest.mark.long
@@ -251,7 +251,7 @@ class TestCommand:
 
 
 def test_the_ranking_counts_pairs_on_equal_frames():
-    """Made-up rows: every chunk has a level of its own, far above the differences between the methods."""
+    """Return artificial rows: each chunk has its own level, and methods differ by much less."""
     plan = Plan(100, tracings=())
     done: Done = {}
     quality = {"gmm": 4.0, "kohonen": 3.0, "fcm": 2.0, "kmeans": 2.0, "som": 5.0}

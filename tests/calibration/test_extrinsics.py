@@ -1,4 +1,4 @@
-"""The file that says where a camera stands."""
+"""The file with the pose of a camera."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_saved_and_loaded(tmp_path):
     assert datetime.fromisoformat(data["created"]).tzinfo is not None
 
 
-def test_the_camera_knows_its_place(tmp_path):
+def test_the_camera_has_its_extrinsics(tmp_path):
     extrinsics().save(tmp_path / "e.json")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -77,13 +77,13 @@ def test_points3d_of_a_detection_lead_to_the_base_frame():
         ({"serialnumber": "1"}, "unknown field 'serialnumber'; did you mean 'serial'"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_told(tmp_path, change, message):
+def test_what_is_wrong_with_a_file_is_reported(tmp_path, change, message):
     data = {**extrinsics().to_dict(), **change}
     path = tmp_path / "e.json"
     path.write_text(json.dumps({key: value for key, value in data.items() if value is not None}))
-    with pytest.raises(SpecError, match=message) as told:
+    with pytest.raises(SpecError, match=message) as error:
         Extrinsics.load(path)
-    assert str(path) in str(told.value)
+    assert str(path) in str(error.value)
 
 
 def test_damaged_and_missing_files(tmp_path):
@@ -103,12 +103,12 @@ def test_damaged_and_missing_files(tmp_path):
 
 class TestDoubts:
     def warned(self, given: Extrinsics, intrinsics=INTRINSICS, serial: str | None = "123") -> list[str]:
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             for _ in range(3):
                 given.camera(intrinsics, serial)
-        assert all(each.category is ExtrinsicsWarning for each in told)
-        return [str(each.message) for each in told]
+        assert all(each.category is ExtrinsicsWarning for each in caught)
+        return [str(each.message) for each in caught]
 
     def test_old(self):
         then = (datetime.now(timezone.utc) - timedelta(days=40)).isoformat()
@@ -116,15 +116,15 @@ class TestDoubts:
         assert not self.warned(extrinsics(created=then, max_age_days=60))
         assert not self.warned(extrinsics(created=then[:19] + "Z", max_age_days=60))
 
-    def test_another_camera_is_told_once(self):
+    def test_another_camera_is_reported_once(self):
         assert self.warned(extrinsics(), serial="456") == ["the pose is that of camera 123, but this is camera 456."]
         assert not self.warned(extrinsics(), serial=None)
         assert not self.warned(extrinsics(serial=None), serial="456")
 
     def test_other_intrinsics(self):
-        (told,) = self.warned(extrinsics(), Intrinsics(640, 480, 400.0, 398.0, 321.0, 243.0))
-        assert "fx 386.0" in told
-        assert "differ by 3.6 %" in told
+        (warned,) = self.warned(extrinsics(), Intrinsics(640, 480, 400.0, 398.0, 321.0, 243.0))
+        assert "fx 386.0" in warned
+        assert "differ by 3.6 %" in warned
         assert not self.warned(extrinsics(), Intrinsics(640, 480, 387.5, 386.0, 320.0, 244.0))
         assert not self.warned(extrinsics(), Intrinsics(320, 240, 193.0, 192.5, 160.5, 121.5)), (
             "the same, half as large"

@@ -105,7 +105,7 @@ class TestMarkerPoints:
             assert np.linalg.norm(marker_points(corners, CAMERA, depth) - truth, axis=1).max() < 0.002
             assert np.linalg.norm(marker_points(corners, CAMERA, size=0.06) - truth, axis=1).max() < 0.006
 
-    def test_holes_and_what_lies_beside(self, scene):
+    def test_holes_and_what_lies_next_to_them(self, scene):
         depth = scene.depth(np.random.default_rng(0))
         depth[np.random.default_rng(1).uniform(size=depth.shape) < 0.4] = 0
         depth[::7, ::5] += 0.05
@@ -128,10 +128,10 @@ class TestBase:
         write_touches(tmp_path / "touches.csv", touches)
         out = tmp_path / "extrinsics.json"
         assert run("calibrate", "base", "--source", recording, "--touches", tmp_path / "touches.csv", "-o", out) == 0
-        told = capsys.readouterr().out
-        assert told.startswith("16 touches, ")
-        assert "corners located by depth" in told
-        assert "marker 3, corner 2 (bottom right)" in told
+        printed = capsys.readouterr().out
+        assert printed.startswith("16 touches, ")
+        assert "corners located by depth" in printed
+        assert "marker 3, corner 2 (bottom right)" in printed
         place = Extrinsics.load(out)
         corners = scene.to_camera(scene.grid())
         truth = corners @ PLACE[:3, :3].T + PLACE[:3, 3]
@@ -143,14 +143,14 @@ class TestBase:
         (tmp_path / "touches.json").write_text(json.dumps([touch.to_dict() for touch in wrong]))
         words = ["calibrate", "base", "--source", recording, "--touches", tmp_path / "touches.json"]
         assert run(*words, "-o", tmp_path / "e.json", "--json") == 1
-        told, errors = capsys.readouterr()
-        assert [touch["suspect"] for touch in json.loads(told)["touches"]].index(True) == 6
+        printed, errors = capsys.readouterr()
+        assert [touch["suspect"] for touch in json.loads(printed)["touches"]].index(True) == 6
         assert "nothing was written: marker 1, corner 2 (bottom right) lies" in errors
         assert not (tmp_path / "e.json").exists()
         assert run(*words, "-o", tmp_path / "e.json", "--leave-out") == 0
-        told, errors = capsys.readouterr()
+        printed, errors = capsys.readouterr()
         assert "left out: marker 1, corner 2 (bottom right)" in errors
-        assert told.startswith("15 touches, ")
+        assert printed.startswith("15 touches, ")
         assert run(*words, "-o", tmp_path / "f.json", "--leave-out", "--max-rms", 0.1) == 1
         assert "more than --max-rms 0.1" in capsys.readouterr().err
 

@@ -1,4 +1,4 @@
-"""A camera's projection from a board, and whether a wrong one is told."""
+"""A camera's projection from a board, and whether a wrong one is reported."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class TestIntrinsics:
             replace(VIEWED, fy=0.97 * VIEWED.fy),
         ],
     )
-    def test_a_wrong_projection_is_told(self, views, wrong):
+    def test_a_wrong_projection_is_reported(self, views, wrong):
         fit = fit_intrinsics(views.taken, views.size, BOARD, wrong)
         assert not fit.good
         assert "the factory's rays differ" in " ".join(fit.doubts)
@@ -81,7 +81,7 @@ class TestIntrinsics:
         assert fit.intrinsics.fx == pytest.approx(VIEWED.fx, rel=0.005)
         assert fit.factory is None
 
-    def test_a_recording_tells_whether_the_factory_is_right(self, tmp_path, images, capsys):
+    def test_a_recording_shows_whether_the_factory_is_right(self, tmp_path, images, capsys):
         for name, factory, code in (("good", VIEWED, 0), ("bad", replace(VIEWED, fx=400.0, fy=400.0), 1)):
             record(Frames(images, factory), tmp_path / name)
             words = ["calibrate", "intrinsics", "--source", tmp_path / name, "-o", tmp_path / f"{name}.json"]

@@ -21,7 +21,7 @@ HSV = ["--hsv", "100", "100", "50", "130", "255", "255"]
 
 @pytest.fixture
 def photo(tmp_path):
-    """A blue rope on gray, at millimetre depth 700 on a table at 720."""
+    """Return a blue rope on gray, at millimetre depth 700 on a table at 720."""
     t = np.linspace(0, 1, 400)
     rope = draw_rope(np.stack([60 + 200 * t, 120 + 50 * np.sin(5 * t)], axis=1), 11.0, size=(240, 320))
     rgb = np.full((240, 320, 3), (190, 185, 180), np.uint8)
@@ -33,7 +33,7 @@ def photo(tmp_path):
 
 
 def run(capsys, *arguments):
-    """(exit code, stdout, stderr) of a command run in this process."""
+    """Return (exit code, stdout, stderr) of a command run in this process."""
     with pytest.raises(SystemExit) as stop:
         main([str(argument) for argument in arguments])
     captured = capsys.readouterr()
@@ -91,7 +91,7 @@ def test_one_bad_file_does_not_lose_the_others(photo, capsys):
     assert "image" in err, "a progress bar belongs to several files"
 
 
-def test_a_shape_that_is_not_there_is_told(photo, capsys):
+def test_a_shape_that_is_not_there_is_reported(photo, capsys):
     red = ["--hsv", "170", "200", "200", "10", "255", "255"]
     code, out, _ = run(capsys, "detect", photo / "rope.png", *red, "--out", photo / "o")
     result = json.loads(out)
@@ -134,7 +134,7 @@ def test_unknown_commands_get_a_hint(capsys):
     assert "unknown command 'detekt'; did you mean 'detect'?" in err
 
 
-def test_an_unwritable_folder_is_told_before_work_begins(photo, capsys):
+def test_an_unwritable_folder_is_reported_before_work_begins(photo, capsys):
     blocked = photo / "file"
     blocked.write_text("")
     code, out, err = run(capsys, "detect", photo / "rope.png", *HSV, "--out", blocked / "o")

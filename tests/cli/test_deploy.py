@@ -26,7 +26,7 @@ CELL = ["--source", "robot", "--robot", "shape_obs_envs.robots:SimulatedRobot"]
 
 
 def run(capsys, *arguments):
-    """(exit code, stdout, stderr) of a command run in this process."""
+    """Return (exit code, stdout, stderr) of a command run in this process."""
     with pytest.raises(SystemExit) as stop:
         main([str(argument) for argument in arguments])
     captured = capsys.readouterr()
@@ -47,7 +47,7 @@ def test_a_goal_is_recorded_and_deployed(capsys, tmp_path):
     code, out, err = run(capsys, "deploy", *CELL, *options, "--json")
     report = json.loads(out)
     assert code == 0, report
-    assert report["success"]  # nobody moved it
+    assert report["success"]  # the object was not moved
     assert "goal was reached in 3 consecutive frames" in report["ended"]
     header = json.loads((tmp_path / "run" / "run.json").read_text())
     assert header["robot"] == "simulated"
@@ -119,7 +119,7 @@ def test_sigterm_ends_the_command_with_a_report_and_its_own_exit_code(tmp_path):
         ([*CELL, "--max-step", "0.01"], "max_step: expected 6 numbers"),
     ],
 )
-def test_what_is_wrong_is_told_in_one_line(capsys, arguments, message):
+def test_mistakes_are_reported_in_one_line(capsys, arguments, message):
     code, out, err = run(capsys, "deploy", *arguments)
     assert (code, out) == (1, "")
     assert message in err

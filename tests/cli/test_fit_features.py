@@ -36,7 +36,7 @@ class TestCommand:
 
     @pytest.fixture
     def table(self, tmp_path, overhead) -> ShapeTable:
-        """Ten episodes of 12 ropes; in each one rope is lost and one has a hole."""
+        """Return ten episodes of 12 ropes; in each one rope is lost and one has a hole."""
         detector = ShapeDetector([{"kind": "centerline", "name": "rope", "n": N}], BLUE)  # type: ignore[list-item, arg-type]
         log = ShapeLog(detector)
         log.metadata["camera"] = {
@@ -97,7 +97,7 @@ class TestCommand:
             heights.append(PointDistribution.load(tmp_path / "o.npz").mean[:, 2])
         np.testing.assert_allclose(heights[1] - heights[0], 0.5, atol=1e-6)
 
-    def test_what_is_wrong_is_told_in_a_line(self, table, tmp_path, capsys):
+    def test_mistakes_are_reported_in_a_line(self, table, tmp_path, capsys):
         table.save(tmp_path / "t.npz")
         blind = {**table.metadata, "camera": None}
         ShapeTable(table.columns, blind).save(tmp_path / "blind.npz")
@@ -145,7 +145,7 @@ class TestCommand:
         assert err
 
     def test_recorded_ropes_come_back_within_two_millimetres(self, tmp_path, capsys):
-        """Simulated, seen by the camera; held at one end, whole episodes held out."""
+        """Components are fitted to the camera's points of some episodes, and tested on others."""
         pytest.importorskip("mujoco")
         rope = {"kind": "centerline", "n": N, "anchor": "gripper0", "ends": "tips", "spacing": "m"}
         save_config(tmp_path / "c.yaml", {"shapes": [rope], "segmentation": {**BLUE, "low": [100, 120, 40]}})

@@ -1,4 +1,4 @@
-"""What ``--help`` loads: it must not wait for libraries that only the command itself needs."""
+"""``--help`` does not load the libraries that only the command itself needs."""
 
 from __future__ import annotations
 

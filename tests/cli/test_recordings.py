@@ -18,7 +18,7 @@ CABLE = ["--set", "actions=random", "seed=2", "renderer=rays", "camera=[96, 72]"
 
 
 def run(capsys, *arguments):
-    """(exit code, stdout, stderr) of a command run in this process."""
+    """Return (exit code, stdout, stderr) of a command run in this process."""
     with pytest.raises(SystemExit) as stop:
         main([str(argument) for argument in arguments])
     captured = capsys.readouterr()
@@ -27,7 +27,7 @@ def run(capsys, *arguments):
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """A folder with configs, photos, and files that are bad in their several ways."""
+    """Return a folder with configs, photos, and various damaged files."""
     folder = tmp_path_factory.mktemp("place")
     save_config(folder / "pixels.yaml", {"segmentation": BLUE, "shapes": [{"kind": "centerline", "n": 8}]})
     space = {"kind": "centerline", "n": 8, "anchor": "gripper0", "ends": "tips", "spacing": "m"}
@@ -54,7 +54,7 @@ def place(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def recorded(place):
-    """Twelve frames of the simulated cable."""
+    """Return twelve frames of the simulated cable."""
     pytest.importorskip("mujoco")
     with pytest.raises(SystemExit) as stop:
         main(["record", "--source", "ShapeObs/Cable-v0", "-o", str(place / "cable"), "--frames", "12", *CABLE])

@@ -1,4 +1,4 @@
-"""Clusterers: what each finds, its points in order along the form."""
+"""The centres of every clusterer, in order along the shape."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ def counted(points: np.ndarray) -> Samples:
 
 
 def small_sheet(degrees: float) -> Sheet:
-    """A cloth of 2 : 1 in 256 x 192 pixels."""
+    """Return a cloth of 2 : 1 in 256 x 192 pixels."""
     return draw_sheet(0.4 * random_sheet(np.random.default_rng(0), 2.0, degrees).points, (192, 256))
 
 
 @pytest.fixture(scope="module")
 def blobs() -> np.ndarray:
-    """Five round heaps of samples in a row, 200 each."""
+    """Return five round heaps of samples in a row, 200 each."""
     rng = np.random.default_rng(0)
     return np.concatenate([rng.normal((100.0 * k, 50), 4, (200, 2)) for k in range(5)])
 

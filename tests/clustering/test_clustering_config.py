@@ -1,4 +1,4 @@
-"""Clusterers: how one is chosen, what is refused, and that a forked child can run one."""
+"""Choice of a clusterer, refused options, and clustering in a forked child."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class TestConfiguration:
 
         @dataclass(frozen=True)
         class EveryFifth(Clusterer):
-            """Samples as they come."""
+            """Samples without preparation."""
 
             def centres(self, samples, layout, seed):
                 return Centres(samples.points[:: len(samples) // layout.size][: layout.size], 1, True)

@@ -1,4 +1,4 @@
-"""Nothing is compiled or loaded in a live frame: a detector's constructor prepares all that it calls, no more."""
+"""A detector's constructor prepares the compiled functions that it calls, so that no live frame compiles any."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ def test_a_write_that_breaks_off_leaves_the_old_file(tmp_path):
 
 
 def test_the_old_file_is_replaced_and_never_written_into(tmp_path):
-    """So that a reader sees the old or the new one, whole. A hard link keeps hold of the old one."""
+    """A reader sees either the old or the new file, complete. A hard link keeps the old one."""
     path = tmp_path / "c.yaml"
     save_config(path, {"dt": 0.25})
     before = path.read_text()
@@ -194,7 +194,7 @@ def test_the_hash_changes_with_what_a_policy_reads(other):
 
 
 def test_the_hash_is_the_same_in_every_process():
-    """Guards against hashing by id or by set order. The value changes when the schema itself does: then say so."""
+    """The hash does not depend on ids or on the order of sets. If the schema changes, document the new value."""
     script = f"from shape_obs import schema_hash; print(schema_hash({BASE!r}))"
     for seed in ("0", "1"):
         done = subprocess.run(

@@ -1,4 +1,4 @@
-"""Ropes that are gone for a while, in noise, on ragged masks, in uneven light; ``shape-obs bench claims`` has more."""
+"""Ropes that disappear for a while, in noise, on ragged masks and in uneven light."""
 
 from __future__ import annotations
 

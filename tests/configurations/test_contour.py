@@ -234,7 +234,7 @@ class TestClosedCurves:
 
 @given(angle=st.floats(0, 2 * np.pi))
 def test_a_straight_border_lies_where_the_mask_ends(angle):
-    """At any slope, no bias: half a pixel outside along the axes, 0.35 along the diagonals."""
+    """The outline has no bias at any slope: half a pixel outside along the axes, 0.35 along the diagonals."""
     normal = np.array([np.cos(angle), np.sin(angle)])
     v, u = np.mgrid[:120, :120]
     inside = (np.abs((u - 59.3) * normal[0] + (v - 60.1) * normal[1]) < 20) & (np.hypot(u - 60, v - 60) < 50)

@@ -1,4 +1,4 @@
-"""Contours of closed bands: what covers one is reported."""
+"""Contours of closed bands: an occluder is reported."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def one(mask: np.ndarray, **kwargs: Any) -> Any:
 class TestRing:
     @staticmethod
     def band(covered: tuple[int, int] = (0, 0)) -> np.ndarray:
-        """A band about (120, 100), a sector of which (degrees) is covered."""
+        """Return a band about (120, 100) of which a sector, in degrees, is covered."""
         mask = np.zeros((200, 240), np.uint8)
         cv2.ellipse(mask, (120, 100), (80, 60), 10, 0, 360, 255, 14)
         if covered[0] != covered[1]:

@@ -17,7 +17,7 @@ from shape_obs.geometry.curve import FittedCurve
 
 
 class Frame(NamedTuple):
-    """A mask, and where the material of points 0 and about a quarter of the way on lies."""
+    """A mask, and the positions of the material of point 0 and of a point about a quarter further."""
 
     mask: np.ndarray
     marks: np.ndarray
@@ -69,7 +69,7 @@ def test_a_shape_that_is_gone_for_a_while_comes_back_with_its_numbering(case):
             assert off.max() < 8, index
 
 
-def test_after_max_age_the_papers_rule_numbers_anew(case):
+def test_after_max_age_the_papers_rule_numbers_again(case):
     frames, spec, _ = case
     first, *_, last = islice(frames(), 60)
     detector = ShapeDetector([spec], max_age=0.5)

@@ -33,7 +33,7 @@ def one(mask: np.ndarray, spec: Surface | None = None, **kwargs: Any) -> Any:
 
 
 def placed(points: np.ndarray, degrees: float = 0.0, scale: float = 1.0, size: tuple[int, int] = (480, 640)) -> Sheet:
-    """A lattice about the origin, turned and put into the middle of an image."""
+    """Return a lattice about the origin, turned and put into the middle of an image."""
     return draw_sheet(points @ rotation(degrees).T * scale + np.array([size[1] - 1, size[0] - 1]) / 2, size)
 
 
@@ -137,7 +137,7 @@ class TestNumbering:
     @settings(max_examples=10)
     @given(seed=st.integers(0, 2**32 - 1), quarters=st.integers(1, 3))
     def test_a_picture_on_its_side_has_the_same_square_lattice(self, seed, quarters):
-        """What turns with the picture is the numbering alone."""
+        """Only the numbering turns with the picture."""
         sheet = random_sheet(np.random.default_rng(seed), 1.0, 10.0)
         upright = one(sheet.mask, Surface(rows=5, cols=5)).points2d
         turned = one(np.ascontiguousarray(np.rot90(sheet.mask, quarters)), Surface(rows=5, cols=5)).points2d
@@ -155,7 +155,7 @@ class TestNumbering:
         np.testing.assert_allclose(shape.points2d[0], places[corner], atol=3)
         np.testing.assert_allclose(shape.points2d[7], places[(corner + 1) % 4], atol=3)
 
-    def test_image_order_numbers_each_frame_anew(self):
+    def test_image_order_numbers_each_frame_again(self):
         tracked, image = ShapeDetector([Surface()]), ShapeDetector([Surface()], order="image")
         firsts: list[list[np.ndarray]] = []
         for degrees in range(0, 100, 4):
@@ -243,7 +243,7 @@ CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 
 @pytest.fixture(scope="module", params=[0, 25, 40])
 def tilted(request):
-    """A flat cloth of 0.3 x 0.2 m under a tilt: its material in metres, its mask and its depth."""
+    """Return a flat cloth of 0.3 x 0.2 m under a tilt: its material in metres, its mask and its depth."""
     angle = np.radians(request.param)
     v, u = np.meshgrid(np.linspace(-0.1, 0.1, 65), np.linspace(-0.15, 0.15, 65), indexing="ij")
     points = np.stack([u, v * np.cos(angle), 0.8 + v * np.sin(angle)], axis=-1)
@@ -279,7 +279,7 @@ class TestInSpace:
 @pytest.mark.skipif(not REAL.exists(), reason=f"the shared data is not there: {REAL}")
 class TestRealMasks:
     def test_silhouettes_score_by_what_they_are(self):
-        """Towels, T-shirts and shorts as people photographed them: the aRTF Clothes data."""
+        """The images are photos of towels, T-shirts and shorts: the aRTF Clothes data."""
         quality: dict[str, list[float]] = {}
         for garment in json.loads((REAL / "garment_silhouettes.json").read_text()):
             mask = np.zeros((garment["height"] // 3, garment["width"] // 3), np.uint8)

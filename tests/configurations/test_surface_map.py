@@ -1,4 +1,4 @@
-"""A surface's self-organising map: what its epochs change, and what they leave alone."""
+"""The self-organising map of a surface: effect and limits of its epochs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def lattice(mask: np.ndarray, epochs: int, ends: str = "tips") -> np.ndarray:
 
 
 def clustering(mask: np.ndarray, centres: np.ndarray) -> float:
-    """The Calinski-Harabasz score of the mask's pixels about centres."""
+    """Return the Calinski-Harabasz score of the mask's pixels about centres."""
     pixels = np.argwhere(mask)[:, ::-1]
     nearest = np.argmin(np.linalg.norm(pixels[:, None] - centres.reshape(1, -1, 2), axis=2), axis=1)
     return float(calinski_harabasz_score(pixels, nearest))
@@ -26,7 +26,7 @@ def clustering(mask: np.ndarray, centres: np.ndarray) -> float:
 
 @pytest.fixture
 def trapezium() -> np.ndarray:
-    """Wide at the left, narrow at the right: equal steps along its sides give unequal areas."""
+    """The cloth is wide at the left and narrow at the right: equal steps along its sides give unequal areas."""
     outline = np.array([[60, 40], [420, 130], [420, 210], [60, 300]], np.int32)
     return cv2.fillPoly(np.zeros((340, 480), np.uint8), [outline], 255)
 

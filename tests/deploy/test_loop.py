@@ -1,4 +1,4 @@
-"""The deployment loop: what is acted on, what is not, and how it ends."""
+"""The deployment loop: actions, withheld actions, and the end of a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a deployment leaves behind: the log, written by a thread, and the report, in constant memory."""
+"""The log of a deployment, written by a thread, and its report, in constant memory."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from shape_obs.deploy import RunLog, Sway, deploy
 from shape_obs.deploy.run_log import Tally
 
 
-def test_the_log_has_every_step_and_tells_what_ran(tmp_path):
+def test_the_log_has_every_step_and_names_what_ran(tmp_path):
     env, *_ = cell()
     report = deploy(env, Sway(period=20), steps=6, log=RunLog(tmp_path / "run", {"controller": "Sway"}))
     rows = [json.loads(line) for line in (tmp_path / "run" / "steps.jsonl").read_text().splitlines()]

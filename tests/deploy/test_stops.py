@@ -1,4 +1,4 @@
-"""Signals, failures and kills of real processes before an arm that keeps its own clock; slices of the measurement."""
+"""Signals, failures and kills of real processes that drive an arm with its own clock."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from shape_obs.deploy import Interrupted, RunLog, deploy, supervised
 
 
 def raising(name):
-    """What a controller does while a signal comes."""
+    """Return a controller that receives a signal while it acts."""
 
     def act():
         signal.raise_signal(getattr(signal, name))

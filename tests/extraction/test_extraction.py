@@ -1,4 +1,4 @@
-"""``shape-obs extract``: the same dataset whatever happens on the way, with the features that a policy would see."""
+"""``shape-obs extract``: the same dataset even after interruptions, with the features that a policy would see."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ from shape_obs.cli import main
 whole, left = table.write_whole, [8]
 
 def dying(path, write):
-    def half(beside):
-        write(beside)
-        os.truncate(beside, beside.stat().st_size // 2)
+    def half(temporary):
+        write(temporary)
+        os.truncate(temporary, temporary.stat().st_size // 2)
         os.kill(os.getpid(), signal.SIGKILL)
 
     left[0] -= 1
@@ -58,7 +58,7 @@ main(sys.argv[1:])
 
 
 def run(capsys, *arguments) -> tuple[object, Any, str]:
-    """(exit code, what --json printed or None, stderr) of the command in this process."""
+    """Return (exit code, parsed output of --json or None, stderr) of the command, run in this process."""
     with pytest.raises(SystemExit) as stop:
         main(["extract", *map(str, arguments), "--json"])
     captured = capsys.readouterr()
@@ -66,13 +66,13 @@ def run(capsys, *arguments) -> tuple[object, Any, str]:
 
 
 def content(folder):
-    """Name -> bytes of everything in a folder, hidden files too."""
+    """Return the bytes of every file in a folder by name, including hidden files."""
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """Twenty recordings of a simulated cable in ``recorded``, the last with two episodes, and a config."""
+    """Return a folder with twenty recordings of a cable in ``recorded``, the last with two episodes, and a config."""
     folder = tmp_path_factory.mktemp("place")
     save_config(folder / "c.yaml", {"shapes": [ROPE], "segmentation": BLUE, "features": FEATURES})
     with open_source(
@@ -85,7 +85,7 @@ def place(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def clean(place):
-    """The dataset as one undisturbed run makes it."""
+    """Return the dataset of an undisturbed run."""
     with pytest.raises(SystemExit) as stop:
         main(["extract", str(place / "recorded"), "--config", str(place / "c.yaml"), "-o", str(place / "clean")])
     assert stop.value.code == 0
@@ -108,7 +108,7 @@ def test_one_table_of_all_episodes(place, clean):
 
 
 def test_features_are_those_of_the_vector(place, clean):
-    """As a detector and a feature vector of one's own give them, with units and hashes beside."""
+    """The columns equal those of a separate detector and feature vector, and have units and hashes."""
     config = load_config(place / "c.yaml")
     detector = ShapeDetector(**{name: value for name, value in config.items() if name != "features"})
     with open_source(place / "recorded" / "r03") as source:
@@ -143,7 +143,7 @@ def test_killed_and_restarted_is_one_clean_run(place, clean, capsys, monkeypatch
     assert died.returncode == -signal.SIGKILL
     before = content(place / "killed")
     half = [name for name in before if name.startswith(".")]
-    assert len(half) == 1, "beside its place"
+    assert len(half) == 1, "one temporary file"
     assert sum(name.startswith("part-") for name in before) == 7
     code, report, _ = run(capsys, *arguments)
     assert (code, report["done"], report["kept"], report["failed"]) == (0, COUNT + 1 - 7, 7, [])
@@ -175,7 +175,7 @@ def test_ray_gives_the_same(place, clean, capsys, monkeypatch):
 
 
 def test_a_damaged_recording_loses_only_itself(place, tmp_path, capsys):
-    """An image of the one, the lines of the other; and of one with two episodes, only the one that is damaged."""
+    """An image of one recording is damaged, and the lines of another; of two episodes in a third, only one fails."""
     for name in ("r00", "r01", "r02", "r19"):
         shutil.copytree(place / "recorded" / name, tmp_path / "in" / name)
     whole = (tmp_path / "in" / "r01" / "rgb" / "000002.png").read_bytes()
@@ -200,7 +200,7 @@ def test_a_damaged_recording_loses_only_itself(place, tmp_path, capsys):
     assert not (tmp_path / "out" / "_failures.json").exists()
 
 
-def test_what_changed_is_done_anew_or_refused(place, tmp_path, capsys):
+def test_what_changed_is_done_again_or_refused(place, tmp_path, capsys):
     shutil.copytree(place / "recorded" / "r00", tmp_path / "in" / "a")
     shutil.copytree(place / "recorded" / "r19", tmp_path / "in" / "b")
     arguments = (tmp_path / "in", "--config", place / "c.yaml", "-o", tmp_path / "out")
@@ -245,7 +245,7 @@ def test_images_and_a_video_without_depth(tmp_path, capsys):
     assert np.isnan(np.stack(table["centerline/points3d"].to_pylist())).all(), "the column is there, its values are not"
 
 
-@pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not at hand")
+@pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not available")
 def test_the_recording_of_a_real_camera(tmp_path, capsys):
     try:
         librealsense()

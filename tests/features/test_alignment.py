@@ -1,4 +1,4 @@
-"""Features of form when the shape is moved, turned, scaled or read backwards, and when points of it are unknown."""
+"""Features of shapes that are moved, turned, scaled or reversed, or have unknown points."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
 
 def transformed(feature: Feature, values: np.ndarray, angle: float, shift: np.ndarray, scale: float) -> np.ndarray:
-    """What the feature of ``scale * turned(points, angle) + shift`` must be."""
+    """Return the expected feature of ``scale * turned(points, angle) + shift``."""
     if feature.kind in ("turning_angles", "curvature", "length"):
         power = {"turning_angles": 0, "curvature": -1, "length": 1}[feature.kind]
         return values * scale**power
@@ -83,7 +83,7 @@ class TestSymmetries:
 
 
 def _ambiguous(points: np.ndarray, feature: Feature, layout: Topology) -> bool:
-    """Whether a principal axis, or its direction, hangs on the last digit."""
+    """Return whether a principal axis, or its direction, depends on the last digit."""
     away = points - points.mean(axis=0)
     large, small = np.linalg.eigvalsh(away.T @ away)[::-1]
     heading = Orientation(frame="pixels").compute(shape(points, layout), VIEW)

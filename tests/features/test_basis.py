@@ -37,17 +37,17 @@ def shape(points: Any, layout: Topology, known: Any = None) -> Shape:
 
 
 def fit(feature: Any, points: Any, layout: Topology, known: Any = None) -> np.ndarray:
-    """(K,3) coefficients."""
+    """Return the coefficients, (K, 3)."""
     return feature.compute(shape(points, layout, known), VIEW).reshape(-1, 3)
 
 
 def rebuilt(feature: Any, points: Any, layout: Topology, known: Any = None) -> np.ndarray:
-    """(N,3) the points that the coefficients stand for."""
+    """Return the points that the coefficients describe, (N, 3)."""
     return feature.reconstruct(fit(feature, points, layout, known), layout, VIEW)
 
 
 def draw(layout: Topology, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Wild points, a fifth of them unknown."""
+    """Return irregular points, a fifth of them unknown."""
     rng = np.random.default_rng(seed)
     points, known = rng.uniform(-0.3, 0.3, (layout.size, 3)), rng.permutation(layout.size) >= layout.size // 5
     points[~known & (rng.random(layout.size) < 0.5)] = np.nan
@@ -56,7 +56,7 @@ def draw(layout: Topology, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def recorded():
-    """True shapes of random episodes with far goals, and their goals: {layout: (M,N,3)}, metres."""
+    """Return true shapes of random episodes with far goals, and their goals: {layout: (M, N, 3)}, in metres."""
     pytest.importorskip("mujoco")
     import shape_obs_envs  # noqa: F401
 
@@ -135,7 +135,7 @@ class TestClosedForms:
 
 
 class TestMoved:
-    """What moving a shape does to its coefficients, with a fifth of the points missing."""
+    """The effect of moving a shape on its coefficients, with a fifth of the points missing."""
 
     @each_fit
     @given(seed=seeds)
@@ -281,7 +281,7 @@ def test_a_name_and_a_number_are_all_that_a_config_needs(feature, layout):
         (Fourier(), Grid(2, 3), r"at least 9 points on a lattice, got Grid\(rows=2, cols=3\): use more points"),
     ],
 )
-def test_what_a_layout_does_not_have_is_told(feature, layout, message):
+def test_what_a_layout_does_not_have_raises_an_error(feature, layout, message):
     with pytest.raises(ValueError, match=message):
         feature.compute(shape(np.zeros((layout.size, 3)), layout), VIEW)
 
@@ -295,6 +295,6 @@ def test_what_a_layout_does_not_have_is_told(feature, layout, message):
         ({"kind": "bspline", "coefficients": 3}, "more coefficients than that, got degree=3 and coefficients=3"),
     ],
 )
-def test_numbers_that_make_no_basis_are_told(spec, message):
+def test_numbers_that_make_no_basis_raise_an_error(spec, message):
     with pytest.raises(SpecError, match=message):
         Feature.from_dict(spec)

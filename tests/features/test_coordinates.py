@@ -1,4 +1,4 @@
-"""What points can be relative to: their centroid, the shape's anchor, or an anchor by name."""
+"""Origins of points: their centroid, the shape's anchor, or a named anchor."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class TestAnchors:
             ),
         ],
     )
-    def test_what_is_wrong_is_told(self, feature, view, message):
+    def test_mistakes_raise_an_error(self, feature, view, message):
         with pytest.raises(ValueError, match=re.escape(message)):
             feature.compute(rope(), view)
 

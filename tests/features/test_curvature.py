@@ -1,4 +1,4 @@
-"""Features of form: tangents, bending, moments, length, centroid, orientation; what they promise, and closed forms."""
+"""Tangents, bending, moments, length, centroid and orientation against closed forms."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class TestPromises:
         assert (np.isnan(values) | ((values >= low - room) & (values <= high + room))).all()
 
     @pytest.mark.parametrize(("layout", "make"), PAIRS)
-    def test_what_cannot_be_told_is_nan(self, layout, make):
+    def test_what_cannot_be_computed_is_nan(self, layout, make):
         nothing = shape(np.zeros((layout.size, 2)), layout, unknown=range(layout.size))
         assert np.isnan(make().compute(nothing, VIEW)).all()
         one_place = make().compute(shape(np.full((layout.size, 2), 0.1), layout), VIEW)
@@ -78,7 +78,7 @@ class TestPromises:
         with pytest.raises(ValueError, match=r"is for a line, a Chain .* got Grid\(rows=4, cols=8\).*'region_moments'"):
             make().bounds(Grid(4, 8), VIEW)
 
-    def test_what_does_not_exist_is_told(self):
+    def test_what_does_not_exist_raises_an_error(self):
         with pytest.raises(
             ValueError, match=r"'region_moments' is for the region inside .* got Chain.*'contour_moments'"
         ):

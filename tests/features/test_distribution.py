@@ -1,4 +1,4 @@
-"""PointDistribution: against scikit-learn and shapes that are known; the file that keeps it."""
+"""PointDistribution against scikit-learn and known shapes, and its file."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class TestModel:
         turned = complex(one[3], one[4]) * scale * np.exp(1j * angle)
         np.testing.assert_allclose(other[3:5], (turned.real, turned.imag), atol=1e-9)
 
-    def test_fewer_than_two_points_tell_nothing(self):
+    def test_fewer_than_two_points_give_no_values(self):
         for model in MODELS.values():
             for known in (0, 1):
                 weight = (np.arange(N) < known).astype(float)
@@ -108,7 +108,7 @@ class TestModel:
             (ropes(9) * np.eye(9)[0, :, None, None], {"aligned": True}, "too unlike the others"),
         ],
     )  # fmt: skip
-    def test_what_cannot_be_fitted_is_told(self, points, rest, message):
+    def test_what_cannot_be_fitted_raises_an_error(self, points, rest, message):
         with pytest.raises(ValueError, match=message):
             fit(points, **rest)
 
@@ -137,7 +137,7 @@ class TestFile:
             fit().save(tmp_path / "a.npz")
         assert list(tmp_path.iterdir()) == []
 
-    def test_a_damaged_file_is_told(self, file):
+    def test_a_damaged_file_raises_an_error(self, file):
         content = Path(file).read_bytes()
         draw = np.random.default_rng(0)
         for at in (0, 10, 500, len(content) // 2, len(content) - 1, *draw.integers(0, len(content), 10)):
@@ -147,7 +147,7 @@ class TestFile:
             ):
                 PrincipalComponents(file)
 
-    def test_another_file_is_told(self, tmp_path):
+    def test_another_file_raises_an_error(self, tmp_path):
         np.savez(tmp_path / "a.npz", mean=np.zeros(3))
         (tmp_path / "b.npz").write_text("notes")
         np.savez(tmp_path / "c.npz", metadata=np.array([{"a": 1}], dtype=object))  # a pickle: never opened
@@ -173,7 +173,7 @@ class TestFile:
             ({"components": np.zeros((4, N, 2))}, r"arrays of \(20, 3\) and \(4, 20, 2\) do not belong to Chain"),
         ],
     )
-    def test_a_file_that_makes_no_sense_is_told(self, file, change, message):
+    def test_a_file_that_makes_no_sense_raises_an_error(self, file, change, message):
         with np.load(file) as arrays:
             content = {**arrays, **change}
         np.savez(file, **content)

@@ -1,4 +1,4 @@
-"""Features: dimension, units, frames, bounds; what is unknown and what is out of bounds."""
+"""Features: dimension, units, frames, bounds, unknown points and clipped values."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def test_trust_as_numbers(view):
         ),
     ],
 )
-def test_what_is_needed_is_told(feature, change, message, view):
+def test_what_is_needed_is_named_in_the_error(feature, change, message, view):
     if "pose" in change:
         change = {"camera": CameraModel(view.camera.intrinsics)}
     lacking = replace(view, **change)
@@ -182,7 +182,7 @@ class TestVector:
         half = shape([[1, 2], [np.nan, 4]], [[0, 0, 1], [np.nan] * 3])
         np.testing.assert_allclose(vector.compute([half], [view])[:4], [1, 2, 159.5, 4])
 
-    def test_what_is_out_of_bounds_is_clipped_and_told_once(self, view):
+    def test_what_is_out_of_bounds_is_clipped_with_one_warning(self, view):
         vector = self.vector(view, "points2d")
         away = shape([[-9, 500], [1e9, -np.inf]])
         with pytest.warns(UserWarning, match=r"3 of 4 values lie outside their bounds .* set workspace="):
@@ -207,7 +207,7 @@ class TestVector:
         assert (values >= vector.low).all()
         assert (values <= vector.high).all()
 
-    def test_empty_bounds_are_told(self, view):
+    def test_empty_bounds_raise_an_error(self, view):
         with pytest.raises(ValueError, match="bounds must be finite and low < high"):
             self.vector(replace(view, max_age=0.0), "age")
 

@@ -1,4 +1,4 @@
-"""The feature of principal components: values, bounds, identity, and in the wrapper."""
+"""The feature of principal components: values, bounds, identity, use in the wrapper."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ def patch(seed: int) -> tuple[FittedLattice, np.ndarray, list[np.ndarray], float
 @settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_inside_is_blended_between_the_sides(seed):
-    """P(u, v) = (1-v) T(u) + v B(u) + (1-u) L(v) + u R(v) - the bilinear patch of the corners."""
+    """Compare with P(u, v) = (1-v) T(u) + v B(u) + (1-u) L(v) + u R(v) - the bilinear patch of the corners."""
     lattice = patch(seed)[0].lattice
     at = np.linspace(0, 1, FINE)
     v, u = (side[..., None] for side in np.meshgrid(at, at, indexing="ij"))

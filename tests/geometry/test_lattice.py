@@ -1,4 +1,4 @@
-"""Lattices over sheets: places between their points, turns, and what a lattice of a sheet looks like."""
+"""Lattices over sheets: positions between their points, turns, and validity."""
 
 from __future__ import annotations
 

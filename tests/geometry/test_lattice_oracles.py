@@ -1,4 +1,4 @@
-"""What surfaces are made of: corners of outlines, Coons patches, and lattices that can be sampled and validated."""
+"""Corners of outlines, Coons patches, and lattices that are sampled and validated."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class TestPatches:
     @settings(max_examples=20)
     @given(seed=st.integers(0, 2**32 - 1), quarters=st.integers(0, 3))
     def test_a_patch_blends_its_four_sides(self, seed, quarters):
-        """The formula of Coons in NumPy, from the sides of the patch itself."""
+        """Compare with the formula of Coons in NumPy, from the sides of the patch itself."""
         _, outline = square_outline(np.random.default_rng(seed).uniform(0, 360))
         middle = outline.mean(axis=0)
         outline = outline + 0.05 * (outline - middle) * np.sin(np.arange(240) * 2 * np.pi / 60)[:, None]

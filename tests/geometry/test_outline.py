@@ -1,4 +1,4 @@
-"""Outlines of masks: where a circle ends, SciPy's smoothing."""
+"""Outlines of masks against circles and SciPy's smoothing."""
 
 from __future__ import annotations
 

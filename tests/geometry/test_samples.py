@@ -1,4 +1,4 @@
-"""The points of an outline, taken two by two."""
+"""Samples of pairs of outline points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Colour rules as tables, and the search that reads few pixels: the same pixels as the rule itself gives."""
+"""Colour tables and the sparse search give the same pixels as the rule itself."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class BlueAndNear(HSVRange, kind="test_blue_and_near"):
 
 
 def photograph(mask, rng, noise=5.0, colour=(30, 60, 200)):
-    """A blue object over a grayish uneven background, blurred as lenses do, with sensor noise: (H,W,3) uint8."""
+    """Return a blue object on a grayish, uneven background, with lens blur and sensor noise, (H, W, 3) uint8."""
     size = (mask.shape[1], mask.shape[0])
     table = cv2.resize(rng.uniform(100, 190, (6, 8, 3)).astype(np.float32), size, interpolation=cv2.INTER_CUBIC)
     image = np.where(mask[..., None] > 0, np.array(colour, np.float32), 0.3 * table + 100)
@@ -61,7 +61,7 @@ def assert_same_region(found, expected):
 
 
 def runs_of(mask, left, top):
-    """(R,3) row, first column, column past the last one, image coordinates."""
+    """Return row, first column and column past the last one of each run, (R, 3), in image coordinates."""
     found = []
     for row, line in enumerate(mask):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], line, [0]]).astype(int)))
@@ -70,7 +70,7 @@ def runs_of(mask, left, top):
 
 
 def met_by_lattice(blobs, window, step, min_area, min_share):
-    """OpenCV's components that hold a pixel of the lattice and are large enough: their mask, and their areas."""
+    """Return mask and areas of OpenCV's components that are large enough and contain a pixel of the lattice."""
     v, u = np.mgrid[window.top : window.top + window.height, window.left : window.left + window.width]
     shift = step // 4 + (step // 2) * ((v // step) & 1)
     lattice = (v % step == step // 2) & ((u - shift) % step == 0)
@@ -92,7 +92,7 @@ class TestTable:
     @settings(max_examples=25)
     @given(RANGES, st.integers(0, 2**32 - 1), st.tuples(st.integers(1, 40), st.integers(1, 70)))
     def test_a_table_is_the_rule(self, rule, seed, size):
-        """On colours of every kind, and of the kind that the rule is about."""
+        """Colours are drawn from everywhere, and from near the rule's range."""
         rng = np.random.default_rng(seed)
         image = rng.integers(0, 256, (*size, 3), np.uint8)
         if isinstance(rule, HSVRange):
@@ -125,7 +125,7 @@ class TestTable:
         assert shape.ok, shape.reason
 
     def test_a_rule_as_fine_as_one_colour_is_kept(self):
-        """Bins of eight values a channel would turn a whole drawn object over."""
+        """With bins of eight values per channel, a whole drawn object would change."""
         image = np.zeros((9, 9, 3), np.uint8) + np.array([30, 60, 200], np.uint8)
         image[4, 4] = (31, 60, 200)
         mask = table_mask(image, Whole().window((9, 9)), colour_table(OneColour()))
@@ -155,7 +155,7 @@ class TestSearch:
     @settings(max_examples=60)
     @given(st.integers(0, 2**32 - 1), st.sampled_from([4, 8]), st.floats(0.05, 0.6), st.integers(1, 9))
     def test_it_finds_the_components_of_opencv_that_the_lattice_meets(self, seed, step, share, grain):
-        """Blobs of every grain in windows of every place: complete components, those alone that the lattice meets."""
+        """The search returns complete components, and only those that the lattice meets."""
         rng = np.random.default_rng(seed)
         size = rng.integers(1, 90, 2)
         coarse = rng.uniform(size=-(-size // grain)) < share
@@ -269,7 +269,7 @@ class TestSegment:
         assert colour_table.cache_info().misses - before == 1
 
     def test_points_from_the_search_are_those_of_the_rule(self):
-        """Through the detector, warm, over a moving rope: to 0.3 px on every point, and in fact to the last digit."""
+        """A tracking detector finds the points to 0.3 px, in fact to the last digit."""
         from shape_obs.bench.synthetic.ropes import moving_rope
 
         rng = np.random.default_rng(9)

@@ -12,7 +12,7 @@ from shape_obs.image.connected_runs import find_components, gather_cells, label_
 
 
 def runs_of(mask):
-    """(R,3) row, first column, column past the last one."""
+    """Return row, first column and column past the last one of each run, (R, 3)."""
     found = []
     for row, line in enumerate(mask):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], line > 0, [0]]).astype(int)))
@@ -28,7 +28,7 @@ def labelled(runs):
 
 @st.composite
 def masks(draw):
-    """Blobs of every grain, ``(h, w)`` uint8."""
+    """Return random blobs of any size, ``(h, w)`` uint8."""
     rng, grain = np.random.default_rng(draw(st.integers(0, 2**32 - 1))), draw(st.integers(1, 5))
     size, share = rng.integers(1, 40, 2), draw(st.floats(0, 1))
     coarse = rng.uniform(size=-(-size // grain)) < share

@@ -1,4 +1,4 @@
-"""Which rows of pixels are connected, and what is gathered from them: OpenCV's components, and brute force."""
+"""Connected runs and their statistics against OpenCV's components and brute force."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ def mask_of(rule, rgb=None, depth=None):
 
 
 def swatches(*hsv):
-    """One pixel of each colour: (1,K,3) uint8 RGB."""
+    """Return one pixel of each colour, (1, K, 3) uint8 RGB."""
     return np.asarray(cv2.cvtColor(np.array([hsv], np.uint8), cv2.COLOR_HSV2RGB))
 
 

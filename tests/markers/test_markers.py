@@ -1,4 +1,4 @@
-"""Markers: found, a region of interest between them, the table from above. `shape-obs bench claims --only markers`."""
+"""Detection of markers, the region of interest between them, and the table from above."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def shifted(corners, by: float):
 
 
 def found_rope(detection, scene: MarkerScene, shift=(0, 0)) -> bool:
-    """Whether the points lie along the rope inside the markers, and not on the thicker one outside."""
+    """Return whether the points lie along the rope inside the markers, and not on the thicker one outside."""
     shape = detection.shapes[0]
     if shape.reason:
         return False
@@ -170,7 +170,7 @@ class TestRegion:
         found_again = [found_rope(finder.detect(after), scene, (37, -22)) for _ in range(4)]
         assert found_again[-1]
 
-    def test_one_marker_does_not_tell_where_the_camera_has_gone(self, scene, picture):
+    def test_one_marker_does_not_determine_where_the_camera_has_gone(self, scene, picture):
         finder = detector(every=1)
         finder.detect(picture)
         shape = finder.detect(moved(hide(picture, scene, 0, 1, 3), 60, 0)).shapes[0]
@@ -209,7 +209,7 @@ class TestRegion:
             one, other = first.detect(frame).shapes[0], second.detect(frame).shapes[0]
             np.testing.assert_array_equal(one.points2d, other.points2d)
 
-    def test_markers_that_stand_around_nothing_are_told(self, scene, picture):
+    def test_markers_that_stand_around_nothing_are_reported(self, scene, picture):
         strewn = marker_scene(
             3, layout=replace(LAYOUT, corners=(*LAYOUT.corners[:3], shifted(LAYOUT.corners[0], 0.25)))
         )

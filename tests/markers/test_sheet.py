@@ -1,4 +1,4 @@
-"""Printed sheets: true to scale, whole or not at all."""
+"""Printed sheets are true to scale, and are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from shape_obs.markers.sheet import PER_MM, marker_pages, write_pages
 
 class TestSheets:
     def pictures(self, path: Path) -> list[tuple[np.ndarray, float]]:
-        """Each page as pixels, and how many of them are a millimetre on paper."""
+        """Return each page as pixels, and the number of pixels per printed millimetre."""
         if path.suffix == ".png":
             with Image.open(path) as picture:
                 return [(np.asarray(picture.convert("L")), picture.info["dpi"][0] / 25.4)]
@@ -94,7 +94,7 @@ def pdf(path: Path) -> PdfParser.PdfParser:
 
 
 def pdf_page(path: Path, number: int) -> tuple[np.ndarray, float]:
-    """A page's picture, and its pixels a millimetre: a PDF's units are 1/72 inch."""
+    """Return a page's picture and its pixels per millimetre; a PDF's units are 1/72 inch."""
     with pdf(path) as document:
         page = document.read_indirect(document.pages[number])
         box = page[b"MediaBox"]
@@ -106,7 +106,7 @@ def pdf_page(path: Path, number: int) -> tuple[np.ndarray, float]:
 
 
 def fax_as_tiff(data: bytes, width: int, height: int) -> bytes:
-    """CCITT group 4 data as a TIFF file that Pillow reads."""
+    """Return CCITT group 4 data as a TIFF file that Pillow reads."""
     tags = [(256, 4, width), (257, 4, height), (258, 3, 1), (259, 3, 4), (262, 3, 0), (273, 4, 122), (277, 3, 1)]
     tags += [(278, 4, height), (279, 4, len(data))]
     head = struct.pack("<2sHLH", b"II", 42, 8, len(tags))

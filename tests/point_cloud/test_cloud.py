@@ -1,4 +1,4 @@
-"""Clouds as bodies: ropes, rings and sheets in space, the cloud under a mask, anchors, and whatever else comes in."""
+"""Test detection in clouds: ropes, rings and sheets in space, the cloud under a mask, anchors, and bad input."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def one(detector: ShapeDetector, points: Any, **kwargs: Any) -> Any:
 
 
 def straight(count: int = 3000, start: float = -0.3, end: float = 0.3, y: float = 0.0, z: float = 1.0) -> np.ndarray:
-    """A rope of 4 mm noise along x."""
+    """Return a cloud of a rope along x with 4 mm noise."""
     draw = np.random.default_rng(1)
     points = draw.normal(0, 0.004, (count, 3)) + (0, y, z)
     points[:, 0] = draw.uniform(start, end, count)
@@ -115,7 +115,7 @@ class TestDetectCloud:
             swapped += np.linalg.norm(one(image, cloud).points3d[0] - true) > 0.1
         assert swapped > 5
 
-    def test_a_detector_that_is_given_masks_and_clouds_in_turn_starts_anew(self, wave, intrinsics):
+    def test_a_detector_that_is_given_masks_and_clouds_in_turn_starts_again(self, wave, intrinsics):
         detector = ShapeDetector(TIPS)
         for _ in range(2):
             assert one(detector, straight()).ok
@@ -172,7 +172,7 @@ class TestAnchors:
 
 
 class TestRefusals:
-    """What is no rope is refused in words."""
+    """Clouds that are no rope are refused with a reason."""
 
     @pytest.mark.parametrize(
         ("points", "reason"),

@@ -1,4 +1,4 @@
-"""Clouds under masks (``lift="cloud"``), clouds as bodies, and slices of what is claimed for them."""
+"""Clouds under masks (``lift="cloud"``), clouds as observed geometry, and samples of their claims."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from shape_obs.point_cloud.deprojection import deproject
 
 
 def straight(count: int = 3000) -> np.ndarray:
-    """A rope of 4 mm noise along x."""
+    """Return a cloud of a rope along x with 4 mm noise."""
     draw = np.random.default_rng(1)
     points = draw.normal(0, 0.004, (count, 3)) + (0, 0, 1)
     points[:, 0] = draw.uniform(-0.3, 0.3, count)
@@ -28,7 +28,7 @@ def straight(count: int = 3000) -> np.ndarray:
 
 
 class TestClaims:
-    """Slices of what ``shape-obs bench claims`` counts in full."""
+    """Samples of the measurement ``shape-obs bench claims``."""
 
     def test_rope_clouds(self):
         found = list(cloud_claims.rope_clouds(5))
@@ -68,7 +68,7 @@ class TestClaims:
 
 
 class TestUnderAMask:
-    """``lift="cloud"``."""
+    """Detection with ``lift="cloud"``."""
 
     def test_pixels_are_the_projection(self):
         rope = tilted_rope(np.random.default_rng(3))
@@ -140,7 +140,7 @@ class TestUnderAMask:
 
 
 class TestCloud:
-    """The body itself: what the configurations ask it."""
+    """The methods of a cloud that the configurations call."""
 
     @pytest.fixture
     def bent(self) -> SheetCloud:

@@ -58,7 +58,7 @@ def tilted() -> Tilted:
 
 
 def matched(points: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """Distances of points to the truth, whichever end came first."""
+    """Return the distances of points from the truth, in the better of both directions."""
     return min((np.linalg.norm(points - order, axis=1) for order in (true, true[::-1])), key=np.mean)
 
 
@@ -101,7 +101,7 @@ def test_a_lens_is_taken_into_account(wave):
 
 
 def test_radius_gives_the_axis_of_a_cylinder():
-    """A cylinder of 10 mm radius, 0.6 m away, cast ray by ray."""
+    """The scene is a cylinder of 10 mm radius at 0.6 m, rendered ray by ray."""
     radius, distance = 0.010, 0.6
     v, u = np.mgrid[:480, :640]
     rays = CAMERA.rays(np.stack([u, v], axis=-1))
@@ -150,7 +150,7 @@ def test_a_hole_is_reported_and_never_filled_unasked(wave, intrinsics, nothing):
     assert shape.quality < one(ShapeDetector(Centerline(n=30)), wave.mask, np.full((240, 320), 0.8), intrinsics).quality
 
 
-def test_a_bridged_point_is_not_valid_though_the_rope_beside_it_has_depth(wave, intrinsics):
+def test_a_bridged_point_is_not_valid_though_the_rope_next_to_it_has_depth(wave, intrinsics):
     mask = wave.mask.copy()
     mask[:, 150:164] = 0
     shape = one(ShapeDetector(Centerline(n=200)), mask, np.full(mask.shape, 0.8), intrinsics)
@@ -161,7 +161,7 @@ def test_a_bridged_point_is_not_valid_though_the_rope_beside_it_has_depth(wave, 
 
 
 class TestInvalidPoints:
-    """What fills a point without depth; whatever does, it stays invalid."""
+    """A point without depth is filled by the policy, and stays invalid."""
 
     @pytest.fixture
     def frames(self, wave):
@@ -262,7 +262,7 @@ def test_a_hidden_piece_is_not_visible_where_another_strand_lies_under_it(intrin
     assert (shape.points3d is None) == (depth is None)
 
 
-def test_a_centre_beside_the_mask_is_not_valid_though_depth_lies_near_it(intrinsics):
+def test_a_centre_outside_the_mask_is_not_valid_though_depth_lies_near_it(intrinsics):
     """A clusterer may put a centre between two strands."""
     mask = np.zeros((240, 320), np.uint8)
     mask[108:132, 10:310] = 1

@@ -1,4 +1,4 @@
-"""The median depth around a point, by brute force."""
+"""The median depth around a point against brute force."""
 
 from __future__ import annotations
 

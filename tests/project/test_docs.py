@@ -71,7 +71,7 @@ def test_the_readme_has_the_two_commands_as_they_are_promised():
         "ablate",
     ],
 )
-def test_the_page_of_the_command_line_knows_every_option(command, capsys):
+def test_the_page_of_the_command_line_documents_every_option(command, capsys):
     from shape_obs.cli import main
 
     with pytest.raises(SystemExit):

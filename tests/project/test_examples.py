@@ -1,4 +1,4 @@
-"""Every example runs as its first lines say, is short, and prints what it promises."""
+"""Every example is short, runs as documented in its first lines, and prints the documented output."""
 
 import subprocess
 import sys

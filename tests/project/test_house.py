@@ -1,4 +1,4 @@
-"""The layout of the repository: how many rooms and files there are, their order, and the tests that mirror them."""
+"""The layout of the repository: number and order of packages and files, and mirrored tests."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def folders_in(folder: Path) -> list[Path]:
 
 
 def rooms(package: Path) -> set[str]:
-    """Packages and modules at the top of a package, without its ``__init__``."""
+    """Return the packages and modules at the top of a package, without its ``__init__``."""
     modules = {path.stem for path in package.glob("*.py")} - {"__init__"}
     return modules | {path.parent.name for path in package.glob("*/__init__.py")}
 
 
 def layers(container: str) -> list[list[str]]:
-    """The layers of import-linter's contract for a package, lowest first."""
+    """Return the layers of import-linter's contract for a package, lowest first."""
     text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     contract = re.search(rf'containers = \["{container}"\]\n.*?layers = \[\n(.*?)\n\]', text, flags=re.S)
     assert contract is not None

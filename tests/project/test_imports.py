@@ -1,4 +1,4 @@
-"""What an import may load: each in its own process, and asserted, not timed."""
+"""The modules that an import may load, each tested in a separate process."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_every_public_name_is_there():
     assert set(shape_obs.__all__) <= set(dir(shape_obs))
 
 
-def test_an_unknown_name_is_told_with_the_known_ones():
+def test_the_error_for_an_unknown_name_lists_the_known_ones():
     import shape_obs
 
     with pytest.raises(

@@ -1,4 +1,4 @@
-"""The list of mutants is up to date: every one still applies. ``tests/support/mutants.py`` runs them."""
+"""Every mutant in the list still applies; ``tests/support/mutants.py`` runs them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The scripts of the pictures find what they import; the page on failures says what comes out, case by case."""
+"""The scripts of the pictures can be imported; the page on failures has their results."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def page():
 
 
 def unnumbered(text: str) -> str:
-    """The last digits differ between versions of NumPy and OpenCV."""
+    """Hide the digits: the last ones differ between versions of NumPy and OpenCV."""
     return re.sub(r"\d+(\.\d+)?", "#", text)
 
 

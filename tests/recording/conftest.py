@@ -22,7 +22,7 @@ def cable():
 
 @pytest.fixture(scope="session")
 def recorded(cable, tmp_path_factory):
-    """The same frames, recorded by another run of the same environment."""
+    """Return the same frames, recorded by another run of the same environment."""
     folder = tmp_path_factory.mktemp("cable") / "recording"
     with EnvSource(CABLE, **OPTIONS) as source:
         summary = record(source, folder, frames=FRAMES)
@@ -32,7 +32,7 @@ def recorded(cable, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def log(recorded):
-    """Of the recording, but for the three last frames blackened: the rope is gone."""
+    """Return a log of the recording whose last three frames are black, so that the rope is lost."""
     finder = detector()
     with FolderSource(recorded) as source:
         log = ShapeLog(finder, CONFIG, source)

@@ -25,7 +25,7 @@ FRAMES = 20
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """Some frames."""
+    """Return some frames."""
     folder = tmp_path_factory.mktemp("noise") / "recording"
     source: Any = Script(noise(FRAMES))
     source.live = False
@@ -158,7 +158,7 @@ def test_damaged_files_are_named(recorded, tmp_path, name, damage, message):
         list(read_moments(source, 4))
 
 
-def test_checking_tells_all_that_is_damaged(recorded, tmp_path):
+def test_checking_reports_all_damage(recorded, tmp_path):
     folder = tmp_path / "damaged"
     shutil.copytree(recorded, folder)
     for name in ("rgb/000003.png", "depth/000007.png"):

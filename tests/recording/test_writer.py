@@ -32,7 +32,7 @@ def test_a_camera_that_is_lost_leaves_what_came(tmp_path):
     assert not (tmp_path / "none").exists(), "and nothing where nothing came"
 
 
-def test_frames_that_were_missed_and_dropped_are_told(tmp_path, monkeypatch):
+def test_frames_that_were_missed_and_dropped_are_reported(tmp_path, monkeypatch):
     source: Any = Script(noise(5, numbers=[7, 8, 11, 12, 14]), KeyboardInterrupt())
     assert record(source, tmp_path / "gaps").missed == 3
     source = Script(noise(1))
@@ -46,7 +46,7 @@ def test_frames_that_were_missed_and_dropped_are_told(tmp_path, monkeypatch):
 
 
 def gated_encoders(monkeypatch):
-    """Encoders that wait until the gate is set."""
+    """Make the encoders wait until the gate is set."""
     from shape_obs.recording import writer
 
     gate, store = threading.Event(), writer.store
@@ -59,8 +59,8 @@ def gated_encoders(monkeypatch):
     return gate
 
 
-def test_a_full_disk_is_told_and_what_is_written_is_kept(tmp_path):
-    """A limit on the size of files stands in for a disk: the line of some frame does not fit any more."""
+def test_a_full_disk_is_reported_and_what_is_written_is_kept(tmp_path):
+    """A limit on the size of files acts as a full disk: the line of some frame no longer fits."""
     source: Any = Script(noise(400, size=(4, 4)))
     source.live = False
     before = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -1,4 +1,4 @@
-"""Estimators, laws and the excitation: what they learn, and where they send a robot, against closed form."""
+"""Estimators, control laws and excitation against closed forms."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def learnt(estimator, plant, motions):
-    """The estimate after motions of a plant, which is a matrix, or one for each motion."""
+    """Return the estimate after motions of a plant, given by one matrix or one for each motion."""
     estimator.start(*plant.shape[-2:])
     plants = np.broadcast_to(plant, (len(motions), *plant.shape[-2:]))
     for matrix, motion in zip(plants, motions, strict=True):
@@ -64,7 +64,7 @@ def test_recursive_least_squares_forgets_one_direction_while_another_rests():
 
 @every
 def test_the_first_motions_are_explained_by_the_exact_solution(estimator):
-    """Unit motions one by one: each column is what was seen, in the share that the gain takes."""
+    """After unit motions one by one, each column is the observed change times the gain."""
     plant = np.arange(1.0, 7).reshape(2, 3)
     share = {Broyden: 0.5 / 1.02, RecursiveLeastSquares: None, Kalman: 10.02 / 10.07, PseudoJacobian: 0.5 / 1.2}
     found = learnt(estimator(), plant[:, :1], np.ones((1, 1)))
@@ -99,7 +99,7 @@ def test_the_unit_of_features_changes_no_action(estimator, seed, unit):
 @settings(max_examples=8)
 @given(seeds)
 def test_long_motion_in_one_direction_spoils_nothing(estimator, seed):
-    """Afterwards a small motion of noise in another direction is no revelation, and any motion is foreseen better."""
+    """A small noisy motion in another direction changes little, and predictions of any motion improve."""
     rng = np.random.default_rng(seed)
     plant = rng.normal(size=(4, 3))
     made = estimator()
@@ -213,7 +213,7 @@ def test_weights_are_as_a_map_that_was_weighted_before(name):
 
 @given(sizes, seeds, st.floats(0.05, 1.0))
 def test_model_free_adaptive_control_comes_nearer_with_every_step(size, seed, step):
-    """On a linear plant that is known: the error never grows, and what can be reached shrinks."""
+    """On a known linear plant the error never grows, and its reachable part shrinks."""
     rng = np.random.default_rng(seed)
     plant, error = rng.normal(size=size), rng.normal(size=size[0])
     law = with_jacobian(ModelFreeAdaptiveControl(PseudoJacobian(), step=step), plant)

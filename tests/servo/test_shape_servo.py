@@ -1,4 +1,4 @@
-"""ShapeServo: it reaches goals, learns only from what was seen, and stands still otherwise; what errors are worth."""
+"""ShapeServo reaches goals, learns only from measured points, and otherwise stands still."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ POINTS = 8
 
 
 class Plant:
-    """Features that answer linearly, ``x += J a``, seen with noise; the shape is lost when `lost` says so."""
+    """A linear plant, ``x += J a``, whose features are noisy; `lost` marks the shape as lost."""
 
     def __init__(self, seed: int = 0, features: int = 6, actions: int = 3, noise: float = 1e-3) -> None:
         self._rng = np.random.default_rng(seed)
@@ -93,7 +93,7 @@ def test_it_learns_from_motions_that_are_long_enough(least, learnt):
 
 def test_weights_by_noise_wait_and_look_first():
     plant = Plant()
-    plant.matrix[0], plant.noise = 0, 0.0  # a feature that never answers, and no noise at all
+    plant.matrix[0], plant.noise = 0, 0.0  # a feature that never answers, and no noise
     servo = servo_of(plant, weights="noise")
     assert (plant.run(servo, 8) == 0).all()
     plant.run(servo, 40)
@@ -129,7 +129,7 @@ def test_in_a_blackout_nothing_moves_and_nothing_is_learnt_and_then_it_goes_on(l
 
 @pytest.mark.parametrize("law", ["mfac", "rls", "kalman", "broyden"])
 def test_features_that_come_and_go_are_left_out_while_they_are_gone(law):
-    """A fifth of them at random, at a place far from the true one."""
+    """A random fifth of the features is reported far from its true value."""
     plant, rng = Plant(noise=2e-4), np.random.default_rng(4)
     known = np.ones(6, bool)
     servo = servo_of(plant, law, measured=lambda: known)
@@ -188,7 +188,7 @@ def test_it_says_what_it_expects():
         plant.run(servo_of(plant, weights=np.eye(5)), 1)
 
 
-def test_bind_tells_the_number_of_actions():
+def test_bind_sets_the_number_of_actions():
     servo = ShapeServo()
     servo.bind([1, 2, 3, 4])  # type: ignore[arg-type]
     assert isinstance(servo, Controller)

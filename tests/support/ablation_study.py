@@ -1,4 +1,4 @@
-"""A study as small as can be, for the tests of ablations: the simulator's points, near goals, tiny networks."""
+"""The smallest study for tests of ablations: the simulator's points, near goals, tiny networks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from shape_obs.ablation.scores import read_scores
 
 
 def numbers(root: Path) -> dict[str, list[tuple]]:
-    """All scores of the done runs of a study, by run; without times."""
+    """Return all scores of the finished runs of a study by run, without times."""
     return {
         f"{path.parts[-3]}/{path.parts[-2]}": [
             (row.steps, row.disturbance, *row.score._replace(ms=0.0))
@@ -29,13 +29,13 @@ def numbers(root: Path) -> dict[str, list[tuple]]:
 
 
 def here(tasks: Sequence[Task], poll: Callable[[], object]) -> Iterator[Outcome]:
-    """The plainest engine: one run after the other in this process."""
+    """Execute one run after the other in this process."""
     return map(work, tasks)
 
 
 @contextmanager
 def killing(run: Path) -> Iterator[list[int]]:
-    """Kills the process that does a run in its first step, once; the list is of its id then."""
+    """Kill the process of a run once, in its first step; yield a list that receives its id."""
     killed: list[int] = []
     over = threading.Event()
 
@@ -57,7 +57,7 @@ def killing(run: Path) -> Iterator[list[int]]:
 
 
 def worker_of(run: Path) -> int | None:
-    """The process that does a run; None while it does not tell."""
+    """Return the id of the process that does a run; None until it is known."""
     try:
         return int(json.loads((run / "progress.json").read_text())["pid"])
     except (OSError, ValueError):

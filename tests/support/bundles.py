@@ -1,4 +1,4 @@
-"""What tests of bundles share: the cable as policies see it, and a learner of it."""
+"""A cable environment and a small trained policy for tests of bundles."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def learner(env, algorithm="SAC", **options) -> Any:
 
 
 def train(path: Path) -> Any:
-    """(model, vector env), saved: hindsight replay, normalised, in a monitor and a curriculum, as trainings are."""
+    """Return a saved model and its vector env with hindsight replay, normalisation, monitor and curriculum."""
     import stable_baselines3 as sb3
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize

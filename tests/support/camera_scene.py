@@ -26,23 +26,23 @@ SMALL = {"width": 160, "height": 120}
 
 
 def camera(serial: str = "455", **options: Any) -> SoftwareD455:
-    """A small software camera."""
+    """Return a small software camera."""
     return SoftwareD455(serial, **{**SMALL, **options})
 
 
 def source(device: Any, **options: Any) -> RealSenseSource:
-    """Its source."""
+    """Return the source of a software camera."""
     return RealSenseSource(device, **{**SMALL, **options})
 
 
 def picture(number: int = 0, size: tuple[int, int] = (120, 160)) -> tuple[np.ndarray, np.ndarray]:
-    """A raw pair that tells its number: (H,W,3) uint8 and (H,W) uint16."""
+    """Draw a raw pair that depends on its number: (H, W, 3) uint8 and (H, W) uint16."""
     rng = np.random.default_rng(number)
     return rng.integers(0, 256, (*size, 3), np.uint8), rng.integers(400, 900, size, np.uint16)
 
 
 def smooth(size: tuple[int, int] = (480, 640)) -> tuple[np.ndarray, np.ndarray]:
-    """An ideal pair that resampling leaves as it is: soft colours, a flat table at 700 mm."""
+    """Return an ideal pair that resampling leaves unchanged: soft colours, a flat table at 700 mm."""
     noise = np.random.default_rng(0).uniform(0, 255, (8, 10, 3)).astype(np.float32)
     rgb = cv2.resize(noise, size[::-1], interpolation=cv2.INTER_CUBIC).clip(0, 255).astype(np.uint8)
     return rgb, np.full(size, 700, np.uint16)
@@ -50,7 +50,7 @@ def smooth(size: tuple[int, int] = (480, 640)) -> tuple[np.ndarray, np.ndarray]:
 
 @contextmanager
 def streaming(device: SoftwareD455, every: float = 0.01, count: float = math.inf) -> Iterator[None]:
-    """Frames, one after another, from a thread of their own."""
+    """Push frames into the camera from a separate thread."""
     over, raw = threading.Event(), picture()
 
     def run() -> None:
@@ -67,7 +67,7 @@ def streaming(device: SoftwareD455, every: float = 0.01, count: float = math.inf
 
 
 def numbers(stream: RealSenseSource, count: int, timeout: float = 5.0, pause: float = 0.0) -> list[int | None]:
-    """The numbers of the next frames."""
+    """Return the numbers of the next frames."""
     found = []
     for _ in range(count):
         found.append(stream.read(timeout).number)

@@ -1,4 +1,4 @@
-"""A source that draws a rope, and a robot that remembers: for tests of what stands above cameras and robots."""
+"""A source that draws a rope, and a robot that stores its command, for tests without hardware."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ROPE = {
 
 
 class RopeSource(Source):
-    """A camera at a fixed rate that sees a blue rope, `robot.offset` to the right; tests switch what goes wrong.
+    """A camera with a fixed rate that sees a blue rope, `robot.offset` to the right; tests switch its faults.
 
     Attributes:
         gone: Nothing comes, and nothing can be opened.
@@ -98,7 +98,7 @@ class RopeSource(Source):
 
 
 class ListRobot:
-    """Remembers its last command."""
+    """A robot that stores its last command."""
 
     def __init__(self, size: int = 2, **spec: Any) -> None:
         given = {"scale": size * [0.01], "low": size * [-0.1], "high": size * [0.1], "units": size * ["m"], **spec}

@@ -1,4 +1,4 @@
-"""An environment that shows what time it is."""
+"""An environment whose images show the time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from shape_obs import CameraModel, Intrinsics
 
 
 class Clock(gym.Env):
-    """Episodes of three steps; every image is its own number, drawn into one buffer that is used again."""
+    """Episodes of three steps whose images show their number, drawn into one reused buffer."""
 
     metadata = {"render_fps": 20}  # noqa: RUF012
     action_space = spaces.Box(0.5, 1.0, (2,), np.float32)

@@ -1,4 +1,4 @@
-"""A deployment before the parts of `cell_parts`, and a controller that pushes on."""
+"""A deployment with the parts of `cell_parts`, and a controller with constant actions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def cell(robot=None, source=None, rate=50.0, **options) -> Any:
 
 
 class Always:
-    """Pushes on; `at` says what to do in a step."""
+    """A controller with a constant action; `at` maps steps to functions that replace it."""
 
     def __init__(self, at=None):
         self._at, self._step = at or {}, -1

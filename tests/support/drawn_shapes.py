@@ -1,4 +1,4 @@
-"""Shapes in the plane to compute features of, and which features there are of which layout."""
+"""Plane shapes for tests of features, and the features of each layout."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ PAIRS = [pytest.param(layout, make, id=f"{make().kind}-{layout}") for layout, ma
 
 
 def shape(points: Any, layout: Topology, unknown: Any = (), filled: Any = ()) -> Shape:
-    """Points (N,2), one metre before the camera or in pixels; or (N,3) metres."""
+    """Return a shape of points (N, 2), one metre from the camera or in pixels, or of (N, 3) metres."""
     points = np.array(points, np.float32)
     in_space = np.column_stack([points, np.ones(len(points))]) if points.shape[1] == 2 else points
     in_image, in_space = points[:, :2].copy(), in_space.astype(np.float32)
@@ -52,13 +52,13 @@ def shape(points: Any, layout: Topology, unknown: Any = (), filled: Any = ()) ->
 
 
 def circle(n: int, radius: float = 0.1, arc: float = 2 * np.pi, closed: bool = True) -> np.ndarray:
-    """From the first axis towards the second."""
+    """Return points on an arc from the first axis towards the second, (N, 2)."""
     at = np.linspace(0, arc, n, endpoint=not closed)
     return radius * np.stack([np.cos(at), np.sin(at)], axis=1)
 
 
 def rectangle(width: float, height: float, each: int = 5) -> np.ndarray:
-    """A ring of 4 * each points from (0, 0)."""
+    """Return 4 * each points around a rectangle with a corner at (0, 0)."""
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height], [0, 0]])
     share = np.arange(each)[:, None] / each
     return np.concatenate([a + share * (b - a) for a, b in pairwise(corners)])
@@ -75,7 +75,7 @@ shifts = hnp.arrays(np.float64, 2, elements=st.floats(-0.3, 0.3))
 
 
 def drawn(layout: Topology, bend: np.ndarray) -> np.ndarray:
-    """A smooth shape, about half a metre in size."""
+    """Return a smooth shape, about half a metre in size."""
     if isinstance(layout, Chain):
         at = np.linspace(0, np.pi, layout.size - 1)
         heading = bend @ np.stack([np.cos(at), np.sin(at), np.cos(2 * at), np.sin(2 * at)])

@@ -1,4 +1,4 @@
-"""Gymnasium's envs against their simulator's truth, printed as JSON; a process of its own, since it needs OpenGL.
+"""Compare Gymnasium's envs with their simulator's truth as JSON, in a separate process for OpenGL.
 
 Run by test_foreign_envs.py; on Linux without a display with MUJOCO_GL=egl.
 """
@@ -39,18 +39,18 @@ REACHER = (("body0", 0.011), ("body1", 0.0), ("body1", 0.105))
 
 
 def joints(data: Any, chain: tuple[tuple[str, float], ...]) -> Array:
-    """(J,3) metres, world."""
+    """Return the positions of the chain in the world frame, (J, 3) metres."""
     return np.array([data.body(name).xpos + x * data.body(name).xmat.reshape(3, 3)[:, 0] for name, x in chain])
 
 
 def spread(corners: Array, n: int) -> Array:
-    """(n,3) points at equal distances along a polyline."""
+    """Return n equidistant points along a polyline, (n, 3)."""
     arc = np.append(0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1)))
     return np.stack([np.interp(np.linspace(0, arc[-1], n), arc, axis) for axis in corners.T], axis=1)
 
 
 def away(points: Array, corners: Array) -> Array:
-    """(N,) metres from a polyline."""
+    """Return the distances from a polyline, (N,) metres."""
     each = []
     for a, b in pairwise(corners):
         share = np.clip((points - a) @ (b - a) / np.sum((b - a) ** 2), 0, 1)
@@ -59,7 +59,7 @@ def away(points: Array, corners: Array) -> Array:
 
 
 def surfaces(**camera: Any) -> dict[str, float]:
-    """How far the pixels of the Swimmer's depth lie from a surface that is really there, metres."""
+    """Return the distances of the Swimmer's depth pixels from the true surface in metres."""
     gc.collect()
     size = {"width": foreign_env.WIDTH, "height": foreign_env.HEIGHT}
     env = foreign_env_depth.RGBDCamera(gym.make("Swimmer-v5", render_mode="rgbd_tuple", **camera, **size))
@@ -87,7 +87,7 @@ def follow(
     chain: tuple[tuple[str, float], ...],
     camera: CameraModel | None = None,
 ) -> dict[str, Any]:
-    """An episode: distances of the points to where they belong along the simulator's chain."""
+    """Return the distances of the points from their true positions along the simulator's chain over an episode."""
     gc.collect()  # Gymnasium's renderer serves one env a process; what is left of the last one would spoil the next
     env = make_env()
     camera = camera or env.get_wrapper_attr("camera_model")

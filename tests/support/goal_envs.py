@@ -1,4 +1,4 @@
-"""Goal-conditioned envs that draw a flat thing on a table: no physics, no renderer, everything known."""
+"""Goal-conditioned envs that draw a flat object on a table, without physics and renderer."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COUNTS = {"centerline": 15, "contour": 40, "surface": ROWS * COLS}
 
 
 def tilted(degrees: float) -> np.ndarray:
-    """(4,4) a camera 0.6 m from the origin of the table, image right along base x, tilted about it."""
+    """Return the pose of a camera 0.6 m from the origin of the table, tilted about base x, (4, 4)."""
     turn = np.deg2rad(degrees)
     across, up, back = np.array([1.0, 0, 0]), np.array([0, np.cos(turn), np.sin(turn)]), np.zeros(3)
     back = np.cross(across, up)
@@ -77,15 +77,18 @@ class FlatGoalEnv(gym.Env[Any, Any]):
     # ---- truth
 
     def state(self) -> np.ndarray:
-        """(5,) x, y in metres, turn in radians, bend, stretch."""
+        """Return x and y in metres, turn in radians, bend and stretch, (5,)."""
         return self.start + self.way * (self.end - self.start)
 
     def material(self, state: np.ndarray, s: Any, t: Any = 0.0) -> np.ndarray:
-        """(...,3) metres, base frame: along the strip and across it, around the blob and in to its middle, or
-        across the sheet and down it, s and t in 0...1 from the gripper on."""
+        """Return material points in the base frame, (..., 3) metres.
+
+        From the gripper on, s and t in 0...1 run along and across the strip, around the blob and inwards to its middle,
+        or across and down the sheet.
+        """
         x, y, turn, bend, stretch = state
         s, t = np.broadcast_arrays(np.asarray(s, float), np.asarray(t, float))
-        if self.kind == "centerline":  # as long as ever, whatever its bends
+        if self.kind == "centerline":  # the length is the same for all bends
             at = np.linspace(0, 1, 401)
             heading = np.exp(1j * (5 * bend * np.cos(np.pi * at) + 2 * (stretch - 1) * np.cos(3 * np.pi * at)))
             along = np.concatenate([[0], np.cumsum((heading[1:] + heading[:-1]) / 2)]) / 400 * 0.3
@@ -104,7 +107,7 @@ class FlatGoalEnv(gym.Env[Any, Any]):
         return np.stack([x + c * p - d * q, y + d * p + c * q, np.zeros_like(p)], axis=-1)
 
     def points(self, state: np.ndarray) -> np.ndarray:
-        """(K,3) as the goals are laid out."""
+        """Return the points in the order of the goals, (K, 3)."""
         if self.kind != "surface":
             closed = self.kind == "contour"
             points = self.material(state, np.linspace(0, 1, COUNTS[self.kind] + closed), 0.0 if closed else 0.5)
@@ -115,7 +118,7 @@ class FlatGoalEnv(gym.Env[Any, Any]):
         return self.material(state, s, t).reshape(-1, 3)
 
     def outline(self, state: np.ndarray) -> np.ndarray:
-        """(P,3) closed."""
+        """Return the closed outline, (P, 3)."""
         side, zero, one = np.linspace(0, 1, 80), np.zeros(80), np.ones(80)
         if self.kind == "contour":
             return self.material(state, np.linspace(0, 1, 400))
@@ -124,7 +127,7 @@ class FlatGoalEnv(gym.Env[Any, Any]):
 
     @property
     def anchors(self) -> dict[str, tuple[float, float, float]]:
-        """The gripper holds point 0."""
+        """The position of the gripper, which holds point 0."""
         x, y, z = self.points(self.state())[0].tolist()
         return {"gripper0": (x, y, z)}
 
@@ -181,13 +184,13 @@ ON = np.ones(1, np.float32)  # the action that goes on
 
 
 def observing(kind: str = "contour", *, goals: bool = False, features: Any = (BASE,), **options: Any) -> Any:
-    """The thing as seen from straight above."""
+    """Return an env that observes the object from straight above."""
     inner = FlatGoalEnv(kind, tilt=0, goals=goals)
     return ShapeObservation(inner, [SHAPES[kind]], RED, features, **options)
 
 
 def target_of(env: gym.Env[Any, Any], seed: int = 0) -> list[Any]:
-    """The points that the env leads to from a seed."""
+    """Return the points to which the env leads from a seed."""
     inner: Any = env.unwrapped
     env.reset(seed=seed)
     return inner.points(inner.end).tolist()

@@ -1,4 +1,4 @@
-"""Gymnasium's renderer in processes of their own: it takes its OpenGL from MUJOCO_GL, which tests leave as it is."""
+"""Run Gymnasium's renderer in separate processes, which take their OpenGL from MUJOCO_GL."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ OffScreenViewer(model, mujoco.MjData(model), 16, 16).render("rgbd_tuple")
 
 
 def environment() -> dict[str, str]:
-    """This process's, where Linux gets EGL, which needs no display, unless MUJOCO_GL says otherwise."""
+    """Return the variables of this process; on Linux MUJOCO_GL is EGL by default, which needs no display."""
     default = {"MUJOCO_GL": "egl"} if sys.platform.startswith("linux") else {}
     return {**default, **os.environ}
 
 
 @cache
 def missing() -> str:
-    """Why Gymnasium cannot draw a MuJoCo env here; empty if it can."""
+    """Return why Gymnasium cannot draw a MuJoCo env here, or an empty string."""
     for name in ("mujoco", "imageio", "packaging"):
         if find_spec(name) is None:
             return f"Gymnasium's MuJoCo envs need {name}: pip install 'gymnasium[mujoco]'"

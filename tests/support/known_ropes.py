@@ -16,7 +16,7 @@ EVERYWHERE = np.ones(N)
 
 
 def ropes(count: int, seed: int = 0, heading: float = 0.3) -> np.ndarray:
-    """(F,N,3) inextensible curves of 0.4 m on a table, base frame: two bends, place and heading drawn."""
+    """Return inextensible curves of 0.4 m on a table with two random bends, places and headings, (F, N, 3)."""
     draw = np.random.default_rng(seed)
     s = (np.arange(200) + 0.5) / 200
     bends = draw.uniform(-1, 1, (count, 2)) * (1.5, 0.8)
@@ -35,14 +35,14 @@ def fit(points: np.ndarray | None = None, components: int = 4, **rest: Any) -> P
 
 
 def seen(points: np.ndarray, camera: CameraModel, valid: Any = True) -> Shape:
-    """A shape of base-frame points; those that are not valid are NaN."""
+    """Return a shape of base-frame points; those that are not valid are NaN."""
     valid = np.full(N, True) & valid
     at = np.where(valid[:, None], camera.from_base(points), np.nan).astype(np.float32)
     return Shape("rope", camera.intrinsics.project(at).astype(np.float32), at, valid, valid, Chain(N))
 
 
 def off(a: np.ndarray, b: np.ndarray) -> float:
-    """Mean distance, millimetres."""
+    """Return the mean distance in millimetres."""
     return 1e3 * float(np.linalg.norm(a - b, axis=-1).mean())
 
 

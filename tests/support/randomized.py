@@ -1,4 +1,4 @@
-"""Randomised environments that several tests play with."""
+"""Randomised environments for several tests."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ ENVS = ("Cable", "Ring", "Cloth")
 
 
 def make(name: str, randomize: Any = True, **options: Any) -> ShapeGoalEnv:
-    """The bare environment."""
+    """Return the bare environment."""
     env = gym.make(f"ShapeObs/{name}-v0", **{"camera": [84, 84], "renderer": "rays", **options}, randomize=randomize)
     return cast(ShapeGoalEnv, env.unwrapped)
 
 
 def reset(env: ShapeGoalEnv, seed: int) -> tuple[Any, Any]:
-    """A reset without the search for a goal, which takes most of its time."""
+    """Reset without the search for a goal, which takes most of the time."""
     return env.reset(seed=seed, options={"goal": np.zeros(env._goal.size)})
 
 
 def play(env: ShapeGoalEnv, seed: int, steps: int = 4) -> list[Any]:
-    """Observations of a few random steps."""
+    """Return observations of a few random steps."""
     rng = np.random.default_rng(seed)
     assert env.action_space.shape is not None
     actions = rng.uniform(-1, 1, (steps, *env.action_space.shape)).astype(np.float32)
@@ -33,5 +33,5 @@ def play(env: ShapeGoalEnv, seed: int, steps: int = 4) -> list[Any]:
 
 
 def same(one: list[Any], other: list[Any], *keys: str) -> bool:
-    """Whether all observations are the same, or these parts of them."""
+    """Return whether all observations, or these parts of them, are equal."""
     return all(np.array_equal(a[key], b[key]) for a, b in zip(one, other, strict=True) for key in keys or a)

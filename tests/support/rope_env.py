@@ -1,4 +1,4 @@
-"""A small env that draws a rope: no physics, no renderer, everything known."""
+"""A small env that draws a rope with known truth, without physics and renderer."""
 
 from __future__ import annotations
 
@@ -53,17 +53,17 @@ class RopeEnv(gym.Env[Any, Any]):
 
     @property
     def anchors(self) -> dict[str, tuple[float, float, float]]:
-        """The hand holds the right end."""
+        """The position of the hand, which holds the right end."""
         x, y, z = self.camera_model.to_base(INTRINSICS.deproject(self.curve()[-1], DEPTH)).tolist()
         return {"hand": (x, y, z)}
 
     def curve(self) -> np.ndarray:
-        """(P,2) pixels, the true centreline from left to right."""
+        """Return the true centreline from left to right, (P, 2) pixels."""
         u = np.linspace(25, 135, 300)
         return np.stack([u, self.row + 14 * np.sin((u - 25) / 22)], axis=1)
 
     def true_points(self, n: int = 20) -> np.ndarray:
-        """(n,2) true pixels from the hand's end, at the centres of equal pieces."""
+        """Return the true points from the hand's end, at the centres of equal pieces, (n, 2) pixels."""
         curve = self.curve()[::-1]
         arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
         at = (np.arange(n) + 0.5) / n * arc[-1]
@@ -92,7 +92,7 @@ class RopeEnv(gym.Env[Any, Any]):
 
 
 class PixelEnv(gym.ObservationWrapper[Any, Any, Any]):
-    """The rope as a plain RGB image; its own wrapper, so that nothing but the image is left."""
+    """A wrapper that leaves only the RGB image."""
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)

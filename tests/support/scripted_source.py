@@ -1,4 +1,4 @@
-"""What the tests of recordings share: a source of given frames, and frames that no codec makes small."""
+"""A source of given frames, and frames that no codec can compress, for tests of recordings."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Script:
 
 
 def noise(count, size=(48, 64), numbers=None):
-    """Frames that no codec makes small."""
+    """Return frames that no codec can compress."""
     draw = np.random.default_rng(0)
     return [
         Frame(
@@ -49,7 +49,7 @@ def noise(count, size=(48, 64), numbers=None):
 
 
 def equal(a: Any, b: Any) -> bool:
-    """Whether two arrays are equal to the bit, or both None."""
+    """Return whether two arrays are identical, or both None."""
     if a is None or b is None:
         return a is b
     return a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind == "f")

@@ -1,4 +1,4 @@
-"""A small env that draws a sheet: no physics, no renderer, everything known."""
+"""A small env that draws a sheet with known truth, without physics and renderer."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class SheetEnv(gym.Env[Any, Any]):
         self.centre, self.angle = np.array([80.0, 60.0]), 0.0
 
     def corners(self) -> np.ndarray:
-        """(4,2) pixels, from the sheet's own top left, clockwise."""
+        """Return the corners, clockwise from the sheet's own top left, (4, 2) pixels."""
         turn = np.array([[np.cos(self.angle), np.sin(self.angle)], [-np.sin(self.angle), np.cos(self.angle)]])
         return np.array([[-45.0, -28], [45, -28], [45, 28], [-45, 28]]) @ turn + self.centre
 

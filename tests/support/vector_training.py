@@ -22,7 +22,7 @@ def make(renderer: str = "auto", clustering: str = "som") -> gym.Env[Any, Any]:
 
 
 def use_here() -> None:
-    """What a notebook may have done before: warm Numba, OpenCV and scikit-learn, whose threads a fork does not take."""
+    """Warm up Numba, OpenCV and scikit-learn, as a notebook may have done; a fork does not copy their threads."""
     env = make("rays", "kmeans")
     env.reset(seed=0)
     env.step(env.action_space.sample())
@@ -30,7 +30,7 @@ def use_here() -> None:
 
 
 def subproc(method: str) -> int:
-    """PPO on a vector env of Stable-Baselines3; returns the steps."""
+    """Train PPO on a vector env of Stable-Baselines3, and return the steps."""
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import SubprocVecEnv, VecNormalize
 
@@ -44,13 +44,13 @@ def subproc(method: str) -> int:
 
 
 def asynchronous(method: str) -> int:
-    """SAC on a vector env of Gymnasium, which Stable-Baselines3 does not take: the loop is here; returns the steps."""
+    """Train SAC in a loop on a vector env of Gymnasium, which Stable-Baselines3 refuses, and return the steps."""
     from stable_baselines3 import SAC
     from stable_baselines3.common.logger import configure
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     envs = AsyncVectorEnv([make] * WORKERS, context=method, autoreset_mode=AutoresetMode.SAME_STEP)
-    spaces = DummyVecEnv([make] * WORKERS)  # tells the model what there is; nobody steps it
+    spaces = DummyVecEnv([make] * WORKERS)  # gives the model its spaces; it is never stepped
     model = SAC("MultiInputPolicy", spaces, batch_size=16, buffer_size=400, policy_kwargs=NET, device="cpu")
     model.set_logger(configure(None, []))
     buffer: Any = model.replay_buffer

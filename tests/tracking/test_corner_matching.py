@@ -62,7 +62,7 @@ def test_three_corners_that_move_together_give_the_place_of_the_fourth():
 @settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), quarters=st.integers(0, 3), corner=st.integers(0, 3))
 def test_the_corner_that_strays_is_that_of_least_squares(seed, quarters, corner):
-    """Each corner against the similarity transform of the other three, solved for its four numbers; in space too."""
+    """Each corner is compared with the similarity transform of the other three, in the image and in space."""
     rng = np.random.default_rng(seed)
     found = QUAD + rng.uniform(-15, 15, (4, 2))
     found[corner] += rng.uniform(-25, 25, 2)

@@ -1,4 +1,4 @@
-"""A lost shape: hold, truncate, raise, nan; by stamps and without."""
+"""The policies for a lost shape (hold, truncate, raise, nan), with and without stamps."""
 
 from __future__ import annotations
 
@@ -83,8 +83,8 @@ def test_with_nothing_to_hold_there_are_no_points(empty, policy):
 
 
 @pytest.mark.parametrize(("wait", "first"), [(0.2, 270), (2.0, 50)])
-def test_a_short_loss_keeps_the_index_and_a_long_one_starts_afresh(wave, empty, wait, first):
-    """The hand has gone to the left end meanwhile: only a fresh start goes by it."""
+def test_a_short_loss_keeps_the_index_and_a_long_one_starts_again(wave, empty, wait, first):
+    """The hand has moved to the left end: only a new start uses it as the anchor."""
     detector = ShapeDetector(Centerline(ends="tips", anchor="hand"), max_age=0.5)
     right, left = {"hand": (319, 110)}, {"hand": (0, 140)}
     assert detector.detect_mask(wave.mask, stamp=0.0, anchors=right).shapes[0].points2d[0, 0] == pytest.approx(
@@ -101,7 +101,7 @@ def test_a_short_loss_keeps_the_index_and_a_long_one_starts_afresh(wave, empty, 
 
 
 def test_depth_that_comes_later_finds_room_for_points_in_space(wave, empty, intrinsics):
-    """Held from a frame without depth, a shape has points3d all the same: unknown ones."""
+    """A shape that is held from a frame without depth also has points3d, which are unknown."""
     depth = np.full(wave.mask.shape, 0.8)
     detector = ShapeDetector()
     detector.detect_mask(wave.mask)

@@ -13,14 +13,14 @@ TABLE, ROPE, HAND = 0.6, 0.585, 0.5
 
 
 def rope(length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mask, depth and curve of a wavy rope that begins at u = 40."""
+    """Return mask, depth and curve of a wavy rope that begins at u = 40."""
     u = np.linspace(40, 40 + length, 400)
     drawn = draw_rope(np.stack([u, 120 + 25 * np.sin((u - 40) / 40)], axis=1), 10.0, size=(240, 320))
     return drawn.mask, np.where(drawn.mask > 0, ROPE, TABLE), drawn.curve
 
 
 def seen(covered: bool, with_depth: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Visibility and pixels after the rope's last fifth has vanished, under a hand or without one."""
+    """Return visibility and pixels after the rope's last fifth has vanished, with or without a hand."""
     detector = ShapeDetector([Centerline(n=20, ends="tips", anchor=(40.0, 120.0))])
     mask, depth, _ = rope(220)
     for _ in range(5):
@@ -63,7 +63,7 @@ def test_what_has_no_depth_may_hide_an_end():
 
 
 def under_hand(first: int, last: int, smear: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Mask and depth of the rope with a hand over columns `first` to `last`, whose depth reaches `smear` further."""
+    """Return mask and depth with a hand over columns `first` to `last` whose depth reaches `smear` further."""
     mask, depth, _ = rope(220)
     mask, depth = mask.copy(), depth.copy()
     mask[:, first:last] = 0
@@ -100,7 +100,7 @@ def test_a_long_end_that_a_hand_takes_at_once_stays_hidden(first):
 
 
 @pytest.mark.parametrize("smear", [0, 6, 14])
-def test_a_hands_depth_beside_it_is_not_the_ropes(smear):
+def test_the_depth_of_a_hand_next_to_it_is_not_the_ropes(smear):
     detector = metric_detector()
     whole = detector.detect_mask(*rope(220)[:2], CAMERA).shapes[0]
     hidden = under_hand(120, 150, smear)

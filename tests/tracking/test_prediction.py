@@ -1,4 +1,4 @@
-"""What is remembered of a shape, and where it is expected next."""
+"""The stored state of a tracked shape, and its predicted position."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def curve(length: float = 100.0, hidden: bool = False) -> FittedCurve:
 
 
 def observation(box: Window | None = None, area: int = 800, resolution: float = 1.0) -> Any:
-    """The part of an ``Observed`` that tracks read."""
+    """Return the part of an ``Observed`` that tracks read."""
     return SimpleNamespace(box=box, area=area, resolution=resolution)
 
 
@@ -53,7 +53,7 @@ class TestPrediction:
         np.testing.assert_array_equal(predicted(first(), 5.0).nodes, NODES)
 
     def test_most_of_the_last_step_is_made_again(self):
-        """Frames 0.1 s apart, 10 px a frame: 8 px are expected of the next."""
+        """With frames 0.1 s apart and 10 px per frame, 8 px are predicted for the next."""
         track = after(first(), 10.0, 0.1)
         np.testing.assert_allclose(predicted(track, 0.2).nodes, NODES + (0, 18))
         np.testing.assert_allclose(predicted(track, 0.15).nodes, NODES + (0, 14))
@@ -93,7 +93,7 @@ class TestWidth:
 class TestSize:
     @pytest.mark.parametrize(("longer", "jumps"), [(0, False), (14, False), (24, True), (-24, True)])
     def test_a_length_may_change_by_six_percent(self, longer, jumps, monkeypatch):
-        """280 px: a rope that grows or shrinks by more from one frame to the next is fitted from an initial axis."""
+        """A rope of 280 px that grows or shrinks by more between frames is fitted from an initial axis."""
         calls, initial = [], centerline.medial_axis
         monkeypatch.setattr(centerline, "medial_axis", lambda observed: calls.append(1) or initial(observed))
         detector = ShapeDetector(Centerline(ends="tips"))
@@ -109,7 +109,7 @@ class TestSize:
         assert after(first(), 0.0, 0.1, length=104.0).size == 104.0
 
     def test_a_rope_that_is_seen_a_little_shorter_keeps_its_length(self):
-        """277 of 280 px may be noise: the length gives way by 0.3 %, or a hand that creeps in would shrink the rope."""
+        """Three of 280 px may be noise: the length changes by only 0.3 %, or a slow hand would shrink the rope."""
         seen = []
         for last in (300, 297):
             mask = np.zeros((120, 400), np.uint8)
@@ -142,7 +142,7 @@ class TestSearchWindow:
 
     @pytest.mark.parametrize("edge", range(4))
     def test_each_edge_counts(self, edge):
-        """Left, top, right, bottom."""
+        """The edges are left, top, right, bottom."""
         sides = [0, 46, 100, 54]
         sides[edge] += 7
         left, top, right, bottom = sides
@@ -162,7 +162,7 @@ class TestSearchWindow:
 
 @pytest.mark.parametrize(("grown", "starts"), [(4, 0), (40, 1)])
 def test_a_rope_that_jumps_in_length_is_found_from_a_fresh_start(monkeypatch, grown, starts):
-    """280 px: 1 % more is followed, 14 % more is not."""
+    """The rope has 280 px: 1 % more is tracked, 14 % more is not."""
     fresh = []
     medial_axis = centerline.medial_axis
     monkeypatch.setattr(centerline, "medial_axis", lambda observed: fresh.append(observed) or medial_axis(observed))

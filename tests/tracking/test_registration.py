@@ -68,7 +68,7 @@ class TestRegistration:
         assert away.max() < 0.05 * after.size / 64
 
     def test_a_marked_shape_is_found_again_after_any_turn(self):
-        """A slight one may then be taken for one that deformed: the shape must tell more than the turn costs."""
+        """A weakly marked one may pass for one that deformed: the marks must outweigh the cost of the turn."""
         blob = random_blob(np.random.default_rng(4), "c", size=(480, 480))
         start = one(blob.mask).points2d[0]
         for angle in np.linspace(-3, 3, 7):

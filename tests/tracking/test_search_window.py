@@ -1,4 +1,4 @@
-"""A tracked shape is looked for where it is expected; what is not there is looked for everywhere."""
+"""A tracked shape is searched in its window first, and in the whole image if it is not there."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FRAMES = 25
 
 @pytest.fixture
 def everywhere(monkeypatch):
-    """Call it, and every frame is looked at as a whole."""
+    """Return a function that makes the detector search every frame as a whole."""
     return lambda: monkeypatch.setattr(detector_module, "_SEARCH_ALL", 1)
 
 
@@ -70,7 +70,7 @@ def test_a_rope_that_jumps_is_found_in_the_same_frame():
 
 
 def test_a_rope_that_jumps_away_from_a_speck_is_found_in_the_same_frame():
-    """The window in which it is expected is not empty: a speck of its colour is left there."""
+    """The window is not empty: a speck of the rope's colour is left there."""
     detector, mask = ShapeDetector(), rope()
     before = [detector.detect_mask(mask).shapes[0].points2d for _ in range(3)][-1]
     moved = shifted(mask, 210, 190)
@@ -93,7 +93,7 @@ def test_what_turns_up_elsewhere_does_not_disturb():
 
 
 def test_what_was_hidden_at_first_is_seen_before_long():
-    """Half of a rope that is hidden is no part of what is tracked, and lies outside of where that is expected."""
+    """The hidden half of a rope is not tracked, and lies outside the search window."""
     whole = np.zeros((480, 640), np.uint8)
     cv2.line(whole, (40, 240), (600, 240), (255.0,), 12)
     half = whole.copy()
@@ -109,7 +109,7 @@ def test_what_was_hidden_at_first_is_seen_before_long():
 
 
 def test_an_image_edge_is_no_reason_to_look_again(monkeypatch):
-    """A rope at the image's edge stays tracked in its window: nothing lies beyond."""
+    """A rope at the image's edge stays tracked in its window, since nothing lies beyond the edge."""
     looked = []
     original = search_window.find_region
 

@@ -1,4 +1,4 @@
-"""What the quality check refuses, one check at a time: each test fails if that single check is removed."""
+"""The quality check, one criterion at a time: each test fails if that criterion is removed."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ def region(mask: np.ndarray) -> Region:
 
 
 def rope(thick: int = 10, last: int = 300) -> Region:
-    """A straight ribbon from column 20 to ``last``, around row 60."""
+    """Return a straight ribbon from column 20 to ``last``, around row 60."""
     mask = np.zeros(SIZE, np.uint8)
     mask[60 - thick // 2 : 60 + thick // 2, 20:last] = 1
     return region(mask)
 
 
 def straight(observed: Region, end: float, row: float = 59.5) -> FittedCurve:
-    """A curve from column 20 to ``end``; interpolated where it lies off the mask."""
+    """Return a curve from column 20 to ``end``; interpolated where it lies off the mask."""
     points = np.stack([np.linspace(20, end, 281), np.full(281, row)], axis=1)
     return FittedCurve.through(points, ~observed.carries(points))
 
 
 def judged_ribbon(curve: FittedCurve, observed: Region, expected_off: float) -> FitQuality:
-    """Validate a curve by the samples of the mask; their cells hide a part of how far it spreads."""
+    """Validate a curve by the samples of the mask; the spread within their cells is estimated."""
     samples = observed.gather(min(max(observed.width / 3, 1), 24))
     hidden = min(samples.scale, observed.width) ** 2 / 12
     spread = sample_spread(samples.points, samples.weight, curve.points) + hidden
@@ -72,7 +72,7 @@ class TestOffTheMask:
         assert on.quality > 0.9
         assert 0.3 < near.quality < 0.6  # 8 % off
 
-    def test_more_is_refused_whatever_the_rest_looks_like(self):
+    def test_more_is_refused_even_if_the_rest_is_good(self):
         """The spread alone would pass it: the rope is a ribbon about the curve."""
         observed = rope()
         verdict = judged_ribbon(straight(observed, 340), observed, 0.0)
@@ -104,7 +104,7 @@ class TestSpread:
         assert verdict.reason.endswith("widths about the curve (a ribbon 0.29, at most 0.40): it is no single rope")
         assert verdict.quality == 0
 
-    def test_a_second_rope_beside_the_curve_is_refused(self):
+    def test_a_second_rope_next_to_the_curve_is_refused(self):
         mask = np.zeros(SIZE, np.uint8)
         mask[55:65, 20:300] = mask[85:95, 20:300] = 1
         observed = region(mask)
@@ -121,7 +121,7 @@ class TestSpread:
 
     @pytest.mark.parametrize("thick", [24, 30])
     def test_quality_is_that_of_every_pixel(self, thick):
-        """A rope that tapers from 1.67 to 0.33 of its mean width, and the distance of all its pixels from its axis."""
+        """The rope tapers from 1.67 to 0.33 of its mean width; the distances of all its pixels count."""
         mask = np.zeros((120, 560), np.uint8)
         half = thick / 2 * np.linspace(5 / 3, 1 / 3, 520)
         mask[:, 20:540] = np.abs(np.arange(120)[:, None] - 60) < half
@@ -150,7 +150,7 @@ class TestSpread:
         )
 
     def test_the_detector_refuses_a_rope_with_a_thick_end(self):
-        """A lollipop: every part of its curve lies on the mask, and it does not branch."""
+        """The mask is a lollipop: every part of its curve lies on the mask, and it does not branch."""
         mask = np.zeros((240, 400), np.uint8)
         mask[116:124, 20:300] = 1
         cv2.circle(mask, (320, 120), 34, 1, -1)
@@ -194,7 +194,7 @@ class TestSheet:
     def lattice(
         observed: Region, corners=((80, 40), (240, 40), (240, 200), (80, 200)), bow: float = 0.0
     ) -> FittedLattice:
-        """Bilinear between the corners, 17 x 17; the upper side is bowed inwards by so many pixels."""
+        """Return a bilinear lattice, 17 x 17, whose upper side is bowed inwards by some pixels."""
         at = np.linspace(0, 1, 17)
         v, u = (side[..., None] for side in np.meshgrid(at, at, indexing="ij"))
         first, second, third, fourth = np.array(corners, float)

@@ -1,4 +1,4 @@
-"""What a policy's network reads of an observation."""
+"""The input of a policy's network."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_image_and_goal_reads_no_achieved_goal():
 
 
 class Lamp(gym.Env[Any, Any]):
-    """The action is to say how bright the image is; a goal of one number is there and means nothing."""
+    """An environment whose action should be the brightness of the image; its goal has no meaning."""
 
     action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
     observation_space = spaces.Dict({"observation": spaces.Box(0, 255, (3, 36, 36), np.uint8), **goals(1)})

@@ -1,4 +1,4 @@
-"""The training examples, in small: they learn, stop, go on where they stopped, and leave a policy behind."""
+"""Short runs of the training examples: they learn, stop, resume, and save a policy."""
 
 from __future__ import annotations
 

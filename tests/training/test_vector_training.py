@@ -1,4 +1,4 @@
-"""Envs in processes of their own train, however these are started, and whatever was done before: nothing hangs."""
+"""Training with envs in separate processes never hangs, for all ways to start them and after other work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What trainings need beside an env: the curriculum, and the other observations that a shape's are compared with."""
+"""Test what trainings need besides an env: the curriculum, and the observations that a shape is compared with."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ WRAPPED = {
 
 
 class Levels(gym.Env[Any, Any]):
-    """Has a difficulty, and nothing to do."""
+    """An environment with a difficulty and no task."""
 
     action_space = observation_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
     difficulty = "middle"
@@ -173,7 +173,7 @@ def test_pixels_are_the_cameras():
 
 
 @pytest.mark.parametrize("reward_type", ["sparse", "dense"])
-def test_points_are_rewarded_in_metres_whatever_is_read(reward_type):
+def test_points_are_rewarded_in_metres_for_any_observation(reward_type):
     env = scored(reward_type, threshold=0.02)
     observation, info = env.reset(seed=0)
     assert env.visible == 3

@@ -1,4 +1,4 @@
-"""The hyperparameters for rl-baselines3-zoo: what it would make of them fits the env and trains."""
+"""The hyperparameters for rl-baselines3-zoo fit the environment and train."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ZOO = sorted((Path(__file__).parents[2] / "examples" / "zoo").glob("*.yml"))
 
 
 def named(path: str) -> Any:
-    """As the zoo's ``get_class_by_name`` finds it."""
+    """Import a class as the zoo's ``get_class_by_name`` does."""
     module, _, name = path.rpartition(".")
     return getattr(import_module(module), name)
 

@@ -1,4 +1,4 @@
-"""Arrays that come out share no memory with what is computed later, and arrays that go in are not kept."""
+"""Returned arrays share no memory with later results, and argument arrays are not kept."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def detector():
 
 
 def frames(mask: np.ndarray) -> Iterator[np.ndarray]:
-    """A rope that moves, is hidden in part, gone and back."""
+    """Yield masks of a rope that moves, is partly hidden, disappears and returns."""
     for shift, hidden in ((0, 0), (2, 0), (4, 60), (5, 60), (5, 400), (6, 400), (6, 0), (7, 0)):
         moved = np.roll(mask, shift, axis=0)
         moved[:, 320 - hidden :] = 0
@@ -167,7 +167,7 @@ def test_no_feature_writes_into_a_shape():
 
 
 def memory(value: Any) -> Iterator[np.ndarray]:
-    """All arrays in a nested value."""
+    """Yield all arrays in a nested value."""
     if isinstance(value, np.ndarray):
         yield value
     elif isinstance(value, dict):

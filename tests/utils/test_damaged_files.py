@@ -52,7 +52,7 @@ def test_parquet_pages_have_checksums_that_other_programs_verify(tmp_path):
 
 
 def test_files_of_other_programs_and_early_versions_are_read(tmp_path):
-    """Without a checksum; and with one that was copied together with the metadata of the file that it belongs to."""
+    """The checksum is missing, or was copied with the metadata of another file."""
     parquet = pytest.importorskip("pyarrow.parquet")
     a_table().save(tmp_path / "t.parquet")
     content = parquet.read_table(tmp_path / "t.parquet")
@@ -77,7 +77,7 @@ def test_a_csv_file_that_was_changed_on_purpose(tmp_path):
 
 
 def test_extract_verifies_what_it_keeps(tmp_path, capsys):
-    """A flipped bit in a part: it is done again, and comes out as it was."""
+    """A part with a flipped bit is made again, with the same content."""
     pytest.importorskip("pyarrow")
     for name in ("a", "b"):
         record_some(tmp_path / "recorded" / name)
@@ -106,8 +106,8 @@ def test_extract_verifies_what_it_keeps(tmp_path, capsys):
     whole = part.read_bytes()
     for at in (100, len(whole) // 2, len(whole) - 300):
         part.write_bytes(whole[:at] + bytes([whole[at] ^ 4]) + whole[at + 1 :])
-        told = extract()
-        assert (told["done"], told["kept"]) == (1, 1), at
+        report = extract()
+        assert (report["done"], report["kept"]) == (1, 1), at
         assert part.read_bytes() == whole
 
 
@@ -144,7 +144,7 @@ def whole(tmp_path_factory):
 
 @pytest.fixture
 def folder(whole, tmp_path):
-    """A copy of a recording, to be damaged."""
+    """Return a copy of a recording that may be damaged."""
     return Path(shutil.copytree(whole, tmp_path / "recording"))
 
 
@@ -177,7 +177,7 @@ def read(folder: Path) -> None:
     "name", ["../secret.png", "/secret.png", "rgb/../../secret.png", "rgb/link.png", "link/secret.png"]
 )
 def test_images_outside_of_the_recording_are_not_read(folder, tmp_path, name):
-    """The image outside is a right one, with right checksums."""
+    """The image outside is valid and has the right checksums."""
     secret = tmp_path / "secret.png"
     shutil.copy(folder / "rgb" / "000000.png", secret)
     (folder / "rgb" / "link.png").symlink_to(secret)
@@ -206,7 +206,7 @@ def test_images_that_cannot_be_decoded(folder):
 
 
 def test_images_that_would_take_all_memory(folder):
-    """A few hundred bytes whose headers speak of gigabytes."""
+    """The files have a few hundred bytes, and headers that claim gigabytes."""
     data = (folder / "rgb" / "000001.png").read_bytes()
     header = b"IHDR" + struct.pack(">II", 30_000, 30_000) + data[24:29]
     replace(folder, 1, "rgb", data[:12] + header + struct.pack(">I", zlib.crc32(header)) + data[33:])
@@ -250,7 +250,7 @@ def test_damaged_recordings_raise_only_bad_recording(tmp_path):
 
 
 def test_the_measurement_sees_what_is_read_outside(tmp_path, monkeypatch):
-    """Without the check of paths it counts files that were read."""
+    """Without the check of paths, the measurement counts files that were read outside."""
     monkeypatch.setattr("shape_obs.recording.format.inside", lambda folder, name: folder / name)
     rows = damaged_recordings(tmp_path, 60, seed=7)
     assert rows[1]["seen"] >= 3

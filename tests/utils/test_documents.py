@@ -1,4 +1,4 @@
-"""JSON and YAML from other people: plain values or a declared error come out, whatever a file holds."""
+"""Any JSON or YAML file is read as plain values, or raises a declared error."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_yaml_that_cannot_be_read(text, message):
 
 
 def test_what_is_right_comes_back(tmp_path):
-    """An anchor that is used again, and a byte order mark, as editors of Windows write it."""
+    """A file may use an anchor twice, and begin with a byte order mark, as editors of Windows write it."""
     assert parse_yaml("a: &x [1, 2]\nb: *x\n", "here") == {"a": [1, 2], "b": [1, 2]}
     (tmp_path / "x.json").write_bytes(b'\xef\xbb\xbf{"a": 1}')
     assert read_json(tmp_path / "x.json", "x") == {"a": 1}

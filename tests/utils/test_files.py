@@ -55,7 +55,7 @@ def test_a_link_to_a_link_and_one_in_a_circle(tmp_path):
 
 
 def test_a_name_that_can_be_guessed_is_no_way_to_another_file(tmp_path):
-    """A link that waits under the name that earlier versions wrote to, made of the process's number."""
+    """The links have the names of temporary files of earlier versions, made from the process's number."""
     (tmp_path / "precious").write_text("mine")
     for name in (f".{os.getpid()}.c.txt", f".c.txt.{os.getpid()}", ".c.txt"):
         (tmp_path / name).symlink_to(tmp_path / "precious")
@@ -65,7 +65,7 @@ def test_a_name_that_can_be_guessed_is_no_way_to_another_file(tmp_path):
 
 
 def test_two_writers_of_one_file_do_not_meet(tmp_path):
-    """The first is still writing when the second, in the same process, writes the same file."""
+    """The first writer has not finished when the second, in the same process, writes the same file."""
     seen = []
 
     def first(temporary: Path) -> None:
@@ -103,7 +103,7 @@ def test_a_new_file_has_the_permissions_that_open_gives_and_an_old_one_keeps_its
 
 
 def test_a_read_only_file_is_refused(tmp_path):
-    """By a user who may write to the folder; not by root, to whom nothing is read-only."""
+    """The user may write to the folder, and is not root, for whom nothing is read-only."""
     code = """
 import os
 from pathlib import Path
@@ -138,7 +138,7 @@ def test_what_cannot_be_written_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("error", [OSError("the disk is full"), ValueError("no"), KeyboardInterrupt()])
-def test_whatever_goes_wrong_the_old_file_stays(tmp_path, error):
+def test_the_old_file_survives_every_error(tmp_path, error):
     (tmp_path / "file").write_text("before")
 
     def write(temporary: Path) -> None:
@@ -152,7 +152,7 @@ def test_whatever_goes_wrong_the_old_file_stays(tmp_path, error):
 
 
 def test_the_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
-    """Or a power cut may leave an empty file; the folder's names are written after it."""
+    """Otherwise a power cut could leave an empty file; the folder is synchronised after it."""
     done = []
     fsync, replace = os.fsync, Path.replace
     monkeypatch.setattr(

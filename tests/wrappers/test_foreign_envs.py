@@ -65,7 +65,7 @@ def test_another_env_by_the_same_camera(measured):
     assert measured["reacher"]["worst_metres"] < 0.008
 
 
-def test_the_page_tells_what_is_measured(measured):
+def test_the_page_has_the_measured_figures(measured):
     rows = re.findall(r"^\| (?:Swimmer|Reacher).*\|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
     assert len(rows) == 3
     for row, case in zip(rows, ("rgb", "rgbd", "reacher"), strict=True):
@@ -75,7 +75,7 @@ def test_the_page_tells_what_is_measured(measured):
             assert 1e3 * measured[case]["metres"] == pytest.approx(float(metres.removesuffix(" mm")), rel=0.25)
 
 
-def test_what_is_missing_is_told(monkeypatch):
+def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setattr(gymnasium_gl, "find_spec", lambda name: None)
     assert "pip install 'gymnasium[mujoco]'" in gymnasium_gl.missing.__wrapped__()
 

@@ -31,7 +31,7 @@ def points(goal: Any) -> np.ndarray:
 
 
 def apart(env: ShapeObservation, observation: Any) -> np.ndarray:
-    """(N,) pixels between the achieved and the desired points."""
+    """Return the distances between the achieved and the desired points, (N,) pixels."""
     inner: Any = env.unwrapped
     seen, wanted = (inner.camera_model.project_from_base(points(observation[key])) for key in GOALS)
     return np.linalg.norm(seen - wanted, axis=1)
@@ -87,7 +87,7 @@ def test_in_metres_too_where_depth_is_that_of_the_point():
 
 @pytest.mark.parametrize("ends", ["tips", "centers"])
 def test_the_desired_lattice_lies_on_the_material(ends):
-    """Placed from 5 x 7 points, a 4 x 6 lattice is where the sheet itself has such a lattice."""
+    """A 4 x 6 lattice that is resampled from 5 x 7 points lies where the sheet has such a lattice."""
     inner = FlatGoalEnv("surface")
     observation, _ = observing("surface", inner, ends=ends, spacing="m").reset(seed=2)
     down, across = (np.linspace(0, 1, n) if ends == "tips" else (np.arange(n) + 0.5) / n for n in (4, 6))

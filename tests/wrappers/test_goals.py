@@ -71,7 +71,7 @@ def test_the_desired_goal_is_the_target_and_stays(episode):
 
 
 def test_goals_go_through_the_same_feature_code():
-    """Other points, in another frame: the target is given in those too."""
+    """With other points in another frame, the target consists of those points in that frame."""
     shape = {"kind": "centerline", "n": 7, "ends": "tips", "anchor": "gripper1", "spacing": "m"}
     env = ShapeObservation(bare(), shapes=[shape], features=["ok", "points3d"])
     observation, _ = env.reset(seed=3)
@@ -145,7 +145,7 @@ def test_kept_vectors_join_the_observation_and_images_stay_apart():
 
 
 def test_point_zero_is_at_the_gripper_that_is_asked_for():
-    """By default gripper0, which holds the simulator's end 0."""
+    """The default anchor is gripper0, which holds the simulator's end 0."""
     by_default = ShapeObservation(bare())
     other = ShapeObservation(bare(), shapes=[{"kind": "centerline", "anchor": "gripper1", "ends": "tips"}])
     for seed in range(10):

@@ -51,7 +51,7 @@ def test_both_goals_are_the_observations_own_features():
     assert observation["observation"].shape == (1 + 48 + 72 + 24,)
     np.testing.assert_array_equal(observation["achieved_goal"], observation["observation"][1:121])
     assert env.observation_space["desired_goal"].shape == (120,)  # type: ignore[index]
-    assert info["goal/distance"] < 0.005  # given as points, an outline is placed anew
+    assert info["goal/distance"] < 0.005  # given as points, an outline is resampled
     np.testing.assert_allclose(observation["desired_goal"], observation["achieved_goal"], atol=0.5)
 
 

@@ -1,4 +1,4 @@
-"""ShapeGoal as an env among envs: what it refuses, other wrappers, checkers, JSON, copies, vector envs."""
+"""ShapeGoal with other wrappers, checkers, JSON, copies and vector envs."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ class TestArguments:
             ({"camera": {"widht": 3}}, "Intrinsics: unknown field 'widht'; did you mean 'width'"),
         ],
     )
-    def test_wrong_ones_are_told(self, arguments, message):
+    def test_wrong_ones_raise_an_error(self, arguments, message):
         with pytest.raises(ValueError, match=message):
             wrapped(**arguments)
 
@@ -121,7 +121,7 @@ class TestArguments:
         ):
             ShapeObservation(gym.make("CartPole-v1"))
 
-    def test_a_missing_key_of_an_observation_is_told(self):
+    def test_a_missing_key_of_an_observation_raises_an_error(self):
         inner = RopeEnv()
         env = wrapped(inner)
         whole = inner._observe

@@ -1,4 +1,4 @@
-"""ShapeObservation while it runs: info, lost shapes, state, copies, and images that hold anything."""
+"""ShapeObservation at run time: info, lost shapes, state, copies, and arbitrary images."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class TestInfo:
         np.testing.assert_array_equal(env.detection.shapes[0].points2d.ravel(), observation)
         assert env.detection.timings["total"] > 0
 
-    def test_it_tells_holes_and_losses(self):
+    def test_it_reports_holes_and_losses(self):
         infos = [step[4] for step in run(wrapped(RopeEnv(hide=[2, 3], holes=True)), steps=4)]
         assert 0.3 < infos[0]["shape/centerline/valid_fraction"] < 0.7
         assert [info["shape/age"] for info in infos] == pytest.approx([0, 0, 0.1, 0.2, 0])
@@ -60,7 +60,7 @@ class TestInfo:
 
 
 class TestMissing:
-    def test_hold_repeats_the_observation_and_features_tell(self):
+    def test_hold_repeats_the_observation_and_features_report_it(self):
         env = wrapped(RopeEnv(hide=range(2, 9)), features=["points3d", "ok", "age", "valid"], max_age=0.25)
         steps = [step[0] for step in run(env, steps=6)]
         for k in range(2, 7):
@@ -131,9 +131,7 @@ class TestState:
     on_missing=st.sampled_from(["hold", "truncate"]),
     on_invalid=st.sampled_from(["interpolate", "hold"]),
 )
-def test_whatever_the_images_hold_observations_are_finite_and_in_their_space(
-    seed, noise, frame, on_missing, on_invalid
-):
+def test_observations_of_any_images_are_finite_and_in_their_space(seed, noise, frame, on_missing, on_invalid):
     rng = np.random.default_rng(seed)
     inner = RopeEnv()
     clean = inner._observe

@@ -1,4 +1,4 @@
-"""Target: goals as plain records, from points, from mappings and from what is seen."""
+"""Target: goals as plain records, from points, mappings and detections."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_it_travels_as_json_and_yaml():
     assert Target.read(target) is target
 
 
-def test_bare_points_are_metres_in_the_base_frame_placed_anew():
+def test_bare_points_are_metres_in_the_base_frame_and_are_resampled():
     target = Target.read(LINE)
     assert target == Target.read(LINE.ravel()) == Target.read(LINE.tolist()) == Target(LINE.tolist())  # type: ignore[arg-type]
     env = observing(KINDS[0])
@@ -164,7 +164,7 @@ def test_a_record_of_another_configuration_is_refused():
 
 
 class Hidden(FlatGoalEnv):
-    """Nothing to be seen, or no depth on the right."""
+    """An env without a visible shape, or without depth on the right."""
 
     def __init__(self, what: str) -> None:
         super().__init__("contour", goals=False)
@@ -202,7 +202,7 @@ def test_only_what_was_seen_is_recorded():
 
 
 class RgbOnly(gym.ObservationWrapper[Any, Any, Any]):
-    """Colour alone, and nothing published."""
+    """An env with colour images that publishes nothing."""
 
     camera_model, anchors = None, {}
 

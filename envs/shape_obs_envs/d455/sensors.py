@@ -64,7 +64,7 @@ class Stereo:
         # Disparities are counted in rounding steps, here and below.
         self._unit = model.disparity_step or 1.0
         self._product = np.float32(product / self._unit)
-        # Zero disparity is never measured, whatever max_z is.
+        # Zero disparity is never measured, even if max_z is not set.
         self._least = np.float32(self._product / model.max_z if model.max_z else 0.5 if model.disparity_step else 1e-3)
         self._most = np.float32(self._product / model.min_z if model.min_z else math.inf)
         reach, self._edge_probability = model.edge_reach(height)

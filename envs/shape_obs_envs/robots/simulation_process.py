@@ -52,7 +52,7 @@ class SimulationProcess:
         self._receiver.start()
         try:
             self.started = self._next_start(_TO_START)
-        except BaseException:
+        except BaseException:  # also on Ctrl-C: no process may be left behind; raised again below
             self.close()
             raise
 
@@ -99,7 +99,7 @@ class SimulationProcess:
 
     def close(self) -> None:
         """End process and thread, unless they have ended already."""
-        with contextlib.suppress(OSError, RobotError):
+        with contextlib.suppress(RobotError):  # the process has ended
             self.order("end")
         for end in (lambda: None, self._process.terminate, self._process.kill):
             end()

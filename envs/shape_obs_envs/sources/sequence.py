@@ -65,7 +65,7 @@ class SequenceSource(Source):
         return self._next()
 
     def read_latest(self, max_age: float = 0.1) -> Frame:
-        """Return the next frame, whatever its age."""
+        """Return the next frame; its age does not matter."""
         return self.read()
 
     def disconnect(self) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench.interleaved_timing import timed
 from shape_obs.bench.servo.settings import Setting
 from shape_obs.bench.servo.worlds import World
 from shape_obs.bench.tables import Row, median
@@ -73,7 +74,8 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Row:
         seen, camera = world.seen.points3d, world.view.camera
         assert seen is not None
         assert camera is not None
-        times = {"detector": world.milliseconds, "feature": _milliseconds(vector, world)}
+        _, feature_ms = timed(partial(vector.compute, [world.seen], [world.view]))
+        times = {"detector": world.milliseconds, "feature": feature_ms}
         frame = Row(before=points, seen=_apart(1e3 * camera.to_base(seen), points), dark=world.dark, **times)
         exciting, learnt = servo.exciting, servo.law.learnt
         action = servo.act(observation)
@@ -134,13 +136,6 @@ def _servo(world: World, law: str) -> ShapeServo:
         measured=lambda: vector.measured([world.seen]),
         weights=how,
     )
-
-
-def _milliseconds(vector: FeatureVector, world: World) -> float:
-    shape, view = [world.seen], [world.view]
-    begin = time.perf_counter()
-    vector.compute(shape, view)
-    return 1e3 * (time.perf_counter() - begin)
 
 
 def _apart(points: Array, others: Array) -> float:

@@ -129,17 +129,13 @@ def summary_rows(found: Found) -> list[Row]:
     return [Row(_named(setting), **_summary(some)) for setting, some in found.items()]
 
 
-def paired_rows(found: Found, seed: int = 0) -> list[Row]:
+def paired_rows(found: Found) -> list[Row]:
     """Compare the camera with the truth on the same goals, by difficulty and over all if there are several.
 
     ``ratio`` is the number of goals reached from the camera over the number reached from the true points; ``low`` and
     ``high`` are its 95 % interval by a paired percentile bootstrap over goals (Efron & Tibshirani, 'An introduction to
     the bootstrap', ch. 13). The interval is None if more than one tail of the resamples has no success of the truth;
     if fewer have none, they are left out.
-
-    Args:
-        found: All episodes.
-        seed: Seed of the resampling.
     """
     pairs: dict[Setting, npt.NDArray[np.bool_]] = {}
     for setting, seen in found.items():
@@ -150,10 +146,10 @@ def paired_rows(found: Found, seed: int = 0) -> list[Row]:
         pairs[setting] = np.array([(a.success, b.success) for a, b in both], bool).reshape(-1, 2)
     rows = []
     for settings in grouped(pairs, lambda setting: setting._replace(difficulty="near")).values():
-        rows += [_paired(setting, pairs[setting], seed) for setting in settings]
+        rows += [_paired(setting, pairs[setting]) for setting in settings]
         if len(settings) > 1:
             every = np.concatenate([pairs[each] for each in settings])
-            rows.append(Row(_paired(settings[0], every, seed), difficulty="all"))
+            rows.append(Row(_paired(settings[0], every), difficulty="all"))
     return rows
 
 
@@ -192,8 +188,8 @@ def _summary(some: Sequence[Row]) -> Row:
     )
 
 
-def _paired(setting: Setting, pairs: npt.NDArray[np.bool_], seed: int) -> Row:
-    low, high = _ratio_interval(pairs, seed)
+def _paired(setting: Setting, pairs: npt.NDArray[np.bool_]) -> Row:
+    low, high = _ratio_interval(pairs)
     camera, truth = pairs.sum(axis=0).tolist()
     return Row(
         _named(setting),
@@ -206,7 +202,7 @@ def _paired(setting: Setting, pairs: npt.NDArray[np.bool_], seed: int) -> Row:
     )
 
 
-def _ratio_interval(pairs: npt.NDArray[np.bool_], seed: int) -> tuple[float | None, float | None]:
+def _ratio_interval(pairs: npt.NDArray[np.bool_]) -> tuple[float | None, float | None]:
     """Return the interval of the ratio of two counts; None if too many resamples have no success of the truth."""
     if len(pairs) < 2 or not pairs[:, 1].any():
         return None, None
@@ -216,7 +212,7 @@ def _ratio_interval(pairs: npt.NDArray[np.bool_], seed: int) -> tuple[float | No
         return np.divide(camera.sum(axis=axis), below, out=np.full(np.shape(below), np.nan), where=below > 0)
 
     # `rng` came with SciPy 1.15.
-    fixed: Any = {"method": "percentile", "random_state": np.random.default_rng(seed)}
+    fixed: Any = {"method": "percentile", "random_state": np.random.default_rng(0)}
     values = tuple(pairs.T.astype(np.float64))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DegenerateDataWarning)  # NaN is handled below

@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from shape_obs.bench import Clock, Env, Size
+from shape_obs.bench import Env, Size
 from shape_obs.bench.env_physics import held_actions, make_env
-from shape_obs.bench.interleaved_timing import Method, Tick, by_method, interleaved_timing, median_ms
+from shape_obs.bench.interleaved_timing import Method, Timing, median_ms, time_methods
 from shape_obs.bench.servo.settings import FEATURES, LAYOUTS
 from shape_obs.bench.tables import Row, at_most, grouped
 from shape_obs.detector import ShapeDetector
@@ -35,12 +35,9 @@ def closed_forms(env: Env) -> list[Feature]:
 def feature_times(
     env: Env,
     size: Size,
-    frames: int = 60,
-    *,
-    seed: int = 0,
+    frames: int,
+    timing: Timing,
     renderer: str = "auto",
-    clock: Clock = "wall",
-    tick: Tick = lambda: None,
 ) -> list[Row]:
     """Return a row for each feature: median microseconds, and percent of the tracking detector's median time.
 
@@ -48,12 +45,10 @@ def feature_times(
         env: The environment, which is moved at random.
         size: (width, height) of the images, which have the noise of a D455.
         frames: Number of counted frames.
-        seed: Seed of the episode, its actions and its noise.
+        timing: The clock, and the seed of the episode, its actions and its noise. Turns have ten frames each.
         renderer: The simulator's renderer.
-        clock: The clock.
-        tick: Called after each frame.
     """
-    looks, detector = _looks(env, size, frames + WARM_UP, seed, renderer)
+    looks, detector = _looks(env, size, frames + WARM_UP, timing.seed, renderer)
 
     features = {_label(feature): feature for feature in closed_forms(env)}
     methods: list[Method[Row]] = [
@@ -62,8 +57,8 @@ def feature_times(
         ),
         *(Method(name, lambda look, each=each: each.compute(look.shape, look.view)) for name, each in features.items()),
     ]
-    turns = interleaved_timing(looks, methods, clock, burst=_BURST, warm_up=WARM_UP, tick=tick)
-    medians = {name: median_ms(some) for name, some in by_method(methods, turns).items()}
+    turns = time_methods(looks, methods, timing._replace(burst=_BURST), warm_up=WARM_UP)
+    medians = {name: median_ms(some) for name, some in turns.items()}
     detection = medians.pop(_DETECTOR)
     return [
         Row(

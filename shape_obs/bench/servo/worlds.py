@@ -106,7 +106,7 @@ def without(shape: Shape, lost: Mask) -> Shape:
 
 
 class TrueDetector(ShapeDetector):
-    """Return the simulator's points as the detected shape, whatever the images are.
+    """Return the simulator's points as the detected shape, for any images.
 
     Args:
         truth: Returns the points, (N, 3) metres, base frame.

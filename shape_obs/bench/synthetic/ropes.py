@@ -88,7 +88,7 @@ def blank(size: tuple[int, int]) -> npt.NDArray[np.uint8]:
 
 
 def covered(canvas: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """Return the mask of the pixels of which at least a half is drawn on a supersampled canvas."""
+    """Return the mask of the pixels that are at least half drawn on a supersampled canvas."""
     height, width = (side // _SUPERSAMPLING for side in canvas.shape)
     small = cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
     return np.where(small > 127, np.uint8(255), np.uint8(0))

@@ -27,7 +27,6 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
 Name = Literal["rope", "contour", "cloth"]
 
-SIZES: Final[tuple[Size, ...]] = ((320, 240), (640, 480), (848, 480), (1280, 720), (1280, 800))
 SPEED: Final = 10.0  # pixels by which the fastest point moves per frame
 ROPE_AREA: Final = (7_000, 9_000)  # pixels
 _ASPECT: Final = 2.0  # of the cloth, so that the cells of a 4 x 8 lattice are about square

@@ -17,8 +17,8 @@ _GAP: Final = 3  # pixels between strands that do not touch, as in ``ropes``
 # In widths: the smallest distance between crossings, and the shortest piece of rope beyond the last one.
 _APART: Final = 4.0
 _TAIL: Final = 4.0
-_BESIDE: Final = (0.85, 1.15)  # distance of the centres of touching strands, in widths
-_STRETCH: Final = (2.0, 12.0)  # length over which they touch, in widths
+_CENTRES_APART: Final = (0.85, 1.15)  # distance of the centres of touching strands, in widths
+_CONTACT: Final = (2.0, 12.0)  # length over which they touch, in widths
 _TIGHTEST: Final = 1.5  # the smallest bend radius, in widths
 _MIN_ANGLE: Final = np.deg2rad(25)
 # Cuts: the longest hidden stretch over the occluder's width; the shortest visible stretch, in widths and as a share of
@@ -150,8 +150,8 @@ def meetings(curve: Curve) -> list[Meeting]:
     area = step[:, None, 0] * step[None, :, 1] - step[:, None, 1] * step[None, :, 0]
     area = np.where(np.abs(area) < 1e-12, np.inf, area)
     along = (offset[..., 0] * step[None, :, 1] - offset[..., 1] * step[None, :, 0]) / area
-    beside = (offset[..., 0] * step[:, None, 1] - offset[..., 1] * step[:, None, 0]) / area
-    hit = (along >= 0) & (along < 1) & (beside >= 0) & (beside < 1)
+    along_other = (offset[..., 0] * step[:, None, 1] - offset[..., 1] * step[:, None, 0]) / area
+    hit = (along >= 0) & (along < 1) & (along_other >= 0) & (along_other < 1)
     first, second = np.nonzero(np.triu(hit, 2))
     result = []
     for i, j in zip(first, second, strict=True):
@@ -192,24 +192,24 @@ def _curly(rng: np.random.Generator, width: float, crossings: int) -> Curve:
 
 def _keyhole(rng: np.random.Generator, width: float) -> Curve:
     """Return a curve along a line, around a bulb, back next to the line, and to the side."""
-    beside, stretch = rng.uniform(*_BESIDE) * width, rng.uniform(*_STRETCH) * width
+    apart, stretch = rng.uniform(*_CENTRES_APART) * width, rng.uniform(*_CONTACT) * width
     out, tail = rng.uniform(4, 10) * width, rng.uniform(5, 12) * width
     opening, radius, part = rng.uniform(0.8, 1.1), rng.uniform(2.5, 4) * width, rng.uniform(0.5, 1.4)
     # The bulb for which the way back runs at this distance from the way out.
-    bulb = (beside / 2 + radius * (1 - np.cos(opening))) / np.cos(opening)
+    bulb = (apart / 2 + radius * (1 - np.cos(opening))) / np.cos(opening)
     half = ((radius * opening, -opening), (bulb * (np.pi / 2 + opening), np.pi / 2 + opening))
     return arcs((out + stretch, 0.0), *half, *half[::-1], (stretch, 0.0), (radius * part, -part), (tail, 0.0))
 
 
 def _once_around(rng: np.random.Generator, width: float) -> Curve:
     """Return a curve along a line, once around, and along the outer side of the line again."""
-    beside, stretch = rng.uniform(*_BESIDE) * width, rng.uniform(*_STRETCH) * width
+    apart, stretch = rng.uniform(*_CENTRES_APART) * width, rng.uniform(*_CONTACT) * width
     inner, out = rng.uniform(4.5, 8) * width, rng.uniform(4, 8) * width
     part, radius = rng.uniform(0.5, 1.0, size=2), rng.uniform(2.5, 4) * width
     tail = rng.uniform(3, 5) * width, rng.uniform(5, 12) * width
     return arcs(
         *((tail[0], 0.0), (radius * part[0], part[0]), (stretch, 0.0), (np.pi * inner, np.pi)),
-        *((stretch + out, 0.0), (np.pi * (inner + beside / 2), np.pi), (out + stretch, 0.0)),
+        *((stretch + out, 0.0), (np.pi * (inner + apart / 2), np.pi), (out + stretch, 0.0)),
         *((radius * part[1], -part[1]), (tail[1], 0.0)),
     )
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench import Clock
-from shape_obs.bench.interleaved_timing import CLOCKS
+from shape_obs.bench.interleaved_timing import CLOCKS, timed
 from shape_obs.bench.synthetic.images import BLUE, photographed
 from shape_obs.bench.synthetic.sheets import Sheet, border_of, draw_sheet, moving_sheet
 from shape_obs.bench.synthetic.streams import outline_pixels
@@ -154,9 +154,7 @@ def traced(tracing: Tracing, chunk: Iterable[tuple[int, Scene]], clock: Clock = 
     run, now, closed = _RUN[tracing], CLOCKS[clock], OF[tracing] == "contour"
     for frame, scene in chunk:
         assert not isinstance(scene.truth, Sheet)
-        begin = now()
-        points = run(scene.mask)
-        ms = 1e3 * (now() - begin)
+        points, ms = timed(partial(run, scene.mask), now)
         curve = np.concatenate([scene.truth, scene.truth[:1]]) if closed else scene.truth
         length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
         arc = nearest_on(curve, points)[0]

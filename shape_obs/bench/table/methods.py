@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench import Clock
-from shape_obs.bench.interleaved_timing import CLOCKS
+from shape_obs.bench.interleaved_timing import CLOCKS, timed
 from shape_obs.bench.scores import SLIP, outline_score, score
 from shape_obs.bench.surface_claims import score_sheet
 from shape_obs.bench.synthetic.sheets import Sheet
@@ -45,16 +45,9 @@ METHODS: Final[dict[Method, Clusterer | None]] = {
 SAMPLED: Final = 2000  # pixels that the silhouette counts where it does not count all
 # The measures of a frame on which the shape was not found.
 _REFUSED: Final = Row(
-    pixels=0,
-    ok=False,
-    sc=np.nan,
-    ch=np.nan,
-    ms=np.nan,
-    cv=np.nan,
-    ordered=False,
-    own_order=False,
-    steps=0,
-    settled=False,
+    dict.fromkeys(("ok", "ordered", "own_order", "settled"), False),
+    **dict.fromkeys(("pixels", "steps"), 0),
+    **dict.fromkeys(("sc", "ch", "ms", "cv"), np.nan),
 )
 
 
@@ -74,11 +67,8 @@ class _Watched(Clusterer):
 
     def centres(self, samples: Samples, layout: Topology, seed: int) -> Centres:
         """Return the centres of the clusterer."""
-        begin = self.now()
-        found = self.inner.centres(samples, layout, seed)
-        self.seen["ms"] = 1e3 * (self.now() - begin)
-        self.seen["centres"] = found
-        return found
+        self.seen["centres"], self.seen["ms"] = timed(lambda: self.inner.centres(samples, layout, seed), self.now)
+        return self.seen["centres"]
 
 
 class Runner:
@@ -138,9 +128,8 @@ class Runner:
         )
 
     def _found(self, scene: Scene) -> tuple[Array | None, float, Centres | None]:
-        begin = self._now()
-        shape = self._detector.detect_mask(scene.mask, anchors=scene.anchors).shapes[0]
-        ms = 1e3 * (self._now() - begin)
+        found, ms = timed(lambda: self._detector.detect_mask(scene.mask, anchors=scene.anchors), self._now)
+        shape = found.shapes[0]
         if shape.reason:
             return None, np.nan, None
         return shape.pixels.astype(np.float64), self._seen.get("ms", ms), self._seen.get("centres")

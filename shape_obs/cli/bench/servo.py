@@ -150,14 +150,14 @@ def _study(args: Servo, settings: Sequence[Setting], output: Output) -> int:
 
 
 def _times(args: Servo, output: Output) -> None:
+    from shape_obs.bench.interleaved_timing import Timing
     from shape_obs.bench.servo.times import WARM_UP, feature_times, targets
 
     sizes: list[tuple[Env, Size]] = [(env, image_size(size, 16)) for env in args.envs for size in args.sizes]
     rows = []
     with progress("times", "frame", len(sizes) * (args.frames + WARM_UP)) as bar:
+        timing = Timing(args.seed, args.clock, tick=bar.update)
         for env, size in sizes:
-            rows += feature_times(
-                env, size, args.frames, seed=args.seed, renderer=args.renderer, clock=args.clock, tick=bar.update
-            )
+            rows += feature_times(env, size, args.frames, timing, args.renderer)
     output.table("features and the detector", rows, "times")
     output.claims(targets(rows))

@@ -5,18 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Final, Literal, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 import tyro
 
 from shape_obs.bench import ENVS, Clock, Env
 from shape_obs.cli.bench.output import Output, check_minimum, image_size, progress
 
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+    from shape_obs.bench.interleaved_timing import Timing
+
 Work = Literal["rope", "contour", "cloth"]
 
 
 @dataclass(frozen=True)
-class _Timing:
+class _TimingOptions:
     seed: int = 0
     """Seed of everything that is drawn at random."""
     clock: Clock = "wall"
@@ -28,7 +33,7 @@ class _Timing:
 
 
 @dataclass(frozen=True)
-class Latency(_Timing):
+class Latency(_TimingOptions):
     """Time every stage from an RGB-D image to 20 points in space, warm and cold, and how the time grows.
 
     One pass over the same image and the usual segmentation are timed with it. All methods take turns on every frame, on
@@ -46,7 +51,7 @@ class Latency(_Timing):
 
 
 @dataclass(frozen=True)
-class Peers(_Timing):
+class Peers(_TimingOptions):
     """Compare the detector with other ways to the same points: same masks, same N, in turns, on one thread.
 
     A method's clock starts when the mask, or the mask's pixels as floats, are ready. Clusterers are not charged for
@@ -62,11 +67,11 @@ class Peers(_Timing):
 
 
 @dataclass(frozen=True)
-class Envs(_Timing):
+class Envs(_TimingOptions):
     """Count the steps per second of each environment: without drawing, with images, and wrapped.
 
     All ways take turns through the same episodes, on one thread. Rates are those of the median step; resets have a
-    column of their own.
+    separate column.
     """
 
     envs: tuple[Env, ...] = ENVS
@@ -94,6 +99,12 @@ def _output(name: str, args: Any, *packages: str) -> Output:
     return Output(args.json, measurement=name, machine=machine(*packages), **run)
 
 
+def _timing(args: _TimingOptions, bar: tqdm) -> Timing:
+    from shape_obs.bench.interleaved_timing import Timing
+
+    return Timing(args.seed, args.clock, args.burst, bar.update)
+
+
 def _latency(args: Latency) -> Output:
     check_minimum(args, frames=1, memory=0, burst=1)
     sizes = tuple(image_size(text, 64, landscape=False) for text in args.sizes)
@@ -102,19 +113,19 @@ def _latency(args: Latency) -> Output:
     output, targets = _output("latency", args), []
     if "stages" in args.only:
         with progress("stages", "frame", args.frames + latency.WARM_UP) as bar:
-            found = latency.latencies(sizes, args.frames, args.seed, args.clock, args.burst, bar.update)
+            found = latency.latencies(sizes, args.frames, _timing(args, bar))
         totals = latency.total_rows(found)
         output.table("image to points in 3D", totals, "totals")
         output.table("stages, median milliseconds", latency.stage_rows(found), "stages")
         targets += latency.latency_targets(totals)
     if "growth" in args.only:
         with progress("growth", "frame", args.frames + latency.WARM_UP) as bar:
-            grown = latency.growth_rows(args.frames, args.seed, args.clock, bar.update)
+            grown = latency.growth_rows(args.frames, _timing(args, bar))
         output.table("growth, tracked", grown, "growth")
         targets += latency.growth_targets(grown)
     if args.memory:
         with progress("memory", "frame") as bar:
-            megabytes = latency.memory_growth(args.memory, args.seed, tick=bar.update)
+            megabytes = latency.memory_growth(args.memory, _timing(args, bar))
         output.table("memory", [{"frames": args.memory, "growth_mb": megabytes}])
         targets.append(latency.memory_target(args.memory, megabytes))
     output.claims(targets)
@@ -131,9 +142,7 @@ def _peers(args: Peers) -> Output:
         output.note(f"{module} is not installed and left out: pip install {package}")
     for name in args.only:
         with progress(name, "frame", args.frames + peers.WARM_UP) as bar:
-            results[name] = peers.run_work(
-                name, args.frames, args.slow_frames, args.seed, args.clock, args.burst, bar.update
-            )
+            results[name] = peers.run_work(name, args.frames, args.slow_frames, _timing(args, bar))
         work = output.document["works"][name] = results[name].summary
         refused = f", {work['refused']} refused" if work["refused"] else ""
         title = f"{name}: {work['points']} points from {work['samples']} pixels, {work['frames']} frames{refused}"
@@ -161,7 +170,7 @@ def _envs(args: Envs) -> Output:
     with progress("envs", "step", len(courses) * (args.steps + WARM_UP)) as bar:
         for course in courses:
             bar.set_postfix_str("{} {} {}".format(*course))
-            rows.append(speed_row(*course, args.steps, args.seed, args.clock, args.burst, bar.update))
+            rows.append(speed_row(*course, args.steps, _timing(args, bar)))
     output.table("steps per second", rows, "single")
     output.claims(speed_targets(rows))
     return output

@@ -291,6 +291,6 @@ def _fitted_files(members: Mapping[str, bytes]) -> Iterator[Path | None]:
     try:
         extract(members, folder)
         yield folder
-    except BaseException:
+    except BaseException:  # also on Ctrl-C: no folder may be left behind; raised again below
         shutil.rmtree(folder, ignore_errors=True)
         raise

@@ -1,4 +1,4 @@
-"""What the measurements share: options, tables, JSON, and help without any measurement."""
+"""Options, tables, JSON and help that all measurements share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Policies of several algorithms as bundles: they act as the models did, bit for bit, in another process."""
+"""Bundles of several algorithms act exactly as the models did, in another process."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from shape_obs.training import GoalDifference, ImageAndGoal, PixelPolicy, Pixels
 
 
 class Switches(gym.Env[Any, Any]):
-    """Three numbers and four actions, which move nothing."""
+    """An environment with three numbers and four actions that have no effect."""
 
     observation_space = spaces.Box(-1.0, 1.0, (3,), np.float32)
     action_space = spaces.Discrete(4)
@@ -49,7 +49,7 @@ class Switches(gym.Env[Any, Any]):
 
 
 class OwnExtractor(FlattenExtractor):
-    """An extractor of somebody else's."""
+    """A feature extractor of another package."""
 
 
 def switches() -> Any:
@@ -80,7 +80,7 @@ MODELS = {
 
 
 def made(name: str) -> tuple[Any, Any]:
-    """(model, vector env) whose statistics have seen some steps; the weights are those of a start."""
+    """Return a model with untrained weights, and a vector env whose statistics have seen some steps."""
     make, algorithm, policy, arguments, options = MODELS[name]
     torch.set_num_threads(1)
     keys = ["achieved_goal", "desired_goal"] if make is pixels else None
@@ -144,14 +144,14 @@ def test_a_fresh_process_acts_bit_for_bit_and_leaves_nothing(tmp_path):
 
 
 def acted(model: Any, env: Any, observation: Any) -> Any:
-    """What the model itself does."""
+    """Return the actions of the model itself."""
     whole = not isinstance(observation, dict)
     batch = observation[None] if whole else {key: value[None] for key, value in observation.items()}
     return model.predict(env.normalize_obs(batch), deterministic=True)[0][0]
 
 
 def played(model: Any, env: Any) -> list[Any]:
-    """What the model does in its environment."""
+    """Return the actions of the model in its environment."""
     plain = cable()
     observation, _ = plain.reset(seed=4)
     actions = []
@@ -162,7 +162,7 @@ def played(model: Any, env: Any) -> list[Any]:
 
 
 def fitted(folder: Path) -> tuple[Path, list[Any], list[Any]]:
-    """A policy that reads fitted features: (bundle, observations, actions)."""
+    """Return a policy that reads fitted features: (bundle, observations, actions)."""
     file = folder / "ropes.npz"
     fit(ropes(50)).save(file)
     env = wrapped(gym.make(registered(), disable_env_checker=True), features=[{"kind": "pca", "file": str(file)}])
@@ -174,14 +174,14 @@ def fitted(folder: Path) -> tuple[Path, list[Any], list[Any]]:
 
 @pytest.fixture(scope="module")
 def sac(tmp_path_factory) -> dict[str, bytes]:
-    """The members of a bundle."""
+    """Return the members of a bundle."""
     path = Path(tmp_path_factory.mktemp("sac")) / "sac.policy"
     save_bundle(*made("SAC"), path)
     return read_archive(path).members
 
 
 class TestTrust:
-    """What names or holds code is read with trust alone, and the message says so."""
+    """Content that names or holds code is read only with ``trust``, and the message says so."""
 
     WORDS = r"trust=True \(--trust on the command line\) only if you trust who made the file"
 

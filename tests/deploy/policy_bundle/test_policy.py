@@ -1,4 +1,4 @@
-"""Bundles in other environments: what does not fit is refused, and by its name."""
+"""Bundles in other environments: differences are refused by name."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class TestMismatch:
         assert bundle.differences(slow, same_rate=False) == []
         assert isinstance(slow, ShapeGoal)
 
-    def test_a_camera_that_stands_nobody_knows_where(self, bundle):
+    def test_a_camera_without_extrinsics(self, bundle):
         env = self.cell(bundle, {}, 20)
         env.unwrapped.source.extrinsics = None  # as of a camera without --extrinsics
         with pytest.raises(BundleError, match=r"'points3d' in the base frame, .* give --extrinsics"):

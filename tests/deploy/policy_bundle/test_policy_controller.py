@@ -24,7 +24,7 @@ with_d455 = pytest.mark.skipif(not find_spec("pyrealsense2"), reason="the softwa
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory) -> Any:
-    """A policy that has learnt nothing, trained for points in the base frame at 20 Hz."""
+    """Return an untrained policy for points in the base frame at 20 Hz."""
     import stable_baselines3 as sb3
     import torch
 
@@ -37,7 +37,7 @@ def path(tmp_path_factory) -> Any:
 
 
 def run(capsys, *arguments):
-    """(exit code, stdout, stderr) of a command run in this process."""
+    """Return (exit code, stdout, stderr) of a command run in this process."""
     with pytest.raises(SystemExit) as stop:
         main(["deploy", *(str(argument) for argument in arguments)])
     captured = capsys.readouterr()
@@ -78,7 +78,7 @@ def test_a_policy_plays_episodes_with_goals_of_the_robot(capsys, path, tmp_path)
     ],
 )
 @with_d455
-def test_what_does_not_fit_is_told_in_one_line(capsys, path, arguments, message):
+def test_what_does_not_fit_is_reported_in_one_line(capsys, path, arguments, message):
     code, out, err = run(capsys, path, *CELL, *arguments)
     assert (code, out) == (1, "")
     assert message in err
@@ -86,7 +86,7 @@ def test_what_does_not_fit_is_told_in_one_line(capsys, path, arguments, message)
 
 
 @with_d455
-def test_another_rate_is_a_warning_and_a_robot_without_goals_is_told(capsys, path, tmp_path):
+def test_another_rate_is_a_warning_and_a_robot_without_goals_is_reported(capsys, path, tmp_path):
     shape = tmp_path / "shape.yaml"
     shape.write_text("version: 1\nscene: {segmentation: {kind: hsv, low: [100, 120, 40], high: [125, 255, 255]}}\n")
     names = [f"gripper{i}/{axis}" for i in range(2) for axis in ("x", "y", "yaw")]
@@ -100,7 +100,7 @@ def test_another_rate_is_a_warning_and_a_robot_without_goals_is_told(capsys, pat
 
 
 class TestSettle:
-    """An image is taken when the motion is over."""
+    """The next image is taken after the motion has ended."""
 
     def cell(self, source=None, **options) -> Any:
         robot = ListRobot()

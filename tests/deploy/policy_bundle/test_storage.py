@@ -1,4 +1,4 @@
-"""Bundles: what was trained is what acts; what does not fit is refused, and by its name."""
+"""Saved and loaded bundles act as trained; what does not fit is refused by name."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from shape_obs_envs.robots import NullRobot
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory) -> Any:
-    """(model, vector env, path)."""
+    """Return (model, vector env, path)."""
     path = tmp_path_factory.mktemp("bundle") / "cable.policy"
     return *train(path), path
 
@@ -52,7 +52,7 @@ def test_it_acts_as_the_model_did_with_the_statistics_that_it_had(trained, bundl
     assert bundle.make_env(max_episode_steps=7).spec.max_episode_steps == 7
 
 
-def test_it_tells_what_it_was_trained_in(trained, bundle):
+def test_it_stores_what_it_was_trained_in(trained, bundle):
     record = bundle.record
     assert record.summary == {"algorithm": "SAC", "steps": 12, "seed": 0, "note": "quick"}
     assert (record.dt, record.image, record.success_threshold) == (0.05, (84, 84), 0.01)
@@ -108,7 +108,7 @@ def test_fitted_features_travel_along(tmp_path):
 
 @pytest.mark.parametrize("trust", [False, True])
 def test_wrappers_that_have_moved_since_are_found_and_a_backend_is_no_error(tmp_path, trust):
-    """Entry points and configuration as earlier releases wrote them."""
+    """The record has entry points and a configuration of earlier releases."""
     env = Shuffled(cable())
     save_bundle(learner(env), env, tmp_path / "a.policy")
     members = read_archive(tmp_path / "a.policy").members
@@ -183,7 +183,7 @@ class TestFile:
         with pytest.raises(BundleError, match=message):
             load_bundle(tmp_path / "a")
 
-    def test_another_minor_version_is_told(self, members, tmp_path):
+    def test_another_minor_version_is_reported(self, members, tmp_path):
         record = {**json.loads(members["policy.json"]), "versions": {"numpy": "1.0.1"}}
         write_archive(tmp_path / "a", {**members, "policy.json": json.dumps(record).encode()})
         with pytest.warns(UserWarning, match=r"saved with other versions: numpy 1.0.1 then"):

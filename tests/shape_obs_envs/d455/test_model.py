@@ -26,7 +26,7 @@ FORMS = pytest.mark.parametrize("fast", [False, True], ids=["exact", "fast"])
 def measure(
     model: D455Model, metres: Any, fast: bool = False, value: int = 255, seed: int = 0, frames: int = 1
 ) -> list[Measurement]:
-    """Frames of one scene of one brightness."""
+    """Return frames of one scene with one brightness."""
     metres = np.asarray(metres)
     camera, rng = D455Camera(model, metres.shape, fast), np.random.default_rng(seed)
     rgb = np.full((*metres.shape, 3), value, np.uint8)
@@ -168,13 +168,13 @@ def test_speckle_takes_its_share_in_blobs(size, fast):
     assert share(found, Cause.SPECKLE) == pytest.approx(0.01, rel=0.1)
     if size == NATIVE:
         lost = np.stack([frame.lost_to(Cause.SPECKLE) for frame in found])
-        beside = (lost[:, :, 1:] & lost[:, :, :-1]).sum() / lost.sum()
-        assert beside > 0.5, "single pixels"
+        paired = (lost[:, :, 1:] & lost[:, :, :-1]).sum() / lost.sum()
+        assert paired > 0.5, "single pixels"
 
 
 @FORMS
 @pytest.mark.parametrize("rows", [84, 120, 480, 960])
-def test_pixels_beside_a_jump_lose_their_share(rows, fast):
+def test_pixels_next_to_a_jump_lose_their_share(rows, fast):
     size = (rows, rows * 4 // 3)
     reach, probability = MODEL.edge_reach(rows)
     assert reach * probability == pytest.approx(0.3 * 2 * rows / 480, rel=0.01)
@@ -183,10 +183,10 @@ def test_pixels_beside_a_jump_lose_their_share(rows, fast):
     steps = np.broadcast_to(np.where(column < period // 2, 0.8, 0.6), size)
     apart = np.minimum(column % (period // 2), (-1 - column) % (period // 2))
     inner = (np.arange(size[1]) >= reach) & (np.arange(size[1]) < size[1] - reach)  # no step at the border
-    beside = np.broadcast_to((apart < reach) & inner, size)
+    near = np.broadcast_to((apart < reach) & inner, size)
     far = np.broadcast_to(apart >= reach, size)
     found = measure(replace(CLEAR, edge_share=0.3), steps, fast, frames=max(2, 5000 // rows))
-    assert share(found, Cause.EDGE, beside) == pytest.approx(probability, rel=0.06)
+    assert share(found, Cause.EDGE, near) == pytest.approx(probability, rel=0.06)
     assert share(found, Cause.EDGE, far) == 0
 
 

@@ -25,7 +25,7 @@ FORMS = pytest.mark.parametrize("fast", [False, True], ids=["exact", "fast"])
 
 
 class Images(gym.Env[Any, Any]):
-    """Shows the same images again and again."""
+    """An environment that repeats the same images."""
 
     metadata = {"render_modes": [], "render_fps": 10}  # noqa: RUF012
 

@@ -35,7 +35,7 @@ def env():
 
 @pytest.fixture(scope="module")
 def episodes():
-    """True shapes (E, T, 100, 3) and pixels (E, T, 100, 2), tips and targets over 40 episodes of held actions."""
+    """Return shapes (E, T, 100, 3), pixels (E, T, 100, 2), tips and targets of 40 episodes of held actions."""
     env = make(render_observation=False)  # the pictures are not looked at
     rng = np.random.default_rng(0)
     points, pixels, goals, targets = [], [], [], []

@@ -36,7 +36,7 @@ def carry_over(env: ClothEnv) -> None:
 
 
 def crossings(masses: np.ndarray) -> int:
-    """How many edges of the mesh of masses (R, C, 3) pass through a triangle of it that lies clear of the table."""
+    """Return how many edges of the mesh of masses (R, C, 3) cross one of its triangles above the table."""
     rows, cols, _ = masses.shape
     index = np.arange(rows * cols).reshape(rows, cols)
     a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
@@ -67,7 +67,7 @@ def env():
 
 @pytest.fixture(scope="module")
 def episodes() -> dict[str, np.ndarray]:
-    """What 20 episodes of held actions, white noise and full strength do to the sheet."""
+    """Return the effect of 20 episodes on the sheet: held actions, white noise, full strength."""
     env = make(render_observation=False)
     rng, action = np.random.default_rng(0), IDLE
     seen: dict[str, list[Any]] = {name: [] for name in ("stretch", "crossings", "pixels", "surface", "grippers")}
@@ -154,7 +154,7 @@ def test_it_falls_comes_to_rest_and_does_not_buzz(env):
         play(env, [([0, 0, 0], 1)])
         after = env._sheet.mesh.masses(env._body.data)
         assert np.linalg.norm(after - before, axis=-1).max() < 2e-4, name
-        # whatever is not near the held edge lies on the table again
+        # everything that is not near the held edge lies on the table again
         assert after[-1, 2:-2, 2].max() < 0.003, name
 
 
@@ -181,7 +181,7 @@ def test_starts_are_unfolded_and_far_goals_are_not():
         assert crossings(env._sheet.mesh.masses(env._body.data)) == 0
 
 
-def test_a_fold_is_told(env):
+def test_a_fold_is_reported(env):
     env.reset(seed=1)
     assert env.unfolded
     carry_over(env)
@@ -217,7 +217,7 @@ def test_frames_of_the_truth_agree(env):
     assert np.array_equal(env.truth(5, 6, surface=True), env.truth(5, 6))
 
 
-def test_truth_tells_what_it_takes(env):
+def test_truth_names_its_arguments_in_its_errors(env):
     with pytest.raises(ValueError, match=r"rows: expected a whole number, 2 or more, got 1"):
         env.truth(1)
     with pytest.raises(ValueError, match=r"cols: expected a whole number, 2 or more, got 2.5"):

@@ -29,14 +29,14 @@ ENVS = {
 
 
 def make(name: str, **options: Any) -> ShapeGoalEnv:
-    """The bare environment."""
+    """Return the bare environment."""
     env_id, arguments = ENVS[name]
     env = gym.make(env_id, **{"camera": [84, 84], "renderer": "rays", **arguments, **options})
     return cast(ShapeGoalEnv, env.unwrapped)
 
 
 def play(env: gym.Env[Any, Any], steps: int = 4, **reset: Any) -> list[Any]:
-    """Observations and infos of a few random steps."""
+    """Return observations and infos of a few random steps."""
     rng = np.random.default_rng(1)
     assert env.action_space.shape is not None
     out = [env.reset(**reset)]
@@ -150,7 +150,7 @@ def test_far_goals_are_farther_and_difficulty_can_grow(name):
 
 
 def test_an_episode_goes_on_from_its_state(name):
-    """The physics, and with them the images, are those of the state; goals can be taken over."""
+    """A restored state has the same physics and images; goals can be transferred."""
     one, two = make(name), make(name)
     before = play(one, seed=4)[-1]
     options = {"start": one.get_state().tolist(), "goal": before[0]["desired_goal"].tolist()}
@@ -163,7 +163,7 @@ def test_an_episode_goes_on_from_its_state(name):
     assert len(two.goal_actions) > 0
 
 
-def test_bad_options_are_told(env):
+def test_bad_options_raise_an_error(env):
     count = len(env.observation_space["desired_goal"].low) // 3
     with pytest.raises(ValueError, match=r"options: expected one of 'start', 'goal', got 'gaol'. Did you mean 'goal'"):
         env.reset(options={"gaol": 1})
@@ -243,7 +243,7 @@ def test_bad_arguments(name, arguments, message):
 
 
 def test_the_medium_is_stable_and_the_scene_stays_in_view(name):
-    """Held actions at full strength: the hardest that can be asked."""
+    """Held actions at full strength are the hardest case."""
     env = make(name, render_observation=False)
     assert env.action_space.shape is not None
     rng, action = np.random.default_rng(0), np.zeros(env.action_space.shape, np.float32)

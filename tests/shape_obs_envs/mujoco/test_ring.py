@@ -21,7 +21,7 @@ def make(**options: Any) -> RingEnv:
 
 
 def bent(env: RingEnv, seeds: int = 4):
-    """The ring in a few bent shapes."""
+    """Bend the ring into a few shapes, and yield the seed of each."""
     rng = np.random.default_rng(0)
     for seed in range(seeds):
         env.reset(seed=seed)
@@ -38,7 +38,7 @@ def blue(env: RingEnv, rgb: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def episodes():
-    """True outlines (T, 200, 3), hinges (T, links, 3) and the lengths of the band's links over 20 episodes."""
+    """Return true outlines (T, 200, 3), hinges (T, links, 3) and the lengths of the band's links over 20 episodes."""
     env = make(render_observation=False)
     rng = np.random.default_rng(0)
     outlines, axes = [], []
@@ -156,7 +156,7 @@ def test_the_wrapper_sees_the_true_outline(camera, most):
     assert slips == 0
 
 
-def test_truth_tells_what_it_takes():
+def test_truth_names_its_arguments_in_its_errors():
     env = make()
     with pytest.raises(ValueError, match=r"n: expected a whole number, 3 or more, got 2"):
         env.truth(2)

@@ -132,7 +132,7 @@ if __name__ == "__main__":
 
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork here")
 def test_a_fork_after_use_does_not_hang():
-    """Threads do not survive a fork; a library whose pool waits for them hangs. With as many threads as they like."""
+    """Threads do not survive a fork, and a library whose pool waits for them would hang."""
     free = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
     done = subprocess.run(
         [sys.executable, "-c", FORK, str(Path(__file__).parents[2] / "support")],
@@ -146,7 +146,7 @@ def test_a_fork_after_use_does_not_hang():
 
 
 def test_a_forked_child_leaves_opencvs_threads_alone():
-    """The pool's threads exist in the parent alone, and whatever lock one of them held stays held in the child."""
+    """The pool's threads exist only in the parent, and any lock that one of them held stays held in the child."""
     code = """
 import multiprocessing, cv2
 import shape_obs.detector

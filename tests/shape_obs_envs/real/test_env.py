@@ -59,7 +59,7 @@ def test_a_step_shows_what_was_done_and_never_an_older_image():
     env.close()
 
 
-def test_steps_come_at_the_rate_whatever_the_policy_takes():
+def test_steps_keep_the_rate_for_any_duration_of_the_policy():
     env = make(robot=ListRobot(), rate=25.0)
     env.reset()
     begin = time.monotonic()
@@ -84,7 +84,7 @@ def test_none_stands_still():
     env.close()
 
 
-def test_a_failing_camera_ends_the_episode_in_black_and_the_next_reset_connects_anew():
+def test_a_failing_camera_ends_the_episode_in_black_and_the_next_reset_reconnects():
     robot = ListRobot()
     source = RopeSource(robot)
     env = ShapeObservation(make(source, robot), **ROPE)
@@ -129,7 +129,7 @@ def test_a_failing_robot_ends_the_episode():
     assert info["robot_error"] == "the robot is in an emergency stop"
 
 
-def test_images_of_another_size_are_told():
+def test_images_of_another_size_raise_an_error():
     env = make(RopeSource(), size=[640, 480])
     with pytest.raises(ValueError, match=r"160 x 120 pixels, the env expects 640 x 480: make it with size="):
         env.reset()
@@ -170,7 +170,7 @@ def test_no_guarded_motion_is_too_long_or_leads_out(action, state):
     assert np.all(outside <= before + 1e-12)
 
 
-def test_the_guard_tells_what_it_did():
+def test_the_guard_reports_what_it_did():
     guard = Guard(SPEC)
     assert guard.motion([0.5, -0.5], [0, 0])[1:] == (False, False, False)
     assert guard.motion([2.0, 0.0], [0, 0])[1:] == (True, False, False)
@@ -200,7 +200,7 @@ def test_the_guard_speaks_each_mode(mode, sent):
         ),
     ],
 )
-def test_bad_guards_are_told(options, message):
+def test_bad_guards_raise_an_error(options, message):
     with pytest.raises(ValueError, match=message):
         Guard(SPEC, **options)
     with pytest.raises(ValueError, match="action: expected 2 finite numbers"):
@@ -228,6 +228,6 @@ def test_a_late_loop_does_not_hurry_to_catch_up():
         ({"scale": [0, 1]}, "positive"),
     ],
 )
-def test_bad_action_specs_are_told(fields, message):
+def test_bad_action_specs_raise_an_error(fields, message):
     with pytest.raises(ValueError, match=message):
         ActionSpec.from_dict({**SPEC.to_dict(), **fields})

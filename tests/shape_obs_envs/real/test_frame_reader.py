@@ -56,7 +56,7 @@ def test_the_newest_frame_is_taken_at_once_if_it_arrived_after_the_moment():
 
 
 def test_the_newest_frame_is_refused_if_it_arrived_before_the_moment():
-    """It is 50 ms older than the action: it shows the world before it."""
+    """The frame is 50 ms older than the action, so it shows the scene before it."""
     now = time.monotonic()
     eye = reader(frame(now - 0.05, 7), [frame(now + 10.0, 8)])
     assert eye.frame_after(now).number == 8
@@ -81,7 +81,7 @@ def test_no_old_frame_stands_in_where_no_new_one_comes():
         reader(frame(now - 0.05, 6), [frame(now - 0.04, 7)]).frame_after(now)
 
 
-def test_a_recording_gives_its_next_frame_whatever_its_age():
+def test_a_recording_gives_its_next_frame_at_any_age():
     now = time.monotonic()
     assert reader(None, [frame(now - 99.0, 6)], live=False).frame_after(now).number == 6
     assert reader(None, [frame(None, 6)]).frame_after(now).number == 6

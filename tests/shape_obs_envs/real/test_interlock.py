@@ -18,7 +18,7 @@ from shape_obs_envs.real.interlock import Interlock
 
 
 class TimedRobot(ListRobot):
-    """Notes when it was sent what. It ignores `until`, as a careless driver would; tests block or break its calls."""
+    """A robot that records its commands with their times, and ignores `until` as a careless driver would."""
 
     def __init__(self, **spec: Any) -> None:
         super().__init__(**spec)
@@ -57,7 +57,7 @@ def make(robot, source=None, **options) -> Any:
     return ShapeObservation(env, **ROPE)
 
 
-def test_a_motion_that_nothing_replaces_ends_at_its_time_whatever_the_robot_does():
+def test_a_motion_that_nothing_replaces_ends_on_time_even_if_the_robot_is_busy():
     robot = TimedRobot()
     interlock = Interlock(robot)
     until = time.monotonic() + 0.1
@@ -123,7 +123,7 @@ def test_a_robot_that_cannot_be_stopped_is_an_error_of_the_next_call(caplog):
 def test_a_robot_that_takes_no_end_of_its_motions_is_refused():
     class Endless(ListRobot):
         def send(self, action: Any) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
-            """Move on for ever."""
+            """Ignore the end of the motion."""
 
     with pytest.raises(TypeError, match=r"expected Endless.send\(action, until\), got Endless.send\(action\)"):
         make(Endless())

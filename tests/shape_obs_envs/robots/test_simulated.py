@@ -28,7 +28,7 @@ simulated = pytest.mark.skipif(
 # ---- NullRobot
 
 
-def test_the_null_robot_remembers_what_it_was_told() -> None:
+def test_the_null_robot_records_its_commands() -> None:
     robot = NullRobot(size=2)
     assert isinstance(robot, Robot)
     with pytest.raises(RobotError, match=r"not connected: call connect\(\) first"):
@@ -94,7 +94,7 @@ def frames(robot: SimulatedRobot, count: int) -> list[Frame]:
 
 
 @simulated
-def test_it_is_a_robot_that_moves_as_it_is_told(robot: SimulatedRobot) -> None:
+def test_it_is_a_robot_that_moves_as_commanded(robot: SimulatedRobot) -> None:
     assert isinstance(robot, Robot)
     assert robot.action_spec.names[:3] == ("gripper0/x", "gripper0/y", "gripper0/yaw")
     assert robot.action_spec.units == 2 * ("m", "m", "rad")
@@ -180,7 +180,7 @@ def test_it_keeps_to_the_clock(robot: SimulatedRobot) -> None:
 
 
 @simulated
-def test_what_goes_wrong_goes_wrong_and_is_told(robot: SimulatedRobot) -> None:
+def test_disturbances_take_effect_and_are_reported(robot: SimulatedRobot) -> None:
     robot.reset()
     robot.disturb(drop=0.2, freeze=0.2, black=0.2, occluder=0.8, seed=3)
     got = frames(robot, 30)
@@ -208,7 +208,7 @@ def test_what_goes_wrong_goes_wrong_and_is_told(robot: SimulatedRobot) -> None:
 
 
 @simulated
-def test_the_death_of_the_simulation_is_an_error_and_connect_starts_the_same_anew(
+def test_the_death_of_the_simulation_is_an_error_and_connect_restarts_the_same(
     started: tuple[SimulatedRobot, FirstStart],
 ) -> None:
     robot, first = started

@@ -17,7 +17,7 @@ POSE = D455.rotation, D455.translation
 
 
 def noisy_plane(camera: Intrinsics) -> np.ndarray:
-    """Depth in millimetres of a tilted plane with noise, a block in front, holes and outliers."""
+    """Return the depth in millimetres of a tilted plane with noise, a block in front, holes and outliers."""
     rng = np.random.default_rng(3)
     rays = camera.rays(np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1))
     normal = np.array([np.sin(np.radians(10)), 0, np.cos(np.radians(10))])

@@ -22,7 +22,7 @@ ASIDE = (-0.059, 0.0, 0.0)
 
 
 def plane(camera: Intrinsics, tilt: float, distance: float = 0.62) -> np.ndarray:
-    """Depth of a plane in millimetres that is tilted about the vertical."""
+    """Return the depth in millimetres of a plane that is tilted about the vertical."""
     rays = camera.rays(np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1))
     normal = np.array([np.sin(tilt), 0, np.cos(tilt)])
     return np.rint(1000 * distance * normal[2] / (rays @ normal)).astype(np.uint16)

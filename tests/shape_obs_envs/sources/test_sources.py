@@ -22,7 +22,7 @@ from shape_obs_envs.sources.env import zero_action
 
 @pytest.fixture
 def photos(tmp_path):
-    """Photos 2, 10 and 1, one gray value each; and a file that is none."""
+    """Return a folder of photos 2, 10 and 1 with one gray value each, and a file that is no photo."""
     folder = tmp_path / "photos"
     folder.mkdir()
     for number in (2, 10, 1):
@@ -33,7 +33,7 @@ def photos(tmp_path):
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory):
-    """Eight frames, 25 a second, each of one brightness."""
+    """Return a video of eight frames at 25 Hz, each with one brightness."""
     path = tmp_path_factory.mktemp("video") / "gray.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
     assert writer.isOpened()
@@ -44,7 +44,7 @@ def video(tmp_path_factory):
 
 
 def rest(source):
-    """All frames."""
+    """Return all remaining frames."""
     frames: list[Any] = [moment.frame for moment in read_moments(source)]
     with pytest.raises(EndOfSource, match=f"end of its {len(frames)} frames"):
         source.read()

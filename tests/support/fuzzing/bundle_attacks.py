@@ -20,7 +20,7 @@ _FITTED: Final = "files/0123456789abcdef.npz"
 
 
 def attacks(sample: Members) -> Crafted:
-    """Files that name or hold code: (name, content)."""
+    """Yield files that name or hold code: (name, content)."""
     for group in (_pickles, _classes, _environments, _wrappers, _plugins, _yaml):
         yield from group(sample)
 
@@ -43,7 +43,7 @@ def _pickles(sample: Members) -> Crafted:
         saved.writestr("data", json.dumps({"policy_class": {":type:": "x", ":serialized:": _base64(code)}}))
         saved.writestr("policy.pth", code)
     yield "version 1 with a pickled model", pack({**_old(sample), "model.zip": model.getvalue()}, version=1)
-    yield "model.zip beside the weights", pack({**sample, "model.zip": model.getvalue()})
+    yield "model.zip next to the weights", pack({**sample, "model.zip": model.getvalue()})
 
 
 def _classes(sample: Members) -> Crafted:
@@ -88,7 +88,7 @@ def _environments(sample: Members) -> Crafted:
 
 
 def _own(name: str, kwargs: dict[str, Any]) -> dict[str, Any]:
-    """Changes of the environment's document: a registered id with arguments and without wrappers."""
+    """Return changes of the environment's document: a registered id with arguments and without wrappers."""
     return {"id": name, "entry_point": None, "kwargs": kwargs, "wrappers": []}
 
 
@@ -113,7 +113,7 @@ def _wrappers(sample: Members) -> Crafted:
 
 
 def _plugins(sample: Members) -> Crafted:
-    """Kinds of a plugin that is installed and not imported; and a feature that reads any file."""
+    """Yield kinds of a plugin that is installed and not imported, and a feature that reads any file."""
     env, config = json.loads(sample[ENV]), sample[CONFIG].decode()
     shape = env["wrappers"][0]
     goal = {"points": [[0.0, 0.0, 0.0]] * 4, "configuration": {"kind": "canary"}}
@@ -158,7 +158,7 @@ def _network(sample: Members, network: dict[str, Any]) -> bytes:
 
 
 def _old(sample: Members) -> Members:
-    """Members as version 1 had them, without the model."""
+    """Return the members as in version 1, without the model."""
     record = {name: value for name, value in json.loads(sample[RECORD]).items() if name != "network"}
     record["algorithm"] = "stable_baselines3:SAC"
     env = {"id": "ShapeObs/Cable-v0", "entry_point": "shape_obs_envs.mujoco.cable:CableEnv", "additional_wrappers": []}
@@ -167,7 +167,7 @@ def _old(sample: Members) -> Members:
 
 
 def _with_fitted(sample: Members, data: bytes) -> Members:
-    """The sample with another fitted file, which its configuration and its environment read."""
+    """Return the sample with another fitted file, which its configuration and its environment read."""
     fitted = next(name for name in sample if name.startswith("files/"))
     moved = {
         name: content.replace(fitted.encode(), _FITTED.encode()) for name, content in sample.items() if name != fitted

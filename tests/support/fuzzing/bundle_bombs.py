@@ -23,7 +23,7 @@ _DATE: Final = (1980, 1, 1, 0, 0, 0)
 
 
 def bombs(sample: Members) -> Crafted:
-    """Files that are small and ask for much: (name, content)."""
+    """Yield small files that demand many resources: (name, content)."""
     for group in (_archives, _names, _documents, _tensors):
         yield from group(sample)
 
@@ -155,12 +155,12 @@ def _tensor_file(header: bytes, body: bytes) -> bytes:
 
 
 def _directory(entries: bytes, count: int, start: int) -> bytes:
-    """A directory and the end of a zip."""
+    """Return a directory and the end of a zip."""
     return entries + struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, count, count, len(entries), start, 0)
 
 
 def _flagged(plain: bytes, offset: int, value: int) -> bytes:
-    """A zip with a value in the header of its first member, and in its directory."""
+    """Return a zip with one value replaced in the header of its first member, and in its directory."""
     data = bytearray(plain)
     data[offset : offset + 2] = struct.pack("<H", value)
     at = plain.index(b"PK\x01\x02") + offset + 2

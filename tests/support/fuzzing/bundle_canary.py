@@ -1,4 +1,4 @@
-"""A package whose code leaves a mark when it runs, in a folder that is put on the path: what an attack would run."""
+"""A package, in a folder on the path, whose code leaves a mark when an attack runs it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def write_canary(folder: Path) -> None:
 
 
 class Touch:
-    """Unpickled, it makes the canary's file."""
+    """An object that makes the canary's file when it is unpickled."""
 
     def __reduce__(self) -> tuple[object, tuple[str]]:
         """Name a function of the operating system, as a hostile pickle does."""

@@ -64,7 +64,7 @@ def _swapped(sample: Members, plain: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _member_flipped(sample: Members, plain: bytes, rng: np.random.Generator) -> bytes:
-    """Bits within a member, with the checksum of the result."""
+    """Flip bits within a member, with the checksum of the result."""
     name = list(sample)[int(rng.integers(len(sample)))]
     data = bytearray(sample[name])
     for at in rng.integers(len(data), size=int(rng.integers(1, 8))):
@@ -101,7 +101,7 @@ def _yaml_changed(sample: Members, plain: bytes, rng: np.random.Generator) -> by
 
 
 def _schema(sample: Members, document: Any) -> str | None:
-    """The hash of a configuration's schema, where it has one: a careful attacker gives the right one."""
+    """Return the hash of a configuration's schema, if it has one, as a careful attacker would write it."""
     fitted = {name: data for name, data in sample.items() if name.startswith("files/")}
     with tempfile.TemporaryDirectory() as folder:
         extract(fitted, Path(folder))
@@ -162,7 +162,7 @@ def _hostile(rng: np.random.Generator) -> Any:
 
 
 def _holders(value: Any) -> Iterator[Any]:
-    """The objects and lists of a document; of a list of many numbers only the first few."""
+    """Yield the objects and lists of a document, and only the first few of many numbers."""
     if isinstance(value, (dict, list)):
         yield value
         for inner in value.values() if isinstance(value, dict) else value[:4]:

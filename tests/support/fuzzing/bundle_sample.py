@@ -56,7 +56,7 @@ def save_sample(folder: Path) -> Path:
 
 
 def members_of(path: Path) -> Members:
-    """The members of a bundle, without its manifest."""
+    """Return the members of a bundle, without its manifest."""
     return read_archive(path).members
 
 
@@ -68,7 +68,7 @@ def pack(members: Mapping[str, bytes], /, *, version: Any = VERSION, **manifest:
 
 
 def pack_plain(members: Mapping[str, bytes]) -> bytes:
-    """Make a zip as ``save_bundle`` does, without a manifest of its own."""
+    """Make a zip as ``save_bundle`` does, without its own manifest."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, data in members.items():
@@ -78,12 +78,12 @@ def pack_plain(members: Mapping[str, bytes]) -> bytes:
 
 
 def edited(members: Mapping[str, bytes], name: str, **changes: Any) -> Members:
-    """The members with entries of one JSON document replaced."""
+    """Return the members with entries of one JSON document replaced."""
     return {**members, name: json.dumps({**json.loads(members[name]), **changes}).encode()}
 
 
 def _fitted() -> PointDistribution:
-    """Principal components of smooth curves on a table."""
+    """Return principal components of smooth curves on a table."""
     rng = np.random.default_rng(0)
     along = np.linspace(-0.2, 0.2, _POINTS)
     bends = rng.normal(scale=0.03, size=(_SHAPES, 4))

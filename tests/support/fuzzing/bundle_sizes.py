@@ -19,7 +19,7 @@ _HUGE: Final = 10**9
 
 
 def sizes(sample: Members) -> Crafted:
-    """Files whose values ask for much: (name, content)."""
+    """Yield files whose values demand many resources: (name, content)."""
     for group in (_networks, _spaces, _configurations, _environments, _fitted):
         yield from group(sample)
 

@@ -1,4 +1,4 @@
-"""Read hostile bundles, each in a process of its own, and report what they did.
+"""Read hostile bundles, each in a separate process, and report what they did.
 
 ``python -m fuzzing.bundle_trials FOLDER KILLS SEED`` reads ``FOLDER/files/*``, those named
 ``*.trusted`` with ``trust=True``. The process has all libraries loaded and forks for each file, so that time and memory
@@ -176,7 +176,7 @@ def _act(bundle: Bundle) -> None:
 
 
 def _memory() -> float:
-    """The most memory that this process has had, in MB."""
+    """Return the most memory that this process has had, in MB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 

@@ -56,14 +56,14 @@ def bundle_claims(mutated: int = 1000, every: int = 1, kills: int = 30, seed: in
         at_most(f"{what}: lost or half-written bundles", 0, killed["broken"], ""),
         at_most(f"{what}: bundles that do not load", 0, killed["unread"], ""),
         at_least(f"{what}: kills during the writing of the file", 1, killed["writing"], ""),
-        at_most(f"{what}: temporary files left beside it, a kill", 1, killed["left"] / kills, ""),
+        at_most(f"{what}: temporary files left next to it, per kill", 1, killed["left"] / kills, ""),
     ]
 
 
 def read_all(
     folder: Path, files: Sequence[Named], trusted: Sequence[Named] = (), kills: int = 0, seed: int = 0
 ) -> tuple[list[dict[str, Any]], dict[str, int]]:
-    """Read files, each in a process of its own, then kill processes that save a bundle.
+    """Read files, each in a separate process, then kill processes that save a bundle.
 
     Args:
         folder: With ``sample.policy``.

@@ -46,7 +46,7 @@ def mutate(value: Any, draw: np.random.Generator) -> Any:
 
 
 def mutate_bytes(data: bytes, draw: np.random.Generator) -> bytes:
-    """Return bytes of which some are changed, cut off, repeated, or have a piece of hostile text between them."""
+    """Return bytes with some of them changed, cut off or repeated, or with a piece of hostile text inserted."""
     at, action = int(draw.integers(len(data) + 1)), draw.integers(5)
     length = int(draw.integers(1, 40))
     if action == 0:

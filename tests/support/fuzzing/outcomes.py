@@ -42,7 +42,7 @@ class Outcomes:
                 value = read()
         except self._declared:
             self.counts["refused"] += 1
-        except Exception as error:  # noqa: BLE001 - whatever else there is, it is what is looked for
+        except Exception as error:  # noqa: BLE001 - undeclared exceptions are what is looked for
             self.counts["undeclared"] += 1
             _LOG.warning("%s: undeclared %r", name, error, exc_info=True)
         else:
@@ -53,7 +53,7 @@ class Outcomes:
 
     @property
     def total(self) -> int:
-        """How many were tried."""
+        """The number of trials."""
         return sum(self.counts.values())
 
 
@@ -86,7 +86,7 @@ _WATCH: Final = _Watch()
 
 @contextmanager
 def opened_in(folder: Path) -> Iterator[list[str]]:
-    """Note which files in a folder this process opens meanwhile, by whatever path."""
+    """Record which files in a folder this process opens, under any path."""
     _WATCH.begin(folder)
     try:
         yield _WATCH.opened

@@ -81,7 +81,7 @@ def record_some(folder: Path) -> None:
 
 
 class _Still:
-    """A source that only tells what it is."""
+    """A source with a name and a camera, but without frames."""
 
     kind, name, serial = "test", "still", None
 

@@ -1,4 +1,4 @@
-"""The mutants, by what they break."""
+"""Mutants, grouped by the contract that they break."""
 
 from .mutant import Mutant as Mutant
 from .safety import SAFETY

@@ -1,4 +1,4 @@
-"""One small fault."""
+"""A small fault in the source code."""
 
 from __future__ import annotations
 

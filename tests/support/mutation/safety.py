@@ -1,4 +1,4 @@
-"""Faults in what stands between a policy and a robot."""
+"""Faults in the safety layers between a policy and a robot."""
 
 from __future__ import annotations
 

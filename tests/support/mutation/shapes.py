@@ -55,7 +55,7 @@ SHAPES: tuple[Mutant, ...] = (
     _points("a point without a ray is valid", "    valid &= np.isfinite(points3d).all(axis=1)", "    pass",
             _DEGENERATE),
     _points("holes take no neighbour's depth", "if not valid.all() and valid.any():", "if False:"),
-    _points("depth beside what hides a piece is the points'",
+    _points("depth next to what hides a piece is the points'",
             "z[np.isnan(under)[_nearest(points, form.points)]] = np.nan", "pass", _OCCLUDERS, _LIFTING),
     _points("one pixel gives the depth of a point", "reach = min(max(round(width / 4), 1), MAX_REACH)", "reach = 0"),
     _points("the axis lies along z", "radius / np.linalg.norm(rays, axis=1)", "radius"),

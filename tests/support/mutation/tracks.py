@@ -1,4 +1,4 @@
-"""Faults in tracking, in the order of points, and in what stands in for a lost shape."""
+"""Faults in tracking, in the order of points, and in the replacement of a lost shape."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _order(name: str, module: str, old: str, new: str, *tests: str, equivalent: 
 
 TRACKS: tuple[Mutant, ...] = (
     _track("prediction runs backwards", "max(stamp - track.stamp, 0.0)", "(stamp - track.stamp)"),
-    _track("prediction runs on for ever", "min(max(stamp - track.stamp, 0.0), track.interval)",
+    _track("prediction runs on without limit", "min(max(stamp - track.stamp, 0.0), track.interval)",
            "max(stamp - track.stamp, 0.0)"),
     _track("all of the last step", "_VELOCITY_SHARE: Final = 0.8", "_VELOCITY_SHARE: Final = 1.0"),
     _track("motion is reversed", "track.nodes + _VELOCITY_SHARE", "track.nodes - _VELOCITY_SHARE"),
@@ -82,15 +82,15 @@ TRACKS: tuple[Mutant, ...] = (
     _order("a surface ignores its anchor", "surface",
            "np.argmin(np.sum((corners - target) ** 2, axis=1))", "np.argmax(np.sum((corners - target) ** 2, axis=1))",
            "tests/configurations/test_surface.py"),
-    _mutant("order", "every frame is numbered afresh", "detector", 'if spec.order == "image":', "if True:",
+    _mutant("order", "every frame is numbered again", "detector", 'if spec.order == "image":', "if True:",
             _DETECTOR, _ORDER),
-    _mutant("order", "no frame is numbered afresh", "detector", 'if spec.order == "image":', "if False:",
+    _mutant("order", "no frame is numbered again", "detector", 'if spec.order == "image":', "if False:",
             _DETECTOR, _ORDER),
     _order("a fresh start forgets the direction", "centerline",
            "bridged, prediction, depth)", "bridged, None, depth)", _OCCLUDERS),
     _order("a fitted chain is not matched to the track", "centerline",
            "            curve = match_chain(curve, prediction, depth)", "            pass"),
-    _mutant("missing", "held shapes are ok for ever", "tracking/missing", 'ok = policy == "hold" and age <= max_age',
+    _mutant("missing", "held shapes are always ok", "tracking/missing", 'ok = policy == "hold" and age <= max_age',
             'ok = policy == "hold"', _MISSING),
     _mutant("missing", "truncate holds", "tracking/missing", 'ok = policy == "hold" and age <= max_age',
             "ok = age <= max_age", _MISSING),

@@ -144,7 +144,16 @@ class Body(abc.ABC):
 
 
 class PlanarBody(Body):
-    """An object on the table, whose grippers move in x, y (metres) and yaw (radians)."""
+    """An object on the table, whose grippers move in x, y (metres) and yaw (radians).
+
+    Args:
+        model: The compiled model; the viscosity of its medium stands for the friction on the table.
+        grippers: Names of the mocap bodies that hold the object.
+    """
+
+    def __init__(self, model: Any, grippers: Sequence[str]) -> None:
+        super().__init__(model, grippers)
+        self._viscosity = float(model.opt.viscosity)
 
     def set_state(self, state: Array) -> None:
         """Restore a result of ``get_state``, with the grippers at the height of the present thickness."""
@@ -161,3 +170,9 @@ class PlanarBody(Body):
         """Return the poses ``(G, 3)`` of the mocap bodies: x, y in metres and yaw in radians, world frame."""
         turn = self.data.mocap_quat[self._grippers]
         return np.column_stack([self.data.mocap_pos[self._grippers, :2], 2 * np.arctan2(turn[:, 3], turn[:, 0])])
+
+    def _set_bending(self, joints: slice, stiffness: float, damping: float, factors: MaterialFactors) -> None:
+        """Set the joints between links, and the friction on the table, to factors of their nominal values."""
+        self.model.jnt_stiffness[joints] = stiffness * factors.stiffness
+        self.model.dof_damping[joints] = damping * factors.damping
+        self.model.opt.viscosity = self._viscosity * factors.friction

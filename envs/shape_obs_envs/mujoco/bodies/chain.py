@@ -144,7 +144,6 @@ class Chain(PlanarBody):
         self.nominal = self.spec = spec
         self._bodies = np.array([model.body(f"link{i}").id for i in range(spec.links)])
         self._geoms = np.array([model.geom(f"link{i}").id for i in range(spec.links)])
-        self._viscosity = float(model.opt.viscosity)
         self._arc = _arc_lengths(spec)
 
     @property
@@ -190,10 +189,7 @@ class Chain(PlanarBody):
                 model.geom_size[jaw], model.geom_pos[jaw] = size, place
                 model.geom_rbound[jaw] = np.linalg.norm(size)
         reshape_tube(model, _tube(spec))
-        bends = slice(3, 2 + spec.links)
-        model.jnt_stiffness[bends] = nominal.stiffness * factors.stiffness
-        model.dof_damping[bends] = nominal.damping * factors.damping
-        model.opt.viscosity = self._viscosity * factors.friction
+        self._set_bending(slice(3, 2 + spec.links), nominal.stiffness, nominal.damping, factors)
 
     def place(self, tip: Array, headings: Array) -> None:
         """Place the chain at rest with its first tip at ``tip`` (x, y) and its links at ``headings`` ``(links,)``."""

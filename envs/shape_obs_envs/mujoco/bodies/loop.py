@@ -148,7 +148,6 @@ class Loop(PlanarBody):
         self._bodies = np.array([model.body(f"link{i}").id for i in range(spec.links)])
         self._pieces = np.array([model.geom(f"link{i}").id for i in range(spec.links)])
         self._knuckles = np.array([model.geom(f"knuckle{i}").id for i in range(spec.links)])
-        self._viscosity = float(model.opt.viscosity)
         # Converts headings of the held links to turns.
         self._rest = np.pi / 2 + spec.turn * np.array(spec.held)
 
@@ -202,10 +201,7 @@ class Loop(PlanarBody):
             model.geom_size[jaw], model.geom_pos[jaw] = _jaw_box(spec)
             model.geom_rbound[jaw] = np.linalg.norm(model.geom_size[jaw])
         reshape_tube(model, _tube(spec))
-        bends = slice(3, 3 + spec.links)
-        model.jnt_stiffness[bends] = nominal.stiffness * factors.stiffness
-        model.dof_damping[bends] = nominal.damping * factors.damping
-        model.opt.viscosity = self._viscosity * factors.friction
+        self._set_bending(slice(3, 3 + spec.links), nominal.stiffness, nominal.damping, factors)
 
     def place(self, middle: Array, turn: float) -> None:
         """Place the band at rest as a circle about ``middle`` (x, y), turned by ``turn``."""

@@ -171,7 +171,7 @@ class SoftwareD455:
         Raises:
             ValueError: An image has another size or type.
         """
-        # librealsense reads as many bytes as the stream's mode requires, whatever the array's size.
+        # librealsense reads as many bytes as the stream's mode requires, regardless of the array's size.
         _check(colour, "colour", (*self.geometry.colour.size, 3), np.uint8)
         _check(depth, "depth", self.geometry.depth.size, np.uint16)
         domains = self._rs.timestamp_domain

@@ -203,7 +203,7 @@ class RealSenseSource(Source):
         """Return the newest frame without waiting; the same frame again until a newer one comes.
 
         Args:
-            max_age: Largest time in seconds since it arrived. A recording returns its next frame, whatever its age.
+            max_age: Largest time in seconds since it arrived. A recording returns its next frame at any age.
 
         Raises:
             StaleFrame: The newest frame is older, or there is none yet.

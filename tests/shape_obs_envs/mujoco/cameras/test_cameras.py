@@ -40,7 +40,7 @@ def make(**kwargs: Any) -> CableEnv:
 
 
 def views(env, seeds=3):
-    """Play a few bent shapes; after each, the picture and depth [m] of the environment's camera."""
+    """Play a few bent shapes, and yield picture and depth in metres after each."""
     rng = np.random.default_rng(0)
     for seed in range(seeds):
         env.reset(seed=seed)

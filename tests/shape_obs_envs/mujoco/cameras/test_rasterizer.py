@@ -34,7 +34,7 @@ def make(**options: Any) -> ClothEnv:
 
 
 def views(env: ClothEnv) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Each shape by name, with its picture and depth [m]."""
+    """Yield the name, picture and depth in metres of each shape."""
     for seed, (name, moves) in enumerate(SHAPES.items()):
         env.np_random = np.random.default_rng(seed)
         env._target = env._draw_start()
@@ -55,7 +55,7 @@ def grown(mask: np.ndarray, by: int = 1) -> np.ndarray:
 
 
 def distances(env: ClothEnv, pixels: np.ndarray) -> np.ndarray:
-    """(P,) the nearest of the sheet's triangles along the rays of pixels (P, 2) [m of depth]; inf where there is none.
+    """Return the depth of the sheet's nearest triangle at pixels (P, 2) in metres, (P,); inf where there is none.
 
     Every ray is tried with every triangle (T. Moeller and B. Trumbore, 1997).
     """
@@ -69,16 +69,16 @@ def distances(env: ClothEnv, pixels: np.ndarray) -> np.ndarray:
         scale = np.einsum("ij,ij->i", b - a, across)
         with np.errstate(divide="ignore", invalid="ignore"):
             first = np.einsum("ij,ij->i", -a, across) / scale
-            beside = np.cross(-a, b - a)
-            second = beside @ ray / scale
-            depth = np.einsum("ij,ij->i", c - a, beside) / scale
+            moment = np.cross(-a, b - a)
+            second = moment @ ray / scale
+            depth = np.einsum("ij,ij->i", c - a, moment) / scale
         hit = (first >= 0) & (second >= 0) & (first + second <= 1) & (depth > 0)
         nearest[i] = depth[hit].min(initial=np.inf)
     return nearest
 
 
 def drawn_from(rng: np.random.Generator, mask: np.ndarray, count: int = 150) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of some pixels of a mask."""
+    """Return rows and columns of random pixels of a mask."""
     v, u = np.nonzero(mask)
     chosen = rng.choice(len(v), count, replace=False)
     return v[chosen], u[chosen]

@@ -21,7 +21,7 @@ OFTEN = {"hand": {"probability": 1.0, "latest": 0, "speed": [0.2, 0.2]}, "distra
 
 
 def near_an_edge(*pictures: np.ndarray, least: int = 25) -> np.ndarray:
-    """Mask (H, W) of where any of the pictures changes by more than `least` within two pixels."""
+    """Return the mask (H, W) of pixels near which, within two pixels, a picture changes by more than `least`."""
     out = np.zeros(pictures[0].shape[:2], bool)
     for picture in pictures:
         change = cv2.morphologyEx(picture, cv2.MORPH_GRADIENT, np.ones((5, 5), np.uint8))
@@ -50,7 +50,7 @@ def test_gl_and_rays_agree(name, camera):
 
 @needs_gl
 def test_a_print_lies_where_opengl_lays_it():
-    """A texture that shows places: red grows with x, green falls with y."""
+    """Use a texture that encodes positions: red grows with x, green falls with y."""
     pictures = []
     for renderer in ("gl", "rays"):
         env = make(

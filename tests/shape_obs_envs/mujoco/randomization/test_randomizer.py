@@ -84,7 +84,7 @@ def test_a_mapping_chooses_factors_and_strengths():
         ({"others": 1}, "randomize: others: expected True or False, got 1"),
     ],
 )
-def test_bad_arguments_are_told(argument, message):
+def test_bad_arguments_raise_an_error(argument, message):
     with pytest.raises(ValueError, match="randomize: ") as error:
         Randomizer(argument)
     assert message in str(error.value)

@@ -24,7 +24,7 @@ OTHER = {".db3": ".bag", ".bag": ".db3"}
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory):
-    """A recording, and the frames that were read while it was made."""
+    """Return a recording, and the frames that were read while it was made."""
     path = tmp_path_factory.mktemp("recording") / f"rope{recording_suffix()}"
     device = camera()
     frames = []
@@ -54,7 +54,7 @@ def test_a_recording_gives_the_same_frames(recorded) -> None:
                     read()
 
 
-@pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not at hand")
+@pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not available")
 def test_the_recording_of_a_real_camera() -> None:
     with RealSenseSource(recording=REAL) as stream:
         frame = stream.read(10)
@@ -91,7 +91,7 @@ def test_bad_files(recorded, tmp_path: Path) -> None:
             RealSenseSource(recording=path).connect()
 
 
-@pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not at hand")
+@pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not available")
 def test_bad_bags(tmp_path: Path) -> None:
     shutil.copy(REAL, tmp_path / "real.db3")
     (tmp_path / "half.bag").write_bytes(REAL.read_bytes()[:300_000])
@@ -124,7 +124,7 @@ def test_a_killed_recording_loses_nothing(tmp_path: Path) -> None:
         "for _ in range(20):\n"
         "    device.push_raw(np.zeros((120, 160, 3), np.uint8), np.full((120, 160), 700, np.uint16))\n"
         "    stream.read(5)\n"
-        "time.sleep(0.5)\n"  # the recorder has a thread of its own
+        "time.sleep(0.5)\n"  # the recorder runs in a separate thread
         "os.kill(os.getpid(), signal.SIGKILL)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL

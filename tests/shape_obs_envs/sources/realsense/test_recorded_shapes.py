@@ -23,7 +23,7 @@ FRAMES = 12
 
 
 def rope(number: int) -> tuple[np.ndarray, np.ndarray]:
-    """A rope that moves over a table: raw (120,160,3) uint8 and (120,160) uint16 mm."""
+    """Return raw images of a rope that moves over a table: (120, 160, 3) uint8 and (120, 160) uint16 mm."""
     t = np.linspace(0, 1, 200)
     mask = draw_rope(np.stack([40 + 80 * t, 60 + number + 15 * np.sin(5 * t)], axis=1), 7.0, size=(120, 160)).mask > 0
     rgb = np.where(mask[..., None], (30, 60, 200), (190, 185, 180)).astype(np.uint8)
@@ -32,7 +32,7 @@ def rope(number: int) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, ShapeTable]:
-    """A folder with a config and both recordings, librealsense's file among them, and what was found live."""
+    """Return a folder with a config and both recordings, and the live detections."""
     folder = tmp_path_factory.mktemp("camera")
     save_config(folder / "shape.yaml", CONFIG)
     raw, device, detector = folder / f"rope{recording_suffix()}", camera(), ShapeDetector(**CONFIG)

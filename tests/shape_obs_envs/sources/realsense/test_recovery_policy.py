@@ -37,7 +37,7 @@ def test_a_frozen_stream_never_yields_a_frame(stream_name: str) -> None:
 
 
 def test_colour_that_lags_behind_depth_never_yields_a_frame() -> None:
-    """Both images are new, but not of one moment."""
+    """Both images are new, but were not taken at the same time."""
     device = camera()
     with source(device, max_gap=0.0) as stream:
         arrived(stream, device.push_raw(*picture(), 1.0))
@@ -88,7 +88,7 @@ def test_a_timeout_is_kept_to(timeout: float) -> None:
         assert time.monotonic() - begun < max(2 * timeout, 0.2)
 
 
-def test_a_missing_camera_is_told_soon() -> None:
+def test_a_missing_camera_is_reported_soon() -> None:
     begun = time.monotonic()
     with pytest.raises(CameraNotFound, match="No camera with the serial number 0000 is connected") as error:
         RealSenseSource(serial="0000").connect()
@@ -109,7 +109,7 @@ def test_two_cameras_need_a_serial_number() -> None:
         assert (stream.name, numbers(stream, 2)) == ("software:2", [1, 2])
 
 
-def test_a_camera_in_use_is_told() -> None:
+def test_a_camera_in_use_is_reported() -> None:
     device = camera()
     with source(device) as stream:
         with pytest.raises(SourceError, match=r"455 \(USB 3\.2\) is in use"):
@@ -194,12 +194,12 @@ def test_a_program_may_end_while_a_camera_streams() -> None:
 
 
 def _open() -> tuple[int, int]:
-    """File descriptors and threads of this process."""
+    """Return the numbers of file descriptors and threads of this process."""
     return len(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task"))
 
 
 def _resident() -> int:
-    """Bytes."""
+    """Return the resident memory of this process in bytes."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 

@@ -78,7 +78,7 @@ def test_every_frame_comes_while_the_processor_is_busy() -> None:
             thread.join()
 
 
-def test_when_nobody_reads_the_newest_stay() -> None:
+def test_without_a_reader_the_newest_frames_stay() -> None:
     device = camera()
     with source(device, buffer=4) as stream:
         for _ in range(10):
@@ -183,7 +183,7 @@ def test_options_are_set() -> None:
         ({"width": 640, "height": 480}, r"has no 640 x 480 at 30 .* it has 160 x 120 at 30"),
     ],
 )
-def test_what_the_camera_cannot_do_is_told(options: dict, message: str) -> None:
+def test_what_the_camera_cannot_do_is_reported(options: dict, message: str) -> None:
     device = camera()
     with pytest.raises(SourceError, match=message) as error:
         source(device, **options).connect()
@@ -192,7 +192,7 @@ def test_what_the_camera_cannot_do_is_told(options: dict, message: str) -> None:
         pass
 
 
-def test_a_missing_mode_on_usb_2_tells_so() -> None:
+def test_a_missing_mode_on_usb_2_is_reported() -> None:
     with pytest.raises(SourceError, match="USB 3 port"):
         source(camera(usb="2.1"), fps=90).connect()
 
