@@ -13,8 +13,7 @@ from shape_obs.frame import Frame
 from shape_obs.image.colour_search import find_by_colour, find_on_lattice, look_up, table_mask
 from shape_obs.image.colour_table import colour_table
 from shape_obs.image.connected_runs import find_components, near_mask
-from shape_obs.image.outline_tracing import trace_outline
-from shape_obs.image.region import Region
+from shape_obs.image.region import Region, trace_outline
 from shape_obs.image.roi import ROI, Window
 from shape_obs.image.segmentation import ColourRule, Segmentation, need
 

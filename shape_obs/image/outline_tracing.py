@@ -21,25 +21,6 @@ _RIGHT = np.array([1, 1, 0, -1, -1, -1, 0, 1])
 _DOWN = np.array([0, -1, -1, -1, 0, 1, 1, 1])
 
 
-@compiled("(u1[:,::1], i8[:,::1], i8, i8)")
-def trace_outline(mask: Mask, runs: Indices, left: int, top: int) -> tuple[Array, float]:
-    """Trace the outline of a mask of one component without holes.
-
-    Args:
-        mask: ``(h, w)`` uint8, C-contiguous, 0 = background.
-        runs: ``(R, 3)`` its runs.
-        left: Image column of its first pixel.
-        top: Image row of its first pixel.
-
-    Returns:
-        ``(P, 2)`` image pixels, closed, 8-connected, through the centres of the border pixels, in OpenCV's order, and
-        its length, pixels; no points if there are holes.
-    """
-    if has_holes(runs):
-        return np.empty((0, 2)), 0.0
-    return follow_border(mask, runs[0, 1] - left, runs[0, 0] - top, left, top)
-
-
 def trace_with_holes(mask: Mask, left: int, top: int) -> tuple[Array, float, float]:
     """Trace the outline of a component that fills its mask, and measure its holes, with OpenCV.
 

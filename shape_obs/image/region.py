@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.samples import Samples
 from shape_obs.image.connected_runs import gather_cells, near_mask
-from shape_obs.image.outline_tracing import trace_outline, trace_with_holes
+from shape_obs.image.outline_tracing import follow_border, has_holes, trace_with_holes
 from shape_obs.image.roi import Window
 
 if TYPE_CHECKING:
@@ -198,6 +199,25 @@ class Region:
         """Return whether the mask has ``(N, 2)`` pixels: ``(N,)`` bool."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         return near_mask(self.mask, self.window.left, self.window.top, points, 0)
+
+
+@compiled("(u1[:,::1], i8[:,::1], i8, i8)")
+def trace_outline(mask: npt.NDArray[np.uint8], runs: npt.NDArray[np.int64], left: int, top: int) -> tuple[Array, float]:
+    """Trace the outline of a mask of one component without holes.
+
+    Args:
+        mask: ``(h, w)`` uint8, C-contiguous, 0 = background.
+        runs: ``(R, 3)`` its runs.
+        left: Image column of its first pixel.
+        top: Image row of its first pixel.
+
+    Returns:
+        ``(P, 2)`` image pixels, closed, 8-connected, through the centres of the border pixels, in OpenCV's order, and
+        its length, pixels; no points if there are holes.
+    """
+    if has_holes(runs):
+        return np.empty((0, 2)), 0.0
+    return follow_border(mask, runs[0, 1] - left, runs[0, 0] - top, left, top)
 
 
 def _component(area: int, outline: Array, perimeter: float, holes: float) -> Component:

@@ -140,5 +140,28 @@ def median_depth(
                         near[known] = z
                         known += 1
         if known >= max(min_share * inside, 1):
-            out[n] = np.median(near[:known])
+            out[n] = _median(near, known)
     return out
+
+
+@compiled
+def _median(values: Array, count: int) -> float:
+    """Return the median of the first ``count`` values, which are reordered (C. A. R. Hoare, "Find", CACM 4, 1961)."""
+    low, high, half = 0, count - 1, count // 2
+    while low < high:
+        pivot, i, j = values[half], low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i, j = i + 1, j - 1
+        low, high = (i if j < half else low), (j if half < i else high)
+    if count % 2:
+        return values[half]
+    below = values[0]
+    for k in range(1, half):
+        below = max(below, values[k])
+    return (below + values[half]) / 2

@@ -168,14 +168,18 @@ def sample_spread(points: Array, weight: Array, curve: Array) -> float:
     About 150 of the points are measured.
     """
     step, last = -(-len(points) // _JUDGED), len(curve) - 1
-    nearest = best_matching_units(points[::step].copy(), curve)
-    total = 0.0
-    for m in range(len(nearest)):
+    some = np.empty((-(-len(points) // step), points.shape[1]))
+    for m in range(len(some)):
+        for d in range(points.shape[1]):
+            some[m, d] = points[m * step, d]
+    nearest = best_matching_units(some, curve)
+    total = whole = 0.0
+    for m in range(len(some)):
         p = nearest[m]
         before, after = max(p - 1, 0), min(p + 1, last)
         along = reach = square = 0.0
         for d in range(points.shape[1]):
-            tangent, offset = (curve[after, d] - curve[before, d]) / (after - before), points[m * step, d] - curve[p, d]
+            tangent, offset = (curve[after, d] - curve[before, d]) / (after - before), some[m, d] - curve[p, d]
             reach += tangent * tangent
             along += offset * tangent
             square += offset * offset
@@ -183,7 +187,8 @@ def sample_spread(points: Array, weight: Array, curve: Array) -> float:
         along /= max(reach, 1e-9)
         beyond = min(max(along, -reach), reach)
         total += weight[m * step] * max(square - 2 * along * beyond + beyond * beyond, 0.0)
-    return total / weight[::step].sum()
+        whole += weight[m * step]
+    return total / whole
 
 
 @compiled("(f8[:,::1], i8[::1], f8[:,::1], i8)")

@@ -15,7 +15,6 @@ from shape_obs.geometry.polyline import (
     catmull_rom,
     equal_chords,
     interpolate,
-    nearest_on,
     resample,
 )
 
@@ -88,15 +87,3 @@ def test_any_layout_is_resampled(view):
     curve = np.array([[0.0, 0], [3, 0], [3, 4]])
     found = resample(view(curve), 8)
     np.testing.assert_allclose(np.linalg.norm(np.diff(found, axis=0), axis=1), 1.0, atol=0.3)
-
-
-@given(SEEDS)
-def test_nearest_places_by_brute_force(seed):
-    rng = np.random.default_rng(seed)
-    curve, points = rng.uniform(0, 10, (6, 2)), rng.uniform(0, 10, (5, 2))
-    arc, distance = nearest_on(curve, points)
-    fine = resample(curve, 20001)
-    away = np.linalg.norm(points[:, None] - fine, axis=2)
-    np.testing.assert_allclose(distance, away.min(axis=1), atol=1e-2)
-    on = interpolate(curve, arc_length(curve), arc)
-    np.testing.assert_allclose(np.linalg.norm(on - points, axis=1), distance, atol=1e-9)

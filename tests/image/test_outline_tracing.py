@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from shape_obs.image.connected_runs import find_components
-from shape_obs.image.outline_tracing import follow_border, trace_outline, trace_with_holes
+from shape_obs.image.outline_tracing import follow_border, trace_with_holes
+from shape_obs.image.region import trace_outline
 
 FOLLOW: Any = getattr(follow_border, "py_func", follow_border)  # compiled for compiled callers only
 
