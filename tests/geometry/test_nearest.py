@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shape_obs.geometry.nearest import nearest_on
-from shape_obs.geometry.polyline import arc_length, interpolate
+from shape_obs.geometry.polyline import arc_length, interpolate, resample
 
 
 @given(st.integers(0, 2**32 - 1))
