@@ -65,7 +65,7 @@ class ShapeDetector:
         shapes: The configurations, the detector's defaults filled in.
 
     Raises:
-        SpecError: An argument is not understood; the message names the nearest known one.
+        SpecError: An argument is not understood; the message names the nearest valid one.
 
     Example:
         >>> detector = ShapeDetector([Centerline(n=20)], HSVRange(low=(90, 60, 30), high=(130, 255, 255)))
@@ -226,7 +226,7 @@ class ShapeDetector:
     def _fit(self, spec: Configuration, observed: Observed, target: Array | None, moment: _Moment) -> Fit:
         """Fit a configuration to an object, from its track if there is one, and advance the track."""
         if self._kinds.setdefault(spec.name, type(observed)) is not type(observed):
-            self._tracks.pop(spec.name, None)  # pixels say nothing about metres
+            self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres
             self._last.pop(spec.name, None)
             self._kinds[spec.name] = type(observed)
         if not observed.pieces:
@@ -241,10 +241,10 @@ class ShapeDetector:
             if spec.order == "image":
                 seen = observed.seen(found.form.points, target)
                 found = found._replace(form=spec.apply_index_order(found.form, seen, target))
-        if isinstance(self.config.clustering, Clusterer):
-            from shape_obs.configurations.cluster_assignment import assign_centres  # the map needs none
+            if isinstance(self.config.clustering, Clusterer):
+                from shape_obs.configurations.cluster_assignment import assign_centres  # the map needs none
 
-            found = assign_centres(found, observed, spec, self.config.clustering)
+                found = assign_centres(found, observed, spec, self.config.clustering)
         return found
 
     def _finish(self, spec: Configuration, found: Fit, moment: _Moment) -> Shape:

@@ -40,7 +40,7 @@ def draw_detection(
         (H*scale, W*scale, 3) uint8, RGB: green points are valid, orange ones on the mask but without depth, red ones
         hidden or held; numbers run from 0 and the first point is ringed. A shape that is not ok says why.
     """
-    picture = np.repeat(np.repeat(rgb, scale, axis=0), scale, axis=1) if scale > 1 else rgb.copy()
+    picture = rgb.repeat(scale, axis=0).repeat(scale, axis=1)
     for curve, colour in under:
         draw_curve(picture, _enlarged(curve, scale), colour, thickness=2)
     for row, shape in enumerate(detection):
@@ -66,7 +66,7 @@ def draw_shape(picture: Image, shape: Shape, *, scale: int = 1) -> None:
     for first, second in shape.layout.edges():
         if known[first] and known[second]:
             draw_curve(picture, points[[first, second]], _PAPER, thickness=1)
-    numbers = points + _beside(points, shape.layout)
+    numbers = points + _number_offsets(points, shape.layout)
     for i in np.flatnonzero(known):
         colour = VALID if shape.valid[i] else VISIBLE if shape.visible[i] else HIDDEN
         centre = _fixed(points[i])
@@ -88,7 +88,7 @@ def _enlarged(points: npt.NDArray[Any], scale: int) -> Array:
     return (points.astype(np.float64) + 0.5) * scale - 0.5
 
 
-def _beside(points: Array, layout: Topology, distance: float = 16.0) -> Array:
+def _number_offsets(points: Array, layout: Topology, distance: float = 16.0) -> Array:
     """Return the way from each point to its number, which hides no other point.
 
     Next to a curve, on the outside of its bends; within a mesh, up and to the left.

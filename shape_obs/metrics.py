@@ -43,7 +43,7 @@ def silhouette(points: npt.ArrayLike, labels: npt.ArrayLike, *, sample: int | No
     Args:
         points: (M,D).
         labels: (M,) whole numbers.
-        sample: Of how many points, drawn by lot, the mean is taken; None takes all. a and b are exact still.
+        sample: Of how many points, drawn at random, the mean is taken; None takes all. a and b are exact still.
         seed: Of the lot.
 
     Raises:
@@ -98,7 +98,7 @@ def spacing_cv(points: npt.ArrayLike, layout: Topology, valid: npt.NDArray[np.bo
 
     Args:
         points: (N,D) in order.
-        layout: How they hang together.
+        layout: How they are connected.
         valid: (N,) bool: only gaps between two such points count; None counts all.
 
     Returns:
@@ -124,7 +124,7 @@ def coverage(points: npt.ArrayLike, layout: Topology, pixels: npt.ArrayLike, rea
 
     Args:
         points: (N,D) in order.
-        layout: How they hang together: a chain or ring is the polyline through them, a lattice the sheet of its cells,
+        layout: How they are connected: a chain or ring is the polyline through them, a lattice the sheet of its cells,
             each as two triangles.
         pixels: (M,D) the object, all of it.
         reach: How far off an object's pixel may lie, in the unit of ``points``: of a rope half its width. Points at the
@@ -190,7 +190,7 @@ def _faces(triangle: Array, points: Array, reach: float) -> npt.NDArray[np.bool_
     """Return whether a point's foot on the plane of a triangle ``(3, D)`` lies within it, at most ``reach`` away."""
     sides, away = triangle[1:] - triangle[0], points - triangle[0]
     gram = sides @ sides.T
-    if np.linalg.det(gram) <= 1e-12 * gram.trace() ** 2:  # no area: its sides say all
+    if np.linalg.det(gram) <= 1e-12 * gram.trace() ** 2:  # no area: its sides are enough
         return np.zeros(len(points), bool)
     share = np.linalg.solve(gram, sides @ away.T).T
     inside = (share >= 0).all(axis=1) & (share.sum(axis=1) <= 1)

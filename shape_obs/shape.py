@@ -107,7 +107,7 @@ class Detection:
         shapes: In the order of the detector's configurations; ``detection["name"]`` finds one by name.
         stamp: Seconds.
         timings: Milliseconds by stage, and ``"total"``: ``"roi"`` where it moves, ``"segmentation"`` of an image,
-            ``"region"`` of a mask given, ``"cloud"``, ``"fit"``, ``"clustering"`` where there is any, ``"lift"``.
+            ``"region"`` of a mask given, ``"cloud"``, ``"fit"``, ``"lift"``.
     """
 
     shapes: tuple[Shape, ...]

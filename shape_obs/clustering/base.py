@@ -50,9 +50,9 @@ class Clusterer(Clustering):
         """Cluster the samples, from nothing but them: equal arguments give equal centres.
 
         Args:
-            samples: M >= N points of any dimension; each counts once, whatever its weight.
-            layout: How the N points of the shape hang together; ``layout.size`` = N.
-            seed: Of whatever is drawn by lot.
+            samples: M >= N points of any dimension; each counts once, regardless of its weight.
+            layout: How the N points of the shape are connected; ``layout.size`` = N.
+            seed: Of what is drawn at random.
         """
 
 

@@ -21,7 +21,7 @@ _TINY: Final = 1e-18
 
 @dataclass(frozen=True)
 class FuzzyCMeans(Clusterer, kind="fcm"):
-    """Fuzzy C-means with the fuzzifier m = 2, started from N samples drawn by lot.
+    """Fuzzy C-means with the fuzzifier m = 2, started from N samples drawn at random.
 
     With d the distance of sample i to centre k: u_ik = d_ik^-2 / sum_k d_ik^-2, and centre k is the mean of the
     samples weighed by u_ik^2, in turn.

@@ -44,7 +44,7 @@ class KMeans(Clusterer, kind="kmeans"):
         n_init: Any = self.n_init  # scikit-learn's annotation allows "auto" alone
         estimator = Estimator(layout.size, n_init=n_init, max_iter=self.max_iter, random_state=seed)
         with single_thread(), warnings.catch_warnings():
-            # Fewer places than clusters: some centres coincide, which is what the points then say too.
+            # Fewer places than clusters: some centres coincide, as the points do.
             warnings.simplefilter("ignore", ConvergenceWarning)
             estimator.fit(samples.points)
         places = np.asarray(estimator.cluster_centers_, dtype=np.float64)

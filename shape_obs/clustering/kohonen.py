@@ -22,7 +22,7 @@ from shape_obs.geometry.topology import Topology
 class Kohonen(Clusterer, kind="kohonen"):
     """The online map over the shape's own chain, ring or lattice.
 
-    The nodes start on samples drawn by lot. In each step one sample x is drawn; the node nearest to it and, by a
+    The nodes start on samples drawn at random. In each step one sample x is drawn; the node nearest to it and, by a
     Gaussian of their distance over the layout, the nodes around it move towards x. The learning rate falls linearly
     to 0.01, the Gaussian's width from half the layout's length to half a node.
 

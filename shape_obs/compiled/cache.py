@@ -92,7 +92,8 @@ class DiskCache:
             # Parsing what only a compilation of its callers needs would double the time.
             result.library._get_module_for_linking = lru_cache(partial(binding.parse_bitcode, bitcode))
             return result
-        except Exception:  # noqa: BLE001 - made by something else: compile again and write it again
+        except Exception as error:  # noqa: BLE001 - internals of Numba: compile again and write it again
+            _warn(f"{path} cannot be read: {error}", "Delete it; if that does not help, please report it.")
             return None
 
     def save_overload(self, sig: str, cres: CompileResult) -> None:
@@ -105,9 +106,11 @@ class DiskCache:
         except Exception as error:  # noqa: BLE001 - internals of Numba: what is compiled works without a file
             _warn(f"{type(error).__name__}: {error}", "Please report this together with the version of Numba.")
             return
-        with contextlib.suppress(OSError):  # a full disk, or a file that is open on Windows
+        try:
             _write(path, hashlib.blake2b(data, digest_size=_DIGEST).digest() + data)
             _delete_old(path, f"{self._name}-")
+        except OSError as error:  # a full disk
+            _warn(str(error), "Free some space, or set NUMBA_CACHE_DIR to another folder.")
 
 
 def _serialized(result: CompileResult) -> bytes:

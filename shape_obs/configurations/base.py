@@ -1,4 +1,4 @@
-"""What all configurations share: their fields, and what each one has to say for itself."""
+"""What all configurations share: their fields, and what each one defines."""
 
 from __future__ import annotations
 

@@ -46,7 +46,6 @@ _SIGMAS_AREA_CHANGED: Final = (1.2, 0.6, 0.4, 0.4)
 _MAX_CELL: Final = 24  # pixels
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
-_THINNEST: Final = Region.thinnest
 _MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no distinct axis, and a chain would fold up in it
 
 
@@ -182,7 +181,7 @@ class Centerline(Configuration, kind="centerline"):
 
 def _rejection_reason(observed: Observed, width: float) -> str:
     """Return why an object cannot be a rope: too many pieces, or less than three times as long as wide."""
-    for part in (observed,) if observed.dimension == 2 else observed.parts:
+    for part in observed.parts:
         if part.pieces > _MAX_PIECES:
             return f"the {part.noun} falls into {part.pieces} pieces, at most {_MAX_PIECES}"
     length = observed.area / width if observed.dimension == 2 else observed.length
@@ -213,7 +212,7 @@ def fit_chain_in_mask(
     """
     (left, top), (points, weight) = at, gather_cells(runs, cell)
     nodes = undo_shrinkage(batch_epochs(points, weight, start, moments[0], moments[1]), pull, False)
-    curve = catmull_rom(extend_chain(nodes, mask, left, top, width, _THINNEST), 4, False)
+    curve = catmull_rom(extend_chain(nodes, mask, left, top, width), 4, False)
     return curve, arc_length(curve), near_mask(mask, left, top, curve, 1), sample_spread(points, weight, curve)
 
 

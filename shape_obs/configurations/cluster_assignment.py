@@ -29,8 +29,6 @@ _SEED: Final = 0
 
 def assign_centres(found: Fit, observed: Observed, spec: Configuration, clusterer: Clusterer) -> Fit:
     """Return the fit with a clusterer's centres as its points; refused if there are fewer samples than points."""
-    if not found.ok:
-        return found
     samples = spec.clusterer_samples(observed)
     if len(samples) < spec.count:
         available = f"the {observed.noun} has {len(samples)} {observed.sample_unit} to cluster"

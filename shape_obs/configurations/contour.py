@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-# Samples from node to node, whatever N is: 6 px. Closer, and the nodes follow the pixels (at 4 px they jitter by a
+# Samples from node to node, for any N: 6 px. Closer, and the nodes follow the pixels (at 4 px they jitter by a
 # sixth more); farther, and they cut corners (at 8 px garments lie 0.16 px off instead of 0.13).
 _NODE_SPACING: Final = 3.0
 _THIN: Final = 1.5  # widths from node to node at most: farther, and a node's samples are those of the other side too

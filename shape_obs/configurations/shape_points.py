@@ -134,7 +134,7 @@ def _points_in_cloud(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
 
 
 def _without_gaps(centres: Array) -> Points:
-    """Return the points that a clusterer found, which does not know of gaps."""
+    """Return the points that a clusterer found, none of them in a gap."""
     return Points(centres, np.zeros(len(centres), bool))
 
 

@@ -29,7 +29,7 @@ from shape_obs.tracking.validation import validate_sheet
 
 Array = npt.NDArray[np.float64]
 
-_GRID: Final = Grid(8, 8)  # the nodes that are remembered from frame to frame, whatever lattice is sampled
+_GRID: Final = Grid(8, 8)  # the nodes that are kept from frame to frame, for any lattice that is sampled
 _MIN_SIDE: Final = 6.0  # in units of the resolution: what is narrower has no two sides that can be distinguished
 _MAX_ASPECT: Final = 8.0  # length over width; what is longer is a ribbon, whose corners are its ends
 _CELL: Final = 8  # pixels
@@ -54,7 +54,7 @@ class Surface(Configuration, kind="surface"):
             the outer rows and columns lie on the border. None takes the detector's.
         epochs: Of the self-organising map, after the Coons patch. None by default: what is seen of a sheet's material
             is its outline. Each epoch evens the areas out and takes the points nearer to cluster centres and off their
-            material (1.1, 1.3, 1.6 px over drawn sheets with 0, 1, 3), and away from whatever hides the inside.
+            material (1.1, 1.3, 1.6 px over drawn sheets with 0, 1, 3), and away from what hides the inside.
         freedom: How far a corner may move from one frame to the next that the three others do not, as a share of half
             a diagonal. Beyond it something lies over that corner, and the shape is refused. Where grippers move
             single corners give more.
@@ -119,7 +119,7 @@ class Surface(Configuration, kind="surface"):
             )
             if not len(points):
                 return Fit(reason=_NO_CORNERS)
-            form = FittedLattice(points, ~on_object, (down, right), FINE, kink)
+            form = FittedLattice(points, ~on_object, (down, right), FINE)
         else:
             rim = Rim.along(*observed.sheet_outline())
             if corners is None and expected is not None:
@@ -127,12 +127,12 @@ class Surface(Configuration, kind="surface"):
             if corners is None:
                 return Fit(reason=_NO_CORNERS)
             flat, kink = rim.patch(corners)
-            form = FittedLattice.over(observed.to_space(flat), np.zeros(len(flat), bool), FINE, kink)
+            form = FittedLattice.over(observed.to_space(flat), np.zeros(len(flat), bool), FINE)
             if self.epochs:
                 form = form.with_points(form.points + self._moved_inside(form, observed))
             lattice, stray, share = match_lattice(form.lattice, predicted)
             points = lattice.reshape(form.points.shape)
-            form = FittedLattice.over(points, ~observed.carries(points), FINE, kink)
+            form = FittedLattice.over(points, ~observed.carries(points), FINE)
             # A cloud is assessed as it lies unrolled, where a bent side does not wind.
             measures = assess_lattice((points if observed.dimension == 2 else flat).reshape(FINE, FINE, 2))
             nodes = form.evenly(_GRID.rows, _GRID.cols, centers=True)
@@ -145,8 +145,7 @@ class Surface(Configuration, kind="surface"):
 
     def _rejection_reason(self, observed: Observed) -> str:
         """Return why an object cannot be a sheet: a speck, a ribbon, pieces, corners out of sight, or no outline."""
-        width, unit = observed.width, observed.unit
-        length = observed.area / width if observed.dimension == 2 else observed.length
+        width, length, unit = observed.width, observed.length, observed.unit
         if width < _MIN_SIDE * observed.resolution:
             return f"the {observed.noun} is {width:.3g} {unit} wide: too small for a sheet"
         if length > _MAX_ASPECT * width:

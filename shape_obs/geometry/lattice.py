@@ -28,17 +28,15 @@ class FittedLattice(FittedForm):
     Args:
         gauges: How far down each row lies, ``(rows,)``, and how far right each column, ``(cols,)``: summed mean gaps.
         rows: How many rows, from the sheet's top to its bottom; the columns follow, from left to right.
-        kink: Radians by which the outline around it turns at most, either way, away from its corners.
     """
 
     gauges: tuple[Array, Array]
     rows: int
-    kink: float = 0.0
 
     @classmethod
-    def over(cls, points: Array, interpolated: Mask, rows: int, kink: float = 0.0, **other: Any) -> Self:
+    def over(cls, points: Array, interpolated: Mask, rows: int, **other: Any) -> Self:
         """Build a lattice of ``(P, D)`` points and measure its gaps."""
-        return cls(points, interpolated, _gauges(points, rows), rows, kink, **other)
+        return cls(points, interpolated, _gauges(points, rows), rows, **other)
 
     @property
     def lattice(self) -> Array:

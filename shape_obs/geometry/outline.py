@@ -108,7 +108,7 @@ def material_outline(traced: Array, hole: bool) -> tuple[Array, Array]:
 
 @compiled
 def _smoothed(padded: Array, out: Array) -> None:
-    """Fill ``out`` with a ring of numbers smoothed by a Gaussian; both ``(P + 2R,)`` with their padding."""
+    """Fill ``out`` with a ring of numbers smoothed by a Gaussian, written out for a padding of 4; both ``(P + 8,)``."""
     for p in range(len(padded) - 2 * _PAD):
         out[p + 4] = (
             _WEIGHTS[0] * padded[p + 4]

@@ -1,6 +1,6 @@
-"""Topologies of self-organising maps: which nodes hang together, and what averaging along them does.
+"""Topologies of self-organising maps: which nodes are connected, and what averaging along them does.
 
-The same classes say how a shape's points hang together: a chain, a ring, or a lattice.
+The same classes describe how a shape's points are connected: a chain, a ring, or a lattice.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Neighbourhoods(NamedTuple):
 
 
 class Topology(ABC):
-    """How nodes or points hang together."""
+    """How nodes or points are connected."""
 
     @property
     @abstractmethod

@@ -19,7 +19,7 @@ _MAX_SHARE: Final = 0.5
 def propose_hsv(rgb: npt.NDArray[np.uint8], pixel: tuple[float, float]) -> HSVRange:
     """Propose the HSV range of the object under a pixel.
 
-    Pixels that resemble the picked one and hang together with it are gathered, and the range is widened to hold
+    Pixels that resemble the picked one and are connected with it are gathered, and the range is widened to hold
     nearly all of them: by hue where the object has a colour, by saturation and brightness where it is gray.
 
     Args:
@@ -69,7 +69,7 @@ def _middle_hue(hues: npt.NDArray[Any]) -> float:
 
 
 def _component_at(rule: npt.NDArray[np.bool_], u: int, v: int) -> npt.NDArray[np.bool_]:
-    """Return the part of a mask that hangs together with a pixel, small holes and cracks closed."""
+    """Return the part of a mask that is connected with a pixel, small holes and cracks closed."""
     square = np.ones((3, 3), np.uint8)
     labels = np.asarray(cv2.connectedComponents(cv2.morphologyEx(rule.view(np.uint8), cv2.MORPH_CLOSE, square))[1])
     return (labels == labels[v, u]) & rule if labels[v, u] else rule

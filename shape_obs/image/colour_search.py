@@ -30,7 +30,7 @@ def find_by_colour(
     """Find the plausible components of a colour without reading every pixel.
 
     One pixel in ``step * step`` is looked at, in a lattice that lies fast in the image with every other row shifted
-    by half a step. Components that hold none of these are left out, so whatever a disc of diameter
+    by half a step. Components that hold none of these are left out, so any object that a disc of diameter
     1.25 * step + 1 fits into is found, and what is found is complete to the pixel.
 
     Args:

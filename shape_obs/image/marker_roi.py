@@ -1,4 +1,4 @@
-"""The area between four ArUco markers: found once, then looked after."""
+"""The area between four ArUco markers: found once, then checked from time to time."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LEAST: Final = 2  # markers that give the places of the hidden ones, once all p
 
 
 class Seen(NamedTuple):
-    """What is remembered of the markers.
+    """The markers when they were last found.
 
     Args:
         size: (H, W) of the image.
@@ -43,7 +43,7 @@ class Seen(NamedTuple):
 class Markers(ROI, kind="markers"):
     """The area between four ArUco markers, one in each corner.
 
-    It is found in the first frame, and after that the markers are only glanced at once in a while: when they are seen
+    It is found in the first frame, and after that the markers are checked every ``every`` frames: when they are seen
     elsewhere, the camera or the table has moved, and the area is found again. One marker may be hidden from the start,
     and all of them later; where nothing is seen of them the area stays. Until the area has been found, shapes are not
     ok and say which markers are missing.
@@ -53,7 +53,7 @@ class Markers(ROI, kind="markers"):
         dictionary: Which markers they are: ``"4x4_50"``, ``"5x5_100"``, ``"apriltag_36h11"``, ...
         inside: What is looked at: between the markers' ``"inner"`` corners, their ``"centers"`` or their ``"outer"``
             corners.
-        every: Frames from one glance at the markers to the next.
+        every: Frames from one check of the markers to the next.
         tolerance: Pixels by which a marker may seem to move while nothing has.
     """
 

@@ -71,7 +71,6 @@ class Region:
     noun: ClassVar[str] = "mask"
     sample_unit: ClassVar[str] = "pixels"
     dimension: ClassVar[int] = 2
-    thinnest: ClassVar[float] = 3.0
 
     @cached_property
     def components(self) -> tuple[Component, ...]:
@@ -169,7 +168,7 @@ class Region:
     def hollow_share(self) -> float:
         """The share of what the largest component's outline encloses that is not the component's."""
         enclosed = cv2.contourArea(self.outline.traced.astype(np.float32)) + len(self.outline.traced) / 2
-        return 1 - float(np.max(self.areas)) / max(enclosed, 1.0)
+        return 1 - self.areas[0] / max(enclosed, 1.0)
 
     @cached_property
     def pixels(self) -> npt.NDArray[np.int32]:

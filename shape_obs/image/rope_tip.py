@@ -27,13 +27,14 @@ STEP_FROM: Final = 0.2
 STEP_TO: Final = 0.6
 LAST: Final = 0.6
 LAST_REST: Final = 0.5
+_THINNEST: Final = 3.0  # pixels: the least width that can be measured
 # A rope thinner than the thinnest that can be measured is treated as if it were that wide, or the slices above would
 # hold nothing. In units of that width: the shortest rest.
 SHORTEST: Final = 1 / 12
 
 
-@compiled("(f8[:,::1], u1[:,::1], i8, i8, f8, f8)")
-def extend_chain(nodes: Array, mask: Mask, left: int, top: int, width: float, thinnest: float) -> Array:
+@compiled("(f8[:,::1], u1[:,::1], i8, i8, f8)")
+def extend_chain(nodes: Array, mask: Mask, left: int, top: int, width: float) -> Array:
     """Cut a chain of nodes where it hangs over the ends of a mask, and lengthen it to the tips of the rope.
 
     From the last node the way goes on along the strand: to the middle of a slice ahead while there is more, then to the
@@ -45,12 +46,11 @@ def extend_chain(nodes: Array, mask: Mask, left: int, top: int, width: float, th
         left: Image column of its first pixel.
         top: Image row of its first pixel.
         width: The rope's width, pixels.
-        thinnest: The least width that can be measured.
 
     Returns:
         ``(K', 2)`` pixels; the first and the last point lie on the tips.
     """
-    width = max(width, thinnest)
+    width = max(width, _THINNEST)
     on = near_mask(mask, left, top, nodes, 1)
     first, last = 0, len(nodes) - 1
     while first < last and not on[first]:
@@ -59,8 +59,8 @@ def extend_chain(nodes: Array, mask: Mask, left: int, top: int, width: float, th
         last -= 1
     if last - first < 2:  # too little to lengthen
         first, last = 0, len(nodes) - 1
-    head = _march(mask, left, top, nodes, first, 1, width, thinnest)
-    tail = _march(mask, left, top, nodes, last, -1, width, thinnest)
+    head = _march(mask, left, top, nodes, first, 1, width)
+    tail = _march(mask, left, top, nodes, last, -1, width)
     out, count = np.empty((len(head) + last - first + 1 + len(tail), 2)), 0
     for way, begin, stop, step in ((head, len(head) - 1, -1, -1), (nodes, first, last + 1, 1), (tail, 0, len(tail), 1)):
         for p in range(begin, stop, step):
@@ -70,9 +70,7 @@ def extend_chain(nodes: Array, mask: Mask, left: int, top: int, width: float, th
 
 
 @compiled
-def _march(
-    mask: Mask, left: int, top: int, nodes: Array, end: int, inwards: int, width: float, thinnest: float
-) -> Array:
+def _march(mask: Mask, left: int, top: int, nodes: Array, end: int, inwards: int, width: float) -> Array:
     """Return the way from the end of a chain along its strand to the tip: ``(S, 2)``; the next node is ``inwards``."""
     next_u, next_v = nodes[end + inwards, 0], nodes[end + inwards, 1]
     hx, hy = nodes[end, 0] - next_u, nodes[end, 1] - next_v
@@ -113,7 +111,7 @@ def _march(
         u, v = u + x, v + y
         path[steps, 0], path[steps, 1] = u + left, v + top
         steps += 1
-    rest = max(rest, SHORTEST * thinnest)
+    rest = max(rest, SHORTEST * _THINNEST)
     path[steps, 0], path[steps, 1] = u + left + hx * rest, v + top + hy * rest
     return path[: steps + 1]
 
@@ -154,7 +152,7 @@ def _strand(mask: Mask, u: float, v: float, hx: float, hy: float, width: float, 
             begin, end = first, last + 1
         elif count:
             end = 0  # a row without pixels: none may follow
-    # One row of pixels below the other, each touching the last, hang together; anything else has to be looked at.
+    # One row of pixels below the other, each touching the last, are connected; anything else has to be looked at.
     return count if whole or count == 0 else _connected(state, seed_row, seed_column, left - u, top - v, hx, hy, out)
 
 

@@ -119,13 +119,13 @@ class Overlap(NamedTuple):
 
     @property
     def denied(self) -> tuple[tuple[Arm, Arm], ...]:
-        """What the silhouette speaks against."""
+        """The pairs that the silhouette contradicts."""
         (a, b), (c, d) = self.pairs
         return (a, d), (c, b), (a, c), (b, d)
 
 
 def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, Lead], width: float) -> Overlap | None:
-    """Follow two strands along the branch they share; None where it says nothing, and least bending must decide.
+    """Follow two strands along the branch they share; None where the branch is too short or thin to decide.
 
     Args:
         branch: With the skeleton's radii.

@@ -64,12 +64,12 @@ class Branch:
 
     @cached_property
     def length(self) -> float:
-        """Pixels."""
+        """The length, pixels."""
         step = np.diff(self.points, axis=0)
         return float(np.hypot(step[:, 0], step[:, 1]).sum())
 
     def fused(self, other: Branch, node: int) -> Branch:
-        """This branch and another that meets it at ``node``, as one."""
+        """Return this branch and another that meets it at ``node`` as one."""
         first = self if self.nodes[1] == node else self.reversed()
         second = other if other.nodes[0] == node else other.reversed()
         return Branch(

@@ -27,7 +27,7 @@ else:
 
 Array = npt.NDArray[np.float64]
 
-_MOST: Final = 20_000  # points; more say nothing new and cost time
+_MOST: Final = 20_000  # points; more change nothing and cost time
 _FEWEST: Final = 4  # samples that a sheet has
 _RING: Final = 8.0  # widths: a ring is longer
 _MAX_BRIDGED: Final = 0.5  # of a rope's axis
@@ -87,12 +87,12 @@ class Cloud:
 
     @property
     def links(self) -> csr_matrix:
-        """(M',M') distances between samples that hang together, metres."""
+        """(M',M') distances between connected samples, metres."""
         return self._pieces.links
 
     @property
     def components(self) -> tuple[Piece, ...]:
-        """Pieces that hang together, largest first."""
+        """Connected pieces, largest first."""
         return self._pieces.components
 
     @cached_property
@@ -155,7 +155,7 @@ class Cloud:
         return along <= first_gap(along, width)
 
     def pixels_of(self, points: Array) -> Array | None:
-        """Return None: no camera is known that saw the cloud."""
+        """Return None: the camera that saw the cloud is unknown."""
         return None
 
     def seen(self, points: Array, target: Array | None) -> Array:

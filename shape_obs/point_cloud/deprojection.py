@@ -129,7 +129,7 @@ def deproject(region: Region, depth: npt.NDArray[Any], intrinsics: Intrinsics) -
         intrinsics: The projection.
     """
     pixels = _inner(region)
-    if len(pixels) > _MOST:  # drawn by lot: every so-many-th would fall into stripes
+    if len(pixels) > _MOST:  # drawn at random: evenly spaced pixels would fall into stripes
         pixels = pixels[np.random.default_rng(0).choice(len(pixels), _MOST, replace=False)]
     uv = pixels + np.array([region.window.left, region.window.top])
     z = depth_in_metres(depth[uv[:, 1], uv[:, 0]])

@@ -44,12 +44,7 @@ def plausible(points: npt.NDArray[np.floating[Any]]) -> Array:
         points: (M,3) metres.
     """
     points = points.astype(np.float64)
-    columns = points.T
-    near = np.ones(len(points), bool)
-    for column in columns:
-        near &= np.abs(column) < FARTHEST
-    near &= (columns[0] != 0) | (columns[1] != 0) | (columns[2] != 0)
-    points = points[near]
+    points = points[(np.abs(points) < FARTHEST).all(axis=1) & points.any(axis=1)]
     if not len(points):
         return points
     some = points[:: -(-len(points) // _SOME)]

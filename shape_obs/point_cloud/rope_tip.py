@@ -46,7 +46,7 @@ def first_gap(along: Array, width: float) -> float:
 
 
 def extend_chain(nodes: Array, cloud: Cloud, width: float) -> Array:
-    """Cut a chain of cluster centres where it hangs over the cloud, and lengthen it to the tips.
+    """Cut a chain of nodes where it hangs over the cloud, and lengthen it to the tips.
 
     Args:
         nodes: (K,3) metres, K >= 3.

@@ -49,7 +49,7 @@ class Chart:
 
     Args:
         samples: Of the sheet, metres.
-        links: Their distances where they hang together, each pair once.
+        links: Distances of those that are connected, each pair once.
         flat: (M,2) metres, where the samples lie on the map.
     """
 
@@ -73,7 +73,7 @@ class Chart:
 
     @cached_property
     def _jacobians(self) -> tuple[Array, Array]:
-        """Of the map at each sample (M,3,2), and of its inverse (M,2,3): least squares over the neighbours."""
+        """The Jacobians of the map at each sample (M,3,2) and of its inverse (M,2,3), by least squares."""
         links: Any = (self.links + self.links.T).tocoo()
         step = self.samples.points[links.col] - self.samples.points[links.row]
         flat = self.flat[links.col] - self.flat[links.row]
@@ -85,7 +85,7 @@ def chart(samples: Samples, links: csr_matrix) -> Chart:
 
     Args:
         samples: M >= 3 of them.
-        links: Their distances where they hang together, each pair once.
+        links: Distances of those that are connected, each pair once.
     """
     middle = np.average(samples.points, axis=0, weights=samples.weight)
     offset = samples.points - middle
@@ -116,7 +116,7 @@ def _isomap(links: csr_matrix, size: int) -> Array:
 
 
 def _joined(samples: Samples, links: csr_matrix) -> csr_matrix:
-    """Return the links, with bridges between pieces that do not hang together."""
+    """Return the links, with bridges between pieces that are not connected."""
     while np.any(apart := connected_components(links, directed=False)[1] > 0):
         one, rest = np.flatnonzero(~apart), np.flatnonzero(apart)
         tree: Any = KDTree(samples.points[one])
@@ -128,7 +128,7 @@ def _joined(samples: Samples, links: csr_matrix) -> csr_matrix:
 
 
 def _regression(row: Array, given: Array, wanted: Array, size: int) -> Array:
-    """For each of ``size`` rows the matrix that maps its ``given`` steps (L,G) to its ``wanted`` (L,W): (size,G,W)."""
+    """Return for each row the matrix that maps its ``given`` steps (L,G) to its ``wanted`` (L,W): (size,G,W)."""
     count, g, w = len(row), given.shape[1], wanted.shape[1]
     gathered = csr_matrix((np.ones(count), (row, np.arange(count))), shape=(size, count))
     own = (gathered @ (given[:, :, None] * given[:, None, :]).reshape(count, g * g)).reshape(size, g, g)
@@ -140,7 +140,7 @@ def _regression(row: Array, given: Array, wanted: Array, size: int) -> Array:
 def border(flat: Array) -> Array:
     """Return the closed border of points on a map.
 
-    Half the density of the interior marks the border without bias, whatever noise blurs it; a hull of the outermost
+    Half the density of the interior marks the border without bias, however noise blurs it; a hull of the outermost
     points would grow with the noise.
 
     Args:

@@ -1,4 +1,4 @@
-"""A cloud's points gathered into cubes, how the cubes hang together, and the measures of the cloud as a rope."""
+"""A cloud's points gathered into cubes, how the cubes are connected, and the measures of the cloud as a rope."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def gather(points: Array, edge: float) -> tuple[Samples, Indices]:
 
 
 def links(samples: Samples) -> csr_matrix:
-    """Return ``(M, M)`` distances between samples that hang together, metres, each pair once."""
+    """Return ``(M, M)`` distances between connected samples, metres, each pair once."""
     tree = KDTree(samples.points, balanced_tree=False, compact_nodes=False)  # a third faster to build
     pairs = tree.query_pairs(_LINK * samples.scale, output_type="ndarray")
     step = samples.points[pairs[:, 0]] - samples.points[pairs[:, 1]]
@@ -70,7 +70,7 @@ def links(samples: Samples) -> csr_matrix:
 
 
 class Piece(NamedTuple):
-    """One piece that hangs together.
+    """One connected piece.
 
     Args:
         samples: Indices of the cloud's samples.
@@ -88,7 +88,7 @@ class ConnectedVoxels(NamedTuple):
         points: (M',3) metres.
         sample: (M',) which sample each point belongs to.
         samples: Their voxels.
-        links: How the voxels hang together.
+        links: How the voxels are connected.
         components: Largest first.
     """
 

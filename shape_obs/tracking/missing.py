@@ -38,7 +38,7 @@ def lost_shape(
 
     Args:
         name: The configuration's name.
-        layout: How its N points hang together.
+        layout: How its N points are connected.
         reason: Why it was not found.
         in_2d: Whether points2d are wanted.
         in_3d: Whether points3d are wanted.
@@ -72,7 +72,7 @@ def fill_invalid(
     last: npt.NDArray[np.float32] | None,
     policy: OnInvalid,
 ) -> npt.NDArray[np.float32]:
-    """Fill in points without depth; they stay ``valid=False`` whatever fills them.
+    """Fill in points without depth; they stay ``valid=False``.
 
     Args:
         expected: (N,3) metres: valid points, and where the others should be.
@@ -84,7 +84,7 @@ def fill_invalid(
     Returns:
         (N,3); NaN where the policy has nothing to fill with.
     """
-    if policy == "interpolate" or np.count_nonzero(valid) == len(valid):
+    if policy == "interpolate":
         return expected
     points3d = expected.copy()
     points3d[~valid] = np.nan if policy == "nan" or last is None else last[~valid]

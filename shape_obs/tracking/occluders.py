@@ -32,7 +32,7 @@ def uncover_ends(curve: FittedCurve, depth: npt.NDArray[Any], width: float) -> F
     something lies over the rope where it goes out of sight.
 
     Args:
-        curve: (P,2) pixels, with hidden ends in its memory.
+        curve: (P,2) pixels, with hidden ends in its hints.
         depth: (H,W) the frame's depth.
         width: Of the rope, pixels.
     """
@@ -51,7 +51,7 @@ def is_hidden(curve: FittedCurve, depth: npt.NDArray[Any], width: float) -> bool
     """Return whether a long end of a curve goes out of sight where something lies over the rope.
 
     Args:
-        curve: (P,2) pixels, with hidden ends in its memory.
+        curve: (P,2) pixels, with hidden ends in its hints.
         depth: (H,W) the frame's depth.
         width: Of the rope, pixels.
     """

@@ -61,7 +61,7 @@ def match_chain(form: FittedCurve, prediction: Prediction, depth: npt.NDArray[An
     if close and not form.interpolated.any() and _is_along(form, prediction.nodes):
         return replace(form, hints=TrackHints(size=min(max(found, size), (1 + _GAINING) * size)))
     prediction = prediction._replace(size=size)
-    known = _Known(prediction)
+    known = _PredictedRope(prediction)
     whole = known.filled(known.turned(form))
     missing = known.size - whole.size
     if missing <= 0:
@@ -112,7 +112,7 @@ def _widest_gap(curve: FittedCurve) -> tuple[int, int]:
     return int(seen[widest]), int(seen[widest + 1])
 
 
-class _Known:
+class _PredictedRope:
     """The predicted rope from tip to tip.
 
     Args:

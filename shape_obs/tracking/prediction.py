@@ -49,11 +49,6 @@ class Fit(NamedTuple):
     object_width: float = 0.0
     centres: Array | None = None
 
-    @property
-    def ok(self) -> bool:
-        """Whether it passed the quality check."""
-        return self.form is not None and not self.reason
-
 
 class Track(NamedTuple):
     """All the state of one shape.

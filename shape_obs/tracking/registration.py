@@ -29,7 +29,7 @@ _FORGETTING: Final = 0.05
 # How much the place and direction of an outline weigh against its shape, whose match is worth 1. A square fits itself
 # four ways, a towel two: the way that turns least is chosen.
 _TURNING: Final = 0.05
-# Within a fit, place decides only where the shape says nothing, as on a circle: a weight that shrinks as the shape's
+# Within a fit, place decides only where the shape cannot, as on a circle: a weight that shrinks as the shape's
 # own contrast grows beyond it, since what is predicted of a turning outline lags behind.
 _FLAT: Final = 3e-4
 # Waves around the outline that are compared: more cost time and change nothing, and on a noisy circle they mislead.

@@ -1,4 +1,4 @@
-"""Validation: decide whether a fitted form can be trusted, how far, and say in words why not."""
+"""Validation: decide whether a fitted form can be trusted and how far, and give the reason if not."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def test_what_is_ready_and_what_is_not_compiled_is_left_alone():
     assert type(total) is decorator._Dispatcher
 
 
-@pytest.mark.parametrize(("size", "words"), [(5_000, 0), (50_000, 1)])
+@pytest.mark.parametrize(("size", "words"), [(3_500, 0), (40_000, 1)])
 def test_only_what_takes_long_is_announced_on_stderr(size, words, monkeypatch, capsys):
     monkeypatch.setattr(decorator, "code_size", lambda functions: size)
     entry = decorator._wrapped(lambda x: x + 1, ("(f8,)",), {})

@@ -25,7 +25,7 @@ def rope(bend, width, length=220.0, turn=0.3):
 
 
 def extended(nodes, mask, width):
-    return extend_chain(np.ascontiguousarray(nodes), mask, LEFT, TOP, width, 1.0)
+    return extend_chain(np.ascontiguousarray(nodes), mask, LEFT, TOP, width)
 
 
 def off_axis(points, axis):

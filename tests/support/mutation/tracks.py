@@ -61,7 +61,7 @@ TRACKS: tuple[Mutant, ...] = (
             "                self._tracks.pop(spec.name, None)\n        _lap",
             "                pass\n        _lap", _MISSING, _ORDER),
     _mutant("tracking", "pixels become metres", "detector",
-            "self._tracks.pop(spec.name, None)  # pixels say nothing about metres\n"
+            "self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres\n"
             "            self._last.pop(spec.name, None)", "pass",
             "tests/point_cloud/test_cloud.py", "tests/point_cloud/test_cloud_lift.py"),
     _mutant("tracking", "an older clock makes ages negative", "detector", "elif stamp < self._stamp:", "elif False:",
