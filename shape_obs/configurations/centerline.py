@@ -181,7 +181,7 @@ class Centerline(Configuration, kind="centerline"):
 
 def _rejection_reason(observed: Observed, width: float) -> str:
     """Return why an object cannot be a rope: too many pieces, or less than three times as long as wide."""
-    for part in observed.parts:
+    for part in (observed,) if observed.dimension == 2 else observed.parts:
         if part.pieces > _MAX_PIECES:
             return f"the {part.noun} falls into {part.pieces} pieces, at most {_MAX_PIECES}"
     length = observed.area / width if observed.dimension == 2 else observed.length
