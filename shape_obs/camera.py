@@ -75,7 +75,7 @@ class Intrinsics(Spec):
 
     @property
     def matrix(self) -> npt.NDArray[np.float64]:
-        """The (3,3) camera matrix K."""
+        """The ``(3, 3)`` camera matrix K."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=np.float64)
 
     @property
@@ -87,10 +87,10 @@ class Intrinsics(Spec):
         """Project points to pixels.
 
         Args:
-            points: (..., 3) metres, camera frame.
+            points: ``(..., 3)`` metres, camera frame.
 
         Returns:
-            (..., 2) pixels; NaN for points that are not in front of the camera, or too far aside for any image.
+            ``(..., 2)`` pixels; NaN for points that are not in front of the camera, or too far aside for any image.
         """
         xyz = _as_points(points, 3, "points")
         z = np.where(xyz[..., 2] > 0, xyz[..., 2], np.nan)
@@ -104,11 +104,11 @@ class Intrinsics(Spec):
         """Lift pixels to points.
 
         Args:
-            pixels: (..., 2) pixels.
+            pixels: ``(..., 2)`` pixels.
             depth: (...) metres along the optical axis.
 
         Returns:
-            (..., 3) metres, camera frame; NaN where the depth is NaN or the lens has no such ray.
+            ``(..., 3)`` metres, camera frame; NaN where the depth is NaN or the lens has no such ray.
         """
         rays = self.rays(pixels)
         return rays * np.asarray(depth, dtype=np.float64)[..., None]
@@ -119,7 +119,7 @@ class Intrinsics(Spec):
         return self.height, self.width
 
     def rays(self, pixels: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Return viewing rays through pixels, scaled to z = 1: (..., 2) pixels -> (..., 3).
+        """Return viewing rays through pixels, scaled to z = 1: ``(..., 2)`` pixels -> ``(..., 3)``.
 
         NaN where the distortion cannot be undone: no point in front of the lens is seen at such a pixel.
         """
@@ -176,7 +176,7 @@ class CameraModel:
 
     Args:
         intrinsics: The projection.
-        transform_camera_to_base: (4,4) homogeneous transform, metres, ``p_base = T p_camera``; None if unknown.
+        transform_camera_to_base: ``(4, 4)`` homogeneous transform, metres, ``p_base = T p_camera``; None if unknown.
     """
 
     intrinsics: Intrinsics

@@ -31,10 +31,10 @@ def draw_detection(
     """Draw every shape over a copy of the image.
 
     Args:
-        rgb: (H,W,3) uint8, RGB.
+        rgb: ``(H, W, 3)`` uint8, RGB.
         detection: What was found in it.
         scale: Enlarges the picture first, so that numbers fit on small images.
-        under: Curves of (K,2) pixels with their colours, drawn below the shapes: goals, truth.
+        under: Curves of ``(K, 2)`` pixels with their colours, drawn below the shapes: goals, truth.
 
     Returns:
         (H*scale, W*scale, 3) uint8, RGB: green points are valid, orange ones on the mask but without depth, red ones
@@ -54,7 +54,7 @@ def draw_shape(picture: Image, shape: Shape, *, scale: int = 1) -> None:
     """Draw one shape in place: its points, and lines between neighbours; nothing where it has no points.
 
     Args:
-        picture: (H,W,3) uint8, RGB.
+        picture: ``(H, W, 3)`` uint8, RGB.
         shape: With pixels; its layout says which points are neighbours.
         scale: By how much the picture was enlarged.
 

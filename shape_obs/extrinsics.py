@@ -40,7 +40,7 @@ class Extrinsics(Spec):
     """The pose of a camera in the base frame, as ``shape-obs calibrate base`` measures it.
 
     Args:
-        T: (4, 4) rigid transform, row-major, metres: ``p_base = T p_camera``.
+        T: ``(4, 4)`` rigid transform, row-major, metres: ``p_base = T p_camera``.
         intrinsics: Intrinsics of the camera at the time of the measurement; None if unknown.
         serial: Serial number of the camera; None if unknown.
         rms: Root mean square residual of the measured points in metres; None if unknown.
@@ -89,7 +89,7 @@ class Extrinsics(Spec):
 
     @property
     def matrix(self) -> npt.NDArray[np.float64]:
-        """``T`` as an array (4, 4)."""
+        """``T`` as an array ``(4, 4)``."""
         return np.array(self.T, np.float64)
 
     @property

@@ -21,7 +21,7 @@ class Frame:
     """What a camera saw at one instant.
 
     Args:
-        rgb: (H,W,3) uint8, RGB order; None when only a mask or depth is at hand.
+        rgb: ``(H, W, 3)`` uint8, RGB order; None when only a mask or depth is at hand.
         depth: (H,W) uint16 millimetres or floating metres along the optical axis; 0, negative, non-finite or absurd
             (1000 km) = invalid.
         camera: The camera model; needed for 3D and for anchors in the base frame.

@@ -41,8 +41,8 @@ def silhouette(points: npt.ArrayLike, labels: npt.ArrayLike, *, sample: int | No
     ``|x - mean_c|`` and ``sqrt(|x - mean_c|^2 + variance_c)``.
 
     Args:
-        points: (M,D).
-        labels: (M,) whole numbers.
+        points: ``(M, D)``.
+        labels: ``(M,)`` whole numbers.
         sample: Of how many points, drawn at random, the mean is taken; None takes all. a and b are exact still.
         seed: Of the lot.
 
@@ -80,8 +80,8 @@ def calinski_harabasz(points: npt.ArrayLike, labels: npt.ArrayLike) -> float:
     """Return the variance between clusters over variance within them, each by its degrees of freedom; it grows with M.
 
     Args:
-        points: (M,D).
-        labels: (M,) whole numbers; ``nearest`` gives those of centres.
+        points: ``(M, D)``.
+        labels: ``(M,)`` whole numbers; ``nearest`` gives those of centres.
 
     Raises:
         ValueError: Shapes that do not fit together, fewer than 2 clusters, or as many as points.
@@ -97,9 +97,9 @@ def spacing_cv(points: npt.ArrayLike, layout: Topology, valid: npt.NDArray[np.bo
     """Return standard deviation over mean of the gaps between neighbours; on a lattice that of the worse direction.
 
     Args:
-        points: (N,D) in order.
+        points: ``(N, D)`` in order.
         layout: How they are connected.
-        valid: (N,) bool: only gaps between two such points count; None counts all.
+        valid: ``(N,)`` bool: only gaps between two such points count; None counts all.
 
     Returns:
         0 for equal gaps; NaN where there is no gap to count.
@@ -123,10 +123,10 @@ def coverage(points: npt.ArrayLike, layout: Topology, pixels: npt.ArrayLike, rea
     """Return the share of an object that lies near its points as they are joined, 0...1.
 
     Args:
-        points: (N,D) in order.
+        points: ``(N, D)`` in order.
         layout: How they are connected: a chain or ring is the polyline through them, a lattice the sheet of its cells,
             each as two triangles.
-        pixels: (M,D) the object, all of it.
+        pixels: ``(M, D)`` the object, all of it.
         reach: How far off an object's pixel may lie, in the unit of ``points``: of a rope half its width. Points at the
             centres of equal pieces leave half a gap at each end, which counts as not covered beyond this.
     """
@@ -150,7 +150,7 @@ def in_order(places: npt.ArrayLike, period: float | None = None) -> bool:
 
 
 class _Clusters(NamedTuple):
-    """Points by cluster: (M,D), (M,) labels from 0, and of each cluster its size, mean and total variance."""
+    """Points by cluster: ``(M, D)``, ``(M,)`` labels from 0, and of each cluster its size, mean and total variance."""
 
     points: Array
     label: Labels

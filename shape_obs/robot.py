@@ -73,11 +73,11 @@ class ActionSpec(Spec):
         return len(self.names)
 
     def physical(self, action: npt.ArrayLike) -> Array:
-        """Convert an action (A,) from -1 ... 1 to physical units."""
+        """Convert an action ``(A,)`` from -1 ... 1 to physical units."""
         return np.asarray(action, np.float64) * self.scale
 
     def following(self, state: npt.ArrayLike, motion: npt.ArrayLike, dt: float) -> Array:
-        """Return the state (A,) after a motion (A,) in physical units from ``state`` within ``dt`` seconds."""
+        """Return the state ``(A,)`` after a motion ``(A,)`` in physical units from ``state`` within ``dt`` seconds."""
         state, motion = np.asarray(state, np.float64), np.asarray(motion, np.float64)
         return motion if self.mode == "position" else state + motion * (dt if self.mode == "velocity" else 1.0)
 
@@ -145,7 +145,7 @@ class Robot(Protocol):
         """Start a motion and return at once. The next motion replaces it.
 
         Args:
-            action: (A,) in physical units, inside the workspace.
+            action: ``(A,)`` in physical units, inside the workspace.
             until: ``time.monotonic()`` in seconds at which the robot must stand still again, wherever it is, unless
                 another motion has replaced this one. A motion whose time is over is not started.
 

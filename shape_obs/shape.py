@@ -31,10 +31,10 @@ class Shape:
 
     Args:
         name: The configuration's name.
-        points2d: (N,2) float32 pixels (u right, v down), pixel centres at integers; None for a cloud.
-        points3d: (N,3) float32 metres, camera optical frame; None if found without depth and camera.
-        visible: (N,) bool: whether the mask covers the point.
-        valid: (N,) bool: visible and, in 3D, with measured depth.
+        points2d: ``(N, 2)`` float32 pixels (u right, v down), pixel centres at integers; None for a cloud.
+        points3d: ``(N, 3)`` float32 metres, camera optical frame; None if found without depth and camera.
+        visible: ``(N,)`` bool: whether the mask covers the point.
+        valid: ``(N,)`` bool: visible and, in 3D, with measured depth.
         layout: The neighbours of each point: a chain, a ring or a lattice; ``layout.edges()`` lists the pairs.
         ok: Found and passed the quality check in this frame, or held for at most ``max_age`` seconds.
         quality: 0...1, how well the curve explains the mask.

@@ -205,7 +205,7 @@ def _nearest(curve: Array, points: Array) -> tuple[Array, npt.NDArray[np.int_]]:
 
 
 def _points(shape: Shape) -> Array:
-    """Return the points in space, (N, 3); zeros where nothing was found."""
+    """Return the points in space, ``(N, 3)``; zeros where nothing was found."""
     assert shape.points3d is not None
     return np.nan_to_num(shape.points3d.astype(np.float64))
 

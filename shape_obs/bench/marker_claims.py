@@ -188,7 +188,7 @@ def targets(top: Row, placed: Row, cameras: Row) -> list[Row]:
 
 
 def _somewhere(rng: np.random.Generator) -> Array:
-    """Draw a camera's pose above a robot's table, (4, 4)."""
+    """Draw a camera's pose above a robot's table, ``(4, 4)``."""
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     transform = np.eye(4)
     transform[:3, :3] = turn * np.sign(np.linalg.det(turn))

@@ -59,7 +59,7 @@ class Peer:
         name: Its name in the tables.
         module: The module that must be importable.
         package: The package to install for it.
-        run: Takes the work, the module, a seed and a scene; returns (N, 2) points.
+        run: Takes the work, the module, a seed and a scene; returns ``(N, 2)`` points.
         works: The works for which it can be used.
         slow: Whether it runs only on a few frames.
     """
@@ -139,7 +139,7 @@ PEERS: Final = (
 
 
 def spread(path: Array, n: int, *, closed: bool = False) -> Array:
-    """Return (n, 2) points at equal arc length along a (P, 2) path, in the middle of equal pieces, or around it."""
+    """Return (n, 2) points at equal arc length along a ``(P, 2)`` path, in the middle of equal pieces, or around it."""
     if closed:
         path = np.concatenate([path, path[:1]])
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])

@@ -31,7 +31,7 @@ def registration_errors(seed: int = 0) -> dict[str, Row]:
         seed: Seed of the blocks.
 
     Returns:
-        ``edges``: distances of the edge pixels of blocks in depth from their true edges in colour, (M,) pixels;
+        ``edges``: distances of the edge pixels of blocks in depth from their true edges in colour, ``(M,)`` pixels;
         ``centres``: distances of the blocks' centres, deprojected from colour and depth, from the truth, (B,) metres.
 
     Raises:
@@ -161,7 +161,7 @@ def _errors(
 
 
 def _crossings(mask: npt.NDArray[np.bool_]) -> Array:
-    """Return the midpoints of neighbouring pixels where only one is in the mask, (M, 2) pixels."""
+    """Return the midpoints of neighbouring pixels where only one is in the mask, ``(M, 2)`` pixels."""
     across, down = np.argwhere(mask[:, 1:] != mask[:, :-1]), np.argwhere(mask[1:] != mask[:-1])
     off = across[:, ::-1] + np.array([0.5, 0.0]), down[:, ::-1] + np.array([0.0, 0.5])
     return np.concatenate(off, dtype=np.float64)

@@ -31,8 +31,8 @@ def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = T
     """Compare N found points with a known curve.
 
     Args:
-        points: (N, D).
-        curve: (P, D), from end to end.
+        points: ``(N, D)``.
+        curve: ``(P, D)``, from end to end.
         ends: Where the points belong: ``"centers"`` of N equal pieces, or from tip to tip (``"tips"``).
         directed: Whether point 0 belongs to the curve's start; otherwise either direction is right.
 
@@ -94,8 +94,8 @@ def outline_score(points: npt.ArrayLike, outline: Array) -> Row:
     """Compare N found points with a known outline.
 
     Args:
-        points: (N, 2) pixels.
-        outline: (P, 2) pixels, closed, clockwise as seen, from where point 0 belongs.
+        points: ``(N, 2)`` pixels.
+        outline: ``(P, 2)`` pixels, closed, clockwise as seen, from where point 0 belongs.
 
     Returns:
         ``ordered``: whether the points' positions along the outline strictly increase, once around; ``clockwise``:
@@ -122,8 +122,8 @@ def simulator_score(points: Array, valid: npt.NDArray[np.bool_], layout: Topolog
     """Compare found points with the truth of a simulator.
 
     Args:
-        points: (N, 3) metres, base frame.
-        valid: (N,) the measured points.
+        points: ``(N, 3)`` metres, base frame.
+        valid: ``(N,)`` the measured points.
         layout: The topology of the points.
         simulator: The environment; ``truth`` returns its points in the same frame.
 
@@ -148,7 +148,7 @@ def simulator_score(points: Array, valid: npt.NDArray[np.bool_], layout: Topolog
 
 
 def _along_curve(points: Array, simulator: Any, closed: bool) -> Array:
-    """Return the distances of points from their true arc positions, (N,), along the curve in gaps."""
+    """Return the distances of points from their true arc positions, ``(N,)``, along the curve in gaps."""
     count = len(points)
     if closed:
         at = cdist(points, simulator.truth(_PER_GAP * count)).argmin(axis=1) / _PER_GAP

@@ -26,7 +26,7 @@ _UNDECIDED: Final = 2.0
 
 
 def score_sheet(points: npt.ArrayLike, sheet: Sheet, rows: int, cols: int, ends: Ends, quarters: int) -> Row:
-    """Compare (N, 2) found points with a cloth whose first corner is number ``quarters``, counted clockwise.
+    """Compare ``(N, 2)`` found points with a cloth whose first corner is number ``quarters``, counted clockwise.
 
     Returns:
         ``mean`` and ``worst`` distance of the points from their true positions, in pixels; ``slip``: the largest

@@ -60,7 +60,7 @@ def detected(mask: Mask) -> Shape:
 
 
 def points_hidden(shape: Shape, tangle: Tangle) -> npt.NDArray[np.bool_]:
-    """Return which points of a rightly found shape belong under the occluder: (N,) bool.
+    """Return which points of a rightly found shape belong under the occluder: ``(N,)`` bool.
 
     A point is located by its share of the rope's length, so that the form of a bridge makes no difference. Points
     within a gap of the occluder's edge do not count.
@@ -76,7 +76,7 @@ def points_hidden(shape: Shape, tangle: Tangle) -> npt.NDArray[np.bool_]:
 
 
 def longest_path(skeleton: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
-    """Return the longest shortest path between pixels of a skeleton, by two sweeps: (P, 2) pixels (u, v)."""
+    """Return the longest shortest path between pixels of a skeleton, by two sweeps: ``(P, 2)`` pixels (u, v)."""
     rows, columns = np.nonzero(skeleton)
     index = np.full((skeleton.shape[0] + 2, skeleton.shape[1] + 2), -1)
     index[rows + 1, columns + 1] = np.arange(len(rows))

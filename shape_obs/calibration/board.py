@@ -55,17 +55,17 @@ class Board(Spec):
 
     @property
     def corners(self) -> Array:
-        """The points where four squares meet, in the order of their ids, of shape (K, 3), metres, z = 0."""
+        """The points where four squares meet, in the order of their ids, of shape ``(K, 3)``, metres, z = 0."""
         return np.asarray(_board(self).getChessboardCorners(), np.float64)
 
     def find(self, image: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.intp], Array]:
         """Find the visible corners in an image.
 
         Args:
-            image: RGB image (H, W, 3) or gray image (H, W), uint8.
+            image: RGB image ``(H, W, 3)`` or gray image ``(H, W)``, uint8.
 
         Returns:
-            The ids (K,) and the pixels (K, 2) of the corners; K is 0 if no board is visible.
+            The ids ``(K,)`` and the pixels ``(K, 2)`` of the corners; K is 0 if no board is visible.
         """
         corners, ids, _, _ = _detector(self, threading.get_ident()).detectBoard(as_gray(image))
         if ids is None or corners is None:
@@ -95,8 +95,8 @@ class BoardView(NamedTuple):
     """The corners of a board that one image shows.
 
     Args:
-        ids: (K,) ids of the corners.
-        pixels: (K, 2) pixels of the corners.
+        ids: ``(K,)`` ids of the corners.
+        pixels: ``(K, 2)`` pixels of the corners.
     """
 
     ids: npt.NDArray[np.intp]
@@ -108,7 +108,7 @@ class BoardViews:
 
     Args:
         board: The board.
-        size: (H, W) of the images.
+        size: ``(H, W)`` of the images.
         still: Accept only views in which the board is held still. A moving board is blurred, and a rolling shutter
             distorts it.
 
@@ -126,7 +126,7 @@ class BoardViews:
         """Process an image, and return why its view is rejected; empty if it is accepted.
 
         Args:
-            image: RGB image (H, W, 3) or gray image (H, W), uint8.
+            image: RGB image ``(H, W, 3)`` or gray image ``(H, W)``, uint8.
 
         Raises:
             ValueError: The size differs from that of the other images.

@@ -34,7 +34,7 @@ class BaseFit:
 
     Args:
         extrinsics: The pose.
-        residuals: (K,) distances in metres of the touches from their fitted positions.
+        residuals: ``(K,)`` distances in metres of the touches from their fitted positions.
         rms: Root mean square of the residuals in metres.
         suspect: Index of the touch that does not agree with the others; None if they agree.
         suspect_off: Distance in metres of the suspect from where the others put it.
@@ -57,8 +57,8 @@ def fit_base(
     """Fit the rigid transform that minimises the squares of ``p_base - T p_camera``.
 
     Args:
-        points_camera: (K, 3) metres, camera frame.
-        points_base: (K, 3) metres, base frame: the same points, touched by the robot.
+        points_camera: ``(K, 3)`` metres, camera frame.
+        points_base: ``(K, 3)`` metres, base frame: the same points, touched by the robot.
         intrinsics: The intrinsics to store in the file.
         serial: The serial number to store in the file.
         max_age_days: The maximum age to store in the file.
@@ -93,7 +93,7 @@ def fit_base(
 
 
 def _rigid(seen: Array, touched: Array) -> Array:
-    """Return the rigid transform (4, 4) from one set of points to the other."""
+    """Return the rigid transform ``(4, 4)`` from one set of points to the other."""
     middle, target = seen.mean(axis=0), touched.mean(axis=0)
     left, _, right = np.linalg.svd((touched - target).T @ (seen - middle))
     proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
@@ -131,13 +131,13 @@ def marker_points(
     distance follows from the size of the marker, less accurately.
 
     Args:
-        corners: (4, 2) pixels, see ``find_markers``.
+        corners: ``(4, 2)`` pixels, see ``find_markers``.
         intrinsics: The intrinsics of the image.
-        depth: (H, W) uint16 millimetres or float metres; None without depth.
+        depth: ``(H, W)`` uint16 millimetres or float metres; None without depth.
         size: Side of the marker's black square in metres; None if unknown.
 
     Returns:
-        Positions of shape (4, 3) in metres, camera frame.
+        Positions of shape ``(4, 3)`` in metres, camera frame.
 
     Raises:
         ValueError: There is not enough depth on the marker, and its size is unknown.

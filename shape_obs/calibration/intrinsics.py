@@ -100,7 +100,7 @@ def fit_intrinsics(
 
     Args:
         views: Views of the board, as ``BoardViews`` collects them.
-        size: (H, W) of the images.
+        size: ``(H, W)`` of the images.
         board: The board.
         factory: The intrinsics that the camera reports.
         coverage: See ``IntrinsicsFit``.

@@ -177,7 +177,7 @@ def _fit(args: Arguments, samples: Samples, hashes: dict[str, Any]) -> dict[str,
 
 
 def _held_out(episodes: Sequence[tuple[str, int]]) -> npt.NDArray[np.bool_]:
-    """Return which shapes are held out, of shape (F,).
+    """Return which shapes are held out, of shape ``(F,)``.
 
     Neighbouring frames are similar, so whole episodes are held out if there are enough of them.
     """

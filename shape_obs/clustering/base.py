@@ -18,7 +18,7 @@ class Centres(NamedTuple):
     """What a clusterer finds.
 
     Args:
-        places: (N,D) the centres, in no particular order.
+        places: ``(N, D)`` the centres, in no particular order.
         steps: Iterations that it took; of a mixture those of its start left out.
         settled: It stopped because nothing moved any more, not because its iterations were used up.
     """

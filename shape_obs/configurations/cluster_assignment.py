@@ -55,7 +55,7 @@ def order(centres: Array, form: FittedForm, spec: Configuration) -> Indices:
 
 
 def _arcs(curve: FittedCurve, centres: Array) -> Array:
-    """Return the arc positions ``(N,)`` of the places on a curve that are nearest to (N,D) centres."""
+    """Return the arc positions ``(N,)`` of the places on a curve that are nearest to ``(N, D)`` centres."""
     line = np.concatenate([curve.points, curve.points[:1]]) if curve.closed else curve.points
     return nearest_on(line, centres)[0]
 

@@ -20,7 +20,7 @@ class Similarity(NamedTuple):
     The third coordinate is only shifted and scaled.
 
     Args:
-        shift: The translation, of shape (2,) or (3,).
+        shift: The translation, of shape ``(2,)`` or ``(3,)``.
         turn: The scale times exp(i angle).
     """
 
@@ -36,9 +36,9 @@ class Similarity(NamedTuple):
         61(1), 1995, appendix A.
 
         Args:
-            points: (N, D) points; only the first two coordinates are fitted.
-            mean: (N, D) mean shape.
-            weight: (N,) weights.
+            points: ``(N, D)`` points; only the first two coordinates are fitted.
+            mean: ``(N, D)`` mean shape.
+            weight: ``(N,)`` weights.
         """
         share = weight / weight.sum()
         middle, centre = share @ points, share @ mean
@@ -47,16 +47,16 @@ class Similarity(NamedTuple):
         return cls(middle - _turned(centre, turn), turn)
 
     def apply(self, points: Array) -> Array:
-        """Transform points (N, D) of the mean shape."""
+        """Transform points ``(N, D)`` of the mean shape."""
         return self.shift + _turned(points, self.turn)
 
     def undo(self, points: Array) -> Array:
-        """Apply the inverse transform to points (N, D); the result is not finite if the scale is zero."""
+        """Apply the inverse transform to points ``(N, D)``; the result is not finite if the scale is zero."""
         return _turned(points - self.shift, 1 / self.turn if self.turn else complex(np.nan))
 
 
 def superimposed(points: Array) -> Array:
-    """Remove position, heading and size from shapes by generalised Procrustes analysis: (F, N, D) -> (F, N, D).
+    """Remove position, heading and size from shapes by generalised Procrustes analysis: ``(F, N, D)`` -> ``(F, N, D)``.
 
     Each shape is transformed to the mean by its best similarity, which gives the next mean. The mean has the root mean
     square size of the shapes and their mean heading. Source: J. C. Gower, "Generalized Procrustes analysis",
@@ -95,7 +95,7 @@ def _plane(points: Array) -> npt.NDArray[np.complex128]:
 
 
 def _turned(points: Array, turn: complex) -> Array:
-    """Rotate and scale points (..., D)."""
+    """Rotate and scale points ``(..., D)``."""
     out = points * abs(turn)
     x, y = points[..., 0], points[..., 1]
     out[..., 0] = turn.real * x - turn.imag * y

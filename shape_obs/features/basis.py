@@ -28,10 +28,10 @@ class Design(NamedTuple):
     """The matrices of a linear least-squares fit.
 
     Args:
-        basis: (N, K) values of K basis functions at the N points.
-        penalty: (K, K) matrix added to the normal equations of N points of weight 1.
-        inverse: (K, N) matrix from N points of equal weight to coefficients.
-        bridge: (K, K) matrix added to the normal equations in proportion to the missing weight.
+        basis: ``(N, K)`` values of K basis functions at the N points.
+        penalty: ``(K, K)`` matrix added to the normal equations of N points of weight 1.
+        inverse: ``(K, N)`` matrix from N points of equal weight to coefficients.
+        bridge: ``(K, K)`` matrix added to the normal equations in proportion to the missing weight.
     """
 
     basis: Array
@@ -74,7 +74,7 @@ class Design(NamedTuple):
 
 @dataclass(frozen=True)
 class LinearFit(Geometric):
-    """Coefficients of basis functions over the layout, one point of shape (2,) or (3,) for each function.
+    """Coefficients of basis functions over the layout, one point of shape ``(2,)`` or ``(3,)`` for each function.
 
     The coefficients are a linear function of the points as long as the same points are measured. Filled-in points have
     a small weight; where points are missing, the curve bends as little as possible (the difference penalty of Eilers &
@@ -84,7 +84,7 @@ class LinearFit(Geometric):
 
     @abstractmethod
     def basis(self, layout: Topology) -> Array:
-        """Return the functions at the points of a layout, of shape (N, K).
+        """Return the functions at the points of a layout, of shape ``(N, K)``.
 
         Raises:
             ValueError: The layout has no such functions, or fewer points than functions.
@@ -122,13 +122,13 @@ class LinearFit(Geometric):
         return _design(self, shape.layout).fit(points, self.coordinates.weights(shape, points)).ravel()
 
     def reconstruct(self, values: npt.ArrayLike, layout: Topology, context: FeatureContext) -> Array:
-        """Return the sum of the basis functions at the points, of shape (N, 2) or (N, 3)."""
+        """Return the sum of the basis functions at the points, of shape ``(N, 2)`` or ``(N, 3)``."""
         basis = _design(self, layout).basis
         return basis @ np.asarray(values, dtype=np.float64).reshape(basis.shape[1], -1)
 
 
 def open_counts(layout: Topology, kind: str, instead: str) -> tuple[int, ...]:
-    """Return the number of points of an open layout in each direction: (N,) of a chain, (rows, cols) of a lattice.
+    """Return the number of points of an open layout in each direction: ``(N,)`` of a chain, (rows, cols) of a lattice.
 
     Args:
         layout: A chain or a lattice.
@@ -148,12 +148,12 @@ def open_counts(layout: Topology, kind: str, instead: str) -> tuple[int, ...]:
 
 
 def products(bases: Iterable[Array]) -> Array:
-    """Return the basis (N, K) of a lattice from one for each direction; the second direction varies fastest."""
+    """Return the basis ``(N, K)`` of a lattice from one for each direction; the second direction varies fastest."""
     return np.asarray(reduce(np.kron, bases), dtype=np.float64)
 
 
 def _differences(layout: Topology) -> tuple[Array, Array]:
-    """Return second differences (B, N) along every direction of a layout, and first differences (E, N)."""
+    """Return second differences ``(B, N)`` along every direction of a layout, and first differences ``(E, N)``."""
     unit, offsets = np.eye(layout.size), layout.offsets()
     near = np.abs(offsets).sum(axis=0) == 1
     bends = []

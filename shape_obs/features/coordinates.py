@@ -54,7 +54,7 @@ class Coordinates:
         return self.frame in ("pixels", "normalized")
 
     def box(self, context: FeatureContext) -> tuple[Array, Array]:
-        """Return the lowest and highest coordinates of a point, of shape (2,) or (3,) each.
+        """Return the lowest and highest coordinates of a point, of shape ``(2,)`` or ``(3,)`` each.
 
         Raises:
             ValueError: The context has no camera, or no pose of the camera in the base frame.
@@ -74,7 +74,7 @@ class Coordinates:
         return (low, high) if self.origin is None else (low - high, high - low)
 
     def points(self, shape: Shape, context: FeatureContext) -> Array:
-        """Return the points of a shape, of shape (N, 2) or (N, 3); NaN where unknown.
+        """Return the points of a shape, of shape ``(N, 2)`` or ``(N, 3)``; NaN where unknown.
 
         Raises:
             ValueError: The shape has no such points, or the origin is unknown.
@@ -99,7 +99,7 @@ class Coordinates:
         return points - self._anchor(context)
 
     def weights(self, shape: Shape, points: Array) -> Array:
-        """Return the weight of each point in a fit, of shape (N,): 1 if measured, small if filled in, 0 if unknown.
+        """Return the weight of each point in a fit, of shape ``(N,)``: 1 if measured, small if filled in, 0 if unknown.
 
         A pixel is measured if the point is visible, a position in space if it also had depth.
         """
@@ -108,7 +108,7 @@ class Coordinates:
         return weight
 
     def _anchor(self, context: FeatureContext) -> Array:
-        """Return the anchor that is the origin, of shape (2,) or (3,), in this frame."""
+        """Return the anchor that is the origin, of shape ``(2,)`` or ``(3,)``, in this frame."""
         anchor = context.anchor if self.origin == "anchor" else context.anchors.get(str(self.origin))
         if anchor is None and self.origin == "anchor":
             raise ValueError(
@@ -198,7 +198,7 @@ class Framed(Positional):
         self._set_coordinates(Coordinates(self.frame, kind=self.kind, **given))
 
     def complete(self, shape: Shape, context: FeatureContext) -> Array:
-        """Return the points, of shape (N, 2) or (N, 3), with unknown ones interpolated along the layout.
+        """Return the points, of shape ``(N, 2)`` or ``(N, 3)``, with unknown ones interpolated along the layout.
 
         All points are NaN if none is known.
         """
@@ -224,7 +224,7 @@ class Geometric(Framed):
 
 
 def _frustum(camera: CameraModel, depth: float) -> Array:
-    """Return the camera's centre and the corners of its view at a depth, of shape (5, 3), metres, camera frame.
+    """Return the camera's centre and the corners of its view at a depth, of shape ``(5, 3)``, metres, camera frame.
 
     Image corners for which the lens has no ray are left out.
     """

@@ -35,9 +35,9 @@ class _Bending(Framed):
         """Return the value at K points.
 
         Args:
-            turn: (K,) angles in radians from the edge before the point to the edge after it.
-            lengths: (K,) sums of the lengths of both edges.
-            steps: (K,) number of gaps that both edges span: 2 if both neighbours are known.
+            turn: ``(K,)`` angles in radians from the edge before the point to the edge after it.
+            lengths: ``(K,)`` sums of the lengths of both edges.
+            steps: ``(K,)`` number of gaps that both edges span: 2 if both neighbours are known.
         """
 
     def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
@@ -49,7 +49,7 @@ class _Bending(Framed):
         return np.full(count, -self.limit()), np.full(count, self.limit())
 
     def compute(self, shape: Shape, context: FeatureContext) -> Array:
-        """Return the values, of shape (N - 2,) for a chain and (N,) for a ring."""
+        """Return the values, of shape (N - 2,) for a chain and ``(N,)`` for a ring."""
         places = self.coordinates.points(shape, context)[:, :2]
         closed, size = closes(shape.layout, self.kind), len(places)
         known = np.flatnonzero(~np.isnan(places[:, 0]))

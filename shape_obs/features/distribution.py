@@ -50,9 +50,9 @@ class PointDistribution:
     section 3.
 
     Args:
-        mean: (N, D) mean shape, in the unit of the frame.
-        components: (K, N, D) orthonormal directions v_k in order of decreasing variance.
-        variance: (K,) variances of the coefficients, in squared units.
+        mean: ``(N, D)`` mean shape, in the unit of the frame.
+        components: ``(K, N, D)`` orthonormal directions v_k in order of decreasing variance.
+        variance: ``(K,)`` variances of the coefficients, in squared units.
         noise: Variance s^2 of one coordinate, in squared units.
         layout: The topology of the points.
         frame: The coordinate frame of the points; see ``Coordinates``.
@@ -155,8 +155,8 @@ class PointDistribution:
         s c_k; all but the turn are in the unit of the points. Otherwise they are c_k.
 
         Args:
-            points: (N, D) points.
-            weight: (N,) weights of the points; 0 if unknown.
+            points: ``(N, D)`` points.
+            weight: ``(N,)`` weights of the points; 0 if unknown.
         """
         count, size = len(self.components), points.shape[1]
         known = np.count_nonzero(weight)
@@ -179,7 +179,7 @@ class PointDistribution:
         return np.concatenate([shift, heading, abs(pose.turn) * fitted])
 
     def points(self, values: npt.ArrayLike) -> Array:
-        """Return the points that the values describe, of shape (N, D)."""
+        """Return the points that the values describe, of shape ``(N, D)``."""
         values = np.asarray(values, dtype=np.float64)
         if values.shape != (self.placed + len(self.components),):
             raise ValueError(f"expected {self.placed + len(self.components)} values, got shape {values.shape}.")

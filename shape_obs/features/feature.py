@@ -72,7 +72,7 @@ class Feature(Spec, family="feature"):
 
     @abstractmethod
     def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
-        """Return the lowest and highest values for a shape of this layout, of shape (D,) each.
+        """Return the lowest and highest values for a shape of this layout, of shape ``(D,)`` each.
 
         Bounds are finite and depend on the image size or the workspace, never on data.
 
@@ -82,7 +82,7 @@ class Feature(Spec, family="feature"):
 
     @abstractmethod
     def compute(self, shape: Shape, context: FeatureContext) -> Array:
-        """Return the values, of shape (D,); NaN where the shape does not determine them."""
+        """Return the values, of shape ``(D,)``; NaN where the shape does not determine them."""
 
     def measured(self, shape: Shape, size: int) -> npt.NDArray[np.bool_]:
         """Return which of the D = ``size`` values were measured; all of them if the feature weights the points."""
@@ -138,8 +138,8 @@ class FeatureVector:
         context: The context that determines the bounds; later contexts may have another camera pose.
 
     Attributes:
-        low: (D,) float32 lowest values.
-        high: (D,) float32 highest values.
+        low: ``(D,)`` float32 lowest values.
+        high: ``(D,)`` float32 highest values.
         blocks: The position of each feature of each shape.
         anchored: Whether any value changes when only the anchors move.
 
@@ -165,7 +165,7 @@ class FeatureVector:
         self._margin, self._warned = _NOISE_MARGIN * (self.high - self.low), False
 
     def compute(self, shapes: Sequence[Shape], contexts: Sequence[FeatureContext]) -> npt.NDArray[np.float32]:
-        """Return the vector, of shape (D,), float32.
+        """Return the vector, of shape ``(D,)``, float32.
 
         Unknown values are set to the centre of their bounds, the others are clipped to their bounds. Warns once if
         values lie far outside their bounds.
@@ -194,7 +194,7 @@ class FeatureVector:
         return clipped
 
     def measured(self, shapes: Sequence[Shape]) -> npt.NDArray[np.bool_]:
-        """Return which values were measured in this frame and not filled in, of shape (D,)."""
+        """Return which values were measured in this frame and not filled in, of shape ``(D,)``."""
         known = {shape.name: shape for shape in shapes}
         parts = [block.feature.measured(known[block.shape], len(block.units)) for block in self.blocks]
         return np.concatenate(parts)

@@ -69,7 +69,7 @@ class Fourier(LinearFit, kind="fourier"):
         return products(harmonic_basis(np.linspace(0.0, np.pi, n), most) for n, most in self._directions(layout))
 
     def penalty(self, layout: Topology) -> Array:
-        """Return the roughness of the extended curve as a matrix (K, K)."""
+        """Return the roughness of the extended curve as a matrix ``(K, K)``."""
         squares = [np.repeat(np.arange(most + 1.0), 2)[1:] ** 2 for _, most in self._directions(layout)]
         return np.diag(ROUGHNESS * layout.size * np.ravel(reduce(np.add.outer, squares)) ** 2)
 

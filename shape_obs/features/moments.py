@@ -35,7 +35,7 @@ class _Moments(Geometric):
 
     @abstractmethod
     def size(self, layout: Topology, extent: Array) -> float:
-        """Return the highest value of the size, for points within an extent of shape (2,)."""
+        """Return the highest value of the size, for points within an extent of shape ``(2,)``."""
 
     @abstractmethod
     def largest(self) -> tuple[float, float]:
@@ -98,7 +98,7 @@ class ContourMoments(_Moments, kind="contour_moments"):
         return self._units(self.coordinates.unit)
 
     def compute(self, shape: Shape, context: FeatureContext) -> Array:
-        """Return the values, of shape (6,) or (10,)."""
+        """Return the values, of shape ``(6,)`` or ``(10,)``."""
         line = polyline(self.complete(shape, context)[:, :2], closes(shape.layout, self.kind))
         edge = line[1:] - line[:-1]
         length = np.sqrt(np.einsum("kd,kd->k", edge, edge))
@@ -169,7 +169,7 @@ class RegionMoments(_Moments, kind="region_moments"):
         return self._units(f"{unit}²" if unit else "")
 
     def compute(self, shape: Shape, context: FeatureContext) -> Array:
-        """Return the values, of shape (6,) or (10,)."""
+        """Return the values, of shape ``(6,)`` or ``(10,)``."""
         border = self.complete(shape, context)[_border(shape.layout), :2]
         low, high = border.min(axis=0), border.max(axis=0)
         middle, reach = (low + high) / 2, float((high - low).max()) / 2

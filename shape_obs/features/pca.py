@@ -94,13 +94,13 @@ class PrincipalComponents(Positional, kind="pca"):
         return (up @ low + down @ high).sum(axis=1) - at, (up @ high + down @ low).sum(axis=1) - at
 
     def compute(self, shape: Shape, context: FeatureContext) -> Array:
-        """Return the values, of shape (K,); more if the file was fitted with ``--align``."""
+        """Return the values, of shape ``(K,)``; more if the file was fitted with ``--align``."""
         model = self._fitted_to(shape.layout)
         points = self.coordinates.points(shape, context)
         return model.values(points, self.coordinates.weights(shape, points))
 
     def reconstruct(self, values: npt.ArrayLike, layout: Topology, context: FeatureContext) -> Array:
-        """Return the points with these components, of shape (N, 2) or (N, 3)."""
+        """Return the points with these components, of shape ``(N, 2)`` or ``(N, 3)``."""
         return self._fitted_to(layout).points(values)
 
     def error(self, shape: Shape, context: FeatureContext) -> float:

@@ -35,7 +35,7 @@ class _Points(Positional):
         return np.repeat(shape.visible if self.coordinates.planar else shape.valid, size // len(shape))
 
     def reconstruct(self, values: npt.ArrayLike, layout: Topology, context: FeatureContext) -> Array:
-        """Return exactly the points, of shape (N, 2) or (N, 3)."""
+        """Return exactly the points, of shape ``(N, 2)`` or ``(N, 3)``."""
         return np.asarray(values, dtype=np.float64).reshape(layout.size, -1)
 
 
@@ -105,7 +105,7 @@ class Ok(Feature, kind="ok"):
         return np.zeros(1), np.ones(1)
 
     def compute(self, shape: Shape, context: FeatureContext) -> Array:
-        """Return ``shape.ok`` as an array of shape (1,)."""
+        """Return ``shape.ok`` as an array of shape ``(1,)``."""
         return np.array([float(shape.ok)])
 
 
@@ -123,7 +123,7 @@ class Age(Feature, kind="age"):
         return np.zeros(1), np.full(1, context.max_age)
 
     def compute(self, shape: Shape, context: FeatureContext) -> Array:
-        """Return the age in seconds as an array of shape (1,)."""
+        """Return the age in seconds as an array of shape ``(1,)``."""
         return np.array([min(shape.age, context.max_age)])
 
 
@@ -136,5 +136,5 @@ class Valid(Feature, kind="valid"):
         return np.zeros(layout.size), np.ones(layout.size)
 
     def compute(self, shape: Shape, context: FeatureContext) -> Array:
-        """Return ``shape.valid`` as numbers, of shape (N,)."""
+        """Return ``shape.valid`` as numbers, of shape ``(N,)``."""
         return shape.valid.astype(np.float64)

@@ -30,7 +30,7 @@ class Centroid(Geometric, kind="centroid"):
         return self.coordinates.box(context)
 
     def compute(self, shape: Shape, context: FeatureContext) -> Array:
-        """Return the centroid, of shape (2,) or (3,)."""
+        """Return the centroid, of shape ``(2,)`` or ``(3,)``."""
         return self.complete(shape, context).mean(axis=0)
 
 
@@ -77,7 +77,7 @@ class Orientation(Framed, kind="orientation"):
         return np.full(2, -1.0), np.ones(2)
 
     def compute(self, shape: Shape, context: FeatureContext) -> Array:
-        """Return cosine and sine, counted from the first axis towards the second, of shape (2,)."""
+        """Return cosine and sine, counted from the first axis towards the second, of shape ``(2,)``."""
         points = self.complete(shape, context)[:, :2]
         heading = _weights(shape.layout) @ points
         length = np.sqrt(heading @ heading)
@@ -88,7 +88,7 @@ class Orientation(Framed, kind="orientation"):
 
 
 def _principal(points: Array, heading: Array) -> Array:
-    """Return the axis of the largest variance, of shape (2,), on the side of the heading; NaN if undefined."""
+    """Return the axis of the largest variance, of shape ``(2,)``, on the side of the heading; NaN if undefined."""
     away = points - points.mean(axis=0)
     (xx, xy), (_, yy) = away.T @ away
     if np.hypot(2 * xy, xx - yy) <= _ROUNDING * (xx + yy):
@@ -100,7 +100,7 @@ def _principal(points: Array, heading: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _weights(layout: Any) -> Array:
-    """Return the weights of the points in the heading, of shape (N,)."""
+    """Return the weights of the points in the heading, of shape ``(N,)``."""
     at = np.arange(layout.size, dtype=np.float64)
     if isinstance(layout, Ring):
         return np.cos(2 * np.pi * at / layout.size)
@@ -131,7 +131,7 @@ class Length(Framed, kind="length"):
         return np.zeros(1), np.full(1, edges * np.linalg.norm(high - low))
 
     def compute(self, shape: Shape, context: FeatureContext) -> Array:
-        """Return the length, of shape (1,)."""
+        """Return the length, of shape ``(1,)``."""
         closed = closes(shape.layout, self.kind)
         points = self.coordinates.points(shape, context)
         weight = polyline(self.coordinates.weights(shape, points), closed)

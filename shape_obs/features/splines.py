@@ -130,7 +130,7 @@ def b_splines(places: Array, knots: Array, degree: int) -> Array:
     """Return the values of all B-splines over the knots, of shape (places, len(knots) - degree - 1).
 
     Args:
-        places: (P,) where the splines are evaluated, between ``knots[degree]`` and ``knots[-degree - 1]``.
+        places: ``(P,)`` where the splines are evaluated, between ``knots[degree]`` and ``knots[-degree - 1]``.
         knots: Non-decreasing knots.
         degree: The degree of the splines.
     """

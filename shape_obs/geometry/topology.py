@@ -25,8 +25,8 @@ class Neighbourhoods(NamedTuple):
     With phi(k,j) = (1, offset of j from k in each of the P lattice directions):
 
     Args:
-        first: (E,P+1,K,K) h(k,j) phi_a, h = exp(-|offset|^2 / 2 sigma^2).
-        second: (E,P+1,P+1,K,K) h(k,j) phi_a phi_b.
+        first: ``(E, P+1, K, K)`` h(k,j) phi_a, h = exp(-|offset|^2 / 2 sigma^2).
+        second: ``(E, P+1, P+1, K, K)`` h(k,j) phi_a phi_b.
     """
 
     first: Array

@@ -23,7 +23,7 @@ def propose_hsv(rgb: npt.NDArray[np.uint8], pixel: tuple[float, float]) -> HSVRa
     nearly all of them: by hue where the object has a colour, by saturation and brightness where it is gray.
 
     Args:
-        rgb: (H,W,3) uint8, RGB.
+        rgb: ``(H, W, 3)`` uint8, RGB.
         pixel: (u, v) on the object.
 
     Raises:

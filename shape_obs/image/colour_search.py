@@ -68,7 +68,7 @@ def table_mask(rgb: npt.NDArray[np.uint8], window: Window, table: npt.NDArray[np
 
 
 def _flat(rgb: npt.NDArray[np.uint8], window: Window) -> tuple[npt.NDArray[np.uint8], int, int]:
-    """Return the values of an image in a row, where its pixel (0, 0) stands, and the distance between its rows.
+    """Return the values of an image in a row, where its pixel ``(0, 0)`` stands, and the distance between its rows.
 
     If an image is not stored row by row, the window is copied.
     """

@@ -27,8 +27,8 @@ class Seen(NamedTuple):
     """The markers when they were last found.
 
     Args:
-        size: (H, W) of the image.
-        corners: All four, (4,2) pixels each, when the place was last found.
+        size: ``(H, W)`` of the image.
+        corners: All four, ``(4, 2)`` pixels each, when the place was last found.
         region: The area between them.
         frames: Since the place was found or confirmed.
     """

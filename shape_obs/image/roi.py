@@ -46,7 +46,7 @@ class ROI(Spec, family="roi", modules={"markers": "shape_obs.image.marker_roi"})
 
     @abstractmethod
     def window(self, size: tuple[int, int]) -> Window:
-        """Return the pixels to read of an image of ``size`` = (H, W).
+        """Return the pixels to read of an image of ``size`` = ``(H, W)``.
 
         Raises:
             ValueError: The region leaves nothing of the image.
@@ -60,7 +60,7 @@ class ROI(Spec, family="roi", modules={"markers": "shape_obs.image.marker_roi"})
         """Return where the region is in a frame; most stand still. A region that moves overrides this.
 
         Args:
-            rgb: (H,W,3) uint8, RGB; None where there is only a mask or depth.
+            rgb: ``(H, W, 3)`` uint8, RGB; None where there is only a mask or depth.
             memory: What ``place`` has returned with the frame before; None at the first frame and after a reset. The
                 detector keeps it: it can be copied and pickled, and is never changed in place.
 
@@ -71,7 +71,7 @@ class ROI(Spec, family="roi", modules={"markers": "shape_obs.image.marker_roi"})
 
 
 def clipped(box: tuple[int, int, int, int], size: tuple[int, int], roi: ROI) -> Window:
-    """Return the part of a box (left, top, right, bottom) that lies in an image of ``size`` = (H, W).
+    """Return the part of a box (left, top, right, bottom) that lies in an image of ``size`` = ``(H, W)``.
 
     Raises:
         ValueError: None of it.

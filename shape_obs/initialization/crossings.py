@@ -42,7 +42,7 @@ class Strands(NamedTuple):
     """A skeleton resolved.
 
     Args:
-        curves: (P_i,2) pixels each, at steps of about a pixel. Every branch is part of one of them, but the shared
+        curves: ``(P_i, 2)`` pixels each, at steps of about a pixel. Every branch is part of one of them, but the shared
             ones of two.
         inside: Whether the first and the last end of each lie on another strand, instead of freely.
         rings: How many strands are closed; they are cut open somewhere.

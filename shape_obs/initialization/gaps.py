@@ -28,8 +28,8 @@ class Bridged(NamedTuple):
     """Pieces joined into one curve.
 
     Args:
-        curve: (P,2) pixels.
-        bridged: (P,) bool, the points in the gaps.
+        curve: ``(P, 2)`` pixels.
+        bridged: ``(P,)`` bool, the points in the gaps.
         rival: Price of the best way to join the pieces that differs in a gap, over the price of this one; inf if there
             is no other.
     """
@@ -45,7 +45,7 @@ def bridge(pieces: list[Array], width: float) -> Bridged:
     The price of a gap is its length and the bending energy of the bridge.
 
     Args:
-        pieces: (P_i,2) curves, pixels, in no particular direction.
+        pieces: ``(P_i, 2)`` curves, pixels, in no particular direction.
         width: Of the rope, pixels.
     """
     if len(pieces) == 1:
@@ -143,8 +143,8 @@ class Lead(NamedTuple):
     """How a strand leaves a zone or a gap.
 
     Args:
-        point: (2,) pixels, where it is clear of the zone.
-        heading: (2,) unit vector, away from the zone.
+        point: ``(2,)`` pixels, where it is clear of the zone.
+        heading: ``(2,)`` unit vector, away from the zone.
     """
 
     point: Array

@@ -109,7 +109,7 @@ class Overlap(NamedTuple):
 
     Args:
         pairs: Which strand comes out as which.
-        paths: (P,2) pixels each, the centre of either strand on the way, in the direction of its pair.
+        paths: ``(P, 2)`` pixels each, the centre of either strand on the way, in the direction of its pair.
         doubt: Why this may be wrong, or nothing.
     """
 

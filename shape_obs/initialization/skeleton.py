@@ -53,8 +53,8 @@ class Branch:
     """A strand between two nodes.
 
     Args:
-        points: (P,2) pixels, image coordinates, at steps of about a (coarse) pixel.
-        radius: (P,) pixels, from there to the nearest background.
+        points: ``(P, 2)`` pixels, image coordinates, at steps of about a (coarse) pixel.
+        radius: ``(P,)`` pixels, from there to the nearest background.
         nodes: Where it begins and where it ends.
     """
 
@@ -193,7 +193,7 @@ def _links(thin: Mask, at: Index) -> Index:
 
     Args:
         thin: With a border of 0.
-        at: (P,) where it is set, row by row.
+        at: ``(P,)`` where it is set, row by row.
     """
     is_set, down = thin.ravel() > 0, thin.shape[1]
     pairs = []
@@ -210,8 +210,8 @@ def _chains(links: Index, is_node: npt.NDArray[np.bool_]) -> Iterator[list[int]]
     """Return every chain of pixels from node to node once, then the rings that no node lies on, closed.
 
     Args:
-        links: (L,2) neighbours; pixels that are no node have two.
-        is_node: (P,).
+        links: ``(L, 2)`` neighbours; pixels that are no node have two.
+        is_node: ``(P,)``.
     """
     neighbours: list[list[int]] = [[] for _ in is_node]
     for first, second in links.tolist():

@@ -69,7 +69,7 @@ def find_markers(image: npt.NDArray[np.uint8], dictionary: str = DICTIONARY, sha
     """Find the markers in an image.
 
     Args:
-        image: RGB image (H, W, 3) or gray image (H, W), uint8.
+        image: RGB image ``(H, W, 3)`` or gray image ``(H, W)``, uint8.
         dictionary: The marker dictionary, see ``dictionary_named``.
         sharp: Refine corners to a fraction of a pixel, which takes half a millisecond per marker.
 
@@ -91,7 +91,7 @@ def find_markers(image: npt.NDArray[np.uint8], dictionary: str = DICTIONARY, sha
 
 
 def as_gray(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """Convert an RGB image (H, W, 3) or a gray image (H, W) to a contiguous gray image (H, W)."""
+    """Convert an RGB image ``(H, W, 3)`` or a gray image ``(H, W)`` to a contiguous gray image ``(H, W)``."""
     if image.ndim == 2:
         return np.ascontiguousarray(image)
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY), np.uint8)
@@ -115,12 +115,12 @@ def refine_corners(gray: npt.NDArray[np.uint8], corners: Array, cells: int) -> A
     """Refine the corners of one marker.
 
     Args:
-        gray: Gray image (H, W), uint8.
-        corners: (4, 2) pixels, clockwise in the image, with an error of at most a cell.
+        gray: Gray image ``(H, W)``, uint8.
+        corners: ``(4, 2)`` pixels, clockwise in the image, with an error of at most a cell.
         cells: Number of cells along a side, including the black border.
 
     Returns:
-        (4, 2) pixels; the given corners if the sides cannot be distinguished from their surroundings.
+        ``(4, 2)`` pixels; the given corners if the sides cannot be distinguished from their surroundings.
     """
     better = corners
     for _ in range(_ROUNDS):
@@ -166,7 +166,7 @@ def _ends(offsets: Array, weights: Array) -> Array:
 
 
 def _meetings(begins: Array, ends: Array) -> Array:
-    """Return the intersections of each side's line with that of the previous side, (4, 2)."""
+    """Return the intersections of each side's line with that of the previous side, ``(4, 2)``."""
     (x, y), (u, v) = begins.T, (ends - begins).T
     before, behind = np.roll(begins, 1, axis=0), np.roll(ends - begins, 1, axis=0)
     across = behind[:, 0] * v - behind[:, 1] * u

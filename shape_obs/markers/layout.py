@@ -77,7 +77,7 @@ class MarkerLayout(Spec):
 
     @property
     def array(self) -> Array:
-        """The corners as an array (M, 4, 2)."""
+        """The corners as an array ``(M, 4, 2)``."""
         return np.array(self.corners, np.float64)
 
     @property

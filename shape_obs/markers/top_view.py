@@ -27,7 +27,7 @@ class TopView:
     """The homography of a flat table in the image of a pinhole camera.
 
     Args:
-        homography: (3,3) table -> image: metres (x, y, 1) to homogeneous pixels.
+        homography: ``(3, 3)`` table -> image: metres (x, y, 1) to homogeneous pixels.
         layout: The positions of the markers.
         seen: The ids of the markers that were found.
         rms: Root mean square distance in pixels of their corners from the layout. More than one pixel means that the
@@ -35,7 +35,7 @@ class TopView:
 
     Example:
         >>> view = TopView.find(rgb, MarkerLayout.rectangle(marker=0.06, width=0.6, height=0.4))  # doctest: +SKIP
-        >>> view.to_table(shape.points2d)  # (N,2) metres  # doctest: +SKIP
+        >>> view.to_table(shape.points2d)  # (N, 2) metres  # doctest: +SKIP
     """
 
     homography: Array
@@ -74,14 +74,14 @@ class TopView:
         return cls(homography, layout, tuple(layout.ids[i] for i in seen), rms)
 
     def to_table(self, pixels: npt.ArrayLike) -> Array:
-        """Map pixels (..., 2) to metres (..., 2) on the table; NaN stays NaN.
+        """Map pixels ``(..., 2)`` to metres ``(..., 2)`` on the table; NaN stays NaN.
 
         Points above the table are mapped too far from the camera.
         """
         return _mapped(np.asarray(np.linalg.inv(self.homography), np.float64), pixels)
 
     def to_pixels(self, points: npt.ArrayLike) -> Array:
-        """Map metres (..., 2) on the table to pixels (..., 2)."""
+        """Map metres ``(..., 2)`` on the table to pixels ``(..., 2)``."""
         return _mapped(self.homography, points)
 
     def warp(
@@ -90,7 +90,7 @@ class TopView:
         """Return the table seen from straight above.
 
         Args:
-            rgb: The image, (H, W, 3), uint8.
+            rgb: The image, ``(H, W, 3)``, uint8.
             pixels_per_metre: Resolution of the result.
             margin: Metres around the markers to include.
 
@@ -109,7 +109,7 @@ class TopView:
         return np.asarray(seen, np.uint8)
 
     def transform_table_to_camera(self, intrinsics: Intrinsics) -> Array:
-        """Return the transform (4, 4) in metres, p_camera = T p_table, with z = 0 on the table.
+        """Return the transform ``(4, 4)`` in metres, p_camera = T p_table, with z = 0 on the table.
 
         Args:
             intrinsics: The intrinsics of the image.
@@ -140,11 +140,11 @@ def fourth_marker(corners: Corners, ids: tuple[int, int, int, int]) -> Array:
     visible corners. Each marker may have its own rotation.
 
     Args:
-        corners: The visible three markers, (4, 2) pixels each.
+        corners: The visible three markers, ``(4, 2)`` pixels each.
         ids: The ids of all four, in order around the rectangle.
 
     Returns:
-        (4, 2) pixels.
+        ``(4, 2)`` pixels.
     """
     from scipy.optimize import least_squares
 
@@ -167,7 +167,7 @@ def fourth_marker(corners: Corners, ids: tuple[int, int, int, int]) -> Array:
 
 
 def _squares(unknown: Array) -> Array:
-    """Return all four markers seen through a homography, of shape (4, 4, 2), the hidden one last.
+    """Return all four markers seen through a homography, of shape ``(4, 4, 2)``, the hidden one last.
 
     Args:
         unknown: (13,) eight entries of the homography, width and height of the rectangle, rotations of the visible

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -36,26 +36,12 @@ _MAX_PIECES: Final = 16  # and falls into no more: the cost of joining them grow
 _NEAR: Final = (0.75, 2.0)
 
 
-class Sheet(NamedTuple):
-    """A sheet and its map in the plane, not mirrored as seen along +z.
-
-    Args:
-        outline: (P,3) metres, closed, clockwise as seen along +z.
-        flat: (M,2) metres, where the cloud's samples lie on the map.
-        outline_flat: (P,2) metres, where the outline lies on it.
-    """
-
-    outline: Array
-    flat: Array
-    outline_flat: Array
-
-
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """Points of one object in space.
 
     Args:
-        points: (M,3) metres, plausible ones.
+        points: ``(M, 3)`` metres, plausible ones.
     """
 
     points: Array
@@ -182,7 +168,7 @@ class Cloud:
 
     def outline_curve(self, hole: int | None = None) -> FittedCurve:
         """Return the closed boundary, clockwise as seen along +z: a ring's axis, or the border of a sheet."""
-        points = self.sheet().outline if self._ring is None else self._ring
+        points = self._sheet[0] if self._ring is None else self._ring
         return FittedCurve.through(points, np.zeros(len(points), bool), closed=True)
 
     def outline_samples(self) -> Samples:
@@ -199,8 +185,7 @@ class Cloud:
 
     def sheet_outline(self) -> tuple[Array, Array]:
         """Return the outline of the sheet in space, ``(P, 3)``, and unrolled into a plane, ``(P, 2)``."""
-        sheet = self.sheet()
-        return sheet.outline, sheet.outline_flat
+        return self._sheet
 
     def to_space(self, flat: Array) -> Array:
         """Return places ``(N, 2)`` on the unrolled sheet in space, ``(N, 3)``."""
@@ -226,21 +211,17 @@ class Cloud:
         around = ring(self.samples, self.links, [piece.samples for piece in self.components], self.width)
         return around if around is None or clockwise(around) else around[::-1]
 
-    def sheet(self) -> Sheet:
-        """Return the cloud unrolled into a plane, and its border there and in space."""
-        return self._sheet
-
     @cached_property
     def chart(self) -> Chart:
         """The map that takes places on the sheet to space and back."""
         return chart(self.samples, self.links)
 
     @cached_property
-    def _sheet(self) -> Sheet:
+    def _sheet(self) -> tuple[Array, Array]:
         if len(self.samples) < _FEWEST:  # a point, as far as an outline goes
-            return Sheet(self.samples.points[:1], np.zeros((len(self.samples), 2)), np.zeros((1, 2)))
+            return self.samples.points[:1], np.zeros((1, 2))
         around = border(self.chart.to_flat(self.kept, self._pieces.sample))
-        return Sheet(self.chart.to_space(around), self.chart.flat, around)
+        return self.chart.to_space(around), around
 
     @cached_property
     def _ribbon(self) -> Ribbon:

@@ -16,7 +16,7 @@ from shape_obs.frame import FARTHEST, depth_in_metres
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.region import Region
-from shape_obs.point_cloud.cloud import Cloud, Sheet
+from shape_obs.point_cloud.cloud import Cloud
 from shape_obs.point_cloud.lifting import form_depth, lift_form
 
 if TYPE_CHECKING:  # a protocol's property accepts no other descriptor
@@ -50,7 +50,7 @@ class SeenCloud(Cloud):
 
     Args:
         region: The mask.
-        depth: (H,W) the frame's depth.
+        depth: ``(H, W)`` the frame's depth.
         intrinsics: The projection.
     """
 
@@ -78,7 +78,7 @@ class SeenCloud(Cloud):
         return ahead & self.region.carries(np.where(ahead[:, None], pixels, -1e6))
 
     @cached_property
-    def _sheet(self) -> Sheet:
+    def _sheet(self) -> tuple[Array, Array]:
         """The border is the mask's, which is sharper than the cloud's and has no holes where depth is missing."""
         rim = self.region.outline.curve
         if len(self.samples) < _NEIGHBOURS or not rim.size:  # that of a single pixel has no length
@@ -98,7 +98,7 @@ class SeenCloud(Cloud):
         outline = self.intrinsics.deproject(pixels, depth)
         if not (np.abs(outline) < FARTHEST).all():  # the lens has no ray at some of the border
             return super()._sheet
-        return Sheet(outline, self.chart.flat, self.chart.to_flat(outline, near[:, 0]))
+        return outline, self.chart.to_flat(outline, near[:, 0])
 
     def connected_ahead(self, place: Array, points: Array, along: Array, width: float) -> npt.NDArray[np.bool_]:
         """Return which points near a place belong to its strand: those to which the mask goes on straight."""
@@ -125,7 +125,7 @@ def deproject(region: Region, depth: npt.NDArray[Any], intrinsics: Intrinsics) -
 
     Args:
         region: The mask.
-        depth: (H,W) uint16 millimetres or floating metres; 0, negative or non-finite = invalid.
+        depth: ``(H, W)`` uint16 millimetres or floating metres; 0, negative or non-finite = invalid.
         intrinsics: The projection.
     """
     pixels = _inner(region)

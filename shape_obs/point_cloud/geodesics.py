@@ -119,8 +119,8 @@ class Chain(NamedTuple):
     """An axis from tip to tip.
 
     Args:
-        points: (P,3) metres, evenly spread.
-        bridged: (P,) bool: in a gap.
+        points: ``(P, 3)`` metres, evenly spread.
+        bridged: ``(P,)`` bool: in a gap.
         doubt: Why no single rope can be like that; empty if one can.
     """
 

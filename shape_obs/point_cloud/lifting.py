@@ -54,12 +54,12 @@ def lift_form(form: FittedForm, z: Array, intrinsics: Intrinsics) -> Array | Non
     is); the points that leave the detector are lifted again.
 
     Args:
-        form: (P,2) pixels.
-        z: (P,) metres, as ``form_depth`` gives them.
+        form: ``(P, 2)`` pixels.
+        z: ``(P,)`` metres, as ``form_depth`` gives them.
         intrinsics: The projection.
 
     Returns:
-        (P,3) metres, or None where less than half of the form has depth, or the lens has no ray to some of it.
+        ``(P, 3)`` metres, or None where less than half of the form has depth, or the lens has no ray to some of it.
     """
     known = np.isfinite(z)
     if known.mean() < 0.5:
@@ -75,12 +75,12 @@ def overlaid(curve: FittedCurve, metres: Array, width: float) -> npt.NDArray[np.
     curve a little further away.
 
     Args:
-        curve: (P,D) pixels, with hidden pieces.
-        metres: (P,) depth under it; NaN where it is not known.
+        curve: ``(P, D)`` pixels, with hidden pieces.
+        metres: ``(P,)`` depth under it; NaN where it is not known.
         width: Of the rope, pixels.
 
     Returns:
-        (P,) bool.
+        ``(P,)`` bool.
     """
     arc = curve.arc[: len(metres)]
     apart = np.abs(arc[:, None] - arc)

@@ -41,7 +41,7 @@ def plausible(points: npt.NDArray[np.floating[Any]]) -> Array:
     """Return the points that can belong to one object: finite, non-zero, not absurdly far off.
 
     Args:
-        points: (M,3) metres.
+        points: ``(M, 3)`` metres.
     """
     points = points.astype(np.float64)
     points = points[(np.abs(points) < FARTHEST).all(axis=1) & points.any(axis=1)]

@@ -49,12 +49,12 @@ def extend_chain(nodes: Array, cloud: Cloud, width: float) -> Array:
     """Cut a chain of nodes where it hangs over the cloud, and lengthen it to the tips.
 
     Args:
-        nodes: (K,3) metres, K >= 3.
+        nodes: ``(K, 3)`` metres, K >= 3.
         cloud: What they were fitted to.
         width: The rope's, metres.
 
     Returns:
-        (K',3); the first and last points lie on the tips.
+        ``(K', 3)``; the first and last points lie on the tips.
     """
     width = max(width, cloud.thinnest)
     on = np.flatnonzero(cloud.carries(nodes))  # a prediction that overshoots leaves empty nodes past the end

@@ -50,7 +50,7 @@ class Chart:
     Args:
         samples: Of the sheet, metres.
         links: Distances of those that are connected, each pair once.
-        flat: (M,2) metres, where the samples lie on the map.
+        flat: ``(M, 2)`` metres, where the samples lie on the map.
     """
 
     samples: Samples
@@ -73,7 +73,7 @@ class Chart:
 
     @cached_property
     def _jacobians(self) -> tuple[Array, Array]:
-        """The Jacobians of the map at each sample (M,3,2) and of its inverse (M,2,3), by least squares."""
+        """The Jacobians of the map at each sample ``(M, 3, 2)`` and of its inverse ``(M, 2, 3)``, by least squares."""
         links: Any = (self.links + self.links.T).tocoo()
         step = self.samples.points[links.col] - self.samples.points[links.row]
         flat = self.flat[links.col] - self.flat[links.row]
@@ -144,10 +144,10 @@ def border(flat: Array) -> Array:
     points would grow with the noise.
 
     Args:
-        flat: (M,2) metres, x right and y down.
+        flat: ``(M, 2)`` metres, x right and y down.
 
     Returns:
-        (P,2) metres, evenly spread, clockwise.
+        ``(P, 2)`` metres, evenly spread, clockwise.
     """
     low, high = flat.min(axis=0), flat.max(axis=0)
     pixel = max(float((high - low).max()) / _PIXELS, 1e-9)

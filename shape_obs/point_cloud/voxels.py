@@ -40,7 +40,7 @@ def gather(points: Array, edge: float) -> tuple[Samples, Indices]:
     """Gather points into cubes of about ``edge``, larger where the points lie farther apart.
 
     Args:
-        points: (M,3) metres, M > 0.
+        points: ``(M, 3)`` metres, M > 0.
         edge: Metres.
 
     Returns:
@@ -85,8 +85,8 @@ class ConnectedVoxels(NamedTuple):
     """The pieces of a cloud without specks.
 
     Args:
-        points: (M',3) metres.
-        sample: (M',) which sample each point belongs to.
+        points: ``(M', 3)`` metres.
+        sample: ``(M',)`` which sample each point belongs to.
         samples: Their voxels.
         links: How the voxels are connected.
         components: Largest first.
@@ -149,7 +149,7 @@ def measure(points: Array) -> Ribbon:
     mean, over points drawn from all, of the length of rope in a neighbourhood for each point in it, times the points.
 
     Args:
-        points: (M,3) metres.
+        points: ``(M, 3)`` metres.
     """
     draw = np.random.default_rng(0)
     some = points if len(points) <= _POINTS else points[draw.integers(len(points), size=_POINTS)]

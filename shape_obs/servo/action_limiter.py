@@ -17,7 +17,7 @@ class Guarded(NamedTuple):
     """A motion within the limits.
 
     Attributes:
-        motion: (A,) in physical units.
+        motion: ``(A,)`` in physical units.
         clipped: Whether the action was outside -1 ... 1.
         capped: Whether the step was longer than allowed.
         boxed: Whether the step would have left the workspace.
@@ -36,7 +36,7 @@ class Guard:
         spec: The meaning of actions.
         max_step: (A,) largest change of each coordinate in one step, in physical units. None means ``spec.scale`` for
             displacements, ``spec.scale * dt`` for velocities, and no limit for positions.
-        workspace: (low, high), each (A,): a smaller box than the robot's own, in physical units.
+        workspace: (low, high), each ``(A,)``: a smaller box than the robot's own, in physical units.
         dt: Seconds per step.
 
     Raises:
@@ -71,8 +71,8 @@ class Guard:
         """Return the motion of an action within the limits.
 
         Args:
-            action: (A,) in -1 ... 1.
-            state: (A,) commanded state of the robot, in physical units.
+            action: ``(A,)`` in -1 ... 1.
+            state: ``(A,)`` commanded state of the robot, in physical units.
 
         Raises:
             ValueError: A shape is wrong, or a number is not finite.

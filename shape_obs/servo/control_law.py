@@ -68,11 +68,11 @@ class ServoLaw(ABC):
         """Return the action, -1...1, for an error of features.
 
         Args:
-            error: (F,) desired minus current features.
-            measured: (F,) which features to use; None for all.
+            error: ``(F,)`` desired minus current features.
+            measured: ``(F,)`` which features to use; None for all.
 
         Returns:
-            The action (A,); zeros if the estimate cannot be used or the error is not finite.
+            The action ``(A,)``; zeros if the estimate cannot be used or the error is not finite.
 
         Raises:
             ValueError: ``start`` was not called, or a size is wrong.
@@ -92,7 +92,7 @@ class ServoLaw(ABC):
 
     @abstractmethod
     def _step(self, jacobian: Array, error: Array) -> Array:
-        """Return the action (A,) for J (F, A) and an error (F,), both weighted."""
+        """Return the action ``(A,)`` for J ``(F, A)`` and an error ``(F,)``, both weighted."""
 
 
 def saturated(action: Array) -> Array:

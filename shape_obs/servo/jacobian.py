@@ -12,12 +12,12 @@ Array = npt.NDArray[np.float64]
 
 
 class JacobianEstimator(ABC):
-    """Estimate the matrix J (F, A) in ``delta_features = J delta_action`` from pairs of changes.
+    """Estimate the matrix J ``(F, A)`` in ``delta_features = J delta_action`` from pairs of changes.
 
     All rows are updated alike, so the units of the features do not matter; actions are -1...1.
 
     Attributes:
-        matrix: J of shape (F, A); None before ``start``.
+        matrix: J of shape ``(F, A)``; None before ``start``.
         error: Relative prediction error of the last change of features, ``|df - J da| / |df|``; NaN before the first.
     """
 
@@ -31,7 +31,7 @@ class JacobianEstimator(ABC):
         Args:
             features: Number of features F.
             actions: Number of actions A.
-            matrix: Initial J of shape (F, A); default zeros.
+            matrix: Initial J of shape ``(F, A)``; default zeros.
 
         Raises:
             ValueError: The matrix has another shape, or is not finite.
@@ -51,9 +51,9 @@ class JacobianEstimator(ABC):
         """Update the estimate from a change of features and the actions that caused it.
 
         Args:
-            delta_features: (F,) change of the features.
-            delta_action: (A,) sum of the actions.
-            measured: (F,) which features to learn from; None for all.
+            delta_features: ``(F,)`` change of the features.
+            delta_action: ``(A,)`` sum of the actions.
+            measured: ``(F,)`` which features to learn from; None for all.
 
         Returns:
             Whether the estimate was updated: changes must be finite and the motion not zero.
@@ -85,7 +85,7 @@ class JacobianEstimator(ABC):
 
     @abstractmethod
     def _gain(self, da: Array) -> Array:
-        """Return the gain (A,) of a motion in the update ``J += (df - J da) gain'``."""
+        """Return the gain ``(A,)`` of a motion in the update ``J += (df - J da) gain'``."""
 
 
 def check_in_range(name: str, value: float, most: float = 1.0) -> float:

@@ -55,11 +55,11 @@ def noise_weights(still: npt.ArrayLike, jacobian: npt.ArrayLike) -> Array:
     """Return weights that scale each feature by its noise, plus a small share of its response to motions.
 
     Args:
-        still: (T, F) features while nothing moved, T at least 3.
-        jacobian: (F, A) response of the features to actions, which sets the scale if there is no noise.
+        still: ``(T, F)`` features while nothing moved, T at least 3.
+        jacobian: ``(F, A)`` response of the features to actions, which sets the scale if there is no noise.
 
     Returns:
-        A diagonal matrix (F, F).
+        A diagonal matrix ``(F, F)``.
     """
     frames, matrix = np.asarray(still, dtype=np.float64), np.asarray(jacobian, dtype=np.float64)
     scale = np.hypot(np.std(frames, axis=0, ddof=1), _RESPONSE * np.linalg.norm(matrix, axis=1))

@@ -75,14 +75,14 @@ def fill_invalid(
     """Fill in points without depth; they stay ``valid=False``.
 
     Args:
-        expected: (N,3) metres: valid points, and where the others should be.
-        valid: (N,) bool.
-        last: (N,3) of the last frame, for ``"hold"``.
+        expected: ``(N, 3)`` metres: valid points, and where the others should be.
+        valid: ``(N,)`` bool.
+        last: ``(N, 3)`` of the last frame, for ``"hold"``.
         policy: ``"interpolate"`` takes what is expected (in an image, the point's own ray at the depth of its
             neighbours; in a cloud, its place on the form); ``"hold"`` the last frame's; ``"nan"`` nothing.
 
     Returns:
-        (N,3); NaN where the policy has nothing to fill with.
+        ``(N, 3)``; NaN where the policy has nothing to fill with.
     """
     if policy == "interpolate":
         return expected

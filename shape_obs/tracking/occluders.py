@@ -32,8 +32,8 @@ def uncover_ends(curve: FittedCurve, depth: npt.NDArray[Any], width: float) -> F
     something lies over the rope where it goes out of sight.
 
     Args:
-        curve: (P,2) pixels, with hidden ends in its hints.
-        depth: (H,W) the frame's depth.
+        curve: ``(P, 2)`` pixels, with hidden ends in its hints.
+        depth: ``(H, W)`` the frame's depth.
         width: Of the rope, pixels.
     """
     keep = [end is None or end.hidden or (end.long and _adjoined(end, depth, width)) for end in _ends(curve, depth)]
@@ -51,8 +51,8 @@ def is_hidden(curve: FittedCurve, depth: npt.NDArray[Any], width: float) -> bool
     """Return whether a long end of a curve goes out of sight where something lies over the rope.
 
     Args:
-        curve: (P,2) pixels, with hidden ends in its hints.
-        depth: (H,W) the frame's depth.
+        curve: ``(P, 2)`` pixels, with hidden ends in its hints.
+        depth: ``(H, W)`` the frame's depth.
         width: Of the rope, pixels.
     """
     return any(end is not None and end.long and _adjoined(end, depth, width) for end in _ends(curve, depth))
@@ -62,7 +62,7 @@ class _End(NamedTuple):
     """An end that is taken for hidden.
 
     Args:
-        tip: (2,) pixels where the rope goes out of sight.
+        tip: ``(2,)`` pixels where the rope goes out of sight.
         over: Metres; what is nearer lies over the rope.
         hidden: Whether something lies over enough of where it should be; what has no depth may.
         long: Whether it is too long to be a rope seen at a steeper angle.

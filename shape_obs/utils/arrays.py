@@ -36,7 +36,7 @@ _DAMAGED: Final = (
 
 
 def read_image(path: Path) -> npt.NDArray[np.uint8]:
-    """Read an image file as RGB, of shape (H, W, 3), uint8.
+    """Read an image file as RGB, of shape ``(H, W, 3)``, uint8.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -65,7 +65,7 @@ def read_depth(path: Path) -> npt.NDArray[Any]:
 
 
 def write_image(path: Path, rgb: npt.NDArray[np.uint8]) -> None:
-    """Write an RGB picture of shape (H, W, 3), completely or not at all.
+    """Write an RGB picture of shape ``(H, W, 3)``, completely or not at all.
 
     Raises:
         ValueError: The suffix is not that of an image format.
@@ -80,7 +80,7 @@ def write_image(path: Path, rgb: npt.NDArray[np.uint8]) -> None:
 
 
 def write_gif(path: Path, frames: Sequence[npt.NDArray[np.uint8]], seconds_per_frame: float) -> None:
-    """Write RGB frames of shape (H, W, 3) as an animated GIF, completely or not at all."""
+    """Write RGB frames of shape ``(H, W, 3)`` as an animated GIF, completely or not at all."""
     from PIL import Image
 
     pictures = [Image.fromarray(frame).quantize(128, dither=Image.Dither.NONE) for frame in frames]

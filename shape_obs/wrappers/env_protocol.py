@@ -94,9 +94,9 @@ class Images:
     """The images in an env's observation.
 
     Args:
-        rgb_key: Key of the uint8 image of shape (H, W, 3); None if the observation is the image.
-        depth_key: Key of the depth image of shape (H, W); None without depth.
-        size: (H, W) of the images.
+        rgb_key: Key of the uint8 image of shape ``(H, W, 3)``; None if the observation is the image.
+        depth_key: Key of the depth image of shape ``(H, W)``; None without depth.
+        size: ``(H, W)`` of the images.
     """
 
     rgb_key: str | None

@@ -65,13 +65,13 @@ def resample(points: Array, spec: Configuration, topology: Topology, intrinsics:
     always run clockwise.
 
     Args:
-        points: (K, 3) metres, camera frame, or (K, 2) pixels.
+        points: ``(K, 3)`` metres, camera frame, or ``(K, 2)`` pixels.
         spec: The configuration that the points are resampled for.
         topology: The topology of the K points.
         intrinsics: The intrinsics of the camera; not needed for pixels.
 
     Returns:
-        Points of shape (N, 3) in metres, camera frame, or (N, 2) in pixels.
+        Points of shape ``(N, 3)`` in metres, camera frame, or ``(N, 2)`` in pixels.
 
     Raises:
         ValueError: A point is not in front of the camera, or the gaps must be equal in metres but points are pixels.
@@ -89,7 +89,7 @@ def resample(points: Array, spec: Configuration, topology: Topology, intrinsics:
 
 
 def shape_at(places: Array, spec: Configuration, intrinsics: Intrinsics | None) -> Shape:
-    """Return a shape with all points known: (N, 3) metres, camera frame, or (N, 2) pixels."""
+    """Return a shape with all points known: ``(N, 3)`` metres, camera frame, or ``(N, 2)`` pixels."""
     pixels = _pixels(places, intrinsics).astype(np.float32)
     points3d = places.astype(np.float32) if places.shape[1] == 3 else None
     known = np.ones(spec.count, bool)
@@ -108,7 +108,7 @@ def _pixels(points: Array, intrinsics: Intrinsics | None) -> Array:
 
 
 def _form(points: Array, seen: Array, topology: Topology) -> FittedForm:
-    """Return the smooth curve or lattice through points (K, D) that the camera sees at pixels (K, 2)."""
+    """Return the smooth curve or lattice through points ``(K, D)`` that the camera sees at pixels ``(K, 2)``."""
     if isinstance(topology, Grid):
         lattice, seen = topology.lattice(points), topology.lattice(seen)
         border = np.concatenate([seen[0, :-1], seen[:-1, -1], seen[-1, :0:-1], seen[:0:-1, 0]])
@@ -125,7 +125,7 @@ def _form(points: Array, seen: Array, topology: Topology) -> FittedForm:
 
 
 def _finer(lattice: Array) -> Array:
-    """Add rows to a lattice on smooth curves down its columns: (R, C, D) -> (R', C, D)."""
+    """Add rows to a lattice on smooth curves down its columns: ``(R, C, D)`` -> ``(R', C, D)``."""
     if len(lattice) < _LEAST:
         return lattice
     rows = np.ascontiguousarray(lattice).reshape(len(lattice), -1)

@@ -45,8 +45,8 @@ class GoalVector:
         context: The context that determines the bounds.
 
     Attributes:
-        low: (D,) float32 lowest values.
-        high: (D,) float32 highest values.
+        low: ``(D,)`` float32 lowest values.
+        high: ``(D,)`` float32 highest values.
         features: The features.
         unit: Unit of ``distance``: ``"m"``, ``"px"``, ``"of half the image"`` or ``"of the range"``.
     """
@@ -61,15 +61,15 @@ class GoalVector:
         self._desired: Vector = self.low
 
     def pair(self, seen: Shape, target: Shape, context: FeatureContext) -> tuple[Vector, Vector]:
-        """Return the achieved and the desired values, new arrays of shape (D,) each."""
+        """Return the achieved and the desired values, new arrays of shape ``(D,)`` each."""
         return self._vector.compute([seen], [context]), self.desired(target, context)
 
     def measured(self, seen: Shape) -> npt.NDArray[np.bool_]:
-        """Return which achieved values were measured in this frame and not filled in, of shape (D,)."""
+        """Return which achieved values were measured in this frame and not filled in, of shape ``(D,)``."""
         return self._vector.measured([seen])
 
     def desired(self, target: Shape, context: FeatureContext) -> Vector:
-        """Return the values of the target, a new array of shape (D,)."""
+        """Return the values of the target, a new array of shape ``(D,)``."""
         shape, camera, before = self._cached
         # The anchors move in every step, but most features do not depend on them.
         anchor = (context.anchor, context.anchors) if self._vector.anchored else None
@@ -79,7 +79,7 @@ class GoalVector:
         return self._desired.copy()
 
     def distance(self, achieved: Any, desired: Any) -> npt.NDArray[np.float64]:
-        """Return the distance between goals: (..., D), (..., D) -> (...,).
+        """Return the distance between goals: ``(..., D)``, ``(..., D)`` -> ``(...,)``.
 
         For points of one kind it is the mean distance of corresponding points, ``mean_i |a_i - d_i|``, in their unit.
         For other features it is the root mean square of their differences, each divided by its range:
@@ -167,14 +167,14 @@ class EnvGoal:
         return cls(features, shapes, context, layout, int(np.prod(space["desired_goal"].shape or (0,))))
 
     def achieved(self, values: Vector) -> Vector:
-        """Return the part of the wrapper's feature vector that goals consist of, a new array of shape (D,)."""
+        """Return the part of the wrapper's feature vector that goals consist of, a new array of shape ``(D,)``."""
         return values[self._here].copy()
 
     def target(self, goal: npt.ArrayLike, camera: CameraModel) -> Shape:
         """Return the env's goal as the shape that the detector would report, the same object while nothing changes.
 
         Args:
-            goal: Points in metres, base frame, flat or of shape (K, 3), starting at the anchor.
+            goal: Points in metres, base frame, flat or of shape ``(K, 3)``, starting at the anchor.
             camera: The camera with its pose in the base frame.
 
         Raises:

@@ -17,7 +17,7 @@ Vector = npt.NDArray[np.float32]
 
 
 class Bounded(Protocol):
-    """Lowest and highest values, (D,) each: a ``FeatureVector``, a ``GoalVector`` or a ``Box``."""
+    """Lowest and highest values, ``(D,)`` each: a ``FeatureVector``, a ``GoalVector`` or a ``Box``."""
 
     @property
     def low(self) -> npt.NDArray[Any]:

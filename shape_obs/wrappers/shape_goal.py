@@ -41,7 +41,7 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     Args:
         env: An env that contains a ``ShapeObservation``.
-        goal: A ``Target``, its mapping, or points (K, 3) in metres, base frame. With None a goal-conditioned env
+        goal: A ``Target``, its mapping, or points ``(K, 3)`` in metres, base frame. With None a goal-conditioned env
             provides the goal of each episode; for other envs each reset needs ``options={"goal": ...}``.
         features: The features of goals: features, or kinds of those of the ``ShapeObservation``. Default: all that
             describe the position of the shape, that is all except ``ok``, ``age`` and ``valid``.
@@ -130,7 +130,7 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return seen, self._reward(distance), terminated, truncated, info
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """Return the reward for goals (..., D) of this wrapper: a float for single goals, else an array (...,).
+        """Return the reward for goals ``(..., D)`` of this wrapper: a float for single goals, else an array ``(...,)``.
 
         The dense reward is minus the distance; the sparse reward is 0 below the threshold, else -1. If goals are points
         of one kind, the distance is the mean distance of corresponding points, ``mean_i |a_i - d_i|``; else it is the
@@ -163,7 +163,7 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     @property
     def goal_measured(self) -> npt.NDArray[np.bool_]:
-        """Which values of the current ``achieved_goal`` were measured and not filled in, of shape (D,)."""
+        """Which values of the current ``achieved_goal`` were measured and not filled in, of shape ``(D,)``."""
         assert self.goal_shape is not None
         return self._vector.measured(self.goal_shape)
 

@@ -39,7 +39,7 @@ class Target(Spec):
     points of a recorded shape, which are used unchanged and only for the same configuration.
 
     Args:
-        points: (K, 3) metres, or (K, 2) pixels.
+        points: ``(K, 3)`` metres, or ``(K, 2)`` pixels.
         frame: ``"base"``, ``"camera"`` (optical frame: x right, y down, z forward) or ``"pixels"``.
         layout: The layout of the points: ``{"kind": "centerline"}``, ``{"kind": "contour"}`` or ``{"kind": "surface",
             "rows": 5, "cols": 7}``; missing entries are those of the configuration.
@@ -74,7 +74,7 @@ class Target(Spec):
 
     @classmethod
     def read(cls, goal: Target | Mapping[str, Any] | npt.ArrayLike) -> Target:
-        """Return a target from a target, its mapping, or bare points in metres, base frame, (K, 3) or flat.
+        """Return a target from a target, its mapping, or bare points in metres, base frame, ``(K, 3)`` or flat.
 
         Raises:
             ValueError: The goal is none of these.

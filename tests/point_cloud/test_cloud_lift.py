@@ -168,10 +168,10 @@ class TestCloud:
 
     def test_a_sheet_is_unrolled_without_a_mirror_image(self, bent):
         cloud = Cloud(bent.points)
-        outline, flat, outline_flat = cloud.sheet()
+        outline, outline_flat = cloud.sheet_outline()
         assert outline.shape[1:] == (3,)
         assert outline_flat.shape == (len(outline), 2)
-        assert flat.shape == (len(cloud.samples), 2)
+        assert cloud.chart.flat.shape == (len(cloud.samples), 2)
         width, height = bent.size
         around = np.linalg.norm(np.diff(outline_flat, axis=0, append=outline_flat[:1]), axis=1).sum()
         assert around == pytest.approx(2 * (width + height), rel=0.05)
@@ -189,7 +189,7 @@ class TestCloud:
 
     def test_the_map_goes_back_to_the_sheet(self, bent):
         cloud = Cloud(bent.points)
-        back = cloud.chart.to_space(cloud.sheet().flat)
+        back = cloud.chart.to_space(cloud.chart.flat)
         assert np.linalg.norm(back - cloud.samples.points, axis=1).mean() < 0.003
 
 

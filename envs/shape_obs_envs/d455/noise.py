@@ -30,7 +30,7 @@ class D455Camera:
 
     Args:
         model: The camera model.
-        size: Size (H, W) of the images in pixels.
+        size: Size ``(H, W)`` of the images in pixels.
         fast: Crop random fields from a bank instead of drawing each pixel. The statistics are the same, at a fraction
             of the time; the bank takes 8 MB at 640 x 480 and is shared by all cameras of this model and size in a
             process.

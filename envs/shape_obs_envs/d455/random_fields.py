@@ -47,7 +47,7 @@ class DrawnFields:
 
     Args:
         model: The camera model.
-        size: Size (H, W) of the images.
+        size: Size ``(H, W)`` of the images.
     """
 
     def __init__(self, model: D455Model, size: Size) -> None:
@@ -78,7 +78,7 @@ class BankFields:
 
     Args:
         model: The camera model.
-        size: Size (H, W) of the images.
+        size: Size ``(H, W)`` of the images.
     """
 
     def __init__(self, model: D455Model, size: Size) -> None:
@@ -124,7 +124,7 @@ class NoiseBank:
 
     Args:
         model: The camera model.
-        size: Size (H, W) of the images.
+        size: Size ``(H, W)`` of the images.
     """
 
     def __init__(self, model: D455Model, size: Size) -> None:
@@ -160,7 +160,7 @@ class NoiseBank:
 
 @lru_cache(maxsize=4)
 def noise_bank(model: D455Model, size: Size) -> NoiseBank:
-    """Return the bank of a model and an image size (H, W), which all environments of a process share."""
+    """Return the bank of a model and an image size ``(H, W)``, which all environments of a process share."""
     return NoiseBank(model, size)
 
 

@@ -54,7 +54,7 @@ class Stereo:
 
     Args:
         model: The camera model.
-        size: Size (H, W) of the images.
+        size: Size ``(H, W)`` of the images.
     """
 
     def __init__(self, model: D455Model, size: Size) -> None:
@@ -180,7 +180,7 @@ class Colour:
 
     Args:
         model: The camera model.
-        size: Size (H, W) of the images.
+        size: Size ``(H, W)`` of the images.
     """
 
     def __init__(self, model: D455Model, size: Size) -> None:

@@ -54,7 +54,7 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Row:
     Returns:
         Errors are mean distances of the true points from the true goal's, in millimetres: ``start_mm`` before the first
         step, ``final_mm`` the mean of the last five steps, ``best_mm`` the smallest one, ``errors_mm`` over time,
-        (T+1,). ``success``: whether ``final_mm`` is below 10; ``steps``: the first step after which the error stays
+        ``(T+1,)``. ``success``: whether ``final_mm`` is below 10; ``steps``: the first step after which the error stays
         below 10 mm, or None. ``prediction``: median share of a change of features that was not predicted, over the
         learnt motions after the excitation until the error stayed below 10 mm (at the goal, changes are only noise),
         None without any. ``seen_mm``: median over the frames of the mean distance of the detected points from the true
@@ -111,7 +111,7 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Row:
 
 
 def settled(errors: Sequence[float]) -> int | None:
-    """Return the first step after which errors (T+1,), in millimetres, stay below 10, or None."""
+    """Return the first step after which errors ``(T+1,)``, in millimetres, stay below 10, or None."""
     above = np.flatnonzero(np.asarray(errors) >= REACHED)
     first = int(above[-1]) + 1 if len(above) else 0
     return first if first < len(errors) else None

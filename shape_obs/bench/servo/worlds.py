@@ -71,7 +71,7 @@ class LosingDetector(ShapeDetector):
     """A detector that loses detected points and interpolates them from the others.
 
     Args:
-        lost: Takes N, returns the lost points, (N,).
+        lost: Takes N, returns the lost points, ``(N,)``.
         config: The arguments of ``ShapeDetector``.
     """
 
@@ -90,7 +90,7 @@ def without(shape: Shape, lost: Mask) -> Shape:
 
     Args:
         shape: The detected shape.
-        lost: The lost points, (N,); ignored if no valid point would be left.
+        lost: The lost points, ``(N,)``; ignored if no valid point would be left.
     """
     left = shape.valid & ~lost
     if shape.reason or not left.any():
@@ -109,7 +109,7 @@ class TrueDetector(ShapeDetector):
     """Return the simulator's points as the detected shape, for any images.
 
     Args:
-        truth: Returns the points, (N, 3) metres, base frame.
+        truth: Returns the points, ``(N, 3)`` metres, base frame.
         config: The arguments of ``ShapeDetector``.
     """
 

@@ -26,10 +26,10 @@ class Blob:
     """A drawn blob.
 
     Args:
-        outline: (P, 2) pixels, closed, clockwise as seen; point i of a moving blob stays the same material point.
-        mask: (H, W) uint8, 0 or 255.
+        outline: ``(P, 2)`` pixels, closed, clockwise as seen; point i of a moving blob stays the same material point.
+        mask: ``(H, W)`` uint8, 0 or 255.
         kind: How the outline was made.
-        hole: The outline of the hole in the same form, (Q, 2) pixels; None without a hole.
+        hole: The outline of the hole in the same form, ``(Q, 2)`` pixels; None without a hole.
         corners: Visible annotated keypoints of a garment: name -> (u, v).
     """
 
@@ -41,7 +41,7 @@ class Blob:
 
 
 def random_blob(rng: np.random.Generator, kind: Kind = "smooth", size: tuple[int, int] = SIZE) -> Blob:
-    """Draw a blob with rounded corners inside an image of ``size`` (H, W)."""
+    """Draw a blob with rounded corners inside an image of ``size`` ``(H, W)``."""
     for _ in range(2000):
         outline = _MAKERS[kind](rng) @ rotation(rng.uniform(0, 2 * np.pi)).T
         low, high = outline.min(axis=0), outline.max(axis=0)
@@ -52,7 +52,7 @@ def random_blob(rng: np.random.Generator, kind: Kind = "smooth", size: tuple[int
 
 
 def draw_blob(outline: Array, hole: Array | None = None, *, size: tuple[int, int] = SIZE, kind: str = "given") -> Blob:
-    """Fill a closed outline of (P, 2) pixels, except a hole: a pixel is inside if its centre is."""
+    """Fill a closed outline of ``(P, 2)`` pixels, except a hole: a pixel is inside if its centre is."""
     inside = _inside(outline, size)
     if hole is not None:
         inside &= ~_inside(hole, size)
@@ -65,7 +65,7 @@ def _clockwise(outline: Array) -> Array:
 
 
 def garments(path: str | Path, size: tuple[int, int] = SIZE) -> Iterator[Blob]:
-    """Draw annotated garment outlines into images of ``size`` (H, W).
+    """Draw annotated garment outlines into images of ``size`` ``(H, W)``.
 
     Args:
         path: A JSON list of ``{kind, width, height, polygon: [[u, v], ...], keypoints: {name: [u, v, hidden]}}``.
@@ -115,7 +115,7 @@ def moving_blob(
 
 
 def _inside(outline: Array, size: tuple[int, int]) -> npt.NDArray[np.bool_]:
-    """Return whether the centre of each pixel is inside, (H, W), by counting crossings to its left.
+    """Return whether the centre of each pixel is inside, ``(H, W)``, by counting crossings to its left.
 
     OpenCV's ``fillPoly`` also fills the border, which makes objects 0.15 px larger even with supersampling.
     """
@@ -132,7 +132,7 @@ def _inside(outline: Array, size: tuple[int, int]) -> npt.NDArray[np.bool_]:
 
 
 def _waves(rng: np.random.Generator, size: float) -> Array:
-    """Draw amplitudes and phases of the second to the fourth wave around a circle, (3, 2)."""
+    """Draw amplitudes and phases of the second to the fourth wave around a circle, ``(3, 2)``."""
     return np.stack([size * rng.uniform(0.5, 1, 3) / np.array([1, 1.5, 2]), rng.uniform(0, 2 * np.pi, 3)], axis=1)
 
 
@@ -167,7 +167,7 @@ def _horseshoe(rng: np.random.Generator) -> Array:
 
 
 def _thick(line: Array, width: float) -> Array:
-    """Return the outline of a ribbon with round ends about a line of (P, 2)."""
+    """Return the outline of a ribbon with round ends about a line of ``(P, 2)``."""
     along = np.gradient(line, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     side = width / 2 * np.stack([-along[:, 1], along[:, 0]], axis=1)

@@ -34,8 +34,8 @@ class RopeCloud:
     """A cloud of a rope.
 
     Args:
-        points: (M, 3) metres, unordered.
-        curve: The axis from tip to tip, (P, 3) metres; that of a ring is closed without repeating the first point.
+        points: ``(M, 3)`` metres, unordered.
+        curve: The axis from tip to tip, ``(P, 3)`` metres; that of a ring is closed without repeating the first point.
         radius: Radius in metres.
     """
 
@@ -49,11 +49,11 @@ class SheetCloud:
     """A cloud of a bent sheet.
 
     Args:
-        points: (M, 3) metres, unordered.
+        points: ``(M, 3)`` metres, unordered.
         size: Width and height of the flat sheet in metres.
         bend: Turn from one side to the other in radians.
         axis: Direction of the bend's axis in the flat sheet in radians.
-        place: Rotation and translation of the bent sheet, (3, 4).
+        place: Rotation and translation of the bent sheet, ``(3, 4)``.
     """
 
     points: Array
@@ -132,7 +132,7 @@ def _amplitudes(rng: np.random.Generator) -> Array:
 
 
 def _heading_curve(length: float, amplitudes: Array) -> Array:
-    """Return a curve whose heading swings along it, (P, 3) metres at even steps."""
+    """Return a curve whose heading swings along it, ``(P, 3)`` metres at even steps."""
     count = max(round(length / _STEP), 2)
     along = np.linspace(0, 1, count)
     order = np.pi * np.arange(1, _HARMONICS + 1)[:, None] * along
@@ -206,7 +206,7 @@ def _without(rng: np.random.Generator, points: Array, curve: Array, holes: int) 
 
 
 def _bent(share: Array, size: tuple[float, float], bend: float, axis: float) -> Array:
-    """Roll a flat sheet about a cylinder whose axis lies in it, isometrically: (N, 3) metres."""
+    """Roll a flat sheet about a cylinder whose axis lies in it, isometrically: ``(N, 3)`` metres."""
     flat = (share - 0.5) * size
     direction = np.array([np.cos(axis), np.sin(axis)])
     normal = np.array([-direction[1], direction[0]])

@@ -52,11 +52,11 @@ def ragged(rng: np.random.Generator, mask: Mask, depth: float) -> Mask:
 
 
 def photographed(rng: np.random.Generator, mask: Mask, contrast: float, noise: float) -> Image:
-    """Draw a blue rope on a gray table as an (H, W, 3) uint8 RGB image.
+    """Draw a blue rope on a gray table as an ``(H, W, 3)`` uint8 RGB image.
 
     Args:
         rng: Draws the direction of the light and the noise.
-        mask: The rope, (H, W).
+        mask: The rope, ``(H, W)``.
         contrast: Ratio of the light in the brightest corner of the image to the light in the darkest one.
         noise: RMS noise of the image in gray levels.
     """
@@ -75,7 +75,7 @@ class Hidden(NamedTuple):
 
     Args:
         rope: The rope with its whole mask.
-        mask: The visible part of the mask, (H, W) uint8.
+        mask: The visible part of the mask, ``(H, W)`` uint8.
         share: Covered share of the rope's length.
     """
 
@@ -120,7 +120,7 @@ class TiltedRope:
     Args:
         mask: (480, 640) uint8.
         depth: (480, 640) metres, 0 = invalid.
-        curve: (P, 3) metres, camera frame.
+        curve: ``(P, 3)`` metres, camera frame.
         hairpin: Whether a bend is narrower than a gap of 20 points, so that equal chords leave the rope.
     """
 
@@ -137,7 +137,7 @@ class TiltedSheet:
     Args:
         mask: (480, 640) uint8.
         depth: (480, 640) metres, 0 = invalid.
-        corners: (4, 3) metres, camera frame: top left, top right, bottom right, bottom left.
+        corners: ``(4, 3)`` metres, camera frame: top left, top right, bottom right, bottom left.
     """
 
     mask: Mask

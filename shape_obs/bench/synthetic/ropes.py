@@ -27,9 +27,9 @@ class Rope:
     """A drawn rope.
 
     Args:
-        curve: The centreline from tip to tip, round caps included: (P, 2) pixels, at steps of about a pixel.
+        curve: The centreline from tip to tip, round caps included: ``(P, 2)`` pixels, at steps of about a pixel.
         width: Thickness in pixels.
-        mask: (H, W) uint8, 0 or 255.
+        mask: ``(H, W)`` uint8, 0 or 255.
         kind: How the curve was made.
     """
 
@@ -54,7 +54,7 @@ class Rope:
 
 
 def random_rope(rng: np.random.Generator, kind: Kind = "smooth", size: tuple[int, int] = SIZE) -> Rope:
-    """Draw a rope 8 to 16 px thick that neither crosses nor touches itself, inside an image of ``size`` (H, W)."""
+    """Draw a rope 8 to 16 px thick that neither crosses nor touches itself, inside an image of ``size`` ``(H, W)``."""
     for _ in range(2000):
         width = float(rng.uniform(8, 16))
         curve = place(resample(_MAKERS[kind](rng, width), _STEP), rng, size, width)
@@ -67,7 +67,7 @@ def random_rope(rng: np.random.Generator, kind: Kind = "smooth", size: tuple[int
 def draw_rope(
     curve: Curve, width: float, *, flat_caps: bool = True, size: tuple[int, int] = SIZE, kind: str = "given"
 ) -> Rope:
-    """Draw a ribbon of ``width`` about a curve of (P, 2) pixels; round caps add half a width at both ends."""
+    """Draw a ribbon of ``width`` about a curve of ``(P, 2)`` pixels; round caps add half a width at both ends."""
     canvas = blank(size)
     tangent = np.gradient(curve, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -83,7 +83,7 @@ def draw_rope(
 
 
 def blank(size: tuple[int, int]) -> npt.NDArray[np.uint8]:
-    """Return an empty, supersampled canvas for an image of ``size`` (H, W)."""
+    """Return an empty, supersampled canvas for an image of ``size`` ``(H, W)``."""
     return np.zeros((size[0] * _SUPERSAMPLING, size[1] * _SUPERSAMPLING), np.uint8)
 
 
@@ -112,7 +112,7 @@ def from_heading(heading: npt.NDArray[Any]) -> Curve:
 
 
 def rotation(radians: float) -> Array:
-    """Return a rotation that is clockwise as seen, since v points down, (2, 2)."""
+    """Return a rotation that is clockwise as seen, since v points down, ``(2, 2)``."""
     return np.array([[np.cos(radians), -np.sin(radians)], [np.sin(radians), np.cos(radians)]])
 
 

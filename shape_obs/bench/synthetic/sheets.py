@@ -39,7 +39,7 @@ class Sheet:
     Args:
         points: The material lattice up to the border, (65, 65, 2) pixels: rows from top to bottom, columns from left to
             right in the cloth's frame.
-        mask: (H, W) uint8, 0 or 255.
+        mask: ``(H, W)`` uint8, 0 or 255.
     """
 
     points: Array
@@ -126,7 +126,7 @@ def draw_sheet(points: Array, size: tuple[int, int] = SIZE) -> Sheet:
 
 
 def border_of(points: Array) -> Array:
-    """Return the border of a cloth from its top left corner, (P, 2), clockwise in the cloth's frame."""
+    """Return the border of a cloth from its top left corner, ``(P, 2)``, clockwise in the cloth's frame."""
     return np.concatenate([points[0, :-1], points[:-1, -1], points[-1, :0:-1], points[:0:-1, 0]])
 
 
@@ -144,7 +144,7 @@ def regular(aspect: float) -> Array:
 
 
 def rotation(degrees: float) -> Array:
-    """Return a rotation that is clockwise as seen, since v points down, (2, 2)."""
+    """Return a rotation that is clockwise as seen, since v points down, ``(2, 2)``."""
     return turned_by(np.radians(degrees))
 
 

@@ -45,11 +45,11 @@ class Scene(NamedTuple):
     """One frame of a work.
 
     Args:
-        mask: (H, W) uint8, 0 or 255.
-        pixels: The input of a clusterer, (M, 2) pixels (u, v): all pixels of the mask, or of a contour's outline.
+        mask: ``(H, W)`` uint8, 0 or 255.
+        pixels: The input of a clusterer, ``(M, 2)`` pixels (u, v): all pixels of the mask, or of a contour's outline.
         curve: The known line on which the points belong, (P, 2) pixels in order; an outline may begin anywhere. None
             for a cloth.
-        ours: The points of the detector, (N, 2), for methods that start from them.
+        ours: The points of the detector, ``(N, 2)``, for methods that start from them.
     """
 
     mask: Mask
@@ -123,7 +123,7 @@ def cloths(frames: int, seed: int) -> Iterator[Sheet]:
 
 
 def outline_pixels(mask: Mask, approximation: int = cv2.CHAIN_APPROX_NONE) -> Array:
-    """Return pixels on the outline of the largest object in order, (M, 2) (u, v); by default all of them."""
+    """Return pixels on the outline of the largest object in order, ``(M, 2)`` (u, v); by default all of them."""
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, approximation)
     return np.asarray(max(contours, key=cv2.contourArea), dtype=np.float64).reshape(-1, 2)
 
@@ -138,8 +138,8 @@ class RGBD(NamedTuple):
     """One frame of a camera.
 
     Args:
-        rgb: (H, W, 3) uint8.
-        depth: (H, W) uint16 in millimetres, 0 = invalid.
+        rgb: ``(H, W, 3)`` uint8.
+        depth: ``(H, W)`` uint16 in millimetres, 0 = invalid.
         camera: The intrinsics of this size.
     """
 

@@ -40,7 +40,7 @@ class MarkerScene:
 
     Args:
         rgb: (480, 640, 3) uint8.
-        transform: (4, 4), metres: p_camera = T p_table.
+        transform: ``(4, 4)``, metres: p_camera = T p_table.
         intrinsics: Intrinsics of the camera.
         layout: Positions of the markers on the table.
     """
@@ -51,11 +51,11 @@ class MarkerScene:
     layout: MarkerLayout
 
     def to_camera(self, points: Array) -> Array:
-        """Convert (..., 2) metres on the table to (..., 3) metres, camera frame."""
+        """Convert ``(..., 2)`` metres on the table to ``(..., 3)`` metres, camera frame."""
         return points @ self.transform[:3, :2].T + self.transform[:3, 3]
 
     def to_pixels(self, points: Array) -> Array:
-        """Convert (..., 2) metres on the table to (..., 2) pixels."""
+        """Convert ``(..., 2)`` metres on the table to ``(..., 2)`` pixels."""
         return self.intrinsics.project(self.to_camera(points))
 
     def grid(self, steps: int = 12) -> Array:
@@ -100,7 +100,7 @@ def random_pose(
 def photograph(
     table: Image, origin: Array, raster: float, transform: Array, intrinsics: Intrinsics, rng: np.random.Generator
 ) -> Image:
-    """Return the camera's image, (H, W, 3), of a drawn (h, w) table whose upper left corner is at ``origin``."""
+    """Return the camera's image, ``(H, W, 3)``, of a drawn (h, w) table whose upper left corner is at ``origin``."""
     to_metres = np.array(
         [[1 / raster, 0, origin[0] + 0.5 / raster], [0, 1 / raster, origin[1] + 0.5 / raster], [0, 0, 1]]
     )
@@ -160,7 +160,7 @@ class Block:
 
     @property
     def top_centre(self) -> Array:
-        """The middle of the lid, (3,) metres, base frame."""
+        """The middle of the lid, ``(3,)`` metres, base frame."""
         return np.array([*self.centre, self.size[2]])
 
     def top_outline(self, n: int = 20) -> Array:
@@ -172,7 +172,7 @@ class Block:
 
     @property
     def rotation(self) -> Array:
-        """Rotation from block to base, (2, 2)."""
+        """Rotation from block to base, ``(2, 2)``."""
         return rotation(self.yaw)
 
 
@@ -189,7 +189,7 @@ def see(blocks: list[Block], camera: CameraModel) -> tuple[npt.NDArray[np.uint8]
     """Render blocks by a ray through the middle of every raw pixel, including lens distortion.
 
     Returns:
-        RGB, (H, W, 3) uint8, and depth along the optical axis, (H, W) metres.
+        RGB, ``(H, W, 3)`` uint8, and depth along the optical axis, ``(H, W)`` metres.
     """
     intrinsics = camera.intrinsics
     height, width = intrinsics.size
@@ -221,7 +221,7 @@ def _window(block: Block, camera: CameraModel) -> tuple[slice, slice]:
 
 
 def _hit(block: Block, size: tuple[float, float, float], base: float, eye: Array, along: Array) -> Array:
-    """Return where rays enter a box at the block's position, (...,) in ray lengths; inf where they miss."""
+    """Return where rays enter a box at the block's position, ``(...,)`` in ray lengths; inf where they miss."""
     half = np.array(size) / 2
     start, step = eye.copy(), along.copy()
     start[:2] = (eye[:2] - block.centre) @ block.rotation

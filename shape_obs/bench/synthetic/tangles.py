@@ -42,11 +42,11 @@ class Tangle:
     """A drawn rope whose mask is not a simple ribbon.
 
     Args:
-        curve: The centreline from tip to tip, (P, 2) pixels, at steps of about a pixel.
+        curve: The centreline from tip to tip, ``(P, 2)`` pixels, at steps of about a pixel.
         width: Thickness in pixels.
-        mask: The visible part, (H, W) uint8, 0 or 255.
-        crossings: Positions of the self-crossings, (C, 2) pixels.
-        hidden: The points of ``curve`` under an occluder, (P,) bool.
+        mask: The visible part, ``(H, W)`` uint8, 0 or 255.
+        crossings: Positions of the self-crossings, ``(C, 2)`` pixels.
+        hidden: The points of ``curve`` under an occluder, ``(P,)`` bool.
     """
 
     curve: Curve
@@ -129,7 +129,7 @@ def is_traversed(found: npt.ArrayLike, tangle: Tangle) -> bool:
     two widths where the rope is hidden. A loop in the wrong direction, a missing strand or swapped strands exceed it.
 
     Args:
-        found: (N, 2) pixels, evenly spaced.
+        found: ``(N, 2)`` pixels, evenly spaced.
         tangle: The truth.
     """
     points = np.asarray(found, dtype=np.float64)

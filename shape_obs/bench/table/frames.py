@@ -52,8 +52,8 @@ class Scene(NamedTuple):
     """One frame.
 
     Args:
-        rgb: (H, W, 3) uint8.
-        mask: The segmented mask, (H, W) uint8.
+        rgb: ``(H, W, 3)`` uint8.
+        mask: The segmented mask, ``(H, W)`` uint8.
         truth: The known axis from end to end, or the known outline, clockwise as seen, (P, 2) pixels; of a surface the
             known cloth.
     """
@@ -164,7 +164,7 @@ def traced(tracing: Tracing, chunk: Iterable[tuple[int, Scene]], clock: Clock = 
 
 
 def _tips(points: Array) -> int:
-    """Return how many of (P, 2) pixels have exactly one neighbour among them."""
+    """Return how many of ``(P, 2)`` pixels have exactly one neighbour among them."""
     low = points.min(axis=0).astype(int) - 1
     column, row = (points.astype(int) - low).T
     picture = np.zeros((row.max() + 2, column.max() + 2), np.uint8)

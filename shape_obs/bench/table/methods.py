@@ -87,7 +87,7 @@ class Runner:
         self._detector = ShapeDetector([self._spec], **options)
 
     def points(self, scene: Scene) -> Array | None:
-        """Return the ordered points on a frame, (N, 2), or None if the shape was not found."""
+        """Return the ordered points on a frame, ``(N, 2)``, or None if the shape was not found."""
         return self._found(scene)[0]
 
     def measure(self, scene: Scene, frame: int, exact: bool) -> tuple[Array | None, Row]:
@@ -145,7 +145,7 @@ def measured(
 
 
 def clustered_pixels(spec: Configuration, scene: Scene) -> Array:
-    """Return the pixels that are clustered, (M, 2): those of the mask, or of a contour's outline."""
+    """Return the pixels that are clustered, ``(M, 2)``: those of the mask, or of a contour's outline."""
     height, width = scene.mask.shape
     region = find_region(scene.mask, Whole().window((height, width)), Segmentation.min_area, Segmentation.min_share)
     return spec.clusterer_samples(region).points

@@ -146,7 +146,7 @@ def _strata(done: Done, plan: Plan, method: Method) -> dict[Name, Chunks]:
 
 
 def _chunk_means(chunks: Chunks, measure: str) -> Array:
-    """Return the mean over the frames of each chunk, (C,); NaN for a chunk without any shape."""
+    """Return the mean over the frames of each chunk, ``(C,)``; NaN for a chunk without any shape."""
     values = [[row[measure] for row in chunk if row.ok] for chunk in chunks]
     return np.array([np.mean(of) if of else np.nan for of in values])
 

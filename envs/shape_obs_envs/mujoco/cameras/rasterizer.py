@@ -213,7 +213,7 @@ def draw_triangles(places: Array, depth: Array, faces: Indices, shape: tuple[int
         places: Pixels of the vertices, ``(V, 2)``, centres at integers.
         depth: Depths of the vertices along the optical axis in metres, ``(V,)``, above 0.
         faces: Vertices of the triangles, ``(F, 3)``, in either orientation.
-        shape: Size (H, W) of the image.
+        shape: Size ``(H, W)`` of the image.
     """
     corners, near = places[faces], 1 / depth[faces]
     edges = _edges(corners)

@@ -138,7 +138,7 @@ def draw_pattern(rng: Rng, kind: str, shape: Shape, cell: float) -> Field:
     Args:
         rng: Random generator.
         kind: One of ``PATTERNS``.
-        shape: Size (H, W) of the field.
+        shape: Size ``(H, W)`` of the field.
         cell: Size of the pattern's parts in texels.
 
     Returns:
