@@ -24,6 +24,7 @@ from numba.core.serialize import dumps
 _FOLDER: Final = "shape_obs"
 _KEPT: Final = 30 * 86400.0  # seconds for which versions of a function other than the newest are kept
 _DIGEST: Final = 16  # bytes
+_REPORT: Final = "Please report this together with the version of Numba."
 
 
 @lru_cache
@@ -93,7 +94,7 @@ class DiskCache:
             result.library._get_module_for_linking = lru_cache(partial(binding.parse_bitcode, bitcode))
             return result
         except Exception as error:  # noqa: BLE001 - internals of Numba: compile again and write it again
-            _warn(f"{path} cannot be read: {error}", "Delete it; if that does not help, please report it.")
+            _warn(f"{type(error).__name__}: {error}", _REPORT)
             return None
 
     def save_overload(self, sig: str, cres: CompileResult) -> None:
@@ -104,13 +105,15 @@ class DiskCache:
         try:
             data = _serialized(cres)
         except Exception as error:  # noqa: BLE001 - internals of Numba: what is compiled works without a file
-            _warn(f"{type(error).__name__}: {error}", "Please report this together with the version of Numba.")
+            _warn(f"{type(error).__name__}: {error}", _REPORT)
             return
         try:
             _write(path, hashlib.blake2b(data, digest_size=_DIGEST).digest() + data)
             _delete_old(path, f"{self._name}-")
-        except OSError as error:  # a full disk
-            _warn(str(error), "Free some space, or set NUMBA_CACHE_DIR to another folder.")
+        except OSError as error:
+            if not path.exists():  # Windows replaces no file that another process has open, and that is as good
+                reason = f"{error.strerror}: {path.parent}"
+                _warn(reason, "Free some space, or set NUMBA_CACHE_DIR to another folder.")
 
 
 def _serialized(result: CompileResult) -> bytes:

@@ -124,13 +124,13 @@ def sample_lattice(lattice: Array, down: Array, right: Array, rows: int, cols: i
     """
     across, dimension = lattice.shape[1:]
     found = even_points(lattice.reshape(len(lattice), across * dimension), down, rows, centers)
-    columns = _transposed(found.reshape(rows, across, dimension)).reshape(across, rows * dimension)
+    columns = transposed(found.reshape(rows, across, dimension)).reshape(across, rows * dimension)
     found = even_points(columns, right, cols, centers)
-    return _transposed(found.reshape(cols, rows, dimension)).reshape(rows * cols, dimension)
+    return transposed(found.reshape(cols, rows, dimension)).reshape(rows * cols, dimension)
 
 
 @compiled
-def _transposed(lattice: Array) -> Array:
+def transposed(lattice: Array) -> Array:
     """Return a lattice with its rows and columns exchanged: ``(R, C, D)`` -> ``(C, R, D)``."""
     rows, cols, dimension = lattice.shape
     out = np.empty((cols, rows, dimension))

@@ -57,7 +57,7 @@ def extend_chain(nodes: Array, mask: Mask, left: int, top: int, width: float) ->
         first += 1
     while first < last and not on[last]:
         last -= 1
-    if last - first < 2:  # too little to lengthen
+    if last - first < 2:  # fewer than three nodes on the mask give no direction: all are kept
         first, last = 0, len(nodes) - 1
     head = _march(mask, left, top, nodes, first, 1, width)
     tail = _march(mask, left, top, nodes, last, -1, width)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.lattice import outer_corners
+from shape_obs.geometry.lattice import outer_corners, transposed
 
 Array = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -44,20 +44,8 @@ def match_lattice(lattice: Array, expected: Array) -> tuple[Array, int, float]:
         found[2, d], found[3, d] = lattice[rows - 1, cols - 1, d], lattice[rows - 1, 0, d]
     quarters, corner, share = match_corners(outer_corners(expected), found)
     for _ in range(quarters):
-        lattice = _quarter_turned(lattice)
+        lattice = transposed(lattice)[::-1].copy()
     return lattice, corner, share
-
-
-@compiled
-def _quarter_turned(lattice: Array) -> Array:
-    """Return the same lattice with its second corner first: ``(R, C, D)`` -> ``(C, R, D)``."""
-    rows, cols, dimension = lattice.shape
-    out = np.empty((cols, rows, dimension))
-    for r in range(rows):
-        for c in range(cols):
-            for d in range(dimension):
-                out[cols - 1 - c, r, d] = lattice[r, c, d]
-    return out
 
 
 @compiled("(f8[:,::1], f8[:,::1])")

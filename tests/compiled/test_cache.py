@@ -171,6 +171,30 @@ def test_internals_of_numba_that_changed_give_one_warning(work):
     assert err.count("Compiled functions cannot be kept") == 1
 
 
+def test_files_that_this_numba_cannot_load_give_one_warning(work):
+    run(work, ALL)
+    broken = "import shape_obs.compiled.cache as c\ndef fail(*a): raise AttributeError('moved')\n"
+    out, err = run(work, broken + "c.CompileResult._rebuild = fail\n" + ALL)
+    assert out == EVERYTHING
+    assert err.count("Compiled functions cannot be kept") == 1
+
+
+def test_a_full_disk_gives_one_warning_and_a_file_that_is_already_there_none(work):
+    full = """
+        import errno, shape_obs.compiled.cache as c
+        write = c._write
+        def fail(path, data):
+            if {there}: write(path, data)
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        c._write = fail
+    """
+    for there, warnings in ((True, 0), (False, 1)):
+        code = textwrap.dedent(full.format(there=there)) + ALL
+        out, err = run(work, code, NUMBA_CACHE_DIR=str(work / str(there)))
+        assert out == EVERYTHING
+        assert err.count("Compiled functions cannot be kept") == warnings
+
+
 def test_of_eight_spawned_processes_one_compiles(work):
     processes = [start(work, ALL) for _ in range(8)]
     found = [process.communicate(timeout=250) for process in processes]
