@@ -15,7 +15,7 @@ from shape_obs.bench.tables import Row
 
 Tables = Iterator[tuple[str, Iterable[Row]]]
 Group = Literal[
-    "ropes", "tangles", "hands", "noise", "outlines", "sheets", "clouds", "markers", "cable", "envs",
+    "ropes", "tangles", "hands", "motion", "noise", "outlines", "sheets", "clouds", "markers", "cable", "envs",
     "camera", "deploy", "robustness",
 ]  # fmt: skip
 
@@ -69,6 +69,15 @@ def _hands(effort: Effort) -> Tables:
     yield "moving ropes under a hand", ropes_under_hands(effort.seeds(3))
     middle = ropes_under_hands(effort.seeds(3), places=("middle",))
     yield "moving ropes under a hand, in the middle", middle
+
+
+def _motion(effort: Effort) -> Tables:
+    from shape_obs.bench import motion_claims as motions
+
+    hidden = motions.hidden_rope_tracks(effort.seeds(5))
+    yield "ropes under what grows over them", motions.motion_table(hidden, ("cover", "depth"))
+    swung = motions.swinging_rope_tracks(effort.seeds(50), noises=(False, True))
+    yield "ropes swung in space", motions.motion_table(swung, ("hertz", "wall", "noise"))
 
 
 def _noise(effort: Effort) -> Tables:
@@ -179,7 +188,7 @@ def _robustness(effort: Effort) -> Tables:
 
 
 _FUNCTIONS: Final = (
-    _ropes, _tangles, _hands, _noise, _outlines, _sheets, _clouds, _markers, _cable, _envs, _camera, _deploy,
+    _ropes, _tangles, _hands, _motion, _noise, _outlines, _sheets, _clouds, _markers, _cable, _envs, _camera, _deploy,
     _robustness,
 )  # fmt: skip
 GROUPS: Final[dict[Group, Callable[[Effort], Tables]]] = dict(zip(get_args(Group), _FUNCTIONS, strict=True))

@@ -187,14 +187,22 @@ def _touches(curve: Curve, width: float) -> bool:
 def moving_rope(
     rng: np.random.Generator, speed: float, frames: int = 180, *, length: float = 320.0, width: float = 11.0
 ) -> Iterator[Rope]:
-    """Draw a rope that wanders, turns and bends; its fastest point moves ``speed`` pixels per frame.
+    """Draw a rope that wanders, turns and bends, see ``moving_curve``."""
+    for curve in moving_curve(rng, speed, frames, length=length, width=width):
+        yield draw_rope(curve, width, flat_caps=True, kind="moving")
+
+
+def moving_curve(
+    rng: np.random.Generator, speed: float, frames: int = 180, *, length: float = 320.0, width: float = 11.0
+) -> Iterator[Curve]:
+    """Yield the axis of a rope that wanders, turns and bends; its fastest point moves ``speed`` pixels per frame.
 
     The heading along the rope is a sum of sines whose amplitudes swing; the middle follows a Lissajous curve. Point i
     of the curve is the same material point in every frame.
 
     Args:
         rng: Draws the motion.
-        speed: Speed in pixels per frame.
+        speed: Speed in pixels per frame; 0 for a rope at rest.
         frames: Number of frames.
         length: Length of the rope in pixels.
         width: Width of the rope in pixels.
@@ -217,9 +225,10 @@ def moving_rope(
 
     time, curve = 0.0, curve_at(0.0)
     for _ in range(frames):
-        yield draw_rope(curve, width, flat_caps=True, kind="moving")
-        time = _after(curve_at, curve, time, speed)
-        curve = curve_at(time)
+        yield curve
+        if speed > 0:
+            time = _after(curve_at, curve, time, speed)
+            curve = curve_at(time)
 
 
 def _after(curve_at: Callable[[float], Array], curve: Array, time: float, speed: float) -> float:
