@@ -18,7 +18,7 @@ from shape_obs.clustering.base import Clusterer
 from shape_obs.compiled import compile_now
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.anchors import Anchors, anchor_pixel, anchor_point
-from shape_obs.configurations.base import Configuration
+from shape_obs.configurations.base import Configuration, Scene
 from shape_obs.configurations.shape_points import shape_of, visible_depth
 from shape_obs.frame import Frame, check_mask
 from shape_obs.geometry.observed import Observed
@@ -180,7 +180,7 @@ class ShapeDetector:
         targets = [anchor_point(spec, anchors, frame.camera) for spec in self.shapes]
         moment, shapes = _Moment(frame, self._next_stamp(frame), timings, in_2d=False, in_3d=True), []
         for spec, target in zip(self.shapes, targets, strict=True):
-            found = self._fit(spec, cloud, target, moment)
+            found = self._fit(spec, cloud, target, moment, Scene())
             _lap(timings, "fit", now)
             shapes.append(self._finish(spec, found, moment))
             now = time.perf_counter()
@@ -211,6 +211,12 @@ class ShapeDetector:
 
     def _find(self, spec: Configuration, search: RegionSearch, target: Array | None, moment: _Moment) -> Fit:
         """Find one shape in an image: near where the track expects it, and if that fails everywhere."""
+        frame = moment.frame
+        scene = (
+            Scene(frame.depth, frame.camera and frame.camera.intrinsics, search.whole)
+            if moment.in_3d
+            else Scene(edge=search.whole)
+        )
         while True:
             now, timings = time.perf_counter(), moment.timings
             observed: Observed = search.region(spec.segmentation)  # image -> region
@@ -218,12 +224,12 @@ class ShapeDetector:
             if spec.lift == "cloud":
                 observed = search.cloud(spec.segmentation)  # depth enters: region -> cloud
                 now = _lap(timings, "cloud", now)
-            found = self._fit(spec, observed, target, moment)  # -> form, matched and validated
+            found = self._fit(spec, observed, target, moment, scene)  # -> form, matched and validated
             _lap(timings, "fit", now)
             if not found.reason or not search.widen(spec.segmentation):
                 return found
 
-    def _fit(self, spec: Configuration, observed: Observed, target: Array | None, moment: _Moment) -> Fit:
+    def _fit(self, spec: Configuration, observed: Observed, target: Array | None, moment: _Moment, scene: Scene) -> Fit:
         """Fit a configuration to an object, from its track if there is one, and advance the track."""
         if self._kinds.setdefault(spec.name, type(observed)) is not type(observed):
             self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres
@@ -235,9 +241,10 @@ class ShapeDetector:
             have = f"the {observed.noun} has {observed.area} {observed.sample_unit}"
             return Fit(reason=f"{have}, at least {_MIN_SAMPLES} are needed")
         track = self._tracks.get(spec.name)
-        found = spec.fit(observed, predict(track, observed, moment.stamp), target, moment.frame.depth)
-        if not found.reason:
+        found = spec.fit(observed, predict(track, observed, moment.stamp), target, scene)
+        if not found.reason or found.follow:
             self._tracks[spec.name] = advance(track, found, observed, moment.stamp)
+        if not found.reason:
             if spec.order == "image":
                 seen = observed.seen(found.form.points, target)
                 found = found._replace(form=spec.apply_index_order(found.form, seen, target))
@@ -265,8 +272,6 @@ class ShapeDetector:
                 spec.name, spec.layout, reason=reason, in_2d=moment.in_2d, in_3d=moment.in_3d,
                 last=last, age=age, max_age=self.config.max_age, policy=self.config.on_missing,
             )  # fmt: skip
-            if last is not None and age > self.config.max_age:
-                self._tracks.pop(spec.name, None)
         _lap(moment.timings, "lift", now)
         return shape
 

@@ -42,6 +42,8 @@ def track(frames: Iterable[Seen], *, depth: bool, spacing: Spacing = "px", dt: f
     since = 0
     for seen in frames:
         pixels, metres = resample(seen.pixels, len(seen.pixels)), seen.metres
+        if detector is None and not seen.shown.all():
+            continue  # its length cannot be known yet
         if detector is None:
             u, v = pixels[0].tolist()
             detector = ShapeDetector([Centerline(n=_N, ends="tips", anchor=(u, v), spacing=spacing)], dt=dt)

@@ -10,9 +10,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.camera import Intrinsics
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Topology
+from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.spec import Spec
 from shape_obs.tracking.prediction import Fit, Prediction
@@ -35,6 +37,20 @@ class Points(NamedTuple):
 
     places: Array
     interpolated: npt.NDArray[np.bool_]
+
+
+class Scene(NamedTuple):
+    """What a fit may see of a frame besides the object: evidence for what hides it, and what puts it in space.
+
+    Args:
+        depth: ``(H, W)`` the frame's depth; None without depth or camera.
+        intrinsics: The projection; None without depth or camera.
+        edge: The part of the image that is searched; None for clouds.
+    """
+
+    depth: npt.NDArray[Any] | None = None
+    intrinsics: Intrinsics | None = None
+    edge: Window | None = None
 
 
 _MODULES = {kind: f"shape_obs.configurations.{kind}" for kind in ("centerline", "contour", "surface")}
@@ -103,16 +119,14 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
         return ()
 
     @abstractmethod
-    def fit(
-        self, observed: Observed, prediction: Prediction | None, target: Array | None, depth: npt.NDArray[Any] | None
-    ) -> Fit:
+    def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit the shape: from the prediction if there is one, else (or when that fails) from an initial form.
 
         Args:
             observed: What the object looks like in this frame.
             prediction: Where the track expects the shape; None at a cold start.
             target: Where point 0 belongs at a cold start, as ``observed.seen`` sees it; None for the top left.
-            depth: ``(H, W)`` the frame's depth if there is one: it shows what lies over the object.
+            scene: Depth, camera and border: they show what lies over the object, and put it in space.
         """
 
     @abstractmethod

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.compiled import compiled
-from shape_obs.configurations.base import Configuration, Ends, Points
-from shape_obs.geometry.curve import FittedCurve
+from shape_obs.configurations.base import Configuration, Ends, Points, Scene
+from shape_obs.frame import readable_depth
+from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equal_chords, even_points, interpolate
 from shape_obs.geometry.topology import Chain, Topology, neighbourhoods, shrinkage, undo_shrinkage
@@ -21,8 +22,9 @@ from shape_obs.image.region import Region
 from shape_obs.image.rope_tip import extend_chain
 from shape_obs.initialization.folding import closest_sides, sharp_bends, unexplained_share
 from shape_obs.initialization.medial_axis import medial_axis
-from shape_obs.tracking.occluders import uncover_ends
-from shape_obs.tracking.occlusion import match_chain, shown
+from shape_obs.point_cloud.lifting import MAX_REACH, lift_chain
+from shape_obs.tracking.occluders import UNKNOWN, chain_evidence
+from shape_obs.tracking.occlusion import learnt, match_chain, oriented, shown, visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.validation import MAX_HIDDEN, sample_spread, validate_ribbon
 
@@ -46,6 +48,13 @@ _SIGMAS_AREA_CHANGED: Final = (1.2, 0.6, 0.4, 0.4)
 _MAX_CELL: Final = 24  # pixels
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
+_MIN_STRETCH: Final = 0.92  # a curve that is longer than the rope follows something else
+# Of a rope's length: what has to be in sight to report it, and to follow it.
+_MIN_SEEN: Final = 0.4
+_MIN_FOLLOWED: Final = 0.2
+_LEAST_DEPTH: Final = 0.3  # of a curve's points: with less its length in metres is not measured
+_NO_DEPTH: Final = np.zeros((0, 0), np.float32)
+_NO_DEPTH.flags.writeable = False
 _MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no distinct axis, and a chain would fold up in it
 
 
@@ -72,42 +81,39 @@ class Centerline(Configuration, kind="centerline"):
         """A chain of n points."""
         return Chain(self.n)
 
-    def fit(
-        self, observed: Observed, prediction: Prediction | None, target: Array | None, depth: npt.NDArray[Any] | None
-    ) -> Fit:
+    def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit a chain of nodes: from where the track expects it, else along an initial axis."""
         width = prediction.width if prediction is not None and prediction.width else observed.width
         reason = _rejection_reason(observed, width)
         if reason:
             return Fit(reason=reason)
-        occluders = depth if observed.dimension == 2 else None  # in a cloud a hidden end has no place in the image
         if prediction is None:
-            found = self._fit_initial(observed, None, occluders)
+            found = self._fit_initial(observed, None, scene)
         else:
             sigmas = _SIGMAS_STEADY if prediction.steady else _SIGMAS_AREA_CHANGED
-            start = prediction.nodes, prediction.topology
-            found = self._refine(observed, *start, sigmas, width, MAX_HIDDEN, prediction, occluders)
-            curve: FittedCurve = found.form
-            if found.reason or abs(curve.arc[-1] / prediction.size - 1) > MAX_SIZE_CHANGE:
-                found = self._fit_initial(observed, prediction, occluders)
-            elif sum(curve.hints.hidden) > sum(prediction.hints.hidden) + curve.hints.slack:
-                # Something came over an end, or the chain lost its way there: an initial axis decides.
-                again = self._fit_initial(observed, prediction, occluders)
-                found = again if not again.reason and _hidden(again) < _hidden(found) else found
+            start = visible_nodes(prediction)
+            found = self._refine(observed, start, Chain(len(start)), sigmas, width, MAX_HIDDEN, prediction, scene)
+            if found.reason or _surprise(found, prediction) > MAX_SIZE_CHANGE:
+                # The rope is shorter or longer than expected, or the chain lost its way: an initial axis decides.
+                again = self._fit_initial(observed, prediction, scene)
+                better = found.reason or _surprise(again, prediction) <= _surprise(found, prediction)
+                found = again if better and not again.reason else found
         if found.reason:
             return found
-        curve = found.form
-        if occluders is not None and _hidden(found) > curve.hints.slack:
-            curve = uncover_ends(curve, occluders, observed.width)
+        curve: FittedCurve = found.form
         if prediction is None:
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
-        assert found.nodes is not None
-        nodes = _nodes_on(curve.points, curve.arc, len(found.nodes))
+        topology = found.topology if prediction is None else prediction.topology
+        assert topology is not None
+        nodes = _nodes_on(curve.points, curve.stations, topology.size)
         seen_width = max(observed.area / max(_seen_length(curve), 1e-9), 1.0) if observed.dimension == 2 else 0.0
-        size = curve.hints.size or float(curve.arc[-1])
-        return found._replace(form=curve, nodes=nodes, size=size, width=seen_width)
+        seen = 1 - curve.unsupported_fraction
+        reason = "" if seen >= _MIN_SEEN else f"{seen:.0%} of the rope is in sight (at least {_MIN_SEEN:.0%})"
+        follow = seen >= _MIN_FOLLOWED
+        fit = found._replace(form=curve, nodes=nodes, topology=topology, size=float(curve.arc[-1]), width=seen_width)
+        return fit._replace(reason=reason, follow=follow)
 
-    def _fit_initial(self, observed: Observed, prediction: Prediction | None, depth: npt.NDArray[Any] | None) -> Fit:
+    def _fit_initial(self, observed: Observed, prediction: Prediction | None, scene: Scene) -> Fit:
         """Fit from an initial axis, in the predicted rope's direction if there is one."""
         axis = medial_axis(observed)
         if axis.ambiguity:
@@ -116,9 +122,10 @@ class Centerline(Configuration, kind="centerline"):
         if prediction is None:
             topology = Chain(int(np.clip(round(observed.length / (_NODE_SPACING * observed.width)), *_NODES)))
         else:
-            axis, topology = match_chain(axis, prediction, depth), prediction.topology
-        start, bridged = _nodes_on(axis.points, axis.arc, topology.size), axis.unsupported_fraction
-        return self._refine(observed, start, topology, _SIGMAS_INITIAL, observed.width, bridged, prediction, depth)
+            (axis, _), topology = oriented(axis, prediction), prediction.topology
+        start = _nodes_on(axis.points, axis.arc, topology.size)
+        off = axis.unsupported_fraction if prediction is None else MAX_HIDDEN
+        return self._refine(observed, start, topology, _SIGMAS_INITIAL, observed.width, off, prediction, scene)
 
     def _refine(
         self,
@@ -129,7 +136,7 @@ class Centerline(Configuration, kind="centerline"):
         width: float,
         expected_off: float,
         prediction: Prediction | None,
-        depth: npt.NDArray[Any] | None,
+        scene: Scene,
     ) -> Fit:
         """Run the self-organising map from a start, finish the curve, match it to the track, validate it."""
         if isinstance(observed, Region):
@@ -148,10 +155,15 @@ class Centerline(Configuration, kind="centerline"):
             spread = sample_spread(np.ascontiguousarray(samples.points), np.ascontiguousarray(samples.weight), points)
             square = spread + cloud.hidden_variance
             width, area = cloud.ribbon_width, 0
-        curve = FittedCurve(points, ~on_object, arc)
-        if prediction is not None:
-            curve = match_chain(curve, prediction, depth)  # an end under a hand is put back here
+        curve, ends = _measured(FittedCurve(points, ~on_object, arc), observed, width, scene)  # depth enters
+        if prediction is None:
+            curve = replace(curve, hints=TrackHints(length=learnt(Length(), curve, ends)))
+        else:
+            curve = match_chain(curve, prediction, ends)  # an end under a hand is put back here
         reason, quality = validate_ribbon(curve, observed.noun, expected_off, square, width, area)
+        if not reason and curve.hints.stretch < _MIN_STRETCH and curve.metres is not None:
+            reason = f"the curve is {1 / curve.hints.stretch - 1:.0%} longer than the rope"
+        reason = reason or curve.ambiguity
         return Fit(curve, quality, reason, start, topology, observed=observed, object_width=width)
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
@@ -166,6 +178,10 @@ class Centerline(Configuration, kind="centerline"):
             piece, same = shown(form), metric is form
             form = form.cut(piece)
             metric = form if same else metric.cut(piece)
+        if self.spacing == "m" and form.metres is not None:
+            share = np.linspace(0, 1, self.n) if self.ends == "tips" else (np.arange(self.n) + 0.5) / self.n
+            at = interpolate(form.arc[:, None], form.metres, share * form.metres[-1])[:, 0]
+            return Points(form.at(at), form.interpolated_at(at))
         margin = 0.0 if self.ends == "tips" else metric.arc[-1] / (2 * self.n)
         places, at = _points_on(form.points, form.arc, metric.points, metric.arc, self.n, margin)
         interpolated = metric.interpolated_at(at) if metric.interpolated.any() else np.zeros(self.n, bool)
@@ -175,6 +191,7 @@ class Centerline(Configuration, kind="centerline"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         masks = fit_chain_in_mask, _points_on, _nodes_on, closest_sides, sharp_bends, unexplained_share
+        masks += lift_chain, chain_evidence
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + clouds
 
@@ -230,9 +247,33 @@ def _nodes_on(points: Array, arc: Array, count: int) -> Array:
     return even_points(points, arc, count, True)
 
 
-def _hidden(found: Fit) -> float:
-    """Return the length of a curve's hidden ends."""
-    return sum(found.form.hints.hidden)
+def _measured(
+    curve: FittedCurve, observed: Observed, width: float, scene: Scene
+) -> tuple[FittedCurve, tuple[int, int]]:
+    """Return a curve with its length in metres where there is depth, and what is known about its two tips."""
+    if not isinstance(observed, Region) or scene.edge is None:
+        return curve, (UNKNOWN, UNKNOWN)
+    depth, unit, z = _NO_DEPTH, 1.0, np.full(len(curve.points), np.nan)
+    at, left_out = observed.window[:2], curve.interpolated
+    if scene.depth is not None and scene.intrinsics is not None:
+        depth, unit = readable_depth(scene.depth)
+        reach = min(max(round(width / 4), 1), MAX_REACH)
+        rays = np.ascontiguousarray(scene.intrinsics.rays(curve.points)[:, :2])
+        metres, z, share = lift_chain(curve.points, rays, left_out, depth, unit, observed.mask, at, reach)
+        if share >= _LEAST_DEPTH and np.isfinite(metres).all():
+            curve = replace(curve, metres=metres)
+    left, top, wide, high = scene.edge
+    seen = depth, unit, observed.mask, at, (left, top, wide, high)
+    return curve, chain_evidence(curve.points, curve.arc, z, width, *seen)
+
+
+def _surprise(found: Fit, prediction: Prediction) -> float:
+    """Return by which share of its length more of a rope is hidden than before, or its visible part off its length."""
+    if found.reason:
+        return np.inf
+    (head, tail), before, hints = found.form.hints.hidden, prediction.hints.hidden, found.form.hints
+    more = max(head - before[0], 0.0) + max(tail - before[1], 0.0)
+    return max(more, 2 * abs(hints.stretch - 1))
 
 
 def _seen_length(curve: FittedCurve) -> float:

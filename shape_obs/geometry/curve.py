@@ -25,19 +25,37 @@ Mask = npt.NDArray[np.bool_]
 _SMOOTHING: Final = 9  # points of a fine curve
 
 
+class Length(NamedTuple):
+    """What is known of a rope's length.
+
+    Args:
+        pixels: As seen in the image; 0 if it is not known.
+        metres: Along the visible surface; 0 if it is not known.
+        spread: By which share the length in pixels has varied, RMS: what perspective and noise explain.
+        frames: In how many frames all of the rope was seen.
+    """
+
+    pixels: float = 0.0
+    metres: float = 0.0
+    spread: float = 0.006
+    frames: int = 0
+
+
 class TrackHints(NamedTuple):
     """What a form passes on to the next frame in addition to its nodes.
 
     Args:
-        hidden: Arc length at the start and at the end of an open curve that is known to exist but is hidden.
-        slack: Hidden ends shorter than this are within the measuring error.
-        size: The object's size as the track remembers it, if that is not the size found; else 0.
+        hidden: Share of an open curve's length that is hidden at its start and at its end.
+        slack: Hidden ends with a smaller share are within the measuring error.
+        stretch: By how much more of an open curve there is than was measured where it is visible.
+        length: What is known of an open curve's length.
         reference: ``(K, D)`` nodes of the past that a closed curve was numbered by; else None.
     """
 
     hidden: tuple[float, float] = (0.0, 0.0)
     slack: float = 0.0
-    size: float = 0.0
+    stretch: float = 1.0
+    length: Length = Length()
     reference: Array | None = None
 
 
@@ -83,10 +101,12 @@ class FittedCurve(FittedForm):
     Args:
         arc: ``(P,)`` arc length of the points; ``(P + 1,)`` if closed, the last entry the whole.
         closed: Whether it is closed.
+        metres: ``(P,)`` arc length in space, for an open curve in pixels with depth under it; else None.
     """
 
     arc: Array
     closed: bool = False
+    metres: Array | None = None
 
     @classmethod
     def through(cls, points: Array, interpolated: Mask, closed: bool = False, **other: Any) -> Self:
@@ -107,9 +127,15 @@ class FittedCurve(FittedForm):
         flags = np.append(self.interpolated, self.interpolated[0]) if self.closed else self.interpolated
         return float(step @ (flags[:-1] / 2 + flags[1:] / 2) / max(self.size, 1e-9))
 
+    @property
+    def stations(self) -> Array:
+        """``(P,)`` how far along the object each point lies: in metres if that is known, else in its own unit."""
+        return self.arc if self.metres is None else self.metres
+
     def cut(self, piece: slice) -> Self:
         """Return a piece of an open curve."""
-        return self.with_geometry(self.points[piece].copy(), self.interpolated[piece])
+        metres = None if self.metres is None else self.metres[piece] - self.metres[piece][0]
+        return replace(self.with_geometry(self.points[piece].copy(), self.interpolated[piece]), metres=metres)
 
     def at(self, arc: npt.ArrayLike) -> Array:
         """Return ``(N, D)`` points at ``(N,)`` arc positions; a closed curve wraps around."""
@@ -159,14 +185,16 @@ class FittedCurve(FittedForm):
         if not self.closed:
             head, tail = self.hints.hidden
             hints = self.hints._replace(hidden=(tail, head))
-            return replace(self.with_geometry(self.points[::-1].copy(), self.interpolated[::-1]), hints=hints)
+            metres = None if self.metres is None else self.metres[-1] - self.metres[::-1]
+            back = self.with_geometry(self.points[::-1].copy(), self.interpolated[::-1].copy())
+            return replace(back, hints=hints, metres=metres)
         back = -np.arange(len(self.points))
         return self.with_geometry(self.points[back], self.interpolated[back])
 
     def with_geometry(self, points: Array, interpolated: Mask) -> Self:
         """Return a curve of the same kind through other points."""
         arc = arc_length(_polyline(points, self.closed))
-        return replace(self, points=points, interpolated=interpolated, arc=arc)
+        return replace(self, points=points, interpolated=interpolated, arc=arc, metres=None)
 
 
 def _polyline(points: Array, closed: bool) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -21,6 +22,9 @@ MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry de
 _SMEARED: Final = 2.5  # widths next to a hidden piece, in which depth may be that of what hides it
 _COMPARED: Final = 6.0  # widths within which the rope's own depth is looked for
 _STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much within a few widths
+_COMPANY: Final = 3  # points of a curve to either side, whose median depth a point's is compared with
+_ASTRAY: Final = 0.01  # metres: farther from it, apart from their own slope, a depth is not the curve's
+_SMOOTHED: Final = 4  # points to either side, over which depth is smoothed along a curve
 MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
 
 
@@ -142,6 +146,81 @@ def median_depth(
         if known >= max(min_share * inside, 1):
             out[n] = _median(near, known)
     return out
+
+
+@compiled(
+    "(f8[:,::1], f8[:,::1], b1[::1], Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), i8)",
+    "(f8[:,::1], f8[:,::1], b1[::1], Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), i8)",
+)
+def lift_chain(
+    points: Array,
+    rays: Array,
+    bridged: npt.NDArray[np.bool_],
+    depth: npt.NDArray[Any],
+    unit: float,
+    mask: Mask,
+    at: tuple[int, int],
+    reach: int,
+) -> tuple[Array, Array, float]:
+    """Put an open curve in space, and measure how far along it each of its points lies, in metres.
+
+    Depth that lies off its neighbours' is left out, holes are bridged, and the rest is smoothed by lines over nine
+    points, since noise would make the curve longer than it is.
+
+    Args:
+        points: ``(P, 2)`` pixels, at about equal steps.
+        rays: ``(P, 2)`` x/z and y/z of their viewing rays.
+        bridged: ``(P,)`` where the curve does not lie on the object.
+        depth: ``(H, W)`` read-only, uint16 or float32.
+        unit: Metres in a unit of depth.
+        mask: ``(h, w)`` uint8, C-contiguous.
+        at: Image column and row of its first pixel.
+        reach: How far around a point depth is looked for, pixels.
+
+    Returns:
+        ``(P,)`` arc length, metres; ``(P,)`` smooth depth, metres; the share of the points that have depth.
+    """
+    size = len(points)
+    z = median_depth(depth, unit, mask, at[0], at[1], points, reach, MIN_SHARE)
+    near, clean = np.empty(2 * _COMPANY + 1), np.empty(size)
+    for p in range(size):
+        clean[p] = np.nan
+        if bridged[p] or not z[p] > 0:
+            continue
+        count = 0
+        for q in range(max(p - _COMPANY, 0), min(p + _COMPANY + 1, size)):
+            if not bridged[q] and z[q] > 0:
+                near[count] = z[q]
+                count += 1
+        reach_up = max(near[count - 1], near[0]) - min(near[count - 1], near[0])
+        if abs(z[p] - _median(near, count)) <= _ASTRAY + reach_up:
+            clean[p] = z[p]
+    known, before = 0, -1
+    for p in range(size):
+        if clean[p] > 0:
+            known += 1
+            for q in range(before + 1, p):
+                share = 1.0 if before < 0 else (q - before) / (p - before)
+                clean[q] = clean[p] if before < 0 else clean[before] + share * (clean[p] - clean[before])
+            before = p
+    for q in range(before + 1, size):
+        clean[q] = clean[before] if before >= 0 else np.nan
+    smooth, half = np.empty(size), _SMOOTHED
+    for p in range(size):
+        low, high = max(p - half, 0), min(p + half, size - 1)
+        total = first = moment = 0.0
+        for q in range(low, high + 1):
+            total += clean[q]
+            first += (q - (low + high) / 2) * clean[q]
+            moment += (q - (low + high) / 2) ** 2
+        smooth[p] = total / (high - low + 1) + (first / moment * (p - (low + high) / 2) if moment > 0 else 0.0)
+    arc = np.zeros(size)
+    for p in range(1, size):
+        x = rays[p, 0] * smooth[p] - rays[p - 1, 0] * smooth[p - 1]
+        y = rays[p, 1] * smooth[p] - rays[p - 1, 1] * smooth[p - 1]
+        away = smooth[p] - smooth[p - 1]
+        arc[p] = arc[p - 1] + math.sqrt(x * x + y * y + away * away)
+    return arc, smooth, known / size
 
 
 @compiled

@@ -1,84 +1,147 @@
 """Occlusion: find out which piece of a known rope a visible curve is.
 
-A hand over one end shortens what is seen; it does not shorten the rope. The known length is kept, the visible piece
-is put where it agrees with the prediction, and the hidden ends are carried along.
+A rope has a length, and what is seen of it may be shorter for three reasons: an end is hidden, a gap is bridged too
+straight, or the measurement is short, because of noise or, in pixels, of perspective. One decision weighs all of them:
+for each way to share out what is missing, how well the visible points agree with where their material was expected, how
+far the measurement would have to be off, and what is seen at the tips. Visible points keep their distance from the
+rope's ends, and hidden ends are carried along.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from math import dist
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.geometry.curve import FittedCurve, TrackHints
+from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
 from shape_obs.geometry.polyline import arc_length, interpolate
-from shape_obs.tracking.occluders import LONG, is_hidden
+from shape_obs.tracking.occluders import FREE, HIDDEN, UNKNOWN
 from shape_obs.tracking.prediction import Prediction
 
 Array = npt.NDArray[np.float64]
+Ends = tuple[int, int]
 
-_PROBES: Final = 32  # points at which a visible piece is compared with the prediction
-_OFFSETS: Final = 13  # places along the rope that are tried for it
-# Of what is missing: when the best place leaves less than this at one end, all of it is hidden at the other. One hand
-# hides one end; that both are hidden needs evidence.
-_ONE_END: Final = 0.35
-# The weight of where the piece was in the last frame against where it now agrees best: hands move slowly.
-_INERTIA: Final = 0.05
-_MOST: Final = 0.75  # of the length: a piece shorter than that lies elsewhere than the middle of the rope
-_STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
+_PROBES: Final = np.linspace(0, 1, 32)  # of a visible piece, at which it is compared with the prediction
+_SHARES: Final = np.linspace(0, 1, 9)  # of what is missing, that may be hidden at an end
 _PLACE: Final = 0.1  # the weight of where a rope is predicted against how it is bent
-# Of the length, and in grains (pixels): what is missing below this is noise or a rope seen at a steeper angle. The
-# points then run from visible tip to visible tip, and the known length gives way, slowly, or a hand that creeps in
-# would shrink the rope.
-_SLACK: Final = (0.015, 2.5)
-_GIVING: Final = 0.003
+_INDEPENDENT: Final = 4.0  # of the probes: neighbours err alike
+_NOISE: Final = 0.5  # in resolutions: how far off a curve lies that was predicted perfectly
+# What it costs, in squared standard deviations, to take an end for hidden: without evidence, with
+# evidence, and a free one, which is then folded back or points at the camera. And by which share of the length it
+# changes from frame to frame.
+_COST: Final = {UNKNOWN: 6.0, HIDDEN: 0.0, FREE: 4.0}
+_INERTIA: Final = {UNKNOWN: 0.05, HIDDEN: 0.1, FREE: 0.05}
+# Of the length: the standard deviation of a measurement. In pixels it is learnt, and this is the least.
+_SPREAD: Final = {"px": 0.006, "m": 0.012}
+_WIDEST: Final = 0.2
+_BRIDGE: Final = 0.35  # of a bridged gap: the standard deviation of its length
+_SLACK: Final = (0.006, 1.0)  # of the length and in resolutions: what is missing below this is noise
+_BEYOND: Final = 4.0  # standard deviations, beyond which noise explains nothing
+# By which share of a difference a length follows a measurement, and of itself if noise cannot explain the difference.
+_LEARNING: Final = (0.05, 0.001)
+_FORGETTING: Final = 0.02
+_STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
 _CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
 _ASKEW: Final = 0.6  # widths: of the visible piece next to a hidden end, which may follow the cut
-_GAINING: Final = 0.01  # a chain that bulges in one frame does not make the rope longer for good
+_SURE: Final = 2.0  # how much larger the mean square distance has to be in the other direction
+_PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
+_FEWEST: Final = 6  # nodes of a visible piece
+_LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
+_NEXT_TO: Final = 0.25  # of the visible piece, next to a hidden end, whose scale that end has
 
 
-def match_chain(form: FittedCurve, prediction: Prediction, depth: npt.NDArray[Any] | None) -> FittedCurve:
+def match_chain(form: FittedCurve, prediction: Prediction, ends: Ends) -> FittedCurve:
     """Match a curve to the predicted rope: same direction, hidden ends put back, as long as the rope is known to be.
-
-    A curve that is shorter than the known length is either the whole rope (seen at a steeper angle, or compressed) or
-    a piece of it. The hypothesis that agrees better with the predicted points is taken, unless something is seen to
-    lie over the rope where it goes out of sight. The hidden ends of a piece follow as predicted, moved along with the
-    visible end, and are marked as interpolated.
 
     Args:
         form: ``(P, D)`` fitted to this frame, in any direction.
         prediction: Where the rope should be.
-        depth: ``(H, W)`` the frame's depth if there is one and the curve is in pixels: it shows what lies over a place.
+        ends: What is known about the curve's first and last point, see ``occluders.tip_evidence``.
+
+    Returns:
+        The whole rope. Its hints hold the lengths of the hidden ends, and what is known of the rope's length.
     """
-    slack = max(_SLACK[0] * prediction.size, _SLACK[1] * prediction.resolution)
-    size, found = prediction.size, float(form.arc[-1])
-    close = size - slack < found
-    if close and found < size:
-        size = max((1 - _GIVING) * size, found)
-    if close and not form.interpolated.any() and _is_along(form, prediction.nodes):
-        return replace(form, hints=TrackHints(size=min(max(found, size), (1 + _GAINING) * size)))
-    prediction = prediction._replace(size=size)
-    known = _PredictedRope(prediction)
-    whole = known.filled(known.turned(form))
-    missing = known.size - whole.size
-    if missing <= 0:
-        return replace(whole, hints=TrackHints(size=min(whole.size, (1 + _GAINING) * prediction.size)))
-    starts, costs = known.starts(whole)
-    start = _start(starts, costs, prediction.hints.hidden[0], missing)
-    piece = replace(known.completed(whole, start), hints=TrackHints((start, missing - start), slack))
-    if costs.min() < known.disagreement(whole, 0.0, known.size):
-        return piece
-    return piece if depth is not None and is_hidden(piece, depth, prediction.width) else whole
+    rope, known = _PredictedRope(prediction), prediction.hints.length
+    turned, back = oriented(form, prediction)
+    form, ends = turned, (ends[1], ends[0]) if back else ends
+    unit = "m" if form.metres is not None or form.points.shape[1] == 3 else "px"
+    length = known.metres if form.metres is not None else known.pixels
+    if length <= 0:
+        return replace(form, hints=TrackHints(length=learnt(known, form, ends)))
+    gap = _widest_gap(form)
+    resolution = prediction.resolution * float(form.stations[-1]) / max(form.size, 1e-9)
+    slack, missing = _SLACK[0] * length + _SLACK[1] * resolution, length - float(form.stations[-1])
+    head = tail = 0.0
+    if missing > 0 and (gap[1] > gap[0] or missing > slack or HIDDEN in ends):
+        noise = max(_SPREAD[unit], known.spread if unit == "px" else 0.0) * length + resolution
+        head, tail, between = rope.place(form, ends, missing, noise, gap)
+        form = rope.filled(form, gap, head, between, length)
+    now = known if head + tail > slack else learnt(known, form, ends)
+    stretch = (length - head - tail) / max(float(form.stations[-1]), 1e-9)
+    form = rope.completed(form, ends, head, tail, stretch, length)
+    return replace(form, hints=TrackHints((head / length, tail / length), slack / length, stretch, now))
+
+
+def learnt(known: Length, form: FittedCurve, ends: Ends) -> Length:
+    """Return what is known of a rope's length after a frame in which nothing of it is hidden.
+
+    A length follows what is measured as far as noise explains the difference, and hardly beyond that: never because
+    less is seen.
+
+    Args:
+        known: What was known before.
+        form: What was seen.
+        ends: What is known about its tips.
+    """
+    metres = 0.0 if form.metres is None else float(form.metres[-1])
+    whole = HIDDEN not in ends and form.whole
+    if known.frames == 0:
+        return Length(max(form.size, known.pixels), max(metres, known.metres), known.spread, int(whole))
+    if not whole:
+        return known
+    change = form.size / known.pixels - 1
+    spread = (known.spread**2 * (1 - _FORGETTING) + _FORGETTING * change**2) ** 0.5
+    if abs(change) > _BEYOND * known.spread:
+        spread = max(spread, abs(change) / 2)
+    spread = min(max(spread, _SPREAD["px"]), _WIDEST)
+    follow = min(max((spread / 0.04) ** 2, _LEARNING[0]), 1.0)
+    if metres and known.metres:
+        off = metres / known.metres - 1
+        explained = abs(off) < _BEYOND * _SPREAD["m"]
+        gain = max(_LEARNING[0], 1 / (known.frames + 1))
+        step = gain * off if explained else float(np.clip(off, -_LEARNING[1], _LEARNING[1]))
+        metres = known.metres * (1 + step)
+    return Length(known.pixels * (1 + follow * change), metres or known.metres, spread, known.frames + 1)
+
+
+def oriented(form: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, bool]:
+    """Return a curve in the direction of the predicted rope, of which it may be a piece, and whether it was reversed.
+
+    A direction that is in doubt is noted as the curve's ambiguity.
+    """
+    if _is_along(form, prediction.nodes):
+        return form, False
+    rope, length = _PredictedRope(prediction), prediction.hints.length
+    whole = length.metres if form.metres is not None else length.pixels
+    seen = min(float(form.stations[-1]) / whole, 1.0) if whole > 0 else 1.0
+    firsts, back = np.linspace(0, 1 - seen, _PLACES), form.reversed()
+    off, off_back = (
+        min(_apart(rope.at(first + seen * _PROBES), _on(curve)) for first in firsts) for curve in (form, back)
+    )
+    if max(off, off_back) < _SURE * min(off, off_back):
+        form, back = (replace(curve, ambiguity="it is in doubt where the rope begins") for curve in (form, back))
+    return (back, True) if off_back < off else (form, False)
 
 
 def shown(form: FittedCurve) -> slice:
     """Return the piece of a matched curve over which points are spread: without ends hidden by less than the slack."""
-    (head, tail), slack = form.hints.hidden, form.hints.slack
-    first = np.searchsorted(form.arc, head - 1e-9) if head < slack else 0
-    last = np.searchsorted(form.arc, form.size - tail + 1e-9) if tail < slack else len(form.points)
+    (head, tail), slack, share = form.hints.hidden, form.hints.slack, form.stations / form.stations[-1]
+    first = np.searchsorted(share, head - 1e-9) if head < slack else 0
+    last = np.searchsorted(share, 1 - tail + 1e-9) if tail < slack else len(share)
     return slice(int(first), int(last))
 
 
@@ -90,129 +153,204 @@ def _is_along(form: FittedCurve, nodes: Array) -> bool:
     return _CLEAR * forwards < backwards
 
 
-def _start(starts: Array, costs: Array, before: float, missing: float) -> float:
-    """Return where along the rope a visible piece starts."""
-    inertia = _INERTIA * (starts - min(before, missing)) ** 2
-    start = float(starts[np.argmin(costs + inertia)])
-    if start <= _ONE_END * missing:
-        return 0.0
-    return missing if start >= (1 - _ONE_END) * missing else start
-
-
 def _apart(first: Array, second: Array) -> float:
     return float(np.mean(np.sum((first - second) ** 2, axis=1)))
 
 
 def _widest_gap(curve: FittedCurve) -> tuple[int, int]:
-    """Return the last point before and the first after the widest bridged piece that has visible ones on both sides."""
+    """Return the last point before and the first after the widest bridged piece; the same point without one."""
+    if curve.whole:
+        return 0, 0
     seen = np.flatnonzero(~curve.interpolated)
     if len(seen) < 2:
         return 0, 0
     widest = int(np.argmax(np.diff(curve.arc[seen])))
-    return int(seen[widest]), int(seen[widest + 1])
+    first, last = int(seen[widest]), int(seen[widest + 1])
+    return (first, last) if last > first + 1 else (0, 0)
+
+
+def visible_nodes(prediction: Prediction) -> Array:
+    """Return the predicted nodes of the visible piece, about as far apart: ``(K', D)``."""
+    (head, tail), nodes = prediction.hints.hidden, prediction.nodes
+    if head + tail <= 0:
+        return nodes
+    first, last = head, 1 - tail
+    count = max(round(len(nodes) * (last - first)), _FEWEST)
+    return _PredictedRope(prediction).at(first + (np.arange(count) + 0.5) / count * (last - first))
 
 
 class _PredictedRope:
     """The predicted rope from tip to tip.
 
     Args:
-        prediction: Its nodes lie at the centres of K equal pieces.
+        prediction: Its nodes lie at the centres of K equal pieces of the rope.
     """
 
     def __init__(self, prediction: Prediction) -> None:
-        nodes, self.size = prediction.nodes, prediction.size
-        self.askew = _ASKEW * prediction.width
-        gap = self.size / len(nodes)
-        self.arc = np.concatenate([[0.0], (np.arange(len(nodes)) + 0.5) * gap, [self.size]])
+        nodes, self.hidden = prediction.nodes, prediction.hints.hidden
+        self.askew, self.resolution = _ASKEW * prediction.width, prediction.resolution
+        self.share = np.concatenate([[0.0], (np.arange(len(nodes)) + 0.5) / len(nodes), [1.0]])
         self.points = np.concatenate([1.5 * nodes[:1] - 0.5 * nodes[1:2], nodes, 1.5 * nodes[-1:] - 0.5 * nodes[-2:-1]])
 
-    def distance(self, curve: FittedCurve) -> float:
-        """Return the mean square distance between a curve and the whole rope, point by point."""
-        share = np.linspace(0, 1, _PROBES)
-        return _apart(self.at(share * self.size), curve.at(share * curve.size))
+    def at(self, share: Array) -> Array:
+        """Return ``(N, D)`` points at shares of the length."""
+        return interpolate(self.points, self.share, share)
 
-    def disagreement(self, curve: FittedCurve, start: float, end: float) -> float:
-        """Return the mean square distance between a curve and the rope's piece from arc ``start`` to ``end``.
+    def disagreement(self, found: Array, first: float, last: float) -> float:
+        """Return the mean square distance between ``(32, D)`` points and the rope's piece between two shares.
 
         Most of it is taken after the best rigid motion (Kabsch 1976): a prediction fails first in where a rope is,
         and last in how it is bent.
         """
-        share = np.linspace(0, 1, _PROBES)
-        expected, found = self.at(start + share * (end - start)), curve.at(share * curve.size)
+        expected = self.at(first + _PROBES * (last - first))
         apart = _apart(expected, found)
         expected, found = expected - expected.mean(axis=0), found - found.mean(axis=0)
         u, overlap, v = np.linalg.svd(expected.T @ found)
         overlap[-1] *= np.sign(np.linalg.det(u @ v))
-        bent = float(np.sum(expected**2) + np.sum(found**2) - 2 * overlap.sum()) / _PROBES
+        bent = float(np.sum(expected**2) + np.sum(found**2) - 2 * overlap.sum()) / len(_PROBES)
         return bent + _PLACE * apart
 
-    def starts(self, curve: FittedCurve) -> tuple[Array, Array]:
-        """Return arc positions at which a visible piece may begin, and how badly it agrees with the rope from there."""
-        starts = np.linspace(0, max(self.size - curve.size, 0.0), _OFFSETS)
-        return starts, np.array([self.disagreement(curve, start, start + curve.size) for start in starts])
+    def place(
+        self,
+        form: FittedCurve,
+        ends: Ends,
+        missing: float,
+        noise: float,
+        gap: tuple[int, int],
+    ) -> tuple[float, float, float]:
+        """Return how much of a rope is hidden at its start, at its end and in a gap: what costs least.
 
-    def turned(self, curve: FittedCurve) -> FittedCurve:
-        """Return the curve in the rope's direction: as a whole, or if much is missing as a piece of the rope."""
-        both = curve, curve.reversed()
-        if curve.size > _MOST * self.size:
-            return min(both, key=self.distance)
-        return min(both, key=lambda piece: float(self.starts(piece)[1].min()))
+        Args:
+            form: What is seen of it.
+            ends: What is known about its tips.
+            missing: By how much the form is shorter than the rope.
+            noise: Standard deviation of the measured length.
+            gap: The last point before a gap and the first after it.
+        """
+        length, stations = missing + float(form.stations[-1]), form.stations
+        bridge = float(stations[gap[1]] - stations[gap[0]])
+        ways, costs = [], []
+        for head, tail in product(_SHARES * missing, _SHARES * missing):
+            rest = missing - head - tail
+            if rest < -1e-9 * length:
+                continue
+            if bridge == 0 and HIDDEN in ends and rest > 1e-9 * length:
+                continue  # what is missing is hidden where something hides it
+            moved = _widened(stations, gap, rest) if bridge else stations
+            found = interpolate(form.points, moved, _PROBES * moved[-1])
+            cost = (rest / (noise + _BRIDGE * bridge)) ** 2
+            for hidden, end, last in zip((head, tail), ends, self.hidden, strict=True):
+                # What is hidden changes little from frame to frame; a free end is hidden in no frame for longer.
+                cost += _COST[end] * (hidden > 0 and (end == FREE or last <= 0))
+                cost += ((hidden / length - (0.0 if end == FREE else last)) / _INERTIA[end]) ** 2
+            ways.append((float(head), float(tail), max(rest, 0.0)))
+            costs.append((self.disagreement(found, head / length, 1 - tail / length), cost))
+        apart, cost = np.array(costs).T
+        cost = cost + _INDEPENDENT * (apart - apart.min()) / (apart.min() + (_NOISE * self.resolution) ** 2)
+        return ways[int(np.argmin(cost))]
 
-    def at(self, arc: Array) -> Array:
-        """Return ``(N, D)`` points at arc positions."""
-        return interpolate(self.points, self.arc, arc)
-
-    def filled(self, curve: FittedCurve) -> FittedCurve:
-        """Return the curve with its widest gap bent as predicted: a straight bridge would make the rope too short."""
-        first, last = _widest_gap(curve)
-        before, after = float(curve.arc[first]), float(curve.arc[last])
-        behind = self.size - (curve.size - after)
-        if after - before < self.arc[2] or behind - before < self.arc[2]:
-            return curve
-        piece = self.at(np.linspace(before, behind, max(last - first + 1, 3)))
-        chord, wanted = piece[-1] - piece[0], curve.points[last] - curve.points[first]
+    def filled(
+        self, form: FittedCurve, gap: tuple[int, int], head: float, between: float, length: float
+    ) -> FittedCurve:
+        """Return the curve with a gap as long as it is, and bent as predicted."""
+        first, last = gap
+        if last == first:
+            return form
+        stations = _widened(form.stations, gap, between)
+        piece = self.at((head + np.linspace(stations[first], stations[last], last - first + 1)) / length)
+        chord, wanted = piece[-1] - piece[0], form.points[last] - form.points[first]
         scale = np.linalg.norm(wanted) / max(float(np.linalg.norm(chord)), 1e-9)
-        if not 1 / _STRETCH < scale < _STRETCH:
-            return curve
-        # What is left over at the far end is spread along the piece, so that it meets both ends.
-        piece = piece - piece[0] + curve.points[first]
-        piece += np.linspace(0, 1, len(piece))[:, None] * (curve.points[last] - piece[-1])
-        points = np.concatenate([curve.points[:first], piece, curve.points[last + 1 :]])
-        inside = np.ones(len(piece), bool)
-        inside[[0, -1]] = False
-        bridged = np.concatenate([curve.interpolated[:first], inside, curve.interpolated[last + 1 :]])
-        return curve.with_geometry(points, bridged)
+        points = form.points
+        if 1 / _STRETCH < scale < _STRETCH:
+            # What is left over at the far end is spread along the piece, so that it meets both ends.
+            piece = piece - piece[0] + points[first]
+            piece += np.linspace(0, 1, len(piece))[:, None] * (points[last] - piece[-1])
+            points = np.concatenate([points[:first], piece, points[last + 1 :]])
+        metric = None if form.metres is None else stations
+        return replace(form.with_geometry(points, form.interpolated), metres=metric)
 
-    def completed(self, curve: FittedCurve, start: float) -> FittedCurve:
-        """Return the visible piece that begins at arc ``start``, with the hidden ends before and behind it.
+    def completed(
+        self, form: FittedCurve, ends: Ends, head: float, tail: float, stretch: float, length: float
+    ) -> FittedCurve:
+        """Return the visible piece that begins at station ``head``, with the hidden ends before and behind it.
 
         A hand cuts a rope askew, and what is fitted turns into the longer side of the cut; near a long hidden end the
-        rope is therefore as predicted too.
+        rope is therefore as predicted too. The rest of an end that is free can only lie on what is seen of the rope.
         """
-        end = start + curve.size
-        lost = start > 0, end < self.size - 1e-9
-        first, last = (self.askew if hidden > LONG * self.size else 0.0 for hidden in (start, self.size - end))
-        inner = (curve.arc >= first) & (curve.arc <= curve.size - last)
+        stations = head + form.stations * stretch
+        metric = form.metres is not None
+        if head + tail <= 0:
+            return replace(form, metres=stations) if metric else form
+        first, last = (self.askew if hidden > _LONG * length else 0.0 for hidden in (head, tail))
+        inner = (form.arc >= first) & (form.arc <= form.size - last)
         if np.count_nonzero(inner) < 2:
             inner = np.ones(len(inner), bool)
-        points, seen = curve.points[inner], curve.interpolated[inner]
-        arc = start + curve.arc[inner]
-        head = self._hidden(end=arc[0], joint=points[0]) if lost[0] else points[:0]
-        tail = self._hidden(start=arc[-1], joint=points[-1]) if lost[1] else points[:0]
-        # Only what is out of sight counts as hidden.
-        before = np.linspace(0, arc[0], len(head) + 1)[:-1] < start
-        behind = np.linspace(arc[-1], self.size, len(tail) + 1)[1:] > end
-        return curve.with_geometry(np.concatenate([head, points, tail]), np.concatenate([before, seen, behind]))
+        points, flags, at = form.points[inner], form.interpolated[inner], stations[inner]
+        reach = max(int(_NEXT_TO * len(points)), 1)
+        if ends[0] == FREE:
+            before = _folded(points, at, at[0])[::-1]
+        else:
+            before = self._hidden(0.0, at[0], points[0], _scale(points[: reach + 1], at), length, at_start=True)
+        if ends[1] == FREE:
+            behind = _folded(points[::-1], at[-1] - at[::-1], length - at[-1])
+        else:
+            behind = self._hidden(at[-1], length, points[-1], _scale(points[-reach - 1 :], at[::-1]), length)
+        hidden_before = np.linspace(0, at[0], len(before) + 1)[:-1]
+        hidden_behind = np.linspace(at[-1], length, len(behind) + 1)[1:]
+        whole = form.with_geometry(
+            np.concatenate([before, points, behind]),
+            np.concatenate([hidden_before < head - 1e-9, flags, hidden_behind > length - tail + 1e-9]),
+        )
+        return replace(whole, metres=np.concatenate([hidden_before, at, hidden_behind])) if metric else whole
 
-    def _hidden(self, joint: Array, start: float = 0.0, end: float | None = None) -> Array:
-        """Return the rope from arc ``start`` to ``end`` without its joint, moved there, of exactly that length."""
-        at_start = end is not None
-        stop = self.size if end is None else end
-        length = stop - start
-        if length <= 0:
+    def _hidden(
+        self, start: float, stop: float, joint: Array, scale: float, length: float, *, at_start: bool = False
+    ) -> Array:
+        """Return the rope between two stations without its joint with the visible piece, moved there.
+
+        Args:
+            start: First station.
+            stop: Last station.
+            joint: ``(D,)`` where the visible piece ends.
+            scale: The curve's units in a unit of the stations.
+            length: Of the rope.
+            at_start: Whether the joint is at the last station.
+        """
+        if stop - start <= 1e-9 * length:
             return np.zeros((0, len(joint)))
-        arc = np.linspace(start, stop, max(int(np.ceil(length / self.arc[1])) + 1, 2))
-        piece = self.at(arc)
-        piece -= piece[-1 if at_start else 0]
-        piece *= length / max(float(arc_length(piece)[-1]), 1e-9)
+        gap = length * (self.share[2] - self.share[1])
+        share = np.linspace(start, stop, max(int(np.ceil((stop - start) / gap)) + 1, 2)) / length
+        piece = self.at(share)
+        piece = piece - piece[-1 if at_start else 0]
+        piece *= scale * (stop - start) / max(float(arc_length(np.ascontiguousarray(piece))[-1]), 1e-9)
         return (piece[:-1] if at_start else piece[1:]) + joint
+
+
+def _on(curve: FittedCurve) -> Array:
+    """Return ``(32, D)`` points at equal steps along a curve."""
+    return interpolate(curve.points, curve.stations, _PROBES * curve.stations[-1])
+
+
+def _folded(points: Array, stations: Array, length: float) -> Array:
+    """Return an end that lies back on the curve, from behind the curve's first point on."""
+    along = stations - stations[0]
+    count = int(np.searchsorted(along, length, side="right"))
+    if length <= 1e-9 * along[-1]:
+        return points[:0]
+    at = np.linspace(0, length, max(count, 2))[1:]
+    return interpolate(np.ascontiguousarray(points), np.ascontiguousarray(along), at)
+
+
+def _widened(stations: Array, gap: tuple[int, int], more: float) -> Array:
+    """Return stations with a gap that is longer."""
+    first, last = gap
+    out = stations.copy()
+    out[first : last + 1] += more * np.linspace(0, 1, last - first + 1)
+    out[last + 1 :] += more
+    return out
+
+
+def _scale(points: Array, stations: Array) -> float:
+    """Return the units of a curve in a unit of its stations, which begin with the points'."""
+    along = abs(float(stations[len(points) - 1] - stations[0]))
+    return float(arc_length(np.ascontiguousarray(points))[-1]) / max(along, 1e-9)

@@ -35,6 +35,7 @@ class Fit(NamedTuple):
         width: Of the object, for the next frame; 0 if it is not known beforehand.
         observed: What the form was fitted to.
         object_width: The width of the object that the fit assumed.
+        follow: Whether the track goes on with a form that was refused: it may still show where the object is.
         centres: ``(N, D)`` the shape's points in order if a clusterer found them; None if the form gives them.
     """
 
@@ -47,6 +48,7 @@ class Fit(NamedTuple):
     width: float = 0.0
     observed: Any = None
     object_width: float = 0.0
+    follow: bool = False
     centres: Array | None = None
 
 

@@ -20,7 +20,7 @@ _MAX_OFF: Final = 0.10
 _MAX_SPREAD: Final = 0.40
 _IDEAL_SPREAD: Final = 12**-0.5
 _JUDGED: Final = 150  # samples are enough to measure how far a mask spreads about a curve
-MAX_HIDDEN: Final = 0.5  # of a tracked shape
+MAX_HIDDEN: Final = 0.75  # of a tracked shape
 # Of an outline: the staircase of pixels alone lies 0.25 px (0.12 samples) off the best curve, flipped border pixels
 # twice that; what misses them by more follows another outline. A few hundred samples are enough to measure it.
 _IDEAL_MISS: Final = 0.15
