@@ -164,8 +164,8 @@ def lift_chain(
 ) -> tuple[Array, Array, float]:
     """Put an open curve in space, and measure how far along it each of its points lies, in metres.
 
-    Depth that lies off its neighbours' is left out, holes are bridged, and the rest is smoothed by lines over nine
-    points, since noise would make the curve longer than it is.
+    Depth that lies off its neighbours' is left out, holes are bridged, and the rest is smoothed by parabolas over
+    nine points, since noise would make the curve longer than it is.
 
     Args:
         points: ``(P, 2)`` pixels, at about equal steps.
@@ -205,15 +205,7 @@ def lift_chain(
             before = p
     for q in range(before + 1, size):
         clean[q] = clean[before] if before >= 0 else np.nan
-    smooth, half = np.empty(size), _SMOOTHED
-    for p in range(size):
-        low, high = max(p - half, 0), min(p + half, size - 1)
-        total = first = moment = 0.0
-        for q in range(low, high + 1):
-            total += clean[q]
-            first += (q - (low + high) / 2) * clean[q]
-            moment += (q - (low + high) / 2) ** 2
-        smooth[p] = total / (high - low + 1) + (first / moment * (p - (low + high) / 2) if moment > 0 else 0.0)
+    smooth = parabola_smoothed(clean, _SMOOTHED)
     arc = np.zeros(size)
     for p in range(1, size):
         x = rays[p, 0] * smooth[p] - rays[p - 1, 0] * smooth[p - 1]
@@ -221,6 +213,33 @@ def lift_chain(
         away = smooth[p] - smooth[p - 1]
         arc[p] = arc[p - 1] + math.sqrt(x * x + y * y + away * away)
     return arc, smooth, known / size
+
+
+@compiled
+def parabola_smoothed(values: Array, half: int) -> Array:
+    """Smooth values by a parabola through each one's neighbours (Savitzky and Golay 1964, of second order).
+
+    Args:
+        values: ``(P,)``.
+        half: How many neighbours to either side; at both ends the window is cut.
+    """
+    size = len(values)
+    out = np.empty(size)
+    for p in range(size):
+        low, high = max(p - half, 0), min(p + half, size - 1)
+        s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = 0.0
+        for q in range(low, high + 1):
+            x = float(q - p)
+            s0, s1, s2, s3, s4 = s0 + 1.0, s1 + x, s2 + x * x, s3 + x * x * x, s4 + x * x * x * x
+            t0, t1, t2 = t0 + values[q], t1 + x * values[q], t2 + x * x * values[q]
+        whole = s0 * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s2 * s3) + s2 * (s1 * s3 - s2 * s2)
+        if whole > 0:
+            out[p] = (
+                t0 * (s2 * s4 - s3 * s3) - s1 * (t1 * s4 - t2 * s3) + s2 * (t1 * s3 - t2 * s2)
+            ) / whole
+        else:
+            out[p] = values[p]
+    return out
 
 
 @compiled

@@ -117,7 +117,7 @@ def tip_evidence(
         return UNKNOWN
     reach = max(_REACH[0] * width, _REACH[1])
     column, row, steps = nearest_pixel(tip[0]), nearest_pixel(tip[1]), math.ceil(reach)
-    count = nearer = behind = straight = level = aside = lower = 0
+    count = nearer = straight = level = aside = lower = 0
     for v in range(max(row - steps, 0), min(row + steps + 1, depth.shape[0])):
         for u in range(max(column - steps, 0), min(column + steps + 1, depth.shape[1])):
             x, y = u - tip[0], v - tip[1]
@@ -133,17 +133,14 @@ def tip_evidence(
             count += 1
             spare = slope * away
             nearer += known and metres < z - _NEARER - spare
-            behind += known and metres > z + _LEVEL + spare
             if side <= max(width / 3, 1.0) and along > 0.3 * width + 1:
                 straight += 1
                 level += known and abs(metres - z) <= _LEVEL + spare
             elif side > 0.8 * width:
                 aside += 1
                 lower += known and metres > z + _LEVEL + spare
-    if count == 0:
-        return UNKNOWN
     if nearer >= max(_TOUCHING * count, 2.0):
         return HIDDEN
     if straight and level >= _GOES_ON * straight and lower >= _SEEN_PAST * aside:
         return HIDDEN
-    return FREE if behind >= _SEEN_PAST * count else UNKNOWN
+    return FREE

@@ -34,6 +34,7 @@ _NOISE: Final = 0.5  # in resolutions: how far off a curve lies that was predict
 # evidence, and a free one, which is then folded back or points at the camera. And by which share of the length it
 # changes from frame to frame.
 _COST: Final = {UNKNOWN: 6.0, HIDDEN: 0.0, FREE: 4.0}
+_FOLDED: Final = 25.0  # of a free end while something hides the other, which explains what is missing
 _INERTIA: Final = {UNKNOWN: 0.05, HIDDEN: 0.1, FREE: 0.05}
 # Of the length: the standard deviation of a measurement. In pixels it is learnt, and this is the least.
 _SPREAD: Final = {"px": 0.006, "m": 0.012}
@@ -49,6 +50,7 @@ _CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each
 _ASKEW: Final = 0.6  # widths: of the visible piece next to a hidden end, which may follow the cut
 _SURE: Final = 2.0  # how much larger the mean square distance has to be in the other direction
 _PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
+_EVENLY: Final = 0.1  # the weight of a piece of a curve at a right angle to the view, in a length that is off
 _FEWEST: Final = 6  # nodes of a visible piece
 _LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
 _NEXT_TO: Final = 0.25  # of the visible piece, next to a hidden end, whose scale that end has
@@ -68,6 +70,8 @@ def match_chain(form: FittedCurve, prediction: Prediction, ends: Ends) -> Fitted
     rope, known = _PredictedRope(prediction), prediction.hints.length
     turned, back = oriented(form, prediction)
     form, ends = turned, (ends[1], ends[0]) if back else ends
+    if HIDDEN in ends:  # that explains what is missing
+        ends = (ends[0] or FREE, ends[1] or FREE)
     unit = "m" if form.metres is not None or form.points.shape[1] == 3 else "px"
     length = known.metres if form.metres is not None else known.pixels
     if length <= 0:
@@ -241,7 +245,9 @@ class _PredictedRope:
             cost = (rest / (noise + _BRIDGE * bridge)) ** 2
             for hidden, end, last in zip((head, tail), ends, self.hidden, strict=True):
                 # What is hidden changes little from frame to frame; a free end is hidden in no frame for longer.
-                cost += _COST[end] * (hidden > 0 and (end == FREE or last <= 0))
+                cost += (_FOLDED if end == FREE and HIDDEN in ends else _COST[end]) * (
+                    hidden > 0 and (end == FREE or last <= 0)
+                )
                 cost += ((hidden / length - (0.0 if end == FREE else last)) / _INERTIA[end]) ** 2
             ways.append((float(head), float(tail), max(rest, 0.0)))
             costs.append((self.disagreement(found, head / length, 1 - tail / length), cost))
@@ -277,7 +283,7 @@ class _PredictedRope:
         A hand cuts a rope askew, and what is fitted turns into the longer side of the cut; near a long hidden end the
         rope is therefore as predicted too. The rest of an end that is free can only lie on what is seen of the rope.
         """
-        stations = head + form.stations * stretch
+        stations = head + _stretched(form, length - head - tail)
         metric = form.metres is not None
         if head + tail <= 0:
             return replace(form, metres=stations) if metric else form
@@ -329,6 +335,22 @@ class _PredictedRope:
 def _on(curve: FittedCurve) -> Array:
     """Return ``(32, D)`` points at equal steps along a curve."""
     return interpolate(curve.points, curve.stations, _PROBES * curve.stations[-1])
+
+
+def _stretched(form: FittedCurve, length: float) -> Array:
+    """Return a curve's stations, made to span a length.
+
+    In metres, what was measured too short or too long is so where the curve runs towards the camera: there a pixel
+    holds much of it.
+    """
+    stations = form.stations
+    if form.metres is None:
+        return stations * (length / max(float(stations[-1]), 1e-9))
+    step, pixels = np.diff(stations), np.maximum(np.diff(form.arc), 1e-9)
+    steep = np.maximum((step / pixels / np.median(step / pixels)) ** 2 - 1, 0.0)
+    weight = step * (_EVENLY + steep)
+    more = (length - float(stations[-1])) * weight / max(float(weight.sum()), 1e-12)
+    return np.concatenate([[0.0], np.cumsum(np.maximum(step + more, 0.1 * step))])
 
 
 def _folded(points: Array, stations: Array, length: float) -> Array:
