@@ -268,12 +268,12 @@ def _measured(
 
 
 def _surprise(found: Fit, prediction: Prediction) -> float:
-    """Return by which share of its length more of a rope is hidden than before, or its visible part off its length."""
+    """Return by which share of its length other parts of a rope are hidden than before, or its length is off."""
     if found.reason:
         return np.inf
     (head, tail), before, hints = found.form.hints.hidden, prediction.hints.hidden, found.form.hints
-    more = max(head - before[0], 0.0) + max(tail - before[1], 0.0)
-    return max(more, 2 * abs(hints.stretch - 1))
+    change = abs(head - before[0]) + abs(tail - before[1])
+    return max(change, 2 * abs(hints.stretch - 1))
 
 
 def _seen_length(curve: FittedCurve) -> float:

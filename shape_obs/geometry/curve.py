@@ -48,6 +48,7 @@ class TrackHints(NamedTuple):
         hidden: Share of an open curve's length that is hidden at its start and at its end.
         slack: Hidden ends with a smaller share are within the measuring error.
         stretch: By how much more of an open curve there is than was measured where it is visible.
+        residual: Mean square distance of an open curve from its prediction, in squares of its unit.
         length: What is known of an open curve's length.
         reference: ``(K, D)`` nodes of the past that a closed curve was numbered by; else None.
     """
@@ -55,6 +56,7 @@ class TrackHints(NamedTuple):
     hidden: tuple[float, float] = (0.0, 0.0)
     slack: float = 0.0
     stretch: float = 1.0
+    residual: float = 1.0
     length: Length = Length()
     reference: Array | None = None
 

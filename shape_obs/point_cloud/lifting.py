@@ -234,9 +234,7 @@ def parabola_smoothed(values: Array, half: int) -> Array:
             t0, t1, t2 = t0 + values[q], t1 + x * values[q], t2 + x * x * values[q]
         whole = s0 * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s2 * s3) + s2 * (s1 * s3 - s2 * s2)
         if whole > 0:
-            out[p] = (
-                t0 * (s2 * s4 - s3 * s3) - s1 * (t1 * s4 - t2 * s3) + s2 * (t1 * s3 - t2 * s2)
-            ) / whole
+            out[p] = (t0 * (s2 * s4 - s3 * s3) - s1 * (t1 * s4 - t2 * s3) + s2 * (t1 * s3 - t2 * s2)) / whole
         else:
             out[p] = values[p]
     return out

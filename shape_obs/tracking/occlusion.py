@@ -29,7 +29,8 @@ _PROBES: Final = np.linspace(0, 1, 32)  # of a visible piece, at which it is com
 _SHARES: Final = np.linspace(0, 1, 9)  # of what is missing, that may be hidden at an end
 _PLACE: Final = 0.1  # the weight of where a rope is predicted against how it is bent
 _INDEPENDENT: Final = 4.0  # of the probes: neighbours err alike
-_NOISE: Final = 0.5  # in resolutions: how far off a curve lies that was predicted perfectly
+_NOISE: Final = 0.15  # in resolutions: how far off a curve lies that was predicted perfectly
+_SETTLING: Final = 0.1  # how fast the distance of curves from their predictions is learnt
 # What it costs, in squared standard deviations, to take an end for hidden: without evidence, with
 # evidence, and a free one, which is then folded back or points at the camera. And by which share of the length it
 # changes from frame to frame.
@@ -37,20 +38,23 @@ _COST: Final = {UNKNOWN: 6.0, HIDDEN: 0.0, FREE: 4.0}
 _FOLDED: Final = 25.0  # of a free end while something hides the other, which explains what is missing
 _INERTIA: Final = {UNKNOWN: 0.05, HIDDEN: 0.1, FREE: 0.05}
 # Of the length: the standard deviation of a measurement. In pixels it is learnt, and this is the least.
-_SPREAD: Final = {"px": 0.006, "m": 0.012}
+_SPREAD: Final = {"px": 0.001, "m": 0.012}
+_GRAIN: Final = {"px": 0.3, "m": 1.0}  # in resolutions: the same of a short one
 _WIDEST: Final = 0.2
 _BRIDGE: Final = 0.35  # of a bridged gap: the standard deviation of its length
 _SLACK: Final = (0.006, 1.0)  # of the length and in resolutions: what is missing below this is noise
 _BEYOND: Final = 4.0  # standard deviations, beyond which noise explains nothing
 # By which share of a difference a length follows a measurement, and of itself if noise cannot explain the difference.
 _LEARNING: Final = (0.05, 0.001)
-_FORGETTING: Final = 0.02
+_FORGETTING: Final = 0.05
 _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
 _CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
 _ASKEW: Final = 0.6  # widths: of the visible piece next to a hidden end, which may follow the cut
 _SURE: Final = 2.0  # how much larger the mean square distance has to be in the other direction
 _PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
 _EVENLY: Final = 0.1  # the weight of a piece of a curve at a right angle to the view, in a length that is off
+_LEAST: Final = 0.002  # of a length in pixels: less cannot be seen to be missing
+_OUTLIER: Final = 10.0  # residuals: more is not learnt from at once
 _FEWEST: Final = 6  # nodes of a visible piece
 _LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
 _NEXT_TO: Final = 0.25  # of the visible piece, next to a hidden end, whose scale that end has
@@ -80,14 +84,18 @@ def match_chain(form: FittedCurve, prediction: Prediction, ends: Ends) -> Fitted
     resolution = prediction.resolution * float(form.stations[-1]) / max(form.size, 1e-9)
     slack, missing = _SLACK[0] * length + _SLACK[1] * resolution, length - float(form.stations[-1])
     head = tail = 0.0
-    if missing > 0 and (gap[1] > gap[0] or missing > slack or HIDDEN in ends):
-        noise = max(_SPREAD[unit], known.spread if unit == "px" else 0.0) * length + resolution
+    least = slack if unit == "m" else _LEAST * length
+    if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
+        noise = (known.spread if unit == "px" else _SPREAD[unit]) * length + _GRAIN[unit] * resolution
         head, tail, between = rope.place(form, ends, missing, noise, gap)
         form = rope.filled(form, gap, head, between, length)
-    now = known if head + tail > slack else learnt(known, form, ends)
+    elif unit == "px":
+        rope.settle(float(rope.disagreement(_on(form)[None], np.zeros(1), np.ones(1))[0]))
+    now = known if head + tail > least else learnt(known, form, ends)
     stretch = (length - head - tail) / max(float(form.stations[-1]), 1e-9)
     form = rope.completed(form, ends, head, tail, stretch, length)
-    return replace(form, hints=TrackHints((head / length, tail / length), slack / length, stretch, now))
+    hidden = head / length, tail / length
+    return replace(form, hints=TrackHints(hidden, slack / length, stretch, rope.residual, now))
 
 
 def learnt(known: Length, form: FittedCurve, ends: Ends) -> Length:
@@ -192,6 +200,7 @@ class _PredictedRope:
 
     def __init__(self, prediction: Prediction) -> None:
         nodes, self.hidden = prediction.nodes, prediction.hints.hidden
+        self.residual = prediction.hints.residual
         self.askew, self.resolution = _ASKEW * prediction.width, prediction.resolution
         self.share = np.concatenate([[0.0], (np.arange(len(nodes)) + 0.5) / len(nodes), [1.0]])
         self.points = np.concatenate([1.5 * nodes[:1] - 0.5 * nodes[1:2], nodes, 1.5 * nodes[-1:] - 0.5 * nodes[-2:-1]])
@@ -200,19 +209,33 @@ class _PredictedRope:
         """Return ``(N, D)`` points at shares of the length."""
         return interpolate(self.points, self.share, share)
 
-    def disagreement(self, found: Array, first: float, last: float) -> float:
-        """Return the mean square distance between ``(32, D)`` points and the rope's piece between two shares.
+    def disagreement(self, found: Array, first: Array, last: Array) -> Array:
+        """Return the mean square distances between curves and the rope's pieces between two shares of its length.
 
         Most of it is taken after the best rigid motion (Kabsch 1976): a prediction fails first in where a rope is,
         and last in how it is bent.
+
+        Args:
+            found: ``(C, 32, D)`` points along each curve.
+            first: ``(C,)`` where each piece begins.
+            last: ``(C,)`` where it ends.
         """
-        expected = self.at(first + _PROBES * (last - first))
-        apart = _apart(expected, found)
-        expected, found = expected - expected.mean(axis=0), found - found.mean(axis=0)
-        u, overlap, v = np.linalg.svd(expected.T @ found)
-        overlap[-1] *= np.sign(np.linalg.det(u @ v))
-        bent = float(np.sum(expected**2) + np.sum(found**2) - 2 * overlap.sum()) / len(_PROBES)
-        return bent + _PLACE * apart
+        share = first[:, None] + _PROBES * (last - first)[:, None]
+        expected = self.at(share.ravel()).reshape(found.shape)
+        apart = np.mean(np.sum((expected - found) ** 2, axis=2), axis=1)
+        expected, found = (points - points.mean(axis=1, keepdims=True) for points in (expected, found))
+        overlap = np.einsum("cpd,cpe->cde", expected, found)
+        if found.shape[2] == 2:
+            turned = np.hypot(overlap[:, 0, 0] + overlap[:, 1, 1], overlap[:, 0, 1] - overlap[:, 1, 0])
+        else:
+            values = np.linalg.svd(overlap, compute_uv=False)
+            turned = values[:, :-1].sum(axis=1) + np.sign(np.linalg.det(overlap)) * values[:, -1]
+        bent = np.sum(expected**2, axis=(1, 2)) + np.sum(found**2, axis=(1, 2)) - 2 * turned
+        return np.maximum(bent, 0.0) / len(_PROBES) + _PLACE * apart
+
+    def settle(self, apart: float) -> None:
+        """Learn how far curves lie from their predictions, a mean square distance."""
+        self.residual += _SETTLING * (min(apart, _OUTLIER * self.residual) - self.residual)
 
     def place(
         self,
@@ -233,27 +256,26 @@ class _PredictedRope:
         """
         length, stations = missing + float(form.stations[-1]), form.stations
         bridge = float(stations[gap[1]] - stations[gap[0]])
-        ways, costs = [], []
-        for head, tail in product(_SHARES * missing, _SHARES * missing):
-            rest = missing - head - tail
-            if rest < -1e-9 * length:
-                continue
-            if bridge == 0 and HIDDEN in ends and rest > 1e-9 * length:
-                continue  # what is missing is hidden where something hides it
-            moved = _widened(stations, gap, rest) if bridge else stations
-            found = interpolate(form.points, moved, _PROBES * moved[-1])
-            cost = (rest / (noise + _BRIDGE * bridge)) ** 2
-            for hidden, end, last in zip((head, tail), ends, self.hidden, strict=True):
-                # What is hidden changes little from frame to frame; a free end is hidden in no frame for longer.
-                cost += (_FOLDED if end == FREE and HIDDEN in ends else _COST[end]) * (
-                    hidden > 0 and (end == FREE or last <= 0)
-                )
-                cost += ((hidden / length - (0.0 if end == FREE else last)) / _INERTIA[end]) ** 2
-            ways.append((float(head), float(tail), max(rest, 0.0)))
-            costs.append((self.disagreement(found, head / length, 1 - tail / length), cost))
-        apart, cost = np.array(costs).T
-        cost = cost + _INDEPENDENT * (apart - apart.min()) / (apart.min() + (_NOISE * self.resolution) ** 2)
-        return ways[int(np.argmin(cost))]
+        shares = np.array([(a, b) for a, b in product(_SHARES, _SHARES) if a + b <= 1])
+        if bridge == 0 and HIDDEN in ends:  # what is missing is hidden where something hides it
+            shares = shares[shares.sum(axis=1) == 1]
+        rest, hidden = (1 - shares.sum(axis=1)) * missing, shares * missing / length
+        found = np.empty((len(shares), len(_PROBES), form.points.shape[1]))
+        for more in np.unique(rest) if bridge else rest[:1]:
+            moved = _widened(stations, gap, more) if bridge else stations
+            found[rest == more if bridge else slice(None)] = interpolate(form.points, moved, _PROBES * moved[-1])
+        apart = self.disagreement(found, hidden[:, 0], 1 - hidden[:, 1])
+        cost = (rest / (noise + _BRIDGE * bridge)) ** 2
+        for end in range(2):
+            # What is hidden changes little from frame to frame; a free end is hidden in no frame for longer.
+            known, last = ends[end], 0.0 if ends[end] == FREE else self.hidden[end]
+            price = _FOLDED if known == FREE and HIDDEN in ends else _COST[known]
+            cost += price * ((hidden[:, end] > 0) & (last <= 0)) + ((hidden[:, end] - last) / _INERTIA[known]) ** 2
+        cost += _INDEPENDENT * (apart - apart.min()) / max(self.residual, (_NOISE * self.resolution) ** 2)
+        best = int(np.argmin(cost))
+        self.settle(float(apart[best]))
+        head, tail = hidden[best] * length
+        return float(head), float(tail), float(rest[best])
 
     def filled(
         self, form: FittedCurve, gap: tuple[int, int], head: float, between: float, length: float
