@@ -36,6 +36,10 @@ class Fit(NamedTuple):
         observed: What the form was fitted to.
         object_width: The width of the object that the fit assumed.
         centres: ``(N, D)`` the shape's points in order if a clusterer found them; None if the form gives them.
+        sigma: ``(P,)`` RMS error per axis of the form's points, in their unit; None lets ``belief`` estimate it.
+        length: Of the object, metres, hidden pieces included; None if it is not known.
+        new: Whether the numbering begins anew, though there was a track: the object is another one.
+        track_id: The number of the track that the form belongs to.
     """
 
     form: Any = None
@@ -48,6 +52,10 @@ class Fit(NamedTuple):
     observed: Any = None
     object_width: float = 0.0
     centres: Array | None = None
+    sigma: Array | None = None
+    length: float | None = None
+    new: bool = False
+    track_id: int = 0
 
 
 class Track(NamedTuple):
@@ -65,6 +73,7 @@ class Track(NamedTuple):
         box: The rectangle around the mask; None without a mask.
         drift: By how much its edges have moved since the frame before, at most, pixels.
         area: Pixels or points of the object; 0 if a part of it was hidden.
+        track_id: Its number among the tracks of the shape, from 1.
     """
 
     nodes: Array
@@ -78,6 +87,7 @@ class Track(NamedTuple):
     box: Window | None = None
     drift: int = 0
     area: int = 0
+    track_id: int = 0
 
 
 class Prediction(NamedTuple):
@@ -138,7 +148,9 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
         velocity = (nodes - track.nodes) / interval
     size, area = found.size, 0 if form.interpolated.any() else observed.area
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
-    return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area)
+    return Track(
+        nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area, found.track_id
+    )
 
 
 def _believed(change: float) -> float:
