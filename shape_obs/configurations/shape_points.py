@@ -70,7 +70,8 @@ def _expected_errors(
     observed, in_image = found.observed, found.observed.dimension == 2
     places = points2d if in_image else points3d
     assert places is not None
-    residual = residual_of(found.object_width, observed.resolution)
+    places = places.astype(np.float64)
+    residual = residual_of(found.form.size, observed.resolution)
     if found.sigma is not None:
         residual = found.sigma[_nearest(places, found.form.points)]
     unseen, unmeasured = (arc_to_nearest(places, spec.layout, known) for known in (visible, valid))
@@ -78,9 +79,7 @@ def _expected_errors(
         return expected_error(unseen, unmeasured, residual, diagonal if points3d is None else MAX_SIGMA)
     z, focal = points3d[:, 2].astype(np.float64), (frame.camera.intrinsics.fx + frame.camera.intrinsics.fy) / 2
     scale = z / focal if in_image else 1.0
-    return expected_error(
-        unseen, unmeasured, residual, MAX_SIGMA, scale=scale, depth_noise=stereo_noise(z, focal)
-    )
+    return expected_error(unseen, unmeasured, residual, MAX_SIGMA, scale=scale, depth_noise=stereo_noise(z, focal))
 
 
 def _is_metric_curve(found: Fit) -> bool:
