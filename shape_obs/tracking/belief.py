@@ -76,7 +76,7 @@ def aged(sigma: npt.NDArray[np.float32], age: float, bound: float) -> npt.NDArra
         age: Seconds.
         bound: Largest value returned; the points are expected to move by a quarter of it in a second.
     """
-    return _bounded(np.hypot(sigma, _DRIFT * bound * age), bound)
+    return _bounded(np.hypot(sigma.astype(np.float64), _DRIFT * bound * age), bound)
 
 
 def residual_of(size: float, resolution: float) -> float:

@@ -16,6 +16,7 @@ OnMissing = Literal["hold", "truncate", "raise", "nan"]
 OnInvalid = Literal["interpolate", "hold", "nan"]
 
 _LEAST_STEP: Final = 1e-6  # seconds; a clock that ticks more slowly stands still
+_LARGEST_STEP: Final = 1e9  # seconds, 30 years: more would leave no digits for what comes later
 
 
 class Clock:
@@ -47,7 +48,7 @@ class Clock:
         else:
             shown, self.stamp = float(stamp) - self.stamp, float(stamp)
             if shown >= _LEAST_STEP:
-                step = shown
+                step = min(shown, _LARGEST_STEP)
             elif self._started:
                 what = "stands still" if shown > -_LEAST_STEP else "runs back"
                 self.warning = f"the stamp {what}: dt is taken as the time since the last frame"

@@ -70,6 +70,7 @@ class TestPrediction:
         track = after(first(1.0), 10.0, 1.0)
         np.testing.assert_array_equal(track.velocity, np.zeros((9, 2)))
         assert after(first(1.0), 10.0, 0.5).interval == 0
+        assert not after(first(0.0), 10.0, 1e-300).velocity.any()
 
     def test_what_is_known_is_passed_on(self):
         track = first(hints=TrackHints(hidden=(3.0, 0.0)))
