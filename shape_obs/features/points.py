@@ -182,7 +182,7 @@ class Sigma(Feature, kind="sigma"):
         if context.camera is None:
             raise ValueError("feature 'sigma' in pixels of points in space needs a camera model: pass camera=.")
         z = points3d[:, 2].astype(np.float64)
-        known = np.isfinite(z)
+        known = np.isfinite(z) & (z > 0)
         if not known.any():
             return self.bounds(shape.layout, context)[1]
         z = shape.layout.interpolate(z[:, None], known)[:, 0]

@@ -68,7 +68,7 @@ def test_the_file_has_a_version_and_three_sections(tmp_path):
         ("version: 1\nshape:\n  shapes: [{kind: centerline, m: 3}]\n", "DetectorConfig.shapes[0]: centerline: unknown"),
         ("version: 1\nshape:\n  features: [point3d]\n", "feature: unknown kind 'point3d'; did you mean 'points3d'?"),
         ("version: 1\nshape:\n  shapes: [{kind: centerline, n: 1}]\n", "centerline: n must lie in 2...1000, got 1."),
-        ("version: 1\nshape:\n  shapes: [{kind: centerline, length: 0}]\n", "centerline: length must be above 0 metres, "),
+        ("version: 1\nshape:\n  shapes: [{kind: centerline, length: 0}]\n", "centerline: length must be above 0"),
         ("version: 1\nshape:\n  shapes: [{kind: centerline, length: .inf}]\n", "centerline: length must be above 0"),
         ("version: 1\nshape:\n  shapes: [{kind: contour, length: 1}]\n", "DetectorConfig.shapes[0]: contour: unknown"),
         ("version: 1\nruntime:\n  max_speed: 0\n", "max_speed: expected more than 0 metres a second (with depth) or"),

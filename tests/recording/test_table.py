@@ -80,7 +80,7 @@ def test_a_table_of_an_earlier_version_loads_and_says_what_it_lacks(log, tmp_pat
     ShapeTable(columns, {"shapes": now.metadata["shapes"]}).save(tmp_path / f"t.{suffix}")
     table = ShapeTable.load(tmp_path / f"t.{suffix}")
     assert equal(table["rope/points3d"], now["rope/points3d"])
-    with pytest.raises(KeyError, match="no column 'rope/sigma'.*Tables of earlier versions do not have it: replay"):
+    with pytest.raises(KeyError, match=r"no column 'rope/sigma'.*Tables of earlier versions do not have it: replay"):
         table["rope/sigma"]
     with pytest.raises(KeyError, match="no column 'rope/point3d'; did you mean 'rope/points3d'"):
         table["rope/point3d"]
