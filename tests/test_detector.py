@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shape_obs import CameraModel, Centerline, GrayRange, HSVRange, ShapeDetector, ShapeLostError
+from shape_obs import CameraModel, Centerline, GrayRange, HSVRange, ShapeDetector
 from shape_obs.bench.synthetic.ropes import KINDS, draw_rope, random_rope, resample
 
 BLUE = HSVRange((100, 100, 60), (125, 255, 255))
@@ -269,72 +269,6 @@ def test_a_copy_goes_on_like_the_original(copied):
             np.testing.assert_array_equal(a.points2d, b.points2d)
             assert (a.ok, a.age, a.quality, a.reason, a.track_id) == (b.ok, b.age, b.quality, b.reason, b.track_id)
             np.testing.assert_array_equal(a.sigma, b.sigma)
-
-
-class TestTrackIds:
-    """The number that changes when continuity was lost."""
-
-    @staticmethod
-    def follow(detector: ShapeDetector, *frames: tuple[np.ndarray, float]) -> list[tuple[int, bool]]:
-        shapes = [detector.detect_mask(mask, stamp=stamp).shapes[0] for mask, stamp in frames]
-        return [(shape.track_id, shape.new) for shape in shapes]
-
-    @pytest.mark.parametrize("policy", ["hold", "truncate", "nan"])
-    def test_a_short_loss_keeps_it_and_a_long_one_does_not(self, wave, policy):
-        detector, empty = ShapeDetector(max_age=0.5, on_missing=policy), np.zeros_like(wave.mask)
-        frames = [(empty, 0.0), (wave.mask, 0.1), (wave.mask, 0.2), (empty, 0.3), (wave.mask, 0.6), (empty, 1.2),
-                  (empty, 1.3), (wave.mask, 1.4), (wave.mask, 1.5)]  # fmt: skip
-        found = [
-            (0, False),
-            (1, True),
-            (1, False),
-            (1, False),
-            (1, False),
-            (1, False),
-            (1, False),
-            (2, True),
-            (2, False),
-        ]
-        assert self.follow(detector, *frames) == found
-        detector.reset()
-        assert self.follow(detector, *frames) == found
-
-    def test_a_loss_that_raised_ends_the_track_too(self, wave):
-        detector, empty = ShapeDetector(max_age=0.5, on_missing="raise"), np.zeros_like(wave.mask)
-        assert self.follow(detector, (wave.mask, 0.0)) == [(1, True)]
-        for stamp in (0.3, 0.8):
-            with pytest.raises(ShapeLostError):
-                detector.detect_mask(empty, stamp=stamp)
-        assert self.follow(detector, (wave.mask, 0.9)) == [(2, True)]
-
-    def test_each_shape_counts_its_own(self, blue, wave):
-        detector = ShapeDetector(
-            [Centerline(name="a"), Centerline(name="b", segmentation=GrayRange(1, 255, min_area=9999))]
-        )
-        detection = detector.detect_mask(wave.mask)
-        assert [(shape.track_id, shape.ok) for shape in detection] == [(1, True), (0, False)]
-
-    def test_pixels_and_a_cloud_are_two_tracks(self, wave):
-        detector = ShapeDetector()
-        at = np.linspace(0, 0.4, 3000)
-        cloud = np.stack([at, 0.002 * np.sin(900 * at), 0.5 + 0.002 * np.cos(900 * at)], axis=1)
-        assert one(detector, wave.mask).track_id == 1
-        shape = detector.detect_cloud(cloud).shapes[0]
-        assert (shape.ok, shape.track_id, shape.new) == (True, 2, True)
-        assert shape.length == pytest.approx(0.4, rel=0.03)
-
-    def test_a_fit_that_says_so_begins_anew(self, wave):
-        """A configuration reports that what it found is another object: its numbering continues nothing."""
-
-        class Swapped(Centerline, kind="swapped_for_a_test"):
-            def fit(self, observed, prediction, target, depth):
-                return super().fit(observed, prediction, target, depth)._replace(new=observed.area < 2000)
-
-        detector, half = ShapeDetector(Swapped(n=5)), wave.mask.copy()
-        half[:, 150:] = 0
-        assert np.count_nonzero(half) < 2000 < np.count_nonzero(wave.mask)
-        found = [one(detector, mask) for mask in (wave.mask, wave.mask, half, wave.mask)]
-        assert [(shape.track_id, shape.new) for shape in found] == [(1, True), (1, False), (2, True), (2, False)]
 
 
 def test_detectors_share_nothing(wave):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.sparse import coo_array
@@ -80,7 +82,8 @@ class TestSigmaOfADetector:
         mask = wave.mask.copy()
         mask[:, 150:190] = 0
         detector, depth = ShapeDetector(Centerline(n=40)), np.full(mask.shape, 0.7)
-        for frame in ((mask,), (mask, depth, intrinsics)):
+        frames: list[Any] = [(mask,), (mask, depth, intrinsics)]
+        for frame in frames:
             detector.reset()
             shape = detector.detect_mask(*frame).shapes[0]
             assert 3 < np.count_nonzero(~shape.visible) < 10
@@ -104,7 +107,8 @@ class TestSigmaOfADetector:
 
     def test_a_lost_shape_is_less_and_less_sure_up_to_the_bound(self, wave, intrinsics):
         empty, depth = np.zeros_like(wave.mask), np.full(wave.mask.shape, 0.7)
-        for frame, bound in (((empty,), np.hypot(240, 320)), ((empty, depth, intrinsics), MAX_SIGMA)):
+        frames: list[Any] = [((empty,), np.hypot(240, 320)), ((empty, depth, intrinsics), MAX_SIGMA)]
+        for frame, bound in frames:
             detector = ShapeDetector()
             last = detector.detect_mask(wave.mask, *frame[1:], stamp=0.0).shapes[0].sigma
             for stamp in (0.1, 0.2, 0.5, 1.0, 100.0):
