@@ -5,6 +5,7 @@ image -> region -> initial form or prediction -> self-organising map -> matched 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterable, Mapping
 from importlib import import_module
@@ -27,7 +28,8 @@ from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.point_cloud.lifting import median_depth
 from shape_obs.shape import Detection, Shape
-from shape_obs.tracking.missing import lost_shape
+from shape_obs.tracking.belief import shortest_ways
+from shape_obs.tracking.missing import Clock, lost_shape
 from shape_obs.tracking.prediction import Fit, Track, advance, predict
 from shape_obs.tracking.search_window import RegionSearch
 from shape_obs.utils.threads import use_no_threads_in_forked_children
@@ -43,13 +45,13 @@ use_no_threads_in_forked_children()
 
 
 class _Moment(NamedTuple):
-    """A frame on its way: images, seconds, milliseconds by stage, and whether points get pixels and metres."""
+    """A frame on its way: images, milliseconds by stage, whether points get pixels and metres, and its diagonal."""
 
     frame: Frame
-    stamp: float
     timings: dict[str, float]
     in_2d: bool
     in_3d: bool
+    diagonal: float = 0.0  # pixels
 
 
 class ShapeDetector:
@@ -85,7 +87,7 @@ class ShapeDetector:
         self.config = DetectorConfig.from_dict(options)
         self.shapes = self.config.resolved()
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
-        functions = [*prepare(spec.segmentation for spec in self.shapes), visible_depth, median_depth]
+        functions = [*prepare(spec.segmentation for spec in self.shapes), visible_depth, median_depth, shortest_ways]
         compile_now([*functions, *(function for spec in self.shapes for function in spec.compiled_functions)])
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it
@@ -95,10 +97,11 @@ class ShapeDetector:
         """Forget the track: the next frame is a cold start."""
         self._tracks: dict[str, Track] = {}
         self._kinds: dict[str, type[Observed]] = {}
+        self._track_ids: dict[str, int] = {}  # of the last track of each shape
         self._last: dict[str, tuple[Shape, float]] = {}
-        self._stamp: float | None = None
+        self._clock = Clock(self.config.dt)
         self._roi_memory: Any = None  # what a region of interest that moves remembers
-        self._frames, self._begin = 0, 0.0
+        self._frames = 0
 
     def detect(
         self,
@@ -178,14 +181,15 @@ class ShapeDetector:
         frame, cloud = Frame(None, None, as_camera_model(camera), stamp), read_cloud(points)
         now = _lap(timings := {}, "cloud", begin)
         targets = [anchor_point(spec, anchors, frame.camera) for spec in self.shapes]
-        moment, shapes = _Moment(frame, self._next_stamp(frame), timings, in_2d=False, in_3d=True), []
+        self._clock.tick(frame.stamp)
+        moment, shapes = _Moment(frame, timings, in_2d=False, in_3d=True), []
         for spec, target in zip(self.shapes, targets, strict=True):
             found = self._fit(spec, cloud, target, moment, Scene())
             _lap(timings, "fit", now)
             shapes.append(self._finish(spec, found, moment))
             now = time.perf_counter()
         _lap(timings, "total", begin)
-        return Detection(tuple(shapes), moment.stamp, timings)
+        return Detection(tuple(shapes), self._clock.stamp, timings, self._clock.warning)
 
     def _detect_in_image(
         self, frame: Frame, mask: npt.NDArray[np.uint8] | None, anchors: Anchors, begin: float
@@ -202,21 +206,21 @@ class ShapeDetector:
             roi, self._roi_memory, reason = roi.place(frame.rgb, self._roi_memory)
             _lap(timings, "roi", now)
         search = None if roi is None else RegionSearch(frame, mask, roi, self._tracks_by_rule())
-        moment, shapes = _Moment(frame, self._next_stamp(frame), timings, in_2d=True, in_3d=with_depth), []
+        self._clock.tick(frame.stamp)
+        size = frame.size if mask is None else mask.shape
+        assert size is not None
+        moment, shapes = _Moment(frame, timings, in_2d=True, in_3d=with_depth, diagonal=math.hypot(*size)), []
         for spec, target in zip(self.shapes, targets, strict=True):
             found = Fit(reason=reason) if search is None else self._find(spec, search, target, moment)
             shapes.append(self._finish(spec, found, moment))
         _lap(timings, "total", begin)
-        return Detection(tuple(shapes), moment.stamp, timings)
+        return Detection(tuple(shapes), self._clock.stamp, timings, self._clock.warning)
 
     def _find(self, spec: Configuration, search: RegionSearch, target: Array | None, moment: _Moment) -> Fit:
         """Find one shape in an image: near where the track expects it, and if that fails everywhere."""
         frame = moment.frame
-        scene = (
-            Scene(frame.depth, frame.camera and frame.camera.intrinsics, search.whole)
-            if moment.in_3d
-            else Scene(edge=search.whole)
-        )
+        camera = frame.camera if moment.in_3d else None
+        scene = Scene(frame.depth if camera else None, camera and camera.intrinsics, search.whole)
         while True:
             now, timings = time.perf_counter(), moment.timings
             observed: Observed = search.region(spec.segmentation)  # image -> region
@@ -241,9 +245,15 @@ class ShapeDetector:
             have = f"the {observed.noun} has {observed.area} {observed.sample_unit}"
             return Fit(reason=f"{have}, at least {_MIN_SAMPLES} are needed")
         track = self._tracks.get(spec.name)
-        found = spec.fit(observed, predict(track, observed, moment.stamp), target, scene)
+        prediction = predict(track, observed, self._clock.now)
+        if track is not None and not spec.resumes and self._clock.now - track.stamp > self.config.max_age:
+            track = prediction = None
+        found = spec.fit(observed, prediction, target, scene)
         if not found.reason or found.follow:
-            self._tracks[spec.name] = advance(track, found, observed, moment.stamp)
+            track = None if found.new else track
+            number = self._track_ids.get(spec.name, 0) + 1 if track is None else track.track_id
+            found, self._track_ids[spec.name] = found._replace(track_id=number), number
+            self._tracks[spec.name] = advance(track, found, observed, self._clock.now)
         if not found.reason:
             if spec.order == "image":
                 seen = observed.seen(found.form.points, target)
@@ -257,20 +267,21 @@ class ShapeDetector:
     def _finish(self, spec: Configuration, found: Fit, moment: _Moment) -> Shape:
         """Turn a form into ordered points, in space if there is depth; or apply the policy for a lost shape."""
         now = time.perf_counter()
-        last, seen_at = self._last.get(spec.name, (None, self._begin))
+        clock = self._clock
+        last, seen_at = self._last.get(spec.name, (None, 0.0))
         shape, reason = None, found.reason
-        if not found.reason:
-            shape = shape_of(spec, found, moment.frame, last, self.config.on_invalid)  # depth enters: -> points
+        if not found.reason:  # depth enters: -> points
+            shape = shape_of(spec, found, moment.frame, last, self.config.on_invalid, moment.diagonal)
             in_sight = shape.points2d is None or np.isfinite(shape.points2d).all()
             if not in_sight or (moment.in_3d and not shape.valid.any()):
                 shape, reason = None, "no point has depth under it" if in_sight else "it runs out of the camera's sight"
         if shape is not None:
-            self._last[spec.name] = (shape, moment.stamp)
+            self._last[spec.name] = (shape, clock.now)
         else:
-            age = max(moment.stamp - seen_at, 0.0)
+            age, reason = clock.now - seen_at, f"{reason}; {clock.warning}" if clock.warning else reason
             shape = lost_shape(
-                spec.name, spec.layout, reason=reason, in_2d=moment.in_2d, in_3d=moment.in_3d,
-                last=last, age=age, max_age=self.config.max_age, policy=self.config.on_missing,
+                spec.name, spec.layout, reason=reason, in_2d=moment.in_2d, in_3d=moment.in_3d, last=last, age=age,
+                max_age=self.config.max_age, policy=self.config.on_missing, diagonal=moment.diagonal,
             )  # fmt: skip
         _lap(moment.timings, "lift", now)
         return shape
@@ -283,19 +294,6 @@ class ShapeDetector:
             for spec in self.shapes:
                 rules.setdefault(spec.segmentation, []).append(self._tracks.get(spec.name))
         return rules
-
-    def _next_stamp(self, frame: Frame) -> float:
-        """Return the frame's time; frames without stamps follow each other by ``dt``."""
-        following = 0.0 if self._stamp is None else self._stamp + self.config.dt
-        stamp = following if frame.stamp is None else float(frame.stamp)
-        if self._stamp is None:
-            self._begin = stamp
-        elif stamp < self._stamp:  # another clock: no time has passed, and ages go on from what they were
-            back = self._stamp - stamp
-            self._begin -= back
-            self._last = {name: (shape, at - back) for name, (shape, at) in self._last.items()}
-        self._stamp = stamp
-        return stamp
 
 
 def _lap(timings: dict[str, float], stage: str, since: float) -> float:

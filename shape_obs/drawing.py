@@ -38,15 +38,21 @@ def draw_detection(
 
     Returns:
         (H*scale, W*scale, 3) uint8, RGB: green points are valid, orange ones on the mask but without depth, red ones
-        hidden or held; numbers run from 0 and the first point is ringed. A shape that is not ok says why.
+        hidden or held; numbers run from 0 and the first point is ringed. Text says why a shape was not found, that its
+        numbering begins anew, and what is wrong with the stamp.
     """
     picture = rgb.repeat(scale, axis=0).repeat(scale, axis=1)
     for curve, colour in under:
         draw_curve(picture, _enlarged(curve, scale), colour, thickness=2)
-    for row, shape in enumerate(detection):
+    lines = [detection.warning] if detection.warning else []
+    for shape in detection:
         draw_shape(picture, shape, scale=scale)
         if shape.reason:
-            draw_text(picture, f"{shape.name}: {shape.reason}", (8, 20 + 18 * row), HIDDEN)
+            lines.append(f"{shape.name}: {shape.reason}")
+        elif shape.new and shape.track_id > 1:
+            lines.append(f"{shape.name}: the numbering begins anew, track {shape.track_id}")
+    for row, line in enumerate(lines):
+        draw_text(picture, line, (8, 20 + 18 * row), HIDDEN)
     return picture
 
 

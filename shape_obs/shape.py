@@ -12,14 +12,17 @@ import numpy.typing as npt
 from shape_obs.geometry.topology import Topology
 from shape_obs.spec import did_you_mean
 
-_ARRAYS: Final = (("points2d", np.float32), ("points3d", np.float32), ("visible", np.bool_), ("valid", np.bool_))
+_ARRAYS: Final = (
+    ("points2d", np.float32), ("points3d", np.float32), ("visible", np.bool_), ("valid", np.bool_),
+    ("sigma", np.float32),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
     """N ordered points on an object. Point i stays the same material point from frame to frame.
 
-    The four arrays are read-only and share no memory with the detector or the caller. Copy before you change:
+    The arrays are read-only and share no memory with the detector or the caller. Copy before you change:
     ``points = shape.points3d.copy()``, or compute a new array: ``shape.points3d - offset``.
 
     What holds for every shape that a detector returns:
@@ -28,6 +31,13 @@ class Shape:
     - ``points3d`` is finite where ``valid`` is True. Elsewhere it holds what ``on_invalid`` asks for, which may be NaN.
     - ``points2d`` is finite if ``ok`` is True. It is NaN if no points are known, and never infinite.
     - ``quality`` and ``age`` are finite. ``reason`` is empty if and only if the points were found in this frame.
+    - ``sigma`` is finite, at least 0 and at most 1 m or, in pixels, the diagonal of the image. Of a shape that was not
+      found it grows with ``age``; of one that was never found it is at its bound.
+    - While ``track_id`` stays the same, point i is the same material point; when it changes, points may be numbered
+      from the other end or lie on another object. It is 0 until the shape is found, then 1, and grows by 1 whenever
+      the numbering begins anew: after more than ``max_age`` seconds without the shape, or where the detector finds
+      that the object is another one. A held shape keeps it. ``detector.reset()`` begins again at 0.
+      With ``order="image"`` the numbering is that of the frame, and ``track_id`` only says that the object is the same.
 
     Args:
         name: The configuration's name.
@@ -40,6 +50,11 @@ class Shape:
         quality: 0...1, how well the curve explains the mask.
         reason: Why the shape was not found in this frame; empty if it was.
         age: Seconds since the points were found, or since the first frame if they never were; 0 if found in this frame.
+        sigma: ``(N,)`` float32, the RMS error per axis that is expected of each point, in metres if the shape has
+            ``points3d``, else in pixels. None for points that are exact, such as a goal's, gives zeros.
+        track_id: The number of the track that the points belong to; 0 if there is none.
+        new: Whether this is the first frame in which the shape was found under its ``track_id``.
+        length: Of the object, hidden pieces included, as far as the track remembers it, in metres; None if unknown.
     """
 
     name: str
@@ -52,9 +67,15 @@ class Shape:
     quality: float = 1.0
     reason: str = ""
     age: float = 0.0
+    sigma: npt.NDArray[np.float32] | Any = None  # never None in an instance; Any, so that users need no check
+    track_id: int = 0
+    new: bool = False
+    length: float | None = None
 
     def __post_init__(self) -> None:
         fields = vars(self)
+        if fields["sigma"] is None:
+            fields["sigma"] = np.zeros(len(self.visible), np.float32)
         for name, dtype in _ARRAYS:
             values = fields[name]
             if values is None:
@@ -92,10 +113,14 @@ class Shape:
             "quality": round(self.quality, 4),
             "reason": self.reason,
             "age": self.age,
+            "track_id": self.track_id,
+            "new": self.new,
+            "length": None if self.length is None else round(self.length, 5),
             "points2d": None if self.points2d is None else _listed(self.points2d, 3),
             "points3d": None if self.points3d is None else _listed(self.points3d, 5),
             "visible": self.visible.tolist(),
             "valid": self.valid.tolist(),
+            "sigma": [round(float(value), 5) for value in self.sigma],
         }
 
 
@@ -108,11 +133,14 @@ class Detection:
         stamp: Seconds.
         timings: Milliseconds by stage, and ``"total"``: ``"roi"`` where it moves, ``"segmentation"`` of an image,
             ``"region"`` of a mask given, ``"cloud"``, ``"fit"``, ``"lift"``.
+        warning: What is wrong with the frame though its shapes may be found: a stamp that stands still or runs back.
+            Empty if nothing is. The ``reason`` of a shape that was not found repeats it.
     """
 
     shapes: tuple[Shape, ...]
     stamp: float
     timings: Mapping[str, float] = field(default_factory=dict)
+    warning: str = ""
 
     def __getitem__(self, name: str) -> Shape:
         for shape in self.shapes:
@@ -136,6 +164,7 @@ class Detection:
         return {
             "ok": self.ok,
             "stamp": self.stamp,
+            "warning": self.warning,
             "shapes": [shape.to_dict() for shape in self.shapes],
             "timings_ms": {stage: round(time, 3) for stage, time in self.timings.items()},
         }

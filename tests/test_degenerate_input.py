@@ -139,20 +139,20 @@ def test_a_pose_is_rigid_and_of_this_world(transform, usable):
 
 
 def test_a_clock_that_goes_back_makes_no_held_shape_younger(wave):
-    """A camera may restart its clock at zero; a shape that was held for 0.4 s still counts as held for 0.4 s."""
-    detector, empty = ShapeDetector(max_age=0.5), np.zeros_like(wave.mask)
+    """A camera may restart its clock at zero; a shape that was held for 0.4 s was then held for 0.4 s and ``dt``."""
+    detector, empty = ShapeDetector(max_age=0.5, dt=0.02), np.zeros_like(wave.mask)
     detector.detect_mask(wave.mask, stamp=3600.0)
     assert detector.detect_mask(empty, stamp=3600.4).shapes[0].ok
-    for stamp, age, ok in ((0.0, 0.4, True), (0.05, 0.45, True), (0.2, 0.6, False), (-50.0, 0.6, False)):
+    for stamp, age, ok in ((0.0, 0.42, True), (0.05, 0.47, True), (0.2, 0.62, False), (-50.0, 0.64, False)):
         held = detector.detect_mask(empty, stamp=stamp).shapes[0]
         assert held.age == pytest.approx(age, abs=1e-6)
         assert held.ok is ok
-    never = ShapeDetector()
-    assert [never.detect_mask(empty, stamp=at).shapes[0].age for at in (9.0, 10.0, 2.0, 4.0)] == [0.0, 1.0, 1.0, 3.0]
+    never = ShapeDetector(dt=0.5)
+    assert [never.detect_mask(empty, stamp=at).shapes[0].age for at in (9.0, 10.0, 2.0, 4.0)] == [0.0, 1.0, 1.5, 3.5]
 
 
 @pytest.mark.parametrize("interval", [5e-324, 1e-300, 1e-12, 0.0])
-def test_stamps_that_nearly_stand_still_give_no_velocity(wave, interval):
+def test_stamps_that_nearly_stand_still_lose_no_moving_rope(wave, interval):
     detector = ShapeDetector()
     shapes = [detector.detect_mask(np.roll(wave.mask, 3 * i, axis=0), stamp=i * interval).shapes[0] for i in range(4)]
     assert all(shape.ok and not shape.reason for shape in shapes)
@@ -163,7 +163,7 @@ def test_stamps_that_nearly_stand_still_give_no_velocity(wave, interval):
 def test_what_is_counted_notices_broken_promises():
     """The measure counts shapes that break the contract, and undeclared exceptions."""
     fine: dict[str, Any] = {"points2d": np.zeros((3, 2)), "points3d": np.ones((3, 3)), "visible": np.ones(3, bool)}
-    fine |= {"valid": np.ones(3, bool), "layout": Chain(3)}
+    fine |= {"valid": np.ones(3, bool), "layout": Chain(3), "track_id": 1}
     one_nan = np.where(np.arange(3)[:, None] == 1, np.nan, 1.0)
     for change, broken in (
         ({}, 0), ({"points2d": one_nan * np.ones(2)}, 2), ({"points3d": one_nan * np.ones(3)}, 1), ({"age": -1.0}, 2),

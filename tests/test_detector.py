@@ -248,6 +248,9 @@ def test_a_detection_becomes_json(wave, intrinsics):
     np.testing.assert_allclose(data["shapes"][0]["points2d"], detection.shapes[0].points2d, atol=1e-3)
     assert data["shapes"][0]["points3d"][-1] == [None] * 3
     assert data["shapes"][0]["valid"] == detection.shapes[0].valid.tolist()
+    np.testing.assert_allclose(data["shapes"][0]["sigma"], detection.shapes[0].sigma, atol=1e-5)
+    assert (data["shapes"][0]["track_id"], data["shapes"][0]["new"], data["shapes"][0]["length"]) == (1, True, None)
+    assert data["warning"] == ""
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda detector: pickle.loads(pickle.dumps(detector))])
@@ -264,7 +267,8 @@ def test_a_copy_goes_on_like_the_original(copied):
         assert mine.stamp == its.stamp
         for a, b in zip(mine, its, strict=True):
             np.testing.assert_array_equal(a.points2d, b.points2d)
-            assert (a.ok, a.age, a.quality, a.reason) == (b.ok, b.age, b.quality, b.reason)
+            assert (a.ok, a.age, a.quality, a.reason, a.track_id) == (b.ok, b.age, b.quality, b.reason, b.track_id)
+            np.testing.assert_array_equal(a.sigma, b.sigma)
 
 
 def test_detectors_share_nothing(wave):

@@ -24,8 +24,10 @@ VERSION: Final = 1
 SECTIONS: Final = {
     "shape": ("shapes", "features", "order", "ends", "anchor", "clustering"),
     "scene": ("segmentation", "roi", "workspace"),
-    "runtime": ("on_missing", "on_invalid", "max_age", "dt"),
+    "runtime": ("on_missing", "on_invalid", "max_age", "max_speed", "dt"),
 }
+#: Fields of a configuration that belong to the scene though they stand in the section ``shape``: they are not hashed.
+SCENE_FIELDS: Final = ("segmentation", "length")
 _WRAPPER_ONLY: Final = ("features", "workspace")
 
 
@@ -95,16 +97,21 @@ def detector_arguments(arguments: Mapping[str, Any]) -> dict[str, Any]:
 def schema_hash(arguments: Mapping[str, Any]) -> str:
     """Return the SHA-256 of the ``shape`` section: if it is equal, a policy reads the same numbers in the same places.
 
-    Defaults are filled in, the detector's too, and segmentations left out: another site's colours do not change it.
+    Defaults are filled in, the detector's too, and ``SCENE_FIELDS`` left out: the colours of another site, or the
+    length of another cable, do not change it.
     """
+    return _sha256(hashed_values(arguments))
+
+
+def hashed_values(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the JSON values from which ``schema_hash`` is computed."""
     detector, features = DetectorConfig.from_dict(detector_arguments(arguments)), _features(arguments)
     shapes = [shape.to_dict() for shape in detector.resolved()]
-    content = {
-        "shapes": [{name: value for name, value in shape.items() if name != "segmentation"} for shape in shapes],
+    return {
+        "shapes": [{name: value for name, value in shape.items() if name not in SCENE_FIELDS} for shape in shapes],
         "features": None if features is None else [feature.identity() for feature in features],
         "clustering": detector.clustering.to_dict(),
     }
-    return _sha256(content)
 
 
 def config_hash(arguments: Mapping[str, Any]) -> str:

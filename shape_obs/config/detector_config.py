@@ -19,6 +19,10 @@ from shape_obs.tracking.missing import OnInvalid, OnMissing
 if TYPE_CHECKING:
     from typing_extensions import Self
 
+#: The version of the algorithm: equal images and arguments give equal points where it is equal. It grows with each
+#: release that changes points, and is recorded with policies and tables, since the schema's hash does not show it.
+#: 1: the first; lengths known in pixels, no time where stamps stand still. 2: a clock that always goes on.
+ALGORITHM: Final = 2
 NO_BACKEND: Final = "backend={!r} is ignored: the inner loops are always compiled with Numba. Remove it."
 
 
@@ -38,7 +42,9 @@ class DetectorConfig(Spec):
         on_missing: What a lost shape becomes: ``"hold"``, ``"truncate"``, ``"raise"`` or ``"nan"``.
         on_invalid: What a point without depth becomes: ``"nan"``, ``"interpolate"`` or ``"hold"``.
         max_age: Seconds for which a held shape counts as ok.
-        dt: Seconds between frames that carry no stamp.
+        max_speed: The fastest motion that is one object's: metres a second with depth and a camera, image widths a
+            second without. What is farther from where the shape was is another object. None sets no limit.
+        dt: Seconds between frames that carry no stamp, or whose stamps stand still or run back.
     """
 
     shapes: tuple[Configuration, ...] = field(default_factory=lambda: (Configuration.from_dict("centerline"),))
@@ -51,6 +57,7 @@ class DetectorConfig(Spec):
     on_missing: OnMissing = "hold"
     on_invalid: OnInvalid = "nan"
     max_age: float = 0.5
+    max_speed: float | None = None
     dt: float = 1 / 30
 
     @classmethod
@@ -74,6 +81,11 @@ class DetectorConfig(Spec):
             raise SpecError(f"shapes: two are named {twice[0]!r}; give each its own name=.")
         if not (0 <= self.max_age < math.inf and 0 < self.dt < math.inf):
             raise SpecError(f"expected finite max_age >= 0 and dt > 0 seconds, got {self.max_age} and {self.dt}.")
+        if self.max_speed is not None and not 0 < self.max_speed < math.inf:
+            raise SpecError(
+                "max_speed: expected more than 0 metres a second (with depth) or image widths a second (without), or "
+                f"None for no limit, got {self.max_speed}."
+            )
         if isinstance(self.clustering, Clusterer):
             for shape in self.resolved():
                 for name, wanted in (("ends", "centers"), ("spacing", "px")):

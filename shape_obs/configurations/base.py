@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -71,6 +71,8 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
         spacing: Equal gaps in the image (``"px"``) or, with depth, in space (``"m"``); ignored for a cloud.
         radius: Metres from the visible surface to the axis; 0 reports the surface.
     """
+
+    resumes: ClassVar[bool] = False  # whether a fit can go on from a track after a loss longer than ``max_age``
 
     name: str = ""
     anchor: Anchor = None

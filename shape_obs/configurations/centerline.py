@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -66,15 +66,22 @@ class Centerline(Configuration, kind="centerline"):
         n: How many points.
         ends: ``"centers"``: the points are centres of N equal pieces, as cluster centres are; ``"tips"``: the first
             and last point lie on the rope's real tips. None takes the detector's.
+        length: The rope's length in metres, from tip to tip, if it is known; None lets the track learn it. It belongs
+            to the scene: it is not hashed, and a policy takes a rope of another length.
     """
+
+    resumes: ClassVar[bool] = True
 
     n: int = 20
     ends: Ends | None = None
+    length: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 2 <= self.n <= 1000:
             raise ValueError(f"centerline: n must lie in 2...1000, got {self.n}.")
+        if self.length is not None and not 0 < self.length < np.inf:
+            raise ValueError(f"centerline: length must be above 0 metres, or None if unknown, got {self.length}.")
 
     @cached_property
     def layout(self) -> Chain:

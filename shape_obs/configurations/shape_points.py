@@ -16,6 +16,7 @@ from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, form_depth, lift_form, median_depth
 from shape_obs.shape import Shape
+from shape_obs.tracking.belief import MAX_SIGMA, arc_to_nearest, expected_error, residual_of, stereo_noise
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
 from shape_obs.tracking.prediction import Fit
 
@@ -31,7 +32,9 @@ _HALF_ROUND: Final = np.pi / 4
 _SMOOTH: Final = 3.0  # points of the fine curve, over which its direction is taken
 
 
-def shape_of(spec: Configuration, found: Fit, frame: Frame, last: Shape | None, policy: OnInvalid) -> Shape:
+def shape_of(
+    spec: Configuration, found: Fit, frame: Frame, last: Shape | None, policy: OnInvalid, diagonal: float
+) -> Shape:
     """Return the shape of a fit.
 
     Args:
@@ -40,17 +43,48 @@ def shape_of(spec: Configuration, found: Fit, frame: Frame, last: Shape | None, 
         frame: Depth and camera, for a mask.
         last: The shape when it was last found.
         policy: What becomes of points without depth.
+        diagonal: Of the image, pixels: the bound of ``sigma`` in pixels.
     """
     parts = _points_in_image if found.observed.dimension == 2 else _points_in_cloud
-    points2d, points3d, visible, valid = parts(spec, found, frame)
+    points2d, points3d, visible, valid = seen = parts(spec, found, frame)
+    sigma = _expected_errors(spec, found, frame, seen, diagonal)
     if points3d is not None and not valid.all():
         points3d = fill_invalid(points3d, valid, None if last is None else last.points3d, policy)
     quality = found.quality * (np.count_nonzero(valid) / len(valid))
-    return Shape(spec.name, points2d, points3d, visible, valid, spec.layout, quality=quality)
+    length = found.size if found.length is None and _is_metric_curve(found) else found.length
+    return Shape(
+        spec.name, points2d, points3d, visible, valid, spec.layout, quality=quality, sigma=sigma, length=length,
+        track_id=found.track_id, new=last is None or last.track_id != found.track_id,
+    )  # fmt: skip
 
 
 # Pixels, points in space (those that were not seen where the form puts them), visible, valid.
 _Parts = tuple[npt.NDArray[np.float32] | None, npt.NDArray[np.float32] | None, Mask, Mask]
+
+
+def _expected_errors(
+    spec: Configuration, found: Fit, frame: Frame, seen: _Parts, diagonal: float
+) -> npt.NDArray[np.float32]:
+    """Return ``(N,)`` RMS errors per axis: metres where there are points in space, else pixels."""
+    points2d, points3d, visible, valid = seen
+    observed, in_image = found.observed, found.observed.dimension == 2
+    places = points2d if in_image else points3d
+    assert places is not None
+    places = places.astype(np.float64)
+    residual = residual_of(found.form.size, observed.resolution)
+    if found.sigma is not None:
+        residual = found.sigma[_nearest(places, found.form.points)]
+    unseen, unmeasured = (arc_to_nearest(places, spec.layout, known) for known in (visible, valid))
+    if points3d is None or frame.camera is None:
+        return expected_error(unseen, unmeasured, residual, diagonal if points3d is None else MAX_SIGMA)
+    z, focal = points3d[:, 2].astype(np.float64), (frame.camera.intrinsics.fx + frame.camera.intrinsics.fy) / 2
+    scale = z / focal if in_image else 1.0
+    return expected_error(unseen, unmeasured, residual, MAX_SIGMA, scale=scale, depth_noise=stereo_noise(z, focal))
+
+
+def _is_metric_curve(found: Fit) -> bool:
+    """Return whether the size of a form is a length in metres."""
+    return found.observed.dimension == 3 and isinstance(found.form, FittedCurve)
 
 
 def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:

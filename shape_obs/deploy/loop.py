@@ -229,6 +229,7 @@ class _Run:
                     "move": judgement.move,
                     "reason": judgement.reason,
                     "shapes": tuple(detection),
+                    "warning": detection.warning,
                     "state": state,
                     "action": action,
                     "motion": None if guarded is None else guarded.motion,

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from shape_obs import __version__
+from shape_obs.config.detector_config import ALGORITHM
 from shape_obs.spec import to_plain
 from shape_obs.utils.files import write_whole
 
@@ -58,7 +59,12 @@ class RunLog:
         if (self.folder / STEPS).exists():
             raise FileExistsError(f"{self.folder} holds a run already: choose another folder for the log.")
         self.folder.mkdir(parents=True, exist_ok=True)
-        started = {"shape_obs": __version__, "python": platform.python_version(), "started": time.time()}
+        started = {
+            "shape_obs": __version__,
+            "algorithm": ALGORITHM,
+            "python": platform.python_version(),
+            "started": time.time(),
+        }
         self._write(HEADER, {**started, **header})
         self._tasks: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._failure: Exception | None = None

@@ -14,6 +14,7 @@ import numpy as np
 
 from shape_obs import __version__
 from shape_obs.config.config_file import config_hash, detector_arguments, schema_hash
+from shape_obs.config.detector_config import ALGORITHM
 from shape_obs.configurations.base import Configuration
 from shape_obs.detector import ShapeDetector
 from shape_obs.extraction.task import Outcome, Task
@@ -58,6 +59,7 @@ class Extraction:
         pose = None if self.extrinsics is None else hashlib.sha256(self.extrinsics.read_bytes()).hexdigest()
         return {
             "shape_obs": __version__,
+            "algorithm": ALGORITHM,
             "config_hash": config_hash(self.config),
             "schema_hash": schema_hash(self.config),
             "extrinsics": pose,

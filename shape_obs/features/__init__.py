@@ -6,7 +6,7 @@ from shape_obs.features.feature import Block, Feature, FeatureContext, FeatureVe
 from shape_obs.features.fourier import EllipticFourier, Fourier
 from shape_obs.features.moments import ContourMoments, RegionMoments
 from shape_obs.features.pca import PrincipalComponents
-from shape_obs.features.points import Age, Ok, Points2D, Points2DNormalized, Points3D, Valid
+from shape_obs.features.points import Age, New, Ok, Points2D, Points2DNormalized, Points3D, Sigma, Valid
 from shape_obs.features.pose import Centroid, Length, Orientation
 from shape_obs.features.splines import Bezier, BSpline
 
@@ -24,6 +24,7 @@ __all__ = [
     "FeatureVector",
     "Fourier",
     "Length",
+    "New",
     "Ok",
     "Orientation",
     "PointDistribution",
@@ -32,6 +33,7 @@ __all__ = [
     "Points3D",
     "PrincipalComponents",
     "RegionMoments",
+    "Sigma",
     "Tangents",
     "TurningAngles",
     "Valid",

@@ -13,6 +13,7 @@ from shape_obs.features.feature import Feature, FeatureContext
 from shape_obs.geometry.topology import Topology
 from shape_obs.shape import Shape
 from shape_obs.spec import SpecError
+from shape_obs.tracking.belief import MAX_SIGMA
 
 Array = npt.NDArray[np.float64]
 
@@ -138,3 +139,65 @@ class Valid(Feature, kind="valid"):
     def compute(self, shape: Shape, context: FeatureContext) -> Array:
         """Return ``shape.valid`` as numbers, of shape ``(N,)``."""
         return shape.valid.astype(np.float64)
+
+
+@dataclass(frozen=True)
+class Sigma(Feature, kind="sigma"):
+    """For each point, the RMS error per axis that is expected of it: ``shape.sigma``, at most 1 m or the diagonal.
+
+    Args:
+        frame: ``"camera"`` for metres, which need depth; ``"pixels"``, of points in space at their own distance.
+    """
+
+    frame: Literal["camera", "pixels"] = "camera"
+
+    @property
+    def unit(self) -> str:
+        """``"m"`` or ``"px"``."""
+        return "m" if self.frame == "camera" else "px"
+
+    @property
+    def needs_depth(self) -> bool:
+        """Whether the values are in metres."""
+        return self.frame == "camera"
+
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
+        """Return 0 and 1 m, or the diagonal of the image, for each point."""
+        most = MAX_SIGMA if self.frame == "camera" else float(np.hypot(context.width, context.height))
+        return np.zeros(layout.size), np.full(layout.size, most)
+
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
+        """Return the errors, of shape ``(N,)``.
+
+        Raises:
+            ValueError: ``frame="camera"``, and the shape has no ``points3d``; or ``"pixels"``, and there is no camera.
+        """
+        sigma, points3d = shape.sigma.astype(np.float64), shape.points3d
+        if self.frame == "camera":
+            if points3d is None:
+                raise ValueError("feature 'sigma' in metres needs depth and a camera; without them, frame='pixels'.")
+            return sigma
+        if points3d is None:
+            return sigma
+        if context.camera is None:
+            raise ValueError("feature 'sigma' in pixels of points in space needs a camera model: pass camera=.")
+        z = points3d[:, 2].astype(np.float64)
+        known = np.isfinite(z) & (z > 0)
+        if not known.any():
+            return self.bounds(shape.layout, context)[1]
+        z = shape.layout.interpolate(z[:, None], known)[:, 0]
+        pixels_per_metre = (context.camera.intrinsics.fx + context.camera.intrinsics.fy) / 2 / z
+        return np.minimum(sigma * pixels_per_metre, self.bounds(shape.layout, context)[1])
+
+
+@dataclass(frozen=True)
+class New(Feature, kind="new"):
+    """1 in the first frame of a track, in which point i may be another material point than before; else 0."""
+
+    def bounds(self, layout: Topology, context: FeatureContext) -> tuple[Array, Array]:
+        """Return 0 and 1."""
+        return np.zeros(1), np.ones(1)
+
+    def compute(self, shape: Shape, context: FeatureContext) -> Array:
+        """Return ``shape.new`` as an array of shape ``(1,)``."""
+        return np.array([float(shape.new)])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from shape_obs.config.config_file import config_hash, dump_config, schema_hash
+from shape_obs.config.detector_config import ALGORITHM
 from shape_obs.detector import ShapeDetector
 from shape_obs.extrinsics import now
 from shape_obs.features import read_features
@@ -84,7 +85,8 @@ class ShapeLog:
 
     Attributes:
         metadata: JSON values: ``config`` (YAML), ``schema_hash``, ``config_hash``, ``shapes`` (number of points by
-            name), ``source``, ``camera``, ``created``, ``software``.
+            name), ``source``, ``camera``, ``created``, ``software``, ``algorithm`` (the version of the
+            detector's).
     """
 
     def __init__(
@@ -100,6 +102,7 @@ class ShapeLog:
             "camera": None if source is None else camera_to_dict(source.camera),
             "created": now(),
             "software": software(),
+            "algorithm": ALGORITHM,
         }
         self._rows: defaultdict[str, list[Any]] = defaultdict(list)
 
@@ -114,9 +117,11 @@ class ShapeLog:
         rows["episode"].append(moment.episode)
         rows["stamp"].append(detection.stamp)
         rows["received"].append(np.nan if frame.received is None else frame.received)
+        rows["warning"].append(detection.warning)
         for shape in detection:
-            for name in ("ok", "age", "quality", "reason", "visible", "valid"):
+            for name in ("ok", "age", "quality", "reason", "track_id", "new", "visible", "valid", "sigma"):
                 rows[f"{shape.name}/{name}"].append(getattr(shape, name))
+            rows[f"{shape.name}/length"].append(np.nan if shape.length is None else shape.length)
             rows[f"{shape.name}/points2d"].append(_points(shape, shape.points2d))
             rows[f"{shape.name}/points3d"].append(_points(shape, shape.points3d))
 

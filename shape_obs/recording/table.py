@@ -17,6 +17,7 @@ import numpy.typing as npt
 from shape_obs.recording.parquet import need_pyarrow, read_parquet, write_parquet
 from shape_obs.utils.arrays import decode_npz
 from shape_obs.utils.documents import parse_json, read_json
+from shape_obs.utils.errors import did_you_mean
 from shape_obs.utils.files import make_folder, write_text, write_whole
 
 Column = npt.NDArray[Any]
@@ -24,6 +25,9 @@ _METADATA: Final = "metadata"
 _CHECKSUM: Final = "checksum"
 _ALGORITHM: Final = "sha256:"
 _AXES: Final = {"points2d": "uv", "points3d": "xyz"}
+_PER_POINT: Final = ("visible", "valid", "sigma")
+#: Columns that tables of earlier versions do not have.
+_LATER: Final = ("warning", "track_id", "new", "length", "sigma")
 _TYPES: Final[Mapping[str, type[Any]]] = {
     "frame": np.int64,
     "number": np.int64,
@@ -31,7 +35,11 @@ _TYPES: Final[Mapping[str, type[Any]]] = {
     "ok": np.bool_,
     "visible": np.bool_,
     "valid": np.bool_,
+    "new": np.bool_,
+    "track_id": np.int64,
+    "sigma": np.float32,
     "reason": np.str_,
+    "warning": np.str_,
     "source": np.str_,
     "points2d": np.float32,
     "points3d": np.float32,
@@ -44,11 +52,14 @@ class ShapeTable:
 
     Args:
         columns: Arrays of equal length F. ``frame`` counts from 0; ``number`` is the frame number of the source (-1 for
-            none); ``episode``; ``stamp`` and ``received`` in seconds (NaN if unknown). For each shape: ``<name>/ok``
-            ``(F,)`` bool, ``<name>/age`` ``(F,)`` in seconds, ``<name>/quality`` ``(F,)`` from 0 to 1,
-            ``<name>/reason`` ``(F,)`` str, ``<name>/points2d`` ``(F, N, 2)`` float32 in pixels, ``<name>/points3d``
+            none); ``episode``; ``stamp`` and ``received`` in seconds (NaN if unknown); ``warning`` about the stamp. For
+            each shape: ``<name>/ok`` ``(F,)`` bool, ``<name>/age`` ``(F,)`` in seconds, ``<name>/quality`` ``(F,)``
+            from 0 to 1, ``<name>/reason`` ``(F,)`` str, ``<name>/track_id`` ``(F,)`` int, ``<name>/new`` ``(F,)`` bool,
+            ``<name>/length`` ``(F,)`` in metres (NaN if unknown), ``<name>/sigma`` ``(F, N)`` float32 in metres, or
+            pixels without depth, ``<name>/points2d`` ``(F, N, 2)`` float32 in pixels, ``<name>/points3d``
             ``(F, N, 3)`` float32 in metres in the camera frame (only with depth), ``<name>/visible`` and
-            ``<name>/valid`` ``(F, N)`` bool. Points are NaN where ``ok`` is False.
+            ``<name>/valid`` ``(F, N)`` bool. Points are NaN where ``ok`` is False. Tables of earlier versions have no
+            ``warning``, ``track_id``, ``new``, ``length`` and ``sigma``.
         metadata: JSON values that describe how the table was made.
     """
 
@@ -56,6 +67,11 @@ class ShapeTable:
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Column:
+        if name not in self.columns:
+            hint = ""
+            if name.rpartition("/")[2] in _LATER:
+                hint = " Tables of earlier versions do not have it: replay the recording again."
+            raise KeyError(f"no column {name!r}{did_you_mean(name, self.columns)}{hint}")
         return self.columns[name]
 
     def __len__(self) -> int:
@@ -189,7 +205,7 @@ def _load_csv(path: Path) -> ShapeTable:
         column = np.array(texts).T == "True" if wanted is np.bool_ else np.array(texts).T.astype(wanted)
         if kind in _AXES:
             column = column.reshape(len(rows), -1, len(_AXES[kind]))
-        columns[name] = column if kind in (*_AXES, "visible", "valid") else column[:, 0]
+        columns[name] = column if kind in (*_AXES, *_PER_POINT) else column[:, 0]
     return ShapeTable(columns, metadata)
 
 

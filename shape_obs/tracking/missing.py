@@ -1,18 +1,59 @@
-"""What happens to what was not seen: lost shapes and single points without depth. Both policies live here."""
+"""What happens to what was not seen: lost shapes, single points without depth, and time that a clock does not show."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.topology import Topology
 from shape_obs.shape import Shape
+from shape_obs.tracking.belief import MAX_SIGMA, aged
 
 OnMissing = Literal["hold", "truncate", "raise", "nan"]
 OnInvalid = Literal["interpolate", "hold", "nan"]
+
+_LEAST_STEP: Final = 1e-6  # seconds; a clock that ticks more slowly stands still
+_LARGEST_STEP: Final = 1e9  # seconds, 30 years: more would leave no digits for what comes later
+
+
+class Clock:
+    """Measure the time from frame to frame, also if the stamps do not.
+
+    Where a stamp stands still or runs back (a camera that froze, or whose clock was reset), ``dt`` passes: no shape
+    stays young because its camera's clock failed.
+
+    Args:
+        dt: Seconds between frames without stamps.
+
+    Attributes:
+        stamp: Of the last frame, as given, in seconds; without stamps frames are ``dt`` apart.
+        now: Seconds since the first frame; grows with each frame.
+        warning: What is wrong with the last stamp; empty if nothing is.
+    """
+
+    def __init__(self, dt: float) -> None:
+        self._dt = dt
+        self._started = False
+        self.stamp, self.now, self.warning = 0.0, 0.0, ""
+
+    def tick(self, stamp: float | None) -> None:
+        """Go on to the next frame, with its stamp in seconds if it has one."""
+        step = self._dt
+        self.warning = ""
+        if stamp is None:
+            self.stamp += step if self._started else 0.0
+        else:
+            shown, self.stamp = float(stamp) - self.stamp, float(stamp)
+            if shown >= _LEAST_STEP:
+                step = min(shown, _LARGEST_STEP)
+            elif self._started:
+                what = "stands still" if shown > -_LEAST_STEP else "runs back"
+                self.warning = f"the stamp {what}: dt is taken as the time since the last frame"
+        self.now += step if self._started else 0.0
+        self._started = True
 
 
 class ShapeLostError(RuntimeError):
@@ -30,11 +71,13 @@ def lost_shape(
     age: float,
     max_age: float,
     policy: OnMissing,
+    diagonal: float,
 ) -> Shape:
     """Return the shape that stands in for one that was not found.
 
     ``"hold"`` repeats the last points and stays ok for ``max_age`` seconds; ``"truncate"`` repeats them too, never ok
-    (the wrapper ends the episode); ``"nan"`` forgets them; ``"raise"`` raises. No point is visible or valid.
+    (the wrapper ends the episode); ``"nan"`` forgets them; ``"raise"`` raises. No point is visible or valid, and
+    ``sigma`` grows with age up to its bound; it is the bound where no points are known.
 
     Args:
         name: The configuration's name.
@@ -46,6 +89,7 @@ def lost_shape(
         age: Seconds since then.
         max_age: See above.
         policy: See above.
+        diagonal: Of the image, pixels: the bound of ``sigma`` in pixels.
 
     Raises:
         ShapeLostError: With ``policy="raise"``.
@@ -53,17 +97,22 @@ def lost_shape(
     if policy == "raise":
         raise ShapeLostError(f"shape {name!r} was not found: {reason}")
     no_point = np.zeros(layout.size, bool)
-    was_found = last is not None
+    was_found, sigma = last is not None, np.full(layout.size, np.inf, np.float32)
     if last is None or policy == "nan":
         pixels = np.full((layout.size, 2), np.nan, np.float32) if in_2d else None
-        last = Shape(name, pixels, None, no_point, no_point, layout)
+        number, length = (0, None) if last is None else (last.track_id, last.length)
+        last = Shape(name, pixels, None, no_point, no_point, layout, track_id=number, length=length)
+    elif last.points3d is not None or not in_3d:  # else it is in pixels, and nothing is known in space
+        sigma = last.sigma
     points3d = last.points3d
     if points3d is None and in_3d:
         points3d = np.full((layout.size, 3), np.nan, np.float32)
+    sigma = aged(sigma, age, diagonal if points3d is None else MAX_SIGMA)
     ok = policy == "hold" and age <= max_age and was_found
     return replace(
-        last, points3d=points3d, visible=no_point, valid=no_point, ok=ok, quality=0.0, reason=reason, age=age
-    )
+        last, points3d=points3d, visible=no_point, valid=no_point, ok=ok, quality=0.0, reason=reason, age=age,
+        sigma=sigma, new=False,
+    )  # fmt: skip
 
 
 def fill_invalid(

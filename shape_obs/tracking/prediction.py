@@ -37,6 +37,10 @@ class Fit(NamedTuple):
         object_width: The width of the object that the fit assumed.
         follow: Whether the track goes on with a form that was refused: it may still show where the object is.
         centres: ``(N, D)`` the shape's points in order if a clusterer found them; None if the form gives them.
+        sigma: ``(P,)`` RMS error per axis of the form's points, in their unit; None lets ``belief`` estimate it.
+        length: Of the object, metres, hidden pieces included; None if it is not known.
+        new: Whether the numbering begins anew, though there was a track: the object is another one.
+        track_id: The number of the track that the form belongs to.
     """
 
     form: Any = None
@@ -50,6 +54,10 @@ class Fit(NamedTuple):
     object_width: float = 0.0
     follow: bool = False
     centres: Array | None = None
+    sigma: Array | None = None
+    length: float | None = None
+    new: bool = False
+    track_id: int = 0
 
 
 class Track(NamedTuple):
@@ -67,6 +75,7 @@ class Track(NamedTuple):
         box: The rectangle around the mask; None without a mask.
         drift: By how much its edges have moved since the frame before, at most, pixels.
         area: Pixels or points of the object; 0 if a part of it was hidden.
+        track_id: Its number among the tracks of the shape, from 1.
     """
 
     nodes: Array
@@ -80,6 +89,7 @@ class Track(NamedTuple):
     box: Window | None = None
     drift: int = 0
     area: int = 0
+    track_id: int = 0
 
 
 class Prediction(NamedTuple):
@@ -140,7 +150,9 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
         velocity = (nodes - track.nodes) / interval
     size, area = found.size, 0 if form.interpolated.any() else observed.area
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
-    return Track(nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area)
+    return Track(
+        nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area, found.track_id
+    )
 
 
 def _believed(change: float) -> float:

@@ -35,9 +35,10 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
     ``achieved_goal`` (from the camera) and ``desired_goal`` (the same feature of the target); the reward is computed
     from these two. With ``keep`` over any other env it is a Dict of ``shape`` and the kept keys.
 
-    ``info`` gains ``shape/ok``, ``shape/age`` and, for each shape, ``shape/<name>/ok``, ``shape/<name>/valid_fraction``
-    and ``shape/<name>/quality``. Times are in ``detection.timings`` instead, because Gymnasium's ``check_env`` requires
-    equal infos for equal seeds.
+    ``info`` gains ``shape/ok``, ``shape/age`` and, for each shape, ``shape/<name>/ok``, ``shape/<name>/quality``,
+    ``shape/<name>/valid_fraction``, ``shape/<name>/track_id`` and ``shape/<name>/sigma`` (of the point that is known
+    least, in metres, or pixels without depth). Times are in ``detection.timings`` instead, because Gymnasium's
+    ``check_env`` requires equal infos for equal seeds.
 
     Args:
         env: An env whose observation is an RGB image, or a Dict with an RGB image (and depth). What it may publish is
@@ -218,4 +219,6 @@ def _add_info(info: dict[str, Any], shapes: Sequence[Shape]) -> None:
         info[f"shape/{shape.name}/ok"] = bool(shape.ok)
         info[f"shape/{shape.name}/valid_fraction"] = int(np.count_nonzero(shape.valid)) / shape.valid.size
         info[f"shape/{shape.name}/quality"] = float(shape.quality)
+        info[f"shape/{shape.name}/sigma"] = float(shape.sigma.max())
+        info[f"shape/{shape.name}/track_id"] = shape.track_id
     info["shape/ok"], info["shape/age"] = bool(ok), float(age)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import yaml
 
 from shape_obs.camera import CameraModel
-from shape_obs.config.config_file import VERSION
+from shape_obs.config.config_file import SCENE_FIELDS, VERSION
 from shape_obs.configurations.base import Configuration
 from shape_obs.features import FeatureContext
 from shape_obs.geometry.topology import Grid
@@ -26,7 +26,7 @@ from shape_obs.wrappers.goal_points import goal_topology, resample, shape_at
 GoalFrame = Literal["base", "camera", "pixels"]
 
 # The fields of a configuration that do not affect the positions of its points.
-_FREE: Final = ("name", "segmentation", "order")
+_FREE: Final = ("name", "order", *SCENE_FIELDS)
 _DIGITS: Final = {"base": 6, "camera": 6, "pixels": 3}
 
 

@@ -17,12 +17,16 @@ from shape_obs.config.config_file import detector_arguments
 from shape_obs.features import Ok, Points3D
 
 ARGUMENTS: dict[str, Any] = {
-    "shapes": [Centerline(n=7, name="rope", anchor="gripper", segmentation=GrayRange(1, 9)), {"kind": "centerline"}],
+    "shapes": [
+        Centerline(n=7, name="rope", anchor="gripper", segmentation=GrayRange(1, 9), length=0.62),
+        {"kind": "centerline"},
+    ],
     "segmentation": HSVRange((170, 60, 30), (10, 255, 255), close=5),
     "roi": Rectangle(1, 2, 30, 40),
     "features": ["points2d", Points3D(frame="base"), "ok"],
     "workspace": ((-1.0, -1.0, 0.0), np.array([1.0, 1.0, 0.5])),
     "on_missing": "truncate",
+    "max_speed": 1.5,
     "dt": 0.1,
 }
 
@@ -32,6 +36,7 @@ def test_a_saved_config_comes_back(tmp_path):
     save_config(path, ARGUMENTS)
     loaded = load_config(path)
     assert ShapeDetector(**detector_arguments(loaded)).config == ShapeDetector(**detector_arguments(ARGUMENTS)).config
+    assert (loaded["max_speed"], loaded["shapes"][0]["length"], loaded["shapes"][1]["length"]) == (1.5, 0.62, None)
     assert loaded["workspace"] == [[-1.0, -1.0, 0.0], [1.0, 1.0, 0.5]]
     assert loaded["features"][1] == {"kind": "points3d", "frame": "base", "max_depth": 2.0, "origin": None}
     assert schema_hash(loaded) == schema_hash(ARGUMENTS)
@@ -63,6 +68,11 @@ def test_the_file_has_a_version_and_three_sections(tmp_path):
         ("version: 1\nshape:\n  shapes: [{kind: centerline, m: 3}]\n", "DetectorConfig.shapes[0]: centerline: unknown"),
         ("version: 1\nshape:\n  features: [point3d]\n", "feature: unknown kind 'point3d'; did you mean 'points3d'?"),
         ("version: 1\nshape:\n  shapes: [{kind: centerline, n: 1}]\n", "centerline: n must lie in 2...1000, got 1."),
+        ("version: 1\nshape:\n  shapes: [{kind: centerline, length: 0}]\n", "centerline: length must be above 0"),
+        ("version: 1\nshape:\n  shapes: [{kind: centerline, length: .inf}]\n", "centerline: length must be above 0"),
+        ("version: 1\nshape:\n  shapes: [{kind: contour, length: 1}]\n", "DetectorConfig.shapes[0]: contour: unknown"),
+        ("version: 1\nruntime:\n  max_speed: 0\n", "max_speed: expected more than 0 metres a second (with depth) or"),
+        ("version: 1\nruntime:\n  max_speed: fast\n", "DetectorConfig.max_speed: expected float"),
     ],
 )  # fmt: skip
 def test_a_wrong_file_is_reported_with_its_name(tmp_path, text, message):
@@ -166,7 +176,8 @@ BASE = {"shapes": [{"kind": "centerline"}], "features": ["points3d"]}
             "roi": {"kind": "rectangle", "left": 0, "top": 0, "width": 9, "height": 9},
             "workspace": [[0, 0, 0], [1, 1, 1]],
         },
-        {"on_missing": "raise", "on_invalid": "hold", "max_age": 3, "dt": 0.1},
+        {"on_missing": "raise", "on_invalid": "hold", "max_age": 3, "dt": 0.1, "max_speed": 2},
+        {"shapes": [{"kind": "centerline", "length": 0.62}]},
     ],
 )
 def test_the_hash_ignores_how_it_is_said_and_where_it_runs(same):

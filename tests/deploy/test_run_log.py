@@ -13,6 +13,7 @@ from deploy_parts import Always, cell
 from hypothesis import given
 from hypothesis import strategies as st
 
+from shape_obs.config.detector_config import ALGORITHM
 from shape_obs.deploy import RunLog, Sway, deploy
 from shape_obs.deploy.run_log import Tally
 
@@ -23,6 +24,9 @@ def test_the_log_has_every_step_and_names_what_ran(tmp_path):
     rows = [json.loads(line) for line in (tmp_path / "run" / "steps.jsonl").read_text().splitlines()]
     assert [row["step"] for row in rows] == list(range(6))
     assert all(len(row["shapes"][0]["points3d"]) == 10 for row in rows)
+    assert all(len(row["shapes"][0]["sigma"]) == 10 and row["shapes"][0]["track_id"] == 1 for row in rows)
+    assert {row["warning"] for row in rows} == {""}
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["algorithm"] == ALGORITHM
     assert all(row["move"] == "act" and len(row["action"]) == 2 for row in rows)
     assert json.loads((tmp_path / "run" / "run.json").read_text())["controller"] == "Sway"
     assert json.loads((tmp_path / "run" / "report.json").read_text())["steps"] == report.steps

@@ -17,10 +17,12 @@ from shape_obs.features import (
     Age,
     FeatureContext,
     FeatureVector,
+    New,
     Ok,
     Points2D,
     Points2DNormalized,
     Points3D,
+    Sigma,
     Valid,
     read_features,
 )
@@ -51,6 +53,9 @@ ALL = [
     Ok(),
     Age(),
     Valid(),
+    Sigma(),
+    Sigma(frame="pixels"),
+    New(),
 ]
 
 
@@ -132,6 +137,29 @@ def test_trust_as_numbers(view):
     assert Age().compute(shape(age=7.0), view).tolist() == [0.5]
     assert Age().bounds(Chain(2), view)[1].tolist() == [0.5]
     assert Valid().compute(lost, view).tolist() == [1.0, 0.0]
+    assert New().compute(lost, view).tolist() == [0.0]
+    assert New().compute(shape(new=True), view).tolist() == [1.0]
+
+
+def test_errors_are_in_metres_or_in_pixels(view):
+    sigma = np.array([0.002, 1.0], np.float32)
+    in_space, flat = shape(sigma=sigma), shape(points3d=None, sigma=[0.5, 400.0])
+    metres, pixels = Sigma(), Sigma(frame="pixels")
+    assert metres.compute(in_space, view).tolist() == pytest.approx([0.002, 1.0])
+    focal = view.camera.intrinsics.fx  # type: ignore[union-attr]
+    assert pixels.compute(in_space, view).tolist() == pytest.approx([0.002 * focal, min(focal / 0.9, 400.0)])
+    assert pixels.compute(flat, view).tolist() == [0.5, 400.0]
+    assert (metres.unit, metres.needs_depth, pixels.unit, pixels.needs_depth) == ("m", True, "px", False)
+    assert metres.bounds(Chain(2), view)[1].tolist() == [1.0, 1.0]
+    assert pixels.bounds(Chain(2), view)[1].tolist() == [400.0, 400.0]
+    unknown = np.full((2, 3), np.nan)
+    assert pixels.compute(shape(points3d=unknown, sigma=sigma), view).tolist() == [400.0, 400.0]
+    half = shape(points3d=[(0, 0, 0.5), (np.nan, np.nan, np.nan)], sigma=[0.01, 0.01])
+    assert pixels.compute(half, view).tolist() == pytest.approx([0.02 * focal] * 2)
+    with pytest.raises(ValueError, match="'sigma' in metres needs depth and a camera; without them, frame='pixels'"):
+        metres.compute(flat, view)
+    with pytest.raises(ValueError, match="in pixels of points in space needs a camera model"):
+        pixels.compute(in_space, replace(view, camera=None))
 
 
 @pytest.mark.parametrize(

@@ -256,7 +256,9 @@ def test_a_hidden_piece_is_not_visible_where_another_strand_lies_under_it(intrin
     curve = FittedCurve.through(points, np.arange(99) >= 66)
     metres = None if depth is None else np.full(mask.shape, depth)
     frame = Frame(None, metres, None if depth is None else CameraModel(intrinsics))
-    shape = shape_of(Centerline(n=9), Fit(curve, 1.0, observed=region, object_width=region.width), frame, None, "nan")
+    shape = shape_of(
+        Centerline(n=9), Fit(curve, 1.0, observed=region, object_width=region.width), frame, None, "nan", 400.0
+    )
     np.testing.assert_array_equal(shape.visible, np.arange(9) < 6)
     np.testing.assert_array_equal(shape.valid, shape.visible)
     assert (shape.points3d is None) == (depth is None)
@@ -276,6 +278,7 @@ def test_a_centre_outside_the_mask_is_not_valid_though_depth_lies_near_it(intrin
         frame,
         None,
         "nan",
+        400.0,
     )
     assert shape.visible.tolist() == [True, False, True]
     assert shape.valid.tolist() == [True, False, True]

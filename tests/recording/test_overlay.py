@@ -9,6 +9,7 @@ from recorded_cable import detector
 
 import shape_obs
 from shape_obs import ShapeDetector
+from shape_obs.drawing import draw_detection
 from shape_obs.recording import Moment, OverlayVideo, replay
 from shape_obs_envs.sources import FolderSource
 
@@ -44,3 +45,15 @@ def test_an_overlay_that_fails_leaves_no_file(tmp_path):
     assert not any(tmp_path.iterdir())
     with pytest.raises(ValueError, match=r"expected a video named \*\.mp4 or \*\.avi"):
         OverlayVideo(tmp_path / "o.gif")
+
+
+def test_a_picture_says_that_the_stamp_fails_and_that_the_numbering_begins_anew(wave):
+    detector, blank = ShapeDetector(max_age=0.1), np.full((*wave.mask.shape, 3), 255, np.uint8)
+    seen = {}
+    for name, mask, stamp in (
+        ("first", wave.mask, 0.0), ("fine", wave.mask, 0.1), ("frozen", wave.mask, 0.1),
+        ("lost", np.zeros_like(wave.mask), 9.0), ("anew", wave.mask, 9.1),
+    ):  # fmt: skip
+        picture = draw_detection(blank, detector.detect_mask(mask, stamp=stamp))
+        seen[name] = bool((picture[:30] != 255).any())  # there is nothing but text
+    assert seen == {"first": False, "fine": False, "frozen": True, "lost": True, "anew": True}

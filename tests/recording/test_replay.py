@@ -49,7 +49,8 @@ def test_replaying_finds_exactly_the_shapes_that_were_found_live(cable, recorded
         assert one.stamp == other.stamp
         for a, b in zip(one, other, strict=True):
             assert (a.ok, a.age, a.quality, a.reason) == (b.ok, b.age, b.quality, b.reason)
-            for name in ("points2d", "points3d", "visible", "valid"):
+            assert (a.track_id, a.new, a.length) == (b.track_id, b.new, b.length)
+            for name in ("points2d", "points3d", "visible", "valid", "sigma"):
                 assert equal(getattr(a, name), getattr(b, name)), name
 
 

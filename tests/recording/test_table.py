@@ -12,6 +12,7 @@ from scripted_source import equal
 import shape_obs
 from shape_obs import schema_hash
 from shape_obs.config.config_file import config_hash, load_config
+from shape_obs.config.detector_config import ALGORITHM
 from shape_obs.recording import ShapeLog, ShapeTable
 
 
@@ -41,8 +42,12 @@ def test_a_table_holds_what_the_detector_said(log):
     for i, (moment, detection) in enumerate(pairs):
         assert (table["frame"][i], table["number"][i], table["stamp"][i]) == (i, moment.frame.number, detection.stamp)
         assert table["episode"][i] == moment.episode
+        assert table["warning"][i] == detection.warning
         for shape in detection:
             assert table[f"{shape.name}/ok"][i] == shape.ok
+            assert (table[f"{shape.name}/track_id"][i], table[f"{shape.name}/new"][i]) == (shape.track_id, shape.new)
+            assert equal(table[f"{shape.name}/sigma"][i], shape.sigma)
+            assert np.isnan(table[f"{shape.name}/length"][i]) == (shape.length is None)
             if shape.ok:
                 assert equal(table[f"{shape.name}/points3d"][i], shape.points3d)
                 assert equal(table[f"{shape.name}/valid"][i], shape.valid)
@@ -58,10 +63,27 @@ def test_a_table_says_what_made_it(log, recorded, tmp_path):
     assert stored["schema_hash"] == schema_hash(CONFIG)
     assert stored["config_hash"] == config_hash(CONFIG)
     assert stored["source"] == {"kind": "folder", "name": str(recorded)}
+    assert stored["algorithm"] == ALGORITHM
     assert stored["software"]["shape_obs"] == shape_obs.__version__
     (tmp_path / "again.yaml").write_text(stored["config"])
     assert config_hash(load_config(tmp_path / "again.yaml")) == config_hash(CONFIG)
     assert config_hash({**CONFIG, "max_age": 0.1}) != config_hash(CONFIG)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz", "parquet"])
+def test_a_table_of_an_earlier_version_loads_and_says_what_it_lacks(log, tmp_path, suffix):
+    if suffix == "parquet":
+        pytest.importorskip("pyarrow")
+    now = log[0].table()
+    later = ("warning", "track_id", "new", "length", "sigma")
+    columns = {name: column for name, column in now.columns.items() if name.rpartition("/")[2] not in later}
+    ShapeTable(columns, {"shapes": now.metadata["shapes"]}).save(tmp_path / f"t.{suffix}")
+    table = ShapeTable.load(tmp_path / f"t.{suffix}")
+    assert equal(table["rope/points3d"], now["rope/points3d"])
+    with pytest.raises(KeyError, match=r"no column 'rope/sigma'.*Tables of earlier versions do not have it: replay"):
+        table["rope/sigma"]
+    with pytest.raises(KeyError, match="no column 'rope/point3d'; did you mean 'rope/points3d'"):
+        table["rope/point3d"]
 
 
 def test_parquet_can_be_read_without_us(log, tmp_path):

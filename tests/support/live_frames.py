@@ -26,6 +26,7 @@ from shape_obs.compiled import decorator
 from shape_obs.configurations.shape_points import visible_depth
 from shape_obs.image.find_region import prepare
 from shape_obs.point_cloud.lifting import median_depth
+from shape_obs.tracking.belief import shortest_ways
 
 BLUE = HSVRange(low=(100, 80, 25), high=(130, 255, 255))
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
@@ -125,6 +126,8 @@ def main(kind: str) -> None:
     for k, mask in enumerate(masks[0][:12]):
         image = photographed(rng, mask, 1.5, 4.0)
         depth = rng.integers(695, 705, mask.shape, np.uint16)
+        if k == 5:
+            depth[:, : int(np.flatnonzero(mask.any(axis=0)).mean())] = 0  # half of the object has no depth
         if k % 2:
             depth, image = depth.astype(np.float64) / 1000, image[:, ::-1][:, ::-1]
         ok += detector.detect(image, depth, CAMERA).shapes[0].ok
@@ -135,7 +138,7 @@ def main(kind: str) -> None:
         ok += kind == "surface" and detectors[2].detect_cloud(cloud).shapes[0].ok
     rules = [spec.segmentation for spec in detector.shapes]
     fits = {function for one in detectors for function in one.shapes[0].compiled_functions}
-    listed = [*prepare(rules), visible_depth, median_depth, *fits]
+    listed = [*prepare(rules), visible_depth, median_depth, shortest_ways, *fits]
     names = sorted(function.__name__ for function in listed)
     print(json.dumps({"called": sorted(called), "listed": names, "late": sorted(late), "ok": int(ok)}))
 

@@ -39,20 +39,44 @@ def test_frames_without_stamps_are_dt_apart(wave, empty):
     assert detector.detect_mask(empty).stamp == pytest.approx(7.1)
 
 
-def test_a_stamp_that_stands_still_does_not_make_a_held_shape_a_seen_one(wave, empty):
+@pytest.mark.parametrize(
+    ("stamps", "what"),
+    [
+        (10 * [1.0], "stands still"), (np.arange(10) * 1e-9 + 1, "stands still"), (-np.arange(10.0), "runs back"),
+        (10 * [1.7e18], "stands still"), (1e300 * (1 - np.arange(10)), "runs back"),
+    ],
+)  # fmt: skip
+def test_a_clock_that_fails_keeps_no_lost_shape_alive(wave, empty, stamps, what):
+    """Time goes on by ``dt``, and both the detection and the lost shape say why."""
+    detector = ShapeDetector(max_age=0.25, dt=0.1)
+    assert detector.detect_mask(wave.mask, stamp=stamps[0]).warning == ""
+    for i, stamp in enumerate(stamps[1:], 1):
+        detection = detector.detect_mask(empty, stamp=stamp)
+        shape = detection.shapes[0]
+        assert detection.stamp == stamp
+        assert shape.age == pytest.approx(0.1 * i)
+        assert shape.ok is (i <= 2)
+        assert detection.warning == f"the stamp {what}: dt is taken as the time since the last frame"
+        assert shape.reason == f"the mask is empty; {detection.warning}"
+        assert detection.to_dict()["warning"] == detection.warning
+
+
+def test_a_shape_that_is_found_has_no_reason_though_the_clock_fails(wave):
     detector = ShapeDetector()
+    warnings = []
+    for stamp in (5.0, 4.0, 4.0, 1e9, 1e308, -1e308, 0.0, None):
+        detection = detector.detect_mask(wave.mask, stamp=stamp)
+        shape = detection.shapes[0]
+        assert (shape.ok, shape.age, shape.reason, shape.track_id) == (True, 0.0, "", 1)
+        warnings.append(detection.warning[10:].split(":")[0])
+    assert warnings == ["", "runs back", "stands still", "", "", "runs back", "", ""]
+
+
+def test_a_clock_that_works_again_is_believed_again(wave, empty):
+    detector = ShapeDetector(max_age=0.5, dt=0.1)
     detector.detect_mask(wave.mask, stamp=1.0)
-    held = detector.detect_mask(empty, stamp=1.0).shapes[0]
-    assert (held.ok, held.age, held.reason) == (True, 0.0, "the mask is empty")
-    later = detector.detect_mask(empty, stamp=1.4).shapes[0]
-    assert later.age == pytest.approx(0.4)
-    assert not detector.detect_mask(empty, stamp=1.6).ok
-
-
-def test_stamps_that_run_backwards_are_survived(wave):
-    detector = ShapeDetector()
-    for stamp in (5.0, 4.0, 4.0, 1e9, 0.0):
-        assert detector.detect_mask(wave.mask, stamp=stamp).ok
+    ages = [detector.detect_mask(empty, stamp=stamp).shapes[0].age for stamp in (1.0, 1.05, 0.2, 0.21, 7.21)]
+    assert ages == pytest.approx([0.1, 0.15, 0.25, 0.26, 7.26])
 
 
 @pytest.mark.parametrize("policy", ["truncate", "nan"])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shape_obs import Centerline, ShapeDetector
+from shape_obs import Centerline, GrayRange, ShapeDetector, ShapeLostError
 from shape_obs.configurations import centerline
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.topology import Chain
@@ -70,6 +70,7 @@ class TestPrediction:
         track = after(first(1.0), 10.0, 1.0)
         np.testing.assert_array_equal(track.velocity, np.zeros((9, 2)))
         assert after(first(1.0), 10.0, 0.5).interval == 0
+        assert not after(first(0.0), 10.0, 1e-300).velocity.any()
 
     def test_what_is_known_is_passed_on(self):
         track = first(hints=TrackHints(hidden=(3.0, 0.0)))
@@ -174,3 +175,69 @@ def test_a_rope_that_jumps_in_length_is_found_from_a_fresh_start(monkeypatch, gr
     mask[56:64, 300 : 300 + grown] = 1
     assert detector.detect_mask(mask).shapes[0].reason == ""
     assert len(fresh) == starts
+
+
+class TestTrackIds:
+    """The number that changes when continuity was lost."""
+
+    @staticmethod
+    def follow(detector: ShapeDetector, *frames: tuple[np.ndarray, float]) -> list[tuple[int, bool]]:
+        shapes = [detector.detect_mask(mask, stamp=stamp).shapes[0] for mask, stamp in frames]
+        return [(shape.track_id, shape.new) for shape in shapes]
+
+    @pytest.mark.parametrize("policy", ["hold", "truncate", "nan"])
+    def test_a_short_loss_keeps_it_and_a_long_one_does_not(self, wave, policy):
+        detector, empty = ShapeDetector(max_age=0.5, on_missing=policy), np.zeros_like(wave.mask)
+        frames = [(empty, 0.0), (wave.mask, 0.1), (wave.mask, 0.2), (empty, 0.3), (wave.mask, 0.6), (empty, 1.2),
+                  (empty, 1.3), (wave.mask, 1.4), (wave.mask, 1.5)]  # fmt: skip
+        found = [
+            (0, False),
+            (1, True),
+            (1, False),
+            (1, False),
+            (1, False),
+            (1, False),
+            (1, False),
+            (2, True),
+            (2, False),
+        ]
+        assert self.follow(detector, *frames) == found
+        detector.reset()
+        assert self.follow(detector, *frames) == found
+
+    def test_a_loss_that_raised_ends_the_track_too(self, wave):
+        detector, empty = ShapeDetector(max_age=0.5, on_missing="raise"), np.zeros_like(wave.mask)
+        assert self.follow(detector, (wave.mask, 0.0)) == [(1, True)]
+        for stamp in (0.3, 0.8):
+            with pytest.raises(ShapeLostError):
+                detector.detect_mask(empty, stamp=stamp)
+        assert self.follow(detector, (wave.mask, 0.9)) == [(2, True)]
+
+    def test_each_shape_counts_its_own(self, blue, wave):
+        detector = ShapeDetector(
+            [Centerline(name="a"), Centerline(name="b", segmentation=GrayRange(1, 255, min_area=9999))]
+        )
+        detection = detector.detect_mask(wave.mask)
+        assert [(shape.track_id, shape.ok) for shape in detection] == [(1, True), (0, False)]
+
+    def test_pixels_and_a_cloud_are_two_tracks(self, wave):
+        detector = ShapeDetector()
+        at = np.linspace(0, 0.4, 3000)
+        cloud = np.stack([at, 0.002 * np.sin(900 * at), 0.5 + 0.002 * np.cos(900 * at)], axis=1)
+        assert detector.detect_mask(wave.mask).shapes[0].track_id == 1
+        shape = detector.detect_cloud(cloud).shapes[0]
+        assert (shape.ok, shape.track_id, shape.new) == (True, 2, True)
+        assert shape.length == pytest.approx(0.4, rel=0.03)
+
+    def test_a_fit_that_says_so_begins_anew(self, wave):
+        """A configuration reports that what it found is another object: its numbering continues nothing."""
+
+        class Swapped(Centerline, kind="swapped_for_a_test"):
+            def fit(self, observed, prediction, target, depth):
+                return super().fit(observed, prediction, target, depth)._replace(new=observed.area < 2000)
+
+        detector, half = ShapeDetector(Swapped(n=5)), wave.mask.copy()
+        half[:, 150:] = 0
+        assert np.count_nonzero(half) < 2000 < np.count_nonzero(wave.mask)
+        found = [detector.detect_mask(mask).shapes[0] for mask in (wave.mask, wave.mask, half, wave.mask)]
+        assert [(shape.track_id, shape.new) for shape in found] == [(1, True), (1, False), (2, True), (2, False)]

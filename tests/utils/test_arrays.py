@@ -16,7 +16,7 @@ from shape_obs import CameraModel, Centerline, Contour, Intrinsics, Shape, Shape
 from shape_obs.features import Feature, FeatureContext
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
-ARRAYS = ("points2d", "points3d", "visible", "valid")
+ARRAYS = ("points2d", "points3d", "visible", "valid", "sigma")
 INTRINSICS = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 
 
@@ -70,10 +70,12 @@ def test_changing_points_in_place_changes_no_held_shape(detector, wave, depth):
 
 def test_a_shape_copies_the_arrays_that_it_is_made_of():
     pixels, metres, flags = np.zeros((3, 2), np.float32), np.zeros((3, 3), np.float32), np.ones(3, bool)
-    shape = Shape("mine", pixels, metres, flags, flags, Chain(3))
-    for mine, array in zip((pixels, metres, flags, flags), arrays(shape).values(), strict=True):
+    sigma = np.ones(3, np.float32)
+    shape = Shape("mine", pixels, metres, flags, flags, Chain(3), sigma=sigma)
+    for mine, array in zip((pixels, metres, flags, flags, sigma), arrays(shape).values(), strict=True):
         assert mine.flags.writeable
         assert not np.shares_memory(mine, array)
+    assert Shape("exact", pixels, metres, flags, flags, Chain(3)).sigma.tolist() == [0, 0, 0]
     rows = np.zeros((2, 3, 2))
     for array in (rows[0], np.broadcast_to(rows[0], (3, 2))):  # a view, writable or not, is no owner
         assert not np.shares_memory(rows, Shape("mine", array, None, flags, flags, Chain(3)).points2d)

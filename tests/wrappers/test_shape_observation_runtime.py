@@ -24,11 +24,14 @@ class TestInfo:
             kinds = {key: type(value) for key, value in info.items() if key.startswith("shape/")}
             assert kinds == {
                 "shape/ok": bool, "shape/age": float, "shape/rope/ok": bool,
-                "shape/rope/valid_fraction": float, "shape/rope/quality": float,
+                "shape/rope/valid_fraction": float, "shape/rope/quality": float, "shape/rope/sigma": float,
+                "shape/rope/track_id": int,
             }  # fmt: skip
             assert info["shape/ok"]
             assert info["shape/rope/valid_fraction"] == 1
             assert 0 < info["shape/rope/quality"] <= 1
+            assert 0 < info["shape/rope/sigma"] < 0.01
+            assert info["shape/rope/track_id"] == 1
 
     def test_the_detection_is_at_hand_with_its_times(self):
         env = wrapped(features=["points2d"])
@@ -43,6 +46,32 @@ class TestInfo:
         assert 0.3 < infos[0]["shape/centerline/valid_fraction"] < 0.7
         assert [info["shape/age"] for info in infos] == pytest.approx([0, 0, 0.1, 0.2, 0])
         assert infos[2]["shape/centerline/valid_fraction"] == 0
+
+    def test_it_reports_lost_continuity_and_how_sure_the_points_are(self):
+        env = wrapped(RopeEnv(hide=[2, 3, 4, 5]), features=["sigma", "new"], max_age=0.25)
+        for _ in range(2):  # a reset begins again at 1, so that equal seeds give equal infos
+            steps = run(env, steps=7)
+            infos = [step[4] for step in steps]
+            assert [info["shape/centerline/track_id"] for info in infos] == [1, 1, 1, 1, 1, 1, 2, 2]
+            assert [step[0][20] for step in steps] == [1, 0, 0, 0, 0, 0, 1, 0]
+            sigma = [info["shape/centerline/sigma"] for info in infos]
+            assert sigma[1] < 0.01 < sigma[2] < sigma[3] < sigma[4] < sigma[5] < 1
+            assert sigma[6] == pytest.approx(sigma[0], rel=0.2)
+            for step in steps:
+                assert env.observation_space.contains(step[0])
+                assert step[0][:20].max() == np.float32(step[4]["shape/centerline/sigma"])
+
+    def test_a_frozen_stamp_ends_a_lost_shape(self):
+        class Frozen(RopeEnv):
+            def step(self, action: Any) -> Any:
+                *rest, info = super().step(action)
+                return (*rest, {**info, "stamp": 7.0})
+
+        env = wrapped(Frozen(hide=range(2, 9)), max_age=0.25)
+        infos = [step[4] for step in run(env, steps=6)]
+        assert [info["shape/ok"] for info in infos] == [True, True, True, True, False, False, False]
+        assert env.detection is not None
+        assert env.detection.warning.startswith("the stamp stands still")
 
     def test_stamps_of_the_env_win_over_its_time_step(self):
         class Stamped(RopeEnv):
@@ -112,7 +141,13 @@ class TestState:
             assert mine[1:4] == its[1:4]
 
     @pytest.mark.parametrize(
-        "arguments", [{}, {"keep": ["hand", "phase"]}, {"features": ["points2d", "ok", "age", "valid"]}]
+        "arguments",
+        [
+            {},
+            {"keep": ["hand", "phase"]},
+            {"features": ["points2d", "ok", "age", "valid", "sigma", "new"]},
+            {"features": [{"kind": "sigma", "frame": "pixels"}]},
+        ],
     )
     def test_gymnasiums_and_sb3s_checkers_are_content(self, arguments):
         with warnings.catch_warnings():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.config.config_file import SECTIONS
+from shape_obs.config.config_file import SCENE_FIELDS, SECTIONS
 from shape_obs.deploy.policy_bundle import environment
 from shape_obs.deploy.policy_bundle.documents import MALFORMED, BundleError
 from shape_obs.deploy.policy_bundle.environment import obstacle, reading_wrappers
@@ -104,11 +104,11 @@ class Bundle:
         self._check_place(env)
         config = dict(self.record.config or {})
         shape = {name: config[name] for name in SECTIONS["shape"] if name in config}
-        running = {name: config[name] for name in ("on_missing", "on_invalid", "max_age") if name in config}
+        running = {name: config[name] for name in SECTIONS["runtime"] if name in config and name != "dt"}
         published = env_protocol.published(env, "shape_obs_defaults", {})
         known = {name: published[name] for name in ("shapes", *SECTIONS["scene"]) if name in published}
         local = {"workspace": config.get("workspace"), **running, **known, **(scene or {})}
-        wrapped: gym.Env[Any, Any] = ShapeObservation(env, **{**local, **_site_colours(shape, local)})
+        wrapped: gym.Env[Any, Any] = ShapeObservation(env, **{**local, **_site_fields(shape, local)})
         wrappers = reading_wrappers(self.spec)
         if goal is not None and not self.needs_goal:
             raise BundleError("the policy was trained without goals, so it cannot be given one.")
@@ -224,11 +224,14 @@ class Bundle:
                 )
 
 
-def _site_colours(shape: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the ``shape`` section with this site's segmentation of each shape, found by its name."""
+def _site_fields(shape: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the ``shape`` section with this site's segmentation and length of each shape, found by its name."""
     here = [item for item in scene.get("shapes") or () if isinstance(item, Mapping)]
-    local = {item.get("name") or item.get("kind"): item.get("segmentation") for item in here}
-    shapes = [{**item, "segmentation": local.get(item["name"])} for item in shape["shapes"]]
+    local = {item.get("name") or item.get("kind"): item for item in here}
+    shapes = [
+        {**item, **{name: local.get(item["name"], {}).get(name) for name in SCENE_FIELDS if name in item}}
+        for item in shape["shapes"]
+    ]
     return {**shape, "shapes": shapes}
 
 

@@ -11,8 +11,8 @@ from importlib.util import find_spec
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, Final
 
-from shape_obs.config.config_file import detector_arguments, schema_hash
-from shape_obs.config.detector_config import DetectorConfig
+from shape_obs.config.config_file import hashed_values, schema_hash
+from shape_obs.config.detector_config import ALGORITHM
 from shape_obs.deploy.policy_bundle.documents import BundleError
 from shape_obs.deploy.policy_bundle.spaces import layout_differences, space_from_dict, space_to_dict
 from shape_obs.features import Feature, read_features
@@ -98,11 +98,13 @@ class Record(Surroundings):
         algorithm: Name of the algorithm, such as ``"SAC"``.
         versions: Versions of Python and the packages, by name.
         summary: Summary of the training: algorithm, steps, seed, and what ``save_bundle`` was given.
+        detector_version: Version of the detector's algorithm, ``ALGORITHM``; 1 in bundles that do not record it.
     """
 
     algorithm: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
     summary: Mapping[str, Any] = field(default_factory=dict)
+    detector_version: int = 1
 
     def check(self) -> None:
         """Refuse numbers outside of their ranges, and invalid spaces.
@@ -143,6 +145,15 @@ class Record(Surroundings):
                 f"{str(self.schema)[:12]}... Use the version of shape-obs that saved it: "
                 f"{self.versions.get('shape-obs')}"
             )
+
+    def other_points(self) -> str:
+        """Return why the points may differ from those of the training though the schema is equal; empty if not."""
+        if self.config is None or self.detector_version == ALGORITHM:
+            return ""
+        return (
+            f"it was trained on the points of version {self.detector_version} of the detector's algorithm, this is "
+            f"version {ALGORITHM}: equal images may give slightly other points. Evaluate it again before use."
+        )
 
 
 def shape_observation(env: gym.Env[Any, Any]) -> ShapeObservation | None:
@@ -215,18 +226,7 @@ def _of_schema(trained: Mapping[str, Any] | None, here: Mapping[str, Any] | None
         if trained is not here:
             yield "ShapeObservation", trained is not None, here is not None
         return
-    yield from _walk(_schema(trained), _schema(here), "")
-
-
-def _schema(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values from which ``schema_hash`` is computed."""
-    detector = DetectorConfig.from_dict(detector_arguments(config))
-    shapes = [shape.to_dict() for shape in detector.resolved()]
-    return {
-        "shapes": [{name: value for name, value in shape.items() if name != "segmentation"} for shape in shapes],
-        "features": [feature.identity() for feature in _features(config)],
-        "clustering": detector.clustering.to_dict(),
-    }
+    yield from _walk(hashed_values(trained), hashed_values(here), "")
 
 
 def _of_camera(trained: Surroundings, here: Surroundings) -> Iterator[Difference]:

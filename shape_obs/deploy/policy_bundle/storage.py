@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from shape_obs.config.config_file import SECTIONS, detector_arguments, dump_config
-from shape_obs.config.detector_config import DetectorConfig
+from shape_obs.config.detector_config import ALGORITHM, DetectorConfig
 from shape_obs.deploy.policy_bundle import environment
 from shape_obs.deploy.policy_bundle.archive import (
     CONFIG,
@@ -108,6 +108,7 @@ def save_bundle(
         algorithm=network.algorithm,
         summary={**counts, **given},
         versions=versions(),
+        detector_version=ALGORITHM,
         **{**vars(surroundings), "config": None, "action_spec": action_spec or surroundings.action_spec},
     )
     _check_trained_in(model, record)
@@ -175,7 +176,7 @@ def load_bundle(path: str | os.PathLike[str], *, device: str = "cpu", trust: boo
             another major version.
 
     Warns:
-        UserWarning: A package has another minor version than in training.
+        UserWarning: A package has another minor version than in training, or the detector's algorithm another version.
 
     Example:
         >>> action = load_bundle("cable.policy").act(observation)  # doctest: +SKIP
@@ -191,6 +192,8 @@ def load_bundle(path: str | os.PathLike[str], *, device: str = "cpu", trust: boo
     doubtful = version_differences(bundle.record.versions, versions())[1]
     if doubtful:
         warnings.warn(f"{path}: saved with other versions: {', '.join(doubtful)}.", UserWarning, stacklevel=2)
+    if bundle.record.other_points():
+        warnings.warn(f"{path}: {bundle.record.other_points()}", UserWarning, stacklevel=2)
     return bundle
 
 

@@ -68,9 +68,14 @@ class TestMismatch:
 
     def test_what_may_differ(self, bundle):
         assert bundle.differences(cable(workspace=WORKSPACE, segmentation=BLUE["segmentation"])) == []
+        shapes = [{**shape, "length": 0.8} for shape in bundle.record.config["shapes"]]
+        assert bundle.differences(cable(shapes=shapes, max_speed=3.0)) == []
         slow = bundle.wrap(self.cell(bundle, {"low": [-0.3] * 6}, 30), scene=BLUE)
         assert bundle.differences(slow, same_rate=False) == []
         assert isinstance(slow, ShapeGoal)
+        other = bundle.wrap(self.cell(bundle, {}, 20), scene={**BLUE, "shapes": shapes, "max_speed": 3.0})
+        config = other.get_wrapper_attr("detector").config
+        assert (config.shapes[0].length, config.max_speed) == (0.8, 3.0)
 
     def test_a_camera_without_extrinsics(self, bundle):
         env = self.cell(bundle, {}, 20)

@@ -20,6 +20,7 @@ pytest.importorskip("stable_baselines3")
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import load_bundle, save_bundle, schema_hash
+from shape_obs.config.detector_config import ALGORITHM
 from shape_obs.deploy.policy_bundle import BundleError
 from shape_obs.deploy.policy_bundle.archive import read_archive, write_archive
 from shape_obs.training import Shuffled
@@ -58,6 +59,7 @@ def test_it_stores_what_it_was_trained_in(trained, bundle):
     assert (record.dt, record.image, record.success_threshold) == (0.05, (84, 84), 0.01)
     assert record.versions["stable-baselines3"]
     assert record.schema == schema_hash(record.config)
+    assert record.detector_version == ALGORITHM
     assert bundle.action_spec == cable().get_wrapper_attr("action_spec")
     assert bundle.needs_goal
     camera = cable().get_wrapper_attr("camera_model")
@@ -188,6 +190,17 @@ class TestFile:
         write_archive(tmp_path / "a", {**members, "policy.json": json.dumps(record).encode()})
         with pytest.warns(UserWarning, match=r"saved with other versions: numpy 1.0.1 then"):
             load_bundle(tmp_path / "a")
+
+    def test_another_algorithm_of_the_detector_is_reported(self, members, tmp_path):
+        """Equal schemas do not give equal points then. Bundles that record no version have the first."""
+        record = json.loads(members["policy.json"])
+        for change, version in (({**record, "detector_version": 999}, 999), (record, 1)):
+            if version == 1:
+                del change["detector_version"]
+            write_archive(tmp_path / "a", {**members, "policy.json": json.dumps(change).encode()})
+            message = rf"points of version {version} of the detector's algorithm, this is version {ALGORITHM}"
+            with pytest.warns(UserWarning, match=message):
+                assert load_bundle(tmp_path / "a").record.detector_version == version
 
     def test_nothing_is_half_written(self, trained, tmp_path):
         class Secret(gym.Wrapper):

@@ -31,7 +31,8 @@ _PACKAGE: Final = str(Path(shape_obs.__file__).parent)
 _FRAMES: Final = (1, 1, 2, 4, 8)
 _WRAPPED: Final = 0.2  # of the cases go through ``ShapeObservation``
 _FEATURES: Final = (
-    "points2d", "points2d_normalized", "points3d", "ok", "age", "valid", "centroid", "length", "orientation",
+    "points2d", "points2d_normalized", "points3d", "ok", "age", "valid", "sigma", "new", "centroid", "length",
+    "orientation",
     "tangents", "turning_angles", "curvature", "fourier", "elliptic_fourier", "bezier", "bspline", "contour_moments",
     "region_moments",
 )  # fmt: skip
@@ -118,7 +119,7 @@ def broken_contracts(shape: Shape, size: int, *, in_2d: bool, in_3d: bool) -> li
     """Return what a shape breaks of the contract in the docstring of ``Shape``."""
     kinds = (("points2d", np.float32, (size, 2)), ("points3d", np.float32, (size, 3)), ("visible", bool, (size,)))
     broken = []
-    for name, dtype, form in (*kinds, ("valid", bool, (size,))):
+    for name, dtype, form in (*kinds, ("valid", bool, (size,)), ("sigma", np.float32, (size,))):
         array = getattr(shape, name)
         if array is None:
             continue
@@ -142,6 +143,10 @@ def broken_contracts(shape: Shape, size: int, *, in_2d: bool, in_3d: bool) -> li
         "ok and no reason, or a reason": shape.ok or bool(shape.reason),
         "nothing visible with a reason": not shape.reason or not shape.visible.any(),
         "age 0 without a reason": bool(shape.reason) or shape.age == 0,
+        "sigma finite, at least 0": bool(np.isfinite(shape.sigma).all() and (shape.sigma >= 0).all()),
+        "sigma at most 1 m": points3d is None or bool((shape.sigma <= 1).all()),
+        "a track if found": bool(shape.reason) or shape.track_id > 0,
+        "new only if found": not (shape.new and shape.reason),
     }
     return broken + [promise for promise, kept in promises.items() if not kept]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from .mutant import Mutant
 
+_BELIEF = "tests/tracking/test_belief.py"
 _DEGENERATE = "tests/test_degenerate_input.py"
 _DETECTOR = "tests/test_detector.py"
 _MISSING = "tests/tracking/test_missing.py"
@@ -33,7 +34,7 @@ TRACKS: tuple[Mutant, ...] = (
     _track("all of the last step", "_VELOCITY_SHARE: Final = 0.8", "_VELOCITY_SHARE: Final = 1.0"),
     _track("motion is reversed", "track.nodes + _VELOCITY_SHARE", "track.nodes - _VELOCITY_SHARE"),
     _track("no motion is expected", "velocity = (nodes - track.nodes) / interval", "pass"),
-    _track("velocity of stamps that stand still", "interval > _LEAST_INTERVAL:", "interval > 0:", _DEGENERATE),
+    _track("velocity of stamps that stand still", "interval > _LEAST_INTERVAL:", "interval > 0:"),
     _mutant("tracking", "a length may jump", "configurations/centerline",
             "abs(curve.arc[-1] / prediction.size - 1) > MAX_SIZE_CHANGE", "False", _PREDICTION),
     _track("a length may change twice as much", "MAX_SIZE_CHANGE: Final = 0.06", "MAX_SIZE_CHANGE: Final = 0.12"),
@@ -58,14 +59,24 @@ TRACKS: tuple[Mutant, ...] = (
     _mutant("tracking", "lost shapes are not looked for elsewhere", "detector",
             "if not found.reason or not search.widen(spec.segmentation):", "if True:", _SEARCH),
     _mutant("tracking", "a track never ends", "detector",
-            "                self._tracks.pop(spec.name, None)\n        _lap",
-            "                pass\n        _lap", _MISSING, _ORDER),
+            "                self._tracks.pop(spec.name, None)\n            shape = lost",
+            "                pass\n            shape = lost", _MISSING, _ORDER),
     _mutant("tracking", "pixels become metres", "detector",
             "self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres\n"
             "            self._last.pop(spec.name, None)", "pass",
             "tests/point_cloud/test_cloud.py", "tests/point_cloud/test_cloud_lift.py"),
-    _mutant("tracking", "an older clock makes ages negative", "detector", "elif stamp < self._stamp:", "elif False:",
-            _DEGENERATE),
+    _track("a clock that stands still stops the time", "            if shown >= _LEAST_STEP:",
+           "            if shown > -_LEAST_STEP:", _MISSING, module="missing"),
+    _track("a clock that runs back turns the time back", "            if shown >= _LEAST_STEP:",
+           "            if self._started:", _MISSING, _DEGENERATE, module="missing"),
+    _mutant("tracking", "a failing clock is not reported", "detector",
+            'f"{reason}; {clock.warning}" if clock.warning else reason', "reason", _MISSING),
+    _mutant("tracking", "a lost track keeps its number", "detector", "self._track_ids.get(spec.name, 0) + 1", "1",
+            _PREDICTION),
+    _mutant("tracking", "a new object continues the track", "detector", "track = None if found.new else track", "pass",
+            _PREDICTION),
+    _mutant("tracking", "a track is new in every frame", "configurations/shape_points",
+            "new=last is None or last.track_id != found.track_id", "new=True", _PREDICTION),
     _mutant("tracking", "reset keeps the track", "detector", "self._tracks: dict[str, Track] = {}",
             "self._tracks: dict[str, Track] = getattr(self, '_tracks', {})", _DETECTOR),
     _order("a centerline begins at its far end", "centerline", "return form if first <= last",
@@ -96,6 +107,14 @@ TRACKS: tuple[Mutant, ...] = (
             "ok = age <= max_age", _MISSING),
     _mutant("missing", "held points count as seen", "tracking/missing", "no_point = np.zeros(layout.size, bool)",
             "no_point = np.ones(layout.size, bool)", _MISSING),
+    _mutant("missing", "a lost shape stays as sure as it was", "tracking/missing", "sigma = aged(sigma, age,",
+            "sigma = aged(sigma, 0.0,", _BELIEF),
+    _mutant("missing", "pixels are taken for metres", "tracking/missing",
+            "elif last.points3d is not None or not in_3d:", "else:", _BELIEF),
+    _mutant("tracking", "what is hidden is as sure as what is seen", "tracking/belief",
+            "np.hypot(residual, _HIDDEN_SHARE * unseen)", "np.hypot(residual, 0 * unseen)", _BELIEF),
+    _mutant("tracking", "depth has no noise", "tracking/belief", "along = np.hypot(depth_noise,",
+            "along = np.hypot(0.0,", _BELIEF),
     _mutant("missing", "raise holds", "tracking/missing", 'if policy == "raise":', "if False:", _MISSING),
     _mutant("missing", "nan holds", "tracking/missing", 'if last is None or policy == "nan":', "if last is None:",
             _MISSING),
