@@ -23,7 +23,7 @@ from shape_obs.image.rope_tip import extend_chain
 from shape_obs.initialization.folding import closest_sides, sharp_bends, unexplained_share
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.point_cloud.lifting import MAX_REACH, lift_chain
-from shape_obs.tracking.occluders import UNKNOWN, chain_evidence
+from shape_obs.tracking.occluders import Tips, chain_evidence
 from shape_obs.tracking.occlusion import learnt, match_chain, oriented, shown, visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.validation import MAX_HIDDEN, sample_spread, validate_ribbon
@@ -162,11 +162,13 @@ class Centerline(Configuration, kind="centerline"):
             spread = sample_spread(np.ascontiguousarray(samples.points), np.ascontiguousarray(samples.weight), points)
             square = spread + cloud.hidden_variance
             width, area = cloud.ribbon_width, 0
-        curve, ends = _measured(FittedCurve(points, ~on_object, arc), observed, width, scene)  # depth enters
+        curve, tips = _measured(FittedCurve(points, ~on_object, arc), observed, width, scene)  # depth enters
         if prediction is None:
-            curve = replace(curve, hints=TrackHints(length=learnt(Length(), curve, ends)))
+            curve = replace(
+                curve, hints=TrackHints(length=learnt(Length(), curve, tips.known), tips=tips.remembered(None, 0))
+            )
         else:
-            curve = match_chain(curve, prediction, ends)  # an end under a hand is put back here
+            curve = match_chain(curve, prediction, tips)  # an end under a hand is put back here
         reason, quality = validate_ribbon(curve, observed.noun, expected_off, square, width, area)
         if not reason and curve.hints.stretch < _MIN_STRETCH and curve.metres is not None:
             reason = f"the curve is {1 / curve.hints.stretch - 1:.0%} longer than the rope"
@@ -254,12 +256,10 @@ def _nodes_on(points: Array, arc: Array, count: int) -> Array:
     return even_points(points, arc, count, True)
 
 
-def _measured(
-    curve: FittedCurve, observed: Observed, width: float, scene: Scene
-) -> tuple[FittedCurve, tuple[int, int]]:
-    """Return a curve with its length in metres where there is depth, and what is known about its two tips."""
+def _measured(curve: FittedCurve, observed: Observed, width: float, scene: Scene) -> tuple[FittedCurve, Tips]:
+    """Return a curve with its length in metres where there is depth, and what its two tips look like."""
     if not isinstance(observed, Region) or scene.edge is None:
-        return curve, (UNKNOWN, UNKNOWN)
+        return curve, Tips()
     depth, unit, z = _NO_DEPTH, 1.0, np.full(len(curve.points), np.nan)
     at, left_out = observed.window[:2], curve.interpolated
     if scene.depth is not None and scene.intrinsics is not None:
@@ -271,7 +271,7 @@ def _measured(
             curve = replace(curve, metres=metres)
     left, top, wide, high = scene.edge
     seen = depth, unit, observed.mask, at, (left, top, wide, high)
-    return curve, chain_evidence(curve.points, curve.arc, z, width, *seen)
+    return curve, Tips(*chain_evidence(curve.points, curve.arc, z, width, *seen), width)
 
 
 def _surprise(found: Fit, prediction: Prediction) -> float:

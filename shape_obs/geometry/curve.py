@@ -49,6 +49,8 @@ class TrackHints(NamedTuple):
         slack: Hidden ends with a smaller share are within the measuring error.
         stretch: By how much more of an open curve there is than was measured where it is visible.
         residual: Mean square distance of an open curve from its prediction, in squares of its unit.
+        cut: How much likelier, as logarithms, the tips of an open curve are cut than its own.
+        tips: ``(2, 2, 2)`` mean and variance of what its own tips look like; None if it is not known.
         length: What is known of an open curve's length.
         reference: ``(K, D)`` nodes of the past that a closed curve was numbered by; else None.
     """
@@ -57,6 +59,8 @@ class TrackHints(NamedTuple):
     slack: float = 0.0
     stretch: float = 1.0
     residual: float = 1.0
+    cut: tuple[float, float] = (0.0, 0.0)
+    tips: Array | None = None
     length: Length = Length()
     reference: Array | None = None
 

@@ -8,7 +8,7 @@ no evidence, and neither is a rope that looks shorter: perspective does that.
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,11 @@ UNKNOWN: Final = 0
 HIDDEN: Final = 1
 FREE: Final = 2
 
+# Of how full and how askew a tip is: the standard deviation of a measurement at a width of one pixel, and what a cut does.
+_SHAPE_NOISE: Final = (0.25, 1.2)
+_ANY_CUT: Final = (0.1, 0.6)
+_UNFAMILIAR: Final = 4.0  # how much larger the variance of a tip is that was seen once
+_LEARNING: Final = 0.05  # how fast the shape of a tip is learnt
 _REACH: Final = (1.5, 8.0)  # widths and pixels around a tip in which what hides it must be
 _BORDER: Final = (0.5, 2.0)  # widths and pixels from the border, within which a rope is cut off by it
 _NEARER: Final = 0.008  # metres: what is nearer than the rope by this much, and its slope, lies over it
@@ -32,6 +37,56 @@ _LEVEL: Final = 0.004  # metres: what goes on at the rope's own depth, within th
 _TOUCHING: Final = 0.06  # of the pixels ahead: that many are nearer where something hides the rope
 _SEEN_PAST: Final = 0.5  # of the pixels ahead: that many lie behind a tip that is free
 _GOES_ON: Final = 0.7  # of the pixels straight ahead
+
+
+class Tips(NamedTuple):
+    """What the two tips of a visible curve look like.
+
+    Args:
+        known: What is known about the first and the last, see ``tip_evidence``.
+        shapes: ``(2, 2)`` see ``tip_shape``; None for a cloud.
+        width: Of the rope, pixels.
+    """
+
+    known: tuple[int, int] = (UNKNOWN, UNKNOWN)
+    shapes: Array | None = None
+    width: float = 0.0
+
+    def reversed(self) -> Tips:
+        """Return the tips of the curve run through backwards."""
+        shapes = None if self.shapes is None else self.shapes[::-1]
+        return Tips((self.known[1], self.known[0]), shapes, self.width)
+
+    def remembered(self, before: Array | None, frames: int) -> Array | None:
+        """Return what the track remembers of the tips of a rope that is seen as a whole.
+
+        Args:
+            before: ``(2, 2, 2)`` mean and variance of both tips' shapes; None at first.
+            frames: In how many they were learnt.
+        """
+        if self.shapes is None:
+            return before
+        if before is None:
+            least = (np.array(_SHAPE_NOISE) / max(self.width, 1.0)) ** 2
+            return np.stack([self.shapes, _UNFAMILIAR * np.broadcast_to(least, (2, 2))])
+        (mean, variance), gain = before, max(_LEARNING, 1 / (frames + 1))
+        off = self.shapes - mean
+        return np.stack([mean + gain * off, variance + gain * (off**2 - variance)])
+
+    def cut(self, before: Array | None) -> Array:
+        """Return ``(2,)`` how much likelier, as logarithms, the tips are cut than the rope's own.
+
+        A tip of the rope looks as it did before; what hides it cuts it in any way.
+
+        Args:
+            before: See ``remembered``.
+        """
+        if self.shapes is None or before is None:
+            return np.zeros(2)
+        least, (mean, variance) = (np.array(_SHAPE_NOISE) / max(self.width, 1.0)) ** 2, before
+        own, any_way = np.maximum(variance, least), np.maximum(variance, least) + np.square(_ANY_CUT)
+        off = (self.shapes - mean) ** 2
+        return np.sum(off / own - off / any_way + np.log(own / any_way), axis=1) / 2
 
 
 @compiled(
@@ -48,8 +103,8 @@ def chain_evidence(
     mask: Mask,
     at: tuple[int, int],
     edge: tuple[int, int, int, int],
-) -> tuple[int, int]:
-    """Return what is known about the first and the last point of a curve, see ``tip_evidence``.
+) -> tuple[tuple[int, int], Array]:
+    """Return what is known about the first and the last point of a curve.
 
     Args:
         points: ``(P, 2)`` pixels.
@@ -61,8 +116,11 @@ def chain_evidence(
         mask: ``(h, w)`` uint8, C-contiguous.
         at: Image column and row of its first pixel.
         edge: Left, top, width and height of the part of the image that is searched, pixels.
+
+    Returns:
+        What is known of both, see ``tip_evidence``; ``(2, 2)`` what they look like, see ``tip_shape``.
     """
-    last, ahead = len(points) - 1, np.empty(2)
+    last, ahead, shapes = len(points) - 1, np.empty(2), np.empty((2, 2))
     found = (0, 0)
     for end in range(2):
         tip, step = (last, -1) if end else (0, 1)
@@ -75,7 +133,37 @@ def chain_evidence(
         slope = abs(z[tip] - z[inner]) / reach
         known = tip_evidence(points[tip], ahead, width, z[tip], slope, depth, unit, mask, at, edge)
         found = (found[0], known) if end else (known, 0)
-    return found
+        shapes[end, 0], shapes[end, 1] = tip_shape(points[tip], ahead, width, mask, at)
+    return found, shapes
+
+
+@compiled
+def tip_shape(tip: Array, ahead: Array, width: float, mask: Mask, at: tuple[int, int]) -> tuple[float, float]:
+    """Return what a visible tip looks like: what hides a tip cuts the rope otherwise than it ends.
+
+    Args:
+        tip: ``(2,)`` pixels.
+        ahead: ``(2,)`` the direction in which the rope would go on, of length 1.
+        width: Of the rope, pixels.
+        mask: ``(h, w)`` uint8, C-contiguous.
+        at: Image column and row of its first pixel.
+
+    Returns:
+        How full the last square of the rope is (1 for a straight end, 0.89 for a round one), and how askew the end is:
+        the tangent of its angle to a straight one.
+    """
+    column, row, steps = nearest_pixel(tip[0]) - at[0], nearest_pixel(tip[1]) - at[1], math.ceil(1.5 * width)
+    x0, y0 = tip[0] - at[0], tip[1] - at[1]
+    count, moment = 0, 0.0
+    for v in range(max(row - steps, 0), min(row + steps + 1, mask.shape[0])):
+        for u in range(max(column - steps, 0), min(column + steps + 1, mask.shape[1])):
+            if mask[v, u] == 0:
+                continue
+            along, side = (u - x0) * ahead[0] + (v - y0) * ahead[1], (v - y0) * ahead[0] - (u - x0) * ahead[1]
+            if abs(along) < width and abs(side) < 0.8 * width:
+                count += 1
+                moment += side
+    return count / width**2, 12 * moment / width**3
 
 
 @compiled

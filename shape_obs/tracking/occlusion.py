@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
 from shape_obs.geometry.polyline import arc_length, interpolate
-from shape_obs.tracking.occluders import FREE, HIDDEN, UNKNOWN
+from shape_obs.tracking.occluders import FREE, HIDDEN, UNKNOWN, Tips
 from shape_obs.tracking.prediction import Prediction
 
 Array = npt.NDArray[np.float64]
@@ -34,7 +34,7 @@ _SETTLING: Final = 0.1  # how fast the distance of curves from their predictions
 # What it costs, in squared standard deviations, to take an end for hidden: without evidence, with
 # evidence, and a free one, which is then folded back or points at the camera. And by which share of the length it
 # changes from frame to frame.
-_COST: Final = {UNKNOWN: 6.0, HIDDEN: 0.0, FREE: 4.0}
+_COST: Final = {UNKNOWN: 4.0, HIDDEN: 0.0, FREE: 4.0}
 _FOLDED: Final = 25.0  # of a free end while something hides the other, which explains what is missing
 _INERTIA: Final = {UNKNOWN: 0.05, HIDDEN: 0.1, FREE: 0.05}
 # Of the length: the standard deviation of a measurement. In pixels it is learnt, and this is the least.
@@ -54,48 +54,58 @@ _SURE: Final = 2.0  # how much larger the mean square distance has to be in the 
 _PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
 _EVENLY: Final = 0.1  # the weight of a piece of a curve at a right angle to the view, in a length that is off
 _LEAST: Final = 0.002  # of a length in pixels: less cannot be seen to be missing
+_FADING: Final = 0.8  # how much of the last frame's evidence for cut tips is kept
+_CERTAIN: Final = 8.0  # the most that such evidence can weigh
+_TRUST: Final = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
+_DOUBTFUL: Final = 1.5  # standard deviations by which a rope is too short, and its tips may be cut
 _OUTLIER: Final = 10.0  # residuals: more is not learnt from at once
 _FEWEST: Final = 6  # nodes of a visible piece
 _LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
 _NEXT_TO: Final = 0.25  # of the visible piece, next to a hidden end, whose scale that end has
 
 
-def match_chain(form: FittedCurve, prediction: Prediction, ends: Ends) -> FittedCurve:
+def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> FittedCurve:
     """Match a curve to the predicted rope: same direction, hidden ends put back, as long as the rope is known to be.
 
     Args:
         form: ``(P, D)`` fitted to this frame, in any direction.
         prediction: Where the rope should be.
-        ends: What is known about the curve's first and last point, see ``occluders.tip_evidence``.
+        tips: What the curve's tips look like.
 
     Returns:
         The whole rope. Its hints hold the lengths of the hidden ends, and what is known of the rope's length.
     """
     rope, known = _PredictedRope(prediction), prediction.hints.length
     turned, back = oriented(form, prediction)
-    form, ends = turned, (ends[1], ends[0]) if back else ends
+    form, tips = turned, tips.reversed() if back else tips
+    ends = tips.known
     if HIDDEN in ends:  # that explains what is missing
         ends = (ends[0] or FREE, ends[1] or FREE)
+    before = prediction.hints
+    cut = np.clip(_FADING * np.array(before.cut) + tips.cut(before.tips), -_CERTAIN, _CERTAIN)
     unit = "m" if form.metres is not None or form.points.shape[1] == 3 else "px"
     length = known.metres if form.metres is not None else known.pixels
     if length <= 0:
-        return replace(form, hints=TrackHints(length=learnt(known, form, ends)))
+        return replace(form, hints=TrackHints(length=learnt(known, form, ends), tips=tips.remembered(None, 0)))
     gap = _widest_gap(form)
     resolution = prediction.resolution * float(form.stations[-1]) / max(form.size, 1e-9)
     slack, missing = _SLACK[0] * length + _SLACK[1] * resolution, length - float(form.stations[-1])
     head = tail = 0.0
     least = slack if unit == "m" else _LEAST * length
+    noise = (known.spread if unit == "px" else _SPREAD[unit]) * length + _GRAIN[unit] * resolution
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
-        noise = (known.spread if unit == "px" else _SPREAD[unit]) * length + _GRAIN[unit] * resolution
-        head, tail, between = rope.place(form, ends, missing, noise, gap)
+        head, tail, between = rope.place(form, ends, cut, missing, noise, gap)
         form = rope.filled(form, gap, head, between, length)
     elif unit == "px":
         rope.settle(float(rope.disagreement(_on(form)[None], np.zeros(1), np.ones(1))[0]))
-    now = known if head + tail > least else learnt(known, form, ends)
+    doubtful = unit == "px" and missing > _DOUBTFUL * noise and cut.max() > 0
+    now = known if head + tail > least or doubtful else learnt(known, form, ends)
     stretch = (length - head - tail) / max(float(form.stations[-1]), 1e-9)
     form = rope.completed(form, ends, head, tail, stretch, length)
     hidden = head / length, tail / length
-    return replace(form, hints=TrackHints(hidden, slack / length, stretch, rope.residual, now))
+    own = before.tips if now is known else tips.remembered(before.tips, known.frames)
+    certain = (float(cut[0]), float(cut[1]))
+    return replace(form, hints=TrackHints(hidden, slack / length, stretch, rope.residual, certain, own, now))
 
 
 def learnt(known: Length, form: FittedCurve, ends: Ends) -> Length:
@@ -241,6 +251,7 @@ class _PredictedRope:
         self,
         form: FittedCurve,
         ends: Ends,
+        cut: Array,
         missing: float,
         noise: float,
         gap: tuple[int, int],
@@ -250,6 +261,7 @@ class _PredictedRope:
         Args:
             form: What is seen of it.
             ends: What is known about its tips.
+            cut: ``(2,)`` how much likelier, as logarithms, they are cut than the rope's own.
             missing: By how much the form is shorter than the rope.
             noise: Standard deviation of the measured length.
             gap: The last point before a gap and the first after it.
@@ -270,8 +282,11 @@ class _PredictedRope:
             # What is hidden changes little from frame to frame; a free end is hidden in no frame for longer.
             known, last = ends[end], 0.0 if ends[end] == FREE else self.hidden[end]
             price = _FOLDED if known == FREE and HIDDEN in ends else _COST[known]
-            cost += price * ((hidden[:, end] > 0) & (last <= 0)) + ((hidden[:, end] - last) / _INERTIA[known]) ** 2
-        cost += _INDEPENDENT * (apart - apart.min()) / max(self.residual, (_NOISE * self.resolution) ** 2)
+            price = price * (last <= 0) + 2 * (cut.max() - cut[end]) * (known == UNKNOWN)
+            change = ((hidden[:, end] - last) / _INERTIA[known]) ** 2
+            cost += price * (hidden[:, end] > 0) + _TRUST * np.log1p(change / _TRUST)
+        worse = _INDEPENDENT * (apart - apart.min()) / max(self.residual, (_NOISE * self.resolution) ** 2)
+        cost += _TRUST * np.log1p(worse / _TRUST)
         best = int(np.argmin(cost))
         self.settle(float(apart[best]))
         head, tail = hidden[best] * length
