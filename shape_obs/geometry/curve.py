@@ -32,12 +32,14 @@ class Length(NamedTuple):
         pixels: As seen in the image; 0 if it is not known.
         metres: Along the visible surface; 0 if it is not known.
         spread: By which share the length in pixels has varied, RMS: what perspective and noise explain.
+        spread_metres: The same of the length in metres: what noise and steep views explain.
         frames: In how many frames all of the rope was seen.
     """
 
     pixels: float = 0.0
     metres: float = 0.0
     spread: float = 0.006
+    spread_metres: float = 0.006
     frames: int = 0
 
 

@@ -39,7 +39,7 @@ _FOLDED: Final = 25.0  # of a free end while something hides the other, which ex
 _INERTIA: Final = {UNKNOWN: 0.05, HIDDEN: 0.1, FREE: 0.05}
 # Of the length: the standard deviation of a measurement. In pixels it is learnt, and this is the least.
 _SPREAD: Final = {"px": 0.001, "m": 0.012}
-_GRAIN: Final = {"px": 0.3, "m": 1.0}  # in resolutions: the same of a short one
+_GRAIN: Final = 0.3  # in resolutions: the same of a short one
 _WIDEST: Final = 0.2
 _BRIDGE: Final = 0.35  # of a bridged gap: the standard deviation of its length
 _SLACK: Final = (0.006, 1.0)  # of the length and in resolutions: what is missing below this is noise
@@ -91,14 +91,14 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     resolution = prediction.resolution * float(form.stations[-1]) / max(form.size, 1e-9)
     slack, missing = _SLACK[0] * length + _SLACK[1] * resolution, length - float(form.stations[-1])
     head = tail = 0.0
-    least = slack if unit == "m" else _LEAST * length
-    noise = (known.spread if unit == "px" else _SPREAD[unit]) * length + _GRAIN[unit] * resolution
+    least = _LEAST * length
+    noise = (known.spread if unit == "px" else known.spread_metres) * length + _GRAIN * resolution
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
         head, tail, between = rope.place(form, ends, cut, missing, noise, gap)
         form = rope.filled(form, gap, head, between, length)
-    elif unit == "px":
+    else:
         rope.settle(float(rope.disagreement(_on(form)[None], np.zeros(1), np.ones(1))[0]))
-    doubtful = unit == "px" and missing > _DOUBTFUL * noise and cut.max() > 0
+    doubtful = missing > _DOUBTFUL * noise and cut.max() > 0
     now = known if head + tail > least or doubtful else learnt(known, form, ends)
     stretch = (length - head - tail) / max(float(form.stations[-1]), 1e-9)
     form = rope.completed(form, ends, head, tail, stretch, length)
@@ -122,22 +122,30 @@ def learnt(known: Length, form: FittedCurve, ends: Ends) -> Length:
     metres = 0.0 if form.metres is None else float(form.metres[-1])
     whole = HIDDEN not in ends and form.whole
     if known.frames == 0:
-        return Length(max(form.size, known.pixels), max(metres, known.metres), known.spread, int(whole))
+        return known._replace(
+            pixels=max(form.size, known.pixels), metres=max(metres, known.metres), frames=int(whole)
+        )
     if not whole:
         return known
     change = form.size / known.pixels - 1
-    spread = (known.spread**2 * (1 - _FORGETTING) + _FORGETTING * change**2) ** 0.5
-    if abs(change) > _BEYOND * known.spread:
-        spread = max(spread, abs(change) / 2)
-    spread = min(max(spread, _SPREAD["px"]), _WIDEST)
+    spread = _varied(known.spread, change, _SPREAD["px"])
     follow = min(max((spread / 0.04) ** 2, _LEARNING[0]), 1.0)
-    if metres and known.metres:
-        off = metres / known.metres - 1
-        explained = abs(off) < _BEYOND * _SPREAD["m"]
-        gain = max(_LEARNING[0], 1 / (known.frames + 1))
-        step = gain * off if explained else float(np.clip(off, -_LEARNING[1], _LEARNING[1]))
-        metres = known.metres * (1 + step)
-    return Length(known.pixels * (1 + follow * change), metres or known.metres, spread, known.frames + 1)
+    pixels = known.pixels * (1 + follow * change)
+    if not metres or not known.metres:
+        return known._replace(pixels=pixels, spread=spread, metres=metres or known.metres, frames=known.frames + 1)
+    off = metres / known.metres - 1
+    gain = max(_LEARNING[0], 1 / (known.frames + 1)) if abs(off) < _BEYOND * _SPREAD["m"] else 0.0
+    step = gain * off if gain else float(np.clip(off, -_LEARNING[1], _LEARNING[1]))
+    varied = min(_varied(known.spread_metres, off, _SPREAD["px"]), _SPREAD["m"])
+    return Length(pixels, known.metres * (1 + step), spread, varied, known.frames + 1)
+
+
+def _varied(spread: float, change: float, least: float) -> float:
+    """Return the RMS share by which a length varies, after another change."""
+    now = (spread**2 * (1 - _FORGETTING) + _FORGETTING * change**2) ** 0.5
+    if abs(change) > _BEYOND * spread:
+        now = max(now, abs(change) / 2)
+    return min(max(now, least), _WIDEST)
 
 
 def oriented(form: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, bool]:
@@ -282,7 +290,7 @@ class _PredictedRope:
             # What is hidden changes little from frame to frame; a free end is hidden in no frame for longer.
             known, last = ends[end], 0.0 if ends[end] == FREE else self.hidden[end]
             price = _FOLDED if known == FREE and HIDDEN in ends else _COST[known]
-            price = price * (last <= 0) + 2 * (cut.max() - cut[end]) * (known == UNKNOWN)
+            price = price * (last <= 0) + 2 * (cut.max() - cut[end]) * (HIDDEN not in ends)
             change = ((hidden[:, end] - last) / _INERTIA[known]) ** 2
             cost += price * (hidden[:, end] > 0) + _TRUST * np.log1p(change / _TRUST)
         worse = _INDEPENDENT * (apart - apart.min()) / max(self.residual, (_NOISE * self.resolution) ** 2)
