@@ -51,6 +51,7 @@ _MAX_PIECES: Final = 16
 _MIN_STRETCH: Final = 0.92  # a curve that is longer than the rope follows something else
 # Of a rope's length: what has to be in sight to report it, and to follow it.
 _MIN_SEEN: Final = 0.4
+_MIN_BETWEEN: Final = 0.6  # while both ends are hidden
 _MIN_FOLLOWED: Final = 0.2
 _LEAST_DEPTH: Final = 0.3  # of a curve's points: with less its length in metres is not measured
 _NO_DEPTH: Final = np.zeros((0, 0), np.float32)
@@ -116,6 +117,8 @@ class Centerline(Configuration, kind="centerline"):
         seen_width = max(observed.area / max(_seen_length(curve), 1e-9), 1.0) if observed.dimension == 2 else 0.0
         seen = 1 - curve.unsupported_fraction
         reason = "" if seen >= _MIN_SEEN else f"{seen:.0%} of the rope is in sight (at least {_MIN_SEEN:.0%})"
+        if not reason and seen < _MIN_BETWEEN and all(curve.hints.covered):
+            reason = f"both ends are hidden, and {seen:.0%} of the rope is in sight (at least {_MIN_BETWEEN:.0%})"
         follow = seen >= _MIN_FOLLOWED
         fit = found._replace(form=curve, nodes=nodes, topology=topology, size=float(curve.arc[-1]), width=seen_width)
         return fit._replace(reason=reason, follow=follow)
@@ -187,9 +190,10 @@ class Centerline(Configuration, kind="centerline"):
             piece, same = shown(form), metric is form
             form = form.cut(piece)
             metric = form if same else metric.cut(piece)
-        if self.spacing == "m" and form.metres is not None:
+        along = form.metres if self.spacing == "m" and form.metres is not None else form.pixels
+        if along is not None:
             share = np.linspace(0, 1, self.n) if self.ends == "tips" else (np.arange(self.n) + 0.5) / self.n
-            at = interpolate(form.arc[:, None], form.metres, share * form.metres[-1])[:, 0]
+            at = interpolate(form.arc[:, None], np.ascontiguousarray(along), share * along[-1])[:, 0]
             return Points(form.at(at), form.interpolated_at(at))
         margin = 0.0 if self.ends == "tips" else metric.arc[-1] / (2 * self.n)
         places, at = _points_on(form.points, form.arc, metric.points, metric.arc, self.n, margin)

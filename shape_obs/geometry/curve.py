@@ -48,6 +48,7 @@ class TrackHints(NamedTuple):
 
     Args:
         hidden: Share of an open curve's length that is hidden at its start and at its end.
+        covered: Whether something is seen to hide its start and its end.
         slack: Hidden ends with a smaller share are within the measuring error.
         stretch: By how much more of an open curve there is than was measured where it is visible.
         residual: Mean square distance of an open curve from its prediction, in squares of its unit.
@@ -58,6 +59,7 @@ class TrackHints(NamedTuple):
     """
 
     hidden: tuple[float, float] = (0.0, 0.0)
+    covered: tuple[bool, bool] = (False, False)
     slack: float = 0.0
     stretch: float = 1.0
     residual: float = 1.0
@@ -110,11 +112,13 @@ class FittedCurve(FittedForm):
         arc: ``(P,)`` arc length of the points; ``(P + 1,)`` if closed, the last entry the whole.
         closed: Whether it is closed.
         metres: ``(P,)`` arc length in space, for an open curve in pixels with depth under it; else None.
+        pixels: ``(P,)`` arc length of the object in an image where its gaps are longer than they are drawn; else None.
     """
 
     arc: Array
     closed: bool = False
     metres: Array | None = None
+    pixels: Array | None = None
 
     @classmethod
     def through(cls, points: Array, interpolated: Mask, closed: bool = False, **other: Any) -> Self:
@@ -138,12 +142,17 @@ class FittedCurve(FittedForm):
     @property
     def stations(self) -> Array:
         """``(P,)`` how far along the object each point lies: in metres if that is known, else in its own unit."""
-        return self.arc if self.metres is None else self.metres
+        if self.metres is not None:
+            return self.metres
+        return self.arc if self.pixels is None else self.pixels
 
     def cut(self, piece: slice) -> Self:
         """Return a piece of an open curve."""
-        metres = None if self.metres is None else self.metres[piece] - self.metres[piece][0]
-        return replace(self.with_geometry(self.points[piece].copy(), self.interpolated[piece]), metres=metres)
+        metres, pixels = (
+            None if along is None else along[piece] - along[piece][0] for along in (self.metres, self.pixels)
+        )
+        cut = self.with_geometry(self.points[piece].copy(), self.interpolated[piece])
+        return replace(cut, metres=metres, pixels=pixels)
 
     def at(self, arc: npt.ArrayLike) -> Array:
         """Return ``(N, D)`` points at ``(N,)`` arc positions; a closed curve wraps around."""
@@ -193,16 +202,18 @@ class FittedCurve(FittedForm):
         if not self.closed:
             head, tail = self.hints.hidden
             hints = self.hints._replace(hidden=(tail, head))
-            metres = None if self.metres is None else self.metres[-1] - self.metres[::-1]
+            metres, pixels = (
+                None if along is None else along[-1] - along[::-1] for along in (self.metres, self.pixels)
+            )
             back = self.with_geometry(self.points[::-1].copy(), self.interpolated[::-1].copy())
-            return replace(back, hints=hints, metres=metres)
+            return replace(back, hints=hints, metres=metres, pixels=pixels)
         back = -np.arange(len(self.points))
         return self.with_geometry(self.points[back], self.interpolated[back])
 
     def with_geometry(self, points: Array, interpolated: Mask) -> Self:
         """Return a curve of the same kind through other points."""
         arc = arc_length(_polyline(points, self.closed))
-        return replace(self, points=points, interpolated=interpolated, arc=arc, metres=None)
+        return replace(self, points=points, interpolated=interpolated, arc=arc, metres=None, pixels=None)
 
 
 def _polyline(points: Array, closed: bool) -> Array:

@@ -105,7 +105,9 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     hidden = head / length, tail / length
     own = before.tips if now is known else tips.remembered(before.tips, known.frames)
     certain = (float(cut[0]), float(cut[1]))
-    return replace(form, hints=TrackHints(hidden, slack / length, stretch, rope.residual, certain, own, now))
+    covered = ends[0] == HIDDEN, ends[1] == HIDDEN
+    hints = TrackHints(hidden, covered, slack / length, stretch, rope.residual, certain, own, now)
+    return replace(form, hints=hints)
 
 
 def learnt(known: Length, form: FittedCurve, ends: Ends) -> Length:
@@ -122,9 +124,7 @@ def learnt(known: Length, form: FittedCurve, ends: Ends) -> Length:
     metres = 0.0 if form.metres is None else float(form.metres[-1])
     whole = HIDDEN not in ends and form.whole
     if known.frames == 0:
-        return known._replace(
-            pixels=max(form.size, known.pixels), metres=max(metres, known.metres), frames=int(whole)
-        )
+        return known._replace(pixels=max(form.size, known.pixels), metres=max(metres, known.metres), frames=int(whole))
     if not whole:
         return known
     change = form.size / known.pixels - 1
@@ -317,8 +317,12 @@ class _PredictedRope:
             piece = piece - piece[0] + points[first]
             piece += np.linspace(0, 1, len(piece))[:, None] * (points[last] - piece[-1])
             points = np.concatenate([points[:first], piece, points[last + 1 :]])
-        metric = None if form.metres is None else stations
-        return replace(form.with_geometry(points, form.interpolated), metres=metric)
+        drawn = form.with_geometry(points, form.interpolated)
+        if form.metres is None:
+            return replace(drawn, pixels=stations)
+        more = stations[last] - stations[first]
+        pixels = _widened(drawn.arc, gap, more * _seen_scale(form) - (drawn.arc[last] - drawn.arc[first]))
+        return replace(drawn, metres=stations, pixels=pixels)
 
     def completed(
         self, form: FittedCurve, ends: Ends, head: float, tail: float, stretch: float, length: float
@@ -331,7 +335,13 @@ class _PredictedRope:
         stations = head + _stretched(form, length - head - tail)
         metric = form.metres is not None
         if head + tail <= 0:
-            return replace(form, metres=stations) if metric else form
+            return (
+                replace(form, metres=stations)
+                if metric
+                else form
+                if form.pixels is None
+                else replace(form, pixels=stations)
+            )
         first, last = (self.askew if hidden > _LONG * length else 0.0 for hidden in (head, tail))
         inner = (form.arc >= first) & (form.arc <= form.size - last)
         if np.count_nonzero(inner) < 2:
@@ -352,7 +362,16 @@ class _PredictedRope:
             np.concatenate([before, points, behind]),
             np.concatenate([hidden_before < head - 1e-9, flags, hidden_behind > length - tail + 1e-9]),
         )
-        return replace(whole, metres=np.concatenate([hidden_before, at, hidden_behind])) if metric else whole
+        along = np.concatenate([hidden_before, at, hidden_behind])
+        if not metric:
+            return replace(whole, pixels=along)
+        if form.pixels is None:
+            return replace(whole, metres=along)
+        seen, drawn = form.pixels[inner], whole.arc
+        ahead, past = len(before), len(before) + len(points)
+        seen = drawn[ahead] + seen - seen[0]
+        pixels = np.concatenate([drawn[:ahead], seen, seen[-1] + drawn[past:] - drawn[past - 1]])
+        return replace(whole, metres=along, pixels=pixels)
 
     def _hidden(
         self, start: float, stop: float, joint: Array, scale: float, length: float, *, at_start: bool = False
@@ -415,6 +434,13 @@ def _widened(stations: Array, gap: tuple[int, int], more: float) -> Array:
     out[first : last + 1] += more * np.linspace(0, 1, last - first + 1)
     out[last + 1 :] += more
     return out
+
+
+def _seen_scale(form: FittedCurve) -> float:
+    """Return the pixels in a unit of a curve's stations, where it is visible."""
+    seen = ~form.interpolated
+    seen = seen[1:] & seen[:-1]
+    return float(np.diff(form.arc)[seen].sum()) / max(float(np.diff(form.stations)[seen].sum()), 1e-9)
 
 
 def _scale(points: Array, stations: Array) -> float:
