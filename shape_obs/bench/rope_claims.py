@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from itertools import product
 from typing import Any, Final
 
@@ -22,6 +23,7 @@ from shape_obs.bench.synthetic.ropes import (
     random_rope,
 )
 from shape_obs.bench.synthetic.sheets import noisy
+from shape_obs.bench.synthetic.tangles import Tangle, looped_rope
 from shape_obs.bench.tables import Row, failures, mean, of, summary, worst
 from shape_obs.configurations.centerline import Centerline
 from shape_obs.detector import ShapeDetector
@@ -89,23 +91,20 @@ def bent_ropes(
         distance between the two, in widths.
     """
     spec = Centerline(n=256, ends="tips")
-    for radius, bend in product(radii, BENDS):
-        rng = np.random.default_rng([seed, round(10 * radius), BENDS.index(bend)])
-        first, last = [], []
-        for width, _ in product(widths, range(per_kind)):
-            rope = bent_rope(rng, bend, radius, width)
-            shapes, _ = at_rest(spec, [rope.mask] * 10)
-            first.append((rope, shapes[0]))
-            last.append((rope, shapes[-1]))
-        yield _faithful(bend, radius, "cold", first)
-        yield _faithful(bend, radius, "tracked", last)
+    draws = {bend: partial(bent_rope, bend=bend) for bend in BENDS} | {"loops": looped_rope}
+    for radius, (index, (bend, draw)) in product(radii, enumerate(draws.items())):
+        rng = np.random.default_rng([seed, round(10 * radius), index])
+        ropes = [draw(rng, radius=radius, width=width) for width in widths for _ in range(per_kind)]
+        shapes = [at_rest(spec, [rope.mask] * 10)[0] for rope in ropes]
+        for way, frame in (("cold", 0), ("tracked", -1)):
+            yield _faithful(bend, radius, way, [(rope, each[frame]) for rope, each in zip(ropes, shapes, strict=True)])
     for radius in radii:
         frames = [list(followed(bending_rope(radius, width), lambda _: ShapeDetector([spec]))) for width in widths]
         found = [(rope, detection.shapes[0]) for each in frames for rope, detection in each[len(each) // 2 :]]
         yield _faithful("bending", radius, "tracked", found)
 
 
-def _faithful(bend: str, radius: float, way: str, found: Sequence[tuple[Rope, Shape]]) -> Row:
+def _faithful(bend: str, radius: float, way: str, found: Sequence[tuple[Rope | Tangle, Shape]]) -> Row:
     """Return a row of ``bent_ropes``."""
     scores = [faithfulness(shape.pixels, rope.curve, rope.width) for rope, shape in found if shape.ok]
     return Row(

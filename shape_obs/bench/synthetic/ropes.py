@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 Curve = npt.NDArray[np.float64]
 Kind = Literal["smooth", "u", "s", "hairpin", "loop", "spiral", "fat"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
-Bend = Literal["hairpin", "s-bends", "omega", "coil", "waves", "loops"]
+Bend = Literal["hairpin", "s-bends", "omega", "coil", "waves"]
 BENDS: Final[tuple[Bend, ...]] = get_args(Bend)
 SIZE: Final = (480, 640)
 _STEP: Final = 1.0
@@ -170,13 +170,10 @@ _MAKERS: Final = dict(zip(KINDS, (_smooth, _u, _s, _hairpin, _loop, _spiral, _fa
 
 
 def bent_rope(rng: np.random.Generator, bend: Bend, radius: float, width: float) -> Rope:
-    """Draw a rope ``width`` px thick whose tightest bends have a radius of ``radius`` widths.
-
-    It touches itself nowhere but in ``"loops"``, where it crosses itself, at 30 degrees or more.
-    """
+    """Draw a rope ``width`` px thick that touches itself nowhere; its tightest bends measure ``radius`` widths."""
     for _ in range(2000):
         curve = place(resample(_bent(rng, bend, radius) * width, _STEP), rng, SIZE, width)
-        if curve is not None and (bend == "loops" or not _touches(curve, width)):
+        if curve is not None and not _touches(curve, width):
             return draw_rope(curve, width, flat_caps=bool(rng.integers(2)), kind=bend)
     raise RuntimeError(f"no {bend} of radius {radius} widths found that fits the image without touching itself.")
 
@@ -198,9 +195,6 @@ def _bent(rng: np.random.Generator, bend: Bend, radius: float) -> Curve:
         neck = rng.uniform(0.2, 0.6)
         side, around = (radius * (neck + np.pi / 2), -neck - np.pi / 2), np.pi + 2 * neck
         pieces = [side, (radius * around, around), side]
-    elif bend == "loops":
-        turn = rng.uniform(7, 9.5) * np.pi / 6
-        pieces = [((turn * radius, turn)), (rng.uniform(7, 12), 0.0)] * int(rng.integers(1, 4))
     pieces = [(first, 0.0), *pieces, (last, 0.0)]
     return arcs(*((_FINE * length, turn) for length, turn in pieces if length > 0.1)) / _FINE
 
