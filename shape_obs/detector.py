@@ -30,7 +30,7 @@ from shape_obs.point_cloud.lifting import median_depth
 from shape_obs.shape import Detection, Shape
 from shape_obs.tracking.belief import shortest_ways
 from shape_obs.tracking.missing import Clock, lost_shape
-from shape_obs.tracking.prediction import Fit, Track, advance, predict
+from shape_obs.tracking.prediction import Fit, Track, advance, jump, predict
 from shape_obs.tracking.search_window import RegionSearch
 from shape_obs.utils.threads import use_no_threads_in_forked_children
 
@@ -45,13 +45,17 @@ use_no_threads_in_forked_children()
 
 
 class _Moment(NamedTuple):
-    """A frame on its way: images, milliseconds by stage, whether points get pixels and metres, and its diagonal."""
+    """A frame on its way: images, milliseconds by stage, whether points get pixels and metres, and (H, W) in pixels."""
 
     frame: Frame
     timings: dict[str, float]
     in_2d: bool
     in_3d: bool
-    diagonal: float = 0.0  # pixels
+    size: tuple[int, int] = (0, 0)
+
+    @property
+    def diagonal(self) -> float:
+        return math.hypot(*self.size)
 
 
 class ShapeDetector:
@@ -209,7 +213,7 @@ class ShapeDetector:
         self._clock.tick(frame.stamp)
         size = frame.size if mask is None else mask.shape
         assert size is not None
-        moment, shapes = _Moment(frame, timings, in_2d=True, in_3d=with_depth, diagonal=math.hypot(*size)), []
+        moment, shapes = _Moment(frame, timings, in_2d=True, in_3d=with_depth, size=(size[0], size[1])), []
         for spec, target in zip(self.shapes, targets, strict=True):
             found = Fit(reason=reason) if search is None else self._find(spec, search, target, moment)
             shapes.append(self._finish(spec, found, moment))
@@ -245,10 +249,17 @@ class ShapeDetector:
             have = f"the {observed.noun} has {observed.area} {observed.sample_unit}"
             return Fit(reason=f"{have}, at least {_MIN_SAMPLES} are needed")
         track = self._tracks.get(spec.name)
-        prediction = predict(track, observed, self._clock.now)
-        if track is not None and not spec.resumes and self._clock.now - track.stamp > self.config.max_age:
-            track = prediction = None
-        found = spec.fit(observed, prediction, target, scene)
+        prediction, lost = predict(track, observed, self._clock.now), False
+        if track is not None:
+            lost = self._clock.now - track.stamp > self.config.max_age
+            prediction = None if lost and not spec.resumes else prediction
+        found, speed = spec.fit(observed, prediction, target, scene), self.config.max_speed
+        if track is not None and prediction is not None and speed is not None and (not found.reason or found.follow):
+            reach = speed * self._clock.step
+            far = jump(track, found, scene.depth, scene.intrinsics, reach, reach * moment.size[1])
+            again = spec.fit(observed, None, target, scene) if far and lost else Fit(reason=far)
+            found = again._replace(new=True) if far else found
+        track = None if prediction is None else track
         if not found.reason or found.follow:
             track = None if found.new else track
             number = self._track_ids.get(spec.name, 0) + 1 if track is None else track.track_id

@@ -52,6 +52,7 @@ def _ropes(effort: Effort) -> Tables:
     from shape_obs.bench import rope_claims as ropes
 
     yield "drawn ropes, cold", ropes.rope_table(ropes.drawn_ropes(effort.count(40), effort.seed))
+    yield "ropes bent to a few widths", ropes.bent_ropes(effort.count(4), effort.seed)
     yield "moving ropes, tracked", ropes.moving_ropes((10, 40), effort.seeds(6))
     yield "ropes at rest in masks that flicker", ropes.flickering_ropes(effort.count(4), effort.seed)
 

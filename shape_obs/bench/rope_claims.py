@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from itertools import product
 from typing import Any, Final
 
@@ -10,14 +11,24 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.detecting import Mask, at_rest, cold, followed
-from shape_obs.bench.scores import BOTH_ENDS, SLIP, score, tally
+from shape_obs.bench.scores import BOTH_ENDS, SLIP, faithfulness, score, tally
 from shape_obs.bench.synthetic.images import BLUE, Where, hidden_rope, photographed, ragged, salted
-from shape_obs.bench.synthetic.ropes import KINDS, Rope, moving_rope, random_rope
+from shape_obs.bench.synthetic.ropes import (
+    BENDS,
+    KINDS,
+    Rope,
+    bending_rope,
+    bent_rope,
+    moving_rope,
+    random_rope,
+)
 from shape_obs.bench.synthetic.sheets import noisy
+from shape_obs.bench.synthetic.tangles import Tangle, looped_rope
 from shape_obs.bench.tables import Row, failures, mean, of, summary, worst
 from shape_obs.configurations.centerline import Centerline
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import arc_length, resample
+from shape_obs.shape import Shape
 
 COUNTS: Final = (8, 20, 50, 100)
 _N: Final = 20  # points of a tracked rope
@@ -66,6 +77,47 @@ def rope_table(results: Iterable[Row]) -> list[Row]:
         "gap_cv_worst_there": of(worst, "gap_cv", tight),
     }
     return summary(results, ("kind",), columns)
+
+
+def bent_ropes(
+    per_kind: int, seed: int = 0, *, radii: Sequence[float] = (1.5, 2, 3), widths: Sequence[float] = (4, 6, 9, 14)
+) -> Iterator[Row]:
+    """Detect ropes that bend to a radius of a few widths, cold, after 10 frames at rest, and while they bend.
+
+    Yields:
+        A row for each kind of bend, radius and way of detection, over all widths. ``within``: the share of the length
+        within half a width, of the axis from the found curve or of the found curve from the axis, whichever is less;
+        ``least_within`` that of the worst rope; ``distance`` and ``farthest``: the mean over the axis and the largest
+        distance between the two, in widths.
+    """
+    spec = Centerline(n=256, ends="tips")
+    draws = {bend: partial(bent_rope, bend=bend) for bend in BENDS} | {"loops": looped_rope}
+    for radius, (index, (bend, draw)) in product(radii, enumerate(draws.items())):
+        rng = np.random.default_rng([seed, round(10 * radius), index])
+        ropes = [draw(rng, radius=radius, width=width) for width in widths for _ in range(per_kind)]
+        shapes = [at_rest(spec, [rope.mask] * 10)[0] for rope in ropes]
+        for way, frame in (("cold", 0), ("tracked", -1)):
+            yield _faithful(bend, radius, way, [(rope, each[frame]) for rope, each in zip(ropes, shapes, strict=True)])
+    for radius in radii:
+        frames = [list(followed(bending_rope(radius, width), lambda _: ShapeDetector([spec]))) for width in widths]
+        found = [(rope, detection.shapes[0]) for each in frames for rope, detection in each[len(each) // 2 :]]
+        yield _faithful("bending", radius, "tracked", found)
+
+
+def _faithful(bend: str, radius: float, way: str, found: Sequence[tuple[Rope | Tangle, Shape]]) -> Row:
+    """Return a row of ``bent_ropes``."""
+    scores = [faithfulness(shape.pixels, rope.curve, rope.width) for rope, shape in found if shape.ok]
+    return Row(
+        bend=bend,
+        radius=radius,
+        detected=way,
+        ropes=len(found),
+        refused=len(found) - len(scores),
+        within=mean(each.within for each in scores),
+        least_within=min(each.within for each in scores),
+        distance=mean(each.distance for each in scores),
+        farthest=max(each.farthest for each in scores),
+    )
 
 
 def _anchored(rope: Rope) -> ShapeDetector:

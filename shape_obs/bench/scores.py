@@ -73,6 +73,28 @@ def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = T
     )
 
 
+def faithfulness(points: npt.ArrayLike, curve: Array, width: float) -> Row:
+    """Compare a found polyline with a known axis, in both directions.
+
+    Args:
+        points: ``(N, 2)`` pixels, the corners of the polyline.
+        curve: ``(P, 2)`` pixels, the axis from end to end.
+        width: The rope's, pixels.
+
+    Returns:
+        ``within``: the share of the length within half a width, of the axis from the polyline or of the polyline from
+        the axis, whichever is less; ``distance``: mean distance of the axis from the polyline; ``farthest``: the
+        largest in either direction, both in widths.
+    """
+    found, true = (resample_by_step(np.asarray(line, dtype=np.float64), _FINE_STEP) for line in (points, curve))
+    missed, strayed = (KDTree(line).query(other)[0] / width for line, other in ((found, true), (true, found)))
+    return Row(
+        within=float(min(np.mean(missed <= 0.5), np.mean(strayed <= 0.5))),
+        distance=float(missed.mean()),
+        farthest=float(max(missed.max(), strayed.max())),
+    )
+
+
 def tally(scores: Sequence[Any]) -> Row:
     """Count the frames of one track, and those with a point more than half a gap from its position.
 

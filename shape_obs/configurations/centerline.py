@@ -39,7 +39,7 @@ Moments = tuple[Array, Array]
 # Nodes sit about this many widths apart: closer, and a chain starts to fold across the rope; farther, and it cuts
 # corners. N is sampled from the curve afterwards, so it does not matter here.
 _NODE_SPACING: Final = 1.4
-_NODES: Final = (6, 48)
+_NODES: Final = (6, 128)
 # Width of the map's neighbourhood in each epoch, node units. If a part of the rope was hidden in the last frame, what
 # comes back has no node near it.
 _SIGMAS_INITIAL: Final = (0.8, 0.4, 0.4)

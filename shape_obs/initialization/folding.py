@@ -1,6 +1,7 @@
 """Contour folding: the centreline of a simple ribbon from its outline.
 
-The outline becomes 256 equidistant complex points z. The axis of best self-overlap is the k that maximises
+The outline becomes 256 complex points z, which are equidistant along the axis: around a bend they are sparser on the
+outer side than on the inner one. The axis of best self-overlap is the k that maximises
 Re sum z[i] conj(z[k - i]), and half of it is a tip; the strongest bends are tried as tips too. The centreline is the
 mean of both sides between the two tips whose sides lie closest together.
 """
@@ -24,6 +25,10 @@ _SIDE_POINTS: Final = 96  # along its sides, and of those the ones by which tips
 _SIDE_PROBES: Final = 32
 _SHARP_BENDS: Final = 8  # bends that are tried as tips
 _NEAR: Final = 3  # places
+# In widths: the steps by which an outline is followed, and the reach to both sides over which its direction is taken.
+_STEP: Final = 0.25
+_REACH: Final = 1.0
+_LEAST: Final = 2 / np.pi  # length of the axis over that of the outline around a round tip, and at the least
 
 
 def fold_outline(outline: Array, width: float) -> Array:
@@ -34,14 +39,14 @@ def fold_outline(outline: Array, width: float) -> Array:
         width: The ribbon's width, pixels.
 
     Returns:
-        ``(96, 2)`` centreline from tip to tip, equidistant along the outline, in no particular direction.
+        ``(96, 2)`` centreline from tip to tip, about equidistant, in no particular direction.
     """
     closed = np.concatenate([outline, outline[:1]])
     arc = arc_length(closed)
-    perimeter = float(arc[-1])
-    if perimeter == 0:  # a single pixel
+    if arc[-1] == 0:  # a single pixel
         return np.repeat(outline[:1], _SIDE_POINTS, axis=0)
-    traced, step = _complex(closed), perimeter / _N
+    traced, arc = _along_axis(_complex(closed), arc, width)
+    step = float(arc[-1]) / _N
     even = np.interp(np.arange(_N) * step, arc, traced)
     tip = _half_fold(even)
     tips = np.unique(np.array([tip, tip + _N / 2, *sharp_bends(even, width / step)]) % _N)
@@ -50,6 +55,28 @@ def fold_outline(outline: Array, width: float) -> Array:
     sides = first + share * (second - first), first - share * (_N - second + first)
     middle = sum(np.interp(side % _N * step, arc, traced) for side in sides) / 2
     return np.stack([middle.real, middle.imag], axis=1)
+
+
+def _along_axis(traced: Places, arc: Array, width: float) -> tuple[Places, Array]:
+    """Resample a ribbon's outline, and measure the ribbon's axis along it: ``(P + 1,)`` places, ``(P + 1,)`` lengths.
+
+    Around a bend the outer side is longer than the axis by half a width times the angle, and the inner one is shorter;
+    measured along the axis, both sides reach a bend at the same length.
+
+    Args:
+        traced: The outline, the first place repeated.
+        arc: Its arc length.
+        width: The ribbon's width.
+    """
+    count = max(int(arc[-1] / max(_STEP * width, 1.0)), _N)
+    at = np.linspace(0.0, arc[-1], count + 1)
+    places = np.interp(at, arc, traced)
+    reach = min(max(round(_REACH * width / at[1]), 1), count // 4)
+    chord = np.roll(places[:-1], -reach) - np.roll(places[:-1], reach)
+    turn = np.angle(np.roll(chord, -1) * chord.conj())
+    outer = turn * np.sign(turn.sum())  # the way around as a whole turns outwards
+    ahead = np.maximum(at[1] - width / 2 * outer, _LEAST * at[1])
+    return places, np.concatenate([[0.0], np.cumsum(ahead)])
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8)")

@@ -7,6 +7,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.camera import Intrinsics
+from shape_obs.frame import depth_in_metres
 from shape_obs.geometry.curve import FittedForm, TrackHints
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.topology import Topology
@@ -153,6 +155,38 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
     return Track(
         nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area, found.track_id
     )
+
+
+def jump(
+    track: Track,
+    found: Fit,
+    depth: npt.NDArray[Any] | None,
+    intrinsics: Intrinsics | None,
+    metres: float,
+    pixels: float,
+) -> str:
+    """Return why a form is another object's than the one that was tracked; empty if it is not.
+
+    Args:
+        track: Where the object was.
+        found: Where the form is.
+        depth: ``(H, W)`` the frame's depth; None without depth or camera.
+        intrinsics: The projection; None without depth or camera.
+        metres: By how much the median of an object's nodes moves in a frame at most, in clouds or with depth under it.
+        pixels: The same without depth.
+    """
+    nodes = found.nodes
+    if nodes is None or nodes.shape != track.nodes.shape:
+        return ""
+    moved, most, unit = float(np.median(np.linalg.norm(nodes - track.nodes, axis=1))), pixels, "px"
+    if nodes.shape[1] == 3:
+        most, unit = metres, "m"
+    elif depth is not None and intrinsics is not None:
+        u, v = np.clip(np.rint(nodes).astype(int), 0, (depth.shape[1] - 1, depth.shape[0] - 1)).T
+        away = depth_in_metres(depth[v, u])
+        if np.isfinite(away).any():
+            moved, most, unit = moved * float(np.nanmedian(away)) / intrinsics.fx, metres, "m"
+    return "" if moved <= most else f"it lies {moved:.3g} {unit} from where the shape was (at most {most:.3g} a frame)"
 
 
 def _believed(change: float) -> float:

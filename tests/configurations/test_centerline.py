@@ -1,4 +1,4 @@
-"""Ropes that disappear for a while, in noise, on ragged masks and in uneven light."""
+"""Ropes that disappear for a while, in noise, on ragged masks, in uneven light, and bent narrowly."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, ShapeDetector
-from shape_obs.bench.rope_claims import ropes_in_noise
+from shape_obs.bench.rope_claims import bent_ropes, ropes_in_noise
 from shape_obs.bench.synthetic.ropes import moving_rope
 
 
@@ -30,3 +30,15 @@ def test_order_is_right_in_noise_on_ragged_masks_and_in_uneven_light():
     assert {result.disturbance.split(",")[0] for result in results} == {"salt and pepper", "ragged edges", "light"}
     for result in results:
         assert result.ordered >= 0.95, result
+
+
+def test_the_curve_is_faithful_however_narrow_its_bends_and_long_the_rope():
+    rows = list(bent_ropes(per_kind=1, seed=2, radii=(1.5, 2), widths=(4, 10)))
+    assert {(row.detected, row.bend) for row in rows} >= {
+        ("cold", "coil"),
+        ("tracked", "loops"),
+        ("tracked", "bending"),
+    }
+    for row in rows:
+        assert row.refused == 0, row
+        assert row.least_within >= 0.99, row

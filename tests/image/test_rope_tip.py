@@ -32,7 +32,7 @@ def off_axis(points, axis):
     return np.linalg.norm(points[:, None] - axis, axis=2).min(axis=1)
 
 
-@given(bend=st.floats(-2, 2), width=st.integers(7, 20), turn=st.floats(0, 6.28), short=st.floats(0.2, 3.5))
+@given(bend=st.floats(-2, 2), width=st.integers(4, 20), turn=st.floats(0, 6.28), short=st.floats(0.2, 3.5))
 def test_a_chain_that_is_too_short_ends_on_the_tips(bend, width, turn, short):
     axis, mask = rope(bend, width, turn=turn)
     cut = int(short * width)
@@ -46,6 +46,15 @@ def test_a_chain_that_is_too_short_ends_on_the_tips(bend, width, turn, short):
     head, tail = axis[[0, -1]][:, None] + ahead.swapaxes(1, 2)  # the axis within the round tips
     assert np.linalg.norm(chain[[0, -1]] - [head[-1], tail[-1]], axis=1).max() < 0.2 * width + 2
     assert off_axis(chain, np.concatenate([head, axis, tail])).max() < 0.1 * width + 2
+
+
+@pytest.mark.parametrize(("bend", "turn", "short"), [(0.105, 3.202, 1.3), (0.472, 0.098, 2.412)])
+def test_the_way_to_the_tip_of_a_thin_rope_does_not_turn_round(bend, turn, short):
+    width = 5
+    axis, mask = rope(bend, width, turn=turn)
+    cut = int(short * width)
+    chain = extended(axis[cut : len(axis) - cut : width], mask, float(width))
+    assert np.linalg.norm(chain[[0, -1]] - axis[[0, -1]], axis=1).max() < width
 
 
 @given(bend=st.floats(-1.5, 1.5), turn=st.floats(0, 6.28), over=st.integers(1, 4))

@@ -14,12 +14,15 @@ from scipy.spatial import KDTree
 Curve = npt.NDArray[np.float64]
 Kind = Literal["smooth", "u", "s", "hairpin", "loop", "spiral", "fat"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
+Bend = Literal["hairpin", "s-bends", "omega", "coil", "waves"]
+BENDS: Final[tuple[Bend, ...]] = get_args(Bend)
 SIZE: Final = (480, 640)
 _STEP: Final = 1.0
 _SUPERSAMPLING: Final = 4
 Array = npt.NDArray[np.float64]
 _HARMONICS: Final = 3
 _BISECTIONS: Final = 30
+_FINE: Final = 100  # steps to a width
 
 
 @dataclass(frozen=True)
@@ -164,6 +167,53 @@ def _fat(rng: np.random.Generator, width: float) -> Curve:
 
 
 _MAKERS: Final = dict(zip(KINDS, (_smooth, _u, _s, _hairpin, _loop, _spiral, _fat), strict=True))
+
+
+def bent_rope(rng: np.random.Generator, bend: Bend, radius: float, width: float) -> Rope:
+    """Draw a rope ``width`` px thick that touches itself nowhere; its tightest bends measure ``radius`` widths."""
+    for _ in range(2000):
+        curve = place(resample(_bent(rng, bend, radius) * width, _STEP), rng, SIZE, width)
+        if curve is not None and not _touches(curve, width):
+            return draw_rope(curve, width, flat_caps=bool(rng.integers(2)), kind=bend)
+    raise RuntimeError(f"no {bend} of radius {radius} widths found that fits the image without touching itself.")
+
+
+def _bent(rng: np.random.Generator, bend: Bend, radius: float) -> Curve:
+    """Return the axis of a rope of width 1."""
+    first, last, many = rng.uniform(6, 14), rng.uniform(8, 14), int(rng.integers(2, 9))
+    pieces = [(np.pi * radius, np.pi)]
+    if bend == "coil":
+        angle, pitch = np.linspace(0, 2 * np.pi * rng.uniform(1.2, 5), 3000), rng.uniform(1.9, 2.5)
+        return (radius + pitch * angle / (2 * np.pi))[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    if bend == "waves":
+        angle, height = np.linspace(0, 2 * np.pi * many, 3000), rng.uniform(1.0, 3.0)
+        return np.stack([angle * np.sqrt(radius * height), height * np.cos(angle)], axis=1)
+    if bend == "s-bends":
+        turn, between = rng.uniform(2.2, np.pi), rng.uniform(0, 14)
+        pieces = [piece for sign in (1, -1) for piece in ((turn * radius, sign * turn), (between, 0.0))] * many
+    elif bend == "omega":
+        neck = rng.uniform(0.2, 0.6)
+        side, around = (radius * (neck + np.pi / 2), -neck - np.pi / 2), np.pi + 2 * neck
+        pieces = [side, (radius * around, around), side]
+    pieces = [(first, 0.0), *pieces, (last, 0.0)]
+    return arcs(*((_FINE * length, turn) for length, turn in pieces if length > 0.1)) / _FINE
+
+
+def bending_rope(radius: float, width: float, frames: int = 60, length: float = 24.0) -> Iterator[Rope]:
+    """Draw a straight rope that bends in its middle, frame by frame, to a hairpin; its middle stays in place.
+
+    Args:
+        radius: Of the bend at the end, widths.
+        width: Thickness in pixels.
+        frames: How many.
+        length: Of the rope, widths.
+    """
+    size, bent = length * width, np.pi * radius * width
+    at = np.arange(-size / 2, size / 2)
+    for share in np.linspace(0, 1, frames):
+        curve = from_heading(np.clip(at / bent, -0.5, 0.5) * np.pi * share)
+        middle = np.array([SIZE[1], SIZE[0]]) / 2 + 0.37
+        yield draw_rope(curve - curve[len(curve) // 2] + middle, width, kind="bending")
 
 
 def place(curve: Curve, rng: np.random.Generator, size: tuple[int, int], width: float) -> Curve | None:

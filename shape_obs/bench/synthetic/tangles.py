@@ -72,15 +72,46 @@ def crossing_rope(rng: np.random.Generator, crossings: int) -> Tangle:
     """
     for _ in range(_TRIES):
         width = float(rng.uniform(8, 16))
-        curve = _placed(_curly(rng, width, crossings), rng, width)
-        if curve is None:
-            continue
-        found = meetings(curve)
-        if len(found) == crossings and _is_clear(curve, width, found):
-            rope = draw_rope(curve, width, flat_caps=bool(rng.integers(2)))
-            places = np.array([meeting.place for meeting in found]).reshape(-1, 2)
-            return Tangle(rope.curve, width, rope.mask, places, np.zeros(len(rope.curve), bool))
+        tangle = _crossed(_curly(rng, width, crossings), rng, width, crossings, _TIGHTEST)
+        if tangle is not None:
+            return tangle
     raise RuntimeError(f"no rope with {crossings} crossings found that fits the image.")
+
+
+def looped_rope(rng: np.random.Generator, radius: float, width: float) -> Tangle:
+    """Draw a rope ``width`` px thick with one to three loops, ``radius`` widths, where it crosses itself once each."""
+    loops = int(rng.integers(1, 4))
+    for _ in range(_TRIES):
+        turn, ends = rng.uniform(7, 9.5) * np.pi / 6, rng.uniform(8, 14, 2) * width
+        pieces = [(turn * radius * width, turn), (rng.uniform(7, 12) * width, 0.0)] * loops
+        flat = _bent(arcs((ends[0], 0.0), *pieces[:-1], (ends[1], 0.0)), rng)
+        tangle = _crossed(flat, rng, width, loops)
+        if tangle is not None:
+            return tangle
+    raise RuntimeError(f"no rope with {loops} loops of radius {radius} widths found that fits the image.")
+
+
+def _crossed(
+    flat: Curve, rng: np.random.Generator, width: float, crossings: int, tightest: float = 0.0
+) -> Tangle | None:
+    """Place and draw a curve if it fits the image, crosses itself so often and touches itself nowhere else.
+
+    Args:
+        flat: ``(P, 2)`` pixels.
+        rng: Draws the place and the form of the tips.
+        width: Of the rope, pixels.
+        crossings: How many.
+        tightest: The smallest bend radius, widths.
+    """
+    curve = _placed(flat, rng, width)
+    if curve is None:
+        return None
+    found = meetings(curve)
+    if len(found) != crossings or not _is_clear(curve, width, found) or not _turns_gently(curve, width, tightest):
+        return None
+    rope = draw_rope(curve, width, flat_caps=bool(rng.integers(2)))
+    places = np.array([meeting.place for meeting in found]).reshape(-1, 2)
+    return Tangle(rope.curve, width, rope.mask, places, np.zeros(len(rope.curve), bool))
 
 
 def cut_rope(rng: np.random.Generator, crossings: int, band: float) -> Tangle:
@@ -232,8 +263,6 @@ def _is_clear(curve: Curve, width: float, found: list[Meeting]) -> bool:
     places = [meeting.place for meeting in found]
     if any(np.linalg.norm(p - q) < _APART * width for i, p in enumerate(places) for q in places[:i]):
         return False
-    if not _turns_gently(curve, width):
-        return False
     near = KDTree(curve).query_pairs(width + _GAP, output_type="ndarray")
     near = near[np.abs(near[:, 1] - near[:, 0]) > np.pi / 2 * (width + _GAP) + 2]
     explained = np.zeros(len(near), bool)
@@ -257,11 +286,11 @@ def _is_passed(across: npt.NDArray[np.float64], hidden: npt.NDArray[np.bool_], w
     return bool(np.all(passed) and np.all(ends - starts <= _HIDDEN * band + width))
 
 
-def _turns_gently(curve: Curve, width: float) -> bool:
+def _turns_gently(curve: Curve, width: float, tightest: float = _TIGHTEST) -> bool:
     step = np.diff(curve, axis=0)
     heading = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
     reach = round(width)
-    return bool(np.abs(heading[reach:] - heading[:-reach]).max(initial=0.0) * _TIGHTEST <= 1.0)
+    return bool(np.abs(heading[reach:] - heading[:-reach]).max(initial=0.0) * tightest <= 1.0)
 
 
 def _placed(curve: Curve, rng: np.random.Generator, width: float) -> Curve | None:

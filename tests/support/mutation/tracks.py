@@ -1,17 +1,20 @@
-"""Faults in tracking, in the order of points, and in the replacement of a lost shape."""
+"""Faults in tracking, in the order of points, in a rope's curve, and in the replacement of a lost shape."""
 
 from __future__ import annotations
 
 from .mutant import Mutant
 
 _BELIEF = "tests/tracking/test_belief.py"
+_CENTERLINE = "tests/configurations/test_centerline.py"
 _DEGENERATE = "tests/test_degenerate_input.py"
 _DETECTOR = "tests/test_detector.py"
+_FOLDING = "tests/initialization/test_folding.py"
 _MISSING = "tests/tracking/test_missing.py"
 _OCCLUDERS = "tests/tracking/test_occluders.py"
 _ORDER = "tests/configurations/test_order.py"
 _PREDICTION = "tests/tracking/test_prediction.py"
 _SEARCH = "tests/tracking/test_search_window.py"
+_TIP = "tests/image/test_rope_tip.py"
 
 
 def _mutant(part: str, name: str, module: str, old: str, new: str, *tests: str, equivalent: str = "") -> Mutant:
@@ -101,6 +104,12 @@ TRACKS: tuple[Mutant, ...] = (
            "bridged, prediction, depth)", "bridged, None, depth)", _OCCLUDERS),
     _order("a fitted chain is not matched to the track", "centerline",
            "            curve = match_chain(curve, prediction, depth)", "            pass"),
+    _mutant("curve", "a long rope has too few nodes", "configurations/centerline", "_NODES: Final = (6, 128)",
+            "_NODES: Final = (6, 48)", _CENTERLINE),
+    _mutant("curve", "the sides of a coil are matched by their own lengths", "initialization/folding",
+            "ahead = np.maximum(at[1] - width / 2 * outer, _LEAST * at[1])", "ahead = np.repeat(at[1], count)",
+            _FOLDING),
+    _mutant("curve", "the way to a tip turns round", "image/rope_tip", "norm / (_TIGHTEST * width)", "math.pi", _TIP),
     _mutant("missing", "held shapes are always ok", "tracking/missing", 'ok = policy == "hold" and age <= max_age',
             'ok = policy == "hold"', _MISSING),
     _mutant("missing", "truncate holds", "tracking/missing", 'ok = policy == "hold" and age <= max_age',
