@@ -249,19 +249,17 @@ class ShapeDetector:
             have = f"the {observed.noun} has {observed.area} {observed.sample_unit}"
             return Fit(reason=f"{have}, at least {_MIN_SAMPLES} are needed")
         track = self._tracks.get(spec.name)
-        prediction, lost = predict(track, observed, self._clock.now), False
-        if track is not None:
-            lost = self._clock.now - track.stamp > self.config.max_age
-            prediction = None if lost and not spec.resumes else prediction
-        found, speed = spec.fit(observed, prediction, target, scene), self.config.max_speed
+        prediction, speed = predict(track, observed, self._clock.now, self.config.max_age), self.config.max_speed
+        if prediction is not None and prediction.stale and not spec.resumes:
+            track = prediction = None
+        found = spec.fit(observed, prediction, target, scene)
         if track is not None and prediction is not None and speed is not None and (not found.reason or found.follow):
             reach = speed * self._clock.step
             far = jump(track, found, scene.depth, scene.intrinsics, reach, reach * moment.size[1])
-            again = spec.fit(observed, None, target, scene) if far and lost else Fit(reason=far)
-            found = again._replace(new=True) if far else found
-        track = None if prediction is None else track
+            if far:
+                found = spec.fit(observed, None, target, scene) if prediction.stale else Fit(reason=far)
         if not found.reason or found.follow:
-            track = None if found.new else track
+            track = None if found.new or (prediction is not None and prediction.stale) else track
             number = self._track_ids.get(spec.name, 0) + 1 if track is None else track.track_id
             found, self._track_ids[spec.name] = found._replace(track_id=number), number
             self._tracks[spec.name] = advance(track, found, observed, self._clock.now)

@@ -50,9 +50,9 @@ _MAX_CELL: Final = 24  # pixels
 _MAX_PIECES: Final = 16
 _MIN_STRETCH: Final = 0.92  # a curve that is longer than the rope follows something else
 # Of a rope's length: what has to be in sight to report it, and to follow it.
-_MIN_SEEN: Final = 0.4
+_MIN_SEEN: Final = 0.3
 _MIN_BETWEEN: Final = 0.6  # while both ends are hidden
-_MIN_FOLLOWED: Final = 0.2
+_MIN_FOLLOWED: Final = 0.15
 _LEAST_DEPTH: Final = 0.3  # of a curve's points: with less its length in metres is not measured
 _NO_DEPTH: Final = np.zeros((0, 0), np.float32)
 _NO_DEPTH.flags.writeable = False
@@ -109,7 +109,7 @@ class Centerline(Configuration, kind="centerline"):
         if found.reason:
             return found
         curve: FittedCurve = found.form
-        if prediction is None:
+        if prediction is None or (prediction.stale and max(curve.hints.hidden) <= curve.hints.slack):
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
         topology = found.topology if prediction is None else prediction.topology
         assert topology is not None
@@ -284,7 +284,7 @@ def _surprise(found: Fit, prediction: Prediction) -> float:
         return np.inf
     (head, tail), before, hints = found.form.hints.hidden, prediction.hints.hidden, found.form.hints
     change = abs(head - before[0]) + abs(tail - before[1])
-    return max(change, 2 * abs(hints.stretch - 1))
+    return max(change, (1 if found.form.metres is None else 2) * abs(hints.stretch - 1))
 
 
 def _seen_length(curve: FittedCurve) -> float:

@@ -34,6 +34,7 @@ class Length(NamedTuple):
         spread: By which share the length in pixels has varied, RMS: what perspective and noise explain.
         spread_metres: The same of the length in metres: what noise and steep views explain.
         frames: In how many frames all of the rope was seen.
+        short: In how many frames in a row it was shorter than noise explains, though nothing hid it.
     """
 
     pixels: float = 0.0
@@ -41,6 +42,7 @@ class Length(NamedTuple):
     spread: float = 0.006
     spread_metres: float = 0.006
     frames: int = 0
+    short: int = 0
 
 
 class TrackHints(NamedTuple):

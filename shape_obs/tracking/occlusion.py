@@ -57,6 +57,7 @@ _LEAST: Final = 0.002  # of a length in pixels: less cannot be seen to be missin
 _FADING: Final = 0.8  # how much of the last frame's evidence for cut tips is kept
 _CERTAIN: Final = 8.0  # the most that such evidence can weigh
 _TRUST: Final = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
+_CHANGED: Final = 30  # frames in a row in which a rope with free tips is shorter than it was: it has changed
 _DOUBTFUL: Final = 1.5  # standard deviations by which a rope is too short, and its tips may be cut
 _OUTLIER: Final = 10.0  # residuals: more is not learnt from at once
 _FEWEST: Final = 6  # nodes of a visible piece
@@ -99,11 +100,13 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     else:
         rope.settle(float(rope.disagreement(_on(form)[None], np.zeros(1), np.ones(1))[0]))
     doubtful = missing > _DOUBTFUL * noise and cut.max() > 0
-    now = known if head + tail > least or doubtful else learnt(known, form, ends)
+    if head + tail <= least and not doubtful:
+        now, own = learnt(known, form, ends), tips.remembered(before.tips, known.frames)
+    else:
+        now, own = shortened(known, form, ends == (FREE, FREE) and missing > _BEYOND * noise), before.tips
     stretch = (length - head - tail) / max(float(form.stations[-1]), 1e-9)
     form = rope.completed(form, ends, head, tail, stretch, length)
     hidden = head / length, tail / length
-    own = before.tips if now is known else tips.remembered(before.tips, known.frames)
     certain = (float(cut[0]), float(cut[1]))
     covered = ends[0] == HIDDEN, ends[1] == HIDDEN
     hints = TrackHints(hidden, covered, slack / length, stretch, rope.residual, certain, own, now)
@@ -132,12 +135,25 @@ def learnt(known: Length, form: FittedCurve, ends: Ends) -> Length:
     follow = min(max((spread / 0.04) ** 2, _LEARNING[0]), 1.0)
     pixels = known.pixels * (1 + follow * change)
     if not metres or not known.metres:
-        return known._replace(pixels=pixels, spread=spread, metres=metres or known.metres, frames=known.frames + 1)
+        return Length(pixels, metres or known.metres, spread, known.spread_metres, known.frames + 1)
     off = metres / known.metres - 1
     gain = max(_LEARNING[0], 1 / (known.frames + 1)) if abs(off) < _BEYOND * _SPREAD["m"] else 0.0
     step = gain * off if gain else float(np.clip(off, -_LEARNING[1], _LEARNING[1]))
     varied = min(_varied(known.spread_metres, off, _SPREAD["px"]), _SPREAD["m"])
     return Length(pixels, known.metres * (1 + step), spread, varied, known.frames + 1)
+
+
+def shortened(known: Length, form: FittedCurve, free: bool) -> Length:
+    """Return what is known of a rope's length after a frame in which less of it was seen.
+
+    If both of its tips are free, and nothing is nearer than they are, for long enough, then the rope has changed.
+    """
+    if not free:
+        return known._replace(short=0)
+    if known.short < _CHANGED:
+        return known._replace(short=known.short + 1)
+    metres = 0.0 if form.metres is None else float(form.stations[-1])
+    return Length(form.size, metres, known.spread, known.spread_metres, 1)
 
 
 def _varied(spread: float, change: float, least: float) -> float:

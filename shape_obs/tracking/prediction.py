@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -105,6 +106,7 @@ class Prediction(NamedTuple):
         resolution: Of the observation: nothing smaller can be distinguished from noise.
         width: Of the object as a ribbon; 0 if it is not known.
         steady: Whether all of the object was seen and is: what comes to light, or under a hand, changes its area first.
+        stale: Whether the shape was lost for so long that its numbering begins again.
     """
 
     nodes: Array
@@ -114,6 +116,7 @@ class Prediction(NamedTuple):
     resolution: float
     width: float
     steady: bool
+    stale: bool = False
 
     @property
     def reference(self) -> Array:
@@ -121,7 +124,7 @@ class Prediction(NamedTuple):
         return self.nodes if self.hints.reference is None else self.hints.reference
 
 
-def predict(track: Track | None, observed: Observed, stamp: float) -> Prediction | None:
+def predict(track: Track | None, observed: Observed, stamp: float, max_age: float = math.inf) -> Prediction | None:
     """Predict the nodes at ``stamp``: the last place plus most of the last step; None without a track.
 
     Nothing is extrapolated farther than the last interval, so a shape that was lost is searched near its last place.
@@ -131,7 +134,8 @@ def predict(track: Track | None, observed: Observed, stamp: float) -> Prediction
     ahead = min(max(stamp - track.stamp, 0.0), track.interval)
     nodes = track.nodes + _VELOCITY_SHARE * ahead * track.velocity
     steady = abs(observed.area - track.area) <= _STEADY * track.area
-    return Prediction(nodes, track.size, track.topology, track.hints, observed.resolution, track.width, steady)
+    stale = stamp - track.stamp > max_age
+    return Prediction(nodes, track.size, track.topology, track.hints, observed.resolution, track.width, steady, stale)
 
 
 def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -> Track:
@@ -172,13 +176,14 @@ def jump(
         found: Where the form is.
         depth: ``(H, W)`` the frame's depth; None without depth or camera.
         intrinsics: The projection; None without depth or camera.
-        metres: By how much the median of an object's nodes moves in a frame at most, in clouds or with depth under it.
+        metres: How far half of an object's nodes may lie from where it was in the last frame, in clouds or with depth.
         pixels: The same without depth.
     """
     nodes = found.nodes
-    if nodes is None or nodes.shape != track.nodes.shape:
+    if nodes is None or nodes.shape[1] != track.nodes.shape[1]:
         return ""
-    moved, most, unit = float(np.median(np.linalg.norm(nodes - track.nodes, axis=1))), pixels, "px"
+    apart = np.linalg.norm(nodes[:, None] - track.nodes, axis=2).min(axis=1)
+    moved, most, unit = float(np.median(apart)), pixels, "px"
     if nodes.shape[1] == 3:
         most, unit = metres, "m"
     elif depth is not None and intrinsics is not None:
