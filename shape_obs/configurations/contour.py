@@ -131,7 +131,7 @@ class Contour(Configuration, kind="contour"):
     def _rejection_reason(self, observed: Observed) -> str:
         """Return why an object has no such outline: no such hole, a few pixels, or two sides too close together."""
         region = observed if isinstance(observed, Region) else None
-        holes = 0 if region is None or self.hole is None else len(region.hole_outlines)
+        holes = 0 if region is None or self.hole is None else len(region.holes)
         if self.hole is not None and self.hole >= holes:
             return f"hole {self.hole} was asked for, the {observed.noun} has {holes}"
         if region is None:

@@ -141,14 +141,14 @@ def label_runs(runs: Indices) -> tuple[Indices, int]:
         other = above
         while other < at and runs[other, 0] == row - 1 and runs[other, 1] <= stop:
             if runs[other, 2] >= start:
-                a, b = _root(parent, at), _root(parent, other)
+                a, b = find_root(parent, at), find_root(parent, other)
                 if a != b:
                     parent[max(a, b)] = min(a, b)
             other += 1
     label = np.empty(count, np.int64)
     known = 0
     for at in range(count):
-        root = _root(parent, at)
+        root = find_root(parent, at)
         if root == at:
             label[at] = known
             known += 1
@@ -158,7 +158,7 @@ def label_runs(runs: Indices) -> tuple[Indices, int]:
 
 
 @compiled
-def _root(parent: Indices, at: int) -> int:
+def find_root(parent: Indices, at: int) -> int:
     """Return the root of a run's tree, shortening the path to it."""
     while parent[at] != at:
         parent[at] = parent[parent[at]]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import arc_length, interpolate
-from shape_obs.image.outline_tracing import SPECK
+from shape_obs.image.outline_tracing import SPECK, fill_holes
 from shape_obs.image.region import Component, Region
 from shape_obs.initialization.crossings import Strands, untangle
 from shape_obs.initialization.folding import fold_outline, unexplained_share
@@ -96,10 +96,7 @@ def folded(component: Component) -> Array | None:
 def _without(region: Region, ribbons: list[Component]) -> npt.NDArray[np.uint8]:
     """Return a region's mask without some of its components, which have no holes, and without specks in the others."""
     mask, (left, top) = region.mask.copy(), region.window[:2]
-    outlines, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    for outline, parent in zip(outlines, np.asarray(tree).reshape(-1, 4)[:, 3], strict=True):
-        if parent >= 0 and len(outline) < SPECK:
-            cv2.drawContours(mask, [outline], -1, (255.0,), cv2.FILLED)
+    fill_holes(mask, region.runs, left, top, SPECK, -1.0)
     drawn = [np.rint(component.outline - (left, top)).astype(np.int32) for component in ribbons]
     cv2.drawContours(mask, drawn, -1, (0.0,), cv2.FILLED)
     return mask

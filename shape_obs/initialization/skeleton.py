@@ -15,6 +15,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.image.connected_runs import find_components
+from shape_obs.image.outline_tracing import fill_holes
+
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
 Index = npt.NDArray[np.intp]
@@ -154,13 +157,10 @@ def _coarse(piece: Mask, cell: int) -> Mask:
     return (np.asarray(cv2.resize(framed, size, interpolation=cv2.INTER_AREA)) > 127).view(np.uint8)
 
 
-def _fill_slits(grid: Mask, thickest: float) -> None:
-    """Fill narrow holes, in place."""
-    contours, tree = cv2.findContours(grid, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    for contour, (_, _, _, parent) in zip(contours, np.reshape(np.asarray(tree), (-1, 4)).tolist(), strict=True):
-        # The outline of a hole runs through the pixels around it.
-        if parent >= 0 and 2 * cv2.contourArea(contour) / len(contour) - 1 <= max(_SLIT * thickest, 1.0):
-            cv2.drawContours(grid, [contour], 0, (1.0,), cv2.FILLED)
+def _fill_slits(grid: Mask, thickest: float) -> int:
+    """Fill narrow holes, in place; return how many holes are left."""
+    runs = find_components(grid, 0, 0, 1, 1, 0.0)[1]
+    return fill_holes(grid, runs, 0, 0, 0.0, max(_SLIT * thickest, 1.0))
 
 
 def _branches(thin: Mask, depth: npt.NDArray[np.float32]) -> list[Branch]:
