@@ -224,7 +224,7 @@ def _follow(
     u, v, background, length, area = column, row, way, 0.0, 0
     last_u, last_v = column, row
     while True:
-        way = (way - 1) % 8
+        way = (way - 1) & 7
         last_u, last_v = column + _RIGHT[way], row + _DOWN[way]
         if 0 <= last_u < width and 0 <= last_v < height and mask[last_v, last_u] != 0:
             break
@@ -240,13 +240,13 @@ def _follow(
             return found, count, 0.0, 0.0
         next_u, next_v = u, v
         for _ in range(8):
-            way = (way + 1) % 8
+            way = (way + 1) & 7
             next_u, next_v = u + _RIGHT[way], v + _DOWN[way]
             if 0 <= next_u < width and 0 <= next_v < height and mask[next_v, next_u] != 0:
                 break
-        length += math.sqrt(2.0) if way % 2 else 1.0
+        length += math.sqrt(2.0) if way & 1 else 1.0
         area += (u - column) * (next_v - row) - (v - row) * (next_u - column)
         if next_u == column and next_v == row and u == last_u and v == last_v:
             return found, count, length, abs(area) / 2
         u, v = next_u, next_v
-        way = (way + 4) % 8
+        way = (way + 4) & 7

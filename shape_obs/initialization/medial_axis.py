@@ -26,8 +26,6 @@ _SPACING: Final = 0.4  # of the points of a traced curve, in widths
 _RIBBON: Final = (1.0, 0.03)
 # A strand that ends on another one is left out as noise while no more of the skeleton than this is left out in all.
 _UNEXPLAINED: Final = 0.1
-# A rope that crosses itself ten times has 31 branches, and the work grows with their square.
-_MOST_BRANCHES: Final = 60
 # Another way to join the pieces that is dearer by this little is as likely.
 _RIVAL: Final = 1.15
 
@@ -63,9 +61,8 @@ def _axis_of_mask(region: Region) -> FittedCurve:
     width = max((component.width for component in ribbons), default=0.0)
     if len(pieces) < len(folds):
         skeleton = skeleton_graph(_without(region, ribbons), region.window[:2])
-        if len(skeleton.branches) > _MOST_BRANCHES:
-            doubt = f"the mask branches {len(skeleton.branches)} times: it is no rope"
-            return _axis(fold_outline(largest.outline, largest.width), doubt=doubt)
+        if skeleton.excess:
+            return _axis(fold_outline(largest.outline, largest.width), doubt=f"{skeleton.excess}: it is no rope")
         strands = untangle(skeleton)
         kept, width = _explained(strands), skeleton.width
         pieces += [strands.curves[i] for i in kept]
