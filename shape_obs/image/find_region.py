@@ -21,6 +21,10 @@ from shape_obs.image.segmentation import ColourRule, Segmentation, need
 # A strand at least so wide, pixels, is not missed where one pixel in step x step is looked at: see ``find_by_colour``.
 _WIDE, _FAR_STEP, _NARROW, _NEAR_STEP = 12.0, 8, 7.0, 4
 
+# An object has a run of connected pixels in each of its rows, and a few more where it bends, branches or has holes; a
+# checkerboard has one for two pixels, noise one for four. A mask of more is not measured, so that no frame takes long.
+_PIXELS_PER_RUN, _MOST_RUNS = 16, 4096
+
 
 def segment(frame: Frame, window: Window, rule: Segmentation, roi: ROI, width: float = 0.0) -> Region:
     """Find the plausible components of a rule's mask in a window, the quickest way that gives the same pixels.
@@ -73,6 +77,13 @@ def _region(
     areas: npt.NDArray[np.int64],
     box: tuple[int, int, int, int],
 ) -> Region:
+    most = max(_MOST_RUNS, mask.size // _PIXELS_PER_RUN)
+    if len(runs) > most:
+        refusal = (
+            f"the mask has {len(runs)} runs of pixels, at most {most}: it is noise or a fine pattern, not an object; "
+            "check the segmentation"
+        )
+        return Region(window, mask, runs[:0], (), Window(window.left, window.top, 0, 0), 0, 0, refusal)
     sizes = sorted(areas.tolist(), reverse=True)
     return Region(window, mask, runs, tuple(sizes), Window(*box), sum(sizes), len(sizes))
 

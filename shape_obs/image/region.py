@@ -55,6 +55,7 @@ class Region:
         box: The upright rectangle around them.
         area: Pixels of all components.
         pieces: How many components there are.
+        refusal: Why a mask that is no object was left out before it was measured, in words; empty if it was not.
         resolution: One pixel.
     """
 
@@ -65,6 +66,7 @@ class Region:
     box: Window
     area: int
     pieces: int
+    refusal: str = ""
     resolution: float = 1.0
     unit: ClassVar[str] = "px"
     noun: ClassVar[str] = "mask"
