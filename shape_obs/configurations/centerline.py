@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, cast
@@ -20,8 +21,9 @@ from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.region import Region
 from shape_obs.image.rope_tip import extend_chain
 from shape_obs.initialization.folding import closest_sides, sharp_bends, unexplained_share
+from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
-from shape_obs.initialization.skeleton import trace_skeleton
+from shape_obs.initialization.skeleton import thinned, trace_skeleton
 from shape_obs.tracking.occluders import uncover_ends
 from shape_obs.tracking.occlusion import match_chain, shown
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
@@ -45,6 +47,7 @@ _SIGMAS_INITIAL: Final = (0.8, 0.4, 0.4)
 _SIGMAS_STEADY: Final = (0.8, 0.4)
 _SIGMAS_AREA_CHANGED: Final = (1.2, 0.6, 0.4, 0.4)
 _MAX_CELL: Final = 24  # pixels
+_MAX_CELLS: Final = 16_384  # about; more change nothing and cost time
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
 _MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no distinct axis, and a chain would fold up in it
@@ -134,7 +137,7 @@ class Centerline(Configuration, kind="centerline"):
     ) -> Fit:
         """Run the self-organising map from a start, finish the curve, match it to the track, validate it."""
         if isinstance(observed, Region):
-            cell = max(int(min(width / 3, _MAX_CELL)), 1)  # thin ropes keep their pixels
+            cell = max(int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1)  # thin ropes keep theirs
             (first, second), pull = neighbourhoods(topology, sigmas), shrinkage(sigmas[-1])
             points, arc, on_object, spread = fit_chain_in_mask(
                 observed.runs, cell, start, (first, second), pull, observed.mask, observed.window[:2], width
@@ -175,9 +178,10 @@ class Centerline(Configuration, kind="centerline"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_chain_in_mask, _points_on, _nodes_on, closest_sides, sharp_bends, unexplained_share, trace_skeleton
+        masks = fit_chain_in_mask, _points_on, _nodes_on, closest_sides, sharp_bends, unexplained_share
+        axes = thinned, trace_skeleton, cheapest_order
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
-        return masks + clouds
+        return masks + axes + clouds
 
 
 def _rejection_reason(observed: Observed, width: float) -> str:

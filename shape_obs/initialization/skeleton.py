@@ -36,12 +36,11 @@ _SLIT: Final = 0.3
 _MOST_BRANCHES: Final = 60
 _MOST_PRUNED: Final = 300  # and with spurs; pruning takes time with the square of their number
 
-# A pixel's neighbours as a byte: the lowest bit the one above it, then clockwise.
-_NEIGHBOURS: Final = np.array([[128, 1, 2], [64, 0, 4], [32, 16, 8]], np.float32)
-
-
 def _kept(half: int) -> Mask:
-    """Return ``(256,)`` 1 for neighbours with which a pixel is kept in either half of a pass of thinning, else 0."""
+    """Return ``(256,)`` 1 for neighbours with which a pixel is kept in either half of a pass of thinning, else 0.
+
+    The neighbours are a byte: the lowest bit the one above, then clockwise.
+    """
     n, ne, e, se, s, sw, w, nw = (np.arange(256) >> np.arange(8)[:, None] & 1).astype(bool)
     one, other = np.stack([ne | e, se | s, sw | w, nw | n]), np.stack([n | ne, e | se, s | sw, w | nw])
     pieces = np.sum(one & ~np.stack([n, e, s, w]), axis=0)
@@ -50,7 +49,7 @@ def _kept(half: int) -> Mask:
     return 1 - ((pieces == 1) & (count >= 2) & (count <= 3) & ~side).astype(np.uint8)
 
 
-_KEPT: Final = (_kept(0), _kept(1))
+_KEPT: Final = np.stack([_kept(0), _kept(1)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +129,7 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
     pixels = np.stack([places % grid.shape[1], places // grid.shape[1]], axis=1) * float(cell) + shift
     radius = _radius(_depth(grid).ravel()[places]) * cell
     typical = float(np.median(radius)) if len(radius) else 0.5 * cell
+    nodes = np.unique(nodes, return_inverse=True)[1].reshape(-1, 2)
     ends = zip([0, *stops.tolist()], stops.tolist(), nodes.tolist(), strict=False)
     branches = _pruned(Branch(pixels[first:last], radius[first:last], (a, b)) for first, last, (a, b) in ends)
     if len(branches) > _MOST_BRANCHES:
@@ -137,13 +137,46 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
     return Skeleton(tuple(branches), max(2 * typical, 1.0))
 
 
+@compiled("(u1[:,::1],)")
 def thinned(mask: Mask) -> Mask:
-    """Return a mask of 0 and 1 with a border of 0, thinned to curves one pixel wide: ``(h, w)`` uint8."""
-    thin, before = mask.copy(), np.zeros_like(mask)
-    while not np.array_equal(thin, before):
-        before = thin.copy()
-        for kept in _KEPT:
-            thin &= cv2.LUT(cv2.filter2D(thin, -1, _NEIGHBOURS), kept)
+    """Return a mask of 0 and 1 with a border of 0, thinned to curves one pixel wide: ``(h, w)`` uint8.
+
+    Only pixels whose neighbours have changed are looked at again, so that the time grows with the pixels, however
+    thick the mask is.
+    """
+    thin, across = mask.copy(), mask.shape[1]
+    is_set = thin.reshape(-1)
+    steps = (-across, 1 - across, 1, across + 1, across, across - 1, -1, -across - 1)
+    pixels = np.flatnonzero(is_set)
+    waiting, count = np.stack((pixels, pixels)), np.full(2, len(pixels))
+    is_waiting = np.zeros((2, len(is_set)), np.bool_)
+    for at in pixels:
+        is_waiting[0, at] = is_waiting[1, at] = True
+    gone, half = np.empty(len(pixels), np.int64), 0
+    while count[0] + count[1] > 0:
+        removed = 0
+        for i in range(count[half]):
+            at = waiting[half, i]
+            is_waiting[half, at] = False
+            if is_set[at]:
+                around = 0
+                for k in range(8):
+                    around |= is_set[at + steps[k]] << k
+                if not _KEPT[half, around]:
+                    gone[removed] = at
+                    removed += 1
+        count[half] = 0
+        for i in range(removed):
+            is_set[gone[i]] = 0
+        for i in range(removed):
+            for k in range(8):
+                other = gone[i] + steps[k]
+                for each in range(2):
+                    if is_set[other] and not is_waiting[each, other]:
+                        is_waiting[each, other] = True
+                        waiting[each, count[each]] = other
+                        count[each] += 1
+        half = 1 - half
     return thin
 
 
@@ -236,15 +269,6 @@ def trace_skeleton(thin: Mask) -> tuple[Index, Index, Index]:
                 if rings == 1:
                     break
     return places[:held], stops[:found], nodes[:found]
-
-
-def connected(count: int, pairs: Index) -> Index:
-    """Return the component of each of ``count`` places, of which pairs ``(L, 2)`` are connected, as they appear."""
-    label, before = np.arange(count), np.zeros(count, int)
-    while not np.array_equal(label, before):  # the least number spreads; a joint has a few pixels
-        before = label.copy()
-        np.minimum.at(label, pairs, label[pairs].min(axis=1, keepdims=True))
-    return np.unique(label, return_inverse=True)[1]
 
 
 def _pruned(branches: Iterable[Branch]) -> list[Branch]:
