@@ -47,7 +47,7 @@ _SIGMAS_INITIAL: Final = (0.8, 0.4, 0.4)
 _SIGMAS_STEADY: Final = (0.8, 0.4)
 _SIGMAS_AREA_CHANGED: Final = (1.2, 0.6, 0.4, 0.4)
 _MAX_CELL: Final = 24  # pixels
-_MAX_CELLS: Final = 16_384  # about; more change nothing and cost time
+_MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
 _MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no distinct axis, and a chain would fold up in it

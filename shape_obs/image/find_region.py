@@ -77,15 +77,15 @@ def _region(
     areas: npt.NDArray[np.int64],
     box: tuple[int, int, int, int],
 ) -> Region:
-    most = max(_MOST_RUNS, mask.size // _PIXELS_PER_RUN)
+    refusal, most = "", max(_MOST_RUNS, mask.size // _PIXELS_PER_RUN)
     if len(runs) > most:
         refusal = (
             f"the mask has {len(runs)} runs of pixels, at most {most}: it is noise or a fine pattern, not an object; "
             "check the segmentation"
         )
-        return Region(window, mask, runs[:0], (), Window(window.left, window.top, 0, 0), 0, 0, refusal)
+        mask, runs, areas, box = np.zeros_like(mask), runs[:0], areas[:0], (window.left, window.top, 0, 0)
     sizes = sorted(areas.tolist(), reverse=True)
-    return Region(window, mask, runs, tuple(sizes), Window(*box), sum(sizes), len(sizes))
+    return Region(window, mask, runs, tuple(sizes), Window(*box), sum(sizes), len(sizes), refusal)
 
 
 @lru_cache(maxsize=64)

@@ -73,7 +73,7 @@ def trace_components(mask: Mask, runs: Indices, pieces: int, left: int, top: int
         areas[label[at]] += runs[at, 2] - runs[at, 1]
     holes = np.empty((0, 6))
     if _touching(runs) > len(runs) - pieces:
-        holes = _holes(mask, runs, label, left, top)[0]
+        holes = _holes(mask, runs, label, left, top)
     return outlines[:count], stops, areas, perimeters, holes
 
 
@@ -84,13 +84,14 @@ def trace_hole(mask: Mask, column: int, row: int, left: int, top: int) -> Array:
     return found[:count]
 
 
-@compiled("(u1[:,::1], i8[:,::1], i8, i8, f8, f8)")
-def fill_holes(mask: Mask, runs: Indices, left: int, top: int, pixels: float, width: float) -> int:
+@compiled("(u1[:,::1], i8[:,::1], f8[:,::1], i8, i8, f8, f8)")
+def fill_holes(mask: Mask, runs: Indices, holes: Array, left: int, top: int, pixels: float, width: float) -> int:
     """Fill the holes of a mask whose border has fewer pixels, or which are no wider on average; in place.
 
     Args:
         mask: ``(h, w)`` uint8, C-contiguous, 0 = background.
         runs: ``(R, 3)`` its runs, image coordinates.
+        holes: ``(H, 6)`` its holes, see ``Traced``.
         left: Image column of its first pixel.
         top: Image row of its first pixel.
         pixels: Along the border; the mask has fewer around a hole that is filled.
@@ -99,7 +100,9 @@ def fill_holes(mask: Mask, runs: Indices, left: int, top: int, pixels: float, wi
     Returns:
         How many holes are left.
     """
-    holes, gaps, hole = _holes(mask, runs, np.zeros(len(runs), np.int64), left, top)
+    if len(holes) == 0:
+        return 0
+    gaps, hole, _ = _gaps(runs)
     remaining = 0
     filled = np.zeros(len(holes), np.bool_)
     for h in range(len(holes)):
@@ -129,33 +132,29 @@ def _touching(runs: Indices) -> int:
 
 
 @compiled
-def _holes(mask: Mask, runs: Indices, label: Indices, left: int, top: int) -> tuple[Array, Indices, Indices]:
-    """Return the holes as in ``Traced``, the gaps between runs ``(G, 3)``, and the hole of each gap, -1 outside."""
-    gaps, root = _gaps(runs)
-    holes, found = np.empty((len(gaps), 6)), 0
-    hole = np.full(len(gaps), -1)
-    scratch, at = np.empty((1024, 2)), 0
+def _holes(mask: Mask, runs: Indices, label: Indices, left: int, top: int) -> Array:
+    """Return the holes as in ``Traced``."""
+    gaps, hole, count = _gaps(runs)
+    holes, found, at = np.empty((count, 6)), 0, 0
+    scratch = np.empty((1024, 2))
     for g in range(len(gaps)):
-        row, start = gaps[g, 0], gaps[g, 1]
-        first = find_root(root, g + 1) - 1
-        if first == g:
+        if hole[g] == found:
+            row, start = gaps[g, 0], gaps[g, 1]
             while runs[at, 0] != row or runs[at, 2] != start:
                 at += 1
-            scratch, count, length, area = _follow(mask, start - 1 - left, row - top, _INNER, left, top, scratch, 0)
+            scratch, pixels, length, area = _follow(mask, start - 1 - left, row - top, _INNER, left, top, scratch, 0)
             holes[found, 0], holes[found, 1], holes[found, 2] = label[at], start - 1, row
-            holes[found, 3], holes[found, 4], holes[found, 5] = count, length, area
-            hole[g] = found
+            holes[found, 3], holes[found, 4], holes[found, 5] = pixels, length, area
             found += 1
-        elif first >= 0:
-            hole[g] = hole[first]
-    return holes[:found], gaps, hole
+    return holes
 
 
 @compiled
-def _gaps(runs: Indices) -> tuple[Indices, Indices]:
-    """Return the gaps between runs of a row ``(G, 3)``, and their union-find: element g + 1, element 0 the outside.
+def _gaps(runs: Indices) -> tuple[Indices, Indices, int]:
+    """Return the gaps between runs of a row ``(G, 3)``, the hole of each, -1 outside, and how many holes there are.
 
-    Gaps are connected where they share a column, as the background is where components are 8-connected.
+    Gaps are connected where they share a column, as the background is where components are 8-connected. In the
+    union-find gap g is element g + 1, and element 0 is the outside.
     """
     count = len(runs)
     gaps, found = np.empty((max(count - 1, 0), 3), np.int64), 0
@@ -181,7 +180,15 @@ def _gaps(runs: Indices) -> tuple[Indices, Indices]:
                 root[find_root(root, g + 1)] = 0
         before, gap_before = first, gap
         first, gap = last + 1, stop
-    return gaps, root
+    hole, holes = np.full(found, -1), 0
+    for g in range(found):
+        least = find_root(root, g + 1) - 1
+        if least == g:
+            hole[g] = holes
+            holes += 1
+        elif least >= 0:
+            hole[g] = hole[least]
+    return gaps, hole, holes
 
 
 @compiled

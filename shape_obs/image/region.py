@@ -74,12 +74,13 @@ class Region:
     dimension: ClassVar[int] = 2
 
     @cached_property
-    def _traced(self) -> Traced:
+    def traced(self) -> Traced:
+        """The outlines of all components, and the holes in them."""
         return Traced(*trace_components(self.mask, self.runs, self.pieces, self.window.left, self.window.top))
 
     @cached_property
     def _largest_first(self) -> npt.NDArray[np.intp]:
-        return np.argsort(-self._traced.areas, kind="stable")
+        return np.argsort(-self.traced.areas, kind="stable")
 
     @cached_property
     def components(self) -> tuple[Component, ...]:
@@ -92,7 +93,7 @@ class Region:
         The outline of an L x w ribbon runs through pixel centres, so it is 2 (L - 1) + 2 (w - 1) long. A ribbon that
         lies in a loop has a part of it around the hole.
         """
-        outlines, stops, areas, perimeters, inner = self._traced
+        outlines, stops, areas, perimeters, inner = self.traced
         outline, area, perimeter = outlines[stops[piece - 1] if piece else 0 : stops[piece]], areas[piece], perimeters[piece]
         holes = float(inner[(inner[:, 0] == piece) & (inner[:, 3] >= SPECK), 4].sum()) if len(inner) else 0.0
         half = (perimeter + holes) / 2 + 2
@@ -129,7 +130,7 @@ class Region:
     @cached_property
     def holes(self) -> npt.NDArray[np.int64]:
         """``(H, 2)`` column and row of the first border pixel of each hole of the largest component, largest first."""
-        inner = self._traced.holes[self._traced.holes[:, 0] == self._largest_first[0]]
+        inner = self.traced.holes[self.traced.holes[:, 0] == self._largest_first[0]]
         return inner[np.argsort(-inner[:, 5], kind="stable"), 1:3].astype(np.int64)
 
     def traced_outline(self, hole: int | None) -> Outline:

@@ -26,6 +26,7 @@ _SPACING: Final = 0.4  # of the points of a traced curve, in widths
 _RIBBON: Final = (1.0, 0.03)
 # A strand that ends on another one is left out as noise while no more of the skeleton than this is left out in all.
 _UNEXPLAINED: Final = 0.1
+_MOST_HOLES: Final = 300  # narrow ones among them, which noise makes; the loops of a rope are far fewer
 # Another way to join the pieces that is dearer by this little is as likely.
 _RIVAL: Final = 1.15
 
@@ -59,6 +60,9 @@ def _axis_of_mask(region: Region) -> FittedCurve:
         return _axis(pieces[0])
     largest, alone, doubts = region.components[0], len(folds) == 1, []
     width = max((component.width for component in ribbons), default=0.0)
+    holes = int(np.count_nonzero(region.traced.holes[:, 3] >= SPECK))
+    if holes > _MOST_HOLES:
+        return _axis(fold_outline(largest.outline, largest.width), doubt=f"the mask has {holes} holes: it is no rope")
     if len(pieces) < len(folds):
         skeleton = skeleton_graph(_without(region, ribbons), region.window[:2])
         if skeleton.excess:
@@ -93,7 +97,7 @@ def folded(component: Component) -> Array | None:
 def _without(region: Region, ribbons: list[Component]) -> npt.NDArray[np.uint8]:
     """Return a region's mask without some of its components, which have no holes, and without specks in the others."""
     mask, (left, top) = region.mask.copy(), region.window[:2]
-    fill_holes(mask, region.runs, left, top, SPECK, -1.0)
+    fill_holes(mask, region.runs, region.traced.holes, left, top, SPECK, -1.0)
     drawn = [np.rint(component.outline - (left, top)).astype(np.int32) for component in ribbons]
     cv2.drawContours(mask, drawn, -1, (0.0,), cv2.FILLED)
     return mask

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.image.connected_runs import find_components, find_root
-from shape_obs.image.outline_tracing import fill_holes
+from shape_obs.image.outline_tracing import fill_holes, trace_components
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
@@ -203,8 +203,9 @@ def _coarse(piece: Mask, cell: int) -> Mask:
 
 def _fill_slits(grid: Mask, thickest: float) -> int:
     """Fill narrow holes, in place; return how many holes are left."""
-    runs = find_components(grid, 0, 0, 1, 1, 0.0)[1]
-    return fill_holes(grid, runs, 0, 0, 0.0, max(_SLIT * thickest, 1.0))
+    _, runs, areas, _ = find_components(grid, 0, 0, 1, 1, 0.0)
+    holes = trace_components(grid, runs, len(areas), 0, 0)[-1]
+    return fill_holes(grid, runs, holes, 0, 0, 0.0, max(_SLIT * thickest, 1.0))
 
 
 @compiled("(u1[:,::1],)")
