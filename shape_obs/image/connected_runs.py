@@ -166,6 +166,22 @@ def find_root(parent: Indices, at: int) -> int:
     return at
 
 
+@compiled("(i8[:,::1],)")
+def count_column_runs(runs: Indices) -> int:
+    """Return how many runs a mask has along its columns: pixels without one above them."""
+    found, above = 0, 0
+    for at in range(len(runs)):
+        row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
+        while runs[above, 0] < row - 1 or (runs[above, 0] == row - 1 and runs[above, 2] <= start):
+            above += 1
+        found += stop - start
+        other = above
+        while runs[other, 0] == row - 1 and runs[other, 1] < stop:
+            found -= min(stop, runs[other, 2]) - max(start, runs[other, 1])
+            other += 1
+    return found
+
+
 @compiled("(i8[:,::1], i8)")
 def gather_cells(runs: Indices, size: int) -> tuple[Array, Array]:
     """Gather the pixels of ``(R, 3)`` runs into squares of an edge: ``(M, 2)`` centroids, ``(M,)`` counts.
