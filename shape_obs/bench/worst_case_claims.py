@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from itertools import product
+from itertools import pairwise, product
 from typing import Any, Final, NamedTuple
 
 import cv2
@@ -110,7 +110,7 @@ def _strokes(rng: np.random.Generator, size: Size, count: int, thick: int, kind:
         swing = np.cos(2 * np.pi * count * t * (1.0, 0.618) + phase[0]) * np.cos(np.pi * 3 * t + phase[1])
         lines = [high / 2 + 0.47 * high * swing]
     else:
-        lines = [np.stack(pair) for pair in zip(ends[:-1], ends[1:], strict=True)]
+        lines = [np.stack(pair) for pair in pairwise(ends)]
     for line in lines:
         cv2.polylines(canvas, [np.rint(line).astype(np.int32)], False, (255,), thick)
     return canvas

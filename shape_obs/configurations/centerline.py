@@ -137,7 +137,9 @@ class Centerline(Configuration, kind="centerline"):
     ) -> Fit:
         """Run the self-organising map from a start, finish the curve, match it to the track, validate it."""
         if isinstance(observed, Region):
-            cell = max(int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1)  # thin ropes keep theirs
+            cell = max(
+                int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1
+            )  # thin ropes keep theirs
             (first, second), pull = neighbourhoods(topology, sigmas), shrinkage(sigmas[-1])
             points, arc, on_object, spread = fit_chain_in_mask(
                 observed.runs, cell, start, (first, second), pull, observed.mask, observed.window[:2], width

@@ -21,7 +21,7 @@ from shape_obs.image.segmentation import ColourRule, Segmentation, need
 # A strand at least so wide, pixels, is not missed where one pixel in step x step is looked at: see ``find_by_colour``.
 _WIDE, _FAR_STEP, _NARROW, _NEAR_STEP = 12.0, 8, 7.0, 4
 
-# An object has a run of connected pixels in each of its rows and columns, and a few more where it bends, branches or has
+# An object has a run of pixels in each of its rows and columns, and a few more where it bends, branches or has
 # holes; a checkerboard has one for every two pixels, noise one for every four, a thin line that fills the image one for
 # every few along rows or columns. A mask with more than this is not measured, so that no frame takes long.
 _PIXELS_PER_RUN, _MOST_RUNS = 16, 4096

@@ -94,7 +94,11 @@ class Region:
         lies in a loop has a part of it around the hole.
         """
         outlines, stops, areas, perimeters, inner = self.traced
-        outline, area, perimeter = outlines[stops[piece - 1] if piece else 0 : stops[piece]], areas[piece], perimeters[piece]
+        outline, area, perimeter = (
+            outlines[stops[piece - 1] if piece else 0 : stops[piece]],
+            areas[piece],
+            perimeters[piece],
+        )
         holes = float(inner[(inner[:, 0] == piece) & (inner[:, 3] >= SPECK), 4].sum()) if len(inner) else 0.0
         half = (perimeter + holes) / 2 + 2
         width = max((half - max(half * half - 4 * area, 0.0) ** 0.5) / 2, 1.0)

@@ -36,6 +36,7 @@ _SLIT: Final = 0.3
 _MOST_BRANCHES: Final = 60
 _MOST_PRUNED: Final = 300  # and with spurs; pruning takes time with the square of their number
 
+
 def _kept(half: int) -> Mask:
     """Return ``(256,)`` 1 for neighbours with which a pixel is kept in either half of a pass of thinning, else 0.
 
@@ -113,12 +114,12 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
     """
     left, top, width, height = cv2.boundingRect(mask)
     grid = np.pad((mask[top : top + height, left : left + width] > 0).view(np.uint8), 1)
-    depth = _depth(grid)
-    cell = int(max(2 * _radius(depth.max(initial=0.0)) / _CELLS_ACROSS, 1))
+    thickest = float(_radii(grid).max(initial=0.0))
+    cell = int(max(2 * thickest / _CELLS_ACROSS, 1))
     if cell > 1:
         grid = _coarse(grid[1:-1, 1:-1], cell)
-        depth = _depth(grid)
-    holes = _fill_slits(grid, float(_radius(depth.max(initial=0.0))))
+        thickest = float(_radii(grid).max(initial=0.0))
+    holes = _fill_slits(grid, thickest)
     if holes > _MOST_BRANCHES:  # at least one branch for each
         return Skeleton((), 1.0, f"the mask has {holes} holes")
     places, stops, nodes = trace_skeleton(thinned(grid))
@@ -127,7 +128,7 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
     # The frame is a cell wide, and a cell's middle lies between pixels where their number is even.
     shift = np.array([origin[0] + left, origin[1] + top]) - cell + (cell - 1) / 2
     pixels = np.stack([places % grid.shape[1], places // grid.shape[1]], axis=1) * float(cell) + shift
-    radius = _radius(_depth(grid).ravel()[places]) * cell
+    radius = _radii(grid).ravel()[places] * cell
     typical = float(np.median(radius)) if len(radius) else 0.5 * cell
     nodes = np.unique(nodes, return_inverse=True)[1].reshape(-1, 2)
     ends = zip([0, *stops.tolist()], stops.tolist(), nodes.tolist(), strict=False)
@@ -180,17 +181,12 @@ def thinned(mask: Mask) -> Mask:
     return thin
 
 
-def _depth(piece: Mask) -> npt.NDArray[np.float32]:
-    """Return the distance from each cell of a framed mask to the nearest centre of a cell of the background, cells."""
-    return np.asarray(cv2.distanceTransform(piece, cv2.DIST_L2, 5), dtype=np.float32)
-
-
-def _radius(depth: npt.ArrayLike) -> Array:
-    """Return the distance to the outline, cells, of cells of the skeleton.
+def _radii(piece: Mask) -> Array:
+    """Return the distance from each cell of a framed mask, if it is one of the skeleton, to the outline, cells.
 
     The outline lies half a cell before the background's centre, and a cell of the skeleton a quarter off the axis.
     """
-    return np.maximum(np.asarray(depth, dtype=np.float64) - 0.25, 0.0)
+    return np.maximum(np.asarray(cv2.distanceTransform(piece, cv2.DIST_L2, 5), np.float64) - 0.25, 0.0)
 
 
 def _coarse(piece: Mask, cell: int) -> Mask:
@@ -284,11 +280,10 @@ def _pruned(branches: Iterable[Branch]) -> list[Branch]:
         node = gone.nodes[0] if degree[gone.nodes[0]] > 0 else gone.nodes[1]
         left = [i for i, branch in kept.items() if node in branch.nodes]
         if len(left) == 2:
-            first, second = (kept.pop(i) for i in left)
-            del excess[left[0]], excess[left[1]]
+            kept[added] = kept.pop(left[0]).fused(kept.pop(left[1]), node)
             degree[node] -= 2
-            kept[added] = first.fused(second, node)
             excess[added] = _excess(kept[added], degree)
+            excess[left[0]] = excess[left[1]] = np.inf
             added += 1
     return list(kept.values())
 
