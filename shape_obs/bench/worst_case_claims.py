@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import pairwise, product
 from typing import Any, Final, NamedTuple
@@ -16,7 +16,7 @@ from shape_obs.bench import Size
 from shape_obs.bench.synthetic.blobs import moving_blob
 from shape_obs.bench.synthetic.ropes import moving_rope
 from shape_obs.bench.synthetic.sheets import moving_sheet
-from shape_obs.bench.tables import Row, at_most, grouped
+from shape_obs.bench.tables import Row, at_most, failures, grouped, of, summary, worst
 from shape_obs.camera import Intrinsics
 from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.centerline import Centerline
@@ -24,7 +24,7 @@ from shape_obs.configurations.contour import Contour
 from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.image.segmentation import GrayRange
-from shape_obs.shape import Detection
+from shape_obs.shape import Detection, Shape
 from shape_obs.utils.threads import one_thread
 
 Mask = npt.NDArray[np.uint8]
@@ -197,7 +197,7 @@ def detector_for(name: str, given: str) -> ShapeDetector:
 
 
 def detect(detector: ShapeDetector, scene: Scene, given: str) -> Detection:
-    """Detect in one of the inputs: mask, mask and depth, image with depth, or cloud."""
+    """Detect in one of the inputs."""
     if given == "mask":
         return detector.detect_mask(scene.mask)
     if given == "image":
@@ -225,18 +225,14 @@ def worst_cases(
             scene = scene_of(PATTERNS[pattern](rng, size), rng)
             one_pass = min(_milliseconds(partial(cv2.sumElems, scene.rgb))[0] for _ in range(20))
             for (name, given), detector in detectors.items():
-                taken: list[float] = []
-                shape = None
-                while len(taken) < _REPEATS and min(taken, default=0.0) < _ENOUGH:
+                taken: list[tuple[float, Shape]] = []
+                while len(taken) < _REPEATS and not (taken and taken[0][0] > _ENOUGH):
                     detector.reset()
                     took, found = _milliseconds(partial(detect, detector, scene, given))
-                    taken.append(took)
-                    shape = found.shapes[0]
-                assert shape is not None
-                yield Row(
-                    size=f"{size[0]}x{size[1]}", pattern=pattern, shape=name, given=given, ms=min(taken),
-                    passes=min(taken) / one_pass, ok=shape.ok, reason=shape.reason,
-                )  # fmt: skip
+                    taken.append((took, found.shapes[0]))
+                took, shape = min(taken, key=lambda each: each[0])
+                row = Row(size=f"{size[0]}x{size[1]}", pattern=pattern, shape=name, given=given, ms=took)
+                yield Row(row, passes=took / one_pass, ok=shape.ok, reason=shape.reason)
 
 
 def hiccups(
@@ -270,6 +266,13 @@ def hiccups(
                         break
                 first, *rest = np.min(taken, axis=0).tolist()
                 yield Row(pattern=pattern, shape=name, given=given, bad_ms=first, after_ms=max(rest), ok=ok)
+
+
+def slowest(rows: list[Row], by: Sequence[str], times: Sequence[str]) -> list[Row]:
+    """Return the longest times of each group of rows, how many shapes were not found, and the slowest pattern."""
+    columns = {"patterns": len, "not_ok": failures("ok"), **{name: of(worst, name) for name in times}}
+    pattern = {"slowest": lambda found: max(found, key=lambda row: row[times[0]]).pattern}
+    return summary(rows, by, {**columns, **pattern})
 
 
 def targets(cold: list[Row], tracked: list[Row]) -> list[Row]:

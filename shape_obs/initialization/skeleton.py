@@ -32,16 +32,13 @@ _SPUR: Final = 1.7
 # each would make a loop, and strands that part are recognised by their thickness as well.
 _SLIT: Final = 0.3
 
-# A rope that crosses itself ten times has 31 branches, and the time for pairing them grows with their square.
-_MOST_BRANCHES: Final = 60
-_MOST_PRUNED: Final = 300  # and with spurs; pruning takes time with the square of their number
+# A rope that crosses itself ten times has 31 branches. The time for pairing them, and for pruning, grows with the
+# square of their number.
+_MOST_BRANCHES, _MOST_PRUNED = 60, 300
 
 
 def _kept(half: int) -> Mask:
-    """Return ``(256,)`` 1 for neighbours with which a pixel is kept in either half of a pass of thinning, else 0.
-
-    The neighbours are a byte: the lowest bit the one above, then clockwise.
-    """
+    """Return ``(256,)`` 1 for neighbours (lowest bit above, then clockwise) that keep a pixel in half a pass."""
     n, ne, e, se, s, sw, w, nw = (np.arange(256) >> np.arange(8)[:, None] & 1).astype(bool)
     one, other = np.stack([ne | e, se | s, sw | w, nw | n]), np.stack([n | ne, e | se, s | sw, w | nw])
     pieces = np.sum(one & ~np.stack([n, e, s, w]), axis=0)
