@@ -56,8 +56,7 @@ def test_no_layout_and_dtype_compiles_anything_or_changes_the_points(spec):
     mask = (random_sheet(rng, 1.5, 20.0) if isinstance(spec, Surface) else random_rope(rng)).mask
     depth, rgb = np.full(mask.shape, 0.75), np.repeat(mask[..., None], 3, axis=2)
     detectors = {"mask": ShapeDetector([spec]), "image": ShapeDetector([spec], GrayRange(low=128))}
-    expected = detectors["mask"].detect_mask(mask, depth.astype(np.float32), CAMERA).shapes[0].points3d
-    assert expected is not None
+    expected = np.asarray(detectors["mask"].detect_mask(mask, depth.astype(np.float32), CAMERA).shapes[0].points3d)
     assert np.isfinite(expected).all()
     listener = Compiled()
     event.register("numba:compile", listener)
@@ -67,10 +66,10 @@ def test_no_layout_and_dtype_compiles_anything_or_changes_the_points(spec):
                 for each in (mask, mask > 0):
                     detectors["mask"].reset()
                     found = detectors["mask"].detect_mask(layout(each), layout(given), CAMERA).shapes[0]
-                    np.testing.assert_allclose(found.points3d, expected, atol=1e-5)
+                    np.testing.assert_allclose(np.asarray(found.points3d), expected, atol=1e-5)
             detectors["image"].reset()
             found = detectors["image"].detect(layout(rgb), layout(depth), CAMERA).shapes[0]
-            np.testing.assert_allclose(found.points3d, expected, atol=1e-5)
+            np.testing.assert_allclose(np.asarray(found.points3d), expected, atol=1e-5)
     finally:
         event.unregister("numba:compile", listener)
     assert listener.names == []

@@ -94,20 +94,18 @@ class Region:
         lies in a loop has a part of it around the hole.
         """
         outlines, stops, areas, perimeters, inner = self.traced
-        outline, area, perimeter = (
-            outlines[stops[piece - 1] if piece else 0 : stops[piece]],
-            areas[piece],
-            perimeters[piece],
-        )
-        holes = float(inner[(inner[:, 0] == piece) & (inner[:, 3] >= SPECK), 4].sum()) if len(inner) else 0.0
+        first, stop = (stops.item(piece - 1) if piece else 0), stops.item(piece)
+        area, perimeter, holes = areas.item(piece), perimeters.item(piece), 0.0
+        if len(inner):
+            holes = float(inner[(inner[:, 0] == piece) & (inner[:, 3] >= SPECK), 4].sum())
         half = (perimeter + holes) / 2 + 2
         width = max((half - max(half * half - 4 * area, 0.0) ** 0.5) / 2, 1.0)
-        return Component(int(area), outline, float(perimeter), holes, float(width))
+        return Component(area, outlines[first:stop], perimeter, holes, width)
 
     @cached_property
     def largest(self) -> Component:
         """The largest of the connected pieces."""
-        return self._component(int(self._largest_first[0]))
+        return self._component(0 if self.pieces == 1 else int(self._largest_first[0]))
 
     @property
     def width(self) -> float:

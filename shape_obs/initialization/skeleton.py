@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -21,7 +21,7 @@ from shape_obs.image.outline_tracing import fill_holes, trace_components
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
-Index = npt.NDArray[np.intp]
+Index = npt.NDArray[Any]
 
 # A thick rope is thinned on a coarser grid, this many cells across: its axis comes out just as well, much sooner.
 _CELLS_ACROSS: Final = 20.0
@@ -218,7 +218,7 @@ def trace_skeleton(thin: Mask) -> tuple[Index, Index, Index]:
     is_set, across = thin.reshape(-1), thin.shape[1]
     steps = (-1, 1, -across, across, -across - 1, across + 1, 1 - across, across - 1)
     shared = ((0, 0), (0, 0), (0, 0), (0, 0), (-across, -1), (across, 1), (-across, 1), (across, -1))
-    pixels = np.flatnonzero(is_set)
+    pixels: Index = np.flatnonzero(is_set)
     degree, node = np.zeros(len(is_set), np.int8), np.empty(len(is_set), np.int64)
     linked, done = np.zeros(len(is_set), np.uint8), np.zeros(len(is_set), np.bool_)  # linked: a bit for each step
     for at in pixels:

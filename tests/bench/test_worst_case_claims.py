@@ -95,7 +95,7 @@ def test_a_crowd_of_shared_branches_is_matched_in_part_and_said_to_be_one():
 
 
 def test_the_cheapest_order_is_that_of_all_orders():
-    from itertools import permutations, product
+    from itertools import pairwise, permutations, product
 
     rng = np.random.default_rng(0)
     for _ in range(5):
@@ -104,7 +104,7 @@ def test_the_cheapest_order_is_that_of_all_orders():
         price[[0, 1, 2, 3, 4, 5, 6, 7], [1, 0, 3, 2, 5, 4, 7, 6]] = np.inf
         np.fill_diagonal(price, np.inf)
         every = [
-            sum(price[2 * a + 1 - e, 2 * b + f] for (a, e), (b, f) in zip(way[:-1], way[1:], strict=True))
+            sum(price[2 * a + 1 - e, 2 * b + f] for (a, e), (b, f) in pairwise(way))
             for order in permutations(range(4))
             for turned in product((0, 1), repeat=4)
             for way in [list(zip(order, turned, strict=True))]
