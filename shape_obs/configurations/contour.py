@@ -18,6 +18,7 @@ from shape_obs.geometry.outline import clockwise, material_outline
 from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, closed, equal_chords, interpolate
 from shape_obs.geometry.samples import SAMPLED, Samples, pairs
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
+from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.registration import match_outline, renumber_outline
@@ -166,7 +167,7 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_ring_in_mask, track_ring_in_mask, _points_around, renumber_outline, material_outline
+        masks = fit_ring_in_mask, track_ring_in_mask, _points_around, renumber_outline, material_outline, trace_hole
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds
 

@@ -13,7 +13,7 @@ from shape_obs.frame import Frame
 from shape_obs.image.colour_search import find_by_colour, find_on_lattice, look_up, table_mask
 from shape_obs.image.colour_table import colour_table
 from shape_obs.image.connected_runs import count_column_runs, find_components, near_mask
-from shape_obs.image.outline_tracing import fill_holes, trace_components, trace_hole
+from shape_obs.image.outline_tracing import trace_components
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Window
 from shape_obs.image.segmentation import ColourRule, Segmentation, need
@@ -104,4 +104,4 @@ def prepare(rules: Iterable[Segmentation | None]) -> list[Callable[..., Any]]:
     """Build the tables of colour rules, and return the compiled functions that any region needs."""
     tabulated = [colour_table(rule) for rule in rules if is_tabulated(rule)]
     colours = [look_up, find_on_lattice] if tabulated else []
-    return [find_components, count_column_runs, near_mask, trace_components, trace_hole, fill_holes, *colours]
+    return [find_components, count_column_runs, near_mask, trace_components, *colours]
