@@ -244,7 +244,7 @@ class ShapeDetector:
             self._last.pop(spec.name, None)
             self._kinds[spec.name] = type(observed)
         if not observed.pieces:
-            return Fit(reason=f"the {observed.noun} is empty")
+            return Fit(reason=observed.refusal or f"the {observed.noun} is empty")
         if observed.area < _MIN_SAMPLES:
             have = f"the {observed.noun} has {observed.area} {observed.sample_unit}"
             return Fit(reason=f"{have}, at least {_MIN_SAMPLES} are needed")

@@ -23,7 +23,7 @@ class Frame:
     Args:
         rgb: ``(H, W, 3)`` uint8, RGB order; None when only a mask or depth is at hand.
         depth: (H,W) uint16 millimetres or floating metres along the optical axis; 0, negative, non-finite or absurd
-            (1000 km) = invalid.
+            (1000 km) = invalid. What is neither uint16 nor float32, or not stored row by row, is converted here, once.
         camera: The camera model; needed for 3D and for anchors in the base frame.
         stamp: Seconds; None when the source has no clock.
         received: When it reached this machine: ``time.monotonic()``, seconds; None if unknown.
@@ -79,13 +79,18 @@ class Frame:
 
 
 def readable_depth(depth: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], float]:
-    """Return depth as compiled code reads it, uint16 or float32, read-only and C-contiguous, and its unit in metres."""
+    """Return a frame's depth as compiled code reads it, uint16 or float32 and read-only, and its unit in metres."""
+    depth = _as_stored(depth).view()
+    depth.flags.writeable = False
+    return depth, MILLIMETRE if depth.dtype == np.uint16 else 1.0
+
+
+def _as_stored(depth: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return depth as uint16 or float32, C-contiguous; itself if it is."""
     if depth.dtype != np.uint16 and depth.dtype != np.float32:
         with np.errstate(over="ignore"):  # what overflows becomes infinite, which is no depth
             depth = depth.astype(np.float32)
-    depth = np.ascontiguousarray(depth).view()
-    depth.flags.writeable = False
-    return depth, MILLIMETRE if depth.dtype == np.uint16 else 1.0
+    return np.ascontiguousarray(depth)
 
 
 def depth_in_metres(depth: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
@@ -133,7 +138,7 @@ def _check_depth(depth: Any) -> npt.NDArray[Any]:
         depth = depth[:, :, 0]
     if depth.ndim != 2 or depth.size == 0:
         raise ValueError(f"depth: expected shape (H, W), got {depth.shape}.")
-    return depth
+    return _as_stored(depth)
 
 
 def _size(image: npt.NDArray[Any]) -> str:

@@ -16,7 +16,7 @@ from shape_obs.bench.tables import Row
 Tables = Iterator[tuple[str, Iterable[Row]]]
 Group = Literal[
     "ropes", "tangles", "hands", "motion", "noise", "outlines", "sheets", "clouds", "markers", "cable", "envs",
-    "camera", "deploy", "robustness",
+    "camera", "deploy", "robustness", "time",
 ]  # fmt: skip
 
 
@@ -188,8 +188,21 @@ def _robustness(effort: Effort) -> Tables:
     yield "stopping the robot: asked and seen", stop_claims.targets(stopped, killed, locked)
 
 
+def _time(effort: Effort) -> Tables:
+    from shape_obs.bench import worst_case_claims as worst
+
+    some = tuple(worst.PATTERNS)[:: max(round(1 / effort.share), 1)]
+    cold = [row for size in worst.SIZES for row in worst.worst_cases(size, effort.seed, patterns=some)]
+    tracked = list(worst.hiccups(effort.seed, patterns=some[::4]))
+    title = "processor time of a frame that shows no object, without a track"
+    yield title, worst.slowest(cold, ("size", "shape", "given"), ("ms", "passes"))
+    title = "processor time of such a frame in a tracked sequence, and after it"
+    yield title, worst.slowest(tracked, ("shape", "given"), ("bad_ms", "after_ms"))
+    yield "frames that show no object: asked and seen", worst.targets(cold, tracked)
+
+
 _FUNCTIONS: Final = (
     _ropes, _tangles, _hands, _motion, _noise, _outlines, _sheets, _clouds, _markers, _cable, _envs, _camera, _deploy,
-    _robustness,
+    _robustness, _time,
 )  # fmt: skip
 GROUPS: Final[dict[Group, Callable[[Effort], Tables]]] = dict(zip(get_args(Group), _FUNCTIONS, strict=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
@@ -18,10 +19,13 @@ from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equal_chords, even_points, interpolate
 from shape_obs.geometry.topology import Chain, Topology, neighbourhoods, shrinkage, undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells, near_mask
+from shape_obs.image.outline_tracing import fill_holes
 from shape_obs.image.region import Region
 from shape_obs.image.rope_tip import extend_chain
 from shape_obs.initialization.folding import closest_sides, sharp_bends, unexplained_share
+from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
+from shape_obs.initialization.skeleton import thinned, trace_skeleton
 from shape_obs.point_cloud.lifting import MAX_REACH, lift_chain
 from shape_obs.tracking.occluders import Tips, chain_evidence
 from shape_obs.tracking.occlusion import learnt, match_chain, oriented, shown, visible_nodes
@@ -46,6 +50,7 @@ _SIGMAS_INITIAL: Final = (0.8, 0.4, 0.4)
 _SIGMAS_STEADY: Final = (0.8, 0.4)
 _SIGMAS_AREA_CHANGED: Final = (1.2, 0.6, 0.4, 0.4)
 _MAX_CELL: Final = 24  # pixels
+_MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
 _MIN_STRETCH: Final = 0.92  # a curve that is longer than the rope follows something else
@@ -150,7 +155,9 @@ class Centerline(Configuration, kind="centerline"):
     ) -> Fit:
         """Run the self-organising map from a start, finish the curve, match it to the track, validate it."""
         if isinstance(observed, Region):
-            cell = max(int(min(width / 3, _MAX_CELL)), 1)  # thin ropes keep their pixels
+            cell = max(
+                int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1
+            )  # thin ropes keep theirs
             (first, second), pull = neighbourhoods(topology, sigmas), shrinkage(sigmas[-1])
             points, arc, on_object, spread = fit_chain_in_mask(
                 observed.runs, cell, start, (first, second), pull, observed.mask, observed.window[:2], width
@@ -205,8 +212,9 @@ class Centerline(Configuration, kind="centerline"):
         """The compiled functions that a fit may call."""
         masks = fit_chain_in_mask, _points_on, _nodes_on, closest_sides, sharp_bends, unexplained_share
         masks += lift_chain, chain_evidence
+        axes = fill_holes, thinned, trace_skeleton, cheapest_order
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
-        return masks + clouds
+        return masks + axes + clouds
 
 
 def _rejection_reason(observed: Observed, width: float) -> str:

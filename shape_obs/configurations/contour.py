@@ -18,6 +18,7 @@ from shape_obs.geometry.outline import clockwise, material_outline
 from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, closed, equal_chords, interpolate
 from shape_obs.geometry.samples import SAMPLED, Samples, pairs
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
+from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.registration import match_outline, renumber_outline
@@ -129,7 +130,7 @@ class Contour(Configuration, kind="contour"):
     def _rejection_reason(self, observed: Observed) -> str:
         """Return why an object has no such outline: no such hole, a few pixels, or two sides too close together."""
         region = observed if isinstance(observed, Region) else None
-        holes = 0 if region is None or self.hole is None else len(region.hole_outlines)
+        holes = 0 if region is None or self.hole is None else len(region.holes)
         if self.hole is not None and self.hole >= holes:
             return f"hole {self.hole} was asked for, the {observed.noun} has {holes}"
         if region is None:
@@ -164,7 +165,7 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_ring_in_mask, track_ring_in_mask, _points_around, renumber_outline, material_outline
+        masks = fit_ring_in_mask, track_ring_in_mask, _points_around, renumber_outline, material_outline, trace_hole
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds
 

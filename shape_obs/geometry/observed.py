@@ -30,6 +30,11 @@ class Observed(Protocol):
     dimension: ClassVar[int]
 
     @property
+    def refusal(self) -> str:
+        """Why what was seen is no object and was left out, in words; empty if it was not."""
+        ...
+
+    @property
     def resolution(self) -> float:
         """The least distance that is resolved."""
         ...

@@ -141,14 +141,14 @@ def label_runs(runs: Indices) -> tuple[Indices, int]:
         other = above
         while other < at and runs[other, 0] == row - 1 and runs[other, 1] <= stop:
             if runs[other, 2] >= start:
-                a, b = _root(parent, at), _root(parent, other)
+                a, b = find_root(parent, at), find_root(parent, other)
                 if a != b:
                     parent[max(a, b)] = min(a, b)
             other += 1
     label = np.empty(count, np.int64)
     known = 0
     for at in range(count):
-        root = _root(parent, at)
+        root = find_root(parent, at)
         if root == at:
             label[at] = known
             known += 1
@@ -158,12 +158,28 @@ def label_runs(runs: Indices) -> tuple[Indices, int]:
 
 
 @compiled
-def _root(parent: Indices, at: int) -> int:
+def find_root(parent: Indices, at: int) -> int:
     """Return the root of a run's tree, shortening the path to it."""
     while parent[at] != at:
         parent[at] = parent[parent[at]]
         at = parent[at]
     return at
+
+
+@compiled("(i8[:,::1],)")
+def count_column_runs(runs: Indices) -> int:
+    """Return how many runs a mask has along its columns: pixels without one above them."""
+    found, above = 0, 0
+    for at in range(len(runs)):
+        row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
+        while runs[above, 0] < row - 1 or (runs[above, 0] == row - 1 and runs[above, 2] <= start):
+            above += 1
+        found += stop - start
+        other = above
+        while runs[other, 0] == row - 1 and runs[other, 1] < stop:
+            found -= min(stop, runs[other, 2]) - max(start, runs[other, 1])
+            other += 1
+    return found
 
 
 @compiled("(i8[:,::1], i8)")

@@ -12,13 +12,19 @@ import numpy.typing as npt
 from shape_obs.frame import Frame
 from shape_obs.image.colour_search import find_by_colour, find_on_lattice, look_up, table_mask
 from shape_obs.image.colour_table import colour_table
-from shape_obs.image.connected_runs import find_components, near_mask
-from shape_obs.image.region import Region, trace_outline
+from shape_obs.image.connected_runs import count_column_runs, find_components, near_mask
+from shape_obs.image.outline_tracing import trace_components
+from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Window
 from shape_obs.image.segmentation import ColourRule, Segmentation, need
 
 # A strand at least so wide, pixels, is not missed where one pixel in step x step is looked at: see ``find_by_colour``.
 _WIDE, _FAR_STEP, _NARROW, _NEAR_STEP = 12.0, 8, 7.0, 4
+
+# An object has a run of pixels in each of its rows and columns, and a few more where it bends, branches or has
+# holes; a checkerboard has one for every two pixels, noise one for every four, a thin line that fills the image one for
+# every few along rows or columns. A mask with more than this is not measured, so that no frame takes long.
+_PIXELS_PER_RUN, _MOST_RUNS = 16, 4096
 
 
 def segment(frame: Frame, window: Window, rule: Segmentation, roi: ROI, width: float = 0.0) -> Region:
@@ -72,8 +78,15 @@ def _region(
     areas: npt.NDArray[np.int64],
     box: tuple[int, int, int, int],
 ) -> Region:
+    refusal, most = "", max(_MOST_RUNS, mask.size // _PIXELS_PER_RUN)
+    if (count := max(len(runs), count_column_runs(runs))) > most:
+        refusal = (
+            f"the mask has {count} runs of pixels, at most {most}: it is noise or a fine pattern, no object; "
+            "check the segmentation"
+        )
+        mask, runs, areas, box = np.zeros_like(mask), runs[:0], areas[:0], (window.left, window.top, 0, 0)
     sizes = sorted(areas.tolist(), reverse=True)
-    return Region(window, mask, runs, tuple(sizes), Window(*box), sum(sizes), len(sizes))
+    return Region(window, mask, runs, tuple(sizes), Window(*box), sum(sizes), len(sizes), refusal)
 
 
 @lru_cache(maxsize=64)
@@ -91,4 +104,4 @@ def prepare(rules: Iterable[Segmentation | None]) -> list[Callable[..., Any]]:
     """Build the tables of colour rules, and return the compiled functions that any region needs."""
     tabulated = [colour_table(rule) for rule in rules if is_tabulated(rule)]
     colours = [look_up, find_on_lattice] if tabulated else []
-    return [find_components, near_mask, trace_outline, *colours]
+    return [find_components, count_column_runs, near_mask, trace_components, *colours]

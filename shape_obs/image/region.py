@@ -9,11 +9,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.samples import Samples
 from shape_obs.image.connected_runs import gather_cells, near_mask
-from shape_obs.image.outline_tracing import follow_border, has_holes, trace_with_holes
+from shape_obs.image.outline_tracing import SPECK, Traced, trace_components, trace_hole
 from shape_obs.image.roi import Window
 
 if TYPE_CHECKING:
@@ -56,6 +55,7 @@ class Region:
         box: The upright rectangle around them.
         area: Pixels of all components.
         pieces: How many components there are.
+        refusal: Why a mask that is no object was left out before it was measured, in words; empty if it was not.
         resolution: One pixel.
     """
 
@@ -66,6 +66,7 @@ class Region:
     box: Window
     area: int
     pieces: int
+    refusal: str = ""
     resolution: float = 1.0
     unit: ClassVar[str] = "px"
     noun: ClassVar[str] = "mask"
@@ -73,29 +74,43 @@ class Region:
     dimension: ClassVar[int] = 2
 
     @cached_property
-    def components(self) -> tuple[Component, ...]:
-        """The connected pieces, largest first."""
-        if not self.areas:
-            return ()
-        if self.pieces == 1:
-            outline, length = trace_outline(self.mask, self.runs, self.window.left, self.window.top)
-            if len(outline):
-                return (_component(self.area, outline, length, 0.0),)
-        left, top = self.box.left - self.window.left, self.box.top - self.window.top
-        crop = self.mask[top : top + self.box.height, left : left + self.box.width]
-        count, found, table, _ = cv2.connectedComponentsWithStats(crop, connectivity=8)
-        labels, stats = np.asarray(found, dtype=np.int32), np.asarray(table, dtype=np.int32)
-        components = []
-        for label in 1 + np.argsort(-stats[1:count, cv2.CC_STAT_AREA], kind="stable"):
-            left, top, width, height, area = (int(value) for value in stats[label])
-            piece = (labels[top : top + height, left : left + width] == label).view(np.uint8)
-            components.append(_component(area, *trace_with_holes(piece, self.box.left + left, self.box.top + top)))
-        return tuple(components)
+    def traced(self) -> Traced:
+        """The outlines of all components, and the holes in them."""
+        return Traced(*trace_components(self.mask, self.runs, self.pieces, self.window.left, self.window.top))
 
     @cached_property
+    def _largest_first(self) -> npt.NDArray[np.intp]:
+        return np.argsort(-self.traced.areas, kind="stable")
+
+    @cached_property
+    def components(self) -> tuple[Component, ...]:
+        """The connected pieces, largest first."""
+        return tuple(self._component(int(piece)) for piece in self._largest_first)
+
+    def _component(self, piece: int) -> Component:
+        """Measure a component. Its width is the root w of ``w (s - w) = area``, s being half of what is around it.
+
+        The outline of an L x w ribbon runs through pixel centres, so it is 2 (L - 1) + 2 (w - 1) long. A ribbon that
+        lies in a loop has a part of it around the hole.
+        """
+        outlines, stops, areas, perimeters, inner = self.traced
+        first, stop = (stops.item(piece - 1) if piece else 0), stops.item(piece)
+        area, perimeter, holes = areas.item(piece), perimeters.item(piece), 0.0
+        if len(inner):
+            holes = float(inner[(inner[:, 0] == piece) & (inner[:, 3] >= SPECK), 4].sum())
+        half = (perimeter + holes) / 2 + 2
+        width = max((half - max(half * half - 4 * area, 0.0) ** 0.5) / 2, 1.0)
+        return Component(area, outlines[first:stop], perimeter, holes, width)
+
+    @cached_property
+    def largest(self) -> Component:
+        """The largest of the connected pieces."""
+        return self._component(0 if self.pieces == 1 else int(self._largest_first[0]))
+
+    @property
     def width(self) -> float:
         """Width of the largest component as a ribbon, pixels."""
-        return self.components[0].width
+        return self.largest.width
 
     @property
     def length(self) -> float:
@@ -107,7 +122,7 @@ class Region:
         """The outer outline of the largest component."""
         from shape_obs.geometry.outline import Outline  # a rope needs none
 
-        return Outline(self.components[0].outline)
+        return Outline(self.largest.outline)
 
     @property
     def outlined_share(self) -> float:
@@ -115,22 +130,26 @@ class Region:
         return self.areas[0] / max(self.area, 1)
 
     @cached_property
-    def hole_outlines(self) -> tuple[Outline, ...]:
-        """The outlines of the holes of the largest component, the largest first."""
-        from shape_obs.geometry.outline import Outline
-
-        found, table = cv2.findContours(self.mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-        contours = [contour.reshape(-1, 2) + (self.window.left, self.window.top) for contour in found]
-        start = self.components[0].outline[0]
-        parents = np.asarray(table).reshape(-1, 4)[:, 3]
-        largest = next(i for i in np.flatnonzero(parents < 0) if np.any(np.all(contours[i] == start, axis=1)))
-        inner = [contours[i] for i in np.flatnonzero(parents == largest)]
-        inner.sort(key=cv2.contourArea, reverse=True)
-        return tuple(Outline(contour.astype(np.float64), True) for contour in inner)
+    def holes(self) -> npt.NDArray[np.int64]:
+        """``(H, 2)`` column and row of the first border pixel of each hole of the largest component, largest first."""
+        inner = self.traced.holes[self.traced.holes[:, 0] == self._largest_first[0]]
+        return inner[np.argsort(-inner[:, 5], kind="stable"), 1:3].astype(np.int64)
 
     def traced_outline(self, hole: int | None) -> Outline:
         """Return the outer outline of the largest component, or of one of its holes, the largest first."""
-        return self.outline if hole is None else self.hole_outlines[hole]
+        if hole is None:
+            return self.outline
+        if hole not in self._hole_outlines:
+            from shape_obs.geometry.outline import Outline
+
+            column, row = self.holes[hole].tolist()
+            traced = trace_hole(self.mask, column, row, self.window.left, self.window.top)
+            self._hole_outlines[hole] = Outline(traced, True)
+        return self._hole_outlines[hole]
+
+    @cached_property
+    def _hole_outlines(self) -> dict[int, Outline]:
+        return {}
 
     def outline_curve(self, hole: int | None = None) -> FittedCurve:
         """Return the outline without the staircase of pixels."""
@@ -198,33 +217,3 @@ class Region:
         """Return whether the mask has ``(N, 2)`` pixels: ``(N,)`` bool."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         return near_mask(self.mask, self.window.left, self.window.top, points, 0)
-
-
-@compiled("(u1[:,::1], i8[:,::1], i8, i8)")
-def trace_outline(mask: npt.NDArray[np.uint8], runs: npt.NDArray[np.int64], left: int, top: int) -> tuple[Array, float]:
-    """Trace the outline of a mask of one component without holes.
-
-    Args:
-        mask: ``(h, w)`` uint8, C-contiguous, 0 = background.
-        runs: ``(R, 3)`` its runs.
-        left: Image column of its first pixel.
-        top: Image row of its first pixel.
-
-    Returns:
-        ``(P, 2)`` image pixels, closed, 8-connected, through the centres of the border pixels, in OpenCV's order, and
-        its length, pixels; no points if there are holes.
-    """
-    if has_holes(runs):
-        return np.empty((0, 2)), 0.0
-    return follow_border(mask, runs[0, 1] - left, runs[0, 0] - top, left, top)
-
-
-def _component(area: int, outline: Array, perimeter: float, holes: float) -> Component:
-    """Measure a component. Its width is the root w of ``w (s - w) = area``, s being half of what is around it.
-
-    The outline of an L x w ribbon runs through pixel centres, so it is 2 (L - 1) + 2 (w - 1) long. A ribbon that
-    lies in a loop has a part of it around the hole.
-    """
-    half = (perimeter + holes) / 2 + 2
-    width = max((half - max(half * half - 4 * area, 0.0) ** 0.5) / 2, 1.0)
-    return Component(area, outline, perimeter, holes, width)

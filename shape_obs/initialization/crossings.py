@@ -85,7 +85,7 @@ def untangle(skeleton: Skeleton) -> Strands:
         curves=tuple(_curve(route, trimmed, partner, ways, width) for route in routes),
         inside=tuple((route[0] not in free, (route[-1][0], 1 - route[-1][1]) not in free) for route in routes),
         rings=sum(route[0] in partner for route in routes),
-        doubts=tuple(_doubts(options, chosen, overlaps)),
+        doubts=(*_doubts(options, chosen, overlaps), *((zones.doubt,) if zones.doubt else ())),
     )
 
 

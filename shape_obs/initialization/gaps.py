@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.compiled import compiled
 from shape_obs.geometry.polyline import arc_length, interpolate
 
 Array = npt.NDArray[np.float64]
@@ -51,14 +52,14 @@ def bridge(pieces: list[Array], width: float) -> Bridged:
     if len(pieces) == 1:
         return Bridged(pieces[0], np.zeros(len(pieces[0]), bool), np.inf)
     price = _prices([_cut(piece, width) for piece in pieces], width)
-    ordered = _ordered if len(pieces) <= _MOST_ORDERED else _greedy
-    total, order = ordered(price)
+    few = len(pieces) <= _MOST_ORDERED
+    total, order = cheapest_order(price) if few else _greedy(price)
     rival = np.inf
-    if ordered is _ordered:
+    if few:
         for out, into in zip(order[1:-1:2], order[2::2], strict=True):
             without = price.copy()
             without[out, into] = without[into, out] = np.inf
-            rival = min(rival, _ordered(without)[0])
+            rival = min(rival, cheapest_order(without)[0])
     run: list[Array] = []
     for place, entry in enumerate(order[::2]):
         piece = pieces[entry // 2][:: 1 - 2 * (entry % 2)]
@@ -95,31 +96,36 @@ def _prices(pieces: list[Array], width: float) -> Array:
     return price
 
 
-def _ordered(price: Array) -> tuple[float, list[int]]:
-    """Return the cheapest way through all pieces, and the ends in its order (Held and Karp, 1962)."""
+@compiled("(f8[:,::1],)")
+def cheapest_order(price: Array) -> tuple[float, npt.NDArray[np.int64]]:
+    """Return the cheapest way through all pieces, and the ends in its order (Held and Karp, 1962).
+
+    Args:
+        price: ``(2n, 2n)`` of going on from each end to each other; end 2 i + e is of piece i.
+    """
     size = len(price)
     full = (1 << size // 2) - 1
-    best = np.full((full + 1, size), np.inf)
-    came = np.zeros((full + 1, size), int)
+    best, came = np.full((full + 1, size), np.inf), np.zeros((full + 1, size), np.int64)
     for end in range(size):
         best[1 << end // 2, end] = 0.0
     for done in range(1, full):
-        options = best[done][:, None] + price
-        cheapest = options.min(axis=0)
         for entry in range(size):
-            if not done >> entry // 2 & 1 and cheapest[entry] < best[done | 1 << entry // 2, entry ^ 1]:
-                best[done | 1 << entry // 2, entry ^ 1] = cheapest[entry]
-                came[done | 1 << entry // 2, entry ^ 1] = int(options[:, entry].argmin())
-    end = int(best[full].argmin())
-    total, done, order = float(best[full, end]), full, [end, end ^ 1]
-    while done & (done - 1):
-        before = int(came[done, end])
-        done, end = done ^ 1 << end // 2, before
-        order += [end, end ^ 1]
-    return total, order[::-1]
+            if done >> entry // 2 & 1:
+                continue
+            then = done | 1 << entry // 2
+            for end in range(size):
+                if best[done, end] + price[end, entry] < best[then, entry ^ 1]:
+                    best[then, entry ^ 1] = best[done, end] + price[end, entry]
+                    came[then, entry ^ 1] = end
+    end = int(np.argmin(best[full]))
+    total, done, order = best[full, end], full, np.empty(size, np.int64)
+    for at in range(size - 1, -1, -2):
+        order[at], order[at - 1] = end, end ^ 1
+        done, end = done ^ 1 << end // 2, came[done, end]
+    return total, order
 
 
-def _greedy(price: Array) -> tuple[float, list[int]]:
+def _greedy(price: Array) -> tuple[float, npt.NDArray[np.int64]]:
     """Join the cheapest gap first, as long as it closes no ring."""
     size = len(price)
     far = {end: end ^ 1 for end in range(size)}  # the other end of the chain that begins here
@@ -136,7 +142,7 @@ def _greedy(price: Array) -> tuple[float, list[int]]:
     order = [end, end ^ 1]
     while order[-1] in next_end:
         order += [next_end[order[-1]], next_end[order[-1]] ^ 1]
-    return total, order
+    return total, np.array(order)
 
 
 class Lead(NamedTuple):

@@ -13,7 +13,6 @@ such waist is a crossing.
 from __future__ import annotations
 
 from collections import Counter
-from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,14 +21,17 @@ from scipy.ndimage import maximum_filter1d
 
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.initialization.gaps import Lead
-from shape_obs.initialization.skeleton import Branch, Skeleton, connected, degrees
+from shape_obs.initialization.skeleton import Branch, Skeleton, degrees
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 Arm = tuple[int, int]  # a branch, and which of its ends
 
 # What it costs that a rope ends in the middle of a mask, as widths of a shared branch: two such ends are dearer than
 # any crossing's shared branch, and cheaper than a rope lying on itself for this far.
 _END: Final = 8.0
+# Ways to match zones that are tried; twelve zones that are all linked have as many.
+_MOST_WAYS: Final = 4096
 # The price of a width of a shared branch where its radius is that of one strand, and of two side by side, in widths.
 _THICK: Final = (0.55, 0.8)
 _PER_WIDTH: Final = (3.0, 0.2)
@@ -54,48 +56,75 @@ class Zones(NamedTuple):
         kept: The branches that one strand runs along.
         shared: The branches that two run along.
         of: The zone of either end of every kept and shared branch.
+        doubt: Why the shared branches may be others, in words; empty if they are not.
     """
 
     kept: tuple[int, ...]
     shared: tuple[int, ...]
     of: dict[Arm, int]
+    doubt: str
 
 
 def find_zones(skeleton: Skeleton) -> Zones:
     """Gather the nodes of a skeleton into zones: those at the two ends of a shared branch are one."""
     branches, degree = skeleton.branches, degrees(skeleton.branches)
-    shared = _matching(branches, degree, skeleton.width)
+    shared, doubt = _matching(branches, degree, skeleton.width)
     joined = np.array([branches[i].nodes for i in shared], int).reshape(-1, 2)
     zone = connected(max(degree, default=-1) + 1, joined)
     of = {(i, end): int(zone[branch.nodes[end]]) for i, branch in enumerate(branches) for end in (0, 1)}
-    return Zones(tuple(i for i in range(len(branches)) if i not in shared), shared, of)
+    return Zones(tuple(i for i in range(len(branches)) if i not in shared), shared, of, doubt)
 
 
-def _matching(branches: tuple[Branch, ...], degree: Counter[int], width: float) -> tuple[int, ...]:
-    """Return the branches that two strands share: each odd zone lies at one at most, or holds a rope's end."""
+def _matching(branches: tuple[Branch, ...], degree: Counter[int], width: float) -> tuple[tuple[int, ...], str]:
+    """Return the branches that two strands share: each odd zone lies at one at most, or holds a rope's end.
+
+    With them why they may be others: where very many ways to match the zones are possible, not all are tried.
+    """
     odd = sorted(zone for zone, count in degree.items() if count % 2 and count > 1)
-    place = {zone: bit for bit, zone in enumerate(odd)}
-    links: list[list[tuple[float, int, int]]] = [[] for _ in odd]
-    for i, branch in enumerate(branches):
-        low, high = sorted(place.get(node, -1) for node in branch.nodes)
-        if 0 <= low < high:
-            links[low].append((_price(branch, width), high, i))
+    place = {zone: i for i, zone in enumerate(odd)}
+    links = [
+        (price, *sorted(place[node] for node in branch.nodes), i)
+        for i, branch in enumerate(branches)
+        if branch.nodes[0] != branch.nodes[1]
+        and all(node in place for node in branch.nodes)
+        and (price := _price(branch, width)) < 2 * _END  # a dearer one is never shared
+    ]
+    # Zones that are linked come one after the other, or every way to match some would be tried with every other one's.
+    group = connected(len(odd), np.array([link[1:3] for link in links], int).reshape(-1, 2))
+    bit = {zone: k for k, zone in enumerate(np.argsort(group, kind="stable").tolist())}
+    ways: list[list[tuple[float, int, int]]] = [[] for _ in odd]
+    for price, first, second, i in links:
+        low, high = sorted((bit[first], bit[second]))
+        ways[low].append((price, high, i))
+    known: dict[int, tuple[float, tuple[int, ...]]] = {0: (0.0, ())}
 
-    @cache
     def best(left: int) -> tuple[float, tuple[int, ...]]:
-        """Return the cheapest way to match the zones in a set of bits."""
-        if not left:
-            return 0.0, ()
+        """Return the cheapest way to match the zones in a set of bits, or one of the cheapest if there are too many."""
+        if left in known:
+            return known[left]
         low = (left & -left).bit_length() - 1
         rest = left & ~(1 << low)
-        options = [(_END + best(rest)[0], best(rest)[1])]
-        for price, high, i in links[low]:
-            if rest >> high & 1:
+        cost, chosen = best(rest)
+        options = [(_END + cost, chosen)]
+        for price, high, i in ways[low]:
+            if rest >> high & 1 and len(known) <= _MOST_WAYS:
                 cost, chosen = best(rest & ~(1 << high))
                 options.append((price + cost, (*chosen, i)))
-        return min(options)
+        known[left] = min(options)
+        return known[left]
 
-    return best((1 << len(odd)) - 1)[1]
+    shared = best((1 << len(odd)) - 1)[1]
+    crowded = f"strands meet in {len(odd)} places, too close together to tell them apart"
+    return shared, crowded if len(known) > _MOST_WAYS else ""
+
+
+def connected(count: int, pairs: Index) -> Index:
+    """Return the component of each of ``count`` places, of which pairs ``(L, 2)`` are connected, as they appear."""
+    label, before = np.arange(count), np.zeros(count, int)
+    while not np.array_equal(label, before):  # the least number spreads; a joint has a few pixels
+        before = label.copy()
+        np.minimum.at(label, pairs, label[pairs].min(axis=1, keepdims=True))
+    return np.unique(label, return_inverse=True)[1]
 
 
 def _price(branch: Branch, width: float) -> float:

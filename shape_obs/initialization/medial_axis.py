@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import arc_length, interpolate
-from shape_obs.image.outline_tracing import SPECK
+from shape_obs.image.outline_tracing import SPECK, fill_holes
 from shape_obs.image.region import Component, Region
 from shape_obs.initialization.crossings import Strands, untangle
 from shape_obs.initialization.folding import fold_outline, unexplained_share
@@ -26,8 +26,7 @@ _SPACING: Final = 0.4  # of the points of a traced curve, in widths
 _RIBBON: Final = (1.0, 0.03)
 # A strand that ends on another one is left out as noise while no more of the skeleton than this is left out in all.
 _UNEXPLAINED: Final = 0.1
-# A rope that crosses itself ten times has 31 branches, and the work grows with their square.
-_MOST_BRANCHES: Final = 60
+_MOST_HOLES: Final = 300  # narrow ones among them, which noise makes; the loops of a rope are far fewer
 # Another way to join the pieces that is dearer by this little is as likely.
 _RIVAL: Final = 1.15
 
@@ -61,11 +60,13 @@ def _axis_of_mask(region: Region) -> FittedCurve:
         return _axis(pieces[0])
     largest, alone, doubts = region.components[0], len(folds) == 1, []
     width = max((component.width for component in ribbons), default=0.0)
+    holes = int(np.count_nonzero(region.traced.holes[:, 3] >= SPECK))
+    if holes > _MOST_HOLES:
+        return _axis(fold_outline(largest.outline, largest.width), doubt=f"the mask has {holes} holes: it is no rope")
     if len(pieces) < len(folds):
         skeleton = skeleton_graph(_without(region, ribbons), region.window[:2])
-        if len(skeleton.branches) > _MOST_BRANCHES:
-            doubt = f"the mask branches {len(skeleton.branches)} times: it is no rope"
-            return _axis(fold_outline(largest.outline, largest.width), doubt=doubt)
+        if skeleton.excess:
+            return _axis(fold_outline(largest.outline, largest.width), doubt=f"{skeleton.excess}: it is no rope")
         strands = untangle(skeleton)
         kept, width = _explained(strands), skeleton.width
         pieces += [strands.curves[i] for i in kept]
@@ -96,10 +97,7 @@ def folded(component: Component) -> Array | None:
 def _without(region: Region, ribbons: list[Component]) -> npt.NDArray[np.uint8]:
     """Return a region's mask without some of its components, which have no holes, and without specks in the others."""
     mask, (left, top) = region.mask.copy(), region.window[:2]
-    outlines, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    for outline, parent in zip(outlines, np.asarray(tree).reshape(-1, 4)[:, 3], strict=True):
-        if parent >= 0 and len(outline) < SPECK:
-            cv2.drawContours(mask, [outline], -1, (255.0,), cv2.FILLED)
+    fill_holes(mask, region.runs, region.traced.holes, left, top, SPECK, -1.0)
     drawn = [np.rint(component.outline - (left, top)).astype(np.int32) for component in ribbons]
     cv2.drawContours(mask, drawn, -1, (0.0,), cv2.FILLED)
     return mask

@@ -6,18 +6,22 @@ Thinning after Guo and Hall, "Parallel Thinning with Two-Subiteration Algorithms
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.compiled import compiled
+from shape_obs.image.connected_runs import find_components, find_root
+from shape_obs.image.outline_tracing import fill_holes, trace_components
+
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
-Index = npt.NDArray[np.intp]
+Index = npt.NDArray[Any]
 
 # A thick rope is thinned on a coarser grid, this many cells across: its axis comes out just as well, much sooner.
 _CELLS_ACROSS: Final = 20.0
@@ -28,15 +32,13 @@ _SPUR: Final = 1.7
 # each would make a loop, and strands that part are recognised by their thickness as well.
 _SLIT: Final = 0.3
 
-# More branches than this are noise all over, and pruning takes time with the square of their number.
-_MOST_PRUNED: Final = 300
-
-# A pixel's neighbours as a byte: the lowest bit the one above it, then clockwise.
-_NEIGHBOURS: Final = np.array([[128, 1, 2], [64, 0, 4], [32, 16, 8]], np.float32)
+# A rope that crosses itself ten times has 31 branches. The time for pairing them, and for pruning, grows with the
+# square of their number.
+_MOST_BRANCHES, _MOST_PRUNED = 60, 300
 
 
 def _kept(half: int) -> Mask:
-    """Return ``(256,)`` 1 for neighbours with which a pixel is kept in either half of a pass of thinning, else 0."""
+    """Return ``(256,)`` 1 for neighbours (lowest bit above, then clockwise) that keep a pixel in half a pass."""
     n, ne, e, se, s, sw, w, nw = (np.arange(256) >> np.arange(8)[:, None] & 1).astype(bool)
     one, other = np.stack([ne | e, se | s, sw | w, nw | n]), np.stack([n | ne, e | se, s | sw, w | nw])
     pieces = np.sum(one & ~np.stack([n, e, s, w]), axis=0)
@@ -45,7 +47,7 @@ def _kept(half: int) -> Mask:
     return 1 - ((pieces == 1) & (count >= 2) & (count <= 3) & ~side).astype(np.uint8)
 
 
-_KEPT: Final = (_kept(0), _kept(1))
+_KEPT: Final = np.stack([_kept(0), _kept(1)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +91,12 @@ class Skeleton(NamedTuple):
     Args:
         branches: In no particular order or direction.
         width: Of the typical strand, pixels.
+        excess: Why there are more branches than any rope has, in words; ``branches`` is empty then. Else empty.
     """
 
     branches: tuple[Branch, ...]
     width: float
+    excess: str = ""
 
 
 def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skeleton:
@@ -103,47 +107,83 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
         origin: Image coordinates of the mask's first pixel.
 
     Returns:
-        Spurs pruned, no node between just two branches; without branches for a mask of specks; with hundreds, as they
-        are, for noise.
+        Spurs pruned, no node between just two branches; without branches for a mask of specks.
     """
     left, top, width, height = cv2.boundingRect(mask)
     grid = np.pad((mask[top : top + height, left : left + width] > 0).view(np.uint8), 1)
-    depth = _depth(grid)
-    cell = int(max(2 * _radius(depth.max(initial=0.0)) / _CELLS_ACROSS, 1))
+    thickest = float(_radii(grid).max(initial=0.0))
+    cell = int(max(2 * thickest / _CELLS_ACROSS, 1))
     if cell > 1:
         grid = _coarse(grid[1:-1, 1:-1], cell)
-        depth = _depth(grid)
-    _fill_slits(grid, float(_radius(depth.max(initial=0.0))))
+        thickest = float(_radii(grid).max(initial=0.0))
+    holes = _fill_slits(grid, thickest)
+    if holes > _MOST_BRANCHES:  # at least one branch for each
+        return Skeleton((), 1.0, f"the mask has {holes} holes")
+    places, stops, nodes = trace_skeleton(thinned(grid))
+    if len(stops) > _MOST_PRUNED:
+        return Skeleton((), 1.0, f"the mask branches {len(stops)} times")
     # The frame is a cell wide, and a cell's middle lies between pixels where their number is even.
     shift = np.array([origin[0] + left, origin[1] + top]) - cell + (cell - 1) / 2
-    found = _branches(thinned(grid), _depth(grid))
-    typical = float(np.median(np.concatenate([b.radius for b in found]))) if found else 0.5
-    branches = _pruned(found) if len(found) <= _MOST_PRUNED else found
-    placed = [Branch(b.points * cell + shift, b.radius * cell, b.nodes) for b in branches]
-    return Skeleton(tuple(placed), max(2 * typical * cell, 1.0))
+    pixels = np.stack([places % grid.shape[1], places // grid.shape[1]], axis=1) * float(cell) + shift
+    radius = _radii(grid).ravel()[places] * cell
+    typical = float(np.median(radius)) if len(radius) else 0.5 * cell
+    nodes = np.unique(nodes, return_inverse=True)[1].reshape(-1, 2)
+    ends = zip([0, *stops.tolist()], stops.tolist(), nodes.tolist(), strict=False)
+    branches = _pruned(Branch(pixels[first:last], radius[first:last], (a, b)) for first, last, (a, b) in ends)
+    if len(branches) > _MOST_BRANCHES:
+        return Skeleton((), 1.0, f"the mask branches {len(branches)} times")
+    return Skeleton(tuple(branches), max(2 * typical, 1.0))
 
 
+@compiled("(u1[:,::1],)")
 def thinned(mask: Mask) -> Mask:
-    """Return a mask of 0 and 1 with a border of 0, thinned to curves one pixel wide: ``(h, w)`` uint8."""
-    thin, before = mask.copy(), np.zeros_like(mask)
-    while not np.array_equal(thin, before):
-        before = thin.copy()
-        for kept in _KEPT:
-            thin &= cv2.LUT(cv2.filter2D(thin, -1, _NEIGHBOURS), kept)
+    """Return a mask of 0 and 1 with a border of 0, thinned to curves one pixel wide: ``(h, w)`` uint8.
+
+    Only pixels whose neighbours have changed are looked at again, so that the time grows with the pixels, however
+    thick the mask is.
+    """
+    thin, across = mask.copy(), mask.shape[1]
+    is_set = thin.reshape(-1)
+    steps = (-across, 1 - across, 1, across + 1, across, across - 1, -1, -across - 1)
+    pixels = np.flatnonzero(is_set)
+    waiting, count = np.stack((pixels, pixels)), np.full(2, len(pixels))
+    is_waiting = np.zeros((2, len(is_set)), np.bool_)
+    for at in pixels:
+        is_waiting[0, at] = is_waiting[1, at] = True
+    gone, half = np.empty(len(pixels), np.int64), 0
+    while count[0] + count[1] > 0:
+        removed = 0
+        for i in range(count[half]):
+            at = waiting[half, i]
+            is_waiting[half, at] = False
+            if is_set[at]:
+                around = 0
+                for k in range(8):
+                    around |= is_set[at + steps[k]] << k
+                if not _KEPT[half, around]:
+                    gone[removed] = at
+                    removed += 1
+        count[half] = 0
+        for i in range(removed):
+            is_set[gone[i]] = 0
+        for i in range(removed):
+            for k in range(8):
+                other = gone[i] + steps[k]
+                for each in range(2):
+                    if is_set[other] and not is_waiting[each, other]:
+                        is_waiting[each, other] = True
+                        waiting[each, count[each]] = other
+                        count[each] += 1
+        half = 1 - half
     return thin
 
 
-def _depth(piece: Mask) -> npt.NDArray[np.float32]:
-    """Return the distance from each cell of a framed mask to the nearest centre of a cell of the background, cells."""
-    return np.asarray(cv2.distanceTransform(piece, cv2.DIST_L2, 5), dtype=np.float32)
-
-
-def _radius(depth: npt.ArrayLike) -> Array:
-    """Return the distance to the outline, cells, of cells of the skeleton.
+def _radii(piece: Mask) -> Array:
+    """Return the distance from each cell of a framed mask, if it is one of the skeleton, to the outline, cells.
 
     The outline lies half a cell before the background's centre, and a cell of the skeleton a quarter off the axis.
     """
-    return np.maximum(np.asarray(depth, dtype=np.float64) - 0.25, 0.0)
+    return np.maximum(np.asarray(cv2.distanceTransform(piece, cv2.DIST_L2, 5), np.float64) - 0.25, 0.0)
 
 
 def _coarse(piece: Mask, cell: int) -> Mask:
@@ -154,102 +194,95 @@ def _coarse(piece: Mask, cell: int) -> Mask:
     return (np.asarray(cv2.resize(framed, size, interpolation=cv2.INTER_AREA)) > 127).view(np.uint8)
 
 
-def _fill_slits(grid: Mask, thickest: float) -> None:
-    """Fill narrow holes, in place."""
-    contours, tree = cv2.findContours(grid, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    for contour, (_, _, _, parent) in zip(contours, np.reshape(np.asarray(tree), (-1, 4)).tolist(), strict=True):
-        # The outline of a hole runs through the pixels around it.
-        if parent >= 0 and 2 * cv2.contourArea(contour) / len(contour) - 1 <= max(_SLIT * thickest, 1.0):
-            cv2.drawContours(grid, [contour], 0, (1.0,), cv2.FILLED)
+def _fill_slits(grid: Mask, thickest: float) -> int:
+    """Fill narrow holes, in place; return how many holes are left."""
+    _, runs, areas, _ = find_components(grid, 0, 0, 1, 1, 0.0)
+    holes = trace_components(grid, runs, len(areas), 0, 0)[-1]
+    return fill_holes(grid, runs, holes, 0, 0, 0.0, max(_SLIT * thickest, 1.0))
 
 
-def _branches(thin: Mask, depth: npt.NDArray[np.float32]) -> list[Branch]:
-    """Return the curves between the pixels of a skeleton that have one neighbour, or more than two."""
-    at = np.flatnonzero(thin)
-    links = _links(thin, at)
-    degree = np.bincount(links.ravel(), minlength=len(at))
-    # Neighbouring pixels with three neighbours each are one node.
-    at_node = np.all(degree[links] > 2, axis=1)
-    node = connected(len(at), links[at_node])
-    pixels = np.stack([at % thin.shape[1], at // thin.shape[1]], axis=1).astype(np.float64)
-    wide = _radius(depth.ravel()[at])
-    return [
-        Branch(pixels[chain], wide[chain], (int(node[chain[0]]), int(node[chain[-1]])))
-        for chain in _chains(links[~at_node], degree != 2)
-    ]
+@compiled("(u1[:,::1],)")
+def trace_skeleton(thin: Mask) -> tuple[Index, Index, Index]:
+    """Trace every chain of pixels from node to node once, then the rings that no node lies on, closed.
 
-
-def connected(count: int, pairs: Index) -> Index:
-    """Return the component of each of ``count`` places, of which pairs ``(L, 2)`` are connected, as they appear."""
-    label, before = np.arange(count), np.zeros(count, int)
-    while not np.array_equal(label, before):  # the least number spreads; a joint has a few pixels
-        before = label.copy()
-        np.minimum.at(label, pairs, label[pairs].min(axis=1, keepdims=True))
-    return np.unique(label, return_inverse=True)[1]
-
-
-def _links(thin: Mask, at: Index) -> Index:
-    """Return ``(L, 2)`` neighbouring pixels; a diagonal counts only where no shared neighbour connects the two.
+    A node is a pixel with one neighbour or more than two; neighbouring pixels with more than two are one node. A
+    diagonal neighbour counts only where no shared neighbour connects the two.
 
     Args:
-        thin: With a border of 0.
-        at: ``(P,)`` where it is set, row by row.
+        thin: ``(h, w)`` 0 and 1, with a border of 0.
+
+    Returns:
+        ``(P,)`` flat places of the pixels of all chains, end to end; ``(B,)`` where each chain ends; ``(B, 2)`` the
+        nodes at its ends.
     """
-    is_set, down = thin.ravel() > 0, thin.shape[1]
-    pairs = []
-    for row, right in ((0, 1), (down, 0), (down, 1), (down, -1)):
-        linked = is_set[at + row + right]
-        if row and right:
-            linked &= ~(is_set[at + row] | is_set[at + right])
-        first = np.flatnonzero(linked)
-        pairs.append(np.stack([first, np.searchsorted(at, at[first] + row + right)], axis=1))
-    return np.concatenate(pairs)
+    is_set, across = thin.reshape(-1), thin.shape[1]
+    steps = (-1, 1, -across, across, -across - 1, across + 1, 1 - across, across - 1)
+    shared = ((0, 0), (0, 0), (0, 0), (0, 0), (-across, -1), (across, 1), (-across, 1), (across, -1))
+    pixels: Index = np.flatnonzero(is_set)
+    degree, node = np.zeros(len(is_set), np.int8), np.empty(len(is_set), np.int64)
+    linked, done = np.zeros(len(is_set), np.uint8), np.zeros(len(is_set), np.bool_)  # linked: a bit for each step
+    for at in pixels:
+        node[at] = at
+        for k in range(8):
+            if is_set[at + steps[k]] and (k < 4 or not (is_set[at + shared[k][0]] or is_set[at + shared[k][1]])):
+                degree[at] += 1
+                linked[at] |= 1 << k
+    for at in pixels:
+        if degree[at] > 2:
+            for k in range(8):
+                other = at + steps[k]
+                if linked[at] >> k & 1 and degree[other] > 2:
+                    a, b = find_root(node, at), find_root(node, other)
+                    node[max(a, b)] = min(a, b)
+    most = 9 * len(pixels)  # each pixel once, but the nodes, of up to eight branches
+    places, held = np.empty(most, np.int64), 0
+    stops, nodes, found = np.empty(most, np.int64), np.empty((most, 2), np.int64), 0
+    for rings in range(2):
+        for start in pixels:
+            if (degree[start] == 2) != (rings == 1) or done[start]:
+                continue
+            for k in range(8):
+                here = start + steps[k]
+                if linked[start] >> k & 1 == 0 or done[here] or (degree[start] > 2 and degree[here] > 2):
+                    continue
+                if degree[here] != 2 and here < start:
+                    continue
+                done[start] = rings == 1
+                places[held], places[held + 1], before = start, here, start
+                held += 2
+                while degree[here] == 2 and here != start:
+                    done[here] = True
+                    for onward in range(8):
+                        if linked[here] >> onward & 1 and here + steps[onward] != before:
+                            before, here = here, here + steps[onward]
+                            break
+                    places[held] = here
+                    held += 1
+                stops[found], nodes[found, 0], nodes[found, 1] = held, find_root(node, start), find_root(node, here)
+                found += 1
+                if rings == 1:
+                    break
+    return places[:held], stops[:found], nodes[:found]
 
 
-def _chains(links: Index, is_node: npt.NDArray[np.bool_]) -> Iterator[list[int]]:
-    """Return every chain of pixels from node to node once, then the rings that no node lies on, closed.
-
-    Args:
-        links: ``(L, 2)`` neighbours; pixels that are no node have two.
-        is_node: ``(P,)``.
-    """
-    neighbours: list[list[int]] = [[] for _ in is_node]
-    for first, second in links.tolist():
-        neighbours[first].append(second)
-        neighbours[second].append(first)
-    done: set[int] = set()
-
-    def walked(start: int, here: int) -> list[int]:
-        chain = [start, here]
-        while not is_node[here] and here != start:
-            done.add(here)
-            here = next(pixel for pixel in neighbours[here] if pixel != chain[-2])
-            chain.append(here)
-        return chain
-
-    for start in np.flatnonzero(is_node).tolist():
-        for onward in neighbours[start]:
-            if onward >= start if is_node[onward] else onward not in done:
-                yield walked(start, onward)
-    for start in np.flatnonzero(~is_node).tolist():
-        if start not in done:
-            done.add(start)
-            yield walked(start, neighbours[start][0])
-
-
-def _pruned(branches: list[Branch]) -> list[Branch]:
+def _pruned(branches: Iterable[Branch]) -> list[Branch]:
     """Remove spurs, shortest first: each one removed may turn two others into one longer branch."""
-    kept = list(branches)
-    while True:
-        degree = degrees(kept)
-        spurs = [(excess, i) for i, branch in enumerate(kept) if (excess := _excess(branch, degree)) < 0]
-        if not spurs:
-            return kept
-        gone = kept.pop(min(spurs)[1])
-        node = gone.nodes[0] if degree[gone.nodes[0]] > 1 else gone.nodes[1]
-        left = [branch for branch in kept if node in branch.nodes]
+    kept = dict(enumerate(branches))
+    degree, added = degrees(kept.values()), len(kept)
+    excess = {i: _excess(branch, degree) for i, branch in kept.items()}
+    while excess and excess[shortest := min(excess, key=excess.__getitem__)] < 0:
+        del excess[shortest]
+        gone = kept.pop(shortest)
+        degree.subtract(gone.nodes)
+        node = gone.nodes[0] if degree[gone.nodes[0]] > 0 else gone.nodes[1]
+        left = [i for i, branch in kept.items() if node in branch.nodes]
         if len(left) == 2:
-            kept = [branch for branch in kept if node not in branch.nodes] + [left[0].fused(left[1], node)]
+            kept[added] = kept.pop(left[0]).fused(kept.pop(left[1]), node)
+            degree[node] -= 2
+            excess[added] = _excess(kept[added], degree)
+            excess[left[0]] = excess[left[1]] = np.inf
+            added += 1
+    return list(kept.values())
 
 
 def degrees(branches: Iterable[Branch]) -> Counter[int]:

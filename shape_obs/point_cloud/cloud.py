@@ -52,6 +52,11 @@ class Cloud:
     thinnest: ClassVar[float] = 3e-4
 
     @property
+    def refusal(self) -> str:
+        """Why the points were left out as no object, in words; empty if they were not."""
+        return ""
+
+    @property
     def pieces(self) -> int:
         """How many pieces there are, specks left out."""
         return len(self.components)

@@ -67,6 +67,11 @@ class SeenCloud(Cloud):
         return self.pixels_of(points)
 
     @property
+    def refusal(self) -> str:
+        """The mask's."""
+        return self.region.refusal
+
+    @property
     def parts(self) -> tuple[Observed, ...]:
         """The observations that an initial axis is taken from: the cloud and its mask."""
         return self, self.region

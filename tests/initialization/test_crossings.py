@@ -131,7 +131,7 @@ def test_a_closed_ring_is_refused():
 @pytest.mark.parametrize("seed", range(4))
 def test_noise_does_no_harm(seed):
     rng = np.random.default_rng(seed)
-    mask = np.where(rng.random((120, 160)) < 0.3 + 0.15 * seed, np.uint8(255), np.uint8(0))
+    mask = np.where(rng.random((80, 100)) < 0.3 + 0.15 * seed, np.uint8(255), np.uint8(0))
     result = medial_axis(region_of(mask))
     assert np.isfinite(result.points).all()
     assert len(result.points) == len(result.interpolated)

@@ -87,8 +87,9 @@ def centerline_masks() -> list[list[np.ndarray]]:
 def contour_masks() -> list[list[np.ndarray]]:
     rng = np.random.default_rng(1)
     blobs = [b.mask for b in moving_blob(rng, turn=0.1, speed=6, swell=0.3, frames=20)]
-    rope = random_rope(rng, "loop").mask
-    return [blobs, [random_blob(rng).mask], [blobs[0][:, ::-1]], [rope], [mask[:, :320] for mask in blobs]]
+    rope, ring = random_rope(rng, "loop").mask, np.zeros((480, 640), np.uint8)
+    ring[100:380, 150:500], ring[160:320, 210:440] = 255, 0
+    return [blobs, [random_blob(rng).mask], [blobs[0][:, ::-1]], [rope], [ring], [mask[:, :320] for mask in blobs]]
 
 
 def surface_masks() -> list[list[np.ndarray]]:
