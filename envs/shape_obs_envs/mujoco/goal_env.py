@@ -5,6 +5,8 @@ from __future__ import annotations
 import abc
 import copy
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -71,11 +73,15 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
     STEP: ClassVar[Array]
     #: Two corners in metres of a box that always contains the object, base frame.
     REACH: ClassVar[tuple[tuple[float, float, float], tuple[float, float, float]]]
+    #: Bounds of the points of a goal in metres, base frame.
+    BOUNDS: ClassVar[tuple[tuple[float, float, float], tuple[float, float, float]]] = (POINTS_LOW, POINTS_HIGH)
     #: Distance of goals from the start, for each `difficulty`.
     GOALS: ClassVar[Mapping[str, Difficulty]] = DIFFICULTIES
 
     _body: Body
     _workspace: Workspace
+    #: Fields of ``CameraSpec`` that differ from its defaults; set before ``__init__``.
+    _view: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(
         self,
@@ -90,8 +96,8 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         render_size: str | Sequence[int] | None = None,
         randomize: bool | Mapping[str, Any] = False,
     ) -> None:
-        self._camera_spec = camera_spec(camera)
-        display = self._camera_spec if render_size is None else camera_spec(render_size, "render_size")
+        self._camera_spec = replace(camera_spec(camera), **self._view)
+        display = camera_spec(camera if render_size is None else render_size, "render_size")
         self.reward_type = one_of("reward_type", reward_type, REWARDS)
         self.render_mode = one_of("render_mode", render_mode, (None, *RENDER_MODES))
         self.success_threshold = positive("success_threshold", success_threshold, "0.01, one centimetre")
@@ -101,7 +107,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         # Only modes that work here: environment checkers try every mode, and a window needs a display.
         modes = [mode for mode in RENDER_MODES if mode != "human" or has_display()]
         self.metadata = {**type(self).metadata, "render_modes": modes}
-        self._rendering = Rendering(one_of("renderer", renderer, RENDERERS), self._camera_spec, display, self.dt)
+        self._rendering = Rendering(one_of("renderer", renderer, RENDERERS), self._camera_spec, replace(display, **self._view), self.dt)
 
     # ---- implemented by subclasses
 
@@ -137,7 +143,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         self.action_space = gym.spaces.Box(-1.0, 1.0, (self._target.size,), np.float32)
         self.goal_actions: Actions = np.zeros((0, self._target.size), np.float32)
         count = len(self._goal) // 3
-        low, high = (np.tile(np.asarray(corner, np.float32), count) for corner in (POINTS_LOW, POINTS_HIGH))
+        low, high = (np.tile(np.asarray(corner, np.float32), count) for corner in self.BOUNDS)
         height, width = self._camera_spec.height, self._camera_spec.width
         images = {
             "rgb": gym.spaces.Box(0, 255, (height, width, 3), np.uint8),

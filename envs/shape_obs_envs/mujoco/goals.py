@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from gymnasium import Space
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from shape_obs_envs.arguments import one_of
@@ -14,7 +14,7 @@ from shape_obs_envs.arguments import one_of
 Array = NDArray[np.float64]
 Actions = NDArray[np.float32]
 
-#: Bounds of all points of an object in metres, base frame.
+#: Bounds of all points of an object on the table in metres, base frame.
 POINTS_LOW, POINTS_HIGH = (-0.4, -0.4, 0.0), (0.4, 0.4, 0.1)
 #: Steps at rest before a goal is recorded: a shape that is still relaxing could be reached but not kept.
 SETTLING = 20
@@ -135,7 +135,7 @@ def mean_point_distance(achieved: Any, desired: Any) -> Array:
     return np.sqrt((difference**2).sum(axis=-1)).mean(axis=-1)
 
 
-def read_options(options: Mapping[str, Any], goals: Space[Any]) -> dict[str, Any]:
+def read_options(options: Mapping[str, Any], goals: Box) -> dict[str, Any]:
     """Return the reset options "start" (float64) and "goal" (float32, flat) as new arrays, None if not given.
 
     Args:
@@ -152,11 +152,12 @@ def read_options(options: Mapping[str, Any], goals: Space[Any]) -> dict[str, Any
         out["start"] = np.asarray(options["start"], np.float64)
     if options.get("goal") is not None:
         goal: NDArray[np.float32] = np.asarray(options["goal"], np.float32)
-        size = int(np.prod(goals.shape or ()))
+        size = len(goals.low)
         if goal.size != size or not goals.contains(goal.ravel()):
+            low, high = (tuple(np.round(bound[:3], 6).tolist()) for bound in (goals.low, goals.high))
             raise ValueError(
                 f"options['goal']: expected {size // 3} points (x, y, z) in metres in the base frame within "
-                f"{POINTS_LOW} ... {POINTS_HIGH}, got an array of shape {goal.shape}: {goal.ravel()[:6]} ..."
+                f"{low} ... {high}, got an array of shape {goal.shape}: {goal.ravel()[:6]} ..."
             )
         out["goal"] = goal.ravel().copy()
     return out

@@ -178,6 +178,7 @@ class Material(Factor):
         stiffness: Factor of the bending stiffness.
         damping: Factor of the bending damping.
         friction: Factor of the table's effect: the viscosity of the medium, or the friction of a cloth.
+        length: Largest fraction by which a hanging rope is shorter or longer; ignored for objects on the table.
     """
 
     factor: ClassVar[str] = "material"
@@ -185,16 +186,17 @@ class Material(Factor):
     stiffness: float = 2.0
     damping: float = 2.0
     friction: float = 1.6
+    length: float = 0.1
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check(thickness=(0, 0.4), stiffness=(1, 4), damping=(1, 4), friction=(1, 3))
+        self._check(thickness=(0, 0.4), stiffness=(1, 4), damping=(1, 4), friction=(1, 3), length=(0, 0.1))
 
     def apply(self, rng: np.random.Generator, scene: Scene) -> dict[str, Any]:
         """Draw the material and set it."""
         thickness = 1 + self.thickness * rng.uniform(-1, 1)
         others = np.array([self.stiffness, self.damping, self.friction]) ** rng.uniform(-1, 1, 3)
-        factors = MaterialFactors(thickness, *others.tolist())
+        factors = MaterialFactors(thickness, *others.tolist(), 1 + self.length * rng.uniform(-1, 1))
         scene.body.set_material(factors)
         return asdict(factors)
 
@@ -208,7 +210,7 @@ class CameraPose(Factor):
         tilt: Largest change of the angle between its axis and the vertical in radians.
         turn: Largest rotation about the vertical through its aim in radians.
         roll: Largest rotation about its own axis in radians.
-        aim: Largest shift of the point on the table that it looks at, along x and along y, in metres.
+        aim: Largest shift of the point that it looks at, along x and along y, in metres.
     """
 
     factor: ClassVar[str] = "camera"
@@ -228,7 +230,7 @@ class CameraPose(Factor):
         distance = spec.distance * (1 + self.distance * rng.uniform(-1, 1))
         tilt = spec.tilt + self.tilt * rng.uniform(-1, 1)
         turn, roll = self.turn * rng.uniform(-1, 1), self.roll * rng.uniform(-1, 1)
-        aim = np.array([*(self.aim * rng.uniform(-1, 1, 2)), 0.0])
+        aim = spec.aim + np.array([*(self.aim * rng.uniform(-1, 1, 2)), 0.0])
         axes = _rotation(2, turn) @ _rotation(0, tilt) @ _rotation(2, roll)
         half = np.array([spec.width, spec.height]) / 2 / spec.intrinsics.fx * (1 - _RIM)
         corners = np.array(np.meshgrid(*zip(*scene.reach, strict=True))).reshape(3, -1).T
