@@ -25,6 +25,8 @@ ENVS = {
     "cable in one gripper": ("ShapeObs/Cable-v0", {"grippers": 1}),
     "ring": ("ShapeObs/Ring-v0", {}),
     "cloth": ("ShapeObs/Cloth-v0", {}),
+    "hanging": ("ShapeObs/Hanging-v0", {}),
+    "hanging from one gripper, from the side": ("ShapeObs/Hanging-v0", {"grippers": 1, "view": "side"}),
 }
 
 

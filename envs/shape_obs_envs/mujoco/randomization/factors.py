@@ -239,7 +239,7 @@ class CameraPose(Factor):
         mujoco.mju_mat2Quat(quaternion, axes.ravel())
         model.cam_pos[index], model.cam_quat[index] = aim + distance * axes[:, 2], quaternion
         scene.body.refresh()
-        return {"distance": float(distance), "tilt": tilt, "turn": turn, "roll": roll, "aim": aim[:2].tolist()}
+        return {"distance": float(distance), "tilt": tilt, "turn": turn, "roll": roll, "aim": aim.tolist()}
 
 
 def _least_distance(axes: Array, points: Array, half: Array) -> float:
