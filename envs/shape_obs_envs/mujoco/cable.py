@@ -14,6 +14,7 @@ from shape_obs_envs.arguments import count, one_of
 from shape_obs_envs.mujoco.bodies import GRIPPERS
 from shape_obs_envs.mujoco.bodies.chain import Chain, ChainSpec, Rope, chain_bodies, chain_equality, chain_skin
 from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv
+from shape_obs_envs.mujoco.goals import measured_space
 from shape_obs_envs.mujoco.workspace import BoxWorkspace, TwoGripperWorkspace
 
 Array = NDArray[np.float64]
@@ -48,7 +49,6 @@ class RopeEnv(ShapeGoalEnv, EzPickle):
     @property
     def shape_obs_defaults(self) -> dict[str, Any]:
         """Suitable arguments of ``shape_obs.ShapeObservation`` for this environment."""
-        low, high = self.BOUNDS
         return {
             "shapes": [
                 {
@@ -62,8 +62,7 @@ class RopeEnv(ShapeGoalEnv, EzPickle):
             ],
             "segmentation": self._randomizer.segmentation(_BLUE),
             "features": [{"kind": "points3d", "frame": "base"}],
-            # Larger than the object's bounds: measured points scatter, and clipping them would bias their mean.
-            "workspace": [[*low[:2], low[2] - 0.1], [*high[:2], high[2] + 0.1]],
+            "workspace": measured_space(self.BOUNDS),
         }
 
     def truth(self, n: int = POINTS, frame: str = "world", ends: str = "tips", surface: bool = False) -> Array:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import abc
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -19,10 +18,10 @@ from shape_obs_envs.mujoco.bodies import Body
 from shape_obs_envs.mujoco.cameras import RENDERERS
 from shape_obs_envs.mujoco.goals import (
     DIFFICULTIES,
-    POINTS_HIGH,
-    POINTS_LOW,
     SETTLING,
+    TABLE,
     Actions,
+    Corner,
     Difficulty,
     actions_towards,
     draw_goal,
@@ -72,9 +71,9 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
     #: Largest motion of a gripper in one step.
     STEP: ClassVar[Array]
     #: Two corners in metres of a box that always contains the object, base frame.
-    REACH: ClassVar[tuple[tuple[float, float, float], tuple[float, float, float]]]
+    REACH: ClassVar[tuple[Corner, Corner]]
     #: Bounds of the points of a goal in metres, base frame.
-    BOUNDS: ClassVar[tuple[tuple[float, float, float], tuple[float, float, float]]] = (POINTS_LOW, POINTS_HIGH)
+    BOUNDS: ClassVar[tuple[Corner, Corner]] = TABLE
     #: Distance of goals from the start, for each `difficulty`.
     GOALS: ClassVar[Mapping[str, Difficulty]] = DIFFICULTIES
 
@@ -96,8 +95,8 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         render_size: str | Sequence[int] | None = None,
         randomize: bool | Mapping[str, Any] = False,
     ) -> None:
-        self._camera_spec = replace(camera_spec(camera), **self._view)
-        display = camera_spec(camera if render_size is None else render_size, "render_size")
+        self._camera_spec = camera_spec(camera, **self._view)
+        display = camera_spec(camera if render_size is None else render_size, "render_size", **self._view)
         self.reward_type = one_of("reward_type", reward_type, REWARDS)
         self.render_mode = one_of("render_mode", render_mode, (None, *RENDER_MODES))
         self.success_threshold = positive("success_threshold", success_threshold, "0.01, one centimetre")
@@ -107,7 +106,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         # Only modes that work here: environment checkers try every mode, and a window needs a display.
         modes = [mode for mode in RENDER_MODES if mode != "human" or has_display()]
         self.metadata = {**type(self).metadata, "render_modes": modes}
-        self._rendering = Rendering(one_of("renderer", renderer, RENDERERS), self._camera_spec, replace(display, **self._view), self.dt)
+        self._rendering = Rendering(one_of("renderer", renderer, RENDERERS), self._camera_spec, display, self.dt)
 
     # ---- implemented by subclasses
 
@@ -149,14 +148,9 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
             "rgb": gym.spaces.Box(0, 255, (height, width, 3), np.uint8),
             "depth": gym.spaces.Box(0, 65535, (height, width), np.uint16),
         }
-        self.observation_space = gym.spaces.Dict(
-            {
-                **(images if self.render_observation else {}),
-                "gripper": gripper,
-                "achieved_goal": gym.spaces.Box(low, high, dtype=np.float32),
-                "desired_goal": gym.spaces.Box(low, high, dtype=np.float32),
-            }
-        )
+        goals = {key: gym.spaces.Box(low, high, dtype=np.float32) for key in ("achieved_goal", "desired_goal")}
+        seen = images if self.render_observation else {}
+        self.observation_space = gym.spaces.Dict({**seen, "gripper": gripper, **goals})
 
     # ---- gymnasium
 

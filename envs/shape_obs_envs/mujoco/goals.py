@@ -13,9 +13,11 @@ from shape_obs_envs.arguments import one_of
 
 Array = NDArray[np.float64]
 Actions = NDArray[np.float32]
+#: A corner (x, y, z) of a box in metres, base frame.
+Corner = tuple[float, float, float]
 
 #: Bounds of all points of an object on the table in metres, base frame.
-POINTS_LOW, POINTS_HIGH = (-0.4, -0.4, 0.0), (0.4, 0.4, 0.1)
+TABLE: Final[tuple[Corner, Corner]] = (-0.4, -0.4, 0.0), (0.4, 0.4, 0.1)
 #: Steps at rest before a goal is recorded: a shape that is still relaxing could be reached but not kept.
 SETTLING = 20
 _LONGEST = 32
@@ -121,6 +123,12 @@ def actions_towards(rng: np.random.Generator, start: Array, end: Array, step: Ar
     path = start + ease[:, None, None] * (end - start) + np.sin(np.pi * time)[:, None, None] ** 2 * bulge
     actions = np.clip(np.diff(path, axis=0) / step, -1, 1).reshape(steps, -1)
     return np.concatenate([actions, np.zeros((3, actions.shape[1]))]).astype(np.float32)
+
+
+def measured_space(bounds: tuple[Corner, Corner]) -> list[list[float]]:
+    """Return bounds of measured points: they scatter, also into the table, and clipping them would bias their mean."""
+    low, high = bounds
+    return [[*low[:2], low[2] - 0.1], [*high[:2], high[2] + 0.1]]
 
 
 def mean_point_distance(achieved: Any, desired: Any) -> Array:

@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 
 #: Fields of ``CameraSpec`` for each ``view``.
 VIEWS: Final[Mapping[str, Mapping[str, Any]]] = {
-    "above": {"distance": 0.62, "tilt": math.radians(45), "aim": (0.0, 0.0, 0.29)},
     "side": {"distance": 0.62, "tilt": math.radians(80), "aim": (0.0, 0.0, 0.29)},
+    "above": {"distance": 0.62, "tilt": math.radians(45), "aim": (0.0, 0.0, 0.29)},
 }
 _WALL: Final = '<geom name="wall" type="plane" pos="0 .7 0" zaxis="0 -1 0" size="4 4 .1" rgba=".72 .74 .76 1"/>'
 _ROPE: Final = {"links": 24, "stiffness": 0.004, "damping": 3e-3}
@@ -42,7 +42,7 @@ class HangingEnv(RopeEnv):
 
     Args:
         grippers: 2 to hold both ends, 1 to hold end 0 of a shorter rope.
-        view: "above" for a camera that looks down at 45 degrees, "side" for one that is nearly level.
+        view: "side" for a camera that is nearly level with the rope, "above" for one that looks down at 45 degrees.
         **options: Arguments of ``ShapeGoalEnv``.
 
     Raises:
@@ -54,7 +54,7 @@ class HangingEnv(RopeEnv):
     BOUNDS = ((-0.5, -0.5, 0.0), (0.5, 0.5, 0.8))
     GOALS: ClassVar[Mapping[str, Difficulty]] = {**DIFFICULTIES, "far": DIFFICULTIES["far"]._replace(least=0.1)}
 
-    def __init__(self, grippers: int = 2, view: str = "above", **options: Any) -> None:
+    def __init__(self, grippers: int = 2, view: str = "side", **options: Any) -> None:
         EzPickle.__init__(self, grippers, view, **options)
         self._view = VIEWS[one_of("view", view, VIEWS)]
         ShapeGoalEnv.__init__(self, **options)

@@ -66,14 +66,14 @@ class CameraSpec:
         return math.degrees(2 * math.atan(480 / 2 / _FOCAL_480))
 
 
-def camera_spec(camera: str | Sequence[int], name: str = "camera") -> CameraSpec:
-    """Return the camera for the value of an environment's argument ``name``.
+def camera_spec(camera: str | Sequence[int], name: str = "camera", **view: Any) -> CameraSpec:
+    """Return the camera for the value of an environment's argument ``name``, with ``distance``, ``tilt`` or ``aim``.
 
     Raises:
         ValueError: It is neither a known name nor a size in pixels.
     """
     if isinstance(camera, str):
-        return CameraSpec(*_SIZES[one_of(name, camera, _SIZES, "[width, height]")])
+        return CameraSpec(*_SIZES[one_of(name, camera, _SIZES, "[width, height]")], **view)
     size = list(camera) if isinstance(camera, (list, tuple)) else []
     whole = [isinstance(side, (int, np.integer)) and not isinstance(side, bool) for side in size]
     if len(size) != 2 or not all(whole) or not all(_SMALLEST <= side <= _LARGEST for side in size):
@@ -87,7 +87,7 @@ def camera_spec(camera: str | Sequence[int], name: str = "camera") -> CameraSpec
             f"{name}: expected a width of at least the height, to keep the whole workspace in view, got {camera!r}. "
             f"Write {name}=[{size[1]}, {size[1]}] or {name}=[{size[1]}, {size[0]}]."
         )
-    return CameraSpec(int(size[0]), int(size[1]))
+    return CameraSpec(int(size[0]), int(size[1]), **view)
 
 
 def compile_scene(camera: CameraSpec, bodies: str, equality: str = "", sections: str = "") -> Any:

@@ -245,7 +245,7 @@ def gripper_spec(body: Body, workspace: Workspace, step: Array) -> ActionSpec:
 
 
 def _mirrored(low: tuple[float, float, float], high: tuple[float, float, float]) -> tuple[Array, Array]:
-    """Return the lowest and highest poses, ``(2, 3)`` each, of a box from ``low`` to ``high`` and of its mirror image."""
+    """Return the lowest and highest poses, ``(2, 3)`` each, of a box and its mirror image at x = 0."""
     (x0, y0, z0), (x1, y1, z1) = low, high
     return np.array([[x0, y0, z0], [-x1, y0, z0]]), np.array([[x1, y1, z1], [-x0, y1, z1]])
 

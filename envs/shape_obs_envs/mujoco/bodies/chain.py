@@ -1,8 +1,8 @@
 """A chain of capsules, and its planar form: a rope that lies on a table and is held at one end or both.
 
-The planar chain is inextensible (rigid links) and bends at hinges with low stiffness and damping. The drag of a viscous medium
-models the friction of the table. Gravity and contacts are off: nothing falls, nothing collides. A held end link is
-welded to a mocap body, its gripper.
+The planar chain is inextensible (rigid links) and bends at hinges with low stiffness and damping. The drag of a viscous
+medium models the friction of the table. Gravity and contacts are off: nothing falls, nothing collides. A held end link
+is welded to a mocap body, its gripper.
 """
 
 from __future__ import annotations

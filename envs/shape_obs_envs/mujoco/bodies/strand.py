@@ -1,8 +1,8 @@
 """A chain of capsules in space: the physics of a rope that hangs under gravity from one gripper or two.
 
 The chain is inextensible (rigid links) and bends at universal joints, two hinges each, with low stiffness and damping:
-without twist there is a third less to compute than with ball joints. The drag of a viscous medium stands for the air and
-calms its swings within a second. Contacts are off: nothing collides.
+without twist it has a third fewer coordinates than with ball joints. The drag of a viscous medium damps its swings
+within a second. Contacts are off: nothing collides.
 
 Each tip is pinched by a palm, in which it turns freely. The first palm slides in x, y and z, carries the links, and
 follows the target of its gripper, a mocap body, as does the second palm at the other end: in one tree of bodies, no
@@ -26,13 +26,13 @@ Array = NDArray[np.float64]
 
 #: Height of the axis in the model's initial configuration, straight along x, in metres.
 _HEIGHT = 0.4
-#: Explicit in the drag: implicit integration of it takes three times as long. The links then need half the usual step.
+#: Euler's method is explicit in the drag: integrating it implicitly takes three times as long. It needs half the usual
+#: timestep, and damping of this size: with a third of it, links whirl when a gripper jerks them at full speed.
 _OPTION = '<option timestep="0.005" integrator="Euler" viscosity="0.4"><flag gravity="enable"/></option>'
-_HINGES = ("pitch", "0 1 0"), ("yaw", "0 0 1")
 _FOLLOW = 'solref=".02 1" solimp=".95 .99 .001"'
-#: A light body whose slides have the inertia of an arm, so that the rope hardly pulls it from its way.
-_SLIDES = "".join(f'<joint name="{axis}" type="slide" axis="{way}"/>'
-                  for axis, way in (("x", "1 0 0"), ("y", "0 1 0"), ("z", "0 0 1")))  # fmt: skip
+_AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
+_SLIDES = "".join(f'<joint name="{axis}" type="slide" axis="{way}"/>' for axis, way in _AXES.items())
+_HINGES = ("pitch", _AXES["y"]), ("yaw", _AXES["z"])
 #: The jaw stands above the tip and is thin, so that a camera from the front or from above sees the tip before it.
 _PALM = (
     '<inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/>'
@@ -51,11 +51,13 @@ def strand_bodies(spec: ChainSpec) -> str:
     for i in range(spec.links):
         parts.append(f'<body name="link{i}" pos="{link if i else radius} 0 0"><geom name="link{i}" {capsule}/>')
         if i:
-            parts += [f'<joint name="{a}{i}" type="hinge" axis="{way}" {bend}/>' for a, way in _HINGES]
+            parts += [f'<joint name="{name}{i}" type="hinge" axis="{way}" {bend}/>' for name, way in _HINGES]
         else:
             parts.append(f'<joint name="turn0" {turn} pos="{-radius} 0 0"/>')
     if spec.grippers == 2:
-        parts.append(f'<body name="palm1" pos="{link + radius} 0 0" gravcomp="1"><joint name="turn1" {turn}/>{_PALM}</body>')
+        parts.append(
+            f'<body name="palm1" pos="{link + radius} 0 0" gravcomp="1"><joint name="turn1" {turn}/>{_PALM}</body>'
+        )
     parts.append("</body>" * (spec.links + 1))
     parts += [
         f'<body name="{name}" mocap="true" pos="{sign * spec.length / 2} 0 {_HEIGHT}"/>'

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from shape_obs.spec import Spec
 from shape_obs_envs.mujoco.bodies import Body, MaterialFactors
+from shape_obs_envs.mujoco.goals import Corner
 from shape_obs_envs.mujoco.scene import CAMERA, CameraSpec, mujoco
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
-#: A corner (x, y, z) of a box in metres, base frame.
-Corner = tuple[float, float, float]
 
 HUES = 180
 #: Hues nearer than this to the object's are reserved for it; elsewhere they occur only as greys.
