@@ -67,7 +67,7 @@ class RealtimeSimulation:
     """A simulated environment that is advanced one physics step at a time.
 
     Poses have shape ``(G, 3)``: x, y in metres and yaw in radians for each gripper of a rope or ring, and x, y, z in
-    metres for those of a cloth.
+    metres for those of a cloth or a hanging rope.
 
     Args:
         env: Id of a simulated environment, such as "ShapeObs/Cable-v0".
