@@ -12,6 +12,8 @@ from scipy.optimize import least_squares
 
 pytest.importorskip("mujoco")
 
+from simulator_gl import needs_gl
+
 import shape_obs_envs  # noqa: F401
 from shape_obs import ShapeGoal, ShapeObservation
 from shape_obs.bench.servo.worlds import TrueDetector, Unseen
@@ -239,6 +241,18 @@ def test_table_and_wall_are_planes_in_the_depth_image():
     assert on_wall.mean() > 0.2
     assert points[:, 2].min() > -3e-3
     assert points[:, 1].max() < 0.703
+
+
+@needs_gl
+@pytest.mark.parametrize("view", ["side", "above"])
+def test_opengl_and_rays_draw_the_same(view):
+    one, two = (start(make(view=view, camera="rl", renderer=renderer), 3) for renderer in ("gl", "rays"))
+    apart = np.abs(one["rgb"].astype(int) - two["rgb"]).max(axis=2)
+    assert np.median(apart) <= 2
+    assert (apart > 20).mean() < 0.01, "outlines within a pixel"
+    depth = np.abs(one["depth"].astype(int) - two["depth"])
+    assert np.median(depth) <= 1
+    assert (depth > 5).mean() < 0.01
 
 
 def test_an_unknown_view_is_refused():

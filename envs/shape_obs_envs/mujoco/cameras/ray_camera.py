@@ -76,7 +76,7 @@ class RayCamera:
         pose = np.concatenate([rotation.ravel(), eye])
         if self._background is None or not np.array_equal(pose, self._pose):
             rgb, depth = np.zeros((*self._shape, 3), np.uint8), np.full(self._shape, np.inf, np.float32)
-            for plane in self._planes:
+            for plane in self._planes.tolist():
                 self._draw_plane(data, plane, rotation, eye, rgb, depth)
             depth[np.isinf(depth)] = 0
             self._pose, self._background = pose, (rgb, depth)

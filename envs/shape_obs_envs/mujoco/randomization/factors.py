@@ -195,7 +195,7 @@ class Material(Factor):
         """Draw the material and set it."""
         thickness = 1 + self.thickness * rng.uniform(-1, 1)
         others = np.array([self.stiffness, self.damping, self.friction]) ** rng.uniform(-1, 1, 3)
-        factors = MaterialFactors(thickness, *others.tolist(), 1 + self.length * rng.uniform(-1, 1))
+        factors = MaterialFactors(thickness, *others.tolist(), length=1 + self.length * rng.uniform(-1, 1))
         scene.body.set_material(factors)
         return asdict(factors)
 
