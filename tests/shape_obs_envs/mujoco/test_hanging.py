@@ -149,6 +149,39 @@ def test_it_is_stable_and_keeps_its_length_at_full_strength(grippers, factors):
         assert not any(warning.number for warning in env._body.data.warning)
 
 
+@pytest.mark.parametrize("damping", [0.5, 1.0])
+def test_jerks_do_not_make_it_whirl(env, damping):
+    """Grippers that turn round at full speed, with the rope behind them, are the hardest case of all."""
+    env._body.set_material(MaterialFactors(damping=damping))
+    for seed in (3, 74, 138, 163):
+        start(env, seed)
+        rng, action = np.random.default_rng(seed), np.zeros(6)
+        for step in range(50):
+            if step % 4 == 0:
+                action = np.tile(np.sign(rng.uniform(-1, 1, 3)), 2) * np.repeat(rng.choice([-1, 1], 2), 3)
+            env._move(action)
+            way = np.diff(env._strand.vertices(), axis=0)
+            way /= np.linalg.norm(way, axis=1)[:, None]
+            assert (way[1:] * way[:-1]).sum(axis=1).min() > np.cos(np.radians(75)), "bend between two links"
+            assert np.abs(env._strand.gripper_poses() - env._target).max() < 0.07, "the grippers keep up"
+    env._body.set_material(MaterialFactors())
+
+
+@pytest.mark.parametrize("factors", [MaterialFactors(), MaterialFactors(thickness=1.4, length=0.9)])
+def test_palms_hold_the_very_tips_and_stand_upright(env, factors):
+    env._body.set_material(factors)
+    for seed in range(3):
+        poses = env._workspace.clip(np.random.default_rng(seed).uniform(*env._workspace.bounds), env._target)
+        env._strand.place(poses)
+        for _ in range(4):
+            palms = [env._body.data.body(f"palm{i}") for i in range(2)]
+            np.testing.assert_allclose([palm.xpos for palm in palms], env._strand.vertices()[[0, -1]], atol=1e-9)
+            assert min(palm.xmat[8] for palm in palms) > 0.99
+            np.testing.assert_allclose(env._strand.gripper_poses(), poses, atol=0.01)
+            env._strand.step_to(poses, poses, 1)
+    env._body.set_material(MaterialFactors())
+
+
 def test_it_moves_fast_and_comes_to_rest_within_a_second(env):
     start(env, 5)
     points = swing(env, 5, 30)
