@@ -1,4 +1,4 @@
-"""Servo shapes using only the camera: bring a cable, a ring and a cloth into the shapes of their goals.
+"""Servo shapes using only the camera: bring a cable, a ring, a cloth and a hanging rope into the shapes of their goals.
 
 The law has no model of the objects, the robot or the camera's pose: it moves each coordinate of the robot a little,
 learns how the shape responds, and continues to learn on the way. The images are those of a simulated D455, with its
@@ -19,6 +19,7 @@ FEATURES = {
     "Cable": {"kind": "bspline", "coefficients": 8, "frame": "base"},
     "Ring": {"kind": "elliptic_fourier", "harmonics": 6, "frame": "base"},
     "Cloth": {"kind": "points3d", "frame": "base"},
+    "Hanging": {"kind": "bspline", "coefficients": 8, "frame": "base"},
 }
 
 
@@ -53,7 +54,7 @@ def main() -> None:
     reached = 0
     for name, feature in FEATURES.items():
         env = make(name, arguments.difficulty)
-        print(f"{name:5s} {feature['kind']:16s}", end=" ")
+        print(f"{name:7s} {feature['kind']:16s}", end=" ")
         reached += bring(env, arguments.law, arguments.seed, arguments.steps)
         env.close()
     print(f"{reached} of {len(FEATURES)} goals within 10 mm")

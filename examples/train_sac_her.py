@@ -1,4 +1,4 @@
-"""Train SAC with hindsight replay on ordered points: bring a cable with two grippers into any shape, seen by a camera.
+"""Train SAC with hindsight replay on ordered points: bring a rope with two grippers into any shape, seen by a camera.
 
 Run: ``uv run --extra sim --extra sb3 examples/train_sac_her.py``; ``--help`` lists the options,
 ``tensorboard --logdir runs`` draws the curves, and ``--resume`` continues from the last checkpoint.
@@ -24,14 +24,14 @@ from shape_obs.training import Curriculum, GoalDifference
 
 GOALS = ("near", "middle", "far")
 HELD_OUT = 1_000_000  # seed of the goals for evaluation; trainings use seeds far below
-# 1e-4 m2: coordinates that vary by less than a centimetre are not scaled up.
-FLOOR: dict[str, Any] = {"norm_reward": False, "epsilon": 1e-4}
+FLOOR: dict[str, Any] = {"norm_reward": False, "epsilon": 1e-4}  # m2: less than a centimetre is not scaled up
 
 
 @dataclass
 class Args:
     """Train a policy, and save it as a bundle."""
 
+    env: str = "Cable"  # or Hanging: a rope in the air, with grippers that move in x, y and z
     out: Path = Path("runs/sac_her")
     steps: int = 25_000
     seed: int = 0
@@ -44,19 +44,19 @@ class Args:
     resume: bool = False  # continue from the last checkpoint
 
 
-def make_env(camera: tuple[int, int], difficulties: tuple[str, ...]) -> gym.Env:
-    env = gym.make("shape_obs_envs:ShapeObs/Cable-v0", camera=list(camera), reward_type="sparse")
+def make_env(args: Args, difficulties: tuple[str, ...]) -> gym.Env:
+    env = gym.make(f"shape_obs_envs:ShapeObs/{args.env}-v0", camera=list(args.camera), reward_type="sparse")
     return Curriculum(ShapeObservation(env), difficulties)
 
 
-def held_out(camera: tuple[int, int], *goals: str) -> VecNormalize:
-    envs = make_vec_env(make_env, env_kwargs={"camera": camera, "difficulties": goals}, seed=HELD_OUT)
+def held_out(args: Args, *goals: str) -> VecNormalize:
+    envs = make_vec_env(make_env, env_kwargs={"args": args, "difficulties": goals}, seed=HELD_OUT)
     return VecNormalize(envs, training=False, **FLOOR)
 
 
 def main(args: Args) -> None:
     torch.set_num_threads(1)  # small networks are no faster with more
-    envs = make_vec_env(make_env, env_kwargs={"camera": args.camera, "difficulties": GOALS}, seed=args.seed)
+    envs = make_vec_env(make_env, env_kwargs={"args": args, "difficulties": GOALS}, seed=args.seed)
     if args.resume:  # a checkpoint's statistics are written last
         steps = [int(path.stem.split("_")[-2]) for path in args.out.glob("model_vecnormalize_*_steps.pkl")]
         at = max(steps) if steps else sys.exit(f"--resume: there is no checkpoint in {args.out}")
@@ -74,16 +74,16 @@ def main(args: Args) -> None:
             learning_starts=args.learning_starts, buffer_size=args.buffer,
         )  # fmt: skip
     save = CheckpointCallback(args.checkpoint_every, str(args.out), "model", True, True)
-    tell = EvalCallback(held_out(args.camera, *GOALS), n_eval_episodes=args.goals, eval_freq=args.evaluate_every)
+    tell = EvalCallback(held_out(args, *GOALS), n_eval_episodes=args.goals, eval_freq=args.evaluate_every)
     model.learn(args.steps - model.num_timesteps, [tell, save], reset_num_timesteps=not args.resume, progress_bar=True)
     reached: list[bool] = []
     for goals in GOALS:
-        trial = held_out(args.camera, goals)
+        trial = held_out(args, goals)
         sync_envs_normalization(env, trial)
         evaluate_policy(model, trial, args.goals, callback=lambda at, _: reached.append(at["info"]["is_success"]))
         print(f"after {model.num_timesteps} steps: {sum(reached[49::50])} of {args.goals} {goals} goals reached")
         reached.clear()
-    save_bundle(model, env, args.out / "cable.policy", summary={"algorithm": "SAC", "steps": model.num_timesteps})
+    save_bundle(model, env, args.out / f"{args.env.lower()}.policy", summary={"algorithm": "SAC", "steps": args.steps})
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ _ENTRY_POINTS = {
     "Cable": "shape_obs_envs.mujoco.cable:CableEnv",
     "Ring": "shape_obs_envs.mujoco.ring:RingEnv",
     "Cloth": "shape_obs_envs.mujoco.cloth:ClothEnv",
+    "Hanging": "shape_obs_envs.mujoco.hanging:HangingEnv",
 }
 #: Modules that were renamed: saved environment specs contain the old entry points.
 _RENAMED = {"shape_obs_envs.cell": "shape_obs_envs.real"}

@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, TypeVar, get_args
 
 T = TypeVar("T")
 Clock = Literal["wall", "thread"]
-Env = Literal["Cable", "Ring", "Cloth"]
+Env = Literal["Cable", "Ring", "Cloth", "Hanging"]
 ENVS: Final[tuple[Env, ...]] = get_args(Env)
 Difficulty = Literal["near", "middle", "far"]  # distance of a goal from the start
 Source = Literal["camera", "truth", "taught"]  # of the points in servoing

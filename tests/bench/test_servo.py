@@ -72,7 +72,7 @@ class TestSettings:
         settings = list(
             combinations(ENVS, ["bezier", "bspline"], ["rls", "mfac"], disturbance=Disturbance(0.2, (5, 2)))
         )
-        assert len(settings) == 5 * 2 * 3 * 2
+        assert len(settings) == 7 * 2 * 3 * 2
         assert len({setting.name for setting in settings}) == len(settings)
         assert all(setting.disturbance == Disturbance() for setting in settings if setting.source == "truth")
 

@@ -20,7 +20,7 @@ EXPECTED = {
     "deploy_loop.py": "goal            reached",
     "foreign_env.py": "ok: True",
     "foreign_env_depth.py": "13 points in metres, ok: True",
-    "shape_servo.py": "3 of 3 goals within 10 mm",
+    "shape_servo.py": "4 of 4 goals within 10 mm",
     "servo_robot.py": "goal            reached",
     "deploy_policy.py": "reads points3d every 0.05 s",
     "features_offline.py": "pca, aligned    11 values, points back within  ",

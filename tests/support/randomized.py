@@ -10,7 +10,7 @@ import numpy as np
 import shape_obs_envs  # noqa: F401
 from shape_obs_envs.mujoco.goal_env import ShapeGoalEnv
 
-ENVS = ("Cable", "Ring", "Cloth")
+ENVS = ("Cable", "Ring", "Cloth", "Hanging")
 
 
 def make(name: str, randomize: Any = True, **options: Any) -> ShapeGoalEnv:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from shape_obs_envs.arguments import count, one_of
 from shape_obs_envs.mujoco.bodies import GRIPPERS
-from shape_obs_envs.mujoco.bodies.chain import Chain, ChainSpec, chain_bodies, chain_equality, chain_skin
-from shape_obs_envs.mujoco.goal_env import POINTS_HIGH, POINTS_LOW, SUBSTEPS, ShapeGoalEnv
+from shape_obs_envs.mujoco.bodies.chain import Chain, ChainSpec, Rope, chain_bodies, chain_equality, chain_skin
+from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv
+from shape_obs_envs.mujoco.goals import measured_space
 from shape_obs_envs.mujoco.workspace import BoxWorkspace, TwoGripperWorkspace
 
 Array = NDArray[np.float64]
@@ -29,44 +30,15 @@ _ONE = (
 )
 
 
-class CableEnv(ShapeGoalEnv, EzPickle):
-    """Bring a rope into a goal shape with two grippers or one; see docs/envs/cable.md.
+class RopeEnv(ShapeGoalEnv, EzPickle):
+    """Base of the environments with a rope: what they publish, and their goals of 20 points along the rope."""
 
-    Args:
-        grippers: 2 to hold both ends, 1 to hold end 0 of a shorter rope.
-        **options: Arguments of ``ShapeGoalEnv``.
-
-    Raises:
-        ValueError: An argument is out of its range.
-    """
-
-    STEP: ClassVar[Array] = np.array([0.015, 0.015, 0.12])  # x, y in metres and yaw in radians
-    REACH = ((-0.285, -0.27, 0.0), (0.285, 0.32, 0.02))
-
-    def __init__(self, grippers: int = 2, **options: Any) -> None:
-        EzPickle.__init__(self, grippers, **options)
-        ShapeGoalEnv.__init__(self, **options)
-        spec, workspace = {1: _ONE, 2: _TWO}[count("grippers", grippers, 1, 2)]
-        model = self._compile(chain_bodies(spec), chain_equality(spec), chain_skin(spec))
-        self._chain = Chain(spec, model)
-        low, high = workspace.bounds
-        low, high = low - 0.05, high + 0.05  # the welds are slightly compliant
-        self._install(
-            self._chain,
-            workspace,
-            gym.spaces.Box(
-                np.concatenate([[*pose[:2], 0.0, -1.0, -1.0] for pose in low]).astype(np.float32),
-                np.concatenate([[*pose[:2], 0.1, 1.0, 1.0] for pose in high]).astype(np.float32),
-                dtype=np.float32,
-            ),
-        )
-
-    # ---- published
+    _rope: Rope
 
     @property
     def anchors(self) -> Mapping[str, tuple[float, float, float]]:
         """Where the grippers hold the rope: name -> (x, y, z) in metres, base frame; gripper0 holds end 0."""
-        tips = self._chain.vertices()[[0, -1]][: self._chain.spec.grippers].tolist()
+        tips = self._rope.vertices()[[0, -1]][: self._rope.spec.grippers].tolist()
         return {name: (x, y, z) for name, (x, y, z) in zip(GRIPPERS, tips, strict=False)}
 
     @property
@@ -85,13 +57,12 @@ class CableEnv(ShapeGoalEnv, EzPickle):
                     "anchor": "gripper0",
                     "ends": "tips",
                     "spacing": "m",
-                    "radius": self._chain.nominal.radius,
+                    "radius": self._rope.nominal.radius,
                 }
             ],
             "segmentation": self._randomizer.segmentation(_BLUE),
             "features": [{"kind": "points3d", "frame": "base"}],
-            # Includes space below the table: measured points scatter, and clipping them would bias their mean.
-            "workspace": [[*POINTS_LOW[:2], -0.1], [*POINTS_HIGH[:2], 0.2]],
+            "workspace": measured_space(self.BOUNDS),
         }
 
     def truth(self, n: int = POINTS, frame: str = "world", ends: str = "tips", surface: bool = False) -> Array:
@@ -114,21 +85,54 @@ class CableEnv(ShapeGoalEnv, EzPickle):
         one_of("ends", ends, ("tips", "centers"))
         count("n", n, 2)
         fractions = np.linspace(0.0, 1.0, n) if ends == "tips" else (np.arange(n) + 0.5) / n
-        points = self._chain.points(fractions)
+        points = self._rope.points(fractions)
         camera = self.camera_model
         if surface:
             assert camera.transform_camera_to_base is not None
-            points = self._chain.visible_surface(
-                points, camera.transform_camera_to_base[:3, 3], 3 * self._chain.spec.radius
+            points = self._rope.visible_surface(
+                points, camera.transform_camera_to_base[:3, 3], 3 * self._rope.spec.radius
             )
         if frame == "world":
             return points
         return camera.from_base(points) if frame == "camera" else camera.project_from_base(points)
 
-    # ---- ShapeGoalEnv
-
     def _goal_points(self) -> Array:
-        return self._chain.points(np.linspace(0, 1, POINTS))
+        return self._rope.points(np.linspace(0, 1, POINTS))
+
+
+class CableEnv(RopeEnv):
+    """Bring a rope into a goal shape with two grippers or one; see docs/envs/cable.md.
+
+    Args:
+        grippers: 2 to hold both ends, 1 to hold end 0 of a shorter rope.
+        **options: Arguments of ``ShapeGoalEnv``.
+
+    Raises:
+        ValueError: An argument is out of its range.
+    """
+
+    STEP: ClassVar[Array] = np.array([0.015, 0.015, 0.12])  # x, y in metres and yaw in radians
+    REACH = ((-0.285, -0.27, 0.0), (0.285, 0.32, 0.02))
+
+    def __init__(self, grippers: int = 2, **options: Any) -> None:
+        EzPickle.__init__(self, grippers, **options)
+        ShapeGoalEnv.__init__(self, **options)
+        spec, workspace = {1: _ONE, 2: _TWO}[count("grippers", grippers, 1, 2)]
+        model = self._compile(chain_bodies(spec), chain_equality(spec), chain_skin(spec))
+        self._rope = self._chain = Chain(spec, model)
+        low, high = workspace.bounds
+        low, high = low - 0.05, high + 0.05  # the welds are slightly compliant
+        self._install(
+            self._chain,
+            workspace,
+            gym.spaces.Box(
+                np.concatenate([[*pose[:2], 0.0, -1.0, -1.0] for pose in low]).astype(np.float32),
+                np.concatenate([[*pose[:2], 0.1, 1.0, 1.0] for pose in high]).astype(np.float32),
+                dtype=np.float32,
+            ),
+        )
+
+    # ---- ShapeGoalEnv
 
     def _gripper(self) -> NDArray[np.float32]:
         poses = self._chain.gripper_poses()

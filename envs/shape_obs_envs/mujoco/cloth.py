@@ -14,8 +14,8 @@ from shape_obs_envs.arguments import count, one_of
 from shape_obs_envs.mujoco.bodies import GRIPPERS
 from shape_obs_envs.mujoco.bodies.sheet import Sheet
 from shape_obs_envs.mujoco.bodies.sheet_model import SheetSpec, sheet_bodies, sheet_sections
-from shape_obs_envs.mujoco.goal_env import POINTS_HIGH, POINTS_LOW, SUBSTEPS, ShapeGoalEnv
-from shape_obs_envs.mujoco.goals import DIFFICULTIES, Actions, Difficulty, smooth_actions
+from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv
+from shape_obs_envs.mujoco.goals import DIFFICULTIES, Actions, Difficulty, measured_space, smooth_actions
 from shape_obs_envs.mujoco.workspace import HeldEdgeWorkspace
 
 Array = NDArray[np.float64]
@@ -81,8 +81,7 @@ class ClothEnv(ShapeGoalEnv, EzPickle):
             ],
             "segmentation": self._randomizer.segmentation(_BLUE),
             "features": [{"kind": "points3d", "frame": "base"}],
-            # Includes space below the table: measured points scatter, and clipping them would bias their mean.
-            "workspace": [[*POINTS_LOW[:2], -0.1], [*POINTS_HIGH[:2], 0.2]],
+            "workspace": measured_space(self.BOUNDS),
         }
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import abc
 import copy
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -17,10 +18,10 @@ from shape_obs_envs.mujoco.bodies import Body
 from shape_obs_envs.mujoco.cameras import RENDERERS
 from shape_obs_envs.mujoco.goals import (
     DIFFICULTIES,
-    POINTS_HIGH,
-    POINTS_LOW,
     SETTLING,
+    TABLE,
     Actions,
+    Corner,
     Difficulty,
     actions_towards,
     draw_goal,
@@ -70,12 +71,16 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
     #: Largest motion of a gripper in one step.
     STEP: ClassVar[Array]
     #: Two corners in metres of a box that always contains the object, base frame.
-    REACH: ClassVar[tuple[tuple[float, float, float], tuple[float, float, float]]]
+    REACH: ClassVar[tuple[Corner, Corner]]
+    #: Bounds of the points of a goal in metres, base frame.
+    BOUNDS: ClassVar[tuple[Corner, Corner]] = TABLE
     #: Distance of goals from the start, for each `difficulty`.
     GOALS: ClassVar[Mapping[str, Difficulty]] = DIFFICULTIES
 
     _body: Body
     _workspace: Workspace
+    #: Fields of ``CameraSpec`` that differ from its defaults; set before ``__init__``.
+    _view: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(
         self,
@@ -90,8 +95,8 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         render_size: str | Sequence[int] | None = None,
         randomize: bool | Mapping[str, Any] = False,
     ) -> None:
-        self._camera_spec = camera_spec(camera)
-        display = self._camera_spec if render_size is None else camera_spec(render_size, "render_size")
+        self._camera_spec = camera_spec(camera, **self._view)
+        display = camera_spec(camera if render_size is None else render_size, "render_size", **self._view)
         self.reward_type = one_of("reward_type", reward_type, REWARDS)
         self.render_mode = one_of("render_mode", render_mode, (None, *RENDER_MODES))
         self.success_threshold = positive("success_threshold", success_threshold, "0.01, one centimetre")
@@ -137,20 +142,15 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         self.action_space = gym.spaces.Box(-1.0, 1.0, (self._target.size,), np.float32)
         self.goal_actions: Actions = np.zeros((0, self._target.size), np.float32)
         count = len(self._goal) // 3
-        low, high = (np.tile(np.asarray(corner, np.float32), count) for corner in (POINTS_LOW, POINTS_HIGH))
+        low, high = (np.tile(np.asarray(corner, np.float32), count) for corner in self.BOUNDS)
         height, width = self._camera_spec.height, self._camera_spec.width
         images = {
             "rgb": gym.spaces.Box(0, 255, (height, width, 3), np.uint8),
             "depth": gym.spaces.Box(0, 65535, (height, width), np.uint16),
         }
-        self.observation_space = gym.spaces.Dict(
-            {
-                **(images if self.render_observation else {}),
-                "gripper": gripper,
-                "achieved_goal": gym.spaces.Box(low, high, dtype=np.float32),
-                "desired_goal": gym.spaces.Box(low, high, dtype=np.float32),
-            }
-        )
+        goals = {key: gym.spaces.Box(low, high, dtype=np.float32) for key in ("achieved_goal", "desired_goal")}
+        seen = images if self.render_observation else {}
+        self.observation_space = gym.spaces.Dict({**seen, "gripper": gripper, **goals})
 
     # ---- gymnasium
 

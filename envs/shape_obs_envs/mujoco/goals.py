@@ -6,16 +6,18 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from gymnasium import Space
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from shape_obs_envs.arguments import one_of
 
 Array = NDArray[np.float64]
 Actions = NDArray[np.float32]
+#: A corner (x, y, z) of a box in metres, base frame.
+Corner = tuple[float, float, float]
 
-#: Bounds of all points of an object in metres, base frame.
-POINTS_LOW, POINTS_HIGH = (-0.4, -0.4, 0.0), (0.4, 0.4, 0.1)
+#: Bounds of all points of an object on the table in metres, base frame.
+TABLE: Final[tuple[Corner, Corner]] = (-0.4, -0.4, 0.0), (0.4, 0.4, 0.1)
 #: Steps at rest before a goal is recorded: a shape that is still relaxing could be reached but not kept.
 SETTLING = 20
 _LONGEST = 32
@@ -123,6 +125,12 @@ def actions_towards(rng: np.random.Generator, start: Array, end: Array, step: Ar
     return np.concatenate([actions, np.zeros((3, actions.shape[1]))]).astype(np.float32)
 
 
+def measured_space(bounds: tuple[Corner, Corner]) -> list[list[float]]:
+    """Return bounds of measured points: they scatter, also into the table, and clipping them would bias their mean."""
+    low, high = bounds
+    return [[*low[:2], low[2] - 0.1], [*high[:2], high[2] + 0.1]]
+
+
 def mean_point_distance(achieved: Any, desired: Any) -> Array:
     """Return the mean distance in metres of corresponding points in flat point lists ``(..., 3 n)``; shape (...,)."""
     achieved, desired = np.asarray(achieved, np.float64), np.asarray(desired, np.float64)
@@ -135,7 +143,7 @@ def mean_point_distance(achieved: Any, desired: Any) -> Array:
     return np.sqrt((difference**2).sum(axis=-1)).mean(axis=-1)
 
 
-def read_options(options: Mapping[str, Any], goals: Space[Any]) -> dict[str, Any]:
+def read_options(options: Mapping[str, Any], goals: Box) -> dict[str, Any]:
     """Return the reset options "start" (float64) and "goal" (float32, flat) as new arrays, None if not given.
 
     Args:
@@ -152,11 +160,12 @@ def read_options(options: Mapping[str, Any], goals: Space[Any]) -> dict[str, Any
         out["start"] = np.asarray(options["start"], np.float64)
     if options.get("goal") is not None:
         goal: NDArray[np.float32] = np.asarray(options["goal"], np.float32)
-        size = int(np.prod(goals.shape or ()))
+        size = len(goals.low)
         if goal.size != size or not goals.contains(goal.ravel()):
+            low, high = (tuple(np.round(bound[:3], 6).tolist()) for bound in (goals.low, goals.high))
             raise ValueError(
                 f"options['goal']: expected {size // 3} points (x, y, z) in metres in the base frame within "
-                f"{POINTS_LOW} ... {POINTS_HIGH}, got an array of shape {goal.shape}: {goal.ravel()[:6]} ..."
+                f"{low} ... {high}, got an array of shape {goal.shape}: {goal.ravel()[:6]} ..."
             )
         out["goal"] = goal.ravel().copy()
     return out

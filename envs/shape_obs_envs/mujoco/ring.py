@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from shape_obs_envs.arguments import count, one_of
 from shape_obs_envs.mujoco.bodies import GRIPPERS
 from shape_obs_envs.mujoco.bodies.loop import Loop, LoopSpec, loop_bodies, loop_equality, loop_skin
-from shape_obs_envs.mujoco.goal_env import POINTS_HIGH, POINTS_LOW, SUBSTEPS, ShapeGoalEnv
+from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv
+from shape_obs_envs.mujoco.goals import measured_space
 from shape_obs_envs.mujoco.workspace import TwoGripperWorkspace
 
 Array = NDArray[np.float64]
@@ -80,8 +81,7 @@ class RingEnv(ShapeGoalEnv, EzPickle):
             ],
             "segmentation": self._randomizer.segmentation(_BLUE),
             "features": [{"kind": "points3d", "frame": "base"}],
-            # Includes space below the table: measured points scatter, and clipping them would bias their mean.
-            "workspace": [[*POINTS_LOW[:2], -0.1], [*POINTS_HIGH[:2], 0.2]],
+            "workspace": measured_space(self.BOUNDS),
         }
 
     def truth(self, n: int = POINTS, frame: str = "world") -> Array:

@@ -38,19 +38,21 @@ _CUTOFF = 10.0
 
 @dataclass(frozen=True)
 class CameraSpec:
-    """An RGB-D camera above the table that points at the world's origin.
+    """An RGB-D camera above the table, on the -y side.
 
     Attributes:
         width: Image width in pixels.
         height: Image height in pixels.
-        distance: Distance from the camera to the origin in metres.
-        tilt: Angle between the optical axis and the vertical in radians; the camera is on the -y side.
+        distance: Distance from the camera to the point that it looks at, in metres.
+        tilt: Angle between the optical axis and the vertical in radians.
+        aim: The point (x, y, z) that it looks at, in metres, world frame.
     """
 
     width: int
     height: int
     distance: float = 0.56
     tilt: float = math.radians(10)
+    aim: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -64,14 +66,14 @@ class CameraSpec:
         return math.degrees(2 * math.atan(480 / 2 / _FOCAL_480))
 
 
-def camera_spec(camera: str | Sequence[int], name: str = "camera") -> CameraSpec:
-    """Return the camera for the value of an environment's argument ``name``.
+def camera_spec(camera: str | Sequence[int], name: str = "camera", **view: Any) -> CameraSpec:
+    """Return the camera for the value of an environment's argument ``name``, with ``distance``, ``tilt`` or ``aim``.
 
     Raises:
         ValueError: It is neither a known name nor a size in pixels.
     """
     if isinstance(camera, str):
-        return CameraSpec(*_SIZES[one_of(name, camera, _SIZES, "[width, height]")])
+        return CameraSpec(*_SIZES[one_of(name, camera, _SIZES, "[width, height]")], **view)
     size = list(camera) if isinstance(camera, (list, tuple)) else []
     whole = [isinstance(side, (int, np.integer)) and not isinstance(side, bool) for side in size]
     if len(size) != 2 or not all(whole) or not all(_SMALLEST <= side <= _LARGEST for side in size):
@@ -85,13 +87,13 @@ def camera_spec(camera: str | Sequence[int], name: str = "camera") -> CameraSpec
             f"{name}: expected a width of at least the height, to keep the whole workspace in view, got {camera!r}. "
             f"Write {name}=[{size[1]}, {size[1]}] or {name}=[{size[1]}, {size[0]}]."
         )
-    return CameraSpec(int(size[0]), int(size[1]))
+    return CameraSpec(int(size[0]), int(size[1]), **view)
 
 
 def compile_scene(camera: CameraSpec, bodies: str, equality: str = "", sections: str = "") -> Any:
     """Compile a scene from MJCF parts.
 
-    The world frame is the robot's base frame: origin on the table at the camera's aim, z up, x to the right in the
+    The world frame is the robot's base frame: origin on the table, below the camera's aim, z up, x to the right in the
     image.
 
     Args:
@@ -104,6 +106,7 @@ def compile_scene(camera: CameraSpec, bodies: str, equality: str = "", sections:
         The compiled ``mujoco.MjModel``.
     """
     sin, cos = math.sin(camera.tilt), math.cos(camera.tilt)
+    x, y, z = camera.aim
     model = mujoco.MjModel.from_xml_string(f"""
 <mujoco>
   <compiler angle="radian"/>
@@ -121,7 +124,7 @@ def compile_scene(camera: CameraSpec, bodies: str, equality: str = "", sections:
   <worldbody>
     <light name="lamp" pos="0 0 2" dir=".25 .35 -1" ambient=".4 .4 .4" diffuse=".6 .6 .6" specular="0 0 0"
            castshadow="false"/>
-    <camera name="{CAMERA}" pos="0 {-camera.distance * sin} {camera.distance * cos}"
+    <camera name="{CAMERA}" pos="{x} {y - camera.distance * sin} {z + camera.distance * cos}"
             xyaxes="1 0 0 0 {cos} {sin}" fovy="{camera.fovy}"/>
     <geom name="table" type="plane" size="4 4 .1" rgba=".8 .78 .74 1"/>
     {bodies}

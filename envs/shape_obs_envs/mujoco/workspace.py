@@ -125,6 +125,46 @@ class TwoGripperWorkspace:
 
 
 @dataclass(frozen=True)
+class HangingWorkspace:
+    """Limits for the two ends of a rope in space: boxes, and distances that neither stretch nor tangle the rope.
+
+    Poses have shape ``(2, 3)``: a row of x, y, z in metres for each gripper, in the base frame.
+
+    Attributes:
+        reach: Returns the largest distance of the grippers in metres.
+        low: Lower corner (x, y, z) of gripper 0's box in metres.
+        high: Upper corner (x, y, z) of gripper 0's box in metres; gripper 1's box is its mirror image at x = 0.
+    """
+
+    reach: Callable[[], float]
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest poses, ``(2, 3)`` each."""
+        return _mirrored(self.low, self.high)
+
+    def allows(self, poses: Array) -> bool:
+        """Return whether ``poses`` satisfy all limits, to within a micrometre."""
+        return _inside(poses, self.bounds) and bool(np.linalg.norm(poses[1] - poses[0]) <= self.reach() + 1e-6)
+
+    def clip(self, poses: Array, previous: Array) -> Array:
+        """Return allowed poses near ``poses``, or ``previous``, which must be allowed, if there are none close by.
+
+        Grippers that are too far apart are each corrected by half.
+        """
+        low, high = self.bounds
+        out = np.clip(poses, low, high)
+        for _ in range(3):  # the boxes can partly undo the correction
+            if self.allows(out):
+                return out
+            middle = out.mean(axis=0)
+            out = np.clip(middle + (out - middle) * (self.reach() / np.linalg.norm(out[1] - out[0])), low, high)
+        return out if self.allows(out) else previous.copy()
+
+
+@dataclass(frozen=True)
 class HeldEdgeWorkspace:
     """Limits for the two held corners of a sheet: boxes, distance, turn of the held edge, and a variable floor.
 
@@ -152,8 +192,7 @@ class HeldEdgeWorkspace:
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Lowest and highest poses, ``(2, 3)`` each."""
-        (x0, y0, z0), (x1, y1, z1) = self.low, self.high
-        return np.array([[x0, y0, z0], [-x1, y0, z0]]), np.array([[x1, y1, z1], [-x0, y1, z1]])
+        return _mirrored(self.low, self.high)
 
     def allows(self, poses: Array) -> bool:
         """Return whether ``poses`` satisfy all limits but the floor, to within a micrometre."""
@@ -203,6 +242,12 @@ def gripper_spec(body: Body, workspace: Workspace, step: Array) -> ActionSpec:
         mode="displacement",
         frame="base",
     )
+
+
+def _mirrored(low: tuple[float, float, float], high: tuple[float, float, float]) -> tuple[Array, Array]:
+    """Return the lowest and highest poses, ``(2, 3)`` each, of a box and its mirror image at x = 0."""
+    (x0, y0, z0), (x1, y1, z1) = low, high
+    return np.array([[x0, y0, z0], [-x1, y0, z0]]), np.array([[x1, y1, z1], [-x0, y1, z1]])
 
 
 def _inside(poses: Array, bounds: tuple[Array, Array]) -> bool:

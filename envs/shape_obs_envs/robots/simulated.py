@@ -37,15 +37,15 @@ class SimulatedRobot:
     occludes it from the depth camera.
 
     The coordinates are those of the grippers, ``gripper0/x`` and so on: x, y in metres and yaw in radians in the base
-    frame for rope and ring, and x, y, z in metres for cloth. A motion takes ``ramp`` seconds and ends at its ``until``
-    by the simulation's clock, wherever it is then. Targets are clipped to the environment's workspace, for both
-    grippers together, so that they neither tear the object nor push it into loops.
+    frame for rope and ring, and x, y, z in metres for cloth and hanging rope. A motion takes ``ramp`` seconds and ends
+    at its ``until`` by the simulation's clock, wherever it is then. Targets are clipped to the environment's workspace,
+    for both grippers together, so that they neither tear the object nor push it into loops.
 
     The process is started by Python's ``multiprocessing``: guard a script that uses this class with
     ``if __name__ == "__main__":``.
 
     Args:
-        env: "ShapeObs/Cable-v0", "ShapeObs/Ring-v0" or "ShapeObs/Cloth-v0".
+        env: "ShapeObs/Cable-v0", "ShapeObs/Ring-v0", "ShapeObs/Cloth-v0" or "ShapeObs/Hanging-v0".
         camera: The camera; None for a new ``SoftwareD455``.
         fps: Frames per second. A slow computer captures fewer; see ``pace``.
         seed: Seed of the first start and of the noise; later starts continue the sequence.

@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs_envs.d455 import D455Camera, D455Model, Light
-from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv
-from shape_obs_envs.mujoco.scene import TIMESTEP, mujoco
+from shape_obs_envs.mujoco.goal_env import ShapeGoalEnv
 from shape_obs_envs.mujoco.workspace import Workspace
 from shape_obs_envs.robots.frame_publisher import OccludingHand
 from shape_obs_envs.robots.shared_frames import Captured, Failed, SharedFrames, SimulationSpec, Started
@@ -68,7 +67,7 @@ class RealtimeSimulation:
     """A simulated environment that is advanced one physics step at a time.
 
     Poses have shape ``(G, 3)``: x, y in metres and yaw in radians for each gripper of a rope or ring, and x, y, z in
-    metres for those of a cloth.
+    metres for those of a cloth or a hanging rope.
 
     Args:
         env: Id of a simulated environment, such as "ShapeObs/Cable-v0".
@@ -82,8 +81,6 @@ class RealtimeSimulation:
         dt: Duration of a physics step in seconds.
     """
 
-    dt = TIMESTEP
-
     def __init__(self, env: str, **options: Any) -> None:
         # Images are drawn on demand, not at each reset.
         try:
@@ -94,6 +91,8 @@ class RealtimeSimulation:
             raise ValueError(f"env: expected a simulated environment such as 'ShapeObs/Cable-v0', got {env!r}.")
         self.env: Any = made  # subclasses publish more than the base class
         self._body, self._steps = made._body, 0
+        self.dt = self._body.timestep
+        self._per_step = round(made.dt / self.dt)
 
     @property
     def workspace(self) -> Workspace:
@@ -116,10 +115,9 @@ class RealtimeSimulation:
 
     def advance(self, poses: Array) -> None:
         """Advance by one physics step with the grippers at ``poses`` ``(G, 3)``."""
-        self._body.set_grippers(poses)
-        mujoco.mj_step(self._body.model, self._body.data)
+        self._body.advance(poses)
         self._steps += 1
-        if self._steps % SUBSTEPS == 0:
+        if self._steps % self._per_step == 0:
             self.env._randomizer.advance()
 
     def capture(self) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32]]:

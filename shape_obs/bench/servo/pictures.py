@@ -109,9 +109,8 @@ def _overlays(found: Found) -> Any:
         for axis, (name, episode) in zip(row, shown.items(), strict=True):
             _shapes(axis, setting, episode)
             _plain(axis, f"{name}: seed {episode.seed}, {episode.start_mm:.0f} to {episode.final_mm:.1f} mm")
-        row[0].set_ylabel(f"{setting.env}, {setting.difficulty}\n{setting.features}, {setting.law}\ny [mm]", fontsize=9)
-    for axis in axes[-1]:
-        axis.set_xlabel("x [mm]")
+        label = f"{setting.env}, {setting.difficulty}\n{setting.features}, {setting.law}\n{row[0].get_ylabel()}"
+        row[0].set_ylabel(label, fontsize=9)
     handles = [Line2D([], [], label="end" if name == "final" else name, **style) for name, style in _LINES.items()]
     figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False, fontsize=9)
     return figure
@@ -124,13 +123,20 @@ def _worth(setting: Setting, some: Sequence[Row]) -> tuple[bool, int, float]:
 
 
 def _shapes(axis: Any, setting: Setting, episode: Row) -> None:
-    """Draw the start in grey, the end in colour and the goal dotted, from above; point 0 is marked."""
-    edges = LAYOUTS[setting.env].edges()
+    """Draw the start in grey, the end in colour and the goal dotted; point 0 is marked."""
+    edges, plane = LAYOUTS[setting.env].edges(), _plane(episode)
     for name, style in _LINES.items():
-        points = np.asarray(episode[name])
-        axis.plot(*points[edges][..., :2].transpose(2, 1, 0), **style)
-        axis.plot(*points[0, :2], marker="o", markersize=4, color=style["color"])
+        points = np.asarray(episode[name])[:, plane]
+        axis.plot(*points[edges].transpose(2, 1, 0), **style)
+        axis.plot(*points[0], marker="o", markersize=4, color=style["color"])
+    axis.set(xlabel="xyz"[plane[0]] + " [mm]", ylabel="xyz"[plane[1]] + " [mm]")
     axis.set_aspect("equal", adjustable="datalim")
+
+
+def _plane(episode: Row) -> list[int]:
+    """Return the two axes in which to draw: from above, or from the front where the shapes are higher than deep."""
+    _, depth, height = np.ptp(np.concatenate([np.asarray(episode[name]) for name in _LINES]), axis=0)
+    return [0, 1] if depth >= height else [0, 2]
 
 
 def _plain(axis: Any, title: str) -> None:

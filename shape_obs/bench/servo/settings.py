@@ -10,7 +10,12 @@ from shape_obs.bench import Difficulty, Env, FeatureSet, Source
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
 #: The topology of each environment's points, as it publishes it.
-LAYOUTS: Final[Mapping[Env, Topology]] = {"Cable": Chain(20), "Ring": Ring(32), "Cloth": Grid(4, 8)}
+LAYOUTS: Final[Mapping[Env, Topology]] = {
+    "Cable": Chain(20),
+    "Ring": Ring(32),
+    "Cloth": Grid(4, 8),
+    "Hanging": Chain(20),
+}
 
 
 def _base(kind: str, **more: Any) -> dict[str, Any]:
@@ -28,14 +33,17 @@ _LINES: Final[Mapping[FeatureSet, tuple[dict[str, Any], ...]]] = {
     "curvature": (_base("curvature"), *_PLACE),
     "turning_angles": (_base("turning_angles"), *_PLACE),
 }
+_ROPE: Final[Mapping[FeatureSet, tuple[dict[str, Any], ...]]] = {
+    "fourier": (_base("fourier", harmonics=4),),
+    "bezier": (_base("bezier", degree=6),),
+    "bspline": (_base("bspline", coefficients=8),),
+}
 #: The sets of features of each environment, except ``"pca"``, which needs a file.
 FEATURES: Final[Mapping[Env, Mapping[FeatureSet, tuple[dict[str, Any], ...]]]] = {
     "Cable": {
         **_EVERYWHERE,
         **_LINES,
-        "fourier": (_base("fourier", harmonics=4),),
-        "bezier": (_base("bezier", degree=6),),
-        "bspline": (_base("bspline", coefficients=8),),
+        **_ROPE,
         "moments": (_base("contour_moments", order=3),),
     },
     "Ring": {
@@ -52,6 +60,8 @@ FEATURES: Final[Mapping[Env, Mapping[FeatureSet, tuple[dict[str, Any], ...]]]] =
         "bspline": (_base("bspline", coefficients=5),),
         "moments": (_base("region_moments", order=3),),
     },
+    # Moments, angles and curvatures are those of a plane.
+    "Hanging": {**_EVERYWHERE, **_ROPE},
 }
 
 

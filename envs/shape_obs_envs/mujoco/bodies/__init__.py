@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.scene import cast_rays, mujoco
+from shape_obs_envs.mujoco.scene import TIMESTEP, cast_rays, mujoco
 
 Array = NDArray[np.float64]
 
@@ -25,16 +25,18 @@ class MaterialFactors:
     """An object's material, as factors of the nominal values in its model.
 
     Attributes:
-        thickness: Factor of its thickness; its length stays.
+        thickness: Factor of its thickness; its length from end to end stays.
         stiffness: Factor of its bending stiffness.
         damping: Factor of its bending damping.
-        friction: Factor of its friction on the table.
+        friction: Factor of its friction on the table, or of its drag in the air.
+        length: Factor of its length; ignored by objects on the table.
     """
 
     thickness: float = 1.0
     stiffness: float = 1.0
     damping: float = 1.0
     friction: float = 1.0
+    length: float = 1.0
 
 
 class Body(abc.ABC):
@@ -50,6 +52,7 @@ class Body(abc.ABC):
         self.data = mujoco.MjData(model)
         self._grippers = np.array([int(model.body(name).mocapid[0]) for name in grippers])
         self._held_by = np.array([model.body(name).id for name in grippers])
+        self._viscosity = float(model.opt.viscosity)
         self._state_size = mujoco.mj_stateSize(model, _STATE)
 
     @abc.abstractmethod
@@ -92,12 +95,22 @@ class Body(abc.ABC):
         """Change its material; it must be placed again after that."""
 
     def step_to(self, start: Array, target: Array, substeps: int) -> None:
-        """Move the grippers from poses ``start`` to poses ``target`` in equal parts, one per substep."""
-        for i in range(1, substeps + 1):
+        """Move the grippers from poses ``start`` to poses ``target`` in equal parts, in ``substeps`` times 0.01 s."""
+        steps = round(substeps * TIMESTEP / self.timestep)
+        for i in range(1, steps + 1):
             # A ramp: a jump of the target would pull at the welds with the whole step's length at once.
-            self.set_grippers(start + (target - start) * (i / substeps))
-            mujoco.mj_step(self.model, self.data)
+            self.advance(start + (target - start) * (i / steps))
         self.refresh()
+
+    @property
+    def timestep(self) -> float:
+        """Duration of a step of the physics in seconds."""
+        return float(self.model.opt.timestep)
+
+    def advance(self, poses: Array) -> None:
+        """Move the grippers to ``poses`` and advance the physics by one step; ``refresh`` must follow."""
+        self.set_grippers(poses)
+        mujoco.mj_step(self.model, self.data)
 
     def refresh(self) -> None:
         """Update the poses of bodies and geoms, which ``mj_step`` leaves one substep behind."""
@@ -123,6 +136,12 @@ class Body(abc.ABC):
             )
         mujoco.mj_setState(self.model, self.data, state, _STATE)
         self.refresh()
+
+    def _set_bending(self, joints: slice, stiffness: float, damping: float, factors: MaterialFactors) -> None:
+        """Set the hinges between links, and the viscosity of the medium, to factors of their nominal values."""
+        self.model.jnt_stiffness[joints] = stiffness * factors.stiffness
+        self.model.dof_damping[self.model.jnt_dofadr[joints]] = damping * factors.damping
+        self.model.opt.viscosity = self._viscosity * factors.friction
 
     def visible_surface(self, points: Array, eye: Array, reach: float) -> Array:
         """Return the object's surface in the line of sight of a camera to each point; world frame, metres.
@@ -151,10 +170,6 @@ class PlanarBody(Body):
         grippers: Names of the mocap bodies that hold the object.
     """
 
-    def __init__(self, model: Any, grippers: Sequence[str]) -> None:
-        super().__init__(model, grippers)
-        self._viscosity = float(model.opt.viscosity)
-
     def set_state(self, state: Array) -> None:
         """Restore a result of ``get_state``, with the grippers at the height of the present thickness."""
         super().set_state(state)
@@ -170,9 +185,3 @@ class PlanarBody(Body):
         """Return the poses ``(G, 3)`` of the mocap bodies: x, y in metres and yaw in radians, world frame."""
         turn = self.data.mocap_quat[self._grippers]
         return np.column_stack([self.data.mocap_pos[self._grippers, :2], 2 * np.arctan2(turn[:, 3], turn[:, 0])])
-
-    def _set_bending(self, joints: slice, stiffness: float, damping: float, factors: MaterialFactors) -> None:
-        """Set the joints between links, and the friction on the table, to factors of their nominal values."""
-        self.model.jnt_stiffness[joints] = stiffness * factors.stiffness
-        self.model.dof_damping[joints] = damping * factors.damping
-        self.model.opt.viscosity = self._viscosity * factors.friction

@@ -1,8 +1,8 @@
-"""A planar chain of capsules: the physics of a rope that lies on a table and is held at one end or both.
+"""A chain of capsules, and its planar form: a rope that lies on a table and is held at one end or both.
 
-The chain is inextensible (rigid links) and bends at hinges with low stiffness and damping. The drag of a viscous medium
-models the friction of the table. Gravity and contacts are off: nothing falls, nothing collides. A held end link is
-welded to a mocap body, its gripper.
+The planar chain is inextensible (rigid links) and bends at hinges with low stiffness and damping. The drag of a viscous
+medium models the friction of the table. Gravity and contacts are off: nothing falls, nothing collides. A held end link
+is welded to a mocap body, its gripper.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.bodies import GRIPPERS, OBJECT_GROUP, MaterialFactors, PlanarBody
+from shape_obs_envs.mujoco.bodies import GRIPPERS, OBJECT_GROUP, Body, MaterialFactors, PlanarBody
 from shape_obs_envs.mujoco.bodies.tube import Station, Tube, reshape_tube, rounded_ends, set_tube_colours, tube_skin
 from shape_obs_envs.mujoco.scene import mujoco
 
@@ -79,10 +79,11 @@ def chain_bodies(spec: ChainSpec) -> str:
 
 def chain_skin(spec: ChainSpec) -> str:
     """Return MJCF of the skin that OpenGL draws instead of the capsules."""
-    return tube_skin(_tube(spec), spec.links, spec.rgba)
+    return tube_skin(chain_tube(spec, spec.radius), spec.links, spec.rgba)
 
 
-def _tube(spec: ChainSpec) -> Tube:
+def chain_tube(spec: ChainSpec, height: float) -> Tube:
+    """Return the form of the skin of a chain along x about x = 0, with its axis at ``height`` in metres."""
     link, links = spec.link_length, spec.links
     start, end = rounded_ends(link * links, spec.radius, links - 1)
     middle = [Station(link * i, 1.0, (i - 1, i)) for i in range(1, links)]
@@ -90,7 +91,7 @@ def _tube(spec: ChainSpec) -> Tube:
     # The profile has a corner on each side, so that the tube has its full width seen from above.
     profile = spec.radius * np.column_stack([np.cos(angle), np.sin(angle)])
     stations = [*start, Station(0.0, 1.0, (0,)), *middle, Station(link * links, 1.0, (links - 1,)), *end]
-    return Tube(stations, profile, spec.radius, link, np.array([-link * links / 2, 0.0]))
+    return Tube(stations, profile, height, link, np.array([-link * links / 2, 0.0]))
 
 
 def chain_equality(spec: ChainSpec) -> str:
@@ -127,12 +128,12 @@ def _jaw_boxes(r: float, tip: float, sign: int) -> Iterator[tuple[Sequence[float
     yield (palm / 2, gap, r / 2), (tip + sign * (behind - palm / 2), 0, -r / 2)
 
 
-class Chain(PlanarBody):
-    """The chain in a compiled model: poses, shape, state and stepping.
+class Rope(Body):
+    """A chain in a compiled model, whatever its joints: colours and true shape.
 
     Args:
         spec: Nominal size and material, from which the model was compiled.
-        model: The compiled model.
+        model: The compiled model; its links are "link0", "link1", ..., bodies and geoms alike.
 
     Attributes:
         nominal: Nominal size and material.
@@ -147,6 +148,11 @@ class Chain(PlanarBody):
         self._arc = _arc_lengths(spec)
 
     @property
+    def _height(self) -> float:
+        """Height of the axis in metres in the model's initial configuration."""
+        return self.spec.radius
+
+    @property
     def colour(self) -> tuple[float, float, float]:
         """Nominal red, green and blue, 0 ... 1."""
         return self.nominal.rgba[:3]
@@ -155,11 +161,6 @@ class Chain(PlanarBody):
     def tone_shape(self) -> tuple[int, int]:
         """One tone per link."""
         return self.spec.links, 1
-
-    @property
-    def underlay(self) -> float:
-        """Less than half the height of the axis, where a rope seen from above is widest, in metres."""
-        return 0.4 * self.spec.radius
 
     def landmarks(self) -> Array:
         """Return points ``(20, 3)`` on the first and last tenth of the axis, in metres, world frame."""
@@ -170,26 +171,59 @@ class Chain(PlanarBody):
         self.model.geom_rgba[self._geoms, :3] = tones * rgb
         set_tube_colours(self.model, rgb, tones[:, 0])
 
+    def vertices(self) -> Array:
+        """Return the axis as a polyline ``(links + 1, 3)`` from tip to tip, in metres, world frame."""
+        joints = self.data.xpos[self._bodies]
+        out = np.empty((len(joints) + 1, 3))
+        out[1:-1] = joints[1:]
+        along = self.data.xmat[self._bodies[[0, -1]]].reshape(2, 3, 3)[:, :, 0]
+        out[0] = joints[0] - self.spec.radius * along[0]
+        out[-1] = joints[-1] + (self.spec.link_length + self.spec.radius) * along[1]
+        return out
+
+    def points(self, fractions: Array) -> Array:
+        """Return points ``(n, 3)`` of the axis at ``fractions`` ``(n,)`` of its arc length, in metres, world frame."""
+        arc = np.clip(fractions, 0.0, 1.0) * self.spec.length
+        i = np.clip(np.searchsorted(self._arc, arc, side="right") - 1, 0, self.spec.links - 1)
+        t = ((arc - self._arc[i]) / (self._arc[i + 1] - self._arc[i]))[:, None]
+        vertices = self.vertices()
+        return vertices[i] * (1 - t) + vertices[i + 1] * t
+
+    def _resize(self, thickness: float, length: float = 1.0) -> tuple[float, float]:
+        """Set the size to factors of the nominal one; return the radius and the length of a link, in metres."""
+        model, nominal = self.model, self.nominal
+        self.spec = spec = replace(nominal, radius=nominal.radius * thickness, length=nominal.length * length)
+        self._arc = _arc_lengths(spec)
+        radius, link = spec.radius, spec.link_length  # longer caps make the links shorter
+        model.body_pos[self._bodies[1:], 0] = link
+        model.geom_size[self._geoms, :2] = radius, link / 2
+        model.geom_pos[self._geoms, 0] = model.body_ipos[self._bodies, 0] = link / 2
+        reshape_tube(model, chain_tube(spec, self._height))
+        return radius, link
+
+
+class Chain(Rope, PlanarBody):
+    """The planar chain in a compiled model: poses, state and stepping."""
+
+    @property
+    def underlay(self) -> float:
+        """Less than half the height of the axis, where a rope seen from above is widest, in metres."""
+        return 0.4 * self.spec.radius
+
     def set_material(self, factors: MaterialFactors) -> None:
         """Change its material; it must be placed again after that. Mass and inertia stay the same."""
         model, nominal = self.model, self.nominal
-        self.spec = spec = replace(nominal, radius=nominal.radius * factors.thickness)
-        self._arc = _arc_lengths(spec)
-        radius, link = spec.radius, spec.link_length
-        # the length from tip to tip stays, so longer caps make the links shorter
-        model.body_pos[self._bodies, 0] = [-link * spec.links / 2, *(spec.links - 1) * [link]]
-        model.body_pos[self._bodies[0], 2] = model.body_pos[self._held_by, 2] = radius
-        model.geom_size[self._geoms, :2] = radius, link / 2
-        model.geom_pos[self._geoms, 0] = model.body_ipos[self._bodies, 0] = link / 2
-        ends = [(0, -radius, -1), (-1, link + radius, 1)][: spec.grippers]
+        radius, link = self._resize(factors.thickness)
+        model.body_pos[self._bodies[0]] = -link * nominal.links / 2, 0.0, radius
+        model.body_pos[self._held_by, 2] = radius
+        ends = [(0, -radius, -1), (-1, link + radius, 1)][: nominal.grippers]
         for weld, (end, tip, sign) in enumerate(ends):
             model.eq_data[weld, 3] = -tip  # position of the link relative to the gripper
             for i, (size, place) in enumerate(_jaw_boxes(radius, tip, sign)):
                 jaw = self._geoms[end] + 1 + i
                 model.geom_size[jaw], model.geom_pos[jaw] = size, place
                 model.geom_rbound[jaw] = np.linalg.norm(size)
-        reshape_tube(model, _tube(spec))
-        self._set_bending(slice(3, 2 + spec.links), nominal.stiffness, nominal.damping, factors)
+        self._set_bending(slice(3, 2 + nominal.links), nominal.stiffness, nominal.damping, factors)
 
     def place(self, tip: Array, headings: Array) -> None:
         """Place the chain at rest with its first tip at ``tip`` (x, y) and its links at ``headings`` ``(links,)``."""
@@ -214,24 +248,6 @@ class Chain(PlanarBody):
     def gripper_poses(self) -> Array:
         """Return the poses ``(G, 3)`` of the held tips: x, y in metres and heading in radians, world frame."""
         return self.tip_poses()[: self.spec.grippers]
-
-    def vertices(self) -> Array:
-        """Return the axis as a polyline ``(links + 1, 3)`` from tip to tip, in metres, world frame."""
-        joints = self.data.xpos[self._bodies]
-        out = np.empty((len(joints) + 1, 3))
-        out[1:-1] = joints[1:]
-        along = self.data.xmat[self._bodies[[0, -1]]].reshape(2, 3, 3)[:, :, 0]
-        out[0] = joints[0] - self.spec.radius * along[0]
-        out[-1] = joints[-1] + (self.spec.link_length + self.spec.radius) * along[1]
-        return out
-
-    def points(self, fractions: Array) -> Array:
-        """Return points ``(n, 3)`` of the axis at ``fractions`` ``(n,)`` of its arc length, in metres, world frame."""
-        arc = np.clip(fractions, 0.0, 1.0) * self.spec.length
-        i = np.clip(np.searchsorted(self._arc, arc, side="right") - 1, 0, self.spec.links - 1)
-        t = ((arc - self._arc[i]) / (self._arc[i + 1] - self._arc[i]))[:, None]
-        vertices = self.vertices()
-        return vertices[i] * (1 - t) + vertices[i + 1] * t
 
 
 def _arc_lengths(spec: ChainSpec) -> Array:

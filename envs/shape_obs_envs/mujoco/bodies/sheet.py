@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from shape_obs_envs.mujoco.bodies import GRIPPERS, Body, MaterialFactors
 from shape_obs_envs.mujoco.bodies.sheet_mesh import SKIN, SheetMesh
 from shape_obs_envs.mujoco.bodies.sheet_model import PRINT, SheetSpec, bending_tendons
-from shape_obs_envs.mujoco.scene import TIMESTEP, mujoco
+from shape_obs_envs.mujoco.scene import mujoco
 
 Array = NDArray[np.float64]
 
@@ -63,15 +63,12 @@ class Sheet(Body):
         self.data.mocap_pos[self._grippers] = poses
         self.data.mocap_quat[self._grippers] = np.cos(half), 0.0, 0.0, np.sin(half)
 
-    def step_to(self, start: Array, target: Array, substeps: int) -> None:
-        """Move the grippers from poses ``start`` to poses ``target`` ``(2, 3)`` in ``substeps`` times 0.01 s."""
-        steps = round(substeps * TIMESTEP / self.spec.timestep)
-        for i in range(1, steps + 1):
-            self.set_grippers(start + (target - start) * (i / steps))
-            self._move_corners()
-            self._set_friction()
-            mujoco.mj_step(self.model, self.data)
-        self.refresh()
+    def advance(self, poses: Array) -> None:
+        """Move the grippers to ``poses`` and advance the physics by one step; ``refresh`` must follow."""
+        self.set_grippers(poses)
+        self._move_corners()
+        self._set_friction()
+        mujoco.mj_step(self.model, self.data)
 
     @property
     def colour(self) -> tuple[float, float, float]:

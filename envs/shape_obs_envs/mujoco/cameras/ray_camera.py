@@ -1,4 +1,4 @@
-"""Camera without OpenGL: rays where geoms may be, the table in closed form, a sheet by its triangles."""
+"""Camera without OpenGL: rays where geoms may be, planes in closed form, a sheet by its triangles."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from shape_obs_envs.mujoco.scene import CAMERA, CameraSpec, cast_rays, mujoco
 
 Array = NDArray[np.float64]
 
-_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+_CAPSULE, _PLANE = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_PLANE)
 _NEAR = 0.05  # metres
 _SKIP = 8  # pixels
 _SHIFT = 4  # OpenCV draws with a precision of 1/16 pixel
@@ -35,7 +35,7 @@ class RayCamera:
         self._shape = (spec.height, spec.width)
         self._k = spec.intrinsics
         self._camera = model.camera(CAMERA).id
-        self._table = model.geom("table").id
+        self._planes = np.flatnonzero(model.geom_type == _PLANE)
         u, v = np.meshgrid(np.arange(spec.width), np.arange(spec.height))
         self._rays = np.stack([(u - self._k.cx) / self._k.fx, (v - self._k.cy) / self._k.fy, np.ones(u.shape)], axis=-1)
         self._sheet = SheetView.of(model)
@@ -47,13 +47,13 @@ class RayCamera:
         # MuJoCo's camera looks along its -z with y up; rays here are in the optical frame.
         rotation = data.cam_xmat[self._camera].reshape(3, 3) * (1.0, -1.0, -1.0)
         eye = data.cam_xpos[self._camera].copy()
-        rgb, depth = (image.copy() for image in self._empty_table(data, rotation, eye))
+        rgb, depth = (image.copy() for image in self._empty_scene(data, rotation, eye))
         rows, columns = np.nonzero(self._region(data, rotation, eye))
         rays = self._rays[rows, columns]
         scale = np.linalg.norm(rays, axis=1)
         directions = (rays / scale[:, None]) @ rotation.T
         distance, geom = cast_rays(self._model, data, eye, directions)
-        hit = (geom >= 0) & (geom != self._table)
+        hit = (geom >= 0) & ~np.isin(geom, self._planes)
         rows, columns, geom, distance = rows[hit], columns[hit], geom[hit], distance[hit]
         depth[rows, columns] = distance / scale[hit]
         points = eye + directions[hit] * distance[:, None]
@@ -63,7 +63,7 @@ class RayCamera:
         return rgb, depth
 
     def refresh(self) -> None:
-        """Redraw the empty table and reload the sheet's texture."""
+        """Redraw the empty scene and reload the sheet's texture."""
         self._background = None
         if self._sheet is not None:
             self._sheet.refresh()
@@ -71,27 +71,45 @@ class RayCamera:
     def close(self) -> None:
         """Do nothing: there is nothing to free."""
 
-    def _empty_table(self, data: Any, rotation: Array, eye: Array) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """Return the image of the empty table z = 0, cached until the camera moves."""
+    def _empty_scene(self, data: Any, rotation: Array, eye: Array) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Return the image of the planes alone, each without end, cached until the camera moves."""
         pose = np.concatenate([rotation.ravel(), eye])
         if self._background is None or not np.array_equal(pose, self._pose):
-            down = self._rays @ rotation[2]
-            with np.errstate(divide="ignore"):
-                depth = np.where(down < 0, -eye[2] / down, 0.0).astype(np.float32)
-            colour = shade(self._model, data, self._model.geom_rgba[self._table], np.array([[0.0, 0.0, 1.0]]))[0]
-            printed = self._table_texture(rotation, eye, depth)
-            rgb = np.where((depth > 0)[..., None], to_bytes(colour * printed), 0).astype(np.uint8)
+            rgb, depth = np.zeros((*self._shape, 3), np.uint8), np.full(self._shape, np.inf, np.float32)
+            for plane in self._planes.tolist():
+                self._draw_plane(data, plane, rotation, eye, rgb, depth)
+            depth[np.isinf(depth)] = 0
             self._pose, self._background = pose, (rgb, depth)
         return self._background
 
-    def _table_texture(self, rotation: Array, eye: Array, depth: NDArray[np.float32]) -> NDArray[Any]:
-        """Return the table's texture ``(H, W, 3)``, 0 ... 1, which multiplies its colour; ones if it has none."""
-        material = int(self._model.geom_matid[self._table])
+    def _draw_plane(
+        self, data: Any, plane: int, rotation: Array, eye: Array, rgb: NDArray[np.uint8], depth: NDArray[np.float32]
+    ) -> None:
+        """Draw the front of a plane into ``rgb`` ``(H, W, 3)`` and ``depth`` ``(H, W)``, where it is nearer."""
+        axes = data.geom_xmat[plane].reshape(3, 3)
+        towards = self._rays @ (axes[:, 2] @ rotation)
+        with np.errstate(divide="ignore"):
+            away = np.where(towards < 0, (data.geom_xpos[plane] - eye) @ axes[:, 2] / towards, np.inf)
+        away = away.astype(np.float32)
+        nearer = (away > 0) & (away < depth)
+        depth[nearer] = away[nearer]
+        colour = shade(self._model, data, self._model.geom_rgba[plane], axes[None, :, 2])[0]
+        printed = self._plane_texture(plane, axes, data.geom_xpos[plane], rotation, eye, np.where(nearer, away, 0))
+        rgb[nearer] = np.broadcast_to(to_bytes(colour * printed), rgb.shape)[nearer]
+
+    def _plane_texture(
+        self, plane: int, axes: Array, origin: Array, rotation: Array, eye: Array, depth: NDArray[np.float32]
+    ) -> NDArray[Any]:
+        """Return a plane's texture ``(H, W, 3)``, 0 ... 1, which multiplies its colour; ones if it has none."""
+        material = int(self._model.geom_matid[plane])
         texture = Texture.of(self._model, material)
         if texture is None:
             return np.ones(3)
         to_texture = (0.5, -0.5) * self._model.mat_texrepeat[material]  # it repeats every two metres / texrepeat
-        places = ((self._rays * depth[..., None]) @ (rotation[:2].T * to_texture) + eye[:2] * to_texture) - 0.5
+        along = axes[:, :2]
+        places = (
+            (self._rays * depth[..., None]) @ (rotation.T @ along * to_texture) + (eye - origin) @ along * to_texture
+        ) - 0.5
         # The distance from pixel to pixel changes slowly, so a few of them suffice.
         few = places[::_SKIP, ::_SKIP] * texture.shape[::-1] / _SKIP
         steps = [np.linalg.norm(np.gradient(few, axis=axis), axis=-1) for axis in (0, 1)]
@@ -99,11 +117,11 @@ class RayCamera:
         return texture.sample(places, fineness)
 
     def _region(self, data: Any, rotation: Array, eye: Array) -> NDArray[np.uint8]:
-        """Return a mask ``(H, W)`` of the pixels that geoms other than the table may cover, with a small margin."""
+        """Return a mask ``(H, W)`` of the pixels that geoms other than planes may cover, with a small margin."""
         mask = np.zeros(self._shape, np.uint8)
         model = self._model
         seen = np.flatnonzero(model.geom_rgba[:, 3] > 0)
-        seen = seen[seen != self._table]
+        seen = seen[model.geom_type[seen] != _PLANE]
         round_ = model.geom_type[seen] == _CAPSULE
         ids = seen[round_]
         axis = data.geom_xmat[ids].reshape(-1, 3, 3)[:, :, 2] * model.geom_size[ids, 1, None]

@@ -110,7 +110,7 @@ def _find_place(rng: np.random.Generator, scene: Scene, radius: float, taken: li
     rays = intrinsics.rays(pixels) @ transform[:3, :3].T
     eye = transform[:3, 3]
     places = (eye + rays * (-eye[2] / rays[:, 2:]))[:, :2]
-    free = np.ones(_TRIES, bool)
+    free = rays[:, 2] < 0  # a camera that is nearly level also sees what is above the table
     for x, y, other in taken:
         free &= np.hypot(*(places - (x, y)).T) > radius + other
     if low:

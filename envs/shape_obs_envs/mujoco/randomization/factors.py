@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from shape_obs.spec import Spec
 from shape_obs_envs.mujoco.bodies import Body, MaterialFactors
+from shape_obs_envs.mujoco.goals import Corner
 from shape_obs_envs.mujoco.scene import CAMERA, CameraSpec, mujoco
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
-#: A corner (x, y, z) of a box in metres, base frame.
-Corner = tuple[float, float, float]
 
 HUES = 180
 #: Hues nearer than this to the object's are reserved for it; elsewhere they occur only as greys.
@@ -178,6 +177,7 @@ class Material(Factor):
         stiffness: Factor of the bending stiffness.
         damping: Factor of the bending damping.
         friction: Factor of the table's effect: the viscosity of the medium, or the friction of a cloth.
+        length: Largest fraction by which a hanging rope is shorter or longer; ignored for objects on the table.
     """
 
     factor: ClassVar[str] = "material"
@@ -185,16 +185,17 @@ class Material(Factor):
     stiffness: float = 2.0
     damping: float = 2.0
     friction: float = 1.6
+    length: float = 0.1
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check(thickness=(0, 0.4), stiffness=(1, 4), damping=(1, 4), friction=(1, 3))
+        self._check(thickness=(0, 0.4), stiffness=(1, 4), damping=(1, 4), friction=(1, 3), length=(0, 0.1))
 
     def apply(self, rng: np.random.Generator, scene: Scene) -> dict[str, Any]:
         """Draw the material and set it."""
         thickness = 1 + self.thickness * rng.uniform(-1, 1)
         others = np.array([self.stiffness, self.damping, self.friction]) ** rng.uniform(-1, 1, 3)
-        factors = MaterialFactors(thickness, *others.tolist())
+        factors = MaterialFactors(thickness, *others.tolist(), length=1 + self.length * rng.uniform(-1, 1))
         scene.body.set_material(factors)
         return asdict(factors)
 
@@ -208,7 +209,7 @@ class CameraPose(Factor):
         tilt: Largest change of the angle between its axis and the vertical in radians.
         turn: Largest rotation about the vertical through its aim in radians.
         roll: Largest rotation about its own axis in radians.
-        aim: Largest shift of the point on the table that it looks at, along x and along y, in metres.
+        aim: Largest shift of the point that it looks at, along x and along y, in metres.
     """
 
     factor: ClassVar[str] = "camera"
@@ -228,7 +229,7 @@ class CameraPose(Factor):
         distance = spec.distance * (1 + self.distance * rng.uniform(-1, 1))
         tilt = spec.tilt + self.tilt * rng.uniform(-1, 1)
         turn, roll = self.turn * rng.uniform(-1, 1), self.roll * rng.uniform(-1, 1)
-        aim = np.array([*(self.aim * rng.uniform(-1, 1, 2)), 0.0])
+        aim = spec.aim + np.array([*(self.aim * rng.uniform(-1, 1, 2)), 0.0])
         axes = _rotation(2, turn) @ _rotation(0, tilt) @ _rotation(2, roll)
         half = np.array([spec.width, spec.height]) / 2 / spec.intrinsics.fx * (1 - _RIM)
         corners = np.array(np.meshgrid(*zip(*scene.reach, strict=True))).reshape(3, -1).T
@@ -237,7 +238,7 @@ class CameraPose(Factor):
         mujoco.mju_mat2Quat(quaternion, axes.ravel())
         model.cam_pos[index], model.cam_quat[index] = aim + distance * axes[:, 2], quaternion
         scene.body.refresh()
-        return {"distance": float(distance), "tilt": tilt, "turn": turn, "roll": roll, "aim": aim[:2].tolist()}
+        return {"distance": float(distance), "tilt": tilt, "turn": turn, "roll": roll, "aim": aim.tolist()}
 
 
 def _least_distance(axes: Array, points: Array, half: Array) -> float:

@@ -1,4 +1,4 @@
-"""A hand that comes over the table from an edge of the image, covers a part of the object, and leaves."""
+"""A hand that comes between camera and object, covers a part of the object, and leaves."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Hand(Factor):
         latest: Last step in which it may start.
         stay: Smallest and largest number of steps that it stays.
         speed: Smallest and largest distance per step in metres.
-        height: Smallest and largest gap to the greatest height of the object in metres.
+        height: Smallest and largest gap in metres to the point of the object that is nearest to the camera.
     """
 
     factor: ClassVar[str] = "hand"
@@ -77,7 +77,7 @@ class Hand(Factor):
         # Draw everything in any case: with another probability, episodes that have a hand have the same hand.
         comes = rng.random() < self.probability
         skin, sleeve = _draw_colours(rng, scene.hue)
-        height = scene.reach[1][2] + _set_random_form(rng, scene.model) + rng.uniform(*self.height)
+        gap = _set_random_form(rng, scene.model) + rng.uniform(*self.height)
         edge = int(rng.integers(4))
         visit = HandVisit(
             scene,
@@ -87,14 +87,14 @@ class Hand(Factor):
             stay=int(rng.integers(self.stay[0], self.stay[1] + 1)),
             moving=max(2, round(_FAR / rng.uniform(*self.speed))),
             heading=edge * np.pi / 2 + rng.uniform(-0.45, 0.45),
-            height=float(height),
+            gap=float(gap),
             aim=float(rng.random()),
             beyond=rng.uniform(-0.01, 0.06),
             colours=(skin, sleeve),
         )
         if not comes:
             return {"comes": False}, None
-        plan = {"start": visit.start, "end": visit.end, "heading": visit.heading, "height": visit.height}
+        plan = {"start": visit.start, "end": visit.end, "heading": visit.heading, "gap": visit.gap}
         return {"comes": True, **plan, "colours": [list(skin), list(sleeve)]}, visit
 
 
@@ -109,19 +109,19 @@ class HandVisit:
         stay: Number of steps that it stays.
         moving: Number of steps that it takes to come, and to leave.
         heading: Direction of its motion in radians, base frame.
-        height: Height of its plane above the table in metres.
+        gap: Distance in metres of its plane from the object's nearest point, along the line of sight to its target.
         aim: The object's point that it reaches for, 0 ... 1.
         beyond: Distance by which its finger tips reach beyond that point in metres.
         colours: Colours of skin and sleeve.
     """
 
     def __init__(self, scene: Scene, cover: float, spare: bool, *, start: int, stay: int, moving: int, heading: float,
-                 height: float, aim: float, beyond: float, colours: tuple[Any, Any]) -> None:  # fmt: skip
+                 gap: float, aim: float, beyond: float, colours: tuple[Any, Any]) -> None:  # fmt: skip
         self._scene, self._cover, self._spare = scene, cover, spare
-        self.start, self.heading, self.height = start, heading, height
+        self.start, self.heading, self.gap = start, heading, gap
         self.end = start + 2 * moving + stay
         self._moving, self._aim, self._beyond, self._colours = moving, aim, beyond, colours
-        self._way = np.array([np.cos(heading), np.sin(heading)])
+        self._way = np.array([np.cos(heading), np.sin(heading), 0.0])
         self._target: Array | None = None
         self._step = 0
 
@@ -135,11 +135,14 @@ class HandVisit:
                 self._target = None
             return
         points = self._scene.points()
-        aim = points[round(self._aim * (len(points) - 1)), :2]
+        aim = points[round(self._aim * (len(points) - 1))]
+        sight = self._eye() - aim
+        sight /= np.linalg.norm(sight)
+        aim = aim + (((points - aim) @ sight).max() + self.gap) * sight
         if self._target is None:
             show(self._scene.model, geoms, self._colours[0])
             show(self._scene.model, geoms[_FOREARM], self._colours[1])
-        self._target = aim.copy() if self._target is None else self._target + 0.3 * (aim - self._target)
+        self._target = aim if self._target is None else self._target + 0.3 * (aim - self._target)
         back = self._distance()
         self._place(back)
         while back < 2 * _FAR and self._covers_too_much(points):
@@ -149,11 +152,15 @@ class HandVisit:
     def hidden(self, points: Array) -> float:
         """Return the fraction of ``points`` ``(n, 3)`` that the hand hides from the camera, 0 ... 1."""
         data, model = self._scene.data, self._scene.model
-        eye = data.cam_xpos[model.camera(CAMERA).id]
+        eye = self._eye()
         rays = points - eye
         away = np.linalg.norm(rays, axis=1)
         hit, _ = cast_rays(model, data, eye, rays / away[:, None], groups=(_GROUP,))
         return float(((hit >= 0) & (hit < away)).mean())
+
+    def _eye(self) -> Array:
+        """Return the position ``(3,)`` of the camera."""
+        return self._scene.data.cam_xpos[self._scene.model.camera(CAMERA).id]
 
     def _covers_too_much(self, points: Array) -> bool:
         """Return whether the hand covers more than allowed of ``points`` ``(n, 3)`` or of the landmarks."""
@@ -169,7 +176,7 @@ class HandVisit:
         """Place the hand at this distance in metres from its target."""
         assert self._target is not None
         data, mocap = self._scene.data, int(self._scene.model.body(_HAND).mocapid[0])
-        data.mocap_pos[mocap] = [*(self._target + (self._beyond - back) * self._way), self.height]
+        data.mocap_pos[mocap] = self._target + (self._beyond - back) * self._way
         data.mocap_quat[mocap] = np.cos(self.heading / 2), 0.0, 0.0, np.sin(self.heading / 2)
         self._scene.body.refresh()
 

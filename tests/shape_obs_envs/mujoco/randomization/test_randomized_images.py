@@ -135,7 +135,7 @@ def test_the_workspace_stays_in_view(name, camera):
         assert model.transform_camera_to_base is not None
         poses.append(model.transform_camera_to_base)
         aim = env.randomization["camera"]["aim"]
-        assert np.allclose(model.project_from_base(np.array([[*aim, 0.0]])), (np.array(size) - 1) / 2, atol=1e-6)
+        assert np.allclose(model.project_from_base(np.array([aim])), (np.array(size) - 1) / 2, atol=1e-6)
     assert np.ptp(np.array(poses)[:, 2, 3]) > 0.03
 
 
