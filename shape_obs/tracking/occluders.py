@@ -25,7 +25,8 @@ UNKNOWN: Final = 0
 HIDDEN: Final = 1
 FREE: Final = 2
 
-# Of how full and how askew a tip is: the standard deviation of a measurement at a width of one pixel, and what a cut does.
+# Of how full and how askew a tip is: the standard deviation of a measurement at a width of one pixel, and of what any
+# cut does.
 _SHAPE_NOISE: Final = (0.25, 1.2)
 _ANY_CUT: Final = (0.1, 0.6)
 _UNFAMILIAR: Final = 4.0  # how much larger the variance of a tip is that was seen once
@@ -90,8 +91,10 @@ class Tips(NamedTuple):
 
 
 @compiled(
-    "(f8[:,::1], f8[::1], f8[::1], f8, Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), UniTuple(i8, 4))",
-    "(f8[:,::1], f8[::1], f8[::1], f8, Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), UniTuple(i8, 4))",
+    "(f8[:,::1], f8[::1], f8[::1], f8, Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], Tuple((i8, i8)), "
+    "UniTuple(i8, 4))",
+    "(f8[:,::1], f8[::1], f8[::1], f8, Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], Tuple((i8, i8)), "
+    "UniTuple(i8, 4))",
 )
 def chain_evidence(
     points: Array,
