@@ -100,6 +100,8 @@ class ShapeDetector:
     def reset(self) -> None:
         """Forget the track: the next frame is a cold start."""
         self._tracks: dict[str, Track] = {}
+        self._elsewhere: dict[str, float] = {}  # seconds after which something was seen out of reach
+        self._gone: set[str] = set()  # lost for longer than ``max_age``
         self._kinds: dict[str, type[Observed]] = {}
         self._track_ids: dict[str, int] = {}  # of the last track of each shape
         self._last: dict[str, tuple[Shape, float]] = {}
@@ -249,17 +251,20 @@ class ShapeDetector:
             have = f"the {observed.noun} has {observed.area} {observed.sample_unit}"
             return Fit(reason=f"{have}, at least {_MIN_SAMPLES} are needed")
         track = self._tracks.get(spec.name)
-        prediction, speed = predict(track, observed, self._clock.now, self.config.max_age), self.config.max_speed
-        if prediction is not None and prediction.stale and not spec.resumes:
-            track = prediction = None
-        found = spec.fit(observed, prediction, target, scene)
+        prediction = predict(track, observed, self._clock.now, spec.name in self._gone)
+        found, speed = spec.fit(observed, prediction, target, scene), self.config.max_speed
         if track is not None and prediction is not None and speed is not None and (not found.reason or found.follow):
-            reach = speed * self._clock.step
+            # What was seen elsewhere once does not come within reach by waiting.
+            since = min(self._clock.now - track.stamp, self._elsewhere.get(spec.name, math.inf))
+            reach = speed * since
             far = jump(track, found, scene.depth, scene.intrinsics, reach, reach * moment.size[1])
             if far:
+                self._elsewhere[spec.name] = since
                 found = spec.fit(observed, None, target, scene) if prediction.stale else Fit(reason=far)
         if not found.reason or found.follow:
-            track = None if found.new or (prediction is not None and prediction.stale) else track
+            track = None if found.new or spec.name in self._gone else track
+            self._gone.discard(spec.name)
+            self._elsewhere.pop(spec.name, None)
             number = self._track_ids.get(spec.name, 0) + 1 if track is None else track.track_id
             found, self._track_ids[spec.name] = found._replace(track_id=number), number
             self._tracks[spec.name] = advance(track, found, observed, self._clock.now)
@@ -288,6 +293,10 @@ class ShapeDetector:
             self._last[spec.name] = (shape, clock.now)
         else:
             age, reason = clock.now - seen_at, f"{reason}; {clock.warning}" if clock.warning else reason
+            if last is not None and age > self.config.max_age:
+                self._gone.add(spec.name)
+                if not spec.resumes:
+                    self._tracks.pop(spec.name, None)
             shape = lost_shape(
                 spec.name, spec.layout, reason=reason, in_2d=moment.in_2d, in_3d=moment.in_3d, last=last, age=age,
                 max_age=self.config.max_age, policy=self.config.on_missing, diagonal=moment.diagonal,

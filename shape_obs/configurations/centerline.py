@@ -26,7 +26,7 @@ from shape_obs.initialization.folding import closest_sides, sharp_bends, unexpla
 from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import thinned, trace_skeleton
-from shape_obs.point_cloud.lifting import MAX_REACH, lift_chain
+from shape_obs.point_cloud.lifting import lift_chain
 from shape_obs.tracking.occluders import Tips, chain_evidence
 from shape_obs.tracking.occlusion import learnt, match_chain, oriented, shown, visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
@@ -114,7 +114,7 @@ class Centerline(Configuration, kind="centerline"):
         if found.reason:
             return found
         curve: FittedCurve = found.form
-        if prediction is None or (prediction.stale and max(curve.hints.hidden) <= curve.hints.slack):
+        if _begins_again(curve, prediction):
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
         topology = found.topology if prediction is None else prediction.topology
         assert topology is not None
@@ -182,7 +182,8 @@ class Centerline(Configuration, kind="centerline"):
         reason, quality = validate_ribbon(curve, observed.noun, expected_off, square, width, area)
         if not reason and curve.hints.stretch < _MIN_STRETCH and curve.metres is not None:
             reason = f"the curve is {1 / curve.hints.stretch - 1:.0%} longer than the rope"
-        reason = reason or curve.ambiguity
+        if curve.ambiguity and not _begins_again(curve, prediction):
+            reason = reason or curve.ambiguity
         return Fit(curve, quality, reason, start, topology, observed=observed, object_width=width)
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
@@ -268,6 +269,11 @@ def _nodes_on(points: Array, arc: Array, count: int) -> Array:
     return even_points(points, arc, count, True)
 
 
+def _begins_again(curve: FittedCurve, prediction: Prediction | None) -> bool:
+    """Return whether a rope is numbered by the paper's rule: at a cold start, or as a whole after a long loss."""
+    return prediction is None or (prediction.stale and max(curve.hints.hidden) <= curve.hints.slack)
+
+
 def _measured(curve: FittedCurve, observed: Observed, width: float, scene: Scene) -> tuple[FittedCurve, Tips]:
     """Return a curve with its length in metres where there is depth, and what its two tips look like."""
     if not isinstance(observed, Region) or scene.edge is None:
@@ -276,9 +282,8 @@ def _measured(curve: FittedCurve, observed: Observed, width: float, scene: Scene
     at, left_out = observed.window[:2], curve.interpolated
     if scene.depth is not None and scene.intrinsics is not None:
         depth, unit = readable_depth(scene.depth)
-        reach = min(max(round(width / 4), 1), MAX_REACH)
         rays = np.ascontiguousarray(scene.intrinsics.rays(curve.points)[:, :2])
-        metres, z, share = lift_chain(curve.points, rays, left_out, depth, unit, observed.mask, at, reach)
+        metres, z, share = lift_chain(curve.points, rays, left_out, depth, unit, observed.mask, at, width)
         if share >= _LEAST_DEPTH and np.isfinite(metres).all():
             curve = replace(curve, metres=metres)
     left, top, wide, high = scene.edge

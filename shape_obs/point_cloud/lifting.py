@@ -12,6 +12,7 @@ from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
 from shape_obs.frame import FARTHEST, readable_depth
 from shape_obs.geometry.curve import FittedCurve, FittedForm
+from shape_obs.geometry.polyline import arc_length
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.image.region import Region
 
@@ -149,8 +150,8 @@ def median_depth(
 
 
 @compiled(
-    "(f8[:,::1], f8[:,::1], b1[::1], Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), i8)",
-    "(f8[:,::1], f8[:,::1], b1[::1], Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), i8)",
+    "(f8[:,::1], f8[:,::1], b1[::1], Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8)",
+    "(f8[:,::1], f8[:,::1], b1[::1], Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8)",
 )
 def lift_chain(
     points: Array,
@@ -160,7 +161,7 @@ def lift_chain(
     unit: float,
     mask: Mask,
     at: tuple[int, int],
-    reach: int,
+    width: float,
 ) -> tuple[Array, Array, float]:
     """Put an open curve in space, and measure how far along it each of its points lies, in metres.
 
@@ -175,13 +176,15 @@ def lift_chain(
         unit: Metres in a unit of depth.
         mask: ``(h, w)`` uint8, C-contiguous.
         at: Image column and row of its first pixel.
-        reach: How far around a point depth is looked for, pixels.
+        width: Of the object, pixels; depth is looked for within a quarter of it.
 
     Returns:
         ``(P,)`` arc length, metres; ``(P,)`` smooth depth, metres; the share of the points that have depth.
     """
     size = len(points)
+    reach = min(max(int(np.rint(width / 4)), 1), MAX_REACH)
     z = median_depth(depth, unit, mask, at[0], at[1], points, reach, MIN_SHARE)
+    _leave_out_overlaid(z, points, bridged, width)
     near, clean = np.empty(2 * _COMPANY + 1), np.empty(size)
     for p in range(size):
         clean[p] = np.nan
@@ -213,6 +216,35 @@ def lift_chain(
         away = smooth[p] - smooth[p - 1]
         arc[p] = arc[p - 1] + math.sqrt(x * x + y * y + away * away)
     return arc, smooth, known / size
+
+
+@compiled
+def _leave_out_overlaid(z: Array, points: Array, bridged: npt.NDArray[np.bool_], width: float) -> None:
+    """Set depth to NaN that belongs to what hides a bridged piece next to it, see ``overlaid``.
+
+    Args:
+        z: ``(P,)`` metres, changed in place.
+        points: ``(P, 2)`` pixels.
+        bridged: ``(P,)``.
+        width: Of the object, pixels.
+    """
+    size = len(z)
+    arc, apart, others = arc_length(points), np.empty(size), np.empty(size)
+    for p in range(size):
+        apart[p] = np.inf
+        for q in range(size):
+            if bridged[q]:
+                apart[p] = min(apart[p], abs(arc[p] - arc[q]))
+    for p in range(size):
+        if bridged[p] or apart[p] > _SMEARED * width or not z[p] > 0:
+            continue
+        count = 0
+        for q in range(size):
+            if apart[q] > _SMEARED * width and abs(arc[p] - arc[q]) <= _COMPARED * width and z[q] > 0:
+                others[count] = z[q]
+                count += 1
+        if count > 0 and z[p] < _median(others, count) - _STEP:
+            z[p] = np.nan
 
 
 @compiled

@@ -31,14 +31,13 @@ class Clock:
     Attributes:
         stamp: Of the last frame, as given, in seconds; without stamps frames are ``dt`` apart.
         now: Seconds since the first frame; grows with each frame.
-        step: Seconds since the frame before.
         warning: What is wrong with the last stamp; empty if nothing is.
     """
 
     def __init__(self, dt: float) -> None:
         self._dt = dt
         self._started = False
-        self.stamp, self.now, self.step, self.warning = 0.0, 0.0, dt, ""
+        self.stamp, self.now, self.warning = 0.0, 0.0, ""
 
     def tick(self, stamp: float | None) -> None:
         """Go on to the next frame, with its stamp in seconds if it has one."""
@@ -54,7 +53,7 @@ class Clock:
                 what = "stands still" if shown > -_LEAST_STEP else "runs back"
                 self.warning = f"the stamp {what}: dt is taken as the time since the last frame"
         self.now += step if self._started else 0.0
-        self._started, self.step = True, step
+        self._started = True
 
 
 class ShapeLostError(RuntimeError):

@@ -42,7 +42,7 @@ _SPREAD: Final = {"px": 0.001, "m": 0.012}
 _GRAIN: Final = 0.3  # in resolutions: the same of a short one
 _WIDEST: Final = 0.2
 _BRIDGE: Final = 0.35  # of a bridged gap: the standard deviation of its length
-_SLACK: Final = (0.006, 1.0)  # of the length and in resolutions: what is missing below this is noise
+_SLACK: Final = (0.01, 1.5)  # of the length and in resolutions: what is missing below this is noise
 _BEYOND: Final = 4.0  # standard deviations, beyond which noise explains nothing
 # By which share of a difference a length follows a measurement, and of itself if noise cannot explain the difference.
 _LEARNING: Final = (0.05, 0.001)
@@ -200,7 +200,10 @@ def _is_along(form: FittedCurve, nodes: Array) -> bool:
 
 
 def _apart(first: Array, second: Array) -> float:
-    return float(np.mean(np.sum((first - second) ** 2, axis=1)))
+    """Return the mean square distance of points, most of it after the best translation."""
+    away = first - second
+    shift = away.mean(axis=0)
+    return float(np.mean(np.sum((away - shift) ** 2, axis=1)) + _PLACE * np.sum(shift**2))
 
 
 def _widest_gap(curve: FittedCurve) -> tuple[int, int]:
@@ -404,7 +407,7 @@ class _PredictedRope:
         """
         if stop - start <= 1e-9 * length:
             return np.zeros((0, len(joint)))
-        gap = length * (self.share[2] - self.share[1])
+        gap = length * self.share[1]
         share = np.linspace(start, stop, max(int(np.ceil((stop - start) / gap)) + 1, 2)) / length
         piece = self.at(share)
         piece = piece - piece[-1 if at_start else 0]

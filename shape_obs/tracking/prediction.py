@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -124,7 +123,7 @@ class Prediction(NamedTuple):
         return self.nodes if self.hints.reference is None else self.hints.reference
 
 
-def predict(track: Track | None, observed: Observed, stamp: float, max_age: float = math.inf) -> Prediction | None:
+def predict(track: Track | None, observed: Observed, stamp: float, stale: bool = False) -> Prediction | None:
     """Predict the nodes at ``stamp``: the last place plus most of the last step; None without a track.
 
     Nothing is extrapolated farther than the last interval, so a shape that was lost is searched near its last place.
@@ -134,7 +133,6 @@ def predict(track: Track | None, observed: Observed, stamp: float, max_age: floa
     ahead = min(max(stamp - track.stamp, 0.0), track.interval)
     nodes = track.nodes + _VELOCITY_SHARE * ahead * track.velocity
     steady = abs(observed.area - track.area) <= _STEADY * track.area
-    stale = stamp - track.stamp > max_age
     return Prediction(nodes, track.size, track.topology, track.hints, observed.resolution, track.width, steady, stale)
 
 

@@ -62,7 +62,7 @@ def test_images_give_the_same_points_as_their_whole(everywhere):
 
 
 def test_a_rope_that_jumps_is_found_in_the_same_frame():
-    detector, mask = ShapeDetector(), rope()
+    detector, mask = ShapeDetector(max_speed=None), rope()
     before = [detector.detect_mask(mask).shapes[0].points2d for _ in range(3)][-1]
     after = detector.detect_mask(shifted(mask, 210, 190)).shapes[0]
     assert after.ok
@@ -71,7 +71,7 @@ def test_a_rope_that_jumps_is_found_in_the_same_frame():
 
 def test_a_rope_that_jumps_away_from_a_speck_is_found_in_the_same_frame():
     """The window is not empty: a speck of the rope's colour is left there."""
-    detector, mask = ShapeDetector(), rope()
+    detector, mask = ShapeDetector(max_speed=None), rope()
     before = [detector.detect_mask(mask).shapes[0].points2d for _ in range(3)][-1]
     moved = shifted(mask, 210, 190)
     u, v = before[10].round().astype(int).tolist()
