@@ -30,8 +30,9 @@ from shape_obs.point_cloud.lifting import median_depth
 from shape_obs.shape import Detection, Shape
 from shape_obs.tracking.belief import shortest_ways
 from shape_obs.tracking.missing import Clock, lost_shape
-from shape_obs.tracking.prediction import Fit, Track, advance, jump, predict
-from shape_obs.tracking.search_window import RegionSearch
+from shape_obs.tracking.prediction import Fit, Reach, Track, advance, predict
+from shape_obs.tracking.search_window import RegionSearch, tracks_by_rule
+from shape_obs.tracking.validation import validate_samples
 from shape_obs.utils.threads import use_no_threads_in_forked_children
 
 Array = npt.NDArray[np.float64]
@@ -39,7 +40,6 @@ ShapeLike = Configuration | Mapping[str, Any] | str
 
 # Frames after which all of the image is searched, though every shape is tracked: what was hidden may be back.
 _SEARCH_ALL: Final = 30
-_MIN_SAMPLES: Final = 16  # pixels or points of an object
 
 use_no_threads_in_forked_children()
 
@@ -52,10 +52,6 @@ class _Moment(NamedTuple):
     in_2d: bool
     in_3d: bool
     size: tuple[int, int] = (0, 0)
-
-    @property
-    def diagonal(self) -> float:
-        return math.hypot(*self.size)
 
 
 class ShapeDetector:
@@ -100,7 +96,7 @@ class ShapeDetector:
     def reset(self) -> None:
         """Forget the track: the next frame is a cold start."""
         self._tracks: dict[str, Track] = {}
-        self._elsewhere: dict[str, float] = {}  # seconds after which something was seen out of reach
+        self._reach = Reach(self.config.max_speed)
         self._gone: set[str] = set()  # lost for longer than ``max_age``
         self._kinds: dict[str, type[Observed]] = {}
         self._track_ids: dict[str, int] = {}  # of the last track of each shape
@@ -211,7 +207,9 @@ class ShapeDetector:
             now = time.perf_counter()
             roi, self._roi_memory, reason = roi.place(frame.rgb, self._roi_memory)
             _lap(timings, "roi", now)
-        search = None if roi is None else RegionSearch(frame, mask, roi, self._tracks_by_rule())
+        self._frames += 1
+        tracks = tracks_by_rule(self.shapes, self._tracks) if self._frames % _SEARCH_ALL else {}
+        search = None if roi is None else RegionSearch(frame, mask, roi, tracks)
         self._clock.tick(frame.stamp)
         size = frame.size if mask is None else mask.shape
         assert size is not None
@@ -224,8 +222,7 @@ class ShapeDetector:
 
     def _find(self, spec: Configuration, search: RegionSearch, target: Array | None, moment: _Moment) -> Fit:
         """Find one shape in an image: near where the track expects it, and if that fails everywhere."""
-        frame = moment.frame
-        camera = frame.camera if moment.in_3d else None
+        frame, camera = moment.frame, moment.frame.camera if moment.in_3d else None
         scene = Scene(frame.depth if camera else None, camera and camera.intrinsics, search.whole)
         while True:
             now, timings = time.perf_counter(), moment.timings
@@ -245,26 +242,20 @@ class ShapeDetector:
             self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres
             self._last.pop(spec.name, None)
             self._kinds[spec.name] = type(observed)
-        if not observed.pieces:
-            return Fit(reason=observed.refusal or f"the {observed.noun} is empty")
-        if observed.area < _MIN_SAMPLES:
-            have = f"the {observed.noun} has {observed.area} {observed.sample_unit}"
-            return Fit(reason=f"{have}, at least {_MIN_SAMPLES} are needed")
+        reason = validate_samples(observed)
+        if reason:
+            return Fit(reason=reason)
         track = self._tracks.get(spec.name)
         prediction = predict(track, observed, self._clock.now, spec.name in self._gone)
-        found, speed = spec.fit(observed, prediction, target, scene), self.config.max_speed
-        if track is not None and prediction is not None and speed is not None and (not found.reason or found.follow):
-            # What was seen elsewhere once does not come within reach by waiting.
-            since = min(self._clock.now - track.stamp, self._elsewhere.get(spec.name, math.inf))
-            reach = speed * since
-            far = jump(track, found, scene.depth, scene.intrinsics, reach, reach * moment.size[1])
+        found = spec.fit(observed, prediction, target, scene)
+        if track is not None and prediction is not None and (not found.reason or found.follow):
+            view = scene.depth, scene.intrinsics
+            far = self._reach.exceeded(spec.name, track, found, self._clock.now, view, moment.size[1])
             if far:
-                self._elsewhere[spec.name] = since
                 found = spec.fit(observed, None, target, scene) if prediction.stale else Fit(reason=far)
         if not found.reason or found.follow:
             track = None if found.new or spec.name in self._gone else track
             self._gone.discard(spec.name)
-            self._elsewhere.pop(spec.name, None)
             number = self._track_ids.get(spec.name, 0) + 1 if track is None else track.track_id
             found, self._track_ids[spec.name] = found._replace(track_id=number), number
             self._tracks[spec.name] = advance(track, found, observed, self._clock.now)
@@ -285,7 +276,7 @@ class ShapeDetector:
         last, seen_at = self._last.get(spec.name, (None, 0.0))
         shape, reason = None, found.reason
         if not found.reason:  # depth enters: -> points
-            shape = shape_of(spec, found, moment.frame, last, self.config.on_invalid, moment.diagonal)
+            shape = shape_of(spec, found, moment.frame, last, self.config.on_invalid, math.hypot(*moment.size))
             in_sight = shape.points2d is None or np.isfinite(shape.points2d).all()
             if not in_sight or (moment.in_3d and not shape.valid.any()):
                 shape, reason = None, "no point has depth under it" if in_sight else "it runs out of the camera's sight"
@@ -299,19 +290,10 @@ class ShapeDetector:
                     self._tracks.pop(spec.name, None)
             shape = lost_shape(
                 spec.name, spec.layout, reason=reason, in_2d=moment.in_2d, in_3d=moment.in_3d, last=last, age=age,
-                max_age=self.config.max_age, policy=self.config.on_missing, diagonal=moment.diagonal,
+                max_age=self.config.max_age, policy=self.config.on_missing, diagonal=math.hypot(*moment.size),
             )  # fmt: skip
         _lap(moment.timings, "lift", now)
         return shape
-
-    def _tracks_by_rule(self) -> dict[Segmentation | None, list[Track | None]]:
-        """Return the tracks of the shapes of each segmentation; every 30 frames none, to search all of the image."""
-        self._frames += 1
-        rules: dict[Segmentation | None, list[Track | None]] = {}
-        if self._frames % _SEARCH_ALL:
-            for spec in self.shapes:
-                rules.setdefault(spec.segmentation, []).append(self._tracks.get(spec.name))
-        return rules
 
 
 def _lap(timings: dict[str, float], stage: str, since: float) -> float:

@@ -28,8 +28,10 @@ from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import thinned, trace_skeleton
 from shape_obs.point_cloud.lifting import lift_chain
 from shape_obs.tracking.occluders import Tips, chain_evidence
-from shape_obs.tracking.occlusion import learnt, match_chain, oriented, shown, visible_nodes
+from shape_obs.tracking.occlusion import match_chain, shown, surprise
+from shape_obs.tracking.predicted_rope import oriented, visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
+from shape_obs.tracking.rope_length import learnt
 from shape_obs.tracking.validation import MAX_HIDDEN, sample_spread, validate_ribbon
 
 if TYPE_CHECKING:
@@ -106,11 +108,11 @@ class Centerline(Configuration, kind="centerline"):
             sigmas = _SIGMAS_STEADY if prediction.steady else _SIGMAS_AREA_CHANGED
             start = visible_nodes(prediction)
             found = self._refine(observed, start, Chain(len(start)), sigmas, width, MAX_HIDDEN, prediction, scene)
-            if found.reason or _surprise(found, prediction) > MAX_SIZE_CHANGE:
+            off = np.inf if found.reason else surprise(found.form, prediction)
+            if off > MAX_SIZE_CHANGE:
                 # The rope is shorter or longer than expected, or the chain lost its way: an initial axis decides.
                 again = self._fit_initial(observed, prediction, scene)
-                better = found.reason or _surprise(again, prediction) <= _surprise(found, prediction)
-                found = again if better and not again.reason else found
+                found = again if not again.reason and surprise(again.form, prediction) <= off else found
         if found.reason:
             return found
         curve: FittedCurve = found.form
@@ -289,15 +291,6 @@ def _measured(curve: FittedCurve, observed: Observed, width: float, scene: Scene
     left, top, wide, high = scene.edge
     seen = depth, unit, observed.mask, at, (left, top, wide, high)
     return curve, Tips(*chain_evidence(curve.points, curve.arc, z, width, *seen), width)
-
-
-def _surprise(found: Fit, prediction: Prediction) -> float:
-    """Return by which share of its length other parts of a rope are hidden than before, or its length is off."""
-    if found.reason:
-        return np.inf
-    (head, tail), before, hints = found.form.hints.hidden, prediction.hints.hidden, found.form.hints
-    change = abs(head - before[0]) + abs(tail - before[1])
-    return max(change, (1 if found.form.metres is None else 2) * abs(hints.stretch - 1))
 
 
 def _seen_length(curve: FittedCurve) -> float:

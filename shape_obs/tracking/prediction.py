@@ -159,37 +159,50 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
     )
 
 
-def jump(
-    track: Track,
-    found: Fit,
-    depth: npt.NDArray[Any] | None,
-    intrinsics: Intrinsics | None,
-    metres: float,
-    pixels: float,
-) -> str:
-    """Return why a form is another object's than the one that was tracked; empty if it is not.
+class Reach:
+    """Notice what cannot be the object that was tracked, because no object of this kind moves so fast.
 
     Args:
-        track: Where the object was.
-        found: Where the form is.
-        depth: ``(H, W)`` the frame's depth; None without depth or camera.
-        intrinsics: The projection; None without depth or camera.
-        metres: How far half of an object's nodes may lie from where it was in the last frame, in clouds or with depth.
-        pixels: The same without depth.
+        max_speed: Metres a second with depth and in clouds, image widths a second without; None for no limit.
     """
-    nodes = found.nodes
-    if nodes is None or nodes.shape[1] != track.nodes.shape[1]:
-        return ""
-    apart = np.linalg.norm(nodes[:, None] - track.nodes, axis=2).min(axis=1)
-    moved, most, unit = float(np.median(apart)), pixels, "px"
-    if nodes.shape[1] == 3:
-        most, unit = metres, "m"
-    elif depth is not None and intrinsics is not None:
-        u, v = np.clip(np.rint(nodes).astype(int), 0, (depth.shape[1] - 1, depth.shape[0] - 1)).T
-        away = depth_in_metres(depth[v, u])
-        if np.isfinite(away).any():
-            moved, most, unit = moved * float(np.nanmedian(away)) / intrinsics.fx, metres, "m"
-    return "" if moved <= most else f"it lies {moved:.3g} {unit} from where the shape was (at most {most:.3g} a frame)"
+
+    def __init__(self, max_speed: float | None) -> None:
+        self._max_speed = max_speed
+        self._elsewhere: dict[str, float] = {}  # seconds after which something was seen out of reach
+
+    def exceeded(
+        self, name: str, track: Track, found: Fit, stamp: float, view: tuple[Any, Intrinsics | None], width: int
+    ) -> str:
+        """Return why a form is another object's than the one that was tracked; empty if it is not.
+
+        What was seen elsewhere once does not come within reach by waiting.
+
+        Args:
+            name: Of the shape.
+            track: Where the object was.
+            found: Where the form is.
+            stamp: Seconds.
+            view: ``(H, W)`` the frame's depth and the projection; None without depth or camera.
+            width: Of the image, pixels.
+        """
+        nodes, (depth, intrinsics) = found.nodes, view
+        if self._max_speed is None or nodes is None or nodes.shape[1] != track.nodes.shape[1]:
+            return ""
+        since = min(stamp - track.stamp, self._elsewhere.get(name, np.inf))
+        apart = np.linalg.norm(nodes[:, None] - track.nodes, axis=2).min(axis=1)
+        moved, most, unit = float(np.median(apart)), self._max_speed * since, "m"
+        away = np.array([np.nan])
+        if nodes.shape[1] == 2 and depth is not None and intrinsics is not None:
+            u, v = np.clip(np.rint(nodes).astype(int), 0, (depth.shape[1] - 1, depth.shape[0] - 1)).T
+            away = depth_in_metres(depth[v, u])
+            moved *= float(np.nanmedian(away)) / intrinsics.fx if np.isfinite(away).any() else 1.0
+        if nodes.shape[1] == 2 and not np.isfinite(away).any():
+            most, unit = most * width, "px"
+        if moved <= most:
+            self._elsewhere.pop(name, None)
+            return ""
+        self._elsewhere[name] = since
+        return f"it lies {moved:.3g} {unit} from where the shape was (at most {most:.3g} after {since:.2g} s)"
 
 
 def _believed(change: float) -> float:

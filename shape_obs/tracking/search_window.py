@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -49,6 +50,35 @@ def predict_search_window(tracks: list[Track | None]) -> SearchWindow | None:
         left, top, width = min(left, box.left - spare), min(top, box.top - spare), min(width, track.width)
         right, bottom = max(right, box.left + box.width + spare), max(bottom, box.top + box.height + spare)
     return SearchWindow(Window(int(left), int(top), int(right - left), int(bottom - top)), width)
+
+
+class Sought(Protocol):
+    """A shape that is looked for."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        ...
+
+    @property
+    def segmentation(self) -> Segmentation | None:
+        """Its pixel rule."""
+        ...
+
+
+def tracks_by_rule(
+    shapes: Iterable[Sought], tracks: Mapping[str, Track]
+) -> dict[Segmentation | None, list[Track | None]]:
+    """Return the tracks of the shapes of each segmentation.
+
+    Args:
+        shapes: The shapes that are looked for.
+        tracks: By the names of the shapes.
+    """
+    rules: dict[Segmentation | None, list[Track | None]] = {}
+    for spec in shapes:
+        rules.setdefault(spec.segmentation, []).append(tracks.get(spec.name))
+    return rules
 
 
 @dataclass

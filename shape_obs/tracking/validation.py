@@ -16,6 +16,7 @@ from shape_obs.geometry.observed import Observed
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
+_MIN_SAMPLES: Final = 16  # pixels or points
 _MAX_OFF: Final = 0.10
 _MAX_SPREAD: Final = 0.40
 _IDEAL_SPREAD: Final = 12**-0.5
@@ -48,6 +49,16 @@ class FitQuality(NamedTuple):
 
     reason: str
     quality: float
+
+
+def validate_samples(observed: Observed) -> str:
+    """Return why an object is too small for any shape; empty if it is not."""
+    if not observed.pieces:
+        return f"the {observed.noun} is empty"
+    if observed.area < _MIN_SAMPLES:
+        have = f"the {observed.noun} has {observed.area} {observed.sample_unit}"
+        return f"{have}, at least {_MIN_SAMPLES} are needed"
+    return ""
 
 
 def validate_ribbon(

@@ -1,0 +1,195 @@
+"""Where a known rope is expected, and which piece of it a visible curve is.
+
+For each way to share out what is missing of a rope (at its start, at its end, in a gap, or because the measurement is
+short), the cost is how badly the visible points agree with where their material was expected, how far the measurement
+would have to be off, and what is seen at the tips.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+from math import dist
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.polyline import interpolate
+from shape_obs.tracking.occluders import FREE, HIDDEN, UNKNOWN
+from shape_obs.tracking.prediction import Prediction
+
+Array = npt.NDArray[np.float64]
+Ends = tuple[int, int]
+
+_PROBES: Final = np.linspace(0, 1, 32)  # of a visible piece, at which it is compared with the prediction
+_SHARES: Final = np.linspace(0, 1, 9)  # of what is missing, that may be hidden at an end
+_PLACE: Final = 0.1  # the weight of where a rope is predicted against how it is bent
+_INDEPENDENT: Final = 4.0  # of the probes: neighbours err alike
+_NOISE: Final = 0.15  # in resolutions: how far off a curve lies that was predicted perfectly
+_SETTLING: Final = 0.1  # how fast the distance of curves from their predictions is learnt
+# What it costs, in squared standard deviations, to take an end for hidden: without evidence, with
+# evidence, and a free one, which is then folded back or points at the camera. And by which share of the length it
+# changes from frame to frame.
+_COST: Final = {UNKNOWN: 4.0, HIDDEN: 0.0, FREE: 4.0}
+_FOLDED: Final = 25.0  # of a free end while something hides the other, which explains what is missing
+_INERTIA: Final = {UNKNOWN: 0.05, HIDDEN: 0.1, FREE: 0.05}
+_BRIDGE: Final = 0.35  # of a bridged gap: the standard deviation of its length
+_CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
+_ASKEW: Final = 0.6  # widths: of the visible piece next to a hidden end, which may follow the cut
+_SURE: Final = 2.0  # how much larger the mean square distance has to be in the other direction
+_PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
+_TRUST: Final = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
+_OUTLIER: Final = 10.0  # residuals: more is not learnt from at once
+_FEWEST: Final = 6  # nodes of a visible piece
+
+
+def oriented(form: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, bool]:
+    """Return a curve in the direction of the predicted rope, of which it may be a piece, and whether it was reversed.
+
+    A direction that is in doubt is noted as the curve's ambiguity.
+    """
+    if _is_along(form, prediction.nodes):
+        return form, False
+    rope, length = PredictedRope(prediction), prediction.hints.length
+    whole = length.metres if form.metres is not None else length.pixels
+    seen = min(float(form.stations[-1]) / whole, 1.0) if whole > 0 else 1.0
+    firsts, back = np.linspace(0, 1 - seen, _PLACES), form.reversed()
+    off, off_back = (
+        min(_apart(rope.at(first + seen * _PROBES), points_along(curve)) for first in firsts) for curve in (form, back)
+    )
+    if max(off, off_back) < _SURE * min(off, off_back):
+        form, back = (replace(curve, ambiguity="it is in doubt where the rope begins") for curve in (form, back))
+    return (back, True) if off_back < off else (form, False)
+
+
+def visible_nodes(prediction: Prediction) -> Array:
+    """Return the predicted nodes of the visible piece, about as far apart: ``(K', D)``."""
+    (head, tail), nodes = prediction.hints.hidden, prediction.nodes
+    if head + tail <= 0:
+        return nodes
+    first, last = head, 1 - tail
+    count = max(round(len(nodes) * (last - first)), _FEWEST)
+    return PredictedRope(prediction).at(first + (np.arange(count) + 0.5) / count * (last - first))
+
+
+def _is_along(form: FittedCurve, nodes: Array) -> bool:
+    """Return whether a curve clearly runs in the direction of ``(K, D)`` nodes, by the distances of its ends."""
+    first, last = form.points[0].tolist(), form.points[-1].tolist()
+    head, tail = nodes[0].tolist(), nodes[-1].tolist()
+    forwards, backwards = dist(first, head) + dist(last, tail), dist(first, tail) + dist(last, head)
+    return _CLEAR * forwards < backwards
+
+
+def _apart(first: Array, second: Array) -> float:
+    """Return the mean square distance of points, most of it after the best translation."""
+    away = first - second
+    shift = away.mean(axis=0)
+    return float(np.mean(np.sum((away - shift) ** 2, axis=1)) + _PLACE * np.sum(shift**2))
+
+
+class PredictedRope:
+    """The predicted rope from tip to tip.
+
+    Args:
+        prediction: Its nodes lie at the centres of K equal pieces of the rope.
+    """
+
+    def __init__(self, prediction: Prediction) -> None:
+        nodes, self.hidden = prediction.nodes, prediction.hints.hidden
+        self.residual = prediction.hints.residual
+        self.askew, self.resolution = _ASKEW * prediction.width, prediction.resolution
+        self.share = np.concatenate([[0.0], (np.arange(len(nodes)) + 0.5) / len(nodes), [1.0]])
+        self.points = np.concatenate([1.5 * nodes[:1] - 0.5 * nodes[1:2], nodes, 1.5 * nodes[-1:] - 0.5 * nodes[-2:-1]])
+
+    def at(self, share: Array) -> Array:
+        """Return ``(N, D)`` points at shares of the length."""
+        return interpolate(self.points, self.share, share)
+
+    def disagreement(self, found: Array, first: Array, last: Array) -> Array:
+        """Return the mean square distances between curves and the rope's pieces between two shares of its length.
+
+        Most of it is taken after the best rigid motion (Kabsch 1976): a prediction fails first in where a rope is,
+        and last in how it is bent.
+
+        Args:
+            found: ``(C, 32, D)`` points along each curve.
+            first: ``(C,)`` where each piece begins.
+            last: ``(C,)`` where it ends.
+        """
+        share = first[:, None] + _PROBES * (last - first)[:, None]
+        expected = self.at(share.ravel()).reshape(found.shape)
+        apart = np.mean(np.sum((expected - found) ** 2, axis=2), axis=1)
+        expected, found = (points - points.mean(axis=1, keepdims=True) for points in (expected, found))
+        overlap = np.einsum("cpd,cpe->cde", expected, found)
+        if found.shape[2] == 2:
+            turned = np.hypot(overlap[:, 0, 0] + overlap[:, 1, 1], overlap[:, 0, 1] - overlap[:, 1, 0])
+        else:
+            values = np.linalg.svd(overlap, compute_uv=False)
+            turned = values[:, :-1].sum(axis=1) + np.sign(np.linalg.det(overlap)) * values[:, -1]
+        bent = np.sum(expected**2, axis=(1, 2)) + np.sum(found**2, axis=(1, 2)) - 2 * turned
+        return np.maximum(bent, 0.0) / len(_PROBES) + _PLACE * apart
+
+    def settle(self, apart: float) -> None:
+        """Learn how far curves lie from their predictions, a mean square distance."""
+        self.residual += _SETTLING * (min(apart, _OUTLIER * self.residual) - self.residual)
+
+    def place(
+        self,
+        form: FittedCurve,
+        ends: Ends,
+        cut: Array,
+        missing: float,
+        noise: float,
+        gap: tuple[int, int],
+    ) -> tuple[float, float, float]:
+        """Return how much of a rope is hidden at its start, at its end and in a gap: what costs least.
+
+        Args:
+            form: What is seen of it.
+            ends: What is known about its tips.
+            cut: ``(2,)`` how much likelier, as logarithms, they are cut than the rope's own.
+            missing: By how much the form is shorter than the rope.
+            noise: Standard deviation of the measured length.
+            gap: The last point before a gap and the first after it.
+        """
+        length, stations = missing + float(form.stations[-1]), form.stations
+        bridge = float(stations[gap[1]] - stations[gap[0]])
+        shares = np.array([(a, b) for a, b in product(_SHARES, _SHARES) if a + b <= 1])
+        if bridge == 0 and HIDDEN in ends:  # what is missing is hidden where something hides it
+            shares = shares[shares.sum(axis=1) == 1]
+        rest, hidden = (1 - shares.sum(axis=1)) * missing, shares * missing / length
+        found = np.empty((len(shares), len(_PROBES), form.points.shape[1]))
+        for more in np.unique(rest) if bridge else rest[:1]:
+            moved = widened(stations, gap, more) if bridge else stations
+            found[rest == more if bridge else slice(None)] = interpolate(form.points, moved, _PROBES * moved[-1])
+        apart = self.disagreement(found, hidden[:, 0], 1 - hidden[:, 1])
+        cost = (rest / (noise + _BRIDGE * bridge)) ** 2
+        for end in range(2):
+            # What is hidden changes little from frame to frame; a free end is hidden in no frame for longer.
+            known, last = ends[end], 0.0 if ends[end] == FREE else self.hidden[end]
+            price = _FOLDED if known == FREE and HIDDEN in ends else _COST[known]
+            price = price * (last <= 0) + 2 * (cut.max() - cut[end]) * (HIDDEN not in ends)
+            change = ((hidden[:, end] - last) / _INERTIA[known]) ** 2
+            cost += price * (hidden[:, end] > 0) + _TRUST * np.log1p(change / _TRUST)
+        worse = _INDEPENDENT * (apart - apart.min()) / max(self.residual, (_NOISE * self.resolution) ** 2)
+        cost += _TRUST * np.log1p(worse / _TRUST)
+        best = int(np.argmin(cost))
+        self.settle(float(apart[best]))
+        head, tail = hidden[best] * length
+        return float(head), float(tail), float(rest[best])
+
+
+def points_along(curve: FittedCurve) -> Array:
+    """Return ``(32, D)`` points at equal steps along a curve."""
+    return interpolate(curve.points, curve.stations, _PROBES * curve.stations[-1])
+
+
+def widened(stations: Array, gap: tuple[int, int], more: float) -> Array:
+    """Return stations with a gap that is longer."""
+    first, last = gap
+    out = stations.copy()
+    out[first : last + 1] += more * np.linspace(0, 1, last - first + 1)
+    out[last + 1 :] += more
+    return out
