@@ -19,9 +19,7 @@ from shape_obs import ShapeGoal, ShapeObservation
 from shape_obs.bench.servo.worlds import TrueDetector, Unseen
 from shape_obs.servo import ShapeServo
 from shape_obs_envs.mujoco.bodies import MaterialFactors
-from shape_obs_envs.mujoco.bodies.strand import catenary_pitch
 from shape_obs_envs.mujoco.hanging import HangingEnv
-from shape_obs_envs.mujoco.workspace import HangingWorkspace
 
 
 def make(**options: Any) -> HangingEnv:
@@ -87,15 +85,6 @@ def test_frames_of_the_truth_agree_and_the_surface_is_before_the_axis(view):
 
 
 # ---- the physics
-
-
-@pytest.mark.parametrize(("across", "up", "size"), [(0.1, 0.0, 0.5), (0.3, 0.19, 0.5), (0.4, -0.1, 0.45)])
-def test_a_catenary_leads_from_one_end_to_the_other(across, up, size):
-    steps = 5000
-    pitch = catenary_pitch(across, up, size, (np.arange(steps) + 0.5) * size / steps)
-    ends = np.array([np.cos(pitch).sum(), np.sin(pitch).sum()]) * size / steps
-    np.testing.assert_allclose(ends, [across, up], atol=1e-6)
-    assert (np.diff(pitch) > 0).all()
 
 
 def test_at_rest_it_hangs_as_a_catenary_between_its_grippers(env):
@@ -210,24 +199,6 @@ def test_actions_move_each_gripper_by_five_centimetres_at_most(env):
 
 
 # ---- the workspace
-
-
-def test_clipped_poses_are_allowed_and_allowed_ones_are_left():
-    workspace = HangingWorkspace(lambda: 0.4, (-0.2, -0.12, 0.29), (-0.05, 0.12, 0.48))
-    rng = np.random.default_rng(0)
-    previous = np.array([[-0.1, 0.0, 0.4], [0.1, 0.0, 0.4]])
-    moved = 0
-    for _ in range(500):
-        poses = previous + rng.normal(0, 0.1, (2, 3))
-        clipped = workspace.clip(poses, previous)
-        assert workspace.allows(clipped)
-        assert np.linalg.norm(clipped[1] - clipped[0]) <= 0.4 + 1e-6
-        if workspace.allows(poses):
-            assert np.array_equal(clipped, poses)
-        else:
-            moved += not np.array_equal(clipped, previous)
-        previous = clipped
-    assert moved > 100
 
 
 def test_the_length_of_the_rope_limits_the_distance_of_the_grippers():
