@@ -211,9 +211,8 @@ class ShapeDetector:
         tracks = tracks_by_rule(self.shapes, self._tracks) if self._frames % _SEARCH_ALL else {}
         search = None if roi is None else RegionSearch(frame, mask, roi, tracks)
         self._clock.tick(frame.stamp)
-        size = frame.size if mask is None else mask.shape
-        assert size is not None
-        moment, shapes = _Moment(frame, timings, in_2d=True, in_3d=with_depth, size=(size[0], size[1])), []
+        size = (frame.size or (0, 0)) if mask is None else (mask.shape[0], mask.shape[1])
+        moment, shapes = _Moment(frame, timings, in_2d=True, in_3d=with_depth, size=size), []
         for spec, target in zip(self.shapes, targets, strict=True):
             found = Fit(reason=reason) if search is None else self._find(spec, search, target, moment)
             shapes.append(self._finish(spec, found, moment))
@@ -233,7 +232,7 @@ class ShapeDetector:
                 now = _lap(timings, "cloud", now)
             found = self._fit(spec, observed, target, moment, scene)  # -> form, matched and validated
             _lap(timings, "fit", now)
-            if not found.reason or not search.widen(spec.segmentation):
+            if not found.reason or found.follow or not search.widen(spec.segmentation):
                 return found
 
     def _fit(self, spec: Configuration, observed: Observed, target: Array | None, moment: _Moment, scene: Scene) -> Fit:
@@ -242,16 +241,14 @@ class ShapeDetector:
             self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres
             self._last.pop(spec.name, None)
             self._kinds[spec.name] = type(observed)
-        reason = validate_samples(observed)
-        if reason:
+        if reason := validate_samples(observed):
             return Fit(reason=reason)
         track = self._tracks.get(spec.name)
         prediction = predict(track, observed, self._clock.now, spec.name in self._gone)
         found = spec.fit(observed, prediction, target, scene)
         if track is not None and prediction is not None and (not found.reason or found.follow):
             view = scene.depth, scene.intrinsics
-            far = self._reach.exceeded(spec.name, track, found, self._clock.now, view, moment.size[1])
-            if far:
+            if far := self._reach.exceeded(spec.name, track, found, self._clock.now, view, moment.size[1]):
                 found = spec.fit(observed, None, target, scene) if prediction.stale else Fit(reason=far)
         if not found.reason or found.follow:
             track = None if found.new or spec.name in self._gone else track
