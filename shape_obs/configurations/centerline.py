@@ -109,8 +109,7 @@ class Centerline(Configuration, kind="centerline"):
             start = visible_nodes(prediction)
             found = self._refine(observed, start, Chain(len(start)), sigmas, width, MAX_HIDDEN, prediction, scene)
             off = np.inf if found.reason else surprise(found.form, prediction)
-            if off > MAX_SIZE_CHANGE:
-                # The rope is shorter or longer than expected, or the chain lost its way: an initial axis decides.
+            if off > MAX_SIZE_CHANGE:  # of another length, or the chain lost its way: an initial axis decides
                 again = self._fit_initial(observed, prediction, scene)
                 found = again if not again.reason and surprise(again.form, prediction) <= off else found
         if found.reason:
@@ -174,6 +173,7 @@ class Centerline(Configuration, kind="centerline"):
             spread = sample_spread(np.ascontiguousarray(samples.points), np.ascontiguousarray(samples.weight), points)
             square = spread + cloud.hidden_variance
             width, area = cloud.ribbon_width, 0
+        before = TrackHints() if prediction is None else prediction.hints
         curve, tips = _measured(FittedCurve(points, ~on_object, arc), observed, width, scene)  # depth enters
         if prediction is None:
             curve = replace(
@@ -182,7 +182,8 @@ class Centerline(Configuration, kind="centerline"):
         else:
             curve = match_chain(curve, prediction, tips)  # an end under a hand is put back here
         reason, quality = validate_ribbon(curve, observed.noun, expected_off, square, width, area)
-        if not reason and curve.hints.stretch < _MIN_STRETCH and curve.metres is not None:
+        grown = curve.hints.measured / max(before.measured, 1e-9) if before.measured else 1.0
+        if not reason and max(curve.hints.stretch, 1 / grown) < _MIN_STRETCH and curve.metres is not None:
             reason = f"the curve is {1 / curve.hints.stretch - 1:.0%} longer than the rope"
         if curve.ambiguity and not _begins_again(curve, prediction):
             reason = reason or curve.ambiguity

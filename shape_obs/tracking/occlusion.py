@@ -82,7 +82,8 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     hidden = head / length, tail / length
     certain = (float(cut[0]), float(cut[1]))
     covered = ends[0] == HIDDEN, ends[1] == HIDDEN
-    hints = TrackHints(hidden, covered, slack / length, stretch, rope.residual, certain, own, now)
+    measured = before.measured if head + tail > least else length - missing
+    hints = TrackHints(hidden, covered, slack / length, stretch, measured, rope.residual, certain, own, now)
     return replace(form, hints=hints)
 
 
