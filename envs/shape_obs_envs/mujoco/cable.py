@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -111,7 +111,7 @@ class CableEnv(RopeEnv):
         ValueError: An argument is out of its range.
     """
 
-    STEP: ClassVar[Array] = np.array([0.015, 0.015, 0.12])  # x, y in metres and yaw in radians
+    STEP = np.array([0.015, 0.015, 0.12])  # x, y in metres and yaw in radians
     REACH = ((-0.285, -0.27, 0.0), (0.285, 0.32, 0.02))
 
     def __init__(self, grippers: int = 2, **options: Any) -> None:

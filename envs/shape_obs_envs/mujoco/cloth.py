@@ -37,7 +37,7 @@ class ClothEnv(ShapeGoalEnv, EzPickle):
         ValueError: An argument is out of its range.
     """
 
-    STEP: ClassVar[Array] = np.array([0.006, 0.006, 0.006])  # x, y, z in metres
+    STEP = np.array([0.006, 0.006, 0.006])  # x, y, z in metres
     REACH = ((-0.28, -0.21, 0.0), (0.28, 0.19, 0.1))
     # Nearer than for other objects: a fold moves only a part of the sheet.
     GOALS: ClassVar[Mapping[str, Difficulty]] = {**DIFFICULTIES, "far": DIFFICULTIES["far"]._replace(least=0.04)}

@@ -69,7 +69,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
     #: Largest motion of a gripper in one step.
-    STEP: ClassVar[Array]
+    STEP: Array
     #: Two corners in metres of a box that always contains the object, base frame.
     REACH: ClassVar[tuple[Corner, Corner]]
     #: Bounds of the points of a goal in metres, base frame.

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from shape_obs_envs.arguments import count, one_of
+from shape_obs_envs.arguments import count, one_of, positive
 from shape_obs_envs.mujoco.bodies.chain import ChainSpec
 from shape_obs_envs.mujoco.bodies.strand import Strand, strand_bodies, strand_equality, strand_sections
 from shape_obs_envs.mujoco.cable import RopeEnv
@@ -33,6 +33,8 @@ _ONE: Final = ChainSpec(length=0.36, grippers=1, **_ROPE)
 # No point of a rope is lower than the middle of its ends by more than half its length, so it never meets the table.
 _LOW, _HIGH = (-0.2, -0.12, 0.29), (-0.05, 0.12, 0.48)
 _BOX: Final = BoxWorkspace(low=((-0.16, -0.1, 0.42),), high=((0.16, 0.1, 0.5),))
+#: Largest step for which the physics was tested, in metres: 1 m/s.
+_FASTEST: Final = 0.05
 #: Largest distance of the grippers as a fraction of the rope's length: the rope is never pulled taut.
 _REACH: Final = 0.88
 
@@ -43,21 +45,24 @@ class HangingEnv(RopeEnv):
     Args:
         grippers: 2 to hold both ends, 1 to hold end 0 of a shorter rope.
         view: "side" for a camera that is nearly level with the rope, "above" for one that looks down at 45 degrees.
+        step: Largest motion of a gripper in one step along each axis, in metres, at most 0.05.
         **options: Arguments of ``ShapeGoalEnv``.
 
     Raises:
         ValueError: An argument is out of its range.
     """
 
-    STEP: ClassVar[Array] = np.array([0.05, 0.05, 0.05])  # x, y, z in metres
-    REACH = ((-0.23, -0.22, 0.03), (0.23, 0.2, 0.51))
+    REACH = ((-0.23, -0.24, 0.03), (0.23, 0.2, 0.51))
     BOUNDS = ((-0.5, -0.5, 0.0), (0.5, 0.5, 0.8))
     GOALS: ClassVar[Mapping[str, Difficulty]] = {**DIFFICULTIES, "far": DIFFICULTIES["far"]._replace(least=0.1)}
 
-    def __init__(self, grippers: int = 2, view: str = "side", **options: Any) -> None:
-        EzPickle.__init__(self, grippers, view, **options)
+    def __init__(self, grippers: int = 2, view: str = "side", step: float = 0.05, **options: Any) -> None:
+        EzPickle.__init__(self, grippers, view, step, **options)
         self._view = VIEWS[one_of("view", view, VIEWS)]
         ShapeGoalEnv.__init__(self, **options)
+        if positive("step", step, "0.05") > _FASTEST:
+            raise ValueError(f"step: expected at most {_FASTEST} m, with which the physics is stable, got {step}.")
+        self.STEP = np.full(3, step)
         two = count("grippers", grippers, 1, 2) == 2
         spec = _TWO if two else _ONE
         model = self._compile(strand_bodies(spec) + _WALL, strand_equality(spec), strand_sections(spec))

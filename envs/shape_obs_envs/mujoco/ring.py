@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -35,7 +35,7 @@ class RingEnv(ShapeGoalEnv, EzPickle):
         ValueError: An argument is out of its range.
     """
 
-    STEP: ClassVar[Array] = np.array([0.012, 0.012, 0.1])  # x, y in metres and turn in radians
+    STEP = np.array([0.012, 0.012, 0.1])  # x, y in metres and turn in radians
     REACH = ((-0.26, -0.26, 0.0), (0.26, 0.28, 0.01))
 
     def __init__(self, **options: Any) -> None:

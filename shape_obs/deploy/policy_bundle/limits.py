@@ -48,7 +48,7 @@ OWN_IDS: Final = {
     **dict.fromkeys(
         ("ShapeObs/Ring-v0", "ShapeObs/RingShape-v0", "ShapeObs/Cloth-v0", "ShapeObs/ClothShape-v0"), _SIMULATED
     ),
-    **dict.fromkeys(("ShapeObs/Hanging-v0", "ShapeObs/HangingShape-v0"), (*_SIMULATED, "grippers", "view")),
+    **dict.fromkeys(("ShapeObs/Hanging-v0", "ShapeObs/HangingShape-v0"), (*_SIMULATED, "grippers", "view", "step")),
     "ShapeObs/D455-v0": (
         "source", "rate", "size", "timeout", "settle", "max_age", "max_step", "workspace", "render_mode",
     ),

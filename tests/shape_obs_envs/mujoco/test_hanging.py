@@ -151,8 +151,8 @@ def test_jerks_do_not_make_it_whirl(env, damping):
             env._move(action)
             way = np.diff(env._strand.vertices(), axis=0)
             way /= np.linalg.norm(way, axis=1)[:, None]
-            assert (way[1:] * way[:-1]).sum(axis=1).min() > np.cos(np.radians(75)), "bend between two links"
-            assert np.abs(env._strand.gripper_poses() - env._target).max() < 0.07, "the grippers keep up"
+            assert (way[1:] * way[:-1]).sum(axis=1).min() > np.cos(np.radians(66)), "bend between two links"
+            assert np.abs(env._strand.gripper_poses() - env._target).max() < 0.12, "the grippers keep up"
     env._body.set_material(MaterialFactors())
 
 
@@ -259,9 +259,27 @@ def test_opengl_and_rays_draw_the_same(view):
     assert (depth > 5).mean() < 0.01
 
 
-def test_an_unknown_view_is_refused():
-    with pytest.raises(ValueError, match=r"view: expected one of 'side', 'above', got 'sied'. Did you mean 'side'"):
-        make(view="sied")
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"view": "sied"}, r"view: expected one of 'side', 'above', got 'sied'. Did you mean 'side'"),
+        ({"step": 0}, r"step: expected a distance in metres above 0, got 0. The default is"),
+        ({"step": 0.06}, r"step: expected at most 0.05 m, with which the physics is stable, got 0.06"),
+        ({"grippers": 3}, r"grippers: expected a whole number, from 1 to 2, got 3"),
+    ],
+)
+def test_bad_arguments_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        make(**options)
+
+
+def test_a_smaller_step_moves_less():
+    env = make(step=0.01, render_observation=False)
+    start(env, 0)
+    before = env._target.copy()
+    env.step(np.array([0, 0, -0.5 if before[0, 2] > 0.4 else 0.5, 0, 0, 0], np.float32))
+    assert abs(env._target[0, 2] - before[0, 2]) == pytest.approx(0.005, abs=1e-4)
+    assert env.action_spec.scale == pytest.approx((0.01,) * 6)
 
 
 # ---- the servo
