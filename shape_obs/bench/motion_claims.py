@@ -47,7 +47,8 @@ def track(frames: Iterable[Seen], *, depth: bool, spacing: Spacing = "px", dt: f
         if detector is None:
             u, v = pixels[0].tolist()
             detector = ShapeDetector([Centerline(n=_N, ends="tips", anchor=(u, v), spacing=spacing)], dt=dt)
-        shape = detector.detect_mask(seen.mask, *((seen.depth, seen.camera) if depth else ())).shapes[0]
+        metric = (seen.depth, seen.camera) if depth else (None, None)
+        shape = detector.detect_mask(seen.mask, metric[0], metric[1]).shapes[0]
         at = np.linspace(0, len(pixels) - 1, _N) if spacing == "px" else _even(seen.metres)
         true = _at(pixels, at), _at(metres, np.linspace(0, len(metres) - 1, _N) if spacing == "px" else at)
         shown = _at(seen.shown[:, None].astype(float), at)[:, 0] > 0.99

@@ -235,8 +235,8 @@ class TestTrackIds:
         """A configuration reports that what it found is another object: its numbering continues nothing."""
 
         class Swapped(Centerline, kind="swapped_for_a_test"):
-            def fit(self, observed, prediction, target, depth):
-                return super().fit(observed, prediction, target, depth)._replace(new=observed.area < 2000)
+            def fit(self, observed, prediction, target, scene):
+                return super().fit(observed, prediction, target, scene)._replace(new=observed.area < 2000)
 
         detector, half = ShapeDetector(Swapped(n=5)), wave.mask.copy()
         half[:, 150:] = 0

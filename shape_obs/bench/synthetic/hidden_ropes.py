@@ -191,7 +191,8 @@ class _Hand(_Hider):
             return None
         out = np.zeros(size, np.uint8)
         place = np.rint(self._middle * scale * 16).astype(int).tolist()
-        return cv2.circle(out, place, round(self._radius * scale * 16), 255, -1, shift=4)
+        cv2.circle(out, place, round(self._radius * scale * 16), (255.0,), -1, shift=4)
+        return out
 
 
 class _Bar(_Hider):

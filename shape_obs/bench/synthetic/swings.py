@@ -48,8 +48,8 @@ def swung_rope(
     apart = np.array([rng.uniform(0.35, 0.8) * length, 0.0, 0.0])
     middle = np.array([0.0, 0.0, max(_NEAREST, _CLOSEST * length)])
     top = middle - down * length * (0.25 if hands == 2 else 0.45) - (apart / 2 if hands == 2 else 0.0)
-    places = top + np.linspace(0, 1, _PARTICLES)[:, None] * (apart if hands == 2 else down * length)
-    places = np.ascontiguousarray(places)
+    places: Array = top + np.linspace(0, 1, _PARTICLES)[:, None] * (apart if hands == 2 else down * length)
+    places = np.ascontiguousarray(places, dtype=np.float64)
     speeds, rest, time = np.zeros_like(places), length / (_PARTICLES - 1), 0.0
     for frame in range(frames):
         duration = _SETTLING if frame == 0 else 1 / hertz
