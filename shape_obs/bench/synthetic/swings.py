@@ -6,7 +6,7 @@ Extended position-based dynamics with small substeps (M. Macklin et al., "Small 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from shape_obs.bench.synthetic.ropes import resample
 from shape_obs.compiled import compiled
 
-Array = npt.NDArray[np.float64]
+Array = npt.NDArray[Any]
 
 _LENGTH: Final = (0.4, 0.9)  # metres
 _PARTICLES: Final = 61
@@ -43,14 +43,14 @@ def swung_rope(
         pace: Multiplies the speed of the hands.
     """
     length, lean = float(rng.uniform(*_LENGTH)), float(rng.uniform(*_LEAN))
-    down = np.array([0.0, np.cos(lean), np.sin(lean)])
+    down = np.array([0.0, np.cos(lean), np.sin(lean)], dtype=np.float64)
     first, other = _path(rng, pace), _path(rng, pace)
     apart = np.array([rng.uniform(0.35, 0.8) * length, 0.0, 0.0])
     middle = np.array([0.0, 0.0, max(_NEAREST, _CLOSEST * length)])
     top = middle - down * length * (0.25 if hands == 2 else 0.45) - (apart / 2 if hands == 2 else 0.0)
-    places: Array = top + np.linspace(0, 1, _PARTICLES)[:, None] * (apart if hands == 2 else down * length)
+    places = top + np.linspace(0, 1, _PARTICLES)[:, None] * (apart if hands == 2 else down * length)
     places = np.ascontiguousarray(places, dtype=np.float64)
-    speeds, rest, time = np.zeros_like(places), length / (_PARTICLES - 1), 0.0
+    speeds, rest, time = np.zeros((_PARTICLES, 3)), length / (_PARTICLES - 1), 0.0
     for frame in range(frames):
         duration = _SETTLING if frame == 0 else 1 / hertz
         steps = round(duration / _SUBSTEP)
