@@ -14,7 +14,7 @@ from shape_obs.configurations.base import Configuration, Points
 from shape_obs.frame import Frame, readable_depth
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.connected_runs import near_mask
-from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, form_depth, lift_form, median_depth
+from shape_obs.point_cloud.lifting import APART, MAX_REACH, MIN_SHARE, form_depth, lift_form, median_depth
 from shape_obs.shape import Shape
 from shape_obs.tracking.belief import MAX_SIGMA, arc_to_nearest, expected_error, residual_of, stereo_noise
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
@@ -29,6 +29,8 @@ Mask = npt.NDArray[np.bool_]
 
 # What is fitted to the visible half of a round rope lies this share of a radius in front of its axis.
 _HALF_ROUND: Final = np.pi / 4
+# Where a rope is this much longer in space than in the image, a pixel holds so much of it that its depth is no point's.
+_END_ON: Final = 2.4
 _SMOOTH: Final = 3.0  # points of the fine curve, over which its direction is taken
 
 
@@ -109,6 +111,11 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         # Next to what hides a piece, depth that is not the form's is not the points' either.
         z[np.isnan(under)[_nearest(points, form.points)]] = np.nan
     valid = visible & np.isfinite(z)
+    if isinstance(form, FittedCurve) and form.relief is not None:
+        at = _nearest(points, form.points)
+        over = camera.intrinsics.fx * np.log(z) < form.relief[at] - max(APART[0] * width, APART[1])
+        visible &= ~over
+        valid &= visible & (form.steepness(width / 2)[at] < _END_ON)
     if not valid.all() and valid.any():
         z = spec.layout.interpolate(z[:, None], valid)[:, 0]
     points3d = _lift(points, z, camera.intrinsics, spec.radius)

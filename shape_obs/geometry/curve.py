@@ -117,12 +117,15 @@ class FittedCurve(FittedForm):
         closed: Whether it is closed.
         metres: ``(P,)`` arc length in space, for an open curve in pixels with depth under it; else None.
         pixels: ``(P,)`` arc length of the object in an image where its gaps are longer than they are drawn; else None.
+        relief: ``(P,)`` the logarithm of the depth under an open curve in an image, times the focal length in pixels:
+            a third coordinate, in which a step is as long as the same step in the image, at any distance; else None.
     """
 
     arc: Array
     closed: bool = False
     metres: Array | None = None
     pixels: Array | None = None
+    relief: Array | None = None
 
     @classmethod
     def through(cls, points: Array, interpolated: Mask, closed: bool = False, **other: Any) -> Self:
@@ -150,13 +153,45 @@ class FittedCurve(FittedForm):
             return self.metres
         return self.arc if self.pixels is None else self.pixels
 
+    @property
+    def lifted(self) -> Array:
+        """``(P, 3)`` the points with their relief; the points themselves without one."""
+        return self.points if self.relief is None else np.column_stack([self.points, self.relief])
+
+    def steepness(self, reach: float) -> Array:
+        """Return ``(P,)`` how much longer an open curve is in space than in the image, around each of its points.
+
+        Args:
+            reach: Pixels to either side.
+        """
+        if self.relief is None:
+            return np.ones(len(self.points))
+        inside, first, last = arc_length(self.lifted), self.arc - reach, self.arc + reach
+        first, last = np.maximum(first, 0.0), np.minimum(last, self.arc[-1])
+        longer = np.interp(last, self.arc, inside) - np.interp(first, self.arc, inside)
+        return longer / np.maximum(last - first, 1e-9)
+
+    def trimmed(self, head: float, tail: float) -> Self:
+        """Return an open curve without so much of both of its ends, in units of its arc length."""
+        inner = (self.arc > head) & (self.arc < self.size - tail)
+        at = np.concatenate([[head], self.arc[inner], [self.size - tail]])
+        flags = np.concatenate([self.interpolated[:1], self.interpolated[inner], self.interpolated[-1:]])
+        trimmed = self.relaid(interpolate(np.ascontiguousarray(self.lifted), self.arc, at), flags)
+        if self.metres is None:
+            return trimmed
+        metres = np.interp(at, self.arc, self.metres)
+        flat = float(np.min(np.diff(self.metres) / np.maximum(np.diff(self.arc), 1e-9)))
+        metres[0], metres[-1] = min(head * flat, metres[0]), max(self.metres[-1] - tail * flat, metres[-1])
+        return replace(trimmed, metres=metres - metres[0])
+
     def cut(self, piece: slice) -> Self:
         """Return a piece of an open curve."""
         metres, pixels = (
             None if along is None else along[piece] - along[piece][0] for along in (self.metres, self.pixels)
         )
         cut = self.with_geometry(self.points[piece].copy(), self.interpolated[piece])
-        return replace(cut, metres=metres, pixels=pixels)
+        relief = None if self.relief is None else self.relief[piece].copy()
+        return replace(cut, metres=metres, pixels=pixels, relief=relief)
 
     def at(self, arc: npt.ArrayLike) -> Array:
         """Return ``(N, D)`` points at ``(N,)`` arc positions; a closed curve wraps around."""
@@ -210,14 +245,21 @@ class FittedCurve(FittedForm):
                 None if along is None else along[-1] - along[::-1] for along in (self.metres, self.pixels)
             )
             back = self.with_geometry(self.points[::-1].copy(), self.interpolated[::-1].copy())
-            return replace(back, hints=hints, metres=metres, pixels=pixels)
+            relief = None if self.relief is None else self.relief[::-1].copy()
+            return replace(back, hints=hints, metres=metres, pixels=pixels, relief=relief)
         back = -np.arange(len(self.points))
         return self.with_geometry(self.points[back], self.interpolated[back])
 
     def with_geometry(self, points: Array, interpolated: Mask) -> Self:
         """Return a curve of the same kind through other points."""
         arc = arc_length(_polyline(points, self.closed))
-        return replace(self, points=points, interpolated=interpolated, arc=arc, metres=None, pixels=None)
+        return replace(self, points=points, interpolated=interpolated, arc=arc, metres=None, pixels=None, relief=None)
+
+    def relaid(self, lifted: Array, interpolated: Mask) -> Self:
+        """Return a curve of the same kind through other points, ``(P', 3)`` with their relief or ``(P', D)``."""
+        size = self.points.shape[1]
+        other = self.with_geometry(np.ascontiguousarray(lifted[:, :size]), interpolated)
+        return other if lifted.shape[1] == size else replace(other, relief=lifted[:, size].copy())
 
 
 def _polyline(points: Array, closed: bool) -> Array:

@@ -26,6 +26,8 @@ _STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much wit
 _COMPANY: Final = 3  # points of a curve to either side, whose median depth a point's is compared with
 _ASTRAY: Final = 0.01  # metres: farther from it, apart from their own slope, a depth is not the curve's
 _SMOOTHED: Final = 4  # points to either side, over which depth is smoothed along a curve
+#: Widths and pixels: strands of a rope that lie farther apart in depth are not taken for each other.
+APART: Final = (2.0, 12.0)
 MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
 
 
@@ -150,8 +152,8 @@ def median_depth(
 
 
 @compiled(
-    "(f8[:,::1], f8[:,::1], b1[::1], Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8)",
-    "(f8[:,::1], f8[:,::1], b1[::1], Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8)",
+    "(f8[:,::1], f8[:,::1], b1[::1], Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8, f8[::1], f8)",
+    "(f8[:,::1], f8[:,::1], b1[::1], Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8, f8[::1], f8)",
 )
 def lift_chain(
     points: Array,
@@ -162,6 +164,8 @@ def lift_chain(
     mask: Mask,
     at: tuple[int, int],
     width: float,
+    expected: Array,
+    slack: float,
 ) -> tuple[Array, Array, float]:
     """Put an open curve in space, and measure how far along it each of its points lies, in metres.
 
@@ -177,6 +181,8 @@ def lift_chain(
         mask: ``(h, w)`` uint8, C-contiguous.
         at: Image column and row of its first pixel.
         width: Of the object, pixels; depth is looked for within a quarter of it.
+        expected: ``(P,)`` metres where the curve was fitted in space; ``(0,)`` where it was fitted in the image.
+        slack: By which share a depth may differ from that to be the curve's.
 
     Returns:
         ``(P,)`` arc length, metres; ``(P,)`` smooth depth, metres; the share of the points that have depth.
@@ -184,6 +190,9 @@ def lift_chain(
     size = len(points)
     reach = min(max(int(np.rint(width / 4)), 1), MAX_REACH)
     z = median_depth(depth, unit, mask, at[0], at[1], points, reach, MIN_SHARE)
+    for p in range(len(expected)):
+        if not abs(z[p] / expected[p] - 1) <= slack:
+            z[p] = _depth_near(depth, unit, mask, at, points[p], reach, expected[p], slack)
     _leave_out_overlaid(z, points, bridged, width)
     near, clean = np.empty(2 * _COMPANY + 1), np.empty(size)
     for p in range(size):
@@ -216,6 +225,30 @@ def lift_chain(
         away = smooth[p] - smooth[p - 1]
         arc[p] = arc[p - 1] + math.sqrt(x * x + y * y + away * away)
     return arc, smooth, known / size
+
+
+@compiled
+def _depth_near(
+    depth: npt.NDArray[Any],
+    unit: float,
+    mask: Mask,
+    at: tuple[int, int],
+    point: Array,
+    reach: int,
+    expected: float,
+    slack: float,
+) -> float:
+    """Return the median depth of the mask around a point, of what lies where it is expected; NaN where nothing does."""
+    height, width = mask.shape
+    near, known = np.empty((2 * reach + 1) ** 2), 0
+    column, row = nearest_pixel(point[0]) - at[0], nearest_pixel(point[1]) - at[1]
+    for v in range(max(row - reach, 0), min(row + reach + 1, height)):
+        for u in range(max(column - reach, 0), min(column + reach + 1, width)):
+            z = depth[v + at[1], u + at[0]] * unit
+            if mask[v, u] != 0 and 0 < z < FARTHEST and abs(z / expected - 1) <= slack:
+                near[known] = z
+                known += 1
+    return _median(near, known) if known else np.nan
 
 
 @compiled

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.tracking.occluders import FREE, HIDDEN, Tips
-from shape_obs.tracking.predicted_rope import PredictedRope, oriented, points_along, widened
+from shape_obs.tracking.predicted_rope import PredictedRope, oriented, widened
 from shape_obs.tracking.prediction import Prediction
 from shape_obs.tracking.rope_length import learnt, shortened
 
@@ -49,7 +49,7 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     Returns:
         The whole rope. Its hints hold the lengths of the hidden ends, and what is known of the rope's length.
     """
-    rope, known = PredictedRope(prediction), prediction.hints.length
+    rope, known = PredictedRope(prediction, form), prediction.hints.length
     turned, back = oriented(form, prediction)
     form, tips = turned, tips.reversed() if back else tips
     ends = tips.known
@@ -71,7 +71,7 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
         head, tail, between = rope.place(form, ends, cut, missing, noise, gap)
         form = _filled(rope, form, gap, head, between, length)
     else:
-        rope.settle(float(rope.disagreement(points_along(form)[None], np.zeros(1), np.ones(1))[0]))
+        rope.settle(float(rope.disagreement(rope.along(form)[None], np.zeros(1), np.ones(1))[0]))
     doubtful = missing > _DOUBTFUL * noise and cut.max() > 0
     if head + tail <= least and not doubtful:
         now, own = learnt(known, form, ends), tips.remembered(before.tips, known.frames)
@@ -123,15 +123,15 @@ def _filled(
         return form
     stations = widened(form.stations, gap, between)
     piece = rope.at((head + np.linspace(stations[first], stations[last], last - first + 1)) / length)
-    chord, wanted = piece[-1] - piece[0], form.points[last] - form.points[first]
+    points = rope.points_of(form)
+    chord, wanted = piece[-1] - piece[0], points[last] - points[first]
     scale = np.linalg.norm(wanted) / max(float(np.linalg.norm(chord)), 1e-9)
-    points = form.points
     if 1 / _STRETCH < scale < _STRETCH:
         # What is left over at the far end is spread along the piece, so that it meets both ends.
         piece = piece - piece[0] + points[first]
         piece += np.linspace(0, 1, len(piece))[:, None] * (points[last] - piece[-1])
         points = np.concatenate([points[:first], piece, points[last + 1 :]])
-    drawn = form.with_geometry(points, form.interpolated)
+    drawn = form.relaid(points, form.interpolated)
     if form.metres is None:
         return replace(drawn, pixels=stations)
     more = stations[last] - stations[first]
@@ -161,7 +161,7 @@ def _completed(
     inner = (form.arc >= first) & (form.arc <= form.size - last)
     if np.count_nonzero(inner) < 2:
         inner = np.ones(len(inner), bool)
-    points, flags, at = form.points[inner], form.interpolated[inner], stations[inner]
+    points, flags, at = rope.points_of(form)[inner], form.interpolated[inner], stations[inner]
     reach = max(int(_NEXT_TO * len(points)), 1)
     if ends[0] == FREE:
         before = _folded(points, at, at[0])[::-1]
@@ -173,7 +173,7 @@ def _completed(
         behind = _hidden_piece(rope, at[-1], length, points[-1], _scale(points[-reach - 1 :], at[::-1]), length)
     hidden_before = np.linspace(0, at[0], len(before) + 1)[:-1]
     hidden_behind = np.linspace(at[-1], length, len(behind) + 1)[1:]
-    whole = form.with_geometry(
+    whole = form.relaid(
         np.concatenate([before, points, behind]),
         np.concatenate([hidden_before < head - 1e-9, flags, hidden_behind > length - tail + 1e-9]),
     )

@@ -32,7 +32,7 @@ _SETTLING: Final = 0.1  # how fast the distance of curves from their predictions
 # What it costs, in squared standard deviations, to take an end for hidden: without evidence, with
 # evidence, and a free one, which is then folded back or points at the camera. And by which share of the length it
 # changes from frame to frame.
-_COST: Final = {UNKNOWN: 4.0, HIDDEN: 0.0, FREE: 4.0}
+_COST: Final = {UNKNOWN: 4.0, HIDDEN: 0.0, FREE: 16.0}
 _FOLDED: Final = 25.0  # of a free end while something hides the other, which explains what is missing
 _INERTIA: Final = {UNKNOWN: 0.05, HIDDEN: 0.1, FREE: 0.05}
 _BRIDGE: Final = 0.35  # of a bridged gap: the standard deviation of its length
@@ -50,14 +50,14 @@ def oriented(form: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, bo
 
     A direction that is in doubt is noted as the curve's ambiguity.
     """
-    if _is_along(form, prediction.nodes):
+    rope, length = PredictedRope(prediction, form), prediction.hints.length
+    if _is_along(rope.points_of(form), rope.nodes):
         return form, False
-    rope, length = PredictedRope(prediction), prediction.hints.length
     whole = length.metres if form.metres is not None else length.pixels
     seen = min(float(form.stations[-1]) / whole, 1.0) if whole > 0 else 1.0
     firsts, back = np.linspace(0, 1 - seen, _PLACES), form.reversed()
     off, off_back = (
-        min(_apart(rope.at(first + seen * _PROBES), points_along(curve)) for first in firsts) for curve in (form, back)
+        min(_apart(rope.at(first + seen * _PROBES), rope.along(curve)) for first in firsts) for curve in (form, back)
     )
     if max(off, off_back) < _SURE * min(off, off_back):
         form, back = (replace(curve, ambiguity="it is in doubt where the rope begins") for curve in (form, back))
@@ -65,18 +65,19 @@ def oriented(form: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, bo
 
 
 def visible_nodes(prediction: Prediction) -> Array:
-    """Return the predicted nodes of the visible piece, about as far apart: ``(K', D)``."""
-    (head, tail), nodes = prediction.hints.hidden, prediction.nodes
+    """Return the predicted nodes of the visible piece, about as far apart, with their relief: ``(K', 2 or 3)``."""
+    (head, tail), rope = prediction.hints.hidden, PredictedRope(prediction)
+    nodes = rope.nodes
     if head + tail <= 0:
         return nodes
     first, last = head, 1 - tail
     count = max(round(len(nodes) * (last - first)), _FEWEST)
-    return PredictedRope(prediction).at(first + (np.arange(count) + 0.5) / count * (last - first))
+    return rope.at(first + (np.arange(count) + 0.5) / count * (last - first))
 
 
-def _is_along(form: FittedCurve, nodes: Array) -> bool:
+def _is_along(points: Array, nodes: Array) -> bool:
     """Return whether a curve clearly runs in the direction of ``(K, D)`` nodes, by the distances of its ends."""
-    first, last = form.points[0].tolist(), form.points[-1].tolist()
+    first, last = points[0].tolist(), points[-1].tolist()
     head, tail = nodes[0].tolist(), nodes[-1].tolist()
     forwards, backwards = dist(first, head) + dist(last, tail), dist(first, tail) + dist(last, head)
     return _CLEAR * forwards < backwards
@@ -94,10 +95,14 @@ class PredictedRope:
 
     Args:
         prediction: Its nodes lie at the centres of K equal pieces of the rope.
+        form: What it is compared with: in the image, if its relief is not known.
     """
 
-    def __init__(self, prediction: Prediction) -> None:
+    def __init__(self, prediction: Prediction, form: FittedCurve | None = None) -> None:
         nodes, self.hidden = prediction.nodes, prediction.hints.hidden
+        if prediction.relief is not None and (form is None or form.relief is not None):
+            nodes = np.column_stack([nodes, prediction.relief])
+        self.nodes = nodes
         self.residual = prediction.hints.residual
         self.askew, self.resolution = _ASKEW * prediction.width, prediction.resolution
         self.share = np.concatenate([[0.0], (np.arange(len(nodes)) + 0.5) / len(nodes), [1.0]])
@@ -106,6 +111,14 @@ class PredictedRope:
     def at(self, share: Array) -> Array:
         """Return ``(N, D)`` points at shares of the length."""
         return interpolate(self.points, self.share, share)
+
+    def points_of(self, form: FittedCurve) -> Array:
+        """Return ``(P, D)`` the points of a curve, in the coordinates of the rope."""
+        return form.lifted if self.nodes.shape[1] > form.points.shape[1] else form.points
+
+    def along(self, form: FittedCurve) -> Array:
+        """Return ``(32, D)`` points at equal steps along a curve."""
+        return interpolate(self.points_of(form), form.stations, _PROBES * form.stations[-1])
 
     def disagreement(self, found: Array, first: Array, last: Array) -> Array:
         """Return the mean square distances between curves and the rope's pieces between two shares of its length.
@@ -160,10 +173,11 @@ class PredictedRope:
         if bridge == 0 and HIDDEN in ends:  # what is missing is hidden where something hides it
             shares = shares[shares.sum(axis=1) == 1]
         rest, hidden = (1 - shares.sum(axis=1)) * missing, shares * missing / length
-        found = np.empty((len(shares), len(_PROBES), form.points.shape[1]))
+        points = self.points_of(form)
+        found = np.empty((len(shares), len(_PROBES), points.shape[1]))
         for more in np.unique(rest) if bridge else rest[:1]:
             moved = widened(stations, gap, more) if bridge else stations
-            found[rest == more if bridge else slice(None)] = interpolate(form.points, moved, _PROBES * moved[-1])
+            found[rest == more if bridge else slice(None)] = interpolate(points, moved, _PROBES * moved[-1])
         apart = self.disagreement(found, hidden[:, 0], 1 - hidden[:, 1])
         cost = (rest / (noise + _BRIDGE * bridge)) ** 2
         for end in range(2):
@@ -179,11 +193,6 @@ class PredictedRope:
         self.settle(float(apart[best]))
         head, tail = hidden[best] * length
         return float(head), float(tail), float(rest[best])
-
-
-def points_along(curve: FittedCurve) -> Array:
-    """Return ``(32, D)`` points at equal steps along a curve."""
-    return interpolate(curve.points, curve.stations, _PROBES * curve.stations[-1])
 
 
 def widened(stations: Array, gap: tuple[int, int], more: float) -> Array:
