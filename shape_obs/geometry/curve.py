@@ -54,7 +54,8 @@ class TrackHints(NamedTuple):
         slack: Hidden ends with a smaller share are within the measuring error.
         stretch: By how much more of an open curve there is than was measured where it is visible.
         measured: The length that was measured last when all of an open curve was seen; 0 if it is not known.
-        residual: Mean square distance of an open curve from its prediction, in squares of its unit.
+        residuals: Mean square distances of an open curve from its prediction, in squares of its unit: after the best
+            rigid motion, and as it is.
         cut: How much likelier, as logarithms, the tips of an open curve are cut than its own.
         tips: ``(2, 2, 2)`` mean and variance of what its own tips look like; None if it is not known.
         length: What is known of an open curve's length.
@@ -66,7 +67,7 @@ class TrackHints(NamedTuple):
     slack: float = 0.0
     stretch: float = 1.0
     measured: float = 0.0
-    residual: float = 1.0
+    residuals: tuple[float, float] = (1.0, 1.0)
     cut: tuple[float, float] = (0.0, 0.0)
     tips: Array | None = None
     length: Length = Length()

@@ -71,7 +71,8 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
         head, tail, between = rope.place(form, ends, cut, missing, noise, gap)
         form = _filled(rope, form, gap, head, between, length)
     else:
-        rope.settle(float(rope.disagreement(rope.along(form)[None], np.zeros(1), np.ones(1))[0]))
+        bent, apart = rope.disagreement(rope.along(form)[None], np.zeros(1), np.ones(1))
+        rope.settle(float(bent[0]), float(apart[0]))
     doubtful = missing > _DOUBTFUL * noise and cut.max() > 0
     if head + tail <= least and not doubtful:
         now, own = learnt(known, form, ends), tips.remembered(before.tips, known.frames)
@@ -83,7 +84,7 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     certain = (float(cut[0]), float(cut[1]))
     covered = ends[0] == HIDDEN, ends[1] == HIDDEN
     measured = before.measured if head + tail > least else length - missing
-    hints = TrackHints(hidden, covered, slack / length, stretch, measured, rope.residual, certain, own, now)
+    hints = TrackHints(hidden, covered, slack / length, stretch, measured, rope.residuals, certain, own, now)
     return replace(form, hints=hints)
 
 

@@ -25,8 +25,8 @@ Ends = tuple[int, int]
 
 _PROBES: Final = np.linspace(0, 1, 32)  # of a visible piece, at which it is compared with the prediction
 _SHARES: Final = np.linspace(0, 1, 9)  # of what is missing, that may be hidden at an end
-_PLACE: Final = 0.1  # the weight of where a rope is predicted against how it is bent
-_INDEPENDENT: Final = 4.0  # of the probes: neighbours err alike
+_PLACE: Final = 0.1  # the weight of where a rope is predicted against how it is bent, when its direction is looked for
+_INDEPENDENT: Final = (4.0, 1.0)  # of the probes: neighbours err alike, and a rope that is elsewhere is so as a whole
 _NOISE: Final = 0.15  # in resolutions: how far off a curve lies that was predicted perfectly
 _SETTLING: Final = 0.1  # how fast the distance of curves from their predictions is learnt
 # What it costs, in squared standard deviations, to take an end for hidden: without evidence, with
@@ -103,7 +103,7 @@ class PredictedRope:
         if prediction.relief is not None and (form is None or form.relief is not None):
             nodes = np.column_stack([nodes, prediction.relief])
         self.nodes = nodes
-        self.residual = prediction.hints.residual
+        self.residuals = prediction.hints.residuals
         self.askew, self.resolution = _ASKEW * prediction.width, prediction.resolution
         self.share = np.concatenate([[0.0], (np.arange(len(nodes)) + 0.5) / len(nodes), [1.0]])
         self.points = np.concatenate([1.5 * nodes[:1] - 0.5 * nodes[1:2], nodes, 1.5 * nodes[-1:] - 0.5 * nodes[-2:-1]])
@@ -120,11 +120,11 @@ class PredictedRope:
         """Return ``(32, D)`` points at equal steps along a curve."""
         return interpolate(self.points_of(form), form.stations, _PROBES * form.stations[-1])
 
-    def disagreement(self, found: Array, first: Array, last: Array) -> Array:
+    def disagreement(self, found: Array, first: Array, last: Array) -> tuple[Array, Array]:
         """Return the mean square distances between curves and the rope's pieces between two shares of its length.
 
-        Most of it is taken after the best rigid motion (Kabsch 1976): a prediction fails first in where a rope is,
-        and last in how it is bent.
+        They are taken after the best rigid motion (Kabsch 1976), and as they are: the prediction of a fast rope fails
+        first in where it is, and last in how it is bent; of a slow one both hold.
 
         Args:
             found: ``(C, 32, D)`` points along each curve.
@@ -142,11 +142,15 @@ class PredictedRope:
             values = np.linalg.svd(overlap, compute_uv=False)
             turned = values[:, :-1].sum(axis=1) + np.sign(np.linalg.det(overlap)) * values[:, -1]
         bent = np.sum(expected**2, axis=(1, 2)) + np.sum(found**2, axis=(1, 2)) - 2 * turned
-        return np.maximum(bent, 0.0) / len(_PROBES) + _PLACE * apart
+        return np.maximum(bent, 0.0) / len(_PROBES), apart
 
-    def settle(self, apart: float) -> None:
-        """Learn how far curves lie from their predictions, a mean square distance."""
-        self.residual += _SETTLING * (min(apart, _OUTLIER * self.residual) - self.residual)
+    def settle(self, *distances: float) -> None:
+        """Learn how far curves lie from their predictions: mean square distances, see ``disagreement``."""
+        bent, apart = (
+            known + _SETTLING * (min(now, _OUTLIER * known) - known)
+            for known, now in zip(self.residuals, distances, strict=True)
+        )
+        self.residuals = bent, apart
 
     def place(
         self,
@@ -178,7 +182,7 @@ class PredictedRope:
         for more in np.unique(rest) if bridge else rest[:1]:
             moved = widened(stations, gap, more) if bridge else stations
             found[rest == more if bridge else slice(None)] = interpolate(points, moved, _PROBES * moved[-1])
-        apart = self.disagreement(found, hidden[:, 0], 1 - hidden[:, 1])
+        bent, apart = self.disagreement(found, hidden[:, 0], 1 - hidden[:, 1])
         cost = (rest / (noise + _BRIDGE * bridge)) ** 2
         for end in range(2):
             # What is hidden changes little from frame to frame; a free end is hidden in no frame for longer.
@@ -187,10 +191,11 @@ class PredictedRope:
             price = price * (last <= 0) + 2 * (cut.max() - cut[end]) * (HIDDEN not in ends)
             change = ((hidden[:, end] - last) / _INERTIA[known]) ** 2
             cost += price * (hidden[:, end] > 0) + _TRUST * np.log1p(change / _TRUST)
-        worse = _INDEPENDENT * (apart - apart.min()) / max(self.residual, (_NOISE * self.resolution) ** 2)
-        cost += _TRUST * np.log1p(worse / _TRUST)
+        least = (_NOISE * self.resolution) ** 2
+        for off, known, count in zip((bent, apart), self.residuals, _INDEPENDENT, strict=True):
+            cost += _TRUST * np.log1p(count * (off - off.min()) / max(known, least) / _TRUST)
         best = int(np.argmin(cost))
-        self.settle(float(apart[best]))
+        self.settle(float(bent[best]), float(apart[best]))
         head, tail = hidden[best] * length
         return float(head), float(tail), float(rest[best])
 
