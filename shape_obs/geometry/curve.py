@@ -39,7 +39,7 @@ class Length(NamedTuple):
 
     pixels: float = 0.0
     metres: float = 0.0
-    spread: float = 0.006
+    spread: float = 0.003
     spread_metres: float = 0.006
     frames: int = 0
     short: int = 0
