@@ -139,11 +139,7 @@ class Centerline(Configuration, kind="centerline"):
         axis = medial_axis(observed)
         if axis.ambiguity:
             return Fit(reason=axis.ambiguity)
-        topology: Topology
-        if prediction is None:
-            topology = Chain(int(np.clip(round(observed.length / (_NODE_SPACING * observed.width)), *_NODES)))
-        else:
-            topology = prediction.topology
+        topology = Chain(int(np.clip(round(observed.length / (_NODE_SPACING * observed.width)), *_NODES)))
         start = _nodes_on(axis.points, axis.arc, topology.size)
         off = axis.unsupported_fraction if prediction is None else MAX_HIDDEN
         return self._refine(observed, start, topology, _SIGMAS_INITIAL, observed.width, off, prediction, scene)
