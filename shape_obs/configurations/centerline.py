@@ -13,21 +13,24 @@ import numpy.typing as npt
 from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
-from shape_obs.configurations.chain_in_mask import fit_chain_in_mask, gather_lifted_cells
-from shape_obs.frame import readable_depth
+from shape_obs.configurations.chain_in_mask import (
+    fit_chain_in_mask,
+    gather_lifted_cells,
+    lifted_samples,
+    measured_curve,
+)
 from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equal_chords, even_points, interpolate
 from shape_obs.geometry.topology import Chain, Topology, neighbourhoods, shrinkage, undo_shrinkage
-from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.outline_tracing import fill_holes
 from shape_obs.image.region import Region
 from shape_obs.initialization.folding import closest_sides, sharp_bends, unexplained_share
 from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import thinned, trace_skeleton
-from shape_obs.point_cloud.lifting import APART, lift_chain
-from shape_obs.tracking.occluders import HIDDEN, Tips, chain_evidence
+from shape_obs.point_cloud.chain_length import lift_chain
+from shape_obs.tracking.occluders import chain_evidence
 from shape_obs.tracking.occlusion import match_chain, shown, surprise
 from shape_obs.tracking.predicted_rope import visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
@@ -60,10 +63,6 @@ _MIN_SEEN: Final = 0.3  # of a rope's length: what has to be in sight to report 
 _MIN_BETWEEN: Final = 0.6  # while both ends are hidden
 _MIN_FOLLOWED: Final = 0.15
 _END_ON: Final = 4.0  # a rope is this much longer in space than in the image: its points cannot be told apart there
-_LEAST_DEPTH: Final = 0.3  # of a curve's points: with less its length in metres is not measured
-_NO_DEPTH: Final = np.zeros((0, 0), np.float32)
-_NO_DEPTH.flags.writeable = False
-_LEAST_RIM: Final = 0.5  # pixels, cut off an end that is seen at an angle
 _MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no distinct axis, and a chain would fold up in it
 
 
@@ -161,7 +160,7 @@ class Centerline(Configuration, kind="centerline"):
                 int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1
             )  # thin ropes keep theirs
             (first, second), pull = neighbourhoods(topology, sigmas), shrinkage(sigmas[-1])
-            start, samples = _lifted_samples(observed, start, cell, width, scene)
+            start, samples = lifted_samples(observed, start, cell, width, scene)
             lifted, arc, on_object, spread = fit_chain_in_mask(
                 *samples, start, (first, second), pull, observed.mask, observed.window[:2], width
             )
@@ -178,7 +177,7 @@ class Centerline(Configuration, kind="centerline"):
             width, area, relief = cloud.ribbon_width, 0, None
         before = TrackHints() if prediction is None else prediction.hints
         curve = FittedCurve(points, ~on_object, arc, relief=relief)
-        curve, tips = _measured(curve, observed, width, scene)  # depth enters
+        curve, tips = measured_curve(curve, observed, width, scene)  # depth enters
         if prediction is None:
             known = learnt(Length(metres=self.length or 0.0), curve, tips.known)
             curve = replace(curve, hints=TrackHints(length=known, tips=tips.remembered(None, 0)))
@@ -258,57 +257,9 @@ def _nodes_on(points: Array, arc: Array, count: int) -> Array:
     return even_points(points, arc, count, True)
 
 
-def _lifted_samples(
-    region: Region, start: Array, cell: int, width: float, scene: Scene
-) -> tuple[Array, tuple[Array, Array]]:
-    """Return the nodes to start from and a mask's samples, with their relief where it is known of both."""
-    if start.shape[1] == 2 or scene.depth is None or scene.intrinsics is None:
-        return np.ascontiguousarray(start[:, :2]), gather_cells(region.runs, cell)
-    readable, focal = readable_depth(scene.depth), scene.intrinsics.fx
-    return start, gather_lifted_cells(region.runs, cell, *readable, focal, width, start)
-
-
 def _begins_again(curve: FittedCurve, prediction: Prediction | None) -> bool:
     """Return whether a rope is numbered by the paper's rule: at a cold start, or as a whole after a long loss."""
     return prediction is None or (prediction.stale and max(curve.hints.hidden) <= curve.hints.slack)
-
-
-def _measured(curve: FittedCurve, observed: Observed, width: float, scene: Scene) -> tuple[FittedCurve, Tips]:
-    """Return a curve with its length in metres where there is depth, and what its two tips look like."""
-    if not isinstance(observed, Region) or scene.edge is None:
-        return curve, Tips()
-    depth, unit, z, expected = _NO_DEPTH, 1.0, np.full(len(curve.points), np.nan), np.zeros(0)
-    at, left_out = observed.window[:2], curve.interpolated
-    if scene.depth is not None and scene.intrinsics is not None:
-        depth, unit = readable_depth(scene.depth)
-        rays = np.ascontiguousarray(scene.intrinsics.rays(curve.points)[:, :2])
-        if curve.relief is not None:
-            expected = np.exp(curve.relief / scene.intrinsics.fx)
-        slack = max(APART[0] * width, APART[1]) / scene.intrinsics.fx
-        lifted = lift_chain(curve.points, rays, left_out, depth, unit, observed.mask, at, width, expected, slack)
-        metres, z, share = lifted
-        if share >= _LEAST_DEPTH and np.isfinite(metres).all():
-            curve = replace(curve, metres=metres, relief=scene.intrinsics.fx * np.log(z))
-    left, top, wide, high = scene.edge
-    seen = depth, unit, observed.mask, at, (left, top, wide, high)
-    tips = Tips(*chain_evidence(curve.points, curve.arc, z, width, *seen), width)
-    return _without_rims(curve, tips.known, width), tips
-
-
-def _without_rims(curve: FittedCurve, ends: tuple[int, int], width: float) -> FittedCurve:
-    """Return a curve that ends at the tips of the rope's axis: of a steep rope, the rim of its end lies beyond it.
-
-    The round end of a tube of width w that is k times as long in space as in the image reaches w/2 (1 - 1/k) farther.
-    """
-    if curve.relief is None or curve.size < _MIN_ASPECT * width:
-        return curve
-    inside = curve.arc <= width, curve.arc >= curve.size - width
-    rims = []
-    for near, known in zip(inside, ends, strict=True):
-        flat = float(np.linalg.norm(np.diff(curve.points[near][[0, -1]], axis=0)))
-        steep = float(np.hypot(1.0, np.diff(curve.relief[near][[0, -1]])[0] / max(flat, 1e-9)))
-        rims.append(0.0 if known == HIDDEN else width / 2 * (1 - 1 / steep))
-    return curve.trimmed(*rims) if max(rims) > _LEAST_RIM else curve
 
 
 def _seen_length(curve: FittedCurve) -> float:

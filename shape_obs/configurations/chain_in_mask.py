@@ -1,4 +1,4 @@
-"""A chain's map in a mask: from runs of pixels to a curve from tip to tip, in the image or with the depth under it.
+"""A rope seen through a mask: a map's curve from tip to tip, its length in space, what its tips look like.
 
 With depth, a pixel's third coordinate is its relief, the logarithm of its depth times the focal length, so that strands
 that touch in the image and not in space stay apart.
@@ -7,6 +7,7 @@ that touch in the image and not in space stay apart.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -14,12 +15,17 @@ import numpy.typing as npt
 
 from shape_obs.clustering.som import batch_epochs
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST
+from shape_obs.configurations.base import Scene
+from shape_obs.frame import FARTHEST, readable_depth
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import arc_length, catmull_rom
 from shape_obs.geometry.topology import undo_shrinkage
-from shape_obs.image.connected_runs import near_mask
+from shape_obs.image.connected_runs import gather_cells, near_mask
+from shape_obs.image.region import Region
 from shape_obs.image.rope_tip import extend_chain
-from shape_obs.point_cloud.lifting import APART
+from shape_obs.point_cloud.chain_length import APART, lift_chain
+from shape_obs.tracking.occluders import HIDDEN, Tips, chain_evidence
 from shape_obs.tracking.validation import sample_spread
 
 Array = npt.NDArray[np.float64]
@@ -27,8 +33,13 @@ Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 Moments = tuple[Array, Array]
 
+_LEAST_DEPTH: Final = 0.3  # of a curve's points: with less its length in metres is not measured
+_LONG: Final = 3.0  # widths: of a shorter curve the ends have no direction of their own
+_LEAST_RIM: Final = 0.5  # pixels, cut off an end that is seen at an angle
 _MOVED: Final = 80.0  # pixels by which a rope may come nearer or go away beyond what was predicted
 _FEW: Final = 3.0  # times as many pixels as a strand behind has in a square: then it is none
+_NO_DEPTH: Final = np.zeros((0, 0), np.float32)
+_NO_DEPTH.flags.writeable = False
 
 
 @compiled(
@@ -182,3 +193,51 @@ def _with_relief(flat: Array, nodes: Array) -> Array:
             known = same
         lifted[p, 2] = nodes[max(known, 0), 2]
     return lifted
+
+
+def lifted_samples(
+    region: Region, start: Array, cell: int, width: float, scene: Scene
+) -> tuple[Array, tuple[Array, Array]]:
+    """Return the nodes to start from and a mask's samples, with their relief where it is known of both."""
+    if start.shape[1] == 2 or scene.depth is None or scene.intrinsics is None:
+        return np.ascontiguousarray(start[:, :2]), gather_cells(region.runs, cell)
+    readable, focal = readable_depth(scene.depth), scene.intrinsics.fx
+    return start, gather_lifted_cells(region.runs, cell, *readable, focal, width, start)
+
+
+def measured_curve(curve: FittedCurve, observed: Observed, width: float, scene: Scene) -> tuple[FittedCurve, Tips]:
+    """Return a curve with its length in metres where there is depth, and what its two tips look like."""
+    if not isinstance(observed, Region) or scene.edge is None:
+        return curve, Tips()
+    depth, unit, z, expected = _NO_DEPTH, 1.0, np.full(len(curve.points), np.nan), np.zeros(0)
+    at, left_out = observed.window[:2], curve.interpolated
+    if scene.depth is not None and scene.intrinsics is not None:
+        depth, unit = readable_depth(scene.depth)
+        rays = np.ascontiguousarray(scene.intrinsics.rays(curve.points)[:, :2])
+        if curve.relief is not None:
+            expected = np.exp(curve.relief / scene.intrinsics.fx)
+        slack = max(APART[0] * width, APART[1]) / scene.intrinsics.fx
+        lifted = lift_chain(curve.points, rays, left_out, depth, unit, observed.mask, at, width, expected, slack)
+        metres, z, share = lifted
+        if share >= _LEAST_DEPTH and np.isfinite(metres).all():
+            curve = replace(curve, metres=metres, relief=scene.intrinsics.fx * np.log(z))
+    left, top, wide, high = scene.edge
+    seen = depth, unit, observed.mask, at, (left, top, wide, high)
+    tips = Tips(*chain_evidence(curve.points, curve.arc, z, width, *seen), width)
+    return _without_rims(curve, tips.known, width), tips
+
+
+def _without_rims(curve: FittedCurve, ends: tuple[int, int], width: float) -> FittedCurve:
+    """Return a curve that ends at the tips of the rope's axis: of a steep rope, the rim of its end lies beyond it.
+
+    The round end of a tube of width w that is k times as long in space as in the image reaches w/2 (1 - 1/k) farther.
+    """
+    if curve.relief is None or curve.size < _LONG * width:
+        return curve
+    inside = curve.arc <= width, curve.arc >= curve.size - width
+    rims = []
+    for near, known in zip(inside, ends, strict=True):
+        flat = float(np.linalg.norm(np.diff(curve.points[near][[0, -1]], axis=0)))
+        steep = float(np.hypot(1.0, np.diff(curve.relief[near][[0, -1]])[0] / max(flat, 1e-9)))
+        rims.append(0.0 if known == HIDDEN else width / 2 * (1 - 1 / steep))
+    return curve.trimmed(*rims) if max(rims) > _LEAST_RIM else curve

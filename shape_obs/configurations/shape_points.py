@@ -14,7 +14,8 @@ from shape_obs.configurations.base import Configuration, Points
 from shape_obs.frame import Frame, readable_depth
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.connected_runs import near_mask
-from shape_obs.point_cloud.lifting import APART, MAX_REACH, MIN_SHARE, form_depth, lift_form, median_depth
+from shape_obs.point_cloud.chain_length import APART
+from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, form_depth, lift_form, median_depth
 from shape_obs.shape import Shape
 from shape_obs.tracking.belief import MAX_SIGMA, arc_to_nearest, expected_error, residual_of, stereo_noise
 from shape_obs.tracking.missing import OnInvalid, fill_invalid

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +11,6 @@ from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
 from shape_obs.frame import FARTHEST, readable_depth
 from shape_obs.geometry.curve import FittedCurve, FittedForm
-from shape_obs.geometry.polyline import arc_length
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.image.region import Region
 
@@ -20,14 +18,9 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
 
 MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry depth
-_SMEARED: Final = 2.5  # widths next to a hidden piece, in which depth may be that of what hides it
-_COMPARED: Final = 6.0  # widths within which the rope's own depth is looked for
-_STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much within a few widths
-_COMPANY: Final = 3  # points of a curve to either side, whose median depth a point's is compared with
-_ASTRAY: Final = 0.01  # metres: farther from it, apart from their own slope, a depth is not the curve's
-_SMOOTHED: Final = 4  # points to either side, over which depth is smoothed along a curve
-#: Widths and pixels: strands of a rope that lie farther apart in depth are not taken for each other.
-APART: Final = (2.0, 12.0)
+SMEARED: Final = 2.5  # widths next to a hidden piece, in which depth may be that of what hides it
+COMPARED: Final = 6.0  # widths within which the rope's own depth is looked for
+STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much within a few widths
 MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
 
 
@@ -93,13 +86,13 @@ def overlaid(curve: FittedCurve, metres: Array, width: float) -> npt.NDArray[np.
     apart = np.abs(arc[:, None] - arc)
     if curve.closed:
         apart = np.minimum(apart, curve.size - apart)
-    nearby = apart[:, curve.interpolated].min(axis=1) <= _SMEARED * width
+    nearby = apart[:, curve.interpolated].min(axis=1) <= SMEARED * width
     own = np.where(nearby | curve.interpolated, np.nan, metres)
     over = np.zeros(len(metres), bool)
     for at in np.flatnonzero(nearby & ~curve.interpolated & np.isfinite(metres)):
-        near = own[apart[at] <= _COMPARED * width]
+        near = own[apart[at] <= COMPARED * width]
         near = near[np.isfinite(near)] if np.isfinite(near).any() else own[np.isfinite(own)]
-        over[at] = len(near) > 0 and metres[at] < np.median(near) - _STEP
+        over[at] = len(near) > 0 and metres[at] < np.median(near) - STEP
     return over
 
 
@@ -147,166 +140,12 @@ def median_depth(
                         near[known] = z
                         known += 1
         if known >= max(min_share * inside, 1):
-            out[n] = _median(near, known)
-    return out
-
-
-@compiled(
-    "(f8[:,::1], f8[:,::1], b1[::1], Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8, f8[::1], f8)",
-    "(f8[:,::1], f8[:,::1], b1[::1], Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8, f8[::1], f8)",
-)
-def lift_chain(
-    points: Array,
-    rays: Array,
-    bridged: npt.NDArray[np.bool_],
-    depth: npt.NDArray[Any],
-    unit: float,
-    mask: Mask,
-    at: tuple[int, int],
-    width: float,
-    expected: Array,
-    slack: float,
-) -> tuple[Array, Array, float]:
-    """Put an open curve in space, and measure how far along it each of its points lies, in metres.
-
-    Depth that lies off its neighbours' is left out, holes are bridged, and the rest is smoothed by parabolas over
-    nine points, since noise would make the curve longer than it is.
-
-    Args:
-        points: ``(P, 2)`` pixels, at about equal steps.
-        rays: ``(P, 2)`` x/z and y/z of their viewing rays.
-        bridged: ``(P,)`` where the curve does not lie on the object.
-        depth: ``(H, W)`` read-only, uint16 or float32.
-        unit: Metres in a unit of depth.
-        mask: ``(h, w)`` uint8, C-contiguous.
-        at: Image column and row of its first pixel.
-        width: Of the object, pixels; depth is looked for within a quarter of it.
-        expected: ``(P,)`` metres where the curve was fitted in space; ``(0,)`` where it was fitted in the image.
-        slack: By which share a depth may differ from that to be the curve's.
-
-    Returns:
-        ``(P,)`` arc length, metres; ``(P,)`` smooth depth, metres; the share of the points that have depth.
-    """
-    size = len(points)
-    reach = min(max(int(np.rint(width / 4)), 1), MAX_REACH)
-    z = median_depth(depth, unit, mask, at[0], at[1], points, reach, MIN_SHARE)
-    for p in range(len(expected)):
-        if not abs(z[p] / expected[p] - 1) <= slack:
-            z[p] = _depth_near(depth, unit, mask, at, points[p], reach, expected[p], slack)
-    _leave_out_overlaid(z, points, bridged, width)
-    near, clean = np.empty(2 * _COMPANY + 1), np.empty(size)
-    for p in range(size):
-        clean[p] = np.nan
-        if bridged[p] or not z[p] > 0:
-            continue
-        count = 0
-        for q in range(max(p - _COMPANY, 0), min(p + _COMPANY + 1, size)):
-            if not bridged[q] and z[q] > 0:
-                near[count] = z[q]
-                count += 1
-        reach_up = max(near[count - 1], near[0]) - min(near[count - 1], near[0])
-        if abs(z[p] - _median(near, count)) <= _ASTRAY + reach_up:
-            clean[p] = z[p]
-    known, before = 0, -1
-    for p in range(size):
-        if clean[p] > 0:
-            known += 1
-            for q in range(before + 1, p):
-                share = 1.0 if before < 0 else (q - before) / (p - before)
-                clean[q] = clean[p] if before < 0 else clean[before] + share * (clean[p] - clean[before])
-            before = p
-    for q in range(before + 1, size):
-        clean[q] = clean[before] if before >= 0 else np.nan
-    smooth = parabola_smoothed(clean, _SMOOTHED)
-    arc = np.zeros(size)
-    for p in range(1, size):
-        x = rays[p, 0] * smooth[p] - rays[p - 1, 0] * smooth[p - 1]
-        y = rays[p, 1] * smooth[p] - rays[p - 1, 1] * smooth[p - 1]
-        away = smooth[p] - smooth[p - 1]
-        arc[p] = arc[p - 1] + math.sqrt(x * x + y * y + away * away)
-    return arc, smooth, known / size
-
-
-@compiled
-def _depth_near(
-    depth: npt.NDArray[Any],
-    unit: float,
-    mask: Mask,
-    at: tuple[int, int],
-    point: Array,
-    reach: int,
-    expected: float,
-    slack: float,
-) -> float:
-    """Return the median depth of the mask around a point, of what lies where it is expected; NaN where nothing does."""
-    height, width = mask.shape
-    near, known = np.empty((2 * reach + 1) ** 2), 0
-    column, row = nearest_pixel(point[0]) - at[0], nearest_pixel(point[1]) - at[1]
-    for v in range(max(row - reach, 0), min(row + reach + 1, height)):
-        for u in range(max(column - reach, 0), min(column + reach + 1, width)):
-            z = depth[v + at[1], u + at[0]] * unit
-            if mask[v, u] != 0 and 0 < z < FARTHEST and abs(z / expected - 1) <= slack:
-                near[known] = z
-                known += 1
-    return _median(near, known) if known else np.nan
-
-
-@compiled
-def _leave_out_overlaid(z: Array, points: Array, bridged: npt.NDArray[np.bool_], width: float) -> None:
-    """Set depth to NaN that belongs to what hides a bridged piece next to it, see ``overlaid``.
-
-    Args:
-        z: ``(P,)`` metres, changed in place.
-        points: ``(P, 2)`` pixels.
-        bridged: ``(P,)``.
-        width: Of the object, pixels.
-    """
-    size = len(z)
-    arc, apart, others = arc_length(points), np.empty(size), np.empty(size)
-    for p in range(size):
-        apart[p] = np.inf
-        for q in range(size):
-            if bridged[q]:
-                apart[p] = min(apart[p], abs(arc[p] - arc[q]))
-    for p in range(size):
-        if bridged[p] or apart[p] > _SMEARED * width or not z[p] > 0:
-            continue
-        count = 0
-        for q in range(size):
-            if apart[q] > _SMEARED * width and abs(arc[p] - arc[q]) <= _COMPARED * width and z[q] > 0:
-                others[count] = z[q]
-                count += 1
-        if count > 0 and z[p] < _median(others, count) - _STEP:
-            z[p] = np.nan
-
-
-@compiled
-def parabola_smoothed(values: Array, half: int) -> Array:
-    """Smooth values by a parabola through each one's neighbours (Savitzky and Golay 1964, of second order).
-
-    Args:
-        values: ``(P,)``.
-        half: How many neighbours to either side; at both ends the window is cut.
-    """
-    size = len(values)
-    out = np.empty(size)
-    for p in range(size):
-        low, high = max(p - half, 0), min(p + half, size - 1)
-        s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = 0.0
-        for q in range(low, high + 1):
-            x = float(q - p)
-            s0, s1, s2, s3, s4 = s0 + 1.0, s1 + x, s2 + x * x, s3 + x * x * x, s4 + x * x * x * x
-            t0, t1, t2 = t0 + values[q], t1 + x * values[q], t2 + x * x * values[q]
-        whole = s0 * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s2 * s3) + s2 * (s1 * s3 - s2 * s2)
-        if whole > 0:
-            out[p] = (t0 * (s2 * s4 - s3 * s3) - s1 * (t1 * s4 - t2 * s3) + s2 * (t1 * s3 - t2 * s2)) / whole
-        else:
-            out[p] = values[p]
+            out[n] = median_of(near, known)
     return out
 
 
 @compiled
-def _median(values: Array, count: int) -> float:
+def median_of(values: Array, count: int) -> float:
     """Return the median of the first ``count`` values, which are reordered (C. A. R. Hoare, "Find", CACM 4, 1961)."""
     low, high, half = 0, count - 1, count // 2
     while low < high:
