@@ -23,6 +23,7 @@ from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equal_chords, even_points, interpolate
 from shape_obs.geometry.topology import Chain, Topology, neighbourhoods, shrinkage, undo_shrinkage
+from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.outline_tracing import fill_holes
 from shape_obs.image.region import Region
 from shape_obs.initialization.folding import closest_sides, sharp_bends, unexplained_share
@@ -217,16 +218,8 @@ class Centerline(Configuration, kind="centerline"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = (
-            fit_chain_in_mask,
-            gather_lifted_cells,
-            _points_on,
-            _nodes_on,
-            closest_sides,
-            sharp_bends,
-            unexplained_share,
-        )
-        masks += lift_chain, chain_evidence
+        masks = gather_cells, gather_lifted_cells, fit_chain_in_mask, _points_on, _nodes_on
+        masks += lift_chain, chain_evidence, closest_sides, sharp_bends, unexplained_share
         axes = fill_holes, thinned, trace_skeleton, cheapest_order
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + axes + clouds

@@ -93,6 +93,9 @@ def lift_chain(
     for q in range(before + 1, size):
         clean[q] = clean[before] if before >= 0 else np.nan
     smooth = parabola_smoothed(clean, _SMOOTHED)
+    for p in range(size):
+        if smooth[p] <= 0:  # a parabola overshoots where depth jumps
+            smooth[p] = clean[p]
     arc = np.zeros(size)
     for p in range(1, size):
         x = rays[p, 0] * smooth[p] - rays[p - 1, 0] * smooth[p - 1]
