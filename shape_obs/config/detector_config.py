@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 #: release that changes points, and is recorded with policies and tables, since the schema's hash does not show it.
 #: 1: the first; lengths known in pixels, no time where stamps stand still. 2: lengths known in metres, evidence for
 #: hidden ends, tips that do not turn round, a clock that always goes on.
-ALGORITHM: Final = 2
+ALGORITHM: Final = 3
 NO_BACKEND: Final = "backend={!r} is ignored: the inner loops are always compiled with Numba. Remove it."
 
 

@@ -25,7 +25,7 @@ from shape_obs.tracking.rope_length import learnt, shortened
 Array = npt.NDArray[np.float64]
 Ends = tuple[int, int]
 
-_GRAIN: Final = 0.3  # in resolutions: the same of a short one
+_GRAIN: Final = 0.3  # in resolutions: the same of a short one; a rope seen end-on is longer there
 _SLACK: Final = (0.01, 1.5)  # of the length and in resolutions: what is missing below this is noise
 _BEYOND: Final = 4.0  # standard deviations, beyond which noise explains nothing
 _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
@@ -66,7 +66,8 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     slack, missing = _SLACK[0] * length + _SLACK[1] * resolution, length - float(form.stations[-1])
     head = tail = 0.0
     least = _LEAST * length
-    noise = (known.spread if unit == "px" else known.spread_metres) * length + _GRAIN * resolution
+    steep = float(form.steepness(prediction.width / 2).max(initial=1.0))
+    noise = (known.spread if unit == "px" else known.spread_metres) * length + _GRAIN * resolution * steep
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
         head, tail, between = rope.place(form, ends, cut, missing, noise, gap)
         form = _filled(rope, form, gap, head, between, length)

@@ -25,7 +25,7 @@ Ends = tuple[int, int]
 
 _PROBES: Final = np.linspace(0, 1, 32)  # of a visible piece, at which it is compared with the prediction
 _SHARES: Final = np.linspace(0, 1, 9)  # of what is missing, that may be hidden at an end
-_PLACE: Final = 0.1  # the weight of where a rope is predicted against how it is bent, when its direction is looked for
+_PLACE: Final = 0.1  # the least weight of where a rope is predicted against how it is bent, to find its direction
 _INDEPENDENT: Final = (4.0, 1.0)  # of the probes: neighbours err alike, and a rope that is elsewhere is so as a whole
 _NOISE: Final = 0.15  # in resolutions: how far off a curve lies that was predicted perfectly
 _SETTLING: Final = 0.1  # how fast the distance of curves from their predictions is learnt
@@ -36,6 +36,7 @@ _COST: Final = {UNKNOWN: 4.0, HIDDEN: 0.0, FREE: 16.0}
 _FOLDED: Final = 25.0  # of a free end while something hides the other, which explains what is missing
 _INERTIA: Final = {UNKNOWN: 0.05, HIDDEN: 0.1, FREE: 0.05}
 _BRIDGE: Final = 0.35  # of a bridged gap: the standard deviation of its length
+_UNSEEN: Final = 0.02  # the weight of what was hidden in the last frame, when a rope's direction is looked for
 _CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
 _ASKEW: Final = 0.6  # widths: of the visible piece next to a hidden end, which may follow the cut
 _SURE: Final = 2.0  # how much larger the mean square distance has to be in the other direction
@@ -56,9 +57,7 @@ def oriented(form: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, bo
     whole = length.metres if form.metres is not None else length.pixels
     seen = min(float(form.stations[-1]) / whole, 1.0) if whole > 0 else 1.0
     firsts, back = np.linspace(0, 1 - seen, _PLACES), form.reversed()
-    off, off_back = (
-        min(_apart(rope.at(first + seen * _PROBES), rope.along(curve)) for first in firsts) for curve in (form, back)
-    )
+    off, off_back = (min(rope.apart(rope.along(curve), first, seen) for first in firsts) for curve in (form, back))
     if max(off, off_back) < _SURE * min(off, off_back):
         form, back = (replace(curve, ambiguity="it is in doubt where the rope begins") for curve in (form, back))
     return (back, True) if off_back < off else (form, False)
@@ -81,13 +80,6 @@ def _is_along(points: Array, nodes: Array) -> bool:
     head, tail = nodes[0].tolist(), nodes[-1].tolist()
     forwards, backwards = dist(first, head) + dist(last, tail), dist(first, tail) + dist(last, head)
     return _CLEAR * forwards < backwards
-
-
-def _apart(first: Array, second: Array) -> float:
-    """Return the mean square distance of points, most of it after the best translation."""
-    away = first - second
-    shift = away.mean(axis=0)
-    return float(np.mean(np.sum((away - shift) ** 2, axis=1)) + _PLACE * np.sum(shift**2))
 
 
 class PredictedRope:
@@ -119,6 +111,22 @@ class PredictedRope:
     def along(self, form: FittedCurve) -> Array:
         """Return ``(32, D)`` points at equal steps along a curve."""
         return interpolate(self.points_of(form), form.stations, _PROBES * form.stations[-1])
+
+    def apart(self, found: Array, first: float, share: float) -> float:
+        """Return the mean square distance between ``(32, D)`` points and a piece, most of it after the best translation.
+
+        Args:
+            found: Points along a curve.
+            first: Where the piece begins, as a share of the rope's length.
+            share: How long it is. What was hidden of it counts little: it was put where it is expected.
+        """
+        at = first + share * _PROBES
+        weight = np.where((at >= self.hidden[0]) & (at <= 1 - self.hidden[1]), 1.0, _UNSEEN)
+        weight /= weight.sum()
+        away = self.at(at) - found
+        shift = weight @ away
+        place = min(max(self.residuals[0] / self.residuals[1], _PLACE), 1.0)
+        return float(weight @ np.sum((away - shift) ** 2, axis=1) + place * np.sum(shift**2))
 
     def disagreement(self, found: Array, first: Array, last: Array) -> tuple[Array, Array]:
         """Return the mean square distances between curves and the rope's pieces between two shares of its length.
