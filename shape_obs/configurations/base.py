@@ -33,10 +33,12 @@ class Points(NamedTuple):
     Args:
         places: ``(N, D)`` pixels or metres.
         interpolated: ``(N,)`` bool: on an interpolated piece of the form.
+        nearest: ``(N,)`` which of the form's own points is nearest along it, where it may cross itself; else None.
     """
 
     places: Array
     interpolated: npt.NDArray[np.bool_]
+    nearest: npt.NDArray[np.intp] | None = None
 
 
 class Scene(NamedTuple):

@@ -201,19 +201,20 @@ class Centerline(Configuration, kind="centerline"):
 
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
         """Return points with equal chords, from tip to tip or at the centres of N pieces."""
+        first = 0
         if any(form.hints.hidden):
             piece, same = shown(form), metric is form
-            form = form.cut(piece)
+            form, first = form.cut(piece), piece.start
             metric = form if same else metric.cut(piece)
         along = form.metres if self.spacing == "m" and form.metres is not None else form.pixels
         if along is not None:
             share = np.linspace(0, 1, self.n) if self.ends == "tips" else (np.arange(self.n) + 0.5) / self.n
             at = interpolate(form.arc[:, None], np.ascontiguousarray(along), share * along[-1])[:, 0]
-            return Points(form.at(at), form.interpolated_at(at))
+            return Points(form.at(at), form.interpolated_at(at), first + form.nearest_to(at))
         margin = 0.0 if self.ends == "tips" else metric.arc[-1] / (2 * self.n)
         places, at = _points_on(form.points, form.arc, metric.points, metric.arc, self.n, margin)
         interpolated = metric.interpolated_at(at) if metric.interpolated.any() else np.zeros(self.n, bool)
-        return Points(places, interpolated)
+        return Points(places, interpolated, first + metric.nearest_to(at))
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:

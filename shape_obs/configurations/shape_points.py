@@ -99,7 +99,7 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         under = form_depth(form, depth, region, width)
         lifted = lift_form(form, under, camera.intrinsics) if spec.spacing == "m" else None
         metric = form if lifted is None else form.with_points(lifted)
-    points, interpolated = spec.resample(form, metric) if found.centres is None else _without_gaps(found.centres)
+    points, interpolated, at = spec.resample(form, metric) if found.centres is None else _without_gaps(found.centres)
     if depth is None or camera is None:
         visible = region.carries(points) & ~interpolated
         return points.astype(np.float32), None, visible, visible.copy()
@@ -110,10 +110,10 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     visible = on_mask & ~interpolated
     if in_pieces and under is not None:
         # Next to what hides a piece, depth that is not the form's is not the points' either.
-        z[np.isnan(under)[_nearest(points, form.points)]] = np.nan
+        z[np.isnan(under)[_nearest(points, form.points) if at is None else at]] = np.nan
     valid = visible & np.isfinite(z)
     if isinstance(form, FittedCurve) and form.relief is not None:
-        at = _nearest(points, form.points)
+        at = _nearest(points, form.points) if at is None else at
         over = camera.intrinsics.fx * np.log(z) < form.relief[at] - max(APART[0] * width, APART[1])
         visible &= ~over
         valid &= visible & (form.steepness(width / 2)[at] < _END_ON)
@@ -168,7 +168,7 @@ def _points_in_cloud(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         if centres is not None:
             centres = centres + shift[_nearest(centres, form.points)]
         form = form.with_points(form.points + shift)
-    points, interpolated = spec.resample(form, form) if centres is None else _without_gaps(centres)
+    points, interpolated, _ = spec.resample(form, form) if centres is None else _without_gaps(centres)
     visible = cloud.carries(points) & ~interpolated
     pixels = cloud.pixels_of(points)
     points2d = None if pixels is None else pixels.astype(np.float32)

@@ -207,12 +207,15 @@ class FittedCurve(FittedForm):
         """Return ``(N,)`` whether the nearer of the two neighbouring points is interpolated."""
         if self.whole:
             return np.zeros(np.shape(arc), bool)
+        return self.interpolated[self.nearest_to(arc)]
+
+    def nearest_to(self, arc: npt.ArrayLike) -> npt.NDArray[np.intp]:
+        """Return ``(N,)`` which point of the curve is nearest along it to each arc position."""
         at = np.asarray(arc, dtype=np.float64)
         at = at % self.size if self.closed else at
-        flags = np.append(self.interpolated, self.interpolated[0]) if self.closed else self.interpolated
         after = np.clip(np.searchsorted(self.arc, at), 1, len(self.arc) - 1)
         nearer = np.where(at - self.arc[after - 1] < self.arc[after] - at, after - 1, after)
-        return flags[nearer]
+        return nearer % len(self.points)
 
     def starting_at(self, arc: float) -> FittedCurve:
         """Return the same closed curve with its first point at an arc position."""
