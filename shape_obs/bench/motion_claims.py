@@ -35,11 +35,11 @@ def track(frames: Iterable[Seen], *, depth: bool, spacing: Spacing = "px", dt: f
         ``slips``: ok frames with a visible point more than half a gap from its place; ``off``: ok frames with a mean
         error of the visible points above 10 mm; ``mm``: mean error of the visible points in each ok frame, in
         millimetres; ``worst``: in gaps; ``late``: frames that were wrong though nothing was hidden any more since 10
-        frames.
+        frames; ``renewed``: how often a new track was reported, which may begin at the other end.
     """
     detector: ShapeDetector | None = None
-    row = Row(frames=0, due=0, ok=0, shown=0, claimed=0, slips=0, off=0, worst=0.0, late=0, mm=[])
-    since = 0
+    row = Row(frames=0, due=0, ok=0, shown=0, claimed=0, slips=0, off=0, worst=0.0, late=0, renewed=0, mm=[])
+    since, name, turned = 0, 1, False
     for seen in frames:
         pixels, metres = resample(seen.pixels, len(seen.pixels)), seen.metres
         if detector is None and not seen.shown.all():
@@ -59,6 +59,13 @@ def track(frames: Iterable[Seen], *, depth: bool, spacing: Spacing = "px", dt: f
         if not shape.ok or shape.reason:
             continue
         row["ok"] += due
+        if shape.track_id != name:
+            ends, true_ends = shape.pixels[[0, -1]], true[0][[0, -1]]
+            same, other = (np.linalg.norm(ends - each, axis=1).sum() for each in (true_ends, true_ends[::-1]))
+            name, turned = shape.track_id, bool(other < same)
+            row["renewed"] += 1
+        if turned:
+            true, shown = (true[0][::-1], true[1][::-1]), shown[::-1]
         row["shown"] += int(shown.sum())
         row["claimed"] += int((shown & shape.visible & shape.valid).sum())
         if spacing == "px":

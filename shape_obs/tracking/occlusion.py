@@ -83,9 +83,9 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     form = _completed(rope, form, ends, head, tail, stretch, length)
     hidden = head / length, tail / length
     certain = (float(cut[0]), float(cut[1]))
-    covered = ends[0] == HIDDEN, ends[1] == HIDDEN
+    covered, folded = ((ends[0] == known, ends[1] == known) for known in (HIDDEN, FREE))
     measured = before.measured if head + tail > least else length - missing
-    hints = TrackHints(hidden, covered, slack / length, stretch, measured, rope.residuals, certain, own, now)
+    hints = TrackHints(hidden, covered, folded, slack / length, stretch, measured, rope.residuals, certain, own, now)
     return replace(form, hints=hints)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
-from math import dist
+from math import dist, log1p
 from typing import Final
 
 import numpy as np
@@ -25,7 +25,6 @@ Ends = tuple[int, int]
 
 _PROBES: Final = np.linspace(0, 1, 32)  # of a visible piece, at which it is compared with the prediction
 _SHARES: Final = np.linspace(0, 1, 9)  # of what is missing, that may be hidden at an end
-_PLACE: Final = 0.1  # the least weight of where a rope is predicted against how it is bent, to find its direction
 _INDEPENDENT: Final = (4.0, 1.0)  # of the probes: neighbours err alike, and a rope that is elsewhere is so as a whole
 _NOISE: Final = 0.15  # in resolutions: how far off a curve lies that was predicted perfectly
 _SETTLING: Final = 0.1  # how fast the distance of curves from their predictions is learnt
@@ -36,10 +35,10 @@ _COST: Final = {UNKNOWN: 4.0, HIDDEN: 0.0, FREE: 16.0}
 _FOLDED: Final = 25.0  # of a free end while something hides the other, which explains what is missing
 _INERTIA: Final = {UNKNOWN: 0.05, HIDDEN: 0.1, FREE: 0.05}
 _BRIDGE: Final = 0.35  # of a bridged gap: the standard deviation of its length
-_UNSEEN: Final = 0.02  # the weight of what was hidden in the last frame, when a rope's direction is looked for
+_UNSEEN: Final = 30.0  # squared standard deviations: a piece that lies where all was folded back is so unlikely
 _CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
 _ASKEW: Final = 0.6  # widths: of the visible piece next to a hidden end, which may follow the cut
-_SURE: Final = 2.0  # how much larger the mean square distance has to be in the other direction
+_SURE: Final = 8.0  # squared standard deviations by which the other direction has to be less likely
 _PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
 _TRUST: Final = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
 _OUTLIER: Final = 10.0  # residuals: more is not learnt from at once
@@ -57,8 +56,8 @@ def oriented(form: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, bo
     whole = length.metres if form.metres is not None else length.pixels
     seen = min(float(form.stations[-1]) / whole, 1.0) if whole > 0 else 1.0
     firsts, back = np.linspace(0, 1 - seen, _PLACES), form.reversed()
-    off, off_back = (min(rope.apart(rope.along(curve), first, seen) for first in firsts) for curve in (form, back))
-    if max(off, off_back) < _SURE * min(off, off_back):
+    off, off_back = (min(rope.doubt(rope.along(curve), first, seen) for first in firsts) for curve in (form, back))
+    if abs(off - off_back) < _SURE:
         form, back = (replace(curve, ambiguity="it is in doubt where the rope begins") for curve in (form, back))
     return (back, True) if off_back < off else (form, False)
 
@@ -91,11 +90,12 @@ class PredictedRope:
     """
 
     def __init__(self, prediction: Prediction, form: FittedCurve | None = None) -> None:
-        nodes, self.hidden = prediction.nodes, prediction.hints.hidden
+        nodes, self.hidden, self.folded = prediction.nodes, prediction.hints.hidden, prediction.hints.folded
         if prediction.relief is not None and (form is None or form.relief is not None):
             nodes = np.column_stack([nodes, prediction.relief])
         self.nodes = nodes
-        self.residuals = prediction.hints.residuals
+        # An object that moves as it likes is as far from its prediction as the square of the time that went by.
+        self.residuals, self.lapse = prediction.hints.residuals, prediction.lapse**2
         self.askew, self.resolution = _ASKEW * prediction.width, prediction.resolution
         self.share = np.concatenate([[0.0], (np.arange(len(nodes)) + 0.5) / len(nodes), [1.0]])
         self.points = np.concatenate([1.5 * nodes[:1] - 0.5 * nodes[1:2], nodes, 1.5 * nodes[-1:] - 0.5 * nodes[-2:-1]])
@@ -112,21 +112,26 @@ class PredictedRope:
         """Return ``(32, D)`` points at equal steps along a curve."""
         return interpolate(self.points_of(form), form.stations, _PROBES * form.stations[-1])
 
-    def apart(self, found: Array, first: float, share: float) -> float:
-        """Return the mean square distance between ``(32, D)`` points and a piece, most of it after the best translation.
+    def doubt(self, found: Array, first: float, share: float) -> float:
+        """Return how unlikely ``(32, D)`` points along a curve are a piece of the rope, in squared standard deviations.
 
         Args:
-            found: Points along a curve.
+            found: The points.
             first: Where the piece begins, as a share of the rope's length.
-            share: How long it is. What was hidden of it counts little: it was put where it is expected.
+            share: How long it is. What was folded back cannot be compared with it.
         """
         at = first + share * _PROBES
-        weight = np.where((at >= self.hidden[0]) & (at <= 1 - self.hidden[1]), 1.0, _UNSEEN)
-        weight /= weight.sum()
-        away = self.at(at) - found
-        shift = weight @ away
-        place = min(max(self.residuals[0] / self.residuals[1], _PLACE), 1.0)
-        return float(weight @ np.sum((away - shift) ** 2, axis=1) + place * np.sum(shift**2))
+        head, tail = (hidden * folded for hidden, folded in zip(self.hidden, self.folded, strict=True))
+        seen = (at >= head) & (at <= 1 - tail)
+        doubt = _UNSEEN * (1 - float(seen.mean()))
+        if not seen.any():
+            return doubt
+        away = (self.at(at) - found)[seen]
+        shift, least = away.mean(axis=0), (_NOISE * self.resolution) ** 2
+        off = float(np.mean(np.sum((away - shift) ** 2, axis=1))), float(np.sum(shift**2))
+        for now, usual, count in zip(off, self.residuals, _INDEPENDENT, strict=True):
+            doubt += _TRUST * log1p(count * now / max(self.lapse * usual, least) / _TRUST)
+        return doubt
 
     def disagreement(self, found: Array, first: Array, last: Array) -> tuple[Array, Array]:
         """Return the mean square distances between curves and the rope's pieces between two shares of its length.
@@ -201,7 +206,7 @@ class PredictedRope:
             cost += price * (hidden[:, end] > 0) + _TRUST * np.log1p(change / _TRUST)
         least = (_NOISE * self.resolution) ** 2
         for off, known, count in zip((bent, apart), self.residuals, _INDEPENDENT, strict=True):
-            cost += _TRUST * np.log1p(count * (off - off.min()) / max(known, least) / _TRUST)
+            cost += _TRUST * np.log1p(count * (off - off.min()) / max(self.lapse * known, least) / _TRUST)
         best = int(np.argmin(cost))
         self.settle(float(bent[best]), float(apart[best]))
         head, tail = hidden[best] * length

@@ -113,6 +113,7 @@ class Prediction(NamedTuple):
         steady: Whether all of the object was seen and is: what comes to light, or under a hand, changes its area first.
         stale: Whether the shape was lost for so long that its numbering begins again.
         relief: ``(K,)`` depth at the nodes in an image, see ``FittedCurve.relief``; None without depth.
+        lapse: How long ago the object was seen last, in intervals of the track, at least 1.
     """
 
     nodes: Array
@@ -124,6 +125,7 @@ class Prediction(NamedTuple):
     steady: bool
     stale: bool = False
     relief: Array | None = None
+    lapse: float = 1.0
 
     @property
     def reference(self) -> Array:
@@ -145,7 +147,8 @@ def predict(track: Track | None, observed: Observed, stamp: float, stale: bool =
     if relief is not None and track.climb is not None:
         relief = relief + _VELOCITY_SHARE * ahead * track.climb
     known = track.size, track.topology, track.hints, observed.resolution, track.width
-    return Prediction(nodes, *known, steady, stale, relief)
+    lapse = (stamp - track.stamp) / track.interval if track.interval > 0 else 1.0
+    return Prediction(nodes, *known, steady, stale, relief, max(lapse, 1.0))
 
 
 def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -> Track:

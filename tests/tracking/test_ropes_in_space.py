@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ def arch(closed: float) -> np.ndarray:
     return curve(np.stack([along, 0.25 * closed * away, 0.2 * away], axis=1))
 
 
-def tracked(axes: Iterable[np.ndarray], **kwargs: float) -> list[tuple[Shape, Seen]]:
+def tracked(axes: Iterable[np.ndarray], **kwargs: Any) -> list[tuple[Shape, Seen]]:
     detector, found = None, []
     for axis in axes:
         seen = see(axis, 0.006, CAMERA, 1.5)
@@ -54,15 +55,16 @@ def test_a_strand_behind_another_is_not_visible_and_comes_back_in_its_place():
     found = tracked(map(arch, closing))
     for shape, seen in found:
         if shape.ok and not shape.reason:
-            assert errors(shape, seen)[shape.visible & shape.valid].max() < 0.5
-    shape, seen = found[0]
-    assert shape.visible.all()
-    shape, seen = found[26]
-    assert not shape.visible[13:].any() or not shape.ok
-    shape, seen = found[-1]
-    assert shape.ok
-    assert shape.visible.all()
-    assert errors(shape, seen).max() < 0.5
+            # Its turn is seen end-on before it closes: what is measured short there is out by less than a gap.
+            assert errors(shape, seen)[shape.visible & shape.valid].max() < 0.8
+    assert all(shape.ok for shape, _ in found)
+    for at in (0, -1):
+        shape, seen = found[at]
+        assert shape.visible.all()
+        assert errors(shape, seen).max() < 0.3
+    shape, _ = found[26]
+    assert shape.visible[:8].all()
+    assert not shape.visible[13:].any()
 
 
 def test_a_rope_that_turns_away_has_points_in_equal_steps_in_space():
@@ -80,7 +82,7 @@ def test_points_that_are_seen_end_on_are_not_valid():
     bent = curve([(0, 0, 0), (0.2, 0, 0), (0.25, 0.0, -0.05), (0.25, 0.0, -0.25)])
     shape, _ = tracked([bent])[0]
     assert shape.ok
-    assert not shape.valid[-5:].any()
+    assert not shape.valid[-7:-2].any()
     assert shape.valid[:10].all()
 
 
