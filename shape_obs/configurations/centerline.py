@@ -62,6 +62,7 @@ _MAX_PIECES: Final = 16
 _MIN_STRETCH: Final = 0.92  # a curve that is longer than the rope follows something else
 _MIN_SEEN: Final = 0.3  # of a rope's length: what has to be in sight to report it, and below, to follow it
 _MIN_BETWEEN: Final = 0.6  # while both ends are hidden
+_ADRIFT: Final = 0.025  # of its length: by so much a rope may have slid along itself unseen
 _MIN_FOLLOWED: Final = 0.15
 _END_ON: Final = 4.0  # a rope is this much longer in space than in the image: its points cannot be told apart there
 _MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no distinct axis, and a chain would fold up in it
@@ -127,6 +128,8 @@ class Centerline(Configuration, kind="centerline"):
         reason = "" if seen >= _MIN_SEEN else f"{seen:.0%} of the rope is in sight (at least {_MIN_SEEN:.0%})"
         if not reason and seen < _MIN_BETWEEN and all(curve.hints.covered):
             reason = f"both ends are hidden, and {seen:.0%} of the rope is in sight (at least {_MIN_BETWEEN:.0%})"
+        if not reason and curve.hints.adrift > _ADRIFT:
+            reason = f"a piece without an end in sight may have slid by {curve.hints.adrift:.0%} of the rope's length"
         follow, steep = seen >= _MIN_FOLLOWED, arc_length(curve.lifted)[-1] / max(curve.size, 1e-9)
         if not reason and steep > _END_ON:
             reason, follow = f"it is seen end-on, {steep:.2g} times as long as in the image (at most {_END_ON})", False

@@ -52,6 +52,7 @@ class TrackHints(NamedTuple):
         hidden: Share of an open curve's length that is hidden at its start and at its end.
         covered: Whether something is seen to hide its start and its end.
         folded: Whether its start and its end are free, so that what is missing there was laid back onto the curve.
+        adrift: By which share of its length an open curve may have slid along itself while no end of it was seen.
         slack: Hidden ends with a smaller share are within the measuring error.
         stretch: By how much more of an open curve there is than was measured where it is visible.
         measured: The length that was measured last when all of an open curve was seen; 0 if it is not known.
@@ -66,6 +67,7 @@ class TrackHints(NamedTuple):
     hidden: tuple[float, float] = (0.0, 0.0)
     covered: tuple[bool, bool] = (False, False)
     folded: tuple[bool, bool] = (False, False)
+    adrift: float = 0.0
     slack: float = 0.0
     stretch: float = 1.0
     measured: float = 0.0

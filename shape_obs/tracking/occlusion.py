@@ -64,12 +64,13 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     gap = _widest_gap(form)
     resolution = prediction.resolution * float(form.stations[-1]) / max(form.size, 1e-9)
     slack, missing = _SLACK[0] * length + _SLACK[1] * resolution, length - float(form.stations[-1])
-    head = tail = 0.0
+    head = tail = adrift = 0.0
     least = _LEAST * length
     steep = float(form.steepness(prediction.width / 2).max(initial=1.0))
     noise = (known.spread if unit == "px" else known.spread_metres) * length + _GRAIN * resolution * steep
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
         head, tail, between = rope.place(form, ends, cut, missing, noise, gap)
+        adrift = rope.adrift
         form = _filled(rope, form, gap, head, between, length)
     else:
         bent, apart = rope.disagreement(rope.along(form)[None], np.zeros(1), np.ones(1))
@@ -85,7 +86,9 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     certain = (float(cut[0]), float(cut[1]))
     covered, folded = ((ends[0] == known, ends[1] == known) for known in (HIDDEN, FREE))
     measured = before.measured if head + tail > least else length - missing
-    hints = TrackHints(hidden, covered, folded, slack / length, stretch, measured, rope.residuals, certain, own, now)
+    hints = TrackHints(
+        hidden, covered, folded, adrift, slack / length, stretch, measured, rope.residuals, certain, own, now
+    )
     return replace(form, hints=hints)
 
 

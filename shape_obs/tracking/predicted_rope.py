@@ -32,7 +32,7 @@ _SETTLING: Final = 0.1  # how fast the distance of curves from their predictions
 # evidence, and a free one, which is then folded back or points at the camera. And by which share of the length it
 # changes from frame to frame.
 _COST: Final = {UNKNOWN: 4.0, HIDDEN: 0.0, FREE: 16.0}
-_FOLDED: Final = 25.0  # of a free end while something hides the other, which explains what is missing
+_FOLDED: Final = 100.0  # of a free end while something hides the other, which explains what is missing
 _INERTIA: Final = {UNKNOWN: 0.05, HIDDEN: 0.1, FREE: 0.05}
 _BRIDGE: Final = 0.35  # of a bridged gap: the standard deviation of its length
 _UNSEEN: Final = 30.0  # squared standard deviations: a piece that lies where all was folded back is so unlikely
@@ -96,6 +96,7 @@ class PredictedRope:
         self.nodes = nodes
         # An object that moves as it likes is as far from its prediction as the square of the time that went by.
         self.residuals, self.lapse = prediction.hints.residuals, prediction.lapse**2
+        self.adrift = prediction.hints.adrift
         self.askew, self.resolution = _ASKEW * prediction.width, prediction.resolution
         self.share = np.concatenate([[0.0], (np.arange(len(nodes)) + 0.5) / len(nodes), [1.0]])
         self.points = np.concatenate([1.5 * nodes[:1] - 0.5 * nodes[1:2], nodes, 1.5 * nodes[-1:] - 0.5 * nodes[-2:-1]])
@@ -208,9 +209,28 @@ class PredictedRope:
         for off, known, count in zip((bent, apart), self.residuals, _INDEPENDENT, strict=True):
             cost += _TRUST * np.log1p(count * (off - off.min()) / max(self.lapse * known, least) / _TRUST)
         best = int(np.argmin(cost))
+        self._slide(ends, hidden[best], bridge > 0, float(apart[best]))
         self.settle(float(bent[best]), float(apart[best]))
         head, tail = hidden[best] * length
         return float(head), float(tail), float(rest[best])
+
+    def _slide(self, ends: Ends, hidden: Array, bridged: bool, apart: float) -> None:
+        """Learn by how much a visible piece of the rope may have slid along it while no end of it was seen.
+
+        It looks then as if it lay where it was put last; the unforeseen motion adds up.
+
+        Args:
+            ends: What is known about the rope's ends.
+            hidden: ``(2,)`` share of its length that is hidden there.
+            bridged: Whether something lies across it.
+            apart: Mean square distance from the prediction.
+        """
+        loose = [end == HIDDEN or (end == UNKNOWN and share > 0) for end, share in zip(ends, hidden, strict=True)]
+        if all(loose) or (any(loose) and bridged):
+            size = float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
+            self.adrift = min(self.adrift + apart**0.5 / size, float(hidden.max()))
+        else:
+            self.adrift = 0.0
 
 
 def widened(stations: Array, gap: tuple[int, int], more: float) -> Array:
