@@ -42,6 +42,7 @@ _SURE: Final = 8.0  # squared standard deviations by which the other direction h
 _PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
 _TRUST: Final = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
 _OUTLIER: Final = 10.0  # residuals: more is not learnt from at once
+_LONG_AGO: Final = 25.0  # squared intervals of a track, after which a rope may have slid anywhere
 _FEWEST: Final = 6  # nodes of a visible piece
 
 
@@ -96,7 +97,7 @@ class PredictedRope:
         self.nodes = nodes
         # An object that moves as it likes is as far from its prediction as the square of the time that went by.
         self.residuals, self.lapse = prediction.hints.residuals, prediction.lapse**2
-        self.adrift = prediction.hints.adrift
+        self.adrift, self.stale = prediction.hints.adrift, prediction.stale
         self.askew, self.resolution = _ASKEW * prediction.width, prediction.resolution
         self.share = np.concatenate([[0.0], (np.arange(len(nodes)) + 0.5) / len(nodes), [1.0]])
         self.points = np.concatenate([1.5 * nodes[:1] - 0.5 * nodes[1:2], nodes, 1.5 * nodes[-1:] - 0.5 * nodes[-2:-1]])
@@ -217,7 +218,8 @@ class PredictedRope:
     def _slide(self, ends: Ends, hidden: Array, bridged: bool, apart: float) -> None:
         """Learn by how much a visible piece of the rope may have slid along it while no end of it was seen.
 
-        It looks then as if it lay where it was put last; the unforeseen motion adds up.
+        It looks then as if it lay where it was put last; the unforeseen motion adds up. After a while out of sight it
+        may be any piece. Only an end that is free, or all of the rope, shows where it is.
 
         Args:
             ends: What is known about the rope's ends.
@@ -226,11 +228,13 @@ class PredictedRope:
             apart: Mean square distance from the prediction.
         """
         loose = [end == HIDDEN or (end == UNKNOWN and share > 0) for end, share in zip(ends, hidden, strict=True)]
-        if all(loose) or (any(loose) and bridged):
-            size = float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
-            self.adrift = min(self.adrift + apart**0.5 / size, float(hidden.max()))
-        else:
+        sliding = all(loose) or (any(loose) and bridged)
+        if FREE in ends and not sliding:
             self.adrift = 0.0
+            return
+        size = float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
+        slid = 1.0 if self.stale or self.lapse > _LONG_AGO else apart**0.5 / size * sliding
+        self.adrift = min(self.adrift + slid, float(hidden.max()))
 
 
 def widened(stations: Array, gap: tuple[int, int], more: float) -> Array:
