@@ -10,7 +10,7 @@ import numpy as np
 
 from shape_obs.bench.scores import SLIP
 from shape_obs.bench.synthetic.hidden_ropes import Cover, Seen, camera_of, hidden_ropes, swinging_ropes, with_noise
-from shape_obs.bench.synthetic.swings import swung_rope
+from shape_obs.bench.synthetic.swings import STIFFNESS, swung_rope
 from shape_obs.bench.tables import Row, mean, summary
 from shape_obs.configurations.base import Spacing
 from shape_obs.configurations.centerline import Centerline
@@ -110,10 +110,11 @@ def swinging_rope_tracks(
     noises: Sequence[bool] = (False,),
     size: tuple[int, int] = (480, 640),
 ) -> Iterator[Row]:
-    """Track ropes that are swung through the air by one or both ends."""
+    """Track ropes that are swung through the air by one or both ends, from cords to stiff cables."""
     for hertz, seed in product(rates, seeds):
         rng = np.random.default_rng([seed, round(hertz)])
-        curves = list(swung_rope(rng, hertz, frames, hands=1 + seed % 2))
+        stiffness = STIFFNESS[seed // 2 % len(STIFFNESS)]
+        curves = list(swung_rope(rng, hertz, frames, hands=1 + seed % 2, stiffness=stiffness))
         radius = float(rng.uniform(0.004, 0.008))
         for wall, noise in product(walls, noises):
             seen = swinging_ropes(curves, radius, camera_of(size), wall)
@@ -121,7 +122,7 @@ def swinging_rope_tracks(
                 measure = _d455(size)
                 seen = (with_noise(each, measure, rng) for each in seen)
             found = track(seen, depth=True, spacing="m", dt=1 / hertz)
-            yield Row(hertz=hertz, wall=wall, noise=noise, seed=seed, **found)
+            yield Row(hertz=hertz, wall=wall, noise=noise, stiffness=stiffness, seed=seed, **found)
 
 
 def motion_table(rows: Iterable[Row], by: Sequence[str]) -> list[Row]:
