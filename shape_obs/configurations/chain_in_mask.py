@@ -24,7 +24,7 @@ from shape_obs.geometry.topology import undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.region import Region
 from shape_obs.image.rope_tip import extend_chain
-from shape_obs.point_cloud.chain_length import APART, lift_chain
+from shape_obs.point_cloud.chain_length import lift_chain, strand_gap
 from shape_obs.tracking.occluders import HIDDEN, Tips, chain_evidence
 from shape_obs.tracking.validation import sample_spread
 
@@ -36,7 +36,7 @@ Moments = tuple[Array, Array]
 _LEAST_DEPTH: Final = 0.3  # of a curve's points: with less its length in metres is not measured
 _LONG: Final = 3.0  # widths: of a shorter curve the ends have no direction of their own
 _LEAST_RIM: Final = 0.5  # pixels, cut off an end that is seen at an angle
-_MOVED: Final = 80.0  # pixels by which a rope may come nearer or go away beyond what was predicted
+_MOVED: Final = 0.13  # of its depth, by which a rope may come nearer or go away beyond what was predicted
 _FEW: Final = 3.0  # times as many pixels as a strand behind has in a square: then it is none
 _NO_DEPTH: Final = np.zeros((0, 0), np.float32)
 _NO_DEPTH.flags.writeable = False
@@ -67,7 +67,7 @@ def gather_lifted_cells(
     low, high = np.inf, -np.inf
     for k in range(len(expected)):
         low, high = min(low, expected[k, 2]), max(high, expected[k, 2])
-    low, high = math.exp((low - _MOVED) / focal), min(math.exp((high + _MOVED) / focal), FARTHEST)
+    low, high = math.exp(low / focal - _MOVED), min(math.exp(high / focal + _MOVED), FARTHEST)
     top, left, right = runs[0, 0] // edge, runs[0, 1], runs[0, 2]
     for at in range(len(runs)):
         left, right = min(left, runs[at, 1]), max(right, runs[at, 2])
@@ -82,7 +82,7 @@ def gather_lifted_cells(
             if low < metres < high and metres < nearest[cell]:
                 nearest[cell] = metres
     # Of each square, and of the strand behind: pixels, sums of columns and rows, pixels with depth, sum of their depth.
-    sums, behind = np.zeros((2 * cells, 5)), math.exp(max(APART[0] * width, APART[1]) / focal)
+    sums, behind = np.zeros((2 * cells, 5)), math.exp(strand_gap(width, focal))
     for at in range(len(runs)):
         row, base = runs[at, 0], (runs[at, 0] // edge - top) * across - left
         for column in range(runs[at, 1], runs[at, 2]):
@@ -216,7 +216,7 @@ def measured_curve(curve: FittedCurve, observed: Observed, width: float, scene: 
         rays = np.ascontiguousarray(scene.intrinsics.rays(curve.points)[:, :2])
         if curve.relief is not None:
             expected = np.exp(curve.relief / scene.intrinsics.fx)
-        slack = max(APART[0] * width, APART[1]) / scene.intrinsics.fx
+        slack = strand_gap(width, scene.intrinsics.fx)
         lifted = lift_chain(curve.points, rays, left_out, depth, unit, observed.mask, at, width, expected, slack)
         metres, z, share = lifted
         if share >= _LEAST_DEPTH and np.isfinite(metres).all():

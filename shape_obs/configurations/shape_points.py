@@ -14,7 +14,7 @@ from shape_obs.configurations.base import Configuration, Points
 from shape_obs.frame import Frame, readable_depth
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.connected_runs import near_mask
-from shape_obs.point_cloud.chain_length import APART
+from shape_obs.point_cloud.chain_length import strand_gap
 from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, form_depth, lift_form, median_depth
 from shape_obs.shape import Shape
 from shape_obs.tracking.belief import MAX_SIGMA, arc_to_nearest, expected_error, residual_of, stereo_noise
@@ -114,7 +114,8 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     valid = visible & np.isfinite(z)
     if isinstance(form, FittedCurve) and form.relief is not None:
         at = _nearest(points, form.points) if at is None else at
-        over = camera.intrinsics.fx * np.log(z) < form.relief[at] - max(APART[0] * width, APART[1])
+        focal = camera.intrinsics.fx
+        over = np.log(z) < form.relief[at] / focal - strand_gap(width, focal)
         visible &= ~over
         valid &= visible & (form.steepness(width / 2)[at] < _END_ON)
     if not valid.all() and valid.any():

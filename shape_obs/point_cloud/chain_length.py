@@ -20,8 +20,7 @@ Mask = npt.NDArray[np.uint8]
 _COMPANY: Final = 3  # points of a curve to either side, whose median depth a point's is compared with
 _ASTRAY: Final = 0.01  # metres: farther from it, apart from their own slope, a depth is not the curve's
 _SMOOTHED: Final = 4  # points to either side, over which depth is smoothed along a curve
-#: Widths and pixels: strands of a rope that lie farther apart in depth are not taken for each other.
-APART: Final = (2.0, 12.0)
+_APART: Final = (2.0, 0.02)  # widths, and of the depth: strands that lie so far apart are not taken for each other
 
 
 @compiled(
@@ -103,6 +102,17 @@ def lift_chain(
         away = smooth[p] - smooth[p - 1]
         arc[p] = arc[p - 1] + math.sqrt(x * x + y * y + away * away)
     return arc, smooth, known / size
+
+
+@compiled("(f8, f8)")
+def strand_gap(width: float, focal: float) -> float:
+    """Return by which share of its depth a strand of a rope lies apart from another.
+
+    Args:
+        width: Of the rope, pixels.
+        focal: Focal length, pixels.
+    """
+    return max(_APART[0] * width / focal, _APART[1])
 
 
 @compiled

@@ -210,12 +210,12 @@ class PredictedRope:
         for off, known, count in zip((bent, apart), self.residuals, _INDEPENDENT, strict=True):
             cost += _TRUST * np.log1p(count * (off - off.min()) / max(self.lapse * known, least) / _TRUST)
         best = int(np.argmin(cost))
-        self._slide(ends, hidden[best], bridge > 0, float(apart[best]))
+        self.slide(ends, hidden[best], bridge > 0, float(apart[best]))
         self.settle(float(bent[best]), float(apart[best]))
         head, tail = hidden[best] * length
         return float(head), float(tail), float(rest[best])
 
-    def _slide(self, ends: Ends, hidden: Array, bridged: bool, apart: float) -> None:
+    def slide(self, ends: Ends, hidden: Array, bridged: bool, apart: float) -> None:
         """Learn by how much a visible piece of the rope may have slid along it while no end of it was seen.
 
         It looks then as if it lay where it was put last; the unforeseen motion adds up. After a while out of sight it

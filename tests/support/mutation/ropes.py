@@ -5,9 +5,10 @@ from __future__ import annotations
 from .mutant import Mutant
 
 _CLAIMS = "tests/bench/test_motion_claims.py"
+_LENGTH = "tests/point_cloud/test_chain_length.py"
 _OCCLUDERS = "tests/tracking/test_occluders.py"
 _OCCLUSION = "tests/tracking/test_occlusion.py"
-_SEARCH = "tests/tracking/test_search_window.py"
+_PREDICTED = "tests/tracking/test_predicted_rope.py"
 _SPACE = "tests/tracking/test_ropes_in_space.py"
 
 
@@ -93,8 +94,8 @@ ROPES: tuple[Mutant, ...] = (
     _rope(
         "depth is compared with the nearest strand's",
         "configurations/shape_points",
-        "        at = _nearest(points, form.points) if at is None else at\n        over",
-        "        at = _nearest(points, form.points)\n        over",
+        "        at = _nearest(points, form.points) if at is None else at\n        focal",
+        "        at = _nearest(points, form.points)\n        focal",
     ),
     _rope(
         "a point that is seen end-on is valid",
