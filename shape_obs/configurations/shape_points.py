@@ -19,6 +19,7 @@ from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, form_depth, lift
 from shape_obs.shape import Shape
 from shape_obs.tracking.belief import MAX_SIGMA, arc_to_nearest, expected_error, residual_of, stereo_noise
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
+from shape_obs.tracking.occlusion import shown
 from shape_obs.tracking.prediction import Fit
 
 if TYPE_CHECKING:
@@ -94,7 +95,9 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     """Return points in pixels with the depth under them; where there is none, with their neighbours' depth."""
     region: Region = found.observed
     form, depth, camera, width = found.form, frame.depth, frame.camera, found.object_width
-    metric, under, in_pieces = form, None, bool(form.interpolated.any()) and isinstance(form, FittedCurve)
+    metric, under, in_pieces = form, None, False
+    if isinstance(form, FittedCurve):
+        in_pieces = bool(form.interpolated[shown(form) if any(form.hints.hidden) else slice(None)].any())
     if depth is not None and camera is not None and (spec.spacing == "m" or in_pieces):
         under = form_depth(form, depth, region, width)
         lifted = lift_form(form, under, camera.intrinsics) if spec.spacing == "m" else None

@@ -12,7 +12,16 @@ from shape_obs.compiled import compiled
 from shape_obs.frame import FARTHEST
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.image.connected_runs import nearest_pixel
-from shape_obs.point_cloud.lifting import COMPARED, MAX_REACH, MIN_SHARE, SMEARED, STEP, median_depth, median_of
+from shape_obs.point_cloud.lifting import (
+    COMPARED,
+    MAX_REACH,
+    MIN_SHARE,
+    SMEARED,
+    STEP,
+    median_depth,
+    median_of,
+    nearest_expected,
+)
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
@@ -150,7 +159,7 @@ def _leave_out_overlaid(z: Array, points: Array, bridged: npt.NDArray[np.bool_],
         width: Of the object, pixels.
     """
     size = len(z)
-    arc, apart, others = arc_length(points), np.empty(size), np.empty(size)
+    arc, apart, others, places = arc_length(points), np.empty(size), np.empty(size), np.empty(size)
     for p in range(size):
         apart[p] = np.inf
         for q in range(size):
@@ -162,9 +171,9 @@ def _leave_out_overlaid(z: Array, points: Array, bridged: npt.NDArray[np.bool_],
         count = 0
         for q in range(size):
             if apart[q] > SMEARED * width and abs(arc[p] - arc[q]) <= COMPARED * width and z[q] > 0:
-                others[count] = z[q]
+                others[count], places[count] = z[q], arc[q]
                 count += 1
-        if count > 0 and z[p] < median_of(others, count) - STEP:
+        if count > 0 and z[p] < nearest_expected(places[:count], others[:count], arc[p]) - STEP:
             z[p] = np.nan
 
 

@@ -83,17 +83,37 @@ def overlaid(curve: FittedCurve, metres: Array, width: float) -> npt.NDArray[np.
         ``(P,)`` bool.
     """
     arc = curve.arc[: len(metres)]
-    apart = np.abs(arc[:, None] - arc)
+    away = arc[:, None] - arc
     if curve.closed:
-        apart = np.minimum(apart, curve.size - apart)
+        away = (away + curve.size / 2) % curve.size - curve.size / 2
+    apart = np.abs(away)
     nearby = apart[:, curve.interpolated].min(axis=1) <= SMEARED * width
     own = np.where(nearby | curve.interpolated, np.nan, metres)
     over = np.zeros(len(metres), bool)
     for at in np.flatnonzero(nearby & ~curve.interpolated & np.isfinite(metres)):
-        near = own[apart[at] <= COMPARED * width]
-        near = near[np.isfinite(near)] if np.isfinite(near).any() else own[np.isfinite(own)]
-        over[at] = len(near) > 0 and metres[at] < np.median(near) - STEP
+        near = (apart[at] <= COMPARED * width) & np.isfinite(own)
+        if near.any():
+            over[at] = metres[at] < nearest_expected(-away[at, near], own[near], 0.0) - STEP
+        elif np.isfinite(own).any():
+            over[at] = metres[at] < np.nanmedian(own) - STEP
     return over
+
+
+@compiled("(f8[::1], f8[::1], f8)")
+def nearest_expected(arc: Array, metres: Array, at: float) -> float:
+    """Return the least depth that a rope may have at a place, by its depth a little further away.
+
+    Args:
+        arc: ``(K,)`` arc positions, pixels; at least one.
+        metres: ``(K,)`` depth there.
+        at: The place. The rope may go on as level as it is, or as steeply.
+    """
+    level, middle, mean = median_of(metres.copy(), len(metres)), arc.mean(), metres.mean()
+    spread = slope = 0.0
+    for k in range(len(arc)):
+        spread += (arc[k] - middle) ** 2
+        slope += (arc[k] - middle) * (metres[k] - mean)
+    return min(level, mean + slope / spread * (at - middle)) if spread > 0 else level
 
 
 @compiled(

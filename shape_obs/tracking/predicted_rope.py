@@ -42,6 +42,7 @@ _SURE: Final = 8.0  # squared standard deviations by which the other direction h
 _PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
 _TRUST: Final = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
 _OUTLIER: Final = 10.0  # residuals: more is not learnt from at once
+_BY_NOISE: Final = 2.0  # standard deviations of a length, which may seem hidden
 _LONG_AGO: Final = 25.0  # squared intervals of a track, after which a rope may have slid anywhere
 _FEWEST: Final = 6  # nodes of a visible piece
 
@@ -210,7 +211,7 @@ class PredictedRope:
         for off, known, count in zip((bent, apart), self.residuals, _INDEPENDENT, strict=True):
             cost += _TRUST * np.log1p(count * (off - off.min()) / max(self.lapse * known, least) / _TRUST)
         best = int(np.argmin(cost))
-        self.slide(ends, hidden[best], bridge > 0, float(apart[best]))
+        self.slide(ends, np.maximum(hidden[best] - _BY_NOISE * noise / length, 0.0), bridge > 0, float(apart[best]))
         self.settle(float(bent[best]), float(apart[best]))
         head, tail = hidden[best] * length
         return float(head), float(tail), float(rest[best])
@@ -223,7 +224,7 @@ class PredictedRope:
 
         Args:
             ends: What is known about the rope's ends.
-            hidden: ``(2,)`` share of its length that is hidden there.
+            hidden: ``(2,)`` share of its length that is hidden there, beyond what noise explains.
             bridged: Whether something lies across it.
             apart: Mean square distance from the prediction.
         """
