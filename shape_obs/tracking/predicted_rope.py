@@ -31,7 +31,7 @@ _SETTLING: Final = 0.1  # how fast the distance of curves from their predictions
 # What it costs, in squared standard deviations, to take an end for hidden: without evidence, with
 # evidence, and a free one, which is then folded back or points at the camera. And by which share of the length it
 # changes from frame to frame.
-_COST: Final = {UNKNOWN: 4.0, HIDDEN: 0.0, FREE: 16.0}
+_COST: Final = {UNKNOWN: 4.0, HIDDEN: 4.0, FREE: 16.0}
 _FOLDED: Final = 100.0  # of a free end while something hides the other, which explains what is missing
 _INERTIA: Final = {UNKNOWN: 0.05, HIDDEN: 0.1, FREE: 0.05}
 _BRIDGE: Final = 0.35  # of a bridged gap: the standard deviation of its length
@@ -42,7 +42,8 @@ _SURE: Final = 8.0  # squared standard deviations by which the other direction h
 _PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
 _TRUST: Final = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
 _OUTLIER: Final = 10.0  # residuals: more is not learnt from at once
-_BY_NOISE: Final = 2.0  # standard deviations of a length, which may seem hidden
+_NOISY: Final = 3.0  # standard deviations by which a length may be short, though an end is hidden
+_BY_NOISE: Final = 1.0  # standard deviations of a length, which may seem hidden
 _LONG_AGO: Final = 25.0  # squared intervals of a track, after which a rope may have slid anywhere
 _FEWEST: Final = 6  # nodes of a visible piece
 
@@ -190,7 +191,7 @@ class PredictedRope:
         length, stations = missing + float(form.stations[-1]), form.stations
         bridge = float(stations[gap[1]] - stations[gap[0]])
         shares = np.array([(a, b) for a, b in product(_SHARES, _SHARES) if a + b <= 1])
-        if bridge == 0 and HIDDEN in ends:  # what is missing is hidden where something hides it
+        if bridge == 0 and HIDDEN in ends and missing > _NOISY * noise:  # what is missing is hidden where something hides it
             shares = shares[shares.sum(axis=1) == 1]
         rest, hidden = (1 - shares.sum(axis=1)) * missing, shares * missing / length
         points = self.points_of(form)
