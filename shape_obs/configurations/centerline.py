@@ -31,6 +31,7 @@ from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import thinned, trace_skeleton
 from shape_obs.point_cloud.chain_length import lift_chain, strand_gap
+from shape_obs.point_cloud.lifting import nearest_expected
 from shape_obs.tracking.occluders import chain_evidence
 from shape_obs.tracking.occlusion import match_chain, shown, surprise
 from shape_obs.tracking.predicted_rope import visible_nodes
@@ -223,7 +224,7 @@ class Centerline(Configuration, kind="centerline"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         masks = gather_cells, gather_lifted_cells, fit_chain_in_mask, _points_on, _nodes_on
-        masks += lift_chain, strand_gap, chain_evidence, closest_sides, sharp_bends, unexplained_share
+        masks += lift_chain, strand_gap, nearest_expected, chain_evidence, closest_sides, sharp_bends, unexplained_share
         axes = fill_holes, thinned, trace_skeleton, cheapest_order
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + axes + clouds

@@ -191,7 +191,9 @@ class PredictedRope:
         length, stations = missing + float(form.stations[-1]), form.stations
         bridge = float(stations[gap[1]] - stations[gap[0]])
         shares = np.array([(a, b) for a, b in product(_SHARES, _SHARES) if a + b <= 1])
-        if bridge == 0 and HIDDEN in ends and missing > _NOISY * noise:  # what is missing is hidden where something hides it
+        if (
+            bridge == 0 and HIDDEN in ends and missing > _NOISY * noise
+        ):  # what is missing is hidden where something hides it
             shares = shares[shares.sum(axis=1) == 1]
         rest, hidden = (1 - shares.sum(axis=1)) * missing, shares * missing / length
         points = self.points_of(form)
