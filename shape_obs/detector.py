@@ -18,7 +18,7 @@ from shape_obs.clustering.base import Clusterer
 from shape_obs.compiled import compile_now
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.anchors import Anchors, anchor_pixel, anchor_point
-from shape_obs.configurations.base import Configuration
+from shape_obs.configurations.base import Configuration, Scene
 from shape_obs.configurations.shape_points import shape_of, visible_depth
 from shape_obs.frame import Frame, check_mask
 from shape_obs.geometry.observed import Observed
@@ -180,7 +180,7 @@ class ShapeDetector:
         targets = [anchor_point(spec, anchors, frame.camera) for spec in self.shapes]
         moment, shapes = _Moment(frame, self._next_stamp(frame), timings, in_2d=False, in_3d=True), []
         for spec, target in zip(self.shapes, targets, strict=True):
-            found = self._fit(spec, cloud, target, moment)
+            found = self._fit(spec, cloud, target, moment, Scene())
             _lap(timings, "fit", now)
             shapes.append(self._finish(spec, found, moment))
             now = time.perf_counter()
@@ -211,6 +211,8 @@ class ShapeDetector:
 
     def _find(self, spec: Configuration, search: RegionSearch, target: Array | None, moment: _Moment) -> Fit:
         """Find one shape in an image: near where the track expects it, and if that fails everywhere."""
+        frame, camera = moment.frame, moment.frame.camera
+        scene = Scene(frame.depth, None if camera is None else camera.intrinsics, search.whole)
         while True:
             now, timings = time.perf_counter(), moment.timings
             observed: Observed = search.region(spec.segmentation)  # image -> region
@@ -218,12 +220,14 @@ class ShapeDetector:
             if spec.lift == "cloud":
                 observed = search.cloud(spec.segmentation)  # depth enters: region -> cloud
                 now = _lap(timings, "cloud", now)
-            found = self._fit(spec, observed, target, moment)  # -> form, matched and validated
+            found = self._fit(spec, observed, target, moment, scene)  # -> form, matched and validated
             _lap(timings, "fit", now)
             if not found.reason or not search.widen(spec.segmentation):
                 return found
 
-    def _fit(self, spec: Configuration, observed: Observed, target: Array | None, moment: _Moment) -> Fit:
+    def _fit(
+        self, spec: Configuration, observed: Observed, target: Array | None, moment: _Moment, scene: Scene
+    ) -> Fit:
         """Fit a configuration to an object, from its track if there is one, and advance the track."""
         if self._kinds.setdefault(spec.name, type(observed)) is not type(observed):
             self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres
@@ -235,7 +239,7 @@ class ShapeDetector:
             have = f"the {observed.noun} has {observed.area} {observed.sample_unit}"
             return Fit(reason=f"{have}, at least {_MIN_SAMPLES} are needed")
         track = self._tracks.get(spec.name)
-        found = spec.fit(observed, predict(track, observed, moment.stamp), target, moment.frame.depth)
+        found = spec.fit(observed, predict(track, observed, moment.stamp), target, scene)
         if not found.reason:
             self._tracks[spec.name] = advance(track, found, observed, moment.stamp)
             if spec.order == "image":

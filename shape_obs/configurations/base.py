@@ -10,9 +10,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.camera import Intrinsics
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Topology
+from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.spec import Spec
 from shape_obs.tracking.prediction import Fit, Prediction
@@ -23,6 +25,20 @@ Lift = Literal["points", "cloud"]
 Ends = Literal["centers", "tips"]
 Anchor = str | tuple[float, float] | tuple[float, float, float] | None
 Array = npt.NDArray[np.float64]
+
+
+class Scene(NamedTuple):
+    """What a frame shows around the object.
+
+    Args:
+        depth: ``(H, W)``, None if there is none: it shows what lies over the object.
+        intrinsics: Of the camera, None if there is none.
+        edge: The part of the image that may be searched: an object that touches its edge is cut. None without an image.
+    """
+
+    depth: npt.NDArray[Any] | None = None
+    intrinsics: Intrinsics | None = None
+    edge: Window | None = None
 
 
 class Points(NamedTuple):
@@ -103,16 +119,14 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
         return ()
 
     @abstractmethod
-    def fit(
-        self, observed: Observed, prediction: Prediction | None, target: Array | None, depth: npt.NDArray[Any] | None
-    ) -> Fit:
+    def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit the shape: from the prediction if there is one, else (or when that fails) from an initial form.
 
         Args:
             observed: What the object looks like in this frame.
             prediction: Where the track expects the shape; None at a cold start.
             target: Where point 0 belongs at a cold start, as ``observed.seen`` sees it; None for the top left.
-            depth: ``(H, W)`` the frame's depth if there is one: it shows what lies over the object.
+            scene: Depth, camera, and the part of the image that may be searched.
         """
 
     @abstractmethod

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.compiled import compiled
-from shape_obs.configurations.base import Configuration, Ends, Points
+from shape_obs.configurations.base import Configuration, Ends, Points, Scene
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equal_chords, even_points, interpolate
@@ -72,15 +72,14 @@ class Centerline(Configuration, kind="centerline"):
         """A chain of n points."""
         return Chain(self.n)
 
-    def fit(
-        self, observed: Observed, prediction: Prediction | None, target: Array | None, depth: npt.NDArray[Any] | None
-    ) -> Fit:
+    def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit a chain of nodes: from where the track expects it, else along an initial axis."""
         width = prediction.width if prediction is not None and prediction.width else observed.width
         reason = _rejection_reason(observed, width)
         if reason:
             return Fit(reason=reason)
-        occluders = depth if observed.dimension == 2 else None  # in a cloud a hidden end has no place in the image
+        # In a cloud a hidden end has no place in the image.
+        occluders = scene.depth if observed.dimension == 2 else None
         if prediction is None:
             found = self._fit_initial(observed, None, occluders)
         else:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from shape_obs.clustering.som import batch_epochs, run_ring_som, run_som
 from shape_obs.compiled import compiled
-from shape_obs.configurations.base import Configuration, Points
+from shape_obs.configurations.base import Configuration, Points, Scene
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import clockwise, material_outline
@@ -71,9 +71,7 @@ class Contour(Configuration, kind="contour"):
         """A ring of n points."""
         return Ring(self.n)
 
-    def fit(
-        self, observed: Observed, prediction: Prediction | None, target: Array | None, depth: npt.NDArray[Any] | None
-    ) -> Fit:
+    def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit a ring of nodes to this frame's own outline; number it as the track does, or by the paper's rule."""
         reason = self._rejection_reason(observed)
         if reason:

@@ -13,7 +13,7 @@ from scipy.ndimage import map_coordinates
 
 from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.compiled import compiled
-from shape_obs.configurations.base import Configuration, Ends, Points
+from shape_obs.configurations.base import Configuration, Ends, Points, Scene
 from shape_obs.geometry.coons import FINE, coons_patch
 from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, outer_corners, sample_lattice
 from shape_obs.geometry.observed import Observed
@@ -80,9 +80,7 @@ class Surface(Configuration, kind="surface"):
         """A lattice of rows x cols points."""
         return Grid(self.rows, self.cols)
 
-    def fit(
-        self, observed: Observed, prediction: Prediction | None, target: Array | None, depth: npt.NDArray[Any] | None
-    ) -> Fit:
+    def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Lay a Coons patch between the corners nearest to the predicted ones, else between the best four corners."""
         reason = self._rejection_reason(observed)
         if reason:

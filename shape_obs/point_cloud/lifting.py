@@ -21,6 +21,9 @@ MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry de
 _SMEARED: Final = 2.5  # widths next to a hidden piece, in which depth may be that of what hides it
 _COMPARED: Final = 6.0  # widths within which the rope's own depth is looked for
 _STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much within a few widths
+_ENOUGH: Final = 6  # pixels with depth that make a plane
+_IN_LINE: Final = 0.01  # of the squared spread: below it pixels lie in a line
+_OFF_PLANE: Final = 2.0  # mean distances from the plane: what lies farther off belongs to something else
 MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
 
 
@@ -110,7 +113,11 @@ def median_depth(
     reach: int,
     min_share: float,
 ) -> Array:
-    """Return the median depth of the mask around each point.
+    """Return the median depth of the mask around each point, measured from a plane through the depth there.
+
+    At a border the mask lies on one side of the point, and the median of a tilted sheet would be the depth some pixels
+    inside. The slope comes from the least squares of the inverse depth, which is linear in the pixel on a plane,
+    without what lies far off it.
 
     Args:
         depth: ``(H, W)`` read-only, uint16 or float32; 0, negative, non-finite or absurd = invalid.
@@ -119,29 +126,81 @@ def median_depth(
         left: Image column of its first pixel.
         top: Image row of its first pixel.
         points: ``(N, 2)`` image pixels.
-        reach: How far around a point is looked, pixels.
+        reach: How far around a point is looked, pixels; from 4 on at every second pixel.
         min_share: Of the mask's pixels there, that must have a valid depth.
 
     Returns:
         ``(N,)`` metres, NaN where too few have.
     """
     height, width = mask.shape
-    out, near = np.empty(len(points)), np.empty((2 * reach + 1) ** 2)
+    step = 1 + reach // 4
+    out, near = np.empty(len(points)), np.empty(((2 * reach) // step + 1) ** 2)
+    x, y, z = np.empty_like(near), np.empty_like(near), np.empty_like(near)
     for n in range(len(points)):
         out[n] = np.nan
         column, row = nearest_pixel(points[n, 0]) - left, nearest_pixel(points[n, 1]) - top
         inside = known = 0
-        for v in range(max(row - reach, 0), min(row + reach + 1, height)):
-            for u in range(max(column - reach, 0), min(column + reach + 1, width)):
-                if mask[v, u] != 0:
+        for v in range(row - reach, min(row + reach + 1, height), step):
+            if v < 0:
+                continue
+            for u in range(column - reach, min(column + reach + 1, width), step):
+                if u >= 0 and mask[v, u] != 0:
                     inside += 1
-                    z = depth[v + top, u + left] * unit
-                    if 0 < z < FARTHEST:
-                        near[known] = z
+                    metres = depth[v + top, u + left] * unit
+                    if 0 < metres < FARTHEST:
+                        x[known], y[known] = u + left - points[n, 0], v + top - points[n, 1]
+                        z[known] = near[known] = metres
                         known += 1
         if known >= max(min_share * inside, 1):
-            out[n] = _median(near, known)
+            middle = _median(near, known)
+            out[n] = _over_plane(x, y, z, near, known, middle) if known >= _ENOUGH else middle
     return out
+
+
+@compiled
+def _over_plane(x: Array, y: Array, z: Array, spare: Array, count: int, middle: float) -> float:
+    """Return the depth at the origin of a plane through the first ``count`` of some depths: their median above it.
+
+    Args:
+        x: ``(K,)`` pixels.
+        y: ``(K,)`` pixels.
+        z: ``(K,)`` metres.
+        spare: ``(K,)`` is overwritten.
+        count: How many are known.
+        middle: Their median.
+    """
+    slope_x = slope_y = level = 0.0
+    limit = np.inf
+    for _ in range(3):
+        n = sx = sy = sxx = sxy = syy = sw = sxw = syw = 0.0
+        for k in range(count):
+            w = middle / z[k] - 1
+            if abs(w - level - slope_x * x[k] - slope_y * y[k]) <= limit:
+                n += 1
+                sx += x[k]
+                sy += y[k]
+                sxx += x[k] * x[k]
+                sxy += x[k] * y[k]
+                syy += y[k] * y[k]
+                sw += w
+                sxw += x[k] * w
+                syw += y[k] * w
+        if n < _ENOUGH:
+            return middle
+        sxx, sxy, syy = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
+        sxw, syw = sxw - sx * sw / n, syw - sy * sw / n
+        spread = sxx * syy - sxy * sxy
+        if spread <= _IN_LINE * (sxx + syy) ** 2:
+            return middle  # no slope across a line of pixels
+        slope_x, slope_y = (sxw * syy - syw * sxy) / spread, (syw * sxx - sxw * sxy) / spread
+        level = (sw - slope_x * sx - slope_y * sy) / n
+        away = 0.0
+        for k in range(count):
+            away += min(abs(middle / z[k] - 1 - level - slope_x * x[k] - slope_y * y[k]), limit)
+        limit = max(_OFF_PLANE * away / count, 1e-6)
+    for k in range(count):
+        spare[k] = middle / z[k] - slope_x * x[k] - slope_y * y[k]
+    return middle / max(_median(spare, count), 0.5)
 
 
 @compiled

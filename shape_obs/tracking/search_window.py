@@ -69,14 +69,19 @@ class RegionSearch:
     regions: dict[Segmentation | None, Region] = field(default_factory=dict)
     clouds: dict[Segmentation | None, SeenCloud] = field(default_factory=dict)
 
+    @property
+    def whole(self) -> Window:
+        """The part of the image that may be searched."""
+        size = self.frame.size if self.mask is None else self.mask.shape
+        assert size is not None
+        return _window(self.roi, *size)
+
     def region(self, rule: Segmentation | None) -> Region:
         """Return the region of a rule, looked for where it is expected; what runs out of there, everywhere."""
         if rule in self.regions:
             return self.regions[rule]
-        frame, image = self.frame, self.mask if self.mask is not None else self.frame.rgb
-        image = image if image is not None else frame.depth
-        assert image is not None
-        whole = _window(self.roi, image.shape[0], image.shape[1])
+        frame = self.frame
+        whole = self.whole
         expected = predict_search_window(self.tracks[rule]) if rule in self.tracks else None
         reach = 1 if rule is None else 1 + rule.open + rule.close
         window, width = whole, 0.0

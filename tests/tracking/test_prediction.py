@@ -116,9 +116,9 @@ class TestSize:
             mask[56:64, 20:last] = 1
             seen.append(find_region(mask, Window(0, 0, 400, 120), 1, 0.0))
         spec = Centerline(n=9)
-        whole = spec.fit(seen[0], None, None, None)
+        whole = spec.fit(seen[0], None, None, Scene())
         prediction = predict(advance(None, whole, seen[0], 0.0), seen[1], 0.1)
-        shorter = spec.fit(seen[1], prediction, None, None)
+        shorter = spec.fit(seen[1], prediction, None, Scene())
         assert shorter.form.size < 0.993 * whole.size
         assert shorter.size == pytest.approx(0.997 * whole.size, rel=5e-4)
 
