@@ -32,13 +32,17 @@ class TrackHints(NamedTuple):
         hidden: Arc length at the start and at the end of an open curve that is known to exist but is hidden.
         slack: Hidden ends shorter than this are within the measuring error.
         size: The object's size as the track remembers it, if that is not the size found; else 0.
-        reference: ``(K, D)`` nodes of the past that a closed curve was numbered by; else None.
+        reference: ``(K, D)`` nodes of the past that a closed curve was numbered by, or the points of a lattice in
+            space; else None.
+        sides: ``(4,)`` the lengths of a sheet's sides as they are remembered, metres where the reference is in space;
+            else None.
     """
 
     hidden: tuple[float, float] = (0.0, 0.0)
     slack: float = 0.0
     size: float = 0.0
     reference: Array | None = None
+    sides: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

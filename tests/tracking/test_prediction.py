@@ -10,6 +10,7 @@ import pytest
 
 from shape_obs import Centerline, ShapeDetector
 from shape_obs.configurations import centerline
+from shape_obs.configurations.base import Scene
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.topology import Chain
 from shape_obs.image.find_region import find_region

@@ -1,0 +1,223 @@
+"""Put back the hidden part of a sheet's border.
+
+What is seen of the border is found by its length along the outline from the visible corners; the known border is laid
+over it (S. Umeyama, "Least-Squares Estimation of Transformation Parameters Between Two Point Patterns", 1991) and goes
+on where it is hidden. With depth, an outline next to which something nearer is seen is that of what hides the object.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.compiled import compiled
+from shape_obs.frame import FARTHEST
+from shape_obs.geometry.coons import FINE, RIM
+from shape_obs.geometry.polyline import arc_length
+from shape_obs.image.connected_runs import nearest_pixel
+from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, median_depth
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+SIDE: Final = FINE - 1  # points of a border from a corner to the next, which is not counted
+# A border is followed from a visible corner while it lies within so many pixels, and so much of the way, of where the
+# others put it; the last points before it leaves are not believed, nor are those next to a corner, which is rounded.
+_ASIDE: Final = (2.0, 0.05)
+_LAST: Final = 1
+_ROUND: Final = 1
+_LEAST_SEEN: Final = 0.3  # of the border
+_MISFIT: Final = 0.06  # of the size: the known border lies over what is seen of it at least so well
+_EVERY: Final = 4  # points of an outline to one whose depth is read
+_OUTWARDS: Final = 7  # pixels beyond an outline: a camera has no depth next to an edge
+_NEARER: Final = 0.008  # metres: what is nearer by more lies over the object
+
+
+class Border(NamedTuple):
+    """The border of a sheet, put back where it is hidden.
+
+    Args:
+        points: ``(96, D)``: from each corner, clockwise, to the next.
+        seen: ``(96,)`` whether the outline shows it.
+    """
+
+    points: Array
+    seen: Mask
+
+
+def complete_border(
+    expected: Array, known: Array, rim: Array, space: Array, corners: Indices, cut: Mask, sides: Array, slack: Array
+) -> Border | None:
+    """Return the whole border of a sheet of which a part is seen; None if too little is known.
+
+    Args:
+        expected: ``(96, 2)`` pixels, the border where it is predicted or as it was, 24 points to a side.
+        known: ``(96, D)`` the border as it was, wherever it lay.
+        rim: ``(400, 2)`` pixels, the outline.
+        space: ``(400, D)`` the same, in metres where it is known.
+        corners: ``(4,)`` points of the rim; -1 for a hidden one.
+        cut: ``(400,)`` whether something lies over what is behind this point.
+        sides: ``(4,)`` the known lengths.
+        slack: ``(4,)`` by which a length may be off.
+    """
+    arc = arc_length(np.ascontiguousarray(np.concatenate([space, space[:1]])))
+    visible = [k for k in range(4) if corners[k] >= 0]
+    start = SIDE * np.array(visible)
+    placed, _ = laid_over(expected[start], rim[corners[visible]], expected, scaled=True)
+    found, seen = np.zeros((4 * SIDE, space.shape[1])), np.zeros(4 * SIDE, bool)
+    for k, way in product(visible, (1, -1)):
+        side, other = (k, (k + 1) % 4) if way > 0 else ((k - 1) % 4, (k - 1) % 4)
+        length = sides[side]
+        if corners[other] >= 0:
+            between = way * (arc[corners[other]] - arc[corners[k]]) % arc[-1]
+            length = between if abs(between - length) < 2 * slack[side] else length
+        points = (SIDE * k + way * np.arange(SIDE + 1)) % (4 * SIDE)
+        at = (arc[corners[k]] + way * np.linspace(0, length, SIDE + 1)) % arc[-1]
+        pixels, places = _around(rim, arc, at), _around(space, arc, at)
+        far = np.linalg.norm(placed[points] - placed[points[0]], axis=1)
+        off = np.linalg.norm(pixels - pixels[0] - (placed[points] - placed[points[0]]), axis=1)
+        covered = cut[np.searchsorted(arc, at, side="right").clip(1, RIM) - 1]
+        wrong = (off > _ASIDE[0] + _ASIDE[1] * far) | covered
+        good = points[: SIDE + 1 if not wrong.any() else max(int(np.argmax(wrong)) - _LAST, 0)]
+        found[good], seen[good] = places[: len(good)], True
+    if seen.mean() < _LEAST_SEEN:
+        return None
+    known = _stretched(known, [k for k in range(4) if corners[k] < 0], sides)
+    laid = laid_over(known[seen], found[seen], known, scaled=space.shape[1] == 2)[0]
+    index = np.arange(4 * SIDE)
+    sharp = seen & (abs((index + SIDE // 2) % SIDE - SIDE // 2) > _ROUND)
+    if not sharp.any():
+        return None
+    off = found - laid
+    if np.sqrt((off[sharp] ** 2).sum(axis=1).mean()) > _MISFIT * sides.mean():
+        return None
+    off = [np.interp(index, index[sharp], column[sharp], period=4 * SIDE) for column in off.T]
+    return Border(laid + np.stack(off, axis=1), seen)
+
+
+def laid_over(pattern: Array, found: Array, points: Array, *, scaled: bool) -> tuple[Array, float]:
+    """Return points moved as a pattern ``(M, D)`` moves best onto what was found, and the scale (Umeyama 1991)."""
+    middle, centre = pattern.mean(axis=0), found.mean(axis=0)
+    left, values, right = np.linalg.svd((pattern - middle).T @ (found - centre))
+    signs = np.ones(len(values))
+    signs[-1] = np.sign(np.linalg.det(left) * np.linalg.det(right)) or 1.0
+    scale = float(values @ signs / max(float(((pattern - middle) ** 2).sum()), 1e-18)) if scaled else 1.0
+    return scale * (points - middle) @ (left * signs) @ right + centre, scale
+
+
+def _stretched(border: Array, hidden: list[int], sides: Array) -> Array:
+    """Return a border with its hidden corners out where the known lengths of the sides put them."""
+    border, share = border.copy(), np.arange(SIDE, 0, -1)[:, None] / SIDE
+    for k in hidden:
+        at, shift = SIDE * k, np.zeros(border.shape[1])
+        for way, side in ((1, k), (-1, (k - 1) % 4)):
+            points = border[(at + way * np.arange(SIDE + 1)) % (4 * SIDE)]
+            length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+            begin = points[0] - points[SIDE // 4]
+            shift += (sides[side] - length) * begin / max(float(np.linalg.norm(begin)), 1e-9)
+        for way in (1, -1):
+            border[(at + way * np.arange(1, SIDE)) % (4 * SIDE)] += share[1:] * shift
+        border[at] += shift
+    return border
+
+
+def _around(points: Array, arc: Array, at: Array) -> Array:
+    """Return places at arc positions of a closed curve ``(P, D)`` of arc length ``(P + 1,)``."""
+    return np.stack([np.interp(at, arc, np.append(column, column[0])) for column in points.T], axis=1)
+
+
+@compiled(
+    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], UniTuple(f8, 4))",
+    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], UniTuple(f8, 4))",
+)
+def look_around(
+    depth: npt.NDArray[Any],
+    unit: float,
+    mask: npt.NDArray[np.uint8],
+    left: int,
+    top: int,
+    rim: Array,
+    edge: tuple[float, float, float, float],
+) -> tuple[Array, Mask]:
+    """Return the depth along an outline, and where the object may go on beyond it.
+
+    Args:
+        depth: ``(H, W)`` as ``median_depth`` takes it; ``(0, 0)`` if there is none.
+        unit: Metres in a unit of depth.
+        mask: ``(h, w)`` uint8, C-contiguous.
+        left: Image column of its first pixel.
+        top: Image row of its first pixel.
+        rim: ``(P, 2)`` pixels, clockwise as seen, P a multiple of 4.
+        edge: Left, top, right, bottom: an outline that comes so far to either side may be cut there.
+
+    Returns:
+        ``(P,)`` metres, all NaN if less than half of the outline has depth; ``(P,)`` whether the outline is that of
+        something nearer that lies over the object, or of what is searched.
+    """
+    count = len(rim) // _EVERY
+    some, cut, flags = np.empty((count, 2)), np.zeros(len(rim), np.bool_), np.zeros(count, np.bool_)
+    z = np.full(len(rim), np.nan)
+    for k in range(count):
+        some[k, 0], some[k, 1] = rim[k * _EVERY, 0], rim[k * _EVERY, 1]
+        u, v = some[k, 0], some[k, 1]
+        flags[k] = u <= edge[0] or v <= edge[1] or u >= edge[2] or v >= edge[3]
+    if depth.size > 0:
+        under = median_depth(depth, unit, mask, left, top, some, MAX_REACH, MIN_SHARE)
+        if _bridged(under):
+            for k in range(count):
+                flags[k] = flags[k] or _covered(depth, unit, mask, left, top, some, k, under[k])
+                near, far = 1 / under[k], 1 / under[(k + 1) % count]
+                for i in range(_EVERY):
+                    z[k * _EVERY + i] = 1 / (near + (far - near) * i / _EVERY)
+    for k in range(count):
+        if flags[k] and (flags[k - 1] or flags[(k + 1) % count]):  # a single one is noise
+            for i in range(-_EVERY // 2, _EVERY // 2 + 1):
+                cut[(k * _EVERY + i) % len(rim)] = True
+    return z, cut
+
+
+@compiled
+def _bridged(z: Array) -> bool:
+    """Fill the gaps of values around a ring by straight lines of their inverse; return False if most are unknown."""
+    count, first, known = len(z), -1, 0
+    for k in range(count):
+        if z[k] > 0:
+            first, known = k if first < 0 else first, known + 1
+    if known < 0.5 * count:
+        return False
+    last = first
+    for step in range(1, count + 1):
+        k = (first + step) % count
+        if z[k] > 0:
+            gap = (k - last - 1) % count + 1
+            for i in range(1, gap):
+                z[(last + i) % count] = 1 / (1 / z[last] + (1 / z[k] - 1 / z[last]) * i / gap)
+            last = k
+    return True
+
+
+@compiled
+def _covered(
+    depth: npt.NDArray[Any], unit: float, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, k: int, z: float
+) -> bool:
+    """Return whether the first depth that is seen outside of an outline is nearer than the object."""
+    count = len(rim)
+    along_u, along_v = rim[(k + 1) % count, 0] - rim[k - 1, 0], rim[(k + 1) % count, 1] - rim[k - 1, 1]
+    reach = max((along_u * along_u + along_v * along_v) ** 0.5, 1e-9)
+    for step in range(_OUTWARDS):
+        away = step + 1.5
+        column = nearest_pixel(rim[k, 0] + away * along_v / reach)
+        row = nearest_pixel(rim[k, 1] - away * along_u / reach)
+        if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
+            return False
+        inside = 0 <= row - top < mask.shape[0] and 0 <= column - left < mask.shape[1]
+        metres = depth[row, column] * unit
+        if (inside and mask[row - top, column - left] != 0) or not 0 < metres < FARTHEST:
+            continue
+        if abs(metres - z) > _NEARER:
+            return metres < z
+    return False
