@@ -25,10 +25,10 @@ from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim, nearest_corners, rim_of
 from shape_obs.tracking.corner_matching import STRAYED, assign_corners, match_corners
-from shape_obs.tracking.hidden_border import SIDE, Border, look_around
-from shape_obs.tracking.sheet_view import KnownSheet, SheetView, first_known
+from shape_obs.tracking.hidden_border import SIDE, beneath_fold, look_around
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
-from shape_obs.tracking.validation import MAX_HIDDEN, validate_sheet
+from shape_obs.tracking.sheet_view import KnownSheet, SheetView, first_known
+from shape_obs.tracking.validation import MAX_HIDDEN, FitQuality, validate_sheet
 
 Array = npt.NDArray[np.float64]
 
@@ -40,6 +40,8 @@ _CELL: Final = 8  # pixels
 _SIGMA: Final = 0.5  # width of the map's neighbourhood, node units
 _MAX_CUT: Final = 0.03  # of the outline
 _NO_CORNERS: Final = "the outline's corners are not where the lattice's are"
+_OUT_OF_SIGHT: Final = "the sheet runs out of the camera's sight"
+_UNBENT: Final = (90.0, 0.0, 0.0, 0.0)
 _COVERED: Final = "something lies over the sheet's border"
 _MIN_PIECE: Final = 0.8  # of the mask: the largest piece, since a sheet cannot be connected over a gap
 
@@ -123,16 +125,22 @@ class Surface(Configuration, kind="surface"):
         patch, kink = coons_patch(view.space, view.turn, corners, view.step, view.grain)
         lattice = view.pixels(patch)
         if lattice is None:
-            return Fit(reason="the sheet runs out of the camera's sight")
-        if prediction is None:
-            hints = first_known(patch)
-        else:
+            return Fit(reason=_OUT_OF_SIGHT)
+        hints, measures = first_known(patch), _UNBENT
+        if prediction is not None:
             known = KnownSheet.of(prediction, view)
             reason = known.conflict(view, patch, lattice)
             if reason:
                 return Fit(reason=reason)
             hints = known.learn(view, patch)
-        return self._finish(view, patch, lattice, hints, kink, (int(stray[0]), float(stray[1])))
+        if prediction is None or not known.metric:
+            measures = assess_lattice(_flattened(patch).reshape(FINE, FINE, 2))
+        else:
+            stray = (0, 0.0)  # in space the lengths of the sides say more
+        hidden, stray = ~view.region.carries(lattice), (int(stray[0]), float(stray[1]))
+        off = float(hidden.mean())
+        verdict = validate_sheet(off, measures, view.region.noun, math.degrees(kink), stray, self.freedom)
+        return self._finish(view.region, lattice, hints, verdict, hidden)
 
     def _fit_hidden(self, view: SheetView, prediction: Prediction) -> Fit:
         """Lay the patch between sides of which a part is hidden and put back."""
@@ -144,25 +152,25 @@ class Surface(Configuration, kind="surface"):
         patch = blend_sides(np.ascontiguousarray(sides))
         lattice = view.pixels(patch) if known.metric else patch
         if lattice is None:
-            return Fit(reason="the sheet runs out of the camera's sight")
-        return self._finish(view, patch, lattice, known.seen_beside(border, patch), 0.0, (0, 0.0), border)
+            return Fit(reason=_OUT_OF_SIGHT)
+        hidden = ~view.region.carries(lattice)
+        if border.folded:
+            hidden |= beneath_fold(border, known.sides)
+        share, reason = float(hidden.mean()), ""
+        if share > MAX_HIDDEN:
+            reason = f"{share:.0%} of the sheet is hidden (at most {MAX_HIDDEN:.0%})"
+        verdict = FitQuality(reason, float(border.seen.mean()) ** 0.5)
+        return self._finish(view.region, lattice, known.seen_beside(border, patch), verdict, hidden)
 
     def _finish(
-        self, view: SheetView, patch: Array, points: Array, hints: TrackHints, kink: float, stray: tuple[int, float],
-        border: Border | None = None,
-    ) -> Fit:  # fmt: skip
-        """Return the fit of a lattice of ``(625, 2)`` pixels, ``(625, D)`` as it lies, if it can be trusted."""
-        region = view.region
+        self, region: Region, lattice: Array, hints: TrackHints, verdict: FitQuality, hidden: npt.NDArray[np.bool_]
+    ) -> Fit:
+        """Return the fit of a lattice of ``(625, 2)`` pixels, its inside moved with the map if that is asked for."""
+        form = FittedLattice.over(lattice, hidden, FINE, hints=hints)
         if self.epochs:
-            points = points + self._moved_inside(FittedLattice.over(points, np.zeros(len(points), bool), FINE), region)
-        hidden = ~region.carries(points)
-        form = FittedLattice.over(points, hidden, FINE, hints=hints)
-        off, seen = (float(hidden.mean()), 1.0) if border is None else (0.0, float(border.seen.mean()))
-        measures = assess_lattice(_flattened(patch).reshape(FINE, FINE, 2))
-        reason, quality = validate_sheet(off, measures, region.noun, math.degrees(kink), stray, self.freedom)
-        if border is not None and hidden.mean() > MAX_HIDDEN:
-            reason = f"{hidden.mean():.0%} of the sheet is hidden (at most {MAX_HIDDEN:.0%})"
-        return Fit(form, quality * seen, reason, points, _GRID, form.size, region.width, region, region.width)
+            form = form.with_points(form.points + self._moved_inside(form, region))
+        width = region.width
+        return Fit(form, verdict.quality, verdict.reason, form.points, _GRID, form.size, width, region, width)
 
     def _fit_in_cloud(self, observed: Observed, prediction: Prediction | None) -> Fit:
         """Lay the patch over a sheet that is unrolled, between the corners nearest to the predicted ones."""
@@ -197,7 +205,7 @@ class Surface(Configuration, kind="surface"):
         width, length, unit = observed.width, observed.length, observed.unit
         if width < _MIN_SIDE * observed.resolution:
             return f"the {observed.noun} is {width:.3g} {unit} wide: too small for a sheet"
-        if length > _MAX_ASPECT * width:
+        if length > _MAX_ASPECT * width and not tracked:
             return f"the {observed.noun} is {length:.4g} x {width:.4g} {unit}: too slender for a sheet"
         if isinstance(observed, Region):
             piece, cut = observed.outlined_share, observed.cut_share

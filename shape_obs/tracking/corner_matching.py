@@ -22,10 +22,9 @@ Vector = tuple[float, float, float]
 
 # Of half a diagonal. Cloths that bend and move by 30 px a frame stay below 0.025, a hand 12 px in radius makes 0.11.
 STRAYED: Final = 0.06
-# The choice of corners weighs these deviations, each once: of a corner from where the others put it, as a share of half
-# a diagonal; of all of them in place, likewise; in radians of turn; in the logarithm of the scale. A hidden corner costs
-# as much as two of them three times over; a side that is too long, with something over its middle, no more than that.
-_ASTRAY: Final = 0.035
+# The choice of corners weighs the squares of these deviations: of all of them in place, as a share of half a diagonal;
+# in radians of turn; in the logarithm of the scale. A hidden corner costs as much as three deviations; a side that is
+# too long, with something over its middle, at most two.
 _MOVED: Final = 0.3
 _TURNED: Final = 0.35
 _SCALED: Final = 0.15
@@ -114,9 +113,9 @@ def _cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8, f8[::1], f8[::1])")
+@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8, f8[::1], f8[::1], f8)")
 def assign_corners(
-    expected: Array, places: Array, arcs: Array, whole: float, sides: Array, slack: Array
+    expected: Array, places: Array, arcs: Array, whole: float, sides: Array, slack: Array, astray: float
 ) -> tuple[Indices, float]:
     """Return which of the places where an outline turns are the corners of a sheet; -1 for one that is hidden.
 
@@ -127,6 +126,7 @@ def assign_corners(
         whole: The outline's length.
         sides: ``(4,)`` the sheet's known lengths, from each corner to the next.
         slack: ``(4,)`` by which a length may be off.
+        astray: By how much a corner may lie from where the others put it, as a share of half a diagonal.
 
     Returns:
         ``(4,)`` indices, at least two of them places; and the cost. All -1 if no choice is possible.
@@ -152,7 +152,7 @@ def assign_corners(
                 possible = possible and abs(to[chosen[k]] - at[k]) < _REACH * reach
         if not possible or visible < 2:
             continue
-        cost = _cost_of_corners(chosen, visible, at, to, arcs, whole, sides, slack, reach)
+        cost = _cost_of_corners(chosen, visible, at, to, arcs, whole, sides, slack, reach, astray)
         if cost < least:
             least = cost
             for k in range(4):
@@ -163,7 +163,7 @@ def assign_corners(
 @compiled
 def _cost_of_corners(
     chosen: Indices, visible: int, at: Complexes, to: Complexes, arcs: Array, whole: float, sides: Array,
-    slack: Array, reach: float,
+    slack: Array, reach: float, astray: float,
 ) -> float:  # fmt: skip
     """Return what a choice of corners costs, infinity if they are not in order; see ``assign_corners``."""
     before = after = product = complex(0, 0)
@@ -189,6 +189,6 @@ def _cost_of_corners(
         return np.inf
     for k in range(4):
         if chosen[k] >= 0:
-            cost += (abs(to[chosen[k]] - after - product * (at[k] - before)) / (_ASTRAY * reach)) ** 2
+            cost += (abs(to[chosen[k]] - after - product * (at[k] - before)) / (astray * reach)) ** 2
     cost += (abs(after - before) / (_MOVED * reach)) ** 2 + (math.log(abs(product)) / _SCALED) ** 2
     return cost + (math.atan2(product.imag, product.real) / _TURNED) ** 2

@@ -25,16 +25,19 @@ Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 SIDE: Final = FINE - 1  # points of a border from a corner to the next, which is not counted
-# A border is followed from a visible corner while it lies within so many pixels, and so much of the way, of where the
-# others put it; the last points before it leaves are not believed, nor are those next to a corner, which is rounded.
-_ASIDE: Final = (2.0, 0.05)
+# A border is followed from a visible corner while it lies within so many pixels, in addition to a share of the way, of
+# where the others put it; the last points before it leaves are not believed, nor are those next to a rounded corner.
+_ASIDE: Final = 2.0
 _LAST: Final = 1
 _ROUND: Final = 1
+_LIES_OVER: Final = 0.3  # of the outline where a corner is hidden: next to so much of it something nearer is seen
+_STRAIGHT: Final = 3  # points of a side that give the direction in which it goes on
 _LEAST_SEEN: Final = 0.3  # of the border
 _MISFIT: Final = 0.06  # of the size: the known border lies over what is seen of it at least so well
 _EVERY: Final = 4  # points of an outline to one whose depth is read
 _OUTWARDS: Final = 7  # pixels beyond an outline: a camera has no depth next to an edge
 _NEARER: Final = 0.008  # metres: what is nearer by more lies over the object
+_INDEX: Final = np.arange(FINE * FINE).reshape(FINE, FINE)
 
 
 class Border(NamedTuple):
@@ -43,15 +46,18 @@ class Border(NamedTuple):
     Args:
         points: ``(96, D)``: from each corner, clockwise, to the next.
         seen: ``(96,)`` whether the outline shows it.
+        folded: First and last point of each piece around a corner that is hidden though nothing lies over it.
     """
 
     points: Array
     seen: Mask
+    folded: tuple[tuple[int, int], ...] = ()
 
 
 def complete_border(
-    expected: Array, known: Array, rim: Array, space: Array, corners: Indices, cut: Mask, sides: Array, slack: Array
-) -> Border | None:
+    expected: Array, known: Array, rim: Array, space: Array, corners: Indices, cut: Mask, sides: Array, slack: Array,
+    aside: float,
+) -> Border | None:  # fmt: skip
     """Return the whole border of a sheet of which a part is seen; None if too little is known.
 
     Args:
@@ -63,6 +69,7 @@ def complete_border(
         cut: ``(400,)`` whether something lies over what is behind this point.
         sides: ``(4,)`` the known lengths.
         slack: ``(4,)`` by which a length may be off.
+        aside: By how much of the way the border may lie off its form.
     """
     arc = arc_length(np.ascontiguousarray(np.concatenate([space, space[:1]])))
     visible = [k for k in range(4) if corners[k] >= 0]
@@ -81,7 +88,7 @@ def complete_border(
         far = np.linalg.norm(placed[points] - placed[points[0]], axis=1)
         off = np.linalg.norm(pixels - pixels[0] - (placed[points] - placed[points[0]]), axis=1)
         covered = cut[np.searchsorted(arc, at, side="right").clip(1, RIM) - 1]
-        wrong = (off > _ASIDE[0] + _ASIDE[1] * far) | covered
+        wrong = (off > _ASIDE + aside * far) | covered
         good = points[: SIDE + 1 if not wrong.any() else max(int(np.argmax(wrong)) - _LAST, 0)]
         found[good], seen[good] = places[: len(good)], True
     if seen.mean() < _LEAST_SEEN:
@@ -96,7 +103,72 @@ def complete_border(
     if np.sqrt((off[sharp] ** 2).sum(axis=1).mean()) > _MISFIT * sides.mean():
         return None
     off = [np.interp(index, index[sharp], column[sharp], period=4 * SIDE) for column in off.T]
-    return Border(laid + np.stack(off, axis=1), seen)
+    points, folded = laid + np.stack(off, axis=1), []
+    for k in range(4):
+        if corners[k] < 0 and space.shape[1] == 3:
+            piece = _folded_piece(points, seen, k, space, cut)
+            if piece is not None:
+                _unfold(points, *piece, SIDE * k, sides)
+                folded.append(piece)
+    return Border(points, seen, tuple(folded))
+
+
+def _folded_piece(points: Array, seen: Mask, k: int, space: Array, cut: Mask) -> tuple[int, int] | None:
+    """Return the last point seen before a hidden corner and the first one behind it if nothing lies over the corner."""
+    away = np.arange(1, 2 * SIDE)
+    before, behind = seen[(SIDE * k - away) % len(seen)], seen[(SIDE * k + away) % len(seen)]
+    if not (before.any() and behind.any()):
+        return None
+    first, last = SIDE * k - 1 - int(np.argmax(before)), SIDE * k + 1 + int(np.argmax(behind))
+    begin, end = (int(np.argmin(((space - points[p % len(points)]) ** 2).sum(axis=1))) for p in (first, last))
+    between = cut[(begin + np.arange((end - begin) % len(cut) + 1)) % len(cut)]
+    return None if between.mean() > _LIES_OVER else (first, last)
+
+
+def _unfold(points: Array, first: int, last: int, corner: int, sides: Array) -> None:
+    """Lay a folded corner flat: its sides go on straight, as long as they are known to be."""
+    count, places = len(points), []
+    for at, way, side in ((first, -1, corner // SIDE - 1), (last, 1, corner // SIDE)):
+        ahead = points[at % count] - points[(at + way * _STRAIGHT) % count]
+        length = abs(corner - at) / SIDE * sides[side]
+        places.append(points[at % count] + length / max(float(np.linalg.norm(ahead)), 1e-9) * ahead)
+    apex = (places[0] + places[1]) / 2
+    for at in (first, last):
+        share = np.arange(1, abs(corner - at) + 1)[:, None] / abs(corner - at)
+        index = (at + np.sign(corner - at) * np.arange(1, abs(corner - at) + 1)) % count
+        points[index] = points[at % count] + share * (apex - points[at % count])
+
+
+def beneath_fold(border: Border, sides: Array) -> Mask:
+    """Return which points of a lattice ``(625,)`` belong to a folded corner, or lie under it.
+
+    The sheet is folded along the chord between the visible ends of its border: what lies there is the mirror image.
+    """
+    width, height = (sides[0] + sides[2]) / 2, (sides[1] + sides[3]) / 2
+    v, u = np.divmod(np.arange(FINE * FINE), FINE)
+    lattice = np.stack([u * width, v * height], axis=1) / (FINE - 1)
+    outer = np.concatenate([_INDEX[0, :-1], _INDEX[:-1, -1], _INDEX[-1, :0:-1], _INDEX[:0:-1, 0]])
+    hidden = np.zeros(len(lattice), bool)
+    for first, last in border.folded:
+        a, b = lattice[outer[first % len(outer)]], lattice[outer[last % len(outer)]]
+        apex = lattice[outer[round((first + last) / 2 / SIDE) * SIDE % len(outer)]]
+        for tip in (apex, apex - 2 * _off_line(apex[None], a, b)[0]):
+            sides_of = [_turn(lattice, p, q) for p, q in ((a, b), (b, tip), (tip, a))]
+            inside = np.all([way >= 0 for way in sides_of], axis=0) | np.all([way <= 0 for way in sides_of], axis=0)
+            hidden |= inside
+    return hidden
+
+
+def _off_line(points: Array, a: Array, b: Array) -> Array:
+    """Return ``(P, 2)`` from the line through two points to each of some others."""
+    way = (b - a) / max(float(np.linalg.norm(b - a)), 1e-12)
+    away = points - a
+    return away - (away @ way)[:, None] * way
+
+
+def _turn(points: Array, a: Array, b: Array) -> Array:
+    """Return ``(P,)`` twice the area of the triangles of two points and each of some others, with its sign."""
+    return (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0])
 
 
 def laid_over(pattern: Array, found: Array, points: Array, *, scaled: bool) -> tuple[Array, float]:

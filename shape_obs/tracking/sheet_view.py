@@ -35,6 +35,10 @@ _ZOOM: Final = 0.03
 # and the known form follows by this share.
 _DENTED: Final = (0.035, 1.5)
 _FORGETTING: Final = 0.03
+# Of half a diagonal, by which a corner may stray from where the others put it in a frame, and of the way, by which a
+# border may stray from its form: without depth, and with it, where tilt and perspective are no evidence.
+_ASTRAY: Final = (0.035, 0.12)
+_ASIDE: Final = (0.05, 0.12)
 _NO_DEPTH = np.zeros((0, 0), np.float32)
 _NO_DEPTH.flags.writeable = False
 
@@ -203,15 +207,15 @@ class KnownSheet:
         arc, slack = arc_length(_closed(space)), self.slack(view)
         places = view.candidates[~view.cut[view.candidates]]
         expected = np.ascontiguousarray(self.expected[::SIDE])
-        found, cost = assign_corners(
-            expected, np.ascontiguousarray(view.rim[places]), arc[places], float(arc[-1]), self.sides, slack
-        )
+        at, astray = np.ascontiguousarray(view.rim[places]), _ASTRAY[self.metric]
+        found, cost = assign_corners(expected, at, arc[places], float(arc[-1]), self.sides, slack, astray)
         if not np.isfinite(cost):
             return None
         corners = np.where(found >= 0, places[found], -1)
         known = border_of(self.lattice)
         pattern = self.expected if self.metric else known
-        return complete_border(pattern, known, view.rim, space, corners, view.cut, self.sides, slack)
+        aside = _ASIDE[self.metric]
+        return complete_border(pattern, known, view.rim, space, corners, view.cut, self.sides, slack, aside)
 
 
 def first_known(patch: Array) -> TrackHints:
