@@ -19,8 +19,9 @@ from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_ro
 from shape_obs.geometry.samples import SAMPLED, Samples, pairs
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.region import Region
+from shape_obs.tracking.hidden_border import complete_outline, look_around, rim_depth
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
-from shape_obs.tracking.registration import match_outline, renumber_outline
+from shape_obs.tracking.registration import begun_at, match_in_space, match_outline, renumber_outline
 from shape_obs.tracking.validation import outline_miss, ring_miss, validate_outline
 
 if TYPE_CHECKING:
@@ -83,28 +84,65 @@ class Contour(Configuration, kind="contour"):
             curve, miss = self._run_som(observed, outline.points[0], topology)
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
             nodes, (reason, quality) = curve.even(topology.size), validate_outline(observed, miss)
+            lifted, _ = self._lift(observed, curve.points, scene)
+            if lifted is not None:
+                curve, nodes = begun_at(curve, lifted, 0.0, topology.size, None)
         else:
             topology = prediction.topology
-            curve, nodes, miss = self._track(observed, prediction.nodes[0], prediction)
+            curve, nodes, miss = self._track(observed, prediction.nodes[0], prediction, scene)
             reason, quality = validate_outline(observed, miss)
             if reason or abs(curve.arc[-1] / prediction.size - 1) > MAX_SIZE_CHANGE:
                 outline = observed.outline_curve(self.hole)
                 start = match_outline(outline, prediction)[0].points[0]
-                curve, nodes, miss = self._track(observed, start, prediction)
+                curve, nodes, miss = self._track(observed, start, prediction, scene)
                 reason, quality = validate_outline(observed, miss)
         return Fit(curve, quality, reason, nodes, topology, float(curve.arc[-1]), width, observed, width)
 
-    def _track(self, observed: Observed, start: Array, prediction: Prediction) -> tuple[FittedCurve, Array, float]:
-        """Run the self-organising map from a start and renumber the curve from where it began before."""
-        if isinstance(observed, Region):
-            traced = observed.traced_outline(self.hole)
-            points, arc, nodes, reference, miss = track_ring_in_mask(
-                traced.traced, traced.hole, start, prediction.reference, prediction.nodes
-            )
-            flags, hints = np.zeros(len(points), bool), TrackHints(reference=reference)
-            return FittedCurve(points, flags, arc, True, hints=hints), nodes, miss
+    def _track(
+        self, observed: Observed, start: Array, prediction: Prediction, scene: Scene
+    ) -> tuple[FittedCurve, Array, float]:
+        """Run the self-organising map from a start and renumber the curve from where it began before.
+
+        With depth the curve is numbered by its form in space; where something lies over it, by what is seen of it.
+        """
+        if not isinstance(observed, Region):
+            curve, miss = self._run_som(observed, start, prediction.topology)
+            return *match_outline(curve, prediction), miss
         curve, miss = self._run_som(observed, start, prediction.topology)
-        return *match_outline(curve, prediction), miss
+        lifted, cut = self._lift(observed, curve.points, scene)
+        known = prediction.hints.reference
+        if known is not None and known.shape[1] == 3 and lifted is None:
+            prediction = prediction._replace(hints=TrackHints())  # a frame without depth is numbered by its place
+        metric = lifted is not None and known is not None and known.shape[1] == 3
+        own = lifted if metric else curve
+        found, nodes = curve, prediction.nodes
+        if cut.any() and known is not None:
+            whole = complete_outline(curve, own, cut, known, prediction.nodes)
+            if whole is None:
+                return curve, nodes, np.inf
+            completed, begin = whole
+            pixels = completed.points if not metric else scene.intrinsics.project(completed.points)
+            curve = FittedCurve.through(pixels, np.zeros(len(pixels), bool), True)
+            return *begun_at(curve, completed, begin, len(nodes), known, learn=False), miss
+        if metric:
+            found, nodes = match_in_space(curve, lifted, prediction)
+        else:
+            found, nodes = match_outline(curve, prediction)
+            if lifted is not None:
+                near = int(np.argmin(((curve.points - nodes[0]) ** 2).sum(axis=1)))
+                found, nodes = begun_at(curve, lifted, float(lifted.arc[near]), len(nodes), None)
+        return found, nodes, miss
+
+    def _lift(
+        self, region: Observed, points: Array, scene: Scene
+    ) -> tuple[FittedCurve | None, npt.NDArray[np.bool_]]:
+        """Return an outline ``(P, 2)`` in space, None without depth, and where something lies over it, ``(P,)``."""
+        if not isinstance(region, Region) or self.hole is not None:
+            return None, np.zeros(len(points), bool)
+        lifted, cut = look_around(region, points, scene.depth, scene.intrinsics, scene.edge)
+        if lifted is None:
+            return None, cut
+        return FittedCurve.through(lifted, np.zeros(len(lifted), bool), True), cut
 
     def _run_som(self, observed: Observed, start: Array, topology: Topology) -> tuple[FittedCurve, float]:
         """Run the self-organising map on the outline from its place nearest to ``start``; return curve and miss."""
@@ -164,7 +202,7 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_ring_in_mask, track_ring_in_mask, _points_around, renumber_outline, material_outline
+        masks = fit_ring_in_mask, rim_depth, _points_around, renumber_outline, material_outline
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds
 

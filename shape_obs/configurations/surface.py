@@ -25,7 +25,7 @@ from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim, nearest_corners, rim_of
 from shape_obs.tracking.corner_matching import STRAYED, assign_corners, match_corners
-from shape_obs.tracking.hidden_border import SIDE, beneath_fold, look_around
+from shape_obs.tracking.hidden_border import SIDE, beneath_fold, rim_depth
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.sheet_view import KnownSheet, SheetView, first_known
 from shape_obs.tracking.validation import MAX_HIDDEN, FitQuality, validate_sheet
@@ -253,7 +253,7 @@ class Surface(Configuration, kind="surface"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = rim_of, material_outline, look_around, coons_patch, blend_sides, nearest_corners, assign_corners
+        masks = rim_of, material_outline, rim_depth, coons_patch, blend_sides, nearest_corners, assign_corners
         lattices = match_corners, assess_lattice, lattice_gauges, sample_lattice, _points_over, arc_length, interpolate
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
         return masks + lattices + maps

@@ -8,17 +8,23 @@ on where it is hidden. With depth, an outline next to which something nearer is 
 from __future__ import annotations
 
 from itertools import product
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST
+from shape_obs.frame import FARTHEST, readable_depth
 from shape_obs.geometry.coons import FINE, RIM
+from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, median_depth
+
+if TYPE_CHECKING:
+    from shape_obs.camera import Intrinsics
+    from shape_obs.image.region import Region
+    from shape_obs.image.roi import Window
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -34,7 +40,17 @@ _LIES_OVER: Final = 0.3  # of the outline where a corner is hidden: next to so m
 _STRAIGHT: Final = 3  # points of a side that give the direction in which it goes on
 _LEAST_SEEN: Final = 0.3  # of the border
 _MISFIT: Final = 0.06  # of the size: the known border lies over what is seen of it at least so well
-_EVERY: Final = 4  # points of an outline to one whose depth is read
+_MANY: Final = 320  # points of an outline: of so many, the depth under every fourth is read
+_TRIMMED: Final = 2  # points of a piece of an outline next to what hides it, which are not believed
+_LEAST_OUTLINE: Final = 0.4  # of an outline that must be seen in one piece
+_SAMPLES: Final = 64
+_STARTS: Final = 128  # at which the piece may begin, before these are refined
+_PLACE: Final = 0.05  # how much a place weighs against the form
+_AT_EDGE: Final = 0.8  # pixels
+_REACHES: Final = 8.0  # depth along an outline is read within this share of the object's width
+_LEAST_REACH: Final = 2
+_NO_DEPTH = np.zeros((0, 0), np.float32)
+_NO_DEPTH.flags.writeable = False
 _OUTWARDS: Final = 7  # pixels beyond an outline: a camera has no depth next to an edge
 _NEARER: Final = 0.008  # metres: what is nearer by more lies over the object
 _INDEX: Final = np.arange(FINE * FINE).reshape(FINE, FINE)
@@ -202,17 +218,43 @@ def _around(points: Array, arc: Array, at: Array) -> Array:
     return np.stack([np.interp(at, arc, np.append(column, column[0])) for column in points.T], axis=1)
 
 
-@compiled(
-    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], UniTuple(f8, 4))",
-    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], UniTuple(f8, 4))",
-)
 def look_around(
+    region: Region, points: Array, depth: npt.NDArray[Any] | None, intrinsics: Intrinsics | None, edge: Window | None
+) -> tuple[Array | None, Mask]:
+    """Return an outline ``(P, 2)`` in space, ``(P, 3)`` or None without depth, and where it is not the object's own.
+
+    Args:
+        region: The mask.
+        points: ``(P, 2)`` pixels, clockwise as seen, P a multiple of 4.
+        depth: ``(H, W)``; None if there is none.
+        intrinsics: The projection; None if there is none.
+        edge: The part of the image that is searched; None for the region's window.
+    """
+    readable, unit = _NO_DEPTH, 1.0
+    if depth is not None and intrinsics is not None:
+        readable, unit = readable_depth(depth)
+    left, top, width, height = edge or region.window
+    sides = left + _AT_EDGE, top + _AT_EDGE, left + width - 1 - _AT_EDGE, top + height - 1 - _AT_EDGE
+    reach = int(min(max(round(region.width / _REACHES), _LEAST_REACH), MAX_REACH))
+    z, cut = rim_depth(readable, unit, region.mask, region.window.left, region.window.top, points, reach, sides)
+    if intrinsics is None or np.isnan(z[0]):
+        return None, cut
+    lifted = intrinsics.deproject(points, z)
+    return (lifted if np.isfinite(lifted).all() else None), cut
+
+
+@compiled(
+    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, UniTuple(f8, 4))",
+    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, UniTuple(f8, 4))",
+)
+def rim_depth(
     depth: npt.NDArray[Any],
     unit: float,
     mask: npt.NDArray[np.uint8],
     left: int,
     top: int,
     rim: Array,
+    reach: int,
     edge: tuple[float, float, float, float],
 ) -> tuple[Array, Mask]:
     """Return the depth along an outline, and where the object may go on beyond it.
@@ -224,31 +266,33 @@ def look_around(
         left: Image column of its first pixel.
         top: Image row of its first pixel.
         rim: ``(P, 2)`` pixels, clockwise as seen, P a multiple of 4.
+        reach: How far around a point depth is read, pixels.
         edge: Left, top, right, bottom: an outline that comes so far to either side may be cut there.
 
     Returns:
         ``(P,)`` metres, all NaN if less than half of the outline has depth; ``(P,)`` whether the outline is that of
         something nearer that lies over the object, or of what is searched.
     """
-    count = len(rim) // _EVERY
+    every = 4 if len(rim) >= _MANY else 2 if 2 * len(rim) >= _MANY else 1
+    count = len(rim) // every
     some, cut, flags = np.empty((count, 2)), np.zeros(len(rim), np.bool_), np.zeros(count, np.bool_)
     z = np.full(len(rim), np.nan)
     for k in range(count):
-        some[k, 0], some[k, 1] = rim[k * _EVERY, 0], rim[k * _EVERY, 1]
+        some[k, 0], some[k, 1] = rim[k * every, 0], rim[k * every, 1]
         u, v = some[k, 0], some[k, 1]
         flags[k] = u <= edge[0] or v <= edge[1] or u >= edge[2] or v >= edge[3]
     if depth.size > 0:
-        under = median_depth(depth, unit, mask, left, top, some, MAX_REACH, MIN_SHARE)
+        under = median_depth(depth, unit, mask, left, top, some, reach, MIN_SHARE)
         if _bridged(under):
             for k in range(count):
                 flags[k] = flags[k] or _covered(depth, unit, mask, left, top, some, k, under[k])
                 near, far = 1 / under[k], 1 / under[(k + 1) % count]
-                for i in range(_EVERY):
-                    z[k * _EVERY + i] = 1 / (near + (far - near) * i / _EVERY)
+                for i in range(every):
+                    z[k * every + i] = 1 / (near + (far - near) * i / every)
     for k in range(count):
         if flags[k] and (flags[k - 1] or flags[(k + 1) % count]):  # a single one is noise
-            for i in range(-_EVERY // 2, _EVERY // 2 + 1):
-                cut[(k * _EVERY + i) % len(rim)] = True
+            for i in range(-every // 2, every // 2 + 1):
+                cut[(k * every + i) % len(rim)] = True
     return z, cut
 
 
@@ -293,3 +337,69 @@ def _covered(
         if abs(metres - z) > _NEARER:
             return metres < z
     return False
+
+
+def complete_outline(
+    curve: FittedCurve, space: FittedCurve, cut: Mask, known: Array, expected: Array
+) -> tuple[FittedCurve, float] | None:
+    """Return a closed curve of which a part is hidden with that part put back; None if too little is seen.
+
+    What is seen lies over a piece of the known outline of the same length: of all such pieces, over the one that it
+    fits best after a rigid motion, and that lies nearest to where it is expected.
+
+    Args:
+        curve: ``(P, 2)`` pixels, the outline of what is seen.
+        space: ``(P, D)`` the same in metres, or in pixels.
+        cut: ``(P,)`` whether it is not the object's own there.
+        known: ``(K, D)`` equally spaced around the outline as it was, wherever it lay.
+        expected: ``(K, 2)`` pixels, the same nodes where they are expected.
+
+    Returns:
+        The whole curve in the unit of ``space``, and the arc position at which the known outline begins.
+    """
+    count, size, whole = len(cut), len(known), arc_length(np.ascontiguousarray(np.concatenate([known, known[:1]])))[-1]
+    over = np.flatnonzero(cut)
+    free = np.diff(np.append(over, over[0] + count))
+    index = (over[int(np.argmax(free))] + np.arange(1, int(free.max()))) % count  # the longest piece that is its own
+    index = index[_TRIMMED : len(index) - _TRIMMED]
+    if len(index) < 8:
+        return None
+    seen, pixels = space.points[index], curve.points[index]
+    arc = arc_length(np.ascontiguousarray(seen))
+    if not _LEAST_OUTLINE * whole < arc[-1] < whole:
+        return None
+    some = np.linspace(0, len(index) - 1, _SAMPLES).round().astype(int)
+    ring = np.concatenate([known, known[:1]])
+    knots = arc_length(np.ascontiguousarray(ring))
+    around = np.linspace(0, whole, size + 1)
+
+    def misfit(begin: Array) -> Array:
+        at = (arc[some] + begin[:, None]) % whole
+        pattern = np.stack([np.interp(at, knots, column) for column in ring.T], axis=-1)
+        place = np.stack([np.interp(at, around, np.append(column, column[0])) for column in expected.T], axis=-1)
+        before = pattern - pattern.mean(axis=1, keepdims=True)
+        after = seen[some] - seen[some].mean(axis=0)
+        product = np.swapaxes(before, 1, 2) @ after
+        values = np.linalg.svd(product, compute_uv=False)
+        values[:, -1] *= np.sign(np.linalg.det(product))
+        own = (after**2).sum()
+        shape = (own + (before**2).sum(axis=(1, 2)) - 2 * values.sum(axis=1)) / own
+        away = ((place - pixels[some]) ** 2).sum(axis=(1, 2)) / ((pixels[some] - pixels[some].mean(axis=0)) ** 2).sum()
+        return shape + _PLACE * away
+
+    begin, step = np.arange(_STARTS) * (whole / _STARTS), whole / _STARTS
+    for _ in range(3):
+        best = begin[int(np.argmin(misfit(begin)))]
+        begin, step = best + step * np.linspace(-1, 1, 9), step / 4
+    at = (arc[some] + best) % whole
+    pattern = np.stack([np.interp(at, knots, column) for column in ring.T], axis=-1)
+    steps = max(round((whole - arc[-1]) / (arc[-1] / len(index))), 2)
+    rest = arc[-1] + (whole - arc[-1]) * np.arange(1, steps) / steps
+    ends = np.concatenate([[arc[-1], whole], rest])
+    hidden = np.stack([np.interp((ends + best) % whole, knots, column) for column in ring.T], axis=-1)
+    laid = laid_over(pattern, seen[some], hidden, scaled=False)[0]
+    share = (np.arange(1, steps) / steps)[:, None]
+    laid = laid[2:] + (1 - share) * (seen[-1] - laid[0]) + share * (seen[0] - laid[1])
+    points = np.concatenate([seen, laid])
+    flags = np.arange(len(points)) >= len(seen)
+    return FittedCurve.through(points, flags, True), float(-best)

@@ -26,6 +26,8 @@ Array = npt.NDArray[np.float64]
 # Numbered by the last frame alone, an outline of noisy pixels creeps by 6 px in 180 frames. The mean of some twenty
 # frames holds it, and is left behind by slow changes of shape alone.
 _FORGETTING: Final = 0.05
+_FORGETTING_SPACE: Final = 0.15  # in space, where an outline also bends
+_MOST_FORGOTTEN: Final = 0.003  # of the radius, in a frame: what a hand hides little by little is not forgotten
 # How much the place and direction of an outline weigh against its shape, whose match is worth 1. A square fits itself
 # four ways, a towel two: the way that turns least is chosen.
 _TURNING: Final = 0.05
@@ -51,11 +53,58 @@ def match_outline(curve: FittedCurve, prediction: Prediction) -> tuple[FittedCur
         points, arc, nodes, reference = renumber_outline(curve.points, reference, prediction.nodes)
         turned = FittedCurve(points, np.zeros(len(points), bool), arc, True)
     else:
-        shift = _index_shift_space(reference, prediction.nodes, curve.even(count))
+        nodes = curve.even(count)
+        shift = _index_shift_space(reference, prediction.nodes, nodes, nodes)
         turned = curve.starting_at(shift * curve.size / count)
         nodes = turned.even(count)
-        reference = _blend_space(reference, nodes)
+        reference = blend_space(reference, nodes)
     return replace(turned, hints=TrackHints(reference=reference)), nodes
+
+
+def match_in_space(curve: FittedCurve, lifted: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, Array]:
+    """Renumber a closed curve over an image by its form in space, which tilt and perspective do not change.
+
+    Args:
+        curve: ``(P, 2)`` pixels.
+        lifted: ``(P, 3)`` the same in metres.
+        prediction: Nodes in pixels, equally spaced in space, and a reference in metres.
+
+    Returns:
+        The same curve from the place where the predicted outline begins, and its ``(K, 2)`` nodes.
+    """
+    count = len(prediction.nodes)
+    at = np.arange(count) * (lifted.size / count)
+    shift = _index_shift_space(prediction.reference, prediction.nodes, lifted.even(count), across(curve, lifted, at))
+    return begun_at(curve, lifted, shift * lifted.size / count, count, prediction.reference)
+
+
+def begun_at(
+    curve: FittedCurve, lifted: FittedCurve, begin: float, count: int, reference: Array | None, *, learn: bool = True
+) -> tuple[FittedCurve, Array]:
+    """Return a curve from an arc position in space on, and its ``count`` nodes, equally spaced there.
+
+    Args:
+        curve: ``(P, 2)`` pixels.
+        lifted: ``(P, 3)`` the same in metres.
+        begin: Metres along it.
+        count: How many nodes.
+        reference: ``(count, 3)`` metres, what is known of its form; None if nothing is.
+        learn: Whether the reference moves towards what was found.
+    """
+    at = begin + np.arange(count) * (lifted.size / count)
+    found = lifted.at(at)
+    if reference is None:
+        reference = found
+    elif learn:
+        reference = blend_space(reference, found)
+    nodes = across(curve, lifted, at)
+    first = float(np.interp(begin % lifted.size, lifted.arc, curve.arc))
+    return replace(curve.starting_at(first), hints=TrackHints(reference=reference)), nodes
+
+
+def across(curve: FittedCurve, other: FittedCurve, at: Array) -> Array:
+    """Return the points of a closed curve at arc positions of the same curve in another space."""
+    return curve.at(np.interp(at % other.size, other.arc, curve.arc))
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8[:,::1])")
@@ -146,19 +195,22 @@ def blend(reference: Array, found: Array) -> Array:
         before_v += reference[k, 1] / count
         after_u += found[k, 0] / count
         after_v += found[k, 1] / count
-    cosine = sine = 0.0
+    cosine = sine = size = 0.0
     for k in range(count):
         x, y = reference[k, 0] - before_u, reference[k, 1] - before_v
+        size += x * x + y * y
         u, v = found[k, 0] - after_u, found[k, 1] - after_v
         cosine += x * u + y * v
         sine += x * v - y * u
     reach = math.sqrt(cosine * cosine + sine * sine)
     cosine, sine = (cosine / reach, sine / reach) if reach > 0 else (1.0, 0.0)
     out = np.empty_like(found)
+    most = _MOST_FORGOTTEN * math.sqrt(size / count)
     for k in range(count):
         x, y = reference[k, 0] - before_u, reference[k, 1] - before_v
-        out[k, 0] = found[k, 0] + (1 - _FORGETTING) * (x * cosine - y * sine - (found[k, 0] - after_u))
-        out[k, 1] = found[k, 1] + (1 - _FORGETTING) * (x * sine + y * cosine - (found[k, 1] - after_v))
+        u, v = x * cosine - y * sine + after_u, x * sine + y * cosine + after_v
+        out[k, 0] = u + max(-most, min(_FORGETTING * (found[k, 0] - u), most))
+        out[k, 1] = v + max(-most, min(_FORGETTING * (found[k, 1] - v), most))
     return out
 
 
@@ -230,17 +282,17 @@ def _score(shape: Array, place: Array, flat: float, turns: float) -> float:
     return math.sqrt(real * real + imaginary * imaginary) + flat * still
 
 
-def _blend_space(reference: Array, found: Array) -> Array:
+def blend_space(reference: Array, found: Array) -> Array:
     """Return the reference laid over ``found`` and moved a little there, all ``(K, D)``."""
     before, after = reference - reference.mean(axis=0), found - found.mean(axis=0)
     left, _, right = np.linalg.svd(before.T @ after)
     left[:, -1] *= np.sign(np.linalg.det(left) * np.linalg.det(right))
-    return found + (1 - _FORGETTING) * (before @ left @ right - after)
+    return found + (1 - _FORGETTING_SPACE) * (before @ left @ right - after)
 
 
-def _index_shift_space(reference: Array, predicted: Array, found: Array) -> float:
-    """Return what ``index_shift`` returns, in space: all ``(K, 3)``."""
-    shape, place = _cross_spectrum(reference, found), _cross_spectrum(predicted, found)
+def _index_shift_space(reference: Array, predicted: Array, found: Array, seen: Array) -> float:
+    """Return what ``index_shift`` returns, by forms in space ``(K, 3)`` and places, expected and seen, ``(K, D)``."""
+    shape, place = _cross_spectrum(reference, found), _cross_spectrum(predicted, seen)
     shifts = np.arange(_SHIFTS) / _SHIFTS
     turned, still = _rotated(_at(shape, shifts)), np.einsum("dds->s", _at(place, shifts))
     flat = _FLAT / (1 + float(np.ptp(turned)) / _FLAT)

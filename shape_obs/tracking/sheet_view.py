@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.frame import readable_depth
 from shape_obs.geometry.coons import FINE, RIM
 from shape_obs.geometry.curve import TrackHints
 from shape_obs.geometry.outline import material_outline
@@ -39,8 +38,6 @@ _FORGETTING: Final = 0.03
 # border may stray from its form: without depth, and with it, where tilt and perspective are no evidence.
 _ASTRAY: Final = (0.035, 0.12)
 _ASIDE: Final = (0.05, 0.12)
-_NO_DEPTH = np.zeros((0, 0), np.float32)
-_NO_DEPTH.flags.writeable = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,17 +71,8 @@ class SheetView:
         """Return the outline of a region, in space if the frame has depth along it."""
         outline = material_outline(region.outline.traced, False)[1]
         rim, turn, candidates, step, grain = rim_of(outline)
-        depth, unit = _NO_DEPTH, 1.0
-        if scene.depth is not None and scene.intrinsics is not None:
-            depth, unit = readable_depth(scene.depth)
-        left, top, width, height = scene.edge or region.window
-        edge = left + 0.8, top + 0.8, left + width - 1.8, top + height - 1.8
-        z, cut = look_around(depth, unit, region.mask, region.window.left, region.window.top, rim, edge)
-        space, camera = rim, None
-        if scene.intrinsics is not None and not np.isnan(z[0]):
-            lifted = scene.intrinsics.deproject(rim, z)
-            if np.isfinite(lifted).all():
-                space, camera = lifted, scene.intrinsics
+        lifted, cut = look_around(region, rim, scene.depth, scene.intrinsics, scene.edge)
+        space, camera = (rim, None) if lifted is None else (lifted, scene.intrinsics)
         return cls(region, rim, turn, candidates, step, grain, space, cut, camera)
 
     @property
