@@ -96,20 +96,20 @@ class Surface(Configuration, kind="surface"):
             view = SheetView.of(observed, scene)
             found = self._fit_whole(view, view.best_corners(), None)
         else:
-            found = self._track(SheetView.of(observed, scene), prediction)
+            found = self._track(SheetView.of(observed, scene), prediction, scene)
         if found.reason or prediction is not None:
             return found
         form = self.apply_index_order(found.form, observed.seen(found.form.points, target), target)
         return found._replace(form=form, nodes=form.points)
 
-    def _track(self, view: SheetView, prediction: Prediction) -> Fit:
+    def _track(self, view: SheetView, prediction: Prediction, scene: Scene) -> Fit:
         """Fit a sheet in an image: as a whole if nothing hides its border, else with its border put back."""
         whole = Fit(reason=_COVERED)
         if not view.cut.any():
             whole = self._fit_whole(view, view.corners_near(prediction), prediction)
         if not whole.reason:
             return whole
-        found = self._fit_hidden(view, prediction)
+        found = self._fit_hidden(view, prediction, scene)
         if found.reason and not view.cut.any():
             found = self._fit_whole(view, view.best_corners(), prediction)
         return found if not found.reason or whole.reason == _COVERED else whole
@@ -142,10 +142,10 @@ class Surface(Configuration, kind="surface"):
         verdict = validate_sheet(off, measures, view.region.noun, math.degrees(kink), stray, self.freedom)
         return self._finish(view.region, lattice, hints, verdict, hidden)
 
-    def _fit_hidden(self, view: SheetView, prediction: Prediction) -> Fit:
+    def _fit_hidden(self, view: SheetView, prediction: Prediction, scene: Scene) -> Fit:
         """Lay the patch between sides of which a part is hidden and put back."""
         known = KnownSheet.of(prediction, view)
-        border = known.complete(view)
+        border = known.complete(view, scene.depth)
         if border is None:
             return Fit(reason="too little of the sheet's border is seen to know where the rest is")
         sides = border.points[(np.arange(4)[:, None] * SIDE + np.arange(FINE)) % (4 * SIDE)]

@@ -71,8 +71,8 @@ class Border(NamedTuple):
 
 
 def complete_border(
-    expected: Array, known: Array, rim: Array, space: Array, corners: Indices, cut: Mask, sides: Array, slack: Array,
-    aside: float,
+    expected: Array, known: Array, rim: Array, space: Array, corners: Indices, cut: Mask, kinks: Mask,
+    sides: Array, slack: Array, aside: float,
 ) -> Border | None:  # fmt: skip
     """Return the whole border of a sheet of which a part is seen; None if too little is known.
 
@@ -83,6 +83,7 @@ def complete_border(
         space: ``(400, D)`` the same, in metres where it is known.
         corners: ``(4,)`` points of the rim; -1 for a hidden one.
         cut: ``(400,)`` whether something lies over what is behind this point.
+        kinks: ``(400,)`` whether it turns there as no sheet's side does.
         sides: ``(4,)`` the known lengths.
         slack: ``(4,)`` by which a length may be off.
         aside: By how much of the way the border may lie off its form.
@@ -103,7 +104,7 @@ def complete_border(
         pixels, places = _around(rim, arc, at), _around(space, arc, at)
         far = np.linalg.norm(placed[points] - placed[points[0]], axis=1)
         off = np.linalg.norm(pixels - pixels[0] - (placed[points] - placed[points[0]]), axis=1)
-        covered = cut[np.searchsorted(arc, at, side="right").clip(1, RIM) - 1]
+        covered = (cut | kinks)[np.searchsorted(arc, at, side="right").clip(1, RIM) - 1]
         wrong = (off > _ASIDE + aside * far) | covered
         good = points[: SIDE + 1 if not wrong.any() else max(int(np.argmax(wrong)) - _LAST, 0)]
         found[good], seen[good] = places[: len(good)], True

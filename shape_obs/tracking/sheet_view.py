@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.geometry.coons import FINE, RIM
+from shape_obs.geometry.coons import FINE, RIM, TURN_REACH
 from shape_obs.geometry.curve import TrackHints
 from shape_obs.geometry.outline import material_outline
 from shape_obs.geometry.polyline import arc_length
@@ -36,6 +36,8 @@ _DENTED: Final = (0.035, 1.5)
 _FORGETTING: Final = 0.03
 # Of half a diagonal, by which a corner may stray from where the others put it in a frame, and of the way, by which a
 # border may stray from its form: without depth, and with it, where tilt and perspective are no evidence.
+_INNER: Final = 0.06  # of the width: so far inside of its border the sheet's own plane is measured
+_KINK: Final = 0.45  # radians by which the border of a sheet turns within it at a fold, and nowhere else but at a corner
 _ASTRAY: Final = (0.035, 0.12)
 _ASIDE: Final = (0.05, 0.12)
 
@@ -86,6 +88,27 @@ class SheetView:
             return points
         pixels = self.camera.project(points)
         return pixels if np.isfinite(pixels).all() else None
+
+    def turns_in_sheet(self, depth: npt.NDArray[Any]) -> Array:
+        """Return ``(400,)`` radians by which the outline turns within the sheet, which bending does not change.
+
+        A border that bends out of the sheet's plane turns in the image and not within the sheet; a fold's edge does.
+        """
+        back, ahead = np.roll(self.rim, TURN_REACH // 2, axis=0), np.roll(self.rim, -TURN_REACH // 2, axis=0)
+        along = ahead - back
+        inwards = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
+        inner = self.rim + _INNER * self.region.width * inwards
+        lifted = look_around(self.region, np.ascontiguousarray(inner), depth, self.camera, None)[0]
+        if lifted is None:
+            return np.zeros(len(self.rim))
+        before = self.space - np.roll(self.space, TURN_REACH, axis=0)
+        after = np.roll(self.space, -TURN_REACH, axis=0) - self.space
+        normal = np.cross(before + after, lifted - self.space)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        before -= (before * normal).sum(axis=1, keepdims=True) * normal
+        after -= (after * normal).sum(axis=1, keepdims=True) * normal
+        return np.arctan2((np.cross(before, after) * normal).sum(axis=1), (before * after).sum(axis=1))
 
     def best_corners(self) -> Indices | None:
         """Return ``(4,)`` the points most like the corners of a sheet, clockwise; None if there are not four."""
@@ -189,7 +212,7 @@ class KnownSheet:
         share = float(np.median(side_lengths(border.points)[whole] / self.sides[whole]))
         return self.hints._replace(sides=self.sides * np.clip(share, 1 - _STRETCH, 1 + _STRETCH))
 
-    def complete(self, view: SheetView) -> Border | None:
+    def complete(self, view: SheetView, depth: npt.NDArray[Any] | None) -> Border | None:
         """Return the whole border, put back where it is hidden; None if too little of it is seen."""
         space = view.space if self.metric else view.rim
         arc, slack = arc_length(_closed(space)), self.slack(view)
@@ -200,10 +223,15 @@ class KnownSheet:
         if not np.isfinite(cost):
             return None
         corners = np.where(found >= 0, places[found], -1)
+        kinks = np.zeros(RIM, bool)
+        if self.metric and depth is not None:
+            turns = np.abs(view.turns_in_sheet(depth)) > _KINK
+            near = np.abs((np.arange(RIM) - corners[corners >= 0][:, None] + RIM // 2) % RIM - RIM // 2) <= TURN_REACH
+            kinks = turns & ~near.any(axis=0)
         known = border_of(self.lattice)
         pattern = self.expected if self.metric else known
         aside = _ASIDE[self.metric]
-        return complete_border(pattern, known, view.rim, space, corners, view.cut, self.sides, slack, aside)
+        return complete_border(pattern, known, view.rim, space, corners, view.cut, kinks, self.sides, slack, aside)
 
 
 def first_known(patch: Array) -> TrackHints:

@@ -39,7 +39,7 @@ class FlatScene:
     Args:
         space: ``(R, C, 3)`` metres, the material grid, camera frame.
         points: ``(R, C, 2)`` its pixels.
-        hidden: ``(R, C)`` bool: something lies over the point, or it is out of the image.
+        hidden: ``(R, C)`` bool: something lies over the point, its back is turned to the camera, or it is out of sight.
         mask: ``(H, W)`` uint8, 0 or 255.
         depth: ``(H, W)`` float32 metres, 0 where nothing returns any.
         shown: The share of the object that is seen.
@@ -264,6 +264,9 @@ def _seen(
     mask = np.where(drawn & ~over, np.uint8(255), np.uint8(0))
     shown = np.count_nonzero(mask) / max(whole, 1) * float(np.mean(inside))
     shape = space.shape[:2]
+    down, right = np.gradient(pixels.reshape(*shape, 2), axis=(0, 1))
+    turned = (right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]).ravel() < 0
+    hidden |= turned != (np.mean(turned) > 0.5)  # its back is seen, as that of a folded corner
     return FlatScene(space, pixels.reshape(*shape, 2), hidden.reshape(shape), mask, depth.astype(np.float32), shown)
 
 
