@@ -167,7 +167,7 @@ def outlines_under_hands(
         frames: list[Row] = []
         for seed, speed in product(seeds, speeds):
             rng = np.random.default_rng((seed, round(10 * speed)))
-            scenes = under_hand(rng, ring(rng, hollow), view, "side", speed, moving)
+            scenes = under_hand(rng, ring(rng, hollow), view, "side", speed, moving, level=not with_depth)
             frames += seen_outline(scenes, view, with_depth)
         yield Row(rows=view.height, ring=hollow, moving=moving, depth=with_depth, **tally_visible(frames))
 

@@ -171,7 +171,7 @@ def cloths_under_hands(
         frames: list[Row] = []
         for seed, speed in product(seeds, speeds):
             rng = np.random.default_rng((seed, round(10 * speed)))
-            scenes = under_hand(rng, cloth(ASPECTS[seed % 3]), view, place, speed, moving)
+            scenes = under_hand(rng, cloth(ASPECTS[seed % 3]), view, place, speed, moving, level=not with_depth)
             frames += seen_points(scenes, view, with_depth)
         yield Row(rows=view.height, hand=place, moving=moving, depth=with_depth, **tally_visible(frames))
 

@@ -90,7 +90,14 @@ def ring(rng: np.random.Generator, hollow: bool) -> Array:
 
 
 def under_hand(
-    rng: np.random.Generator, flat: Array, view: View, place: Hand, speed: float, moving: float = 0.0
+    rng: np.random.Generator,
+    flat: Array,
+    view: View,
+    place: Hand,
+    speed: float,
+    moving: float = 0.0,
+    *,
+    level: bool = False,
 ) -> Iterator[FlatScene]:
     """Draw a flat object over which a hand comes from outside, stays and goes.
 
@@ -101,9 +108,12 @@ def under_hand(
         place: What the hand covers.
         speed: Pixels of a 640 x 480 image per frame, of the hand.
         moving: The same of the object.
+        level: Whether the object lies flat on a table under the camera: without depth, tilt looks like hiding.
     """
     scale, closed = view.height / 480, len(flat) == _BAND[0]
-    pose = _Pose(rng, tilt=np.radians(15), lift=0.03)
+    pose = _Pose(
+        rng, tilt=0.0 if level else np.radians(15), lift=0.0 if level else 0.03, bend="flat" if level else None
+    )
     border = flat[-1] if closed else flat[[0, 0, -1, -1], [0, -1, -1, 0]]
     at = int(rng.integers(len(border)))
     target = border[at] if place == "corner" or closed else (border[at] + border[(at + 1) % 4]) / 2
@@ -170,7 +180,9 @@ def noisy_depth(scenes: Iterator[FlatScene], view: View, seed: int) -> Iterator[
 class _Pose:
     """A smooth motion: material points -> camera frame."""
 
-    def __init__(self, rng: np.random.Generator, tilt: float, lift: float, bend: Motion | None = None) -> None:
+    def __init__(
+        self, rng: np.random.Generator, tilt: float, lift: float, bend: Motion | Literal["flat"] | None = None
+    ) -> None:
         self.tilt, self.lift, self.bend = tilt, lift, bend
         self.phase, self.pace = rng.uniform(0, 2 * np.pi, 8), rng.uniform(0.5, 1.0, 8)
         self.spin, self.start = rng.uniform(0.1, 0.3) * rng.choice([-1, 1]), rng.uniform(-np.pi, np.pi)
@@ -188,6 +200,8 @@ class _Pose:
         return turned + away
 
     def _bent(self, flat: Array, time: float) -> Array:
+        if self.bend == "flat":
+            return np.concatenate([flat, np.zeros((*flat.shape[:2], 1))], axis=-1)
         if self.bend not in ("corner up", "folded"):
             way, bend = np.array([np.cos(self.towards), np.sin(self.towards)]), 1.5 * np.sin(self.pace[4] * time)
             halves = [_rolled(flat, side * way, 0.0, 1 / max(abs(bend), 1e-3), np.pi) for side in (1, -1)]
