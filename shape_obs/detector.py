@@ -35,8 +35,7 @@ from shape_obs.utils.threads import use_no_threads_in_forked_children
 Array = npt.NDArray[np.float64]
 ShapeLike = Configuration | Mapping[str, Any] | str
 
-# Frames after which all of the image is searched, though every shape is tracked: what was hidden may be back.
-_SEARCH_ALL: Final = 30
+_SEARCH_ALL: Final = 30  # frames, after which all of the image is searched: what was hidden may be back
 _MIN_SAMPLES: Final = 16  # pixels or points of an object
 
 use_no_threads_in_forked_children()
@@ -211,8 +210,7 @@ class ShapeDetector:
 
     def _find(self, spec: Configuration, search: RegionSearch, target: Array | None, moment: _Moment) -> Fit:
         """Find one shape in an image: near where the track expects it, and if that fails everywhere."""
-        frame, camera = moment.frame, moment.frame.camera
-        scene = Scene(frame.depth, None if camera is None else camera.intrinsics, search.whole)
+        scene = Scene(moment.frame.depth, moment.frame.camera and moment.frame.camera.intrinsics, search.whole)
         while True:
             now, timings = time.perf_counter(), moment.timings
             observed: Observed = search.region(spec.segmentation)  # image -> region
@@ -225,9 +223,7 @@ class ShapeDetector:
             if not found.reason or not search.widen(spec.segmentation):
                 return found
 
-    def _fit(
-        self, spec: Configuration, observed: Observed, target: Array | None, moment: _Moment, scene: Scene
-    ) -> Fit:
+    def _fit(self, spec: Configuration, observed: Observed, target: Array | None, moment: _Moment, scene: Scene) -> Fit:
         """Fit a configuration to an object, from its track if there is one, and advance the track."""
         if self._kinds.setdefault(spec.name, type(observed)) is not type(observed):
             self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres
@@ -236,8 +232,8 @@ class ShapeDetector:
         if not observed.pieces:
             return Fit(reason=f"the {observed.noun} is empty")
         if observed.area < _MIN_SAMPLES:
-            have = f"the {observed.noun} has {observed.area} {observed.sample_unit}"
-            return Fit(reason=f"{have}, at least {_MIN_SAMPLES} are needed")
+            have = observed.area, observed.sample_unit
+            return Fit(reason="the {} has {} {}, at least {} are needed".format(observed.noun, *have, _MIN_SAMPLES))
         track = self._tracks.get(spec.name)
         found = spec.fit(observed, predict(track, observed, moment.stamp), target, scene)
         if not found.reason:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -21,7 +21,7 @@ from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.region import Region
 from shape_obs.tracking.hidden_border import complete_outline, look_around, rim_depth
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
-from shape_obs.tracking.registration import begun_at, match_in_space, match_outline, renumber_outline
+from shape_obs.tracking.registration import blend_space, index_shift_space, match_outline, renumber_outline
 from shape_obs.tracking.validation import outline_miss, ring_miss, validate_outline
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class Contour(Configuration, kind="contour"):
             nodes, (reason, quality) = curve.even(topology.size), validate_outline(observed, miss)
             lifted, _ = self._lift(observed, curve.points, scene)
             if lifted is not None:
-                curve, nodes = begun_at(curve, lifted, 0.0, topology.size, None)
+                curve, nodes = _begun_at(curve, lifted, 0.0, topology.size, None)
         else:
             topology = prediction.topology
             curve, nodes, miss = self._track(observed, prediction.nodes[0], prediction, scene)
@@ -123,19 +123,17 @@ class Contour(Configuration, kind="contour"):
             completed, begin = whole
             pixels = completed.points if not metric else scene.intrinsics.project(completed.points)
             curve = FittedCurve.through(pixels, np.zeros(len(pixels), bool), True)
-            return *begun_at(curve, completed, begin, len(nodes), known, learn=False), miss
+            return *_begun_at(curve, completed, begin, len(nodes), known, learn=False), miss
         if metric:
-            found, nodes = match_in_space(curve, lifted, prediction)
+            found, nodes = _match_in_space(curve, lifted, prediction)
         else:
             found, nodes = match_outline(curve, prediction)
             if lifted is not None:
                 near = int(np.argmin(((curve.points - nodes[0]) ** 2).sum(axis=1)))
-                found, nodes = begun_at(curve, lifted, float(lifted.arc[near]), len(nodes), None)
+                found, nodes = _begun_at(curve, lifted, float(lifted.arc[near]), len(nodes), None)
         return found, nodes, miss
 
-    def _lift(
-        self, region: Observed, points: Array, scene: Scene
-    ) -> tuple[FittedCurve | None, npt.NDArray[np.bool_]]:
+    def _lift(self, region: Observed, points: Array, scene: Scene) -> tuple[FittedCurve | None, npt.NDArray[np.bool_]]:
         """Return an outline ``(P, 2)`` in space, None without depth, and where something lies over it, ``(P,)``."""
         if not isinstance(region, Region) or self.hole is not None:
             return None, np.zeros(len(points), bool)
@@ -227,16 +225,6 @@ def fit_ring_in_mask(traced: Array, hole: bool, start: Array, count: int) -> tup
     return curve, ring_miss(samples, unit, curve, _PIECES) / SAMPLED
 
 
-@compiled("(f8[:,::1], b1, f8[::1], f8[:,::1], f8[:,::1])")
-def track_ring_in_mask(
-    traced: Array, hole: bool, start: Array, reference: Array, predicted: Array
-) -> tuple[Array, Array, Array, Array, float]:
-    """Fit a ring as ``fit_ring_in_mask`` does and renumber it as ``renumber_outline`` does, all in one call."""
-    curve, miss = fit_ring_in_mask(traced, hole, start, len(predicted))
-    points, arc, nodes, reference = renumber_outline(curve, reference, predicted)
-    return points, arc, nodes, reference, miss
-
-
 @compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8)")
 def _points_around(points: Array, arc: Array, metric: Array, metric_arc: Array, count: int) -> Array:
     """Return ``count`` points of a closed curve with equal chords in a metric, from its first point."""
@@ -252,3 +240,49 @@ def _least(values: Array, form: FittedCurve) -> float:
     bend = fall + rise
     shift = (fall * after - rise * before) / (2 * bend) if bend > 0 else 0.0
     return float(form.arc[at] + np.clip(shift, -before, after))
+
+
+def _match_in_space(curve: FittedCurve, lifted: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, Array]:
+    """Renumber a closed curve over an image by its form in space, which tilt and perspective do not change.
+
+    Args:
+        curve: ``(P, 2)`` pixels.
+        lifted: ``(P, 3)`` the same in metres.
+        prediction: Nodes in pixels, equally spaced in space, and a reference in metres.
+
+    Returns:
+        The same curve from the place where the predicted outline begins, and its ``(K, 2)`` nodes.
+    """
+    count = len(prediction.nodes)
+    at = np.arange(count) * (lifted.size / count)
+    shift = index_shift_space(prediction.reference, prediction.nodes, lifted.even(count), _across(curve, lifted, at))
+    return _begun_at(curve, lifted, shift * lifted.size / count, count, prediction.reference)
+
+
+def _begun_at(
+    curve: FittedCurve, lifted: FittedCurve, begin: float, count: int, reference: Array | None, *, learn: bool = True
+) -> tuple[FittedCurve, Array]:
+    """Return a curve from an arc position in space on, and its ``count`` nodes, equally spaced there.
+
+    Args:
+        curve: ``(P, 2)`` pixels.
+        lifted: ``(P, 3)`` the same in metres.
+        begin: Metres along it.
+        count: How many nodes.
+        reference: ``(count, 3)`` metres, what is known of its form; None if nothing is.
+        learn: Whether the reference moves towards what was found.
+    """
+    at = begin + np.arange(count) * (lifted.size / count)
+    found = lifted.at(at)
+    if reference is None:
+        reference = found
+    elif learn:
+        reference = blend_space(reference, found)
+    nodes = _across(curve, lifted, at)
+    first = float(np.interp(begin % lifted.size, lifted.arc, curve.arc))
+    return replace(curve.starting_at(first), hints=TrackHints(reference=reference)), nodes
+
+
+def _across(curve: FittedCurve, other: FittedCurve, at: Array) -> Array:
+    """Return the points of a closed curve at arc positions of the same curve in another space."""
+    return curve.at(np.interp(at % other.size, other.arc, curve.arc))

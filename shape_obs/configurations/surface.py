@@ -14,7 +14,7 @@ from scipy.ndimage import map_coordinates
 from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
-from shape_obs.geometry.coons import FINE, blend_sides, coons_patch
+from shape_obs.geometry.coons import FINE, SIDE, beneath_fold, blend_sides, coons_patch
 from shape_obs.geometry.curve import TrackHints
 from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice
 from shape_obs.geometry.observed import Observed
@@ -25,7 +25,7 @@ from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim, nearest_corners, rim_of
 from shape_obs.tracking.corner_matching import STRAYED, assign_corners, match_corners
-from shape_obs.tracking.hidden_border import SIDE, beneath_fold, rim_depth
+from shape_obs.tracking.hidden_border import rim_depth
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.sheet_view import KnownSheet, SheetView, first_known
 from shape_obs.tracking.validation import MAX_HIDDEN, FitQuality, validate_sheet
@@ -155,7 +155,7 @@ class Surface(Configuration, kind="surface"):
             return Fit(reason=_OUT_OF_SIGHT)
         hidden = ~view.region.carries(lattice)
         if border.folded:
-            hidden |= beneath_fold(border, known.sides)
+            hidden |= beneath_fold(border.folded, known.sides)
         share, reason = float(hidden.mean()), ""
         if share > MAX_HIDDEN:
             reason = f"{share:.0%} of the sheet is hidden (at most {MAX_HIDDEN:.0%})"

@@ -29,6 +29,9 @@ _OUTSIDE: Final = 2.5
 # Points of the lines that are intersected at a corner: longer ones would cut across bent sides, shorter ones follow the
 # noise. 0.4 px off at the median of drawn sheets; the strongest turn itself is 1.4 px off.
 _LINE: Final = 6
+SIDE: Final = FINE - 1  # points of a border from a corner to the next, which is not counted
+_INDEX: Final = np.arange(FINE * FINE).reshape(FINE, FINE)
+_BORDER: Final = np.concatenate([_INDEX[0, :-1], _INDEX[:-1, -1], _INDEX[-1, :0:-1], _INDEX[:0:-1, 0]])
 _PARALLEL: Final = 0.1  # squared sine of the angle between two sides that meet in no corner
 
 
@@ -146,3 +149,66 @@ def _side(rim: Array, begin: int, end: int, skip: int, places: Array, k: int, ou
     for i in range(len(out)):
         for d in range(dimension):
             out[i, d] = even[i, d]
+
+
+def border_of(lattice: Array) -> Array:
+    """Return the border of a lattice of 25 rows and columns, ``(625, D)``, clockwise from its first corner."""
+    return lattice[_BORDER]
+
+
+def side_lengths(border: Array) -> Array:
+    """Return ``(4,)`` the lengths of the sides of a border ``(96, D)``."""
+    steps = np.roll(border, -1, axis=0) - border
+    return np.sqrt(np.einsum("pd,pd->p", steps, steps)).reshape(4, SIDE).sum(axis=1)
+
+
+def stretched(border: Array, hidden: list[int], sides: Array) -> Array:
+    """Return a border with its hidden corners out where the known lengths of the sides put them."""
+    border, share = border.copy(), np.arange(SIDE, 0, -1)[:, None] / SIDE
+    for k in hidden:
+        at, shift = SIDE * k, np.zeros(border.shape[1])
+        for way, side in ((1, k), (-1, (k - 1) % 4)):
+            points = border[(at + way * np.arange(SIDE + 1)) % (4 * SIDE)]
+            length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+            begin = points[0] - points[SIDE // 4]
+            shift += (sides[side] - length) * begin / max(float(np.linalg.norm(begin)), 1e-9)
+        for way in (1, -1):
+            border[(at + way * np.arange(1, SIDE)) % (4 * SIDE)] += share[1:] * shift
+        border[at] += shift
+    return border
+
+
+def beneath_fold(folded: tuple[tuple[int, int], ...], sides: Array) -> npt.NDArray[np.bool_]:
+    """Return which points of a lattice ``(625,)`` belong to a folded corner, or lie under it.
+
+    The sheet is folded along the chord between the visible ends of its border: what lies there is the mirror image.
+
+    Args:
+        folded: First and last point of each hidden piece of the border, see ``border_of``.
+        sides: ``(4,)`` lengths.
+    """
+    width, height = (sides[0] + sides[2]) / 2, (sides[1] + sides[3]) / 2
+    v, u = np.divmod(np.arange(FINE * FINE), FINE)
+    lattice = np.stack([u * width, v * height], axis=1) / (FINE - 1)
+    outer = _BORDER
+    hidden = np.zeros(len(lattice), bool)
+    for first, last in folded:
+        a, b = lattice[outer[first % len(outer)]], lattice[outer[last % len(outer)]]
+        apex = lattice[outer[round((first + last) / 2 / SIDE) * SIDE % len(outer)]]
+        for tip in (apex, apex - 2 * _off_line(apex[None], a, b)[0]):
+            sides_of = [_turn(lattice, p, q) for p, q in ((a, b), (b, tip), (tip, a))]
+            inside = np.all([way >= 0 for way in sides_of], axis=0) | np.all([way <= 0 for way in sides_of], axis=0)
+            hidden |= inside
+    return hidden
+
+
+def _off_line(points: Array, a: Array, b: Array) -> Array:
+    """Return ``(P, 2)`` from the line through two points to each of some others."""
+    way = (b - a) / max(float(np.linalg.norm(b - a)), 1e-12)
+    away = points - a
+    return away - (away @ way)[:, None] * way
+
+
+def _turn(points: Array, a: Array, b: Array) -> Array:
+    """Return ``(P,)`` twice the area of the triangles of two points and each of some others, with its sign."""
+    return (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0])

@@ -231,3 +231,13 @@ def equal_chords(
             at[k] = min(max(moved[k, 0], even - max_shift * gap), even + max_shift * gap)
     along = interpolate(arc.reshape(len(arc), 1), metric_arc, at).reshape(count)
     return interpolate(points, arc, along), at
+
+
+def laid_over(pattern: Array, found: Array, points: Array, *, scaled: bool) -> tuple[Array, float]:
+    """Return points moved as a pattern ``(M, D)`` moves best onto what was found, and the scale (Umeyama 1991)."""
+    middle, centre = pattern.mean(axis=0), found.mean(axis=0)
+    left, values, right = np.linalg.svd((pattern - middle).T @ (found - centre))
+    signs = np.ones(len(values))
+    signs[-1] = np.sign(np.linalg.det(left) * np.linalg.det(right)) or 1.0
+    scale = float(values @ signs / max(float(((pattern - middle) ** 2).sum()), 1e-18)) if scaled else 1.0
+    return scale * (points - middle) @ (left * signs) @ right + centre, scale

@@ -14,9 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
+from shape_obs.geometry.coons import SIDE
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 Complexes = npt.NDArray[np.complex128]
 Vector = tuple[float, float, float]
 
@@ -30,6 +32,8 @@ _TURNED: Final = 0.35
 _SCALED: Final = 0.15
 _HIDDEN: Final = 3.0
 _DETOUR: Final = 2.0
+_LIES_OVER: Final = 0.3  # of the outline where a corner is hidden: next to so much of it something nearer is seen
+_STRAIGHT: Final = 3  # points of a side that give the direction in which it goes on
 _REACH: Final = 0.8  # of half a diagonal: no corner is looked for farther off
 
 
@@ -192,3 +196,29 @@ def _cost_of_corners(
             cost += (abs(to[chosen[k]] - after - product * (at[k] - before)) / (astray * reach)) ** 2
     cost += (abs(after - before) / (_MOVED * reach)) ** 2 + (math.log(abs(product)) / _SCALED) ** 2
     return cost + (math.atan2(product.imag, product.real) / _TURNED) ** 2
+
+
+def folded_piece(points: Array, seen: Mask, k: int, space: Array, cut: Mask) -> tuple[int, int] | None:
+    """Return the last point seen before a hidden corner and the first one behind it if nothing lies over the corner."""
+    away = np.arange(1, 2 * SIDE)
+    before, behind = seen[(SIDE * k - away) % len(seen)], seen[(SIDE * k + away) % len(seen)]
+    if not (before.any() and behind.any()):
+        return None
+    first, last = SIDE * k - 1 - int(np.argmax(before)), SIDE * k + 1 + int(np.argmax(behind))
+    begin, end = (int(np.argmin(((space - points[p % len(points)]) ** 2).sum(axis=1))) for p in (first, last))
+    between = cut[(begin + np.arange((end - begin) % len(cut) + 1)) % len(cut)]
+    return None if between.mean() > _LIES_OVER else (first, last)
+
+
+def unfold(points: Array, first: int, last: int, corner: int, sides: Array) -> None:
+    """Lay a folded corner flat: its sides go on straight, as long as they are known to be."""
+    count, places = len(points), []
+    for at, way, side in ((first, -1, corner // SIDE - 1), (last, 1, corner // SIDE)):
+        ahead = points[at % count] - points[(at + way * _STRAIGHT) % count]
+        length = abs(corner - at) / SIDE * sides[side]
+        places.append(points[at % count] + length / max(float(np.linalg.norm(ahead)), 1e-9) * ahead)
+    apex = (places[0] + places[1]) / 2
+    for at in (first, last):
+        share = np.arange(1, abs(corner - at) + 1)[:, None] / abs(corner - at)
+        index = (at + np.sign(corner - at) * np.arange(1, abs(corner - at) + 1)) % count
+        points[index] = points[at % count] + share * (apex - points[at % count])

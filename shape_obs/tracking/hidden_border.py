@@ -15,11 +15,12 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.frame import FARTHEST, readable_depth
-from shape_obs.geometry.coons import FINE, RIM
+from shape_obs.geometry.coons import RIM, SIDE, stretched
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.polyline import arc_length
+from shape_obs.geometry.polyline import arc_length, interpolate, laid_over
 from shape_obs.image.connected_runs import nearest_pixel
-from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, median_depth
+from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, bridged, median_depth
+from shape_obs.tracking.corner_matching import folded_piece, unfold
 
 if TYPE_CHECKING:
     from shape_obs.camera import Intrinsics
@@ -30,14 +31,11 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
-SIDE: Final = FINE - 1  # points of a border from a corner to the next, which is not counted
 # A border is followed from a visible corner while it lies within so many pixels, in addition to a share of the way, of
 # where the others put it; the last points before it leaves are not believed, nor are those next to a rounded corner.
 _ASIDE: Final = 2.0
 _LAST: Final = 1
 _ROUND: Final = 1
-_LIES_OVER: Final = 0.3  # of the outline where a corner is hidden: next to so much of it something nearer is seen
-_STRAIGHT: Final = 3  # points of a side that give the direction in which it goes on
 _LEAST_SEEN: Final = 0.3  # of the border
 _MISFIT: Final = 0.06  # of the size: the known border lies over what is seen of it at least so well
 _MANY: Final = 320  # points of an outline: of so many, the depth under every fourth is read
@@ -53,7 +51,6 @@ _NO_DEPTH = np.zeros((0, 0), np.float32)
 _NO_DEPTH.flags.writeable = False
 _OUTWARDS: Final = 7  # pixels beyond an outline: a camera has no depth next to an edge
 _NEARER: Final = 0.008  # metres: what is nearer by more lies over the object
-_INDEX: Final = np.arange(FINE * FINE).reshape(FINE, FINE)
 
 
 class Border(NamedTuple):
@@ -88,7 +85,8 @@ def complete_border(
         slack: ``(4,)`` by which a length may be off.
         aside: By how much of the way the border may lie off its form.
     """
-    arc = arc_length(np.ascontiguousarray(np.concatenate([space, space[:1]])))
+    lines = [np.ascontiguousarray(np.concatenate([points, points[:1]])) for points in (rim, space)]
+    arc = arc_length(lines[1])
     visible = [k for k in range(4) if corners[k] >= 0]
     start = SIDE * np.array(visible)
     placed, _ = laid_over(expected[start], rim[corners[visible]], expected, scaled=True)
@@ -101,7 +99,7 @@ def complete_border(
             length = between if abs(between - length) < 2 * slack[side] else length
         points = (SIDE * k + way * np.arange(SIDE + 1)) % (4 * SIDE)
         at = (arc[corners[k]] + way * np.linspace(0, length, SIDE + 1)) % arc[-1]
-        pixels, places = _around(rim, arc, at), _around(space, arc, at)
+        pixels, places = (interpolate(line, arc, at) for line in lines)
         far = np.linalg.norm(placed[points] - placed[points[0]], axis=1)
         off = np.linalg.norm(pixels - pixels[0] - (placed[points] - placed[points[0]]), axis=1)
         covered = (cut | kinks)[np.searchsorted(arc, at, side="right").clip(1, RIM) - 1]
@@ -110,7 +108,7 @@ def complete_border(
         found[good], seen[good] = places[: len(good)], True
     if seen.mean() < _LEAST_SEEN:
         return None
-    known = _stretched(known, [k for k in range(4) if corners[k] < 0], sides)
+    known = stretched(known, [k for k in range(4) if corners[k] < 0], sides)
     laid = laid_over(known[seen], found[seen], known, scaled=space.shape[1] == 2)[0]
     index = np.arange(4 * SIDE)
     sharp = seen & (abs((index + SIDE // 2) % SIDE - SIDE // 2) > _ROUND)
@@ -123,100 +121,11 @@ def complete_border(
     points, folded = laid + np.stack(off, axis=1), []
     for k in range(4):
         if corners[k] < 0 and space.shape[1] == 3:
-            piece = _folded_piece(points, seen, k, space, cut)
+            piece = folded_piece(points, seen, k, space, cut)
             if piece is not None:
-                _unfold(points, *piece, SIDE * k, sides)
+                unfold(points, *piece, SIDE * k, sides)
                 folded.append(piece)
     return Border(points, seen, tuple(folded))
-
-
-def _folded_piece(points: Array, seen: Mask, k: int, space: Array, cut: Mask) -> tuple[int, int] | None:
-    """Return the last point seen before a hidden corner and the first one behind it if nothing lies over the corner."""
-    away = np.arange(1, 2 * SIDE)
-    before, behind = seen[(SIDE * k - away) % len(seen)], seen[(SIDE * k + away) % len(seen)]
-    if not (before.any() and behind.any()):
-        return None
-    first, last = SIDE * k - 1 - int(np.argmax(before)), SIDE * k + 1 + int(np.argmax(behind))
-    begin, end = (int(np.argmin(((space - points[p % len(points)]) ** 2).sum(axis=1))) for p in (first, last))
-    between = cut[(begin + np.arange((end - begin) % len(cut) + 1)) % len(cut)]
-    return None if between.mean() > _LIES_OVER else (first, last)
-
-
-def _unfold(points: Array, first: int, last: int, corner: int, sides: Array) -> None:
-    """Lay a folded corner flat: its sides go on straight, as long as they are known to be."""
-    count, places = len(points), []
-    for at, way, side in ((first, -1, corner // SIDE - 1), (last, 1, corner // SIDE)):
-        ahead = points[at % count] - points[(at + way * _STRAIGHT) % count]
-        length = abs(corner - at) / SIDE * sides[side]
-        places.append(points[at % count] + length / max(float(np.linalg.norm(ahead)), 1e-9) * ahead)
-    apex = (places[0] + places[1]) / 2
-    for at in (first, last):
-        share = np.arange(1, abs(corner - at) + 1)[:, None] / abs(corner - at)
-        index = (at + np.sign(corner - at) * np.arange(1, abs(corner - at) + 1)) % count
-        points[index] = points[at % count] + share * (apex - points[at % count])
-
-
-def beneath_fold(border: Border, sides: Array) -> Mask:
-    """Return which points of a lattice ``(625,)`` belong to a folded corner, or lie under it.
-
-    The sheet is folded along the chord between the visible ends of its border: what lies there is the mirror image.
-    """
-    width, height = (sides[0] + sides[2]) / 2, (sides[1] + sides[3]) / 2
-    v, u = np.divmod(np.arange(FINE * FINE), FINE)
-    lattice = np.stack([u * width, v * height], axis=1) / (FINE - 1)
-    outer = np.concatenate([_INDEX[0, :-1], _INDEX[:-1, -1], _INDEX[-1, :0:-1], _INDEX[:0:-1, 0]])
-    hidden = np.zeros(len(lattice), bool)
-    for first, last in border.folded:
-        a, b = lattice[outer[first % len(outer)]], lattice[outer[last % len(outer)]]
-        apex = lattice[outer[round((first + last) / 2 / SIDE) * SIDE % len(outer)]]
-        for tip in (apex, apex - 2 * _off_line(apex[None], a, b)[0]):
-            sides_of = [_turn(lattice, p, q) for p, q in ((a, b), (b, tip), (tip, a))]
-            inside = np.all([way >= 0 for way in sides_of], axis=0) | np.all([way <= 0 for way in sides_of], axis=0)
-            hidden |= inside
-    return hidden
-
-
-def _off_line(points: Array, a: Array, b: Array) -> Array:
-    """Return ``(P, 2)`` from the line through two points to each of some others."""
-    way = (b - a) / max(float(np.linalg.norm(b - a)), 1e-12)
-    away = points - a
-    return away - (away @ way)[:, None] * way
-
-
-def _turn(points: Array, a: Array, b: Array) -> Array:
-    """Return ``(P,)`` twice the area of the triangles of two points and each of some others, with its sign."""
-    return (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0])
-
-
-def laid_over(pattern: Array, found: Array, points: Array, *, scaled: bool) -> tuple[Array, float]:
-    """Return points moved as a pattern ``(M, D)`` moves best onto what was found, and the scale (Umeyama 1991)."""
-    middle, centre = pattern.mean(axis=0), found.mean(axis=0)
-    left, values, right = np.linalg.svd((pattern - middle).T @ (found - centre))
-    signs = np.ones(len(values))
-    signs[-1] = np.sign(np.linalg.det(left) * np.linalg.det(right)) or 1.0
-    scale = float(values @ signs / max(float(((pattern - middle) ** 2).sum()), 1e-18)) if scaled else 1.0
-    return scale * (points - middle) @ (left * signs) @ right + centre, scale
-
-
-def _stretched(border: Array, hidden: list[int], sides: Array) -> Array:
-    """Return a border with its hidden corners out where the known lengths of the sides put them."""
-    border, share = border.copy(), np.arange(SIDE, 0, -1)[:, None] / SIDE
-    for k in hidden:
-        at, shift = SIDE * k, np.zeros(border.shape[1])
-        for way, side in ((1, k), (-1, (k - 1) % 4)):
-            points = border[(at + way * np.arange(SIDE + 1)) % (4 * SIDE)]
-            length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-            begin = points[0] - points[SIDE // 4]
-            shift += (sides[side] - length) * begin / max(float(np.linalg.norm(begin)), 1e-9)
-        for way in (1, -1):
-            border[(at + way * np.arange(1, SIDE)) % (4 * SIDE)] += share[1:] * shift
-        border[at] += shift
-    return border
-
-
-def _around(points: Array, arc: Array, at: Array) -> Array:
-    """Return places at arc positions of a closed curve ``(P, D)`` of arc length ``(P + 1,)``."""
-    return np.stack([np.interp(at, arc, np.append(column, column[0])) for column in points.T], axis=1)
 
 
 def look_around(
@@ -284,7 +193,7 @@ def rim_depth(
         flags[k] = u <= edge[0] or v <= edge[1] or u >= edge[2] or v >= edge[3]
     if depth.size > 0:
         under = median_depth(depth, unit, mask, left, top, some, reach, MIN_SHARE)
-        if _bridged(under):
+        if bridged(under):
             for k in range(count):
                 flags[k] = flags[k] or _covered(depth, unit, mask, left, top, some, k, under[k])
                 near, far = 1 / under[k], 1 / under[(k + 1) % count]
@@ -295,26 +204,6 @@ def rim_depth(
             for i in range(-every // 2, every // 2 + 1):
                 cut[(k * every + i) % len(rim)] = True
     return z, cut
-
-
-@compiled
-def _bridged(z: Array) -> bool:
-    """Fill the gaps of values around a ring by straight lines of their inverse; return False if most are unknown."""
-    count, first, known = len(z), -1, 0
-    for k in range(count):
-        if z[k] > 0:
-            first, known = k if first < 0 else first, known + 1
-    if known < 0.5 * count:
-        return False
-    last = first
-    for step in range(1, count + 1):
-        k = (first + step) % count
-        if z[k] > 0:
-            gap = (k - last - 1) % count + 1
-            for i in range(1, gap):
-                z[(last + i) % count] = 1 / (1 / z[last] + (1 / z[k] - 1 / z[last]) * i / gap)
-            last = k
-    return True
 
 
 @compiled

@@ -54,57 +54,11 @@ def match_outline(curve: FittedCurve, prediction: Prediction) -> tuple[FittedCur
         turned = FittedCurve(points, np.zeros(len(points), bool), arc, True)
     else:
         nodes = curve.even(count)
-        shift = _index_shift_space(reference, prediction.nodes, nodes, nodes)
+        shift = index_shift_space(reference, prediction.nodes, nodes, nodes)
         turned = curve.starting_at(shift * curve.size / count)
         nodes = turned.even(count)
         reference = blend_space(reference, nodes)
     return replace(turned, hints=TrackHints(reference=reference)), nodes
-
-
-def match_in_space(curve: FittedCurve, lifted: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, Array]:
-    """Renumber a closed curve over an image by its form in space, which tilt and perspective do not change.
-
-    Args:
-        curve: ``(P, 2)`` pixels.
-        lifted: ``(P, 3)`` the same in metres.
-        prediction: Nodes in pixels, equally spaced in space, and a reference in metres.
-
-    Returns:
-        The same curve from the place where the predicted outline begins, and its ``(K, 2)`` nodes.
-    """
-    count = len(prediction.nodes)
-    at = np.arange(count) * (lifted.size / count)
-    shift = _index_shift_space(prediction.reference, prediction.nodes, lifted.even(count), across(curve, lifted, at))
-    return begun_at(curve, lifted, shift * lifted.size / count, count, prediction.reference)
-
-
-def begun_at(
-    curve: FittedCurve, lifted: FittedCurve, begin: float, count: int, reference: Array | None, *, learn: bool = True
-) -> tuple[FittedCurve, Array]:
-    """Return a curve from an arc position in space on, and its ``count`` nodes, equally spaced there.
-
-    Args:
-        curve: ``(P, 2)`` pixels.
-        lifted: ``(P, 3)`` the same in metres.
-        begin: Metres along it.
-        count: How many nodes.
-        reference: ``(count, 3)`` metres, what is known of its form; None if nothing is.
-        learn: Whether the reference moves towards what was found.
-    """
-    at = begin + np.arange(count) * (lifted.size / count)
-    found = lifted.at(at)
-    if reference is None:
-        reference = found
-    elif learn:
-        reference = blend_space(reference, found)
-    nodes = across(curve, lifted, at)
-    first = float(np.interp(begin % lifted.size, lifted.arc, curve.arc))
-    return replace(curve.starting_at(first), hints=TrackHints(reference=reference)), nodes
-
-
-def across(curve: FittedCurve, other: FittedCurve, at: Array) -> Array:
-    """Return the points of a closed curve at arc positions of the same curve in another space."""
-    return curve.at(np.interp(at % other.size, other.arc, curve.arc))
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8[:,::1])")
@@ -290,7 +244,7 @@ def blend_space(reference: Array, found: Array) -> Array:
     return found + (1 - _FORGETTING_SPACE) * (before @ left @ right - after)
 
 
-def _index_shift_space(reference: Array, predicted: Array, found: Array, seen: Array) -> float:
+def index_shift_space(reference: Array, predicted: Array, found: Array, seen: Array) -> float:
     """Return what ``index_shift`` returns, by forms in space ``(K, 3)`` and places, expected and seen, ``(K, D)``."""
     shape, place = _cross_spectrum(reference, found), _cross_spectrum(predicted, seen)
     shifts = np.arange(_SHIFTS) / _SHIFTS

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.geometry.coons import FINE, RIM, TURN_REACH
+from shape_obs.geometry.coons import FINE, RIM, SIDE, TURN_REACH, border_of, side_lengths
 from shape_obs.geometry.curve import TrackHints
 from shape_obs.geometry.outline import material_outline
-from shape_obs.geometry.polyline import arc_length
+from shape_obs.geometry.polyline import arc_length, laid_over
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Rim, nearest_corners, rim_of
 from shape_obs.tracking.corner_matching import assign_corners
-from shape_obs.tracking.hidden_border import SIDE, Border, complete_border, laid_over, look_around
+from shape_obs.tracking.hidden_border import Border, complete_border, look_around
 from shape_obs.tracking.prediction import Prediction
 
 if TYPE_CHECKING:
@@ -34,10 +34,12 @@ _ZOOM: Final = 0.03
 # and the known form follows by this share.
 _DENTED: Final = (0.035, 1.5)
 _FORGETTING: Final = 0.03
+_INNER: Final = 0.06  # of the width: so far inside of its border the sheet's own plane is measured
+_KINK: Final = (
+    0.45  # radians by which the border of a sheet turns within it at a fold, and nowhere else but at a corner
+)
 # Of half a diagonal, by which a corner may stray from where the others put it in a frame, and of the way, by which a
 # border may stray from its form: without depth, and with it, where tilt and perspective are no evidence.
-_INNER: Final = 0.06  # of the width: so far inside of its border the sheet's own plane is measured
-_KINK: Final = 0.45  # radians by which the border of a sheet turns within it at a fold, and nowhere else but at a corner
 _ASTRAY: Final = (0.035, 0.12)
 _ASIDE: Final = (0.05, 0.12)
 
@@ -239,20 +241,5 @@ def first_known(patch: Array) -> TrackHints:
     return TrackHints(reference=patch, sides=side_lengths(border_of(patch)))
 
 
-def border_of(lattice: Array) -> Array:
-    """Return the border of a lattice of 25 rows and columns, ``(625, D)``, clockwise from its first corner."""
-    return lattice[_BORDER]
-
-
-def side_lengths(border: Array) -> Array:
-    """Return ``(4,)`` the lengths of the sides of a border ``(96, D)``."""
-    steps = np.roll(border, -1, axis=0) - border
-    return np.sqrt(np.einsum("pd,pd->p", steps, steps)).reshape(4, SIDE).sum(axis=1)
-
-
 def _closed(points: Array) -> Array:
     return np.ascontiguousarray(np.concatenate([points, points[:1]]))
-
-
-_INDEX: Final = np.arange(FINE * FINE).reshape(FINE, FINE)
-_BORDER: Final = np.concatenate([_INDEX[0, :-1], _INDEX[:-1, -1], _INDEX[-1, :0:-1], _INDEX[:0:-1, 0]])

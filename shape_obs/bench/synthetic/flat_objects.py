@@ -7,7 +7,7 @@ mesh is rasterised with a depth buffer, which also tells which material points a
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -166,8 +166,6 @@ def in_space(
 
 def noisy_depth(scenes: Iterator[FlatScene], view: View, seed: int) -> Iterator[FlatScene]:
     """Put a D455's noise on the depth of scenes; needs the environments' package."""
-    from dataclasses import replace
-
     from shape_obs_envs.d455.model import D455Model
     from shape_obs_envs.d455.noise import D455Camera
 
@@ -215,8 +213,6 @@ class _Pose:
 
     def after(self, time: float, flat: Array, view: View, speed: float) -> float:
         """Return the next time at which some point has moved ``speed`` pixels."""
-        if speed <= 0:
-            return time
         some = flat[[0, -1]][:, :: max(flat.shape[1] // 16, 1)]
         camera, low, high = view.intrinsics, 0.0, 0.5
         before = camera.project(self.at(some, time))
