@@ -117,7 +117,8 @@ class Surface(Configuration, kind="surface"):
     def _fit_whole(self, view: SheetView, corners: Indices | None, prediction: Prediction | None) -> Fit:
         """Lay the patch between four corners that are all seen, and compare it with what is known of the sheet."""
         if corners is None:
-            return Fit(reason=_NO_CORNERS)
+            few = f"the outline has {len(view.candidates)} corners, a sheet has four"
+            return Fit(reason=few if prediction is None else _NO_CORNERS)
         stray = (0, 0.0)
         if prediction is not None:
             quarters, *stray = match_corners(_corners(prediction.nodes), view.rim[corners])

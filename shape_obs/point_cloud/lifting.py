@@ -21,6 +21,7 @@ MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry de
 _SMEARED: Final = 2.5  # widths next to a hidden piece, in which depth may be that of what hides it
 _COMPARED: Final = 6.0  # widths within which the rope's own depth is looked for
 _STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much within a few widths
+_SPARSE: Final = 4  # pixels: from this reach on every second pixel is enough
 _ENOUGH: Final = 6  # pixels with depth that make a plane
 _IN_LINE: Final = 0.01  # of the squared spread: below it pixels lie in a line
 _OFF_PLANE: Final = 2.0  # mean distances from the plane: what lies farther off belongs to something else
@@ -126,24 +127,22 @@ def median_depth(
         left: Image column of its first pixel.
         top: Image row of its first pixel.
         points: ``(N, 2)`` image pixels.
-        reach: How far around a point is looked, pixels; from 4 on at every second pixel.
+        reach: How far around a point is looked, pixels; from 4 on at every second pixel, as on a chessboard.
         min_share: Of the mask's pixels there, that must have a valid depth.
 
     Returns:
         ``(N,)`` metres, NaN where too few have.
     """
     height, width = mask.shape
-    step = 1 + reach // 4
-    out, near = np.empty(len(points)), np.empty(((2 * reach) // step + 1) ** 2)
+    step = 2 if reach >= _SPARSE else 1
+    out, near = np.empty(len(points)), np.empty((2 * reach + 1) ** 2)
     x, y, z = np.empty_like(near), np.empty_like(near), np.empty_like(near)
     for n in range(len(points)):
         out[n] = np.nan
         column, row = nearest_pixel(points[n, 0]) - left, nearest_pixel(points[n, 1]) - top
         inside = known = 0
-        for v in range(row - reach, min(row + reach + 1, height), step):
-            if v < 0:
-                continue
-            for u in range(column - reach, min(column + reach + 1, width), step):
+        for v in range(max(row - reach, 0), min(row + reach + 1, height)):
+            for u in range(column - reach + (v - row & 1) * (step - 1), min(column + reach + 1, width), step):
                 if u >= 0 and mask[v, u] != 0:
                     inside += 1
                     metres = depth[v + top, u + left] * unit

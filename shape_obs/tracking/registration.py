@@ -38,6 +38,7 @@ _FLAT: Final = 3e-4
 _HARMONICS: Final = 12
 # Shifts at which a peak is looked for, ten to the shortest wave, and half-widths of the parabolas through it, in turns.
 _SHIFTS: Final = 128
+_ALIKE: Final = 0.9  # the match of forms in space that is found near the place where it is expected, and nowhere better
 _PEAKS: Final = (0.5 / 128, 0.1 / 128)
 _ROUND = 2 * np.pi / _SHIFTS * np.outer(np.arange(1, _HARMONICS + 1), np.arange(_SHIFTS))
 _COS, _SIN = np.cos(_ROUND), np.sin(_ROUND)
@@ -248,8 +249,13 @@ def index_shift_space(reference: Array, predicted: Array, found: Array, seen: Ar
     """Return what ``index_shift`` returns, by forms in space ``(K, 3)`` and places, expected and seen, ``(K, D)``."""
     shape, place = _cross_spectrum(reference, found), _cross_spectrum(predicted, seen)
     shifts = np.arange(_SHIFTS) / _SHIFTS
-    turned, still = _rotated(_at(shape, shifts)), np.einsum("dds->s", _at(place, shifts))
-    flat = _FLAT / (1 + float(np.ptp(turned)) / _FLAT)
+    turned, still = np.full(_SHIFTS, -np.inf), np.einsum("dds->s", _at(place, shifts))
+    near = (int(np.argmax(still)) + np.arange(-_SHIFTS // 8, _SHIFTS // 8 + 1)) % _SHIFTS
+    turned[near] = _rotated(_at(shape, shifts[near]))
+    if turned.max() < _ALIKE:  # it has turned far while it was out of sight
+        near = np.arange(_SHIFTS)
+        turned = _rotated(_at(shape, shifts))
+    flat = _FLAT / (1 + float(np.ptp(turned[near])) / _FLAT)
     score, at = turned + flat * still, int(np.argmax(turned + _TURNING * still))
     while max(low := score[(at - 1) % _SHIFTS], high := score[(at + 1) % _SHIFTS]) > score[at % _SHIFTS]:
         at += -1 if low >= high else 1

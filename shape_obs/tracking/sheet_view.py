@@ -26,10 +26,14 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 # A side may be so much longer or shorter than it is known to be, as a share and in pixels, and what is known follows by
-# so much in a frame; without depth all sides together may grow and shrink faster, as the sheet comes nearer.
+# so much in a frame, without depth and with it; without depth all sides together may grow and shrink faster, as the sheet comes nearer.
 _SLACK: Final = (0.04, 2.0)
-_STRETCH: Final = 0.001
+_STRETCH: Final = (0.003, 0.001)
 _ZOOM: Final = 0.03
+# Without depth, what hides a part is seen by a turn of the outline where it did not turn before, in radians: a sheet
+# that bends on a table has none, but its corners are sheared.
+_CHORD: Final = 3  # points of a border to either side, over which it is seen to turn
+_CUT: Final = np.where(np.abs((np.arange(4 * SIDE) + SIDE // 2) % SIDE - SIDE // 2) <= _CHORD, 0.55, 0.35)
 # Without depth, a border that lies off its known form by so much, as a share of a side and in pixels, is not its own;
 # and the known form follows by this share.
 _DENTED: Final = (0.035, 1.5)
@@ -165,7 +169,9 @@ class KnownSheet:
             patch: ``(625, D)`` the lattice as it lies.
             lattice: ``(625, 2)`` the same in pixels.
         """
-        border = border_of(patch if self.metric else lattice)
+        border, known = border_of(patch if self.metric else lattice), border_of(self.lattice)
+        if not self.metric and (np.abs(_turns(border) - _turns(known)) < _CUT).all():
+            return ""
         lengths = side_lengths(border)
         off = (lengths / self._zoom(lengths) - self.sides) / self.slack(view)
         side = int(np.argmax(np.abs(off)))
@@ -173,7 +179,7 @@ class KnownSheet:
             how = "shorter" if off[side] < 0 else "longer"
             return f"side {side} is {how} than it was: something hides a part of the sheet"
         if not self.metric:
-            away = border - laid_over(border_of(self.lattice), border, border_of(self.lattice), scaled=True)[0]
+            away = border - laid_over(known, border, known, scaled=True)[0]
             share, pixels = _DENTED
             if np.sqrt((away**2).sum(axis=1).max()) > pixels + share * self.sides.mean():
                 return "a side is not where it was: something hides a part of the sheet"
@@ -193,12 +199,13 @@ class KnownSheet:
             return self.hints
         lengths = side_lengths(border_of(patch))
         sides = self.sides * self._zoom(lengths)
-        sides = sides + np.clip(lengths - sides, -_STRETCH * sides, _STRETCH * sides)
+        stretch = _STRETCH[self.metric] * sides
+        sides = sides + np.clip(lengths - sides, -stretch, stretch)
         if self.metric:
             return TrackHints(reference=patch, sides=sides)
         laid = laid_over(self.lattice, patch, self.lattice, scaled=True)[0]
         step = _FORGETTING * (patch - laid)
-        most = _STRETCH * sides.mean()
+        most = 2 * _STRETCH[True] * sides.mean()
         return TrackHints(reference=laid + np.clip(step, -most, most), sides=sides)
 
     def seen_beside(self, border: Border, patch: Array) -> TrackHints:
@@ -212,7 +219,7 @@ class KnownSheet:
         if not whole.any() or self.hints.sides is None or self.lattice is not self.hints.reference:
             return self.hints
         share = float(np.median(side_lengths(border.points)[whole] / self.sides[whole]))
-        return self.hints._replace(sides=self.sides * np.clip(share, 1 - _STRETCH, 1 + _STRETCH))
+        return self.hints._replace(sides=self.sides * np.clip(share, 1 - _STRETCH[True], 1 + _STRETCH[True]))
 
     def complete(self, view: SheetView, depth: npt.NDArray[Any] | None) -> Border | None:
         """Return the whole border, put back where it is hidden; None if too little of it is seen."""
@@ -243,3 +250,14 @@ def first_known(patch: Array) -> TrackHints:
 
 def _closed(points: Array) -> Array:
     return np.ascontiguousarray(np.concatenate([points, points[:1]]))
+
+
+def _turns(border: Array) -> Array:
+    """Return ``(96,)`` radians by which a border ``(96, 2)`` turns about each of its points."""
+    at = border[:, 0] + 1j * border[:, 1]
+    ahead, back = at[_AHEAD] - at, at - at[_BACK]
+    return np.angle(ahead * back.conj())
+
+
+_AHEAD: Final = (np.arange(4 * SIDE) + _CHORD) % (4 * SIDE)
+_BACK: Final = (np.arange(4 * SIDE) - _CHORD) % (4 * SIDE)
