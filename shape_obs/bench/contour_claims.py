@@ -194,8 +194,8 @@ def seen_outline(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> I
     """Track an outline with equal gaps in space where there is depth; yield the rows of ``tally_visible``."""
     detector, start, count = ShapeDetector([Contour(spacing="m" if with_depth else "px")]), -1.0, 32
     for scene in scenes:
-        sensed = (scene.depth, view.intrinsics) if with_depth else ()
-        shape = detector.detect_mask(scene.mask, *sensed).shapes[0]
+        depth, camera = (scene.depth, view.intrinsics) if with_depth else (None, None)
+        shape = detector.detect_mask(scene.mask, depth, camera).shapes[0]
         if start < 0 and shape.reason:
             continue  # not begun yet
         border = np.concatenate([scene.points[-1], scene.space[-1], scene.hidden[-1][:, None]], axis=1)

@@ -204,11 +204,11 @@ def seen_points(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> It
     spec = Surface(rows=4, cols=8, spacing="m" if with_depth else "px")
     detector, corner = ShapeDetector([spec]), -1
     for scene in scenes:
-        sensed = (scene.depth, view.intrinsics) if with_depth else ()
-        shape = detector.detect_mask(scene.mask, *sensed).shapes[0]
+        depth, camera = (scene.depth, view.intrinsics) if with_depth else (None, None)
+        shape = detector.detect_mask(scene.mask, depth, camera).shapes[0]
         if corner < 0 and shape.reason:
             continue  # not begun yet
-        whole = np.concatenate([scene.points, scene.space, scene.hidden[..., None]], axis=2)
+        whole = np.concatenate([scene.points, scene.space, scene.hidden[..., None].astype(np.float64)], axis=2)
         found = np.asarray(shape.pixels, dtype=np.float64).reshape(4, 8, 2)
         turned = [Sheet(np.rot90(whole, quarters), scene.mask).lattice(4, 8, "centers") for quarters in range(4)]
         if corner < 0:

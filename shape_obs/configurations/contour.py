@@ -113,19 +113,19 @@ class Contour(Configuration, kind="contour"):
         known = prediction.hints.reference
         if known is not None and known.shape[1] == 3 and lifted is None:
             prediction = prediction._replace(hints=TrackHints())  # a frame without depth is numbered by its place
-        metric = lifted is not None and known is not None and known.shape[1] == 3
-        own = lifted if metric else curve
+        own = lifted if lifted is not None and known is not None and known.shape[1] == 3 else None
         found, nodes = curve, prediction.nodes
         if cut.any() and known is not None:
-            whole = complete_outline(curve, own, cut, known, prediction.nodes)
+            whole = complete_outline(curve, own or curve, cut, known, prediction.nodes)
             if whole is None:
                 return curve, nodes, np.inf
             completed, begin = whole
-            pixels = completed.points if not metric else scene.intrinsics.project(completed.points)
+            camera = scene.intrinsics
+            pixels = completed.points if own is None or camera is None else camera.project(completed.points)
             curve = FittedCurve.through(pixels, np.zeros(len(pixels), bool), True)
             return *_begun_at(curve, completed, begin, len(nodes), known, learn=False), miss
-        if metric:
-            found, nodes = _match_in_space(curve, lifted, prediction)
+        if own is not None:
+            found, nodes = _match_in_space(curve, own, prediction)
         else:
             found, nodes = match_outline(curve, prediction)
             if lifted is not None:
@@ -254,7 +254,7 @@ def _match_in_space(curve: FittedCurve, lifted: FittedCurve, prediction: Predict
         The same curve from the place where the predicted outline begins, and its ``(K, 2)`` nodes.
     """
     count = len(prediction.nodes)
-    at = np.arange(count) * (lifted.size / count)
+    at = np.arange(count, dtype=np.float64) * (lifted.size / count)
     shift = index_shift_space(prediction.reference, prediction.nodes, lifted.even(count), _across(curve, lifted, at))
     return _begun_at(curve, lifted, shift * lifted.size / count, count, prediction.reference)
 
@@ -272,7 +272,7 @@ def _begun_at(
         reference: ``(count, 3)`` metres, what is known of its form; None if nothing is.
         learn: Whether the reference moves towards what was found.
     """
-    at = begin + np.arange(count) * (lifted.size / count)
+    at = begin + np.arange(count, dtype=np.float64) * (lifted.size / count)
     found = lifted.at(at)
     if reference is None:
         reference = found
@@ -283,6 +283,6 @@ def _begun_at(
     return replace(curve.starting_at(first), hints=TrackHints(reference=reference)), nodes
 
 
-def _across(curve: FittedCurve, other: FittedCurve, at: Array) -> Array:
+def _across(curve: FittedCurve, other: FittedCurve, at: npt.NDArray[Any]) -> Array:
     """Return the points of a closed curve at arc positions of the same curve in another space."""
     return curve.at(np.interp(at % other.size, other.arc, curve.arc))

@@ -127,14 +127,14 @@ class Surface(Configuration, kind="surface"):
         lattice = view.pixels(patch)
         if lattice is None:
             return Fit(reason=_OUT_OF_SIGHT)
-        hints, measures = first_known(patch), _UNBENT
+        hints, measures, known = first_known(patch), _UNBENT, None
         if prediction is not None:
             known = KnownSheet.of(prediction, view)
             reason = known.conflict(view, patch, lattice)
             if reason:
                 return Fit(reason=reason)
             hints = known.learn(view, patch)
-        if prediction is None or not known.metric:
+        if known is None or not known.metric:
             measures = assess_lattice(_flattened(patch).reshape(FINE, FINE, 2))
         else:
             stray = (0, 0.0)  # in space the lengths of the sides say more

@@ -195,7 +195,7 @@ def _cost_of_corners(
         if chosen[k] >= 0:
             cost += (abs(to[chosen[k]] - after - product * (at[k] - before)) / (astray * reach)) ** 2
     cost += (abs(after - before) / (_MOVED * reach)) ** 2 + (math.log(abs(product)) / _SCALED) ** 2
-    return cost + (math.atan2(product.imag, product.real) / _TURNED) ** 2
+    return float(cost + (math.atan2(product.imag, product.real) / _TURNED) ** 2)
 
 
 def folded_piece(points: Array, seen: Mask, k: int, space: Array, cut: Mask) -> tuple[int, int] | None:

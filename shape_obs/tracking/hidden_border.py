@@ -277,7 +277,7 @@ def complete_outline(
         away = ((place - pixels[some]) ** 2).sum(axis=(1, 2)) / ((pixels[some] - pixels[some].mean(axis=0)) ** 2).sum()
         return shape + _PLACE * away
 
-    begin, step = np.arange(_STARTS) * (whole / _STARTS), whole / _STARTS
+    begin, step, best = np.arange(_STARTS) * (whole / _STARTS), whole / _STARTS, 0.0
     for _ in range(3):
         best = begin[int(np.argmin(misfit(begin)))]
         begin, step = best + step * np.linspace(-1, 1, 9), step / 4

