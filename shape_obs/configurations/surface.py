@@ -60,9 +60,9 @@ class Surface(Configuration, kind="surface"):
         epochs: Of the self-organising map, after the Coons patch. None by default: what is seen of a sheet's material
             is its outline. Each epoch evens the areas out and takes the points nearer to cluster centres and off their
             material (1.1, 1.3, 1.6 px over drawn sheets with 0, 1, 3), and away from what hides the inside.
-        freedom: How far a corner may move from one frame to the next that the three others do not, as a share of half
-            a diagonal. Beyond it something lies over that corner, and the shape is refused. Where grippers move
-            single corners give more.
+        freedom: Without depth, how far a corner may move from one frame to the next that the three others do not, as
+            a share of half a diagonal. Beyond it something lies over that corner, which is put back. Where grippers
+            move single corners give more.
     """
 
     rows: int = 4

@@ -252,7 +252,7 @@ def index_shift_space(reference: Array, predicted: Array, found: Array, seen: Ar
     turned, still = np.full(_SHIFTS, -np.inf), np.einsum("dds->s", _at(place, shifts))
     near = (int(np.argmax(still)) + np.arange(-_SHIFTS // 8, _SHIFTS // 8 + 1)) % _SHIFTS
     turned[near] = _rotated(_at(shape, shifts[near]))
-    if turned.max() < _ALIKE:  # it has turned far while it was out of sight
+    if turned.max() < _ALIKE or np.argmax(turned) in (near[0], near[-1]):  # it has turned far
         near = np.arange(_SHIFTS)
         turned = _rotated(_at(shape, shifts))
     flat = _FLAT / (1 + float(np.ptp(turned[near])) / _FLAT)

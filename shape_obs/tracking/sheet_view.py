@@ -34,7 +34,7 @@ _ZOOM: Final = 0.03
 # Without depth, what hides a part is seen by a turn of the outline where it did not turn before, in radians: a sheet
 # that bends on a table has none, but its corners are sheared.
 _CHORD: Final = 3  # points of a border to either side, over which it is seen to turn
-_CUT: Final = np.where(np.abs((np.arange(4 * SIDE) + SIDE // 2) % SIDE - SIDE // 2) <= _CHORD, 0.55, 0.35)
+_CUT: Final = np.where(np.abs((np.arange(4 * SIDE) + SIDE // 2) % SIDE - SIDE // 2) <= _CHORD, 0.6, 0.42)
 # Without depth, a border that lies off its known form by so much, as a share of a side and in pixels, is not its own;
 # and the known form follows by this share.
 _DENTED: Final = (0.035, 1.5)
