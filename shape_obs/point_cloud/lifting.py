@@ -24,7 +24,8 @@ _STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much wit
 _SPARSE: Final = 4  # pixels: from this reach on every second pixel is enough
 _ENOUGH: Final = 6  # pixels with depth that make a plane
 _IN_LINE: Final = 0.01  # of the squared spread: below it pixels lie in a line
-_OFF_PLANE: Final = 2.0  # mean distances from the plane: what lies farther off belongs to something else
+_ROUNDS: Final = 3
+_OFF_PLANE: Final = 3.0  # median distances from the plane: what lies farther off belongs to something else
 MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
 
 
@@ -45,10 +46,15 @@ def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region, width:
     left, top = region.window[:2]
     reach = min(max(round(width / 4), 1), MAX_REACH)
     points = np.ascontiguousarray(form.points, dtype=np.float64)
-    z = median_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE)
+    z = median_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE, not is_rope(form))
     if isinstance(form, FittedCurve) and not form.whole:
         z[form.interpolated | overlaid(form, z, width)] = np.nan
     return z
+
+
+def is_rope(form: FittedForm) -> bool:
+    """Return whether a form is an open curve: the depth under it does not slope across it."""
+    return isinstance(form, FittedCurve) and not form.closed
 
 
 def lift_form(form: FittedForm, z: Array, intrinsics: Intrinsics) -> Array | None:
@@ -101,8 +107,8 @@ def overlaid(curve: FittedCurve, metres: Array, width: float) -> npt.NDArray[np.
 
 
 @compiled(
-    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8)",
-    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8)",
+    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8, b1)",
+    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8, b1)",
 )
 def median_depth(
     depth: npt.NDArray[Any],
@@ -113,6 +119,7 @@ def median_depth(
     points: Array,
     reach: int,
     min_share: float,
+    sloped: bool,
 ) -> Array:
     """Return the median depth of the mask around each point, measured from a plane through the depth there.
 
@@ -129,6 +136,7 @@ def median_depth(
         points: ``(N, 2)`` image pixels.
         reach: How far around a point is looked, pixels; from 4 on at every second pixel, as on a chessboard.
         min_share: Of the mask's pixels there, that must have a valid depth.
+        sloped: Whether the depth may slope; a rope is too narrow for that, and lies on both sides of its points.
 
     Returns:
         ``(N,)`` metres, NaN where too few have.
@@ -152,7 +160,7 @@ def median_depth(
                         known += 1
         if known >= max(min_share * inside, 1):
             middle = _median(near, known)
-            out[n] = _over_plane(x, y, z, near, known, middle) if known >= _ENOUGH else middle
+            out[n] = _over_plane(x, y, z, near, known, middle) if sloped and known >= _ENOUGH else middle
     return out
 
 
@@ -169,8 +177,10 @@ def _over_plane(x: Array, y: Array, z: Array, spare: Array, count: int, middle: 
         middle: Their median.
     """
     slope_x = slope_y = level = 0.0
-    limit = np.inf
-    for _ in range(3):
+    for _ in range(_ROUNDS):
+        for k in range(count):
+            spare[k] = abs(middle / z[k] - 1 - level - slope_x * x[k] - slope_y * y[k])
+        limit = max(_OFF_PLANE * _median(spare, count), 1e-6)
         n = sx = sy = sxx = sxy = syy = sw = sxw = syw = 0.0
         for k in range(count):
             w = middle / z[k] - 1
@@ -193,10 +203,6 @@ def _over_plane(x: Array, y: Array, z: Array, spare: Array, count: int, middle: 
             return middle  # no slope across a line of pixels
         slope_x, slope_y = (sxw * syy - syw * sxy) / spread, (syw * sxx - sxw * sxy) / spread
         level = (sw - slope_x * sx - slope_y * sy) / n
-        away = 0.0
-        for k in range(count):
-            away += min(abs(middle / z[k] - 1 - level - slope_x * x[k] - slope_y * y[k]), limit)
-        limit = max(_OFF_PLANE * away / count, 1e-6)
     for k in range(count):
         spare[k] = middle / z[k] - slope_x * x[k] - slope_y * y[k]
     return middle / max(_median(spare, count), 0.5)

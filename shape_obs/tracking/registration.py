@@ -38,7 +38,7 @@ _FLAT: Final = 3e-4
 _HARMONICS: Final = 12
 # Shifts at which a peak is looked for, ten to the shortest wave, and half-widths of the parabolas through it, in turns.
 _SHIFTS: Final = 128
-_ALIKE: Final = 0.98  # the match of forms in space that is found near the place where it is expected, and nowhere better
+_ALIKE: Final = 0.98  # a better match of forms in space is looked for near the expected place alone
 _PEAKS: Final = (0.5 / 128, 0.1 / 128)
 _ROUND = 2 * np.pi / _SHIFTS * np.outer(np.arange(1, _HARMONICS + 1), np.arange(_SHIFTS))
 _COS, _SIN = np.cos(_ROUND), np.sin(_ROUND)

@@ -29,12 +29,12 @@ Indices = npt.NDArray[np.int64]
 # much in a frame, without depth and with it; without depth all sides together may grow and shrink faster, as the sheet
 # comes nearer.
 _SLACK: Final = (0.04, 2.0)
-_STRETCH: Final = (0.003, 0.001)
+_STRETCH: Final = (0.0015, 0.001)
 _ZOOM: Final = 0.03
 # Without depth, what hides a part is seen by a turn of the outline where it did not turn before, in radians: a sheet
 # that bends on a table has none, but its corners are sheared.
 _CHORD: Final = 3  # points of a border to either side, over which it is seen to turn
-_CUT: Final = np.where(np.abs((np.arange(4 * SIDE) + SIDE // 2) % SIDE - SIDE // 2) <= _CHORD, 0.6, 0.42)
+_CUT: Final = np.where(np.abs((np.arange(4 * SIDE) + SIDE // 2) % SIDE - SIDE // 2) <= _CHORD, 0.6, 0.38)
 # Without depth, a border that lies off its known form by so much, as a share of a side and in pixels, is not its own;
 # and the known form follows by this share.
 _DENTED: Final = (0.035, 1.5)
@@ -206,7 +206,7 @@ class KnownSheet:
             return TrackHints(reference=patch, sides=sides)
         laid = laid_over(self.lattice, patch, self.lattice, scaled=True)[0]
         step = _FORGETTING * (patch - laid)
-        most = 2 * _STRETCH[True] * sides.mean()
+        most = _STRETCH[True] * sides.mean()
         return TrackHints(reference=laid + np.clip(step, -most, most), sides=sides)
 
     def seen_beside(self, border: Border, patch: Array) -> TrackHints:

@@ -25,8 +25,8 @@ def test_a_hand_over_a_cloth_moves_no_visible_point(with_depth, place, moving):
 
 
 def test_a_hand_that_creeps_is_no_change_of_the_cloth():
-    scenes = under_hand(np.random.default_rng(2), cloth(1.0), View(height=240), "corner", 0.5, level=True)
-    found = tally_visible(list(seen_points(scenes, View(height=240), False)))
+    scenes = under_hand(np.random.default_rng(2), cloth(1.0), VIEW, "corner", 0.8, level=True)
+    found = tally_visible(list(seen_points(scenes, VIEW, False)))
     assert (found.slips, found.refused) == (0, 0), found
 
 
@@ -35,7 +35,7 @@ def test_a_cloth_in_space_keeps_its_index(motion):
     scenes = in_space(np.random.default_rng(3), cloth(2.0), VIEW, motion, 30.0, 60)
     found = tally_visible(list(seen_points(scenes, VIEW, True)))
     assert (found.slips, found.refused) == (0, 0), found
-    assert found.mm < 3
+    assert found.mm < 5
 
 
 def test_what_a_fold_hides_is_not_valid():
