@@ -29,7 +29,7 @@ Indices = npt.NDArray[np.int64]
 # much in a frame, without depth and with it; without depth all sides together may grow and shrink faster, as the sheet
 # comes nearer.
 _SLACK: Final = (0.04, 2.0)
-_STRETCH: Final = (0.0015, 0.001)
+_STRETCH: Final = (0.0022, 0.001)
 _ZOOM: Final = 0.03
 # Without depth, what hides a part is seen by a turn of the outline where it did not turn before, in radians: a sheet
 # that bends on a table has none, but its corners are sheared.

@@ -82,9 +82,8 @@ def cloth(aspect: float) -> Array:
 def ring(rng: np.random.Generator, hollow: bool) -> Array:
     """Return a closed band, or a plain blob, (4, 128, 2) metres: from inside to outside, clockwise around."""
     around = 2 * np.pi * np.arange(_BAND[1]) / _BAND[1]
-    radius = _RADIUS * (
-        1 + sum(rng.uniform(0.05, 0.12) / k * np.cos((k + 1) * around + rng.uniform(0, 6)) for k in (1, 2, 3))
-    )
+    waves = [rng.uniform(0.05, 0.12) / k * np.cos((k + 1) * around + rng.uniform(0, 6)) for k in (1, 2, 3)]
+    radius = _RADIUS * (1 + np.sum(waves, axis=0))
     border = radius[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1)
     return np.linspace(_HOLE if hollow else 0.02, 1, _BAND[0])[:, None, None] * border
 
@@ -274,7 +273,7 @@ def _seen(
     mask = np.where(drawn & ~over, np.uint8(255), np.uint8(0))
     shown = np.count_nonzero(mask) / max(whole, 1) * float(np.mean(inside))
     shape = space.shape[:2]
-    down, right = np.gradient(pixels.reshape(*shape, 2), axis=(0, 1))
+    down, right = np.asarray(np.gradient(pixels.reshape(*shape, 2), axis=(0, 1)))
     turned = (right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]).ravel() < 0
     hidden |= turned != (np.mean(turned) > 0.5)  # its back is seen, as that of a folded corner
     return FlatScene(space, pixels.reshape(*shape, 2), hidden.reshape(shape), mask, depth.astype(np.float32), shown)
