@@ -25,10 +25,11 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-# A side may be so much longer or shorter than it is known to be, as a share and in pixels. What is known follows by so
+# A side may be so much longer or shorter than it is known to be, as a share, without depth and with it,
+# and in pixels. What is known follows by so
 # much in a frame, without depth and with it; without depth all sides together may grow and shrink faster, as the sheet
 # comes nearer.
-_SLACK: Final = (0.04, 2.0)
+_SLACK: Final = ((0.04, 0.07), 2.0)
 _STRETCH: Final = (0.0022, 0.001)
 _ZOOM: Final = 0.03
 # Without depth, what hides a part is seen by a turn of the outline where it did not turn before, in radians: a sheet
@@ -160,7 +161,7 @@ class KnownSheet:
     def slack(self, view: SheetView) -> Array:
         """Return ``(4,)`` by how much a side may be off."""
         share, pixels = _SLACK
-        return np.maximum(share * self.sides, pixels * (view.scale if self.metric else 1.0))
+        return np.maximum(share[self.metric] * self.sides, pixels * (view.scale if self.metric else 1.0))
 
     def conflict(self, view: SheetView, patch: Array, lattice: Array) -> str:
         """Return what of a sheet that was found does not fit to what is known, or nothing.
