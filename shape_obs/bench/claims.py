@@ -98,6 +98,12 @@ def _outlines(effort: Effort) -> Tables:
     yield "turning outlines, tracked", contours.turning_blobs(seeds=effort.seeds(2))
     some = blobs[:: len(blobs) // 4 or 1]
     yield "outlines at rest in masks that flicker", contours.flickering_blobs(some)
+    few = effort.seeds(50)
+    for title, depth in (("the mask alone", False), ("with depth", True)):
+        hands = contours.outlines_under_hands(few, (0.5, 1, 2, 4, 8, 16), with_depth=depth)
+        yield f"outlines over which a hand comes, stays and goes, {title}", hands
+    for title, noise in (("exact depth", False), ("the noise of a D455", True)):
+        yield f"outlines in space, {title}", contours.outlines_in_space(few, (8, 16, 40), noise=noise)
 
 
 def _sheets(effort: Effort) -> Tables:
@@ -108,6 +114,12 @@ def _sheets(effort: Effort) -> Tables:
     yield "sheets that turn once around, in steps of a degree", surfaces.turning_sheets(seeds)
     yield "sheets that wander, turn and bend, tracked", surfaces.moving_sheets((12,), seeds)
     yield "sheets at rest in masks that flicker", surfaces.noisy_sheets(seeds)
+    few = effort.seeds(50)
+    for title, depth in (("the mask alone", False), ("with depth", True)):
+        hands = surfaces.cloths_under_hands(few, (0.5, 1, 2, 4, 8, 16), with_depth=depth)
+        yield f"cloths over which a hand comes, stays and goes, {title}", hands
+    for title, noise in (("exact depth", False), ("the noise of a D455", True)):
+        yield f"cloths in space, {title}", surfaces.cloths_in_space(few, (8, 16, 40), noise=noise)
 
 
 def _clouds(effort: Effort) -> Tables:

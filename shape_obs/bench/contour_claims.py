@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, product
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.detecting import at_rest, cold, followed
-from shape_obs.bench.scores import outline_score, tally
+from shape_obs.bench.scores import outline_score, tally, tally_visible
 from shape_obs.bench.synthetic.blobs import KINDS, Blob, moving_blob, random_blob
+from shape_obs.bench.synthetic.flat_objects import FlatScene, Motion, View, in_space, noisy_depth, ring, under_hand
 from shape_obs.bench.synthetic.ropes import resample
 from shape_obs.bench.tables import Row, failures, mean, median, of, summary, worst
 from shape_obs.configurations.contour import Contour
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, equal_chords
+from shape_obs.geometry.outline import clockwise
+from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, equal_chords
 
 COUNTS: Final = (16, 32, 64)
 # Motions that are tracked: keywords of ``moving_blob``, which by default turns by 0.08 rad per frame.
@@ -33,6 +35,8 @@ MOTIONS: Final[dict[str, dict[str, Any]]] = {
 }
 # In gaps. Equal chords may move points along the outline by 1.5 gaps (``equal_chords``); an outline that needs
 # this much may need all of it once it is detected.
+VIEWS: Final = (View(), View(height=120))
+_FINE: Final = 64  # places on the true outline to a gap
 _COARSE: Final = 1.3
 
 
@@ -142,3 +146,74 @@ def _shift(outline: npt.NDArray[np.float64], start: npt.NDArray[np.float64], n: 
     around = np.concatenate([curve.points, curve.points[:1]])
     at = equal_chords(around, curve.arc, around, curve.arc, n + 1, 0.0, MAX_SHIFT_AROUND)[1]
     return float(np.abs(at * n / curve.size - np.arange(n + 1)).max())
+
+
+def outlines_under_hands(
+    seeds: Iterable[int], speeds: Iterable[float], views: Iterable[View] = VIEWS, *, with_depth: bool
+) -> Iterator[Row]:
+    """Track closed bands and plain blobs over the border of which a hand comes, stays and goes.
+
+    Args:
+        seeds: Of the scenes.
+        speeds: Of the hand, pixels of a 640 x 480 image per frame.
+        views: Images and backgrounds.
+        with_depth: Whether depth shows the hand, and the object; else there is a mask alone.
+
+    Yields:
+        The fields of ``tally_visible`` for each kind of object, motion and view.
+    """
+    seeds, speeds = list(seeds), list(speeds)
+    for view, hollow, moving in product(views, (True, False), (0.0, 4.0)):
+        frames: list[Row] = []
+        for seed, speed in product(seeds, speeds):
+            rng = np.random.default_rng((seed, round(10 * speed)))
+            scenes = under_hand(rng, ring(rng, hollow), view, "side", speed, moving, level=not with_depth)
+            frames += seen_outline(scenes, view, with_depth)
+        yield Row(rows=view.height, ring=hollow, moving=moving, depth=with_depth, **tally_visible(frames))
+
+
+def outlines_in_space(
+    seeds: Iterable[int], speeds: Iterable[float], views: Iterable[View] = VIEWS, *, noise: bool = False
+) -> Iterator[Row]:
+    """Track closed bands and plain blobs that are lifted and tilted, or of which a side bends towards the camera.
+
+    Yields:
+        The fields of ``tally_visible`` for each kind of object, motion and view.
+    """
+    seeds, speeds, motions = list(seeds), list(speeds), cast("tuple[Motion, ...]", ("tilted", "corner up"))
+    for view, hollow, motion in product(views, (True, False), motions):
+        found: list[Row] = []
+        for seed, speed in product(seeds, speeds):
+            rng = np.random.default_rng((seed, round(10 * speed)))
+            scenes = in_space(rng, ring(rng, hollow), view, motion, speed)
+            found += seen_outline(noisy_depth(scenes, view, seed) if noise else scenes, view, with_depth=True)
+        yield Row(rows=view.height, ring=hollow, noise=noise, motion=motion, **tally_visible(found))
+
+
+def seen_outline(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> Iterator[Row]:
+    """Track an outline with equal gaps in space where there is depth; yield the rows of ``tally_visible``."""
+    detector, start, count = ShapeDetector([Contour(spacing="m" if with_depth else "px")]), -1.0, 32
+    for scene in scenes:
+        depth, camera = (scene.depth, view.intrinsics) if with_depth else (None, None)
+        shape = detector.detect_mask(scene.mask, depth, camera).shapes[0]
+        if start < 0 and shape.reason:
+            continue  # not begun yet
+        border = np.concatenate([scene.points[-1], scene.space[-1], scene.hidden[-1][:, None]], axis=1)
+        if not clockwise(border[:, :2]):
+            border = np.roll(border[::-1], 1, axis=0)
+        metric = border[:, 2:5] if with_depth else border[:, :2]
+        arc = arc_length(np.ascontiguousarray(np.concatenate([metric, metric[:1]])))
+        fine = FittedCurve(border, np.zeros(len(border), bool), arc, True).even(_FINE * count)
+        place = shape.pixels.astype(np.float64)
+        nearest = np.argmin(((place[:, None] - fine[:, :2]) ** 2).sum(axis=2), axis=1) / _FINE
+        if start < 0:
+            start = float(
+                np.angle(np.exp(2j * np.pi * (nearest - np.arange(count)) / count).mean()) * count / 2 / np.pi
+            )
+            start %= count
+        off = np.abs((nearest - np.arange(count) - start + count / 2) % count - count / 2)
+        true = fine[np.rint((np.arange(count) + start) * _FINE).astype(int) % len(fine)]
+        points = shape.points3d if shape.points3d is not None else np.full((count, 3), np.nan)
+        mm = 1e3 * np.linalg.norm(points - true[:, 2:5], axis=1)
+        claimed = {"visible": shape.visible, "valid": shape.valid, "hidden": true[:, 5] > 0.5}
+        yield Row(ok=shape.ok and not shape.reason, shown=scene.shown, off=off, mm=mm, **claimed)

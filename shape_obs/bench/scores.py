@@ -22,6 +22,7 @@ Array = npt.NDArray[np.float64]
 
 BOTH_ENDS: Final[tuple[Ends, ...]] = ("centers", "tips")
 SLIP: Final = 0.5  # gaps; a point that is farther from its position is nearer to that of its neighbour
+LEAST_SHOWN: Final = 0.55  # of an object: with less in sight it may be refused
 _FINE_STEP: Final = 0.1  # pixels
 _BEYOND: Final = 100  # points by which a curve is continued at its ends
 _PER_GAP: Final = 50  # points of a simulator's truth for each gap
@@ -198,3 +199,34 @@ def _renumbered(points: Array, layout: Topology) -> list[Array]:
         return [other.reshape(points.shape) for other in turned]
     backwards = points[::-1]
     return [np.roll(backwards, 1, axis=0) if isinstance(layout, Ring) else backwards]
+
+
+def tally_visible(frames: Sequence[Row]) -> Row:
+    """Count what was claimed of an object of which a part is hidden, over the frames of one or more tracks.
+
+    Args:
+        frames: One row for each: ``ok``, without a reason against it; ``shown``, the share of the object that is seen;
+            ``off``: ``(N,)`` distances of the points from their material, in gaps; ``visible`` and ``valid``: ``(N,)``
+            what was claimed; ``hidden``: ``(N,)`` what is true; ``mm``: ``(N,)`` millimetres, NaN without depth.
+
+    Returns:
+        ``slips``: frames that are ok and have a visible point more than half a gap off, in percent of those that are
+        ok; ``refused``: in percent of the frames in which 55 % of the object shows; ``seen``: percent of the truly
+        visible points of these frames that are visible and valid; ``hidden_valid``: percent of the truly hidden points
+        that are valid; ``mm``: mean of the valid points.
+    """
+    ok = [row for row in frames if row.ok]
+    slips = sum(bool((row.off[row.visible] > SLIP).any()) for row in ok)
+    most = [row for row in frames if row.shown >= LEAST_SHOWN]
+    seen = [(row.visible & row.valid)[~row.hidden].mean() for row in most if not row.hidden.all()]
+    hidden = sum(int((row.valid & row.hidden).sum()) for row in frames)
+    errors = np.concatenate([row.mm[row.valid] for row in ok] or [np.empty(0)])
+    return Row(
+        frames=len(frames),
+        slips=100 * slips / max(len(ok), 1),
+        refused=100 * sum(not row.ok for row in most) / max(len(most), 1),
+        seen=100 * float(np.mean(seen)) if seen else 100.0,
+        hidden_valid=100 * hidden / max(sum(int(row.hidden.sum()) for row in frames), 1),
+        mm=float(errors.mean()) if len(errors) else float("nan"),
+        worst=max((float(row.off[row.visible].max(initial=0.0)) for row in ok), default=0.0),
+    )

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from itertools import pairwise, product
-from typing import Final
+from typing import Final, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.detecting import at_rest, cold, followed
-from shape_obs.bench.scores import BOTH_ENDS, SLIP, off_lattice, tally
+from shape_obs.bench.scores import BOTH_ENDS, SLIP, off_lattice, tally, tally_visible
+from shape_obs.bench.synthetic.flat_objects import (
+    FlatScene,
+    Hand,
+    Motion,
+    View,
+    cloth,
+    in_space,
+    noisy_depth,
+    under_hand,
+)
 from shape_obs.bench.synthetic.sheets import Sheet, moving_sheet, noisy, random_sheet, turning_sheet
 from shape_obs.bench.tables import Row, failures, mean, median, of, summary
 from shape_obs.configurations.base import Ends
@@ -20,6 +30,7 @@ from shape_obs.shape import Shape
 
 ASPECTS: Final = (1.0, 1.5, 2.0, 3.0, 1 / 2, 1 / 3)
 LATTICES: Final = ((4, 8), (2, 2), (3, 3), (8, 8), (6, 10))
+VIEWS: Final = (View(), View(height=120))
 _SPEC: Final = Surface(rows=4, cols=8)  # of tracked cloths
 # In degrees. This close to an eighth of a turn, either of two corners may count as the top left one.
 _UNDECIDED: Final = 2.0
@@ -139,6 +150,77 @@ def noisy_sheets(seeds: Iterable[int], frames: int = 60) -> Iterator[Row]:
         jitter, highest = np.sqrt([by_point.mean(), by_point.max()]).tolist()
         not_ok = sum(not shape.ok for shape in shapes)
         yield Row(aspect=aspect, frames=frames, not_ok=not_ok, mean=jitter, worst_point=highest)
+
+
+def cloths_under_hands(
+    seeds: Iterable[int], speeds: Iterable[float], views: Iterable[View] = VIEWS, *, with_depth: bool
+) -> Iterator[Row]:
+    """Track cloths over a corner or a side of which a hand comes, stays and goes, at rest and moving.
+
+    Args:
+        seeds: Of the scenes.
+        speeds: Of the hand, pixels of a 640 x 480 image per frame.
+        views: Images and backgrounds.
+        with_depth: Whether depth shows the hand, and the cloth; else there is a mask alone.
+
+    Yields:
+        The fields of ``tally_visible`` for each kind of hand, motion and view.
+    """
+    seeds, speeds = list(seeds), list(speeds)
+    for view, place, moving in product(views, get_args(Hand), (0.0, 4.0)):
+        frames: list[Row] = []
+        for seed, speed in product(seeds, speeds):
+            rng = np.random.default_rng((seed, round(10 * speed)))
+            scenes = under_hand(rng, cloth(ASPECTS[seed % 3]), view, place, speed, moving, level=not with_depth)
+            frames += seen_points(scenes, view, with_depth)
+        yield Row(rows=view.height, hand=place, moving=moving, depth=with_depth, **tally_visible(frames))
+
+
+def cloths_in_space(
+    seeds: Iterable[int],
+    speeds: Iterable[float],
+    views: Iterable[View] = (*VIEWS, View(wall=False)),
+    *,
+    noise: bool = False,
+    frames: int = 120,
+) -> Iterator[Row]:
+    """Track cloths that are lifted and tilted, of which a corner bends towards the camera, and that are folded.
+
+    Yields:
+        The fields of ``tally_visible`` for each kind of motion and view.
+    """
+    seeds, speeds = list(seeds), list(speeds)
+    for view, motion in product(views, get_args(Motion)):
+        found: list[Row] = []
+        for seed, speed in product(seeds, speeds):
+            rng = np.random.default_rng((seed, round(10 * speed)))
+            scenes = in_space(rng, cloth(ASPECTS[seed % 3]), view, motion, speed, frames)
+            found += seen_points(noisy_depth(scenes, view, seed) if noise else scenes, view, with_depth=True)
+        yield Row(rows=view.height, wall=view.wall, noise=noise, motion=motion, **tally_visible(found))
+
+
+def seen_points(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> Iterator[Row]:
+    """Track a cloth with equal gaps in space where there is depth; yield the rows of ``tally_visible``."""
+    spec = Surface(rows=4, cols=8, spacing="m" if with_depth else "px")
+    detector, corner = ShapeDetector([spec]), -1
+    for scene in scenes:
+        depth, camera = (scene.depth, view.intrinsics) if with_depth else (None, None)
+        shape = detector.detect_mask(scene.mask, depth, camera).shapes[0]
+        if corner < 0 and shape.reason:
+            continue  # not begun yet
+        whole = np.concatenate([scene.points, scene.space, scene.hidden[..., None].astype(np.float64)], axis=2)
+        found = np.asarray(shape.pixels, dtype=np.float64).reshape(4, 8, 2)
+        turned = [Sheet(np.rot90(whole, quarters), scene.mask).lattice(4, 8, "centers") for quarters in range(4)]
+        if corner < 0:
+            corner = int(np.argmin([np.linalg.norm(found - true[..., :2], axis=-1).mean() for true in turned]))
+        true = turned[corner]
+        away, place = found - true[..., :2], true[..., :2]
+        if shape.points3d is not None:  # in the image a steep piece of cloth has no gaps
+            away, place = shape.points3d.reshape(4, 8, 3) - true[..., 2:5], true[..., 2:5]
+        off = np.abs(off_lattice(np.nan_to_num(away), place)).max(axis=-1).ravel()
+        mm = 1e3 * np.linalg.norm(away, axis=-1).ravel() if shape.points3d is not None else np.full(32, np.nan)
+        claimed = {"visible": shape.visible, "valid": shape.valid, "hidden": true[..., 5].ravel() > 0.5}
+        yield Row(ok=shape.ok and not shape.reason, shown=scene.shown, off=off, mm=mm, **claimed)
 
 
 def _tracked(scenes: Iterable[Sheet]) -> tuple[Row, list[Row], list[float]]:

@@ -26,7 +26,7 @@ from shape_obs.initialization.folding import closest_sides, sharp_bends, unexpla
 from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import thinned, trace_skeleton
-from shape_obs.point_cloud.lifting import lift_chain
+from shape_obs.point_cloud.chain_length import lift_chain
 from shape_obs.tracking.occluders import Tips, chain_evidence
 from shape_obs.tracking.occlusion import match_chain, shown, surprise
 from shape_obs.tracking.predicted_rope import oriented, visible_nodes

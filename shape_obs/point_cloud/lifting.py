@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +11,6 @@ from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
 from shape_obs.frame import FARTHEST, readable_depth
 from shape_obs.geometry.curve import FittedCurve, FittedForm
-from shape_obs.geometry.polyline import arc_length
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.image.region import Region
 
@@ -20,12 +18,14 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
 
 MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry depth
-_SMEARED: Final = 2.5  # widths next to a hidden piece, in which depth may be that of what hides it
-_COMPARED: Final = 6.0  # widths within which the rope's own depth is looked for
-_STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much within a few widths
-_COMPANY: Final = 3  # points of a curve to either side, whose median depth a point's is compared with
-_ASTRAY: Final = 0.01  # metres: farther from it, apart from their own slope, a depth is not the curve's
-_SMOOTHED: Final = 4  # points to either side, over which depth is smoothed along a curve
+SMEARED: Final = 2.5  # widths next to a hidden piece, in which depth may be that of what hides it
+COMPARED: Final = 6.0  # widths within which the rope's own depth is looked for
+STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much within a few widths
+_SPARSE: Final = 4  # pixels: from this reach on every second pixel is enough
+_ENOUGH: Final = 6  # pixels with depth that make a plane
+_IN_LINE: Final = 0.01  # of the squared spread: below it pixels lie in a line
+_ROUNDS: Final = 3
+_OFF_PLANE: Final = 3.0  # median distances from the plane: what lies farther off belongs to something else
 MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
 
 
@@ -46,10 +46,15 @@ def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region, width:
     left, top = region.window[:2]
     reach = min(max(round(width / 4), 1), MAX_REACH)
     points = np.ascontiguousarray(form.points, dtype=np.float64)
-    z = median_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE)
+    z = median_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE, not is_rope(form))
     if isinstance(form, FittedCurve) and not form.whole:
         z[form.interpolated | overlaid(form, z, width)] = np.nan
     return z
+
+
+def is_rope(form: FittedForm) -> bool:
+    """Return whether a form is an open curve: the depth under it does not slope across it."""
+    return isinstance(form, FittedCurve) and not form.closed
 
 
 def lift_form(form: FittedForm, z: Array, intrinsics: Intrinsics) -> Array | None:
@@ -91,19 +96,19 @@ def overlaid(curve: FittedCurve, metres: Array, width: float) -> npt.NDArray[np.
     apart = np.abs(arc[:, None] - arc)
     if curve.closed:
         apart = np.minimum(apart, curve.size - apart)
-    nearby = apart[:, curve.interpolated].min(axis=1) <= _SMEARED * width
+    nearby = apart[:, curve.interpolated].min(axis=1) <= SMEARED * width
     own = np.where(nearby | curve.interpolated, np.nan, metres)
     over = np.zeros(len(metres), bool)
     for at in np.flatnonzero(nearby & ~curve.interpolated & np.isfinite(metres)):
-        near = own[apart[at] <= _COMPARED * width]
+        near = own[apart[at] <= COMPARED * width]
         near = near[np.isfinite(near)] if np.isfinite(near).any() else own[np.isfinite(own)]
-        over[at] = len(near) > 0 and metres[at] < np.median(near) - _STEP
+        over[at] = len(near) > 0 and metres[at] < np.median(near) - STEP
     return over
 
 
 @compiled(
-    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8)",
-    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8)",
+    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8, b1)",
+    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8, b1)",
 )
 def median_depth(
     depth: npt.NDArray[Any],
@@ -114,8 +119,13 @@ def median_depth(
     points: Array,
     reach: int,
     min_share: float,
+    sloped: bool,
 ) -> Array:
-    """Return the median depth of the mask around each point.
+    """Return the median depth of the mask around each point, measured from a plane through the depth there.
+
+    At a border the mask lies on one side of the point, and the median of a tilted sheet would be the depth some pixels
+    inside. The slope comes from the least squares of the inverse depth, which is linear in the pixel on a plane,
+    without what lies far off it.
 
     Args:
         depth: ``(H, W)`` read-only, uint16 or float32; 0, negative, non-finite or absurd = invalid.
@@ -124,152 +134,78 @@ def median_depth(
         left: Image column of its first pixel.
         top: Image row of its first pixel.
         points: ``(N, 2)`` image pixels.
-        reach: How far around a point is looked, pixels.
+        reach: How far around a point is looked, pixels; from 4 on at every second pixel, as on a chessboard.
         min_share: Of the mask's pixels there, that must have a valid depth.
+        sloped: Whether the depth may slope; a rope is too narrow for that, and lies on both sides of its points.
 
     Returns:
         ``(N,)`` metres, NaN where too few have.
     """
     height, width = mask.shape
+    step = 2 if reach >= _SPARSE else 1
     out, near = np.empty(len(points)), np.empty((2 * reach + 1) ** 2)
+    x, y, z = np.empty_like(near), np.empty_like(near), np.empty_like(near)
     for n in range(len(points)):
         out[n] = np.nan
         column, row = nearest_pixel(points[n, 0]) - left, nearest_pixel(points[n, 1]) - top
         inside = known = 0
         for v in range(max(row - reach, 0), min(row + reach + 1, height)):
-            for u in range(max(column - reach, 0), min(column + reach + 1, width)):
-                if mask[v, u] != 0:
+            for u in range(column - reach + (v - row & 1) * (step - 1), min(column + reach + 1, width), step):
+                if u >= 0 and mask[v, u] != 0:
                     inside += 1
-                    z = depth[v + top, u + left] * unit
-                    if 0 < z < FARTHEST:
-                        near[known] = z
+                    metres = depth[v + top, u + left] * unit
+                    if 0 < metres < FARTHEST:
+                        x[known], y[known] = u + left - points[n, 0], v + top - points[n, 1]
+                        z[known] = near[known] = metres
                         known += 1
         if known >= max(min_share * inside, 1):
-            out[n] = _median(near, known)
+            middle = _median(near, known)
+            out[n] = _over_plane(x, y, z, near, known, middle) if sloped and known >= _ENOUGH else middle
     return out
 
 
-@compiled(
-    "(f8[:,::1], f8[:,::1], b1[::1], Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8)",
-    "(f8[:,::1], f8[:,::1], b1[::1], Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8)",
-)
-def lift_chain(
-    points: Array,
-    rays: Array,
-    bridged: npt.NDArray[np.bool_],
-    depth: npt.NDArray[Any],
-    unit: float,
-    mask: Mask,
-    at: tuple[int, int],
-    width: float,
-) -> tuple[Array, Array, float]:
-    """Put an open curve in space, and measure how far along it each of its points lies, in metres.
-
-    Depth that lies off its neighbours' is left out, holes are bridged, and the rest is smoothed by parabolas over
-    nine points, since noise would make the curve longer than it is.
-
-    Args:
-        points: ``(P, 2)`` pixels, at about equal steps.
-        rays: ``(P, 2)`` x/z and y/z of their viewing rays.
-        bridged: ``(P,)`` where the curve does not lie on the object.
-        depth: ``(H, W)`` read-only, uint16 or float32.
-        unit: Metres in a unit of depth.
-        mask: ``(h, w)`` uint8, C-contiguous.
-        at: Image column and row of its first pixel.
-        width: Of the object, pixels; depth is looked for within a quarter of it.
-
-    Returns:
-        ``(P,)`` arc length, metres; ``(P,)`` smooth depth, metres; the share of the points that have depth.
-    """
-    size = len(points)
-    reach = min(max(int(np.rint(width / 4)), 1), MAX_REACH)
-    z = median_depth(depth, unit, mask, at[0], at[1], points, reach, MIN_SHARE)
-    _leave_out_overlaid(z, points, bridged, width)
-    near, clean = np.empty(2 * _COMPANY + 1), np.empty(size)
-    for p in range(size):
-        clean[p] = np.nan
-        if bridged[p] or not z[p] > 0:
-            continue
-        count = 0
-        for q in range(max(p - _COMPANY, 0), min(p + _COMPANY + 1, size)):
-            if not bridged[q] and z[q] > 0:
-                near[count] = z[q]
-                count += 1
-        reach_up = max(near[count - 1], near[0]) - min(near[count - 1], near[0])
-        if abs(z[p] - _median(near, count)) <= _ASTRAY + reach_up:
-            clean[p] = z[p]
-    known, before = 0, -1
-    for p in range(size):
-        if clean[p] > 0:
-            known += 1
-            for q in range(before + 1, p):
-                share = 1.0 if before < 0 else (q - before) / (p - before)
-                clean[q] = clean[p] if before < 0 else clean[before] + share * (clean[p] - clean[before])
-            before = p
-    for q in range(before + 1, size):
-        clean[q] = clean[before] if before >= 0 else np.nan
-    smooth = parabola_smoothed(clean, _SMOOTHED)
-    arc = np.zeros(size)
-    for p in range(1, size):
-        x = rays[p, 0] * smooth[p] - rays[p - 1, 0] * smooth[p - 1]
-        y = rays[p, 1] * smooth[p] - rays[p - 1, 1] * smooth[p - 1]
-        away = smooth[p] - smooth[p - 1]
-        arc[p] = arc[p - 1] + math.sqrt(x * x + y * y + away * away)
-    return arc, smooth, known / size
-
-
 @compiled
-def _leave_out_overlaid(z: Array, points: Array, bridged: npt.NDArray[np.bool_], width: float) -> None:
-    """Set depth to NaN that belongs to what hides a bridged piece next to it, see ``overlaid``.
+def _over_plane(x: Array, y: Array, z: Array, spare: Array, count: int, middle: float) -> float:
+    """Return the depth at the origin of a plane through the first ``count`` of some depths: their median above it.
 
     Args:
-        z: ``(P,)`` metres, changed in place.
-        points: ``(P, 2)`` pixels.
-        bridged: ``(P,)``.
-        width: Of the object, pixels.
+        x: ``(K,)`` pixels.
+        y: ``(K,)`` pixels.
+        z: ``(K,)`` metres.
+        spare: ``(K,)`` is overwritten.
+        count: How many are known.
+        middle: Their median.
     """
-    size = len(z)
-    arc, apart, others = arc_length(points), np.empty(size), np.empty(size)
-    for p in range(size):
-        apart[p] = np.inf
-        for q in range(size):
-            if bridged[q]:
-                apart[p] = min(apart[p], abs(arc[p] - arc[q]))
-    for p in range(size):
-        if bridged[p] or apart[p] > _SMEARED * width or not z[p] > 0:
-            continue
-        count = 0
-        for q in range(size):
-            if apart[q] > _SMEARED * width and abs(arc[p] - arc[q]) <= _COMPARED * width and z[q] > 0:
-                others[count] = z[q]
-                count += 1
-        if count > 0 and z[p] < _median(others, count) - _STEP:
-            z[p] = np.nan
-
-
-@compiled
-def parabola_smoothed(values: Array, half: int) -> Array:
-    """Smooth values by a parabola through each one's neighbours (Savitzky and Golay 1964, of second order).
-
-    Args:
-        values: ``(P,)``.
-        half: How many neighbours to either side; at both ends the window is cut.
-    """
-    size = len(values)
-    out = np.empty(size)
-    for p in range(size):
-        low, high = max(p - half, 0), min(p + half, size - 1)
-        s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = 0.0
-        for q in range(low, high + 1):
-            x = float(q - p)
-            s0, s1, s2, s3, s4 = s0 + 1.0, s1 + x, s2 + x * x, s3 + x * x * x, s4 + x * x * x * x
-            t0, t1, t2 = t0 + values[q], t1 + x * values[q], t2 + x * x * values[q]
-        whole = s0 * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s2 * s3) + s2 * (s1 * s3 - s2 * s2)
-        if whole > 0:
-            out[p] = (t0 * (s2 * s4 - s3 * s3) - s1 * (t1 * s4 - t2 * s3) + s2 * (t1 * s3 - t2 * s2)) / whole
-        else:
-            out[p] = values[p]
-    return out
+    slope_x = slope_y = level = 0.0
+    for _ in range(_ROUNDS):
+        for k in range(count):
+            spare[k] = abs(middle / z[k] - 1 - level - slope_x * x[k] - slope_y * y[k])
+        limit = max(_OFF_PLANE * _median(spare, count), 1e-6)
+        n = sx = sy = sxx = sxy = syy = sw = sxw = syw = 0.0
+        for k in range(count):
+            w = middle / z[k] - 1
+            if abs(w - level - slope_x * x[k] - slope_y * y[k]) <= limit:
+                n += 1
+                sx += x[k]
+                sy += y[k]
+                sxx += x[k] * x[k]
+                sxy += x[k] * y[k]
+                syy += y[k] * y[k]
+                sw += w
+                sxw += x[k] * w
+                syw += y[k] * w
+        if n < _ENOUGH:
+            return middle
+        sxx, sxy, syy = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
+        sxw, syw = sxw - sx * sw / n, syw - sy * sw / n
+        spread = sxx * syy - sxy * sxy
+        if spread <= _IN_LINE * (sxx + syy) ** 2:
+            return middle  # no slope across a line of pixels
+        slope_x, slope_y = (sxw * syy - syw * sxy) / spread, (syw * sxx - sxw * sxy) / spread
+        level = (sw - slope_x * sx - slope_y * sy) / n
+    for k in range(count):
+        spare[k] = middle / z[k] - slope_x * x[k] - slope_y * y[k]
+    return middle / max(_median(spare, count), 0.5)
 
 
 @compiled
@@ -293,3 +229,23 @@ def _median(values: Array, count: int) -> float:
     for k in range(1, half):
         below = max(below, values[k])
     return (below + values[half]) / 2
+
+
+@compiled
+def bridged(z: Array) -> bool:
+    """Fill the gaps of values around a ring by straight lines of their inverse; return False if most are unknown."""
+    count, first, known = len(z), -1, 0
+    for k in range(count):
+        if z[k] > 0:
+            first, known = k if first < 0 else first, known + 1
+    if known < 0.5 * count:
+        return False
+    last = first
+    for step in range(1, count + 1):
+        k = (first + step) % count
+        if z[k] > 0:
+            gap = (k - last - 1) % count + 1
+            for i in range(1, gap):
+                z[(last + i) % count] = 1 / (1 / z[last] + (1 / z[k] - 1 / z[last]) * i / gap)
+            last = k
+    return True

@@ -1,0 +1,298 @@
+"""Draw cloths and rings in space with depth, under a hand, lifted, tilted and folded; every material point is known.
+
+A flat object is a grid of material points that bends about cylinders alone, so that distances along it stay. A triangle
+mesh is rasterised with a depth buffer, which also tells which material points a fold or a hand hides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.camera import Intrinsics
+from shape_obs.compiled import compiled
+
+Array = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+Motion = Literal["tilted", "corner up", "folded"]
+Hand = Literal["corner", "side"]
+
+_CLOTH: Final = (65, 65)  # rows and columns of the mesh
+_BAND: Final = (4, 128)  # from the inner to the outer border, and around
+_AREA: Final = 0.075  # square metres of a cloth
+_RADIUS: Final = 0.13  # metres, of a ring or a plain blob
+_HOLE: Final = 0.62  # of the radius
+_DISTANCE: Final = 0.62  # metres from the camera
+_HAND_ABOVE: Final = 0.06  # metres
+_WALL: Final = 0.95  # metres
+_HIDES: Final = 0.004  # metres: what is nearer by more lies over a point
+
+
+@dataclass(frozen=True)
+class FlatScene:
+    """One frame.
+
+    Args:
+        space: ``(R, C, 3)`` metres, the material grid, camera frame.
+        points: ``(R, C, 2)`` its pixels.
+        hidden: ``(R, C)`` bool: something lies over the point, its back is turned to the camera, or it is out of sight.
+        mask: ``(H, W)`` uint8, 0 or 255.
+        depth: ``(H, W)`` float32 metres, 0 where nothing returns any.
+        shown: The share of the object that is seen.
+    """
+
+    space: Array
+    points: Array
+    hidden: Bools
+    mask: npt.NDArray[np.uint8]
+    depth: npt.NDArray[np.float32]
+    shown: float
+
+
+@dataclass(frozen=True)
+class View:
+    """How the object is seen.
+
+    Args:
+        height: Rows of the image, in the aspect of 640 x 480.
+        wall: Whether a wall behind the object returns depth.
+    """
+
+    height: int = 480
+    wall: bool = True
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """A D455's at this size."""
+        scale = self.height / 480
+        return Intrinsics(4 * self.height // 3, self.height, 386 * scale, 386 * scale, 320 * scale, 240 * scale)
+
+
+def cloth(aspect: float) -> Array:
+    """Return the material grid of a cloth of an aspect (width over height), (65, 65, 2) metres about its middle."""
+    down, across = (np.linspace(-0.5, 0.5, count) for count in _CLOTH)
+    width = (_AREA * aspect) ** 0.5
+    return np.stack(np.meshgrid(across * width, down * width / aspect), axis=-1)
+
+
+def ring(rng: np.random.Generator, hollow: bool) -> Array:
+    """Return a closed band, or a plain blob, (4, 128, 2) metres: from inside to outside, clockwise around."""
+    around = 2 * np.pi * np.arange(_BAND[1]) / _BAND[1]
+    waves = [rng.uniform(0.05, 0.12) / k * np.cos((k + 1) * around + rng.uniform(0, 6)) for k in (1, 2, 3)]
+    radius = _RADIUS * (1 + np.sum(waves, axis=0))
+    border = radius[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1)
+    return np.linspace(_HOLE if hollow else 0.02, 1, _BAND[0])[:, None, None] * border
+
+
+def under_hand(
+    rng: np.random.Generator,
+    flat: Array,
+    view: View,
+    place: Hand,
+    speed: float,
+    moving: float = 0.0,
+    *,
+    level: bool = False,
+) -> Iterator[FlatScene]:
+    """Draw a flat object over which a hand comes from outside, stays and goes.
+
+    Args:
+        rng: Draws the scene.
+        flat: ``(R, C, 2)`` the material grid.
+        view: How it is seen.
+        place: What the hand covers.
+        speed: Pixels of a 640 x 480 image per frame, of the hand.
+        moving: The same of the object.
+        level: Whether the object lies flat on a table under the camera: without depth, tilt looks like hiding.
+    """
+    scale, closed = view.height / 480, len(flat) == _BAND[0]
+    pose = _Pose(
+        rng, tilt=0.0 if level else np.radians(15), lift=0.0 if level else 0.03, bend="flat" if level else None
+    )
+    border = flat[-1] if closed else flat[[0, 0, -1, -1], [0, -1, -1, 0]]
+    at = int(rng.integers(len(border)))
+    target = border[at] if place == "corner" or closed else (border[at] + border[(at + 1) % 4]) / 2
+    material = _mesh(flat, closed)
+    way, width, deep = target / np.linalg.norm(target), rng.uniform(30, 60) * scale, rng.uniform(70, 120) * scale
+    way = np.array([[np.cos(a := rng.uniform(-0.5, 0.5)), -np.sin(a)], [np.sin(a), np.cos(a)]]) @ way
+    steps = int(np.ceil(deep / (speed * scale)))
+    inwards = [
+        -3,
+        -2,
+        -1,
+        *np.linspace(0, 1, steps),
+        *np.ones(15),
+        *np.linspace(1, 0, steps),
+        -1,
+        -2,
+        -3,
+        *-np.ones(12),
+    ]
+    clock = 0.0
+    for share in inwards:
+        clock = pose.after(clock, flat, view, moving * scale) if moving else clock
+        placed = pose.at(flat, clock)
+        spot, beyond = view.intrinsics.project(pose.at(np.stack([target, target + 0.1 * way])[None], clock)[0])
+        ahead = (beyond - spot) / np.linalg.norm(beyond - spot)
+        tip = spot + ahead * (width - deep * share if share >= 0 else 2 * width)
+        yield _seen(placed, material, closed, view, (tip, ahead, width))
+
+
+def in_space(
+    rng: np.random.Generator, flat: Array, view: View, motion: Motion, speed: float, frames: int = 120
+) -> Iterator[FlatScene]:
+    """Draw a flat object that is swung through the air; its fastest point moves ``speed`` pixels a frame at most.
+
+    Args:
+        rng: Draws the motion.
+        flat: ``(R, C, 2)`` the material grid.
+        view: How it is seen.
+        motion: It tilts to 60 degrees, a corner (or side) bends towards the camera, or it is folded over a line.
+        speed: Pixels of a 640 x 480 image per frame.
+        frames: How many.
+    """
+    closed = len(flat) == _BAND[0]
+    pose = _Pose(rng, tilt=np.radians(60 if motion == "tilted" else 25), lift=0.12, bend=motion)
+    material, time = _mesh(flat, closed), 0.0
+    for _ in range(frames):
+        yield _seen(pose.at(flat, time), material, closed, view, None)
+        time = pose.after(time, flat, view, speed * view.height / 480)
+
+
+def noisy_depth(scenes: Iterator[FlatScene], view: View, seed: int) -> Iterator[FlatScene]:
+    """Put a D455's noise on the depth of scenes; needs the environments' package."""
+    from shape_obs_envs.d455.model import D455Model
+    from shape_obs_envs.d455.noise import D455Camera
+
+    camera = D455Camera(D455Model(), (view.height, 4 * view.height // 3), fast=True)
+    rng, white = np.random.default_rng(seed), np.full((view.height, 4 * view.height // 3, 3), 200, np.uint8)
+    for scene in scenes:
+        yield replace(scene, depth=camera.measure(scene.depth, white, rng).metres.copy())
+
+
+class _Pose:
+    """A smooth motion: material points -> camera frame."""
+
+    def __init__(
+        self, rng: np.random.Generator, tilt: float, lift: float, bend: Motion | Literal["flat"] | None = None
+    ) -> None:
+        self.tilt, self.lift, self.bend = tilt, lift, bend
+        self.phase, self.pace = rng.uniform(0, 2 * np.pi, 8), rng.uniform(0.5, 1.0, 8)
+        self.spin, self.start = rng.uniform(0.1, 0.3) * rng.choice([-1, 1]), rng.uniform(-np.pi, np.pi)
+        self.towards = rng.uniform(0, 2 * np.pi)
+        self.corner = np.array([rng.choice([-1, 1]), rng.choice([-1, 1])])
+
+    def at(self, flat: Array, time: float) -> Array:
+        wave = np.sin(self.pace * time + self.phase)
+        space = self._bent(flat, time)
+        lean = self.tilt * (wave[0] if self.bend != "tilted" else (1 - np.cos(self.pace[0] * time)) / 2)
+        heading, spin = self.towards + 0.5 * time, self.start + self.spin * time
+        axis = np.array([np.cos(heading), np.sin(heading), 0.0])
+        turned = _rotated(_rotated(space, np.array([0.0, 0.0, 1.0]), spin), axis, lean)
+        away = np.array([0.05 * wave[1], 0.035 * wave[2], _DISTANCE - self.lift * (0.5 + 0.5 * wave[3])])
+        return turned + away
+
+    def _bent(self, flat: Array, time: float) -> Array:
+        if self.bend == "flat":
+            return np.concatenate([flat, np.zeros((*flat.shape[:2], 1))], axis=-1)
+        if self.bend not in ("corner up", "folded"):
+            way, bend = np.array([np.cos(self.towards), np.sin(self.towards)]), 1.5 * np.sin(self.pace[4] * time)
+            halves = [_rolled(flat, side * way, 0.0, 1 / max(abs(bend), 1e-3), np.pi) for side in (1, -1)]
+            space = np.where((flat @ way > 0)[..., None], *halves)
+            return space * (1, 1, np.sign(bend))
+        corners = self.corner * np.abs(flat[-1, -1]) if len(flat) != _BAND[0] else flat[-1, 20]
+        way = corners / np.linalg.norm(corners)
+        reach = float((flat @ way).max())
+        most, radius, share = (np.radians(75), 0.05, 0.45) if self.bend == "corner up" else (np.pi, 0.008, 0.6)
+        return _rolled(flat, way, share * reach, radius, most * (1 - np.cos(0.9 * self.pace[5] * time)) / 2)
+
+    def after(self, time: float, flat: Array, view: View, speed: float) -> float:
+        """Return the next time at which some point has moved ``speed`` pixels."""
+        some = flat[[0, -1]][:, :: max(flat.shape[1] // 16, 1)]
+        camera, low, high = view.intrinsics, 0.0, 0.5
+        before = camera.project(self.at(some, time))
+        for _ in range(12):
+            step = (low + high) / 2
+            far = np.linalg.norm(camera.project(self.at(some, time + step)) - before, axis=-1).max()
+            low, high = (low, step) if far > speed else (step, high)
+        return time + low
+
+
+def _rolled(flat: Array, way: Array, begin: float, radius: float, most: float) -> Array:
+    """Roll a plane about a cylinder, towards the camera, where it goes beyond ``begin`` along ``way``; (..., 3)."""
+    way = way / np.linalg.norm(way)
+    along = flat @ way
+    over = np.maximum(along - begin, 0.0)
+    angle = np.minimum(over / radius, most)
+    rest = over - angle * radius
+    forward = radius * np.sin(angle) + rest * np.cos(angle)
+    up = radius * (1 - np.cos(angle)) + rest * np.sin(angle)
+    moved = flat + (np.minimum(along, begin) + forward - along)[..., None] * way
+    return np.concatenate([moved, -up[..., None]], axis=-1)
+
+
+def _rotated(points: Array, axis: Array, angle: float) -> Array:
+    """Rotate points about an axis (O. Rodrigues, 1840)."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return points * cosine + np.cross(axis, points) * sine + axis * (points @ axis)[..., None] * (1 - cosine)
+
+
+def _mesh(flat: Array, closed: bool) -> npt.NDArray[np.int64]:
+    """Return the triangles of a grid, ``(T, 3)``; one that is closed joins its last column to the first."""
+    rows, cols = flat.shape[:2]
+    row, col = np.meshgrid(np.arange(rows - 1), np.arange(cols if closed else cols - 1), indexing="ij")
+    a, b = row * cols + col, row * cols + (col + 1) % cols
+    return np.concatenate([np.stack([a, b, a + cols], -1), np.stack([b, b + cols, a + cols], -1)]).reshape(-1, 3)
+
+
+def _seen(
+    space: Array, triangles: npt.NDArray[np.int64], closed: bool, view: View, hand: tuple[Array, Array, float] | None
+) -> FlatScene:
+    """Draw a frame; a hand is its tip and direction in pixels and its half width."""
+    camera, flat = view.intrinsics, np.ascontiguousarray(space.reshape(-1, 3))
+    pixels = camera.project(flat)
+    buffer = _rasterised(pixels, 1 / flat[:, 2], triangles, camera.height, camera.width)
+    drawn = buffer > 0
+    depth = np.where(drawn, 1 / np.maximum(buffer, 1e-9), _WALL if view.wall else 0.0)
+    over, whole = np.zeros_like(drawn), np.count_nonzero(drawn)
+    if hand is not None:
+        tip, ahead, width = hand
+        v, u = np.mgrid[: camera.height, : camera.width]
+        along = (u - tip[0]) * ahead[0] + (v - tip[1]) * ahead[1]
+        aside = np.hypot(u - tip[0] - np.maximum(along, 0) * ahead[0], v - tip[1] - np.maximum(along, 0) * ahead[1])
+        over = aside <= width
+        depth[over] = float(flat[:, 2].min()) - _HAND_ABOVE
+    column, row = np.rint(np.nan_to_num(pixels, nan=-1)).astype(int).T
+    inside = (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+    column, row = column.clip(0, camera.width - 1), row.clip(0, camera.height - 1)
+    hidden = ~inside | over[row, column] | (drawn[row, column] & (depth[row, column] < flat[:, 2] - _HIDES))
+    mask = np.where(drawn & ~over, np.uint8(255), np.uint8(0))
+    shown = np.count_nonzero(mask) / max(whole, 1) * float(np.mean(inside))
+    shape = space.shape[:2]
+    down, right = np.asarray(np.gradient(pixels.reshape(*shape, 2), axis=(0, 1)))
+    turned = (right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]).ravel() < 0
+    hidden |= turned != (np.mean(turned) > 0.5)  # its back is seen, as that of a folded corner
+    return FlatScene(space, pixels.reshape(*shape, 2), hidden.reshape(shape), mask, depth.astype(np.float32), shown)
+
+
+@compiled("(f8[:,::1], f8[::1], i8[:,::1], i8, i8)")
+def _rasterised(pixels: Array, inverse: Array, triangles: npt.NDArray[np.int64], height: int, width: int) -> Array:
+    """Return the largest inverse depth of the triangles over each pixel's centre, ``(H, W)``, 0 for none."""
+    out = np.zeros((height, width))
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        au, av, bu, bv, cu, cv = pixels[a, 0], pixels[a, 1], pixels[b, 0], pixels[b, 1], pixels[c, 0], pixels[c, 1]
+        area = (bu - au) * (cv - av) - (bv - av) * (cu - au)
+        if abs(area) < 1e-12:
+            continue
+        for v in range(max(int(np.ceil(min(av, bv, cv))), 0), min(int(np.floor(max(av, bv, cv))), height - 1) + 1):
+            for u in range(max(int(np.ceil(min(au, bu, cu))), 0), min(int(np.floor(max(au, bu, cu))), width - 1) + 1):
+                p = ((bu - u) * (cv - v) - (bv - v) * (cu - u)) / area
+                q = ((cu - u) * (av - v) - (cv - v) * (au - u)) / area
+                if p >= 0 and q >= 0 and p + q <= 1:
+                    out[v, u] = max(out[v, u], p * inverse[a] + q * inverse[b] + (1 - p - q) * inverse[c])
+    return out

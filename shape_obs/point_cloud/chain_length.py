@@ -1,0 +1,143 @@
+"""The length of an open curve in space: depth along it, cleaned, bridged and smoothed."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.compiled import compiled
+from shape_obs.geometry.polyline import arc_length
+from shape_obs.point_cloud.lifting import COMPARED, MAX_REACH, MIN_SHARE, SMEARED, STEP, _median, median_depth
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.uint8]
+
+_COMPANY: Final = 3  # points of a curve to either side, whose median depth a point's is compared with
+_ASTRAY: Final = 0.01  # metres: farther from it, apart from their own slope, a depth is not the curve's
+_SMOOTHED: Final = 4  # points to either side, over which depth is smoothed along a curve
+
+
+@compiled(
+    "(f8[:,::1], f8[:,::1], b1[::1], Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8)",
+    "(f8[:,::1], f8[:,::1], b1[::1], Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8)",
+)
+def lift_chain(
+    points: Array,
+    rays: Array,
+    bridged: npt.NDArray[np.bool_],
+    depth: npt.NDArray[Any],
+    unit: float,
+    mask: Mask,
+    at: tuple[int, int],
+    width: float,
+) -> tuple[Array, Array, float]:
+    """Put an open curve in space, and measure how far along it each of its points lies, in metres.
+
+    Depth that lies off its neighbours' is left out, holes are bridged, and the rest is smoothed by parabolas over
+    nine points, since noise would make the curve longer than it is.
+
+    Args:
+        points: ``(P, 2)`` pixels, at about equal steps.
+        rays: ``(P, 2)`` x/z and y/z of their viewing rays.
+        bridged: ``(P,)`` where the curve does not lie on the object.
+        depth: ``(H, W)`` read-only, uint16 or float32.
+        unit: Metres in a unit of depth.
+        mask: ``(h, w)`` uint8, C-contiguous.
+        at: Image column and row of its first pixel.
+        width: Of the object, pixels; depth is looked for within a quarter of it.
+
+    Returns:
+        ``(P,)`` arc length, metres; ``(P,)`` smooth depth, metres; the share of the points that have depth.
+    """
+    size = len(points)
+    reach = min(max(int(np.rint(width / 4)), 1), MAX_REACH)
+    z = median_depth(depth, unit, mask, at[0], at[1], points, reach, MIN_SHARE, False)
+    _leave_out_overlaid(z, points, bridged, width)
+    near, clean = np.empty(2 * _COMPANY + 1), np.empty(size)
+    for p in range(size):
+        clean[p] = np.nan
+        if bridged[p] or not z[p] > 0:
+            continue
+        count = 0
+        for q in range(max(p - _COMPANY, 0), min(p + _COMPANY + 1, size)):
+            if not bridged[q] and z[q] > 0:
+                near[count] = z[q]
+                count += 1
+        reach_up = max(near[count - 1], near[0]) - min(near[count - 1], near[0])
+        if abs(z[p] - _median(near, count)) <= _ASTRAY + reach_up:
+            clean[p] = z[p]
+    known, before = 0, -1
+    for p in range(size):
+        if clean[p] > 0:
+            known += 1
+            for q in range(before + 1, p):
+                share = 1.0 if before < 0 else (q - before) / (p - before)
+                clean[q] = clean[p] if before < 0 else clean[before] + share * (clean[p] - clean[before])
+            before = p
+    for q in range(before + 1, size):
+        clean[q] = clean[before] if before >= 0 else np.nan
+    smooth = parabola_smoothed(clean, _SMOOTHED)
+    arc = np.zeros(size)
+    for p in range(1, size):
+        x = rays[p, 0] * smooth[p] - rays[p - 1, 0] * smooth[p - 1]
+        y = rays[p, 1] * smooth[p] - rays[p - 1, 1] * smooth[p - 1]
+        away = smooth[p] - smooth[p - 1]
+        arc[p] = arc[p - 1] + math.sqrt(x * x + y * y + away * away)
+    return arc, smooth, known / size
+
+
+@compiled
+def _leave_out_overlaid(z: Array, points: Array, bridged: npt.NDArray[np.bool_], width: float) -> None:
+    """Set depth to NaN that belongs to what hides a bridged piece next to it, see ``overlaid``.
+
+    Args:
+        z: ``(P,)`` metres, changed in place.
+        points: ``(P, 2)`` pixels.
+        bridged: ``(P,)``.
+        width: Of the object, pixels.
+    """
+    size = len(z)
+    arc, apart, others = arc_length(points), np.empty(size), np.empty(size)
+    for p in range(size):
+        apart[p] = np.inf
+        for q in range(size):
+            if bridged[q]:
+                apart[p] = min(apart[p], abs(arc[p] - arc[q]))
+    for p in range(size):
+        if bridged[p] or apart[p] > SMEARED * width or not z[p] > 0:
+            continue
+        count = 0
+        for q in range(size):
+            if apart[q] > SMEARED * width and abs(arc[p] - arc[q]) <= COMPARED * width and z[q] > 0:
+                others[count] = z[q]
+                count += 1
+        if count > 0 and z[p] < _median(others, count) - STEP:
+            z[p] = np.nan
+
+
+@compiled
+def parabola_smoothed(values: Array, half: int) -> Array:
+    """Smooth values by a parabola through each one's neighbours (Savitzky and Golay 1964, of second order).
+
+    Args:
+        values: ``(P,)``.
+        half: How many neighbours to either side; at both ends the window is cut.
+    """
+    size = len(values)
+    out = np.empty(size)
+    for p in range(size):
+        low, high = max(p - half, 0), min(p + half, size - 1)
+        s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = 0.0
+        for q in range(low, high + 1):
+            x = float(q - p)
+            s0, s1, s2, s3, s4 = s0 + 1.0, s1 + x, s2 + x * x, s3 + x * x * x, s4 + x * x * x * x
+            t0, t1, t2 = t0 + values[q], t1 + x * values[q], t2 + x * x * values[q]
+        whole = s0 * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s2 * s3) + s2 * (s1 * s3 - s2 * s2)
+        if whole > 0:
+            out[p] = (t0 * (s2 * s4 - s3 * s3) - s1 * (t1 * s4 - t2 * s3) + s2 * (t1 * s3 - t2 * s2)) / whole
+        else:
+            out[p] = values[p]
+    return out
