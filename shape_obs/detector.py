@@ -38,8 +38,7 @@ from shape_obs.utils.threads import use_no_threads_in_forked_children
 Array = npt.NDArray[np.float64]
 ShapeLike = Configuration | Mapping[str, Any] | str
 
-# Frames after which all of the image is searched, though every shape is tracked: what was hidden may be back.
-_SEARCH_ALL: Final = 30
+_SEARCH_ALL: Final = 30  # frames, after which all of the image is searched: what was hidden may be back
 
 use_no_threads_in_forked_children()
 
@@ -98,7 +97,7 @@ class ShapeDetector:
         self._tracks: dict[str, Track] = {}
         self._reach = Reach(self.config.max_speed)
         self._gone: set[str] = set()  # lost for longer than ``max_age``
-        self._kinds: dict[str, type[Observed]] = {}
+        self._kinds: dict[str, tuple[type[Observed], tuple[int, int]]] = {}
         self._track_ids: dict[str, int] = {}  # of the last track of each shape
         self._last: dict[str, tuple[Shape, float]] = {}
         self._clock = Clock(self.config.dt)
@@ -237,10 +236,11 @@ class ShapeDetector:
 
     def _fit(self, spec: Configuration, observed: Observed, target: Array | None, moment: _Moment, scene: Scene) -> Fit:
         """Fit a configuration to an object, from its track if there is one, and advance the track."""
-        if self._kinds.setdefault(spec.name, type(observed)) is not type(observed):
-            self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres
+        kind = type(observed), moment.size
+        if self._kinds.setdefault(spec.name, kind) != kind:
+            self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres, or those of another size
             self._last.pop(spec.name, None)
-            self._kinds[spec.name] = type(observed)
+            self._kinds[spec.name] = kind
         if reason := validate_samples(observed):
             return Fit(reason=reason)
         track = self._tracks.get(spec.name)

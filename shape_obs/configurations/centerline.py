@@ -56,8 +56,7 @@ _MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
 _MIN_STRETCH: Final = 0.92  # a curve that is longer than the rope follows something else
-# Of a rope's length: what has to be in sight to report it, and to follow it.
-_MIN_SEEN: Final = 0.3
+_MIN_SEEN: Final = 0.3  # of a rope's length: what has to be in sight to report it, and below, to follow it
 _MIN_BETWEEN: Final = 0.6  # while both ends are hidden
 _MIN_FOLLOWED: Final = 0.15
 _LEAST_DEPTH: Final = 0.3  # of a curve's points: with less its length in metres is not measured
@@ -127,7 +126,7 @@ class Centerline(Configuration, kind="centerline"):
             reason = f"both ends are hidden, and {seen:.0%} of the rope is in sight (at least {_MIN_BETWEEN:.0%})"
         follow = seen >= _MIN_FOLLOWED
         fit = found._replace(form=curve, nodes=nodes, topology=topology, size=float(curve.arc[-1]), width=seen_width)
-        return fit._replace(reason=reason, follow=follow)
+        return fit._replace(reason=reason, follow=follow, length=curve.hints.length.metres or fit.length)
 
     def _fit_initial(self, observed: Observed, prediction: Prediction | None, scene: Scene) -> Fit:
         """Fit from an initial axis, in the predicted rope's direction if there is one."""
@@ -176,15 +175,15 @@ class Centerline(Configuration, kind="centerline"):
         before = TrackHints() if prediction is None else prediction.hints
         curve, tips = _measured(FittedCurve(points, ~on_object, arc), observed, width, scene)  # depth enters
         if prediction is None:
-            curve = replace(
-                curve, hints=TrackHints(length=learnt(Length(), curve, tips.known), tips=tips.remembered(None, 0))
-            )
+            known = learnt(Length(metres=self.length or 0.0), curve, tips.known)
+            curve = replace(curve, hints=TrackHints(length=known, tips=tips.remembered(None, 0)))
         else:
             curve = match_chain(curve, prediction, tips)  # an end under a hand is put back here
         reason, quality = validate_ribbon(curve, observed.noun, expected_off, square, width, area)
-        grown = curve.hints.measured / max(before.measured, 1e-9) if before.measured else 1.0
-        if not reason and max(curve.hints.stretch, 1 / grown) < _MIN_STRETCH and curve.metres is not None:
-            reason = f"the curve is {1 / curve.hints.stretch - 1:.0%} longer than the rope"
+        stretch = max(curve.hints.stretch, 1e-9)
+        grown = curve.metres is not None and curve.hints.measured * _MIN_STRETCH > before.measured > 0
+        if not reason and grown and stretch < _MIN_STRETCH:
+            reason = f"the curve is {1 / stretch - 1:.0%} longer than the rope"
         if curve.ambiguity and not _begins_again(curve, prediction):
             reason = reason or curve.ambiguity
         return Fit(curve, quality, reason, start, topology, observed=observed, object_width=width)

@@ -54,7 +54,7 @@ class FitQuality(NamedTuple):
 def validate_samples(observed: Observed) -> str:
     """Return why an object is too small for any shape; empty if it is not."""
     if not observed.pieces:
-        return f"the {observed.noun} is empty"
+        return observed.refusal or f"the {observed.noun} is empty"
     if observed.area < _MIN_SAMPLES:
         have = f"the {observed.noun} has {observed.area} {observed.sample_unit}"
         return f"{have}, at least {_MIN_SAMPLES} are needed"

@@ -22,10 +22,10 @@ def test_the_way_to_the_nearest_known_point_is_the_shortest_along_the_layout(lay
     for share in (0.05, 0.3, 0.9):
         points, known = rng.normal(size=(layout.size, dimension)), rng.random(layout.size) < share
         known[rng.integers(layout.size)] = True
-        edges = layout.edges()
+        edges = layout.edges().astype(np.int32)  # as old versions of SciPy take them
         length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
         graph = coo_array((length, edges.T), shape=(layout.size, layout.size)).tocsr()
-        oracle = dijkstra(graph, directed=False, indices=np.flatnonzero(known), min_only=True)
+        oracle = dijkstra(graph, directed=False, indices=np.flatnonzero(known).astype(np.int32), min_only=True)
         np.testing.assert_allclose(arc_to_nearest(points, layout, known), oracle)
 
 

@@ -65,7 +65,7 @@ TRACKS: tuple[Mutant, ...] = (
             "                self._tracks.pop(spec.name, None)\n            shape = lost",
             "                pass\n            shape = lost", _MISSING, _ORDER),
     _mutant("tracking", "pixels become metres", "detector",
-            "self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres\n"
+            "self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres, or those of another size\n"
             "            self._last.pop(spec.name, None)", "pass",
             "tests/point_cloud/test_cloud.py", "tests/point_cloud/test_cloud_lift.py"),
     _track("a clock that stands still stops the time", "            if shown >= _LEAST_STEP:",
