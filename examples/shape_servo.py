@@ -4,7 +4,7 @@ The law has no model of the objects, the robot or the camera's pose: it moves ea
 learns how the shape responds, and continues to learn on the way. The images are those of a simulated D455, with its
 noise and its holes. The simulator's points are only used to measure the distance from the goal.
 
-Run: ``uv run --extra sim examples/shape_servo.py --steps 150``
+Run: ``uv run --extra sim examples/shape_servo.py``
 """
 
 import argparse
@@ -49,7 +49,7 @@ def main() -> None:
     parser.add_argument("--law", default="rls", help="broyden, rls, kalman, mfac or mfac-law")
     parser.add_argument("--difficulty", default="near", choices=["near", "middle", "far"])
     parser.add_argument("--seed", type=int, default=5)
-    parser.add_argument("--steps", type=int, default=100, help="at most")
+    parser.add_argument("--steps", type=int, default=300, help="at most")
     arguments = parser.parse_args()
     reached = 0
     for name, feature in FEATURES.items():

@@ -10,7 +10,7 @@ import numpy as np
 
 from shape_obs.bench.scores import SLIP
 from shape_obs.bench.synthetic.hidden_ropes import Cover, Seen, camera_of, hidden_ropes, swinging_ropes, with_noise
-from shape_obs.bench.synthetic.swings import swung_rope
+from shape_obs.bench.synthetic.swings import STIFFNESS, swung_rope
 from shape_obs.bench.tables import Row, mean, summary
 from shape_obs.configurations.base import Spacing
 from shape_obs.configurations.centerline import Centerline
@@ -35,11 +35,11 @@ def track(frames: Iterable[Seen], *, depth: bool, spacing: Spacing = "px", dt: f
         ``slips``: ok frames with a visible point more than half a gap from its place; ``off``: ok frames with a mean
         error of the visible points above 10 mm; ``mm``: mean error of the visible points in each ok frame, in
         millimetres; ``worst``: in gaps; ``late``: frames that were wrong though nothing was hidden any more since 10
-        frames.
+        frames; ``renewed``: how often a new track was reported, which may begin at the other end.
     """
     detector: ShapeDetector | None = None
-    row = Row(frames=0, due=0, ok=0, shown=0, claimed=0, slips=0, off=0, worst=0.0, late=0, mm=[])
-    since = 0
+    row = Row(frames=0, due=0, ok=0, shown=0, claimed=0, slips=0, off=0, worst=0.0, late=0, renewed=0, mm=[])
+    since, name, turned = 0, 1, False
     for seen in frames:
         pixels, metres = resample(seen.pixels, len(seen.pixels)), seen.metres
         if detector is None and not seen.shown.all():
@@ -59,6 +59,13 @@ def track(frames: Iterable[Seen], *, depth: bool, spacing: Spacing = "px", dt: f
         if not shape.ok or shape.reason:
             continue
         row["ok"] += due
+        if shape.track_id != name:
+            ends, true_ends = shape.pixels[[0, -1]], true[0][[0, -1]]
+            same, other = (np.linalg.norm(ends - each, axis=1).sum() for each in (true_ends, true_ends[::-1]))
+            name, turned = shape.track_id, bool(other < same)
+            row["renewed"] += 1
+        if turned:
+            true, shown = (true[0][::-1], true[1][::-1]), shown[::-1]
         row["shown"] += int(shown.sum())
         row["claimed"] += int((shown & shape.visible & shape.valid).sum())
         if spacing == "px":
@@ -103,10 +110,11 @@ def swinging_rope_tracks(
     noises: Sequence[bool] = (False,),
     size: tuple[int, int] = (480, 640),
 ) -> Iterator[Row]:
-    """Track ropes that are swung through the air by one or both ends."""
+    """Track ropes that are swung through the air by one or both ends, from cords to stiff cables."""
     for hertz, seed in product(rates, seeds):
         rng = np.random.default_rng([seed, round(hertz)])
-        curves = list(swung_rope(rng, hertz, frames, hands=1 + seed % 2))
+        stiffness = STIFFNESS[seed // 2 % len(STIFFNESS)]
+        curves = list(swung_rope(rng, hertz, frames, hands=1 + seed % 2, stiffness=stiffness))
         radius = float(rng.uniform(0.004, 0.008))
         for wall, noise in product(walls, noises):
             seen = swinging_ropes(curves, radius, camera_of(size), wall)
@@ -114,7 +122,7 @@ def swinging_rope_tracks(
                 measure = _d455(size)
                 seen = (with_noise(each, measure, rng) for each in seen)
             found = track(seen, depth=True, spacing="m", dt=1 / hertz)
-            yield Row(hertz=hertz, wall=wall, noise=noise, seed=seed, **found)
+            yield Row(hertz=hertz, wall=wall, noise=noise, stiffness=stiffness, seed=seed, **found)
 
 
 def motion_table(rows: Iterable[Row], by: Sequence[str]) -> list[Row]:

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 #: The version of the algorithm: equal images and arguments give equal points where it is equal. It grows with each
 #: release that changes points, and is recorded with policies and tables, since the schema's hash does not show it.
 #: 1: the first; lengths known in pixels, no time where stamps stand still. 2: lengths known in metres, evidence for
-#: hidden ends, tips that do not turn round, a clock that always goes on.
-ALGORITHM: Final = 2
+#: hidden ends, tips that do not turn round, a clock that always goes on. 3: ropes with depth are followed in space.
+ALGORITHM: Final = 3
 NO_BACKEND: Final = "backend={!r} is ignored: the inner loops are always compiled with Numba. Remove it."
 
 

@@ -47,10 +47,12 @@ class Points(NamedTuple):
     Args:
         places: ``(N, D)`` pixels or metres.
         interpolated: ``(N,)`` bool: on an interpolated piece of the form.
+        nearest: ``(N,)`` which of the form's own points is nearest along it, where it may cross itself; else None.
     """
 
     places: Array
     interpolated: npt.NDArray[np.bool_]
+    nearest: npt.NDArray[np.intp] | None = None
 
 
 _MODULES = {kind: f"shape_obs.configurations.{kind}" for kind in ("centerline", "contour", "surface")}

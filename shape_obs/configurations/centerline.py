@@ -13,23 +13,28 @@ import numpy.typing as npt
 from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
-from shape_obs.frame import readable_depth
+from shape_obs.configurations.chain_in_mask import (
+    fit_chain_in_mask,
+    gather_lifted_cells,
+    lifted_samples,
+    measured_curve,
+)
 from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equal_chords, even_points, interpolate
 from shape_obs.geometry.topology import Chain, Topology, neighbourhoods, shrinkage, undo_shrinkage
-from shape_obs.image.connected_runs import gather_cells, near_mask
+from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.outline_tracing import fill_holes
 from shape_obs.image.region import Region
-from shape_obs.image.rope_tip import extend_chain
 from shape_obs.initialization.folding import closest_sides, sharp_bends, unexplained_share
 from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import thinned, trace_skeleton
-from shape_obs.point_cloud.chain_length import lift_chain
-from shape_obs.tracking.occluders import Tips, chain_evidence
+from shape_obs.point_cloud.chain_length import lift_chain, strand_gap
+from shape_obs.point_cloud.lifting import nearest_expected
+from shape_obs.tracking.occluders import chain_evidence
 from shape_obs.tracking.occlusion import match_chain, shown, surprise
-from shape_obs.tracking.predicted_rope import oriented, visible_nodes
+from shape_obs.tracking.predicted_rope import visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.rope_length import learnt
 from shape_obs.tracking.validation import MAX_HIDDEN, sample_spread, validate_ribbon
@@ -58,10 +63,9 @@ _MAX_PIECES: Final = 16
 _MIN_STRETCH: Final = 0.92  # a curve that is longer than the rope follows something else
 _MIN_SEEN: Final = 0.3  # of a rope's length: what has to be in sight to report it, and below, to follow it
 _MIN_BETWEEN: Final = 0.6  # while both ends are hidden
+_ADRIFT: Final = 0.025  # of its length: by so much a rope may have slid along itself unseen
 _MIN_FOLLOWED: Final = 0.15
-_LEAST_DEPTH: Final = 0.3  # of a curve's points: with less its length in metres is not measured
-_NO_DEPTH: Final = np.zeros((0, 0), np.float32)
-_NO_DEPTH.flags.writeable = False
+_END_ON: Final = 4.0  # a rope is this much longer in space than in the image: its points cannot be told apart there
 _MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no distinct axis, and a chain would fold up in it
 
 
@@ -118,26 +122,28 @@ class Centerline(Configuration, kind="centerline"):
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
         topology = found.topology if prediction is None else prediction.topology
         assert topology is not None
-        nodes = _nodes_on(curve.points, curve.stations, topology.size)
+        nodes = _nodes_on(curve.lifted, curve.stations, topology.size)
+        nodes, relief = (nodes, None) if curve.relief is None else (nodes[:, :2].copy(), nodes[:, 2].copy())
         seen_width = max(observed.area / max(_seen_length(curve), 1e-9), 1.0) if observed.dimension == 2 else 0.0
         seen = 1 - curve.unsupported_fraction
         reason = "" if seen >= _MIN_SEEN else f"{seen:.0%} of the rope is in sight (at least {_MIN_SEEN:.0%})"
         if not reason and seen < _MIN_BETWEEN and all(curve.hints.covered):
             reason = f"both ends are hidden, and {seen:.0%} of the rope is in sight (at least {_MIN_BETWEEN:.0%})"
-        follow = seen >= _MIN_FOLLOWED
+        if not reason and curve.hints.adrift > _ADRIFT:
+            reason = f"a piece without an end in sight may have slid by {curve.hints.adrift:.0%} of the rope's length"
+        follow, steep = seen >= _MIN_FOLLOWED, arc_length(curve.lifted)[-1] / max(curve.size, 1e-9)
+        if not reason and steep > _END_ON:
+            reason, follow = f"it is seen end-on, {steep:.2g} times as long as in the image (at most {_END_ON})", False
         fit = found._replace(form=curve, nodes=nodes, topology=topology, size=float(curve.arc[-1]), width=seen_width)
-        return fit._replace(reason=reason, follow=follow, length=curve.hints.length.metres or fit.length)
+        fit = fit._replace(relief=relief, length=curve.hints.length.metres or fit.length)
+        return fit._replace(reason=reason, follow=follow)
 
     def _fit_initial(self, observed: Observed, prediction: Prediction | None, scene: Scene) -> Fit:
-        """Fit from an initial axis, in the predicted rope's direction if there is one."""
+        """Fit from an initial axis."""
         axis = medial_axis(observed)
         if axis.ambiguity:
             return Fit(reason=axis.ambiguity)
-        topology: Topology
-        if prediction is None:
-            topology = Chain(int(np.clip(round(observed.length / (_NODE_SPACING * observed.width)), *_NODES)))
-        else:
-            (axis, _), topology = oriented(axis, prediction), prediction.topology
+        topology = Chain(int(np.clip(round(observed.length / (_NODE_SPACING * observed.width)), *_NODES)))
         start = _nodes_on(axis.points, axis.arc, topology.size)
         off = axis.unsupported_fraction if prediction is None else MAX_HIDDEN
         return self._refine(observed, start, topology, _SIGMAS_INITIAL, observed.width, off, prediction, scene)
@@ -159,9 +165,11 @@ class Centerline(Configuration, kind="centerline"):
                 int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1
             )  # thin ropes keep theirs
             (first, second), pull = neighbourhoods(topology, sigmas), shrinkage(sigmas[-1])
-            points, arc, on_object, spread = fit_chain_in_mask(
-                observed.runs, cell, start, (first, second), pull, observed.mask, observed.window[:2], width
+            start, samples = lifted_samples(observed, start, cell, width, scene)
+            lifted, arc, on_object, spread = fit_chain_in_mask(
+                *samples, start, (first, second), pull, observed.mask, observed.window[:2], width
             )
+            points, relief = (lifted, None) if start.shape[1] == 2 else (lifted[:, :2].copy(), lifted[:, 2].copy())
             square, area = spread + min(cell, width) ** 2 / 12, observed.area
         else:
             cloud = cast("Cloud", observed)
@@ -171,9 +179,10 @@ class Centerline(Configuration, kind="centerline"):
             arc, on_object = arc_length(points), cloud.carries(points)
             spread = sample_spread(np.ascontiguousarray(samples.points), np.ascontiguousarray(samples.weight), points)
             square = spread + cloud.hidden_variance
-            width, area = cloud.ribbon_width, 0
+            width, area, relief = cloud.ribbon_width, 0, None
         before = TrackHints() if prediction is None else prediction.hints
-        curve, tips = _measured(FittedCurve(points, ~on_object, arc), observed, width, scene)  # depth enters
+        curve = FittedCurve(points, ~on_object, arc, relief=relief)
+        curve, tips = measured_curve(curve, observed, width, scene)  # depth enters
         if prediction is None:
             known = learnt(Length(metres=self.length or 0.0), curve, tips.known)
             curve = replace(curve, hints=TrackHints(length=known, tips=tips.remembered(None, 0)))
@@ -196,25 +205,26 @@ class Centerline(Configuration, kind="centerline"):
 
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
         """Return points with equal chords, from tip to tip or at the centres of N pieces."""
+        first = 0
         if any(form.hints.hidden):
             piece, same = shown(form), metric is form
-            form = form.cut(piece)
+            form, first = form.cut(piece), piece.start
             metric = form if same else metric.cut(piece)
         along = form.metres if self.spacing == "m" and form.metres is not None else form.pixels
         if along is not None:
             share = np.linspace(0, 1, self.n) if self.ends == "tips" else (np.arange(self.n) + 0.5) / self.n
             at = interpolate(form.arc[:, None], np.ascontiguousarray(along), share * along[-1])[:, 0]
-            return Points(form.at(at), form.interpolated_at(at))
+            return Points(form.at(at), form.interpolated_at(at), first + form.nearest_to(at))
         margin = 0.0 if self.ends == "tips" else metric.arc[-1] / (2 * self.n)
         places, at = _points_on(form.points, form.arc, metric.points, metric.arc, self.n, margin)
         interpolated = metric.interpolated_at(at) if metric.interpolated.any() else np.zeros(self.n, bool)
-        return Points(places, interpolated)
+        return Points(places, interpolated, first + metric.nearest_to(at))
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_chain_in_mask, _points_on, _nodes_on, closest_sides, sharp_bends, unexplained_share
-        masks += lift_chain, chain_evidence
+        masks = gather_cells, gather_lifted_cells, fit_chain_in_mask, _points_on, _nodes_on
+        masks += lift_chain, strand_gap, nearest_expected, chain_evidence, closest_sides, sharp_bends, unexplained_share
         axes = fill_holes, thinned, trace_skeleton, cheapest_order
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + axes + clouds
@@ -229,32 +239,6 @@ def _rejection_reason(observed: Observed, width: float) -> str:
     if length < _MIN_ASPECT * width:
         return f"the {observed.noun} is {length:.4g} x {width:.4g} {observed.unit}: too stout for a rope"
     return ""
-
-
-@compiled("(i8[:,::1], i8, f8[:,::1], Tuple((f8[:,:,:,::1], f8[:,:,:,:,::1])), f8, u1[:,::1], UniTuple(i8, 2), f8)")
-def fit_chain_in_mask(
-    runs: Indices, cell: int, start: Array, moments: Moments, pull: float, mask: Mask, at: tuple[int, int], width: float
-) -> tuple[Array, Array, npt.NDArray[np.bool_], float]:
-    """Run the self-organising map of a chain in a mask and finish its curve, all in one call.
-
-    Args:
-        runs: ``(R, 3)`` the mask's runs.
-        cell: Edge of the squares that pixels are gathered into, pixels.
-        start: ``(K, 2)`` nodes.
-        moments: Of the neighbourhood, see ``topology.Neighbourhoods``.
-        pull: How far averaging pulls the nodes, see ``topology.shrinkage``.
-        mask: ``(h, w)`` uint8, C-contiguous.
-        at: Image column and row of its first pixel.
-        width: The rope's width, pixels.
-
-    Returns:
-        ``(P, 2)`` the curve from tip to tip, pixels; its arc length ``(P,)``; whether the mask has a pixel there
-        ``(P,)``; the mean square distance of the pixels from it.
-    """
-    (left, top), (points, weight) = at, gather_cells(runs, cell)
-    nodes = undo_shrinkage(batch_epochs(points, weight, start, moments[0], moments[1]), pull, False)
-    curve = catmull_rom(extend_chain(nodes, mask, left, top, width), 4, False)
-    return curve, arc_length(curve), near_mask(mask, left, top, curve, 1), sample_spread(points, weight, curve)
 
 
 @compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8, f8)")
@@ -274,23 +258,6 @@ def _nodes_on(points: Array, arc: Array, count: int) -> Array:
 def _begins_again(curve: FittedCurve, prediction: Prediction | None) -> bool:
     """Return whether a rope is numbered by the paper's rule: at a cold start, or as a whole after a long loss."""
     return prediction is None or (prediction.stale and max(curve.hints.hidden) <= curve.hints.slack)
-
-
-def _measured(curve: FittedCurve, observed: Observed, width: float, scene: Scene) -> tuple[FittedCurve, Tips]:
-    """Return a curve with its length in metres where there is depth, and what its two tips look like."""
-    if not isinstance(observed, Region) or scene.edge is None:
-        return curve, Tips()
-    depth, unit, z = _NO_DEPTH, 1.0, np.full(len(curve.points), np.nan)
-    at, left_out = observed.window[:2], curve.interpolated
-    if scene.depth is not None and scene.intrinsics is not None:
-        depth, unit = readable_depth(scene.depth)
-        rays = np.ascontiguousarray(scene.intrinsics.rays(curve.points)[:, :2])
-        metres, z, share = lift_chain(curve.points, rays, left_out, depth, unit, observed.mask, at, width)
-        if share >= _LEAST_DEPTH and np.isfinite(metres).all():
-            curve = replace(curve, metres=metres)
-    left, top, wide, high = scene.edge
-    seen = depth, unit, observed.mask, at, (left, top, wide, high)
-    return curve, Tips(*chain_evidence(curve.points, curve.arc, z, width, *seen), width)
 
 
 def _seen_length(curve: FittedCurve) -> float:

@@ -14,10 +14,12 @@ from shape_obs.configurations.base import Configuration, Points
 from shape_obs.frame import Frame, readable_depth
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.connected_runs import near_mask
+from shape_obs.point_cloud.chain_length import strand_gap
 from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, form_depth, is_rope, lift_form, median_depth
 from shape_obs.shape import Shape
 from shape_obs.tracking.belief import MAX_SIGMA, arc_to_nearest, expected_error, residual_of, stereo_noise
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
+from shape_obs.tracking.occlusion import shown
 from shape_obs.tracking.prediction import Fit
 
 if TYPE_CHECKING:
@@ -29,6 +31,8 @@ Mask = npt.NDArray[np.bool_]
 
 # What is fitted to the visible half of a round rope lies this share of a radius in front of its axis.
 _HALF_ROUND: Final = np.pi / 4
+# Where a rope is this much longer in space than in the image, a pixel holds so much of it that its depth is no point's.
+_END_ON: Final = 2.4
 _SMOOTH: Final = 3.0  # points of the fine curve, over which its direction is taken
 
 
@@ -91,12 +95,14 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     """Return points in pixels with the depth under them; where there is none, with their neighbours' depth."""
     region: Region = found.observed
     form, depth, camera, width = found.form, frame.depth, frame.camera, found.object_width
-    metric, under, in_pieces = form, None, bool(form.interpolated.any()) and isinstance(form, FittedCurve)
+    metric, under, in_pieces = form, None, False
+    if isinstance(form, FittedCurve):
+        in_pieces = bool(form.interpolated[shown(form) if any(form.hints.hidden) else slice(None)].any())
     if depth is not None and camera is not None and (spec.spacing == "m" or in_pieces):
         under = form_depth(form, depth, region, width)
         lifted = lift_form(form, under, camera.intrinsics) if spec.spacing == "m" else None
         metric = form if lifted is None else form.with_points(lifted)
-    points, interpolated = spec.resample(form, metric) if found.centres is None else _without_gaps(found.centres)
+    points, interpolated, at = spec.resample(form, metric) if found.centres is None else _without_gaps(found.centres)
     if depth is None or camera is None:
         visible = region.carries(points) & ~interpolated
         return points.astype(np.float32), None, visible, visible.copy()
@@ -107,8 +113,14 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     visible = on_mask & ~interpolated
     if in_pieces and under is not None:
         # Next to what hides a piece, depth that is not the form's is not the points' either.
-        z[np.isnan(under)[_nearest(points, form.points)]] = np.nan
+        z[np.isnan(under)[_nearest(points, form.points) if at is None else at]] = np.nan
     valid = visible & np.isfinite(z)
+    if isinstance(form, FittedCurve) and form.relief is not None:
+        at = _nearest(points, form.points) if at is None else at
+        focal = camera.intrinsics.fx
+        over = np.log(z) < form.relief[at] / focal - strand_gap(width, focal)
+        visible &= ~over
+        valid &= visible & (form.steepness(width / 2)[at] < _END_ON)
     if not valid.all() and valid.any():
         z = spec.layout.interpolate(z[:, None], valid)[:, 0]
     points3d = _lift(points, z, camera.intrinsics, spec.radius)
@@ -167,7 +179,7 @@ def _points_in_cloud(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         if centres is not None:
             centres = centres + shift[_nearest(centres, form.points)]
         form = form.with_points(form.points + shift)
-    points, interpolated = spec.resample(form, form) if centres is None else _without_gaps(centres)
+    points, interpolated, _ = spec.resample(form, form) if centres is None else _without_gaps(centres)
     visible = cloud.carries(points) & ~interpolated
     pixels = cloud.pixels_of(points)
     points2d = None if pixels is None else pixels.astype(np.float32)

@@ -39,7 +39,7 @@ class Length(NamedTuple):
 
     pixels: float = 0.0
     metres: float = 0.0
-    spread: float = 0.006
+    spread: float = 0.003
     spread_metres: float = 0.006
     frames: int = 0
     short: int = 0
@@ -51,10 +51,13 @@ class TrackHints(NamedTuple):
     Args:
         hidden: Share of an open curve's length that is hidden at its start and at its end.
         covered: Whether something is seen to hide its start and its end.
+        folded: Whether its start and its end are free, so that what is missing there was laid back onto the curve.
+        adrift: By which share of its length an open curve may have slid along itself while no end of it was seen.
         slack: Hidden ends with a smaller share are within the measuring error.
         stretch: By how much more of an open curve there is than was measured where it is visible.
         measured: The length that was measured last when all of an open curve was seen; 0 if it is not known.
-        residual: Mean square distance of an open curve from its prediction, in squares of its unit.
+        residuals: Mean square distances of an open curve from its prediction, in squares of its unit: after the best
+            rigid motion, and as it is.
         cut: How much likelier, as logarithms, the tips of an open curve are cut than its own.
         tips: ``(2, 2, 2)`` mean and variance of what its own tips look like; None if it is not known.
         length: What is known of an open curve's length.
@@ -66,10 +69,12 @@ class TrackHints(NamedTuple):
 
     hidden: tuple[float, float] = (0.0, 0.0)
     covered: tuple[bool, bool] = (False, False)
+    folded: tuple[bool, bool] = (False, False)
+    adrift: float = 0.0
     slack: float = 0.0
     stretch: float = 1.0
     measured: float = 0.0
-    residual: float = 1.0
+    residuals: tuple[float, float] = (1.0, 1.0)
     cut: tuple[float, float] = (0.0, 0.0)
     tips: Array | None = None
     length: Length = Length()
@@ -121,12 +126,15 @@ class FittedCurve(FittedForm):
         closed: Whether it is closed.
         metres: ``(P,)`` arc length in space, for an open curve in pixels with depth under it; else None.
         pixels: ``(P,)`` arc length of the object in an image where its gaps are longer than they are drawn; else None.
+        relief: ``(P,)`` the logarithm of the depth under an open curve in an image, times the focal length in pixels:
+            a third coordinate, in which a step is as long as the same step in the image, at any distance; else None.
     """
 
     arc: Array
     closed: bool = False
     metres: Array | None = None
     pixels: Array | None = None
+    relief: Array | None = None
 
     @classmethod
     def through(cls, points: Array, interpolated: Mask, closed: bool = False, **other: Any) -> Self:
@@ -154,13 +162,45 @@ class FittedCurve(FittedForm):
             return self.metres
         return self.arc if self.pixels is None else self.pixels
 
+    @property
+    def lifted(self) -> Array:
+        """``(P, 3)`` the points with their relief; the points themselves without one."""
+        return self.points if self.relief is None else np.column_stack([self.points, self.relief])
+
+    def steepness(self, reach: float) -> Array:
+        """Return ``(P,)`` how much longer an open curve is in space than in the image, around each of its points.
+
+        Args:
+            reach: Pixels to either side.
+        """
+        if self.relief is None:
+            return np.ones(len(self.points))
+        inside, first, last = arc_length(self.lifted), self.arc - reach, self.arc + reach
+        first, last = np.maximum(first, 0.0), np.minimum(last, self.arc[-1])
+        longer = np.interp(last, self.arc, inside) - np.interp(first, self.arc, inside)
+        return longer / np.maximum(last - first, 1e-9)
+
+    def trimmed(self, head: float, tail: float) -> Self:
+        """Return an open curve without so much of both of its ends, in units of its arc length."""
+        inner = (self.arc > head) & (self.arc < self.size - tail)
+        at = np.concatenate([[head], self.arc[inner], [self.size - tail]])
+        flags = np.concatenate([self.interpolated[:1], self.interpolated[inner], self.interpolated[-1:]])
+        trimmed = self.relaid(interpolate(np.ascontiguousarray(self.lifted), self.arc, at), flags)
+        if self.metres is None:
+            return trimmed
+        metres = np.interp(at, self.arc, self.metres)
+        flat = float(np.min(np.diff(self.metres) / np.maximum(np.diff(self.arc), 1e-9)))
+        metres[0], metres[-1] = min(head * flat, metres[0]), max(self.metres[-1] - tail * flat, metres[-1])
+        return replace(trimmed, metres=metres - metres[0])
+
     def cut(self, piece: slice) -> Self:
         """Return a piece of an open curve."""
         metres, pixels = (
             None if along is None else along[piece] - along[piece][0] for along in (self.metres, self.pixels)
         )
         cut = self.with_geometry(self.points[piece].copy(), self.interpolated[piece])
-        return replace(cut, metres=metres, pixels=pixels)
+        relief = None if self.relief is None else self.relief[piece].copy()
+        return replace(cut, metres=metres, pixels=pixels, relief=relief)
 
     def at(self, arc: npt.ArrayLike) -> Array:
         """Return ``(N, D)`` points at ``(N,)`` arc positions; a closed curve wraps around."""
@@ -175,12 +215,15 @@ class FittedCurve(FittedForm):
         """Return ``(N,)`` whether the nearer of the two neighbouring points is interpolated."""
         if self.whole:
             return np.zeros(np.shape(arc), bool)
+        return self.interpolated[self.nearest_to(arc)]
+
+    def nearest_to(self, arc: npt.ArrayLike) -> npt.NDArray[np.intp]:
+        """Return ``(N,)`` which point of the curve is nearest along it to each arc position."""
         at = np.asarray(arc, dtype=np.float64)
         at = at % self.size if self.closed else at
-        flags = np.append(self.interpolated, self.interpolated[0]) if self.closed else self.interpolated
         after = np.clip(np.searchsorted(self.arc, at), 1, len(self.arc) - 1)
         nearer = np.where(at - self.arc[after - 1] < self.arc[after] - at, after - 1, after)
-        return flags[nearer]
+        return nearer % len(self.points)
 
     def starting_at(self, arc: float) -> FittedCurve:
         """Return the same closed curve with its first point at an arc position."""
@@ -214,14 +257,21 @@ class FittedCurve(FittedForm):
                 None if along is None else along[-1] - along[::-1] for along in (self.metres, self.pixels)
             )
             back = self.with_geometry(self.points[::-1].copy(), self.interpolated[::-1].copy())
-            return replace(back, hints=hints, metres=metres, pixels=pixels)
+            relief = None if self.relief is None else self.relief[::-1].copy()
+            return replace(back, hints=hints, metres=metres, pixels=pixels, relief=relief)
         back = -np.arange(len(self.points))
         return self.with_geometry(self.points[back], self.interpolated[back])
 
     def with_geometry(self, points: Array, interpolated: Mask) -> Self:
         """Return a curve of the same kind through other points."""
         arc = arc_length(_polyline(points, self.closed))
-        return replace(self, points=points, interpolated=interpolated, arc=arc, metres=None, pixels=None)
+        return replace(self, points=points, interpolated=interpolated, arc=arc, metres=None, pixels=None, relief=None)
+
+    def relaid(self, lifted: Array, interpolated: Mask) -> Self:
+        """Return a curve of the same kind through other points, ``(P', 3)`` with their relief or ``(P', D)``."""
+        size = self.points.shape[1]
+        other = self.with_geometry(np.ascontiguousarray(lifted[:, :size]), interpolated)
+        return other if lifted.shape[1] == size else replace(other, relief=lifted[:, size].copy())
 
 
 def _polyline(points: Array, closed: bool) -> Array:

@@ -1,4 +1,4 @@
-"""The length of an open curve in space: depth along it, cleaned, bridged and smoothed."""
+"""A rope's curve in space: its depth, and how far along it each point lies in metres."""
 
 from __future__ import annotations
 
@@ -9,8 +9,19 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
+from shape_obs.frame import FARTHEST
 from shape_obs.geometry.polyline import arc_length
-from shape_obs.point_cloud.lifting import COMPARED, MAX_REACH, MIN_SHARE, SMEARED, STEP, _median, median_depth
+from shape_obs.image.connected_runs import nearest_pixel
+from shape_obs.point_cloud.lifting import (
+    COMPARED,
+    MAX_REACH,
+    MIN_SHARE,
+    SMEARED,
+    STEP,
+    median_depth,
+    median_of,
+    nearest_expected,
+)
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
@@ -18,11 +29,14 @@ Mask = npt.NDArray[np.uint8]
 _COMPANY: Final = 3  # points of a curve to either side, whose median depth a point's is compared with
 _ASTRAY: Final = 0.01  # metres: farther from it, apart from their own slope, a depth is not the curve's
 _SMOOTHED: Final = 4  # points to either side, over which depth is smoothed along a curve
+_APART: Final = (2.0, 0.02)  # widths, and of the depth: strands that lie so far apart are not taken for each other
 
 
 @compiled(
-    "(f8[:,::1], f8[:,::1], b1[::1], Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8)",
-    "(f8[:,::1], f8[:,::1], b1[::1], Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8)",
+    "(f8[:,::1], f8[:,::1], b1[::1], Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8, f8[::1], "
+    "f8)",
+    "(f8[:,::1], f8[:,::1], b1[::1], Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8, f8[::1], "
+    "f8)",
 )
 def lift_chain(
     points: Array,
@@ -33,6 +47,8 @@ def lift_chain(
     mask: Mask,
     at: tuple[int, int],
     width: float,
+    expected: Array,
+    slack: float,
 ) -> tuple[Array, Array, float]:
     """Put an open curve in space, and measure how far along it each of its points lies, in metres.
 
@@ -48,6 +64,8 @@ def lift_chain(
         mask: ``(h, w)`` uint8, C-contiguous.
         at: Image column and row of its first pixel.
         width: Of the object, pixels; depth is looked for within a quarter of it.
+        expected: ``(P,)`` metres where the curve was fitted in space; ``(0,)`` where it was fitted in the image.
+        slack: By which share a depth may differ from that to be the curve's.
 
     Returns:
         ``(P,)`` arc length, metres; ``(P,)`` smooth depth, metres; the share of the points that have depth.
@@ -55,6 +73,9 @@ def lift_chain(
     size = len(points)
     reach = min(max(int(np.rint(width / 4)), 1), MAX_REACH)
     z = median_depth(depth, unit, mask, at[0], at[1], points, reach, MIN_SHARE, False)
+    for p in range(len(expected)):
+        if not abs(z[p] / expected[p] - 1) <= slack:
+            z[p] = _depth_near(depth, unit, mask, at, points[p], reach, expected[p], slack)
     _leave_out_overlaid(z, points, bridged, width)
     near, clean = np.empty(2 * _COMPANY + 1), np.empty(size)
     for p in range(size):
@@ -67,7 +88,7 @@ def lift_chain(
                 near[count] = z[q]
                 count += 1
         reach_up = max(near[count - 1], near[0]) - min(near[count - 1], near[0])
-        if abs(z[p] - _median(near, count)) <= _ASTRAY + reach_up:
+        if abs(z[p] - median_of(near, count)) <= _ASTRAY + reach_up:
             clean[p] = z[p]
     known, before = 0, -1
     for p in range(size):
@@ -80,6 +101,9 @@ def lift_chain(
     for q in range(before + 1, size):
         clean[q] = clean[before] if before >= 0 else np.nan
     smooth = parabola_smoothed(clean, _SMOOTHED)
+    for p in range(size):
+        if smooth[p] <= 0:  # a parabola overshoots where depth jumps
+            smooth[p] = clean[p]
     arc = np.zeros(size)
     for p in range(1, size):
         x = rays[p, 0] * smooth[p] - rays[p - 1, 0] * smooth[p - 1]
@@ -87,6 +111,41 @@ def lift_chain(
         away = smooth[p] - smooth[p - 1]
         arc[p] = arc[p - 1] + math.sqrt(x * x + y * y + away * away)
     return arc, smooth, known / size
+
+
+@compiled("(f8, f8)")
+def strand_gap(width: float, focal: float) -> float:
+    """Return by which share of its depth a strand of a rope lies apart from another.
+
+    Args:
+        width: Of the rope, pixels.
+        focal: Focal length, pixels.
+    """
+    return max(_APART[0] * width / focal, _APART[1])
+
+
+@compiled
+def _depth_near(
+    depth: npt.NDArray[Any],
+    unit: float,
+    mask: Mask,
+    at: tuple[int, int],
+    point: Array,
+    reach: int,
+    expected: float,
+    slack: float,
+) -> float:
+    """Return the median depth of the mask around a point, of what lies where it is expected; NaN where nothing does."""
+    height, width = mask.shape
+    near, known = np.empty((2 * reach + 1) ** 2), 0
+    column, row = nearest_pixel(point[0]) - at[0], nearest_pixel(point[1]) - at[1]
+    for v in range(max(row - reach, 0), min(row + reach + 1, height)):
+        for u in range(max(column - reach, 0), min(column + reach + 1, width)):
+            z = depth[v + at[1], u + at[0]] * unit
+            if mask[v, u] != 0 and 0 < z < FARTHEST and abs(z / expected - 1) <= slack:
+                near[known] = z
+                known += 1
+    return median_of(near, known) if known else np.nan
 
 
 @compiled
@@ -100,7 +159,7 @@ def _leave_out_overlaid(z: Array, points: Array, bridged: npt.NDArray[np.bool_],
         width: Of the object, pixels.
     """
     size = len(z)
-    arc, apart, others = arc_length(points), np.empty(size), np.empty(size)
+    arc, apart, others, places = arc_length(points), np.empty(size), np.empty(size), np.empty(size)
     for p in range(size):
         apart[p] = np.inf
         for q in range(size):
@@ -112,9 +171,9 @@ def _leave_out_overlaid(z: Array, points: Array, bridged: npt.NDArray[np.bool_],
         count = 0
         for q in range(size):
             if apart[q] > SMEARED * width and abs(arc[p] - arc[q]) <= COMPARED * width and z[q] > 0:
-                others[count] = z[q]
+                others[count], places[count] = z[q], arc[q]
                 count += 1
-        if count > 0 and z[p] < _median(others, count) - STEP:
+        if count > 0 and z[p] < nearest_expected(places[:count], others[:count], arc[p]) - STEP:
             z[p] = np.nan
 
 

@@ -93,17 +93,37 @@ def overlaid(curve: FittedCurve, metres: Array, width: float) -> npt.NDArray[np.
         ``(P,)`` bool.
     """
     arc = curve.arc[: len(metres)]
-    apart = np.abs(arc[:, None] - arc)
+    away = arc[:, None] - arc
     if curve.closed:
-        apart = np.minimum(apart, curve.size - apart)
+        away = (away + curve.size / 2) % curve.size - curve.size / 2
+    apart = np.abs(away)
     nearby = apart[:, curve.interpolated].min(axis=1) <= SMEARED * width
     own = np.where(nearby | curve.interpolated, np.nan, metres)
     over = np.zeros(len(metres), bool)
     for at in np.flatnonzero(nearby & ~curve.interpolated & np.isfinite(metres)):
-        near = own[apart[at] <= COMPARED * width]
-        near = near[np.isfinite(near)] if np.isfinite(near).any() else own[np.isfinite(own)]
-        over[at] = len(near) > 0 and metres[at] < np.median(near) - STEP
+        near = (apart[at] <= COMPARED * width) & np.isfinite(own)
+        if near.any():
+            over[at] = metres[at] < nearest_expected(-away[at, near], own[near], 0.0) - STEP
+        elif np.isfinite(own).any():
+            over[at] = metres[at] < np.nanmedian(own) - STEP
     return over
+
+
+@compiled("(f8[::1], f8[::1], f8)")
+def nearest_expected(arc: Array, metres: Array, at: float) -> float:
+    """Return the least depth that a rope may have at a place, by its depth a little further away.
+
+    Args:
+        arc: ``(K,)`` arc positions, pixels; at least one.
+        metres: ``(K,)`` depth there.
+        at: The place. The rope may go on as level as it is, or as steeply.
+    """
+    level, middle, mean = median_of(metres.copy(), len(metres)), arc.mean(), metres.mean()
+    spread = slope = 0.0
+    for k in range(len(arc)):
+        spread += (arc[k] - middle) ** 2
+        slope += (arc[k] - middle) * (metres[k] - mean)
+    return min(level, mean + slope / spread * (at - middle)) if spread > 0 else level
 
 
 @compiled(
@@ -134,7 +154,7 @@ def median_depth(
         left: Image column of its first pixel.
         top: Image row of its first pixel.
         points: ``(N, 2)`` image pixels.
-        reach: How far around a point is looked, pixels; from 4 on at every second pixel, as on a chessboard.
+        reach: How far around a point is looked, pixels; for a slope from 4 on at every second pixel, as on a chessboard.
         min_share: Of the mask's pixels there, that must have a valid depth.
         sloped: Whether the depth may slope; a rope is too narrow for that, and lies on both sides of its points.
 
@@ -142,7 +162,7 @@ def median_depth(
         ``(N,)`` metres, NaN where too few have.
     """
     height, width = mask.shape
-    step = 2 if reach >= _SPARSE else 1
+    step = 2 if sloped and reach >= _SPARSE else 1
     out, near = np.empty(len(points)), np.empty((2 * reach + 1) ** 2)
     x, y, z = np.empty_like(near), np.empty_like(near), np.empty_like(near)
     for n in range(len(points)):
@@ -159,7 +179,7 @@ def median_depth(
                         z[known] = near[known] = metres
                         known += 1
         if known >= max(min_share * inside, 1):
-            middle = _median(near, known)
+            middle = median_of(near, known)
             out[n] = _over_plane(x, y, z, near, known, middle) if sloped and known >= _ENOUGH else middle
     return out
 
@@ -180,7 +200,7 @@ def _over_plane(x: Array, y: Array, z: Array, spare: Array, count: int, middle: 
     for _ in range(_ROUNDS):
         for k in range(count):
             spare[k] = abs(middle / z[k] - 1 - level - slope_x * x[k] - slope_y * y[k])
-        limit = max(_OFF_PLANE * _median(spare, count), 1e-6)
+        limit = max(_OFF_PLANE * median_of(spare, count), 1e-6)
         n = sx = sy = sxx = sxy = syy = sw = sxw = syw = 0.0
         for k in range(count):
             w = middle / z[k] - 1
@@ -205,11 +225,11 @@ def _over_plane(x: Array, y: Array, z: Array, spare: Array, count: int, middle: 
         level = (sw - slope_x * sx - slope_y * sy) / n
     for k in range(count):
         spare[k] = middle / z[k] - slope_x * x[k] - slope_y * y[k]
-    return middle / max(_median(spare, count), 0.5)
+    return middle / max(median_of(spare, count), 0.5)
 
 
 @compiled
-def _median(values: Array, count: int) -> float:
+def median_of(values: Array, count: int) -> float:
     """Return the median of the first ``count`` values, which are reordered (C. A. R. Hoare, "Find", CACM 4, 1961)."""
     low, high, half = 0, count - 1, count // 2
     while low < high:

@@ -37,7 +37,9 @@ _NEARER: Final = 0.008  # metres: what is nearer than the rope by this much, and
 _LEVEL: Final = 0.004  # metres: what goes on at the rope's own depth, within this, is the rope
 _TOUCHING: Final = 0.06  # of the pixels ahead: that many are nearer where something hides the rope
 _SEEN_PAST: Final = 0.5  # of the pixels ahead: that many lie behind a tip that is free
-_GOES_ON: Final = 0.7  # of the pixels straight ahead
+_GOES_ON: Final = 0.7  # of the pixels straight ahead, or a little to the side
+_BASE: Final = (1.0, 2.5)  # widths before a tip, between which the direction of the axis is taken
+_TURNS: Final = (0.0, -0.25, 0.25, -0.5, 0.5)  # tangents of how far to the side; what is cut askew seems to turn
 
 
 class Tips(NamedTuple):
@@ -123,21 +125,35 @@ def chain_evidence(
     Returns:
         What is known of both, see ``tip_evidence``; ``(2, 2)`` what they look like, see ``tip_shape``.
     """
-    last, ahead, shapes = len(points) - 1, np.empty(2), np.empty((2, 2))
+    last, ahead, onwards, shapes = len(points) - 1, np.empty(2), np.empty(2), np.empty((2, 2))
     found = (0, 0)
     for end in range(2):
         tip, step = (last, -1) if end else (0, 1)
-        inner = tip
-        while abs(inner + step - tip) <= last and abs(arc[inner] - arc[tip]) < max(width, 3.0):
-            inner += step
+        inner = _inwards(arc, tip, step, max(width, 3.0))
         x, y = points[tip, 0] - points[inner, 0], points[tip, 1] - points[inner, 1]
         reach = max(math.sqrt(x * x + y * y), 1e-9)
         ahead[0], ahead[1] = x / reach, y / reach
         slope = abs(z[tip] - z[inner]) / reach
-        known = tip_evidence(points[tip], ahead, width, z[tip], slope, depth, unit, mask, at, edge)
+        base = _inwards(arc, tip, step, _BASE[0] * width)
+        before = _inwards(arc, tip, step, _BASE[1] * width)
+        x, y = points[base, 0] - points[before, 0], points[base, 1] - points[before, 1]
+        reach = math.sqrt(x * x + y * y)
+        onwards[0], onwards[1] = (x / reach, y / reach) if reach > 0 else (ahead[0], ahead[1])
+        known = tip_evidence(
+            points[tip], ahead, points[base], onwards, width, z[tip], slope, depth, unit, mask, at, edge
+        )
         found = (found[0], known) if end else (known, 0)
         shapes[end, 0], shapes[end, 1] = tip_shape(points[tip], ahead, width, mask, at)
     return found, shapes
+
+
+@compiled
+def _inwards(arc: Array, tip: int, step: int, reach: float) -> int:
+    """Return the first point of a curve that lies at least ``reach`` from a tip, along it; the other tip at most."""
+    inner = tip
+    while 0 <= inner + step < len(arc) and abs(arc[inner] - arc[tip]) < reach:
+        inner += step
+    return inner
 
 
 @compiled
@@ -173,6 +189,8 @@ def tip_shape(tip: Array, ahead: Array, width: float, mask: Mask, at: tuple[int,
 def tip_evidence(
     tip: Array,
     ahead: Array,
+    base: Array,
+    onwards: Array,
     width: float,
     z: float,
     slope: float,
@@ -187,6 +205,8 @@ def tip_evidence(
     Args:
         tip: ``(2,)`` pixels.
         ahead: ``(2,)`` the direction in which the rope would go on, of length 1.
+        base: ``(2,)`` a point of the rope before the tip, pixels: a tip that is cut askew lies off the axis.
+        onwards: ``(2,)`` the direction of the rope there, of length 1.
         width: Of the rope, pixels.
         z: Its depth at the tip, metres; NaN where it is not known.
         slope: Metres by which its depth changes in a pixel, at most.
@@ -208,11 +228,12 @@ def tip_evidence(
         return UNKNOWN
     reach = max(_REACH[0] * width, _REACH[1])
     column, row, steps = nearest_pixel(tip[0]), nearest_pixel(tip[1]), math.ceil(reach)
-    count = nearer = straight = level = aside = lower = 0
+    count = nearer = aside = lower = 0
+    straight, level = np.zeros(len(_TURNS)), np.zeros(len(_TURNS))
     for v in range(max(row - steps, 0), min(row + steps + 1, depth.shape[0])):
         for u in range(max(column - steps, 0), min(column + steps + 1, depth.shape[1])):
             x, y = u - tip[0], v - tip[1]
-            along, side = x * ahead[0] + y * ahead[1], abs(y * ahead[0] - x * ahead[1])
+            along, across = x * ahead[0] + y * ahead[1], y * ahead[0] - x * ahead[1]
             away = math.sqrt(x * x + y * y)
             if along < -0.25 * width or away > reach:
                 continue
@@ -224,14 +245,18 @@ def tip_evidence(
             count += 1
             spare = slope * away
             nearer += known and metres < z - _NEARER - spare
-            if side <= max(width / 3, 1.0) and along > 0.3 * width + 1:
-                straight += 1
-                level += known and abs(metres - z) <= _LEVEL + spare
-            elif side > 0.8 * width:
+            x, y = u - base[0], v - base[1]
+            on, off = x * onwards[0] + y * onwards[1], y * onwards[0] - x * onwards[1]
+            for turn in range(len(_TURNS)):
+                if abs(off - _TURNS[turn] * on) <= max(width / 3, 1.0):
+                    straight[turn] += 1
+                    level[turn] += known and abs(metres - z) <= _LEVEL + spare
+            if abs(across) > 0.8 * width:
                 aside += 1
                 lower += known and metres > z + _LEVEL + spare
     if nearer >= max(_TOUCHING * count, 2.0):
         return HIDDEN
-    if straight and level >= _GOES_ON * straight and lower >= _SEEN_PAST * aside:
-        return HIDDEN
+    for turn in range(len(_TURNS)):
+        if straight[turn] and level[turn] >= _GOES_ON * straight[turn] and lower >= _SEEN_PAST * aside:
+            return HIDDEN
     return FREE

@@ -18,14 +18,14 @@ import numpy.typing as npt
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.tracking.occluders import FREE, HIDDEN, Tips
-from shape_obs.tracking.predicted_rope import PredictedRope, oriented, points_along, widened
+from shape_obs.tracking.predicted_rope import PredictedRope, oriented, widened
 from shape_obs.tracking.prediction import Prediction
 from shape_obs.tracking.rope_length import learnt, shortened
 
 Array = npt.NDArray[np.float64]
 Ends = tuple[int, int]
 
-_GRAIN: Final = 0.3  # in resolutions: the same of a short one
+_GRAIN: Final = 0.3  # in resolutions: the same of a short one; a rope seen end-on is longer there
 _SLACK: Final = (0.01, 1.5)  # of the length and in resolutions: what is missing below this is noise
 _BEYOND: Final = 4.0  # standard deviations, beyond which noise explains nothing
 _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
@@ -49,7 +49,7 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     Returns:
         The whole rope. Its hints hold the lengths of the hidden ends, and what is known of the rope's length.
     """
-    rope, known = PredictedRope(prediction), prediction.hints.length
+    rope, known = PredictedRope(prediction, form), prediction.hints.length
     turned, back = oriented(form, prediction)
     form, tips = turned, tips.reversed() if back else tips
     ends = tips.known
@@ -64,14 +64,17 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     gap = _widest_gap(form)
     resolution = prediction.resolution * float(form.stations[-1]) / max(form.size, 1e-9)
     slack, missing = _SLACK[0] * length + _SLACK[1] * resolution, length - float(form.stations[-1])
-    head = tail = 0.0
+    head = tail = adrift = 0.0
     least = _LEAST * length
-    noise = (known.spread if unit == "px" else known.spread_metres) * length + _GRAIN * resolution
+    steep = float(form.steepness(prediction.width / 2).max(initial=1.0))
+    noise = (known.spread if unit == "px" else known.spread_metres) * length + _GRAIN * resolution * steep
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
         head, tail, between = rope.place(form, ends, cut, missing, noise, gap)
+        adrift = rope.adrift
         form = _filled(rope, form, gap, head, between, length)
     else:
-        rope.settle(float(rope.disagreement(points_along(form)[None], np.zeros(1), np.ones(1))[0]))
+        bent, apart = rope.disagreement(rope.along(form)[None], np.zeros(1), np.ones(1))
+        rope.settle(float(bent[0]), float(apart[0]))
     doubtful = missing > _DOUBTFUL * noise and cut.max() > 0
     if head + tail <= least and not doubtful:
         now, own = learnt(known, form, ends), tips.remembered(before.tips, known.frames)
@@ -81,9 +84,11 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     form = _completed(rope, form, ends, head, tail, stretch, length)
     hidden = head / length, tail / length
     certain = (float(cut[0]), float(cut[1]))
-    covered = ends[0] == HIDDEN, ends[1] == HIDDEN
+    covered, folded = ((ends[0] == known, ends[1] == known) for known in (HIDDEN, FREE))
     measured = before.measured if head + tail > least else length - missing
-    hints = TrackHints(hidden, covered, slack / length, stretch, measured, rope.residual, certain, own, now)
+    hints = TrackHints(
+        hidden, covered, folded, adrift, slack / length, stretch, measured, rope.residuals, certain, own, now
+    )
     return replace(form, hints=hints)
 
 
@@ -123,15 +128,15 @@ def _filled(
         return form
     stations = widened(form.stations, gap, between)
     piece = rope.at((head + np.linspace(stations[first], stations[last], last - first + 1)) / length)
-    chord, wanted = piece[-1] - piece[0], form.points[last] - form.points[first]
+    points = rope.points_of(form)
+    chord, wanted = piece[-1] - piece[0], points[last] - points[first]
     scale = np.linalg.norm(wanted) / max(float(np.linalg.norm(chord)), 1e-9)
-    points = form.points
     if 1 / _STRETCH < scale < _STRETCH:
         # What is left over at the far end is spread along the piece, so that it meets both ends.
         piece = piece - piece[0] + points[first]
         piece += np.linspace(0, 1, len(piece))[:, None] * (points[last] - piece[-1])
         points = np.concatenate([points[:first], piece, points[last + 1 :]])
-    drawn = form.with_geometry(points, form.interpolated)
+    drawn = form.relaid(points, form.interpolated)
     if form.metres is None:
         return replace(drawn, pixels=stations)
     more = stations[last] - stations[first]
@@ -161,7 +166,7 @@ def _completed(
     inner = (form.arc >= first) & (form.arc <= form.size - last)
     if np.count_nonzero(inner) < 2:
         inner = np.ones(len(inner), bool)
-    points, flags, at = form.points[inner], form.interpolated[inner], stations[inner]
+    points, flags, at = rope.points_of(form)[inner], form.interpolated[inner], stations[inner]
     reach = max(int(_NEXT_TO * len(points)), 1)
     if ends[0] == FREE:
         before = _folded(points, at, at[0])[::-1]
@@ -173,7 +178,7 @@ def _completed(
         behind = _hidden_piece(rope, at[-1], length, points[-1], _scale(points[-reach - 1 :], at[::-1]), length)
     hidden_before = np.linspace(0, at[0], len(before) + 1)[:-1]
     hidden_behind = np.linspace(at[-1], length, len(behind) + 1)[1:]
-    whole = form.with_geometry(
+    whole = form.relaid(
         np.concatenate([before, points, behind]),
         np.concatenate([hidden_before < head - 1e-9, flags, hidden_behind > length - tail + 1e-9]),
     )

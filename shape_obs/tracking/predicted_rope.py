@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
-from math import dist
+from math import dist, log1p
 from typing import Final
 
 import numpy as np
@@ -25,23 +25,26 @@ Ends = tuple[int, int]
 
 _PROBES: Final = np.linspace(0, 1, 32)  # of a visible piece, at which it is compared with the prediction
 _SHARES: Final = np.linspace(0, 1, 9)  # of what is missing, that may be hidden at an end
-_PLACE: Final = 0.1  # the weight of where a rope is predicted against how it is bent
-_INDEPENDENT: Final = 4.0  # of the probes: neighbours err alike
+_INDEPENDENT: Final = (4.0, 1.0)  # of the probes: neighbours err alike, and a rope that is elsewhere is so as a whole
 _NOISE: Final = 0.15  # in resolutions: how far off a curve lies that was predicted perfectly
 _SETTLING: Final = 0.1  # how fast the distance of curves from their predictions is learnt
 # What it costs, in squared standard deviations, to take an end for hidden: without evidence, with
 # evidence, and a free one, which is then folded back or points at the camera. And by which share of the length it
 # changes from frame to frame.
-_COST: Final = {UNKNOWN: 4.0, HIDDEN: 0.0, FREE: 4.0}
-_FOLDED: Final = 25.0  # of a free end while something hides the other, which explains what is missing
+_COST: Final = {UNKNOWN: 4.0, HIDDEN: 4.0, FREE: 16.0}
+_FOLDED: Final = 100.0  # of a free end while something hides the other, which explains what is missing
 _INERTIA: Final = {UNKNOWN: 0.05, HIDDEN: 0.1, FREE: 0.05}
 _BRIDGE: Final = 0.35  # of a bridged gap: the standard deviation of its length
+_UNSEEN: Final = 30.0  # squared standard deviations: a piece that lies where all was folded back is so unlikely
 _CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
 _ASKEW: Final = 0.6  # widths: of the visible piece next to a hidden end, which may follow the cut
-_SURE: Final = 2.0  # how much larger the mean square distance has to be in the other direction
+_SURE: Final = 8.0  # squared standard deviations by which the other direction has to be less likely
 _PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
 _TRUST: Final = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
 _OUTLIER: Final = 10.0  # residuals: more is not learnt from at once
+_NOISY: Final = 3.0  # standard deviations by which a length may be short, though an end is hidden
+_BY_NOISE: Final = 1.0  # standard deviations of a length, which may seem hidden
+_LONG_AGO: Final = 25.0  # squared intervals of a track, after which a rope may have slid anywhere
 _FEWEST: Final = 6  # nodes of a visible piece
 
 
@@ -50,43 +53,35 @@ def oriented(form: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, bo
 
     A direction that is in doubt is noted as the curve's ambiguity.
     """
-    if _is_along(form, prediction.nodes):
+    rope, length = PredictedRope(prediction, form), prediction.hints.length
+    if _is_along(rope.points_of(form), rope.nodes):
         return form, False
-    rope, length = PredictedRope(prediction), prediction.hints.length
     whole = length.metres if form.metres is not None else length.pixels
     seen = min(float(form.stations[-1]) / whole, 1.0) if whole > 0 else 1.0
     firsts, back = np.linspace(0, 1 - seen, _PLACES), form.reversed()
-    off, off_back = (
-        min(_apart(rope.at(first + seen * _PROBES), points_along(curve)) for first in firsts) for curve in (form, back)
-    )
-    if max(off, off_back) < _SURE * min(off, off_back):
+    off, off_back = (min(rope.doubt(rope.along(curve), first, seen) for first in firsts) for curve in (form, back))
+    if abs(off - off_back) < _SURE:
         form, back = (replace(curve, ambiguity="it is in doubt where the rope begins") for curve in (form, back))
     return (back, True) if off_back < off else (form, False)
 
 
 def visible_nodes(prediction: Prediction) -> Array:
-    """Return the predicted nodes of the visible piece, about as far apart: ``(K', D)``."""
-    (head, tail), nodes = prediction.hints.hidden, prediction.nodes
+    """Return the predicted nodes of the visible piece, about as far apart, with their relief: ``(K', 2 or 3)``."""
+    (head, tail), rope = prediction.hints.hidden, PredictedRope(prediction)
+    nodes = rope.nodes
     if head + tail <= 0:
         return nodes
     first, last = head, 1 - tail
     count = max(round(len(nodes) * (last - first)), _FEWEST)
-    return PredictedRope(prediction).at(first + (np.arange(count) + 0.5) / count * (last - first))
+    return rope.at(first + (np.arange(count) + 0.5) / count * (last - first))
 
 
-def _is_along(form: FittedCurve, nodes: Array) -> bool:
+def _is_along(points: Array, nodes: Array) -> bool:
     """Return whether a curve clearly runs in the direction of ``(K, D)`` nodes, by the distances of its ends."""
-    first, last = form.points[0].tolist(), form.points[-1].tolist()
+    first, last = points[0].tolist(), points[-1].tolist()
     head, tail = nodes[0].tolist(), nodes[-1].tolist()
     forwards, backwards = dist(first, head) + dist(last, tail), dist(first, tail) + dist(last, head)
     return _CLEAR * forwards < backwards
-
-
-def _apart(first: Array, second: Array) -> float:
-    """Return the mean square distance of points, most of it after the best translation."""
-    away = first - second
-    shift = away.mean(axis=0)
-    return float(np.mean(np.sum((away - shift) ** 2, axis=1)) + _PLACE * np.sum(shift**2))
 
 
 class PredictedRope:
@@ -94,11 +89,17 @@ class PredictedRope:
 
     Args:
         prediction: Its nodes lie at the centres of K equal pieces of the rope.
+        form: What it is compared with: in the image, if its relief is not known.
     """
 
-    def __init__(self, prediction: Prediction) -> None:
-        nodes, self.hidden = prediction.nodes, prediction.hints.hidden
-        self.residual = prediction.hints.residual
+    def __init__(self, prediction: Prediction, form: FittedCurve | None = None) -> None:
+        nodes, self.hidden, self.folded = prediction.nodes, prediction.hints.hidden, prediction.hints.folded
+        if prediction.relief is not None and (form is None or form.relief is not None):
+            nodes = np.column_stack([nodes, prediction.relief])
+        self.nodes = nodes
+        # An object that moves as it likes is as far from its prediction as the square of the time that went by.
+        self.residuals, self.lapse = prediction.hints.residuals, prediction.lapse**2
+        self.adrift, self.stale = prediction.hints.adrift, prediction.stale
         self.askew, self.resolution = _ASKEW * prediction.width, prediction.resolution
         self.share = np.concatenate([[0.0], (np.arange(len(nodes)) + 0.5) / len(nodes), [1.0]])
         self.points = np.concatenate([1.5 * nodes[:1] - 0.5 * nodes[1:2], nodes, 1.5 * nodes[-1:] - 0.5 * nodes[-2:-1]])
@@ -107,11 +108,40 @@ class PredictedRope:
         """Return ``(N, D)`` points at shares of the length."""
         return interpolate(self.points, self.share, share)
 
-    def disagreement(self, found: Array, first: Array, last: Array) -> Array:
+    def points_of(self, form: FittedCurve) -> Array:
+        """Return ``(P, D)`` the points of a curve, in the coordinates of the rope."""
+        return form.lifted if self.nodes.shape[1] > form.points.shape[1] else form.points
+
+    def along(self, form: FittedCurve) -> Array:
+        """Return ``(32, D)`` points at equal steps along a curve."""
+        return interpolate(self.points_of(form), form.stations, _PROBES * form.stations[-1])
+
+    def doubt(self, found: Array, first: float, share: float) -> float:
+        """Return how unlikely ``(32, D)`` points along a curve are a piece of the rope, in squared standard deviations.
+
+        Args:
+            found: The points.
+            first: Where the piece begins, as a share of the rope's length.
+            share: How long it is. What was folded back cannot be compared with it.
+        """
+        at = first + share * _PROBES
+        head, tail = (hidden * folded for hidden, folded in zip(self.hidden, self.folded, strict=True))
+        seen = (at >= head) & (at <= 1 - tail)
+        doubt = _UNSEEN * (1 - float(seen.mean()))
+        if not seen.any():
+            return doubt
+        away = (self.at(at) - found)[seen]
+        shift, least = away.mean(axis=0), (_NOISE * self.resolution) ** 2
+        off = float(np.mean(np.sum((away - shift) ** 2, axis=1))), float(np.sum(shift**2))
+        for now, usual, count in zip(off, self.residuals, _INDEPENDENT, strict=True):
+            doubt += _TRUST * log1p(count * now / max(self.lapse * usual, least) / _TRUST)
+        return doubt
+
+    def disagreement(self, found: Array, first: Array, last: Array) -> tuple[Array, Array]:
         """Return the mean square distances between curves and the rope's pieces between two shares of its length.
 
-        Most of it is taken after the best rigid motion (Kabsch 1976): a prediction fails first in where a rope is,
-        and last in how it is bent.
+        They are taken after the best rigid motion (Kabsch 1976), and as they are: the prediction of a fast rope fails
+        first in where it is, and last in how it is bent; of a slow one both hold.
 
         Args:
             found: ``(C, 32, D)`` points along each curve.
@@ -129,11 +159,15 @@ class PredictedRope:
             values = np.linalg.svd(overlap, compute_uv=False)
             turned = values[:, :-1].sum(axis=1) + np.sign(np.linalg.det(overlap)) * values[:, -1]
         bent = np.sum(expected**2, axis=(1, 2)) + np.sum(found**2, axis=(1, 2)) - 2 * turned
-        return np.maximum(bent, 0.0) / len(_PROBES) + _PLACE * apart
+        return np.maximum(bent, 0.0) / len(_PROBES), apart
 
-    def settle(self, apart: float) -> None:
-        """Learn how far curves lie from their predictions, a mean square distance."""
-        self.residual += _SETTLING * (min(apart, _OUTLIER * self.residual) - self.residual)
+    def settle(self, *distances: float) -> None:
+        """Learn how far curves lie from their predictions: mean square distances, see ``disagreement``."""
+        bent, apart = (
+            known + _SETTLING * (min(now, _OUTLIER * known) - known)
+            for known, now in zip(self.residuals, distances, strict=True)
+        )
+        self.residuals = bent, apart
 
     def place(
         self,
@@ -157,14 +191,17 @@ class PredictedRope:
         length, stations = missing + float(form.stations[-1]), form.stations
         bridge = float(stations[gap[1]] - stations[gap[0]])
         shares = np.array([(a, b) for a, b in product(_SHARES, _SHARES) if a + b <= 1])
-        if bridge == 0 and HIDDEN in ends:  # what is missing is hidden where something hides it
+        if (
+            bridge == 0 and HIDDEN in ends and missing > _NOISY * noise
+        ):  # what is missing is hidden where something hides it
             shares = shares[shares.sum(axis=1) == 1]
         rest, hidden = (1 - shares.sum(axis=1)) * missing, shares * missing / length
-        found = np.empty((len(shares), len(_PROBES), form.points.shape[1]))
+        points = self.points_of(form)
+        found = np.empty((len(shares), len(_PROBES), points.shape[1]))
         for more in np.unique(rest) if bridge else rest[:1]:
             moved = widened(stations, gap, more) if bridge else stations
-            found[rest == more if bridge else slice(None)] = interpolate(form.points, moved, _PROBES * moved[-1])
-        apart = self.disagreement(found, hidden[:, 0], 1 - hidden[:, 1])
+            found[rest == more if bridge else slice(None)] = interpolate(points, moved, _PROBES * moved[-1])
+        bent, apart = self.disagreement(found, hidden[:, 0], 1 - hidden[:, 1])
         cost = (rest / (noise + _BRIDGE * bridge)) ** 2
         for end in range(2):
             # What is hidden changes little from frame to frame; a free end is hidden in no frame for longer.
@@ -173,17 +210,35 @@ class PredictedRope:
             price = price * (last <= 0) + 2 * (cut.max() - cut[end]) * (HIDDEN not in ends)
             change = ((hidden[:, end] - last) / _INERTIA[known]) ** 2
             cost += price * (hidden[:, end] > 0) + _TRUST * np.log1p(change / _TRUST)
-        worse = _INDEPENDENT * (apart - apart.min()) / max(self.residual, (_NOISE * self.resolution) ** 2)
-        cost += _TRUST * np.log1p(worse / _TRUST)
+        least = (_NOISE * self.resolution) ** 2
+        for off, known, count in zip((bent, apart), self.residuals, _INDEPENDENT, strict=True):
+            cost += _TRUST * np.log1p(count * (off - off.min()) / max(self.lapse * known, least) / _TRUST)
         best = int(np.argmin(cost))
-        self.settle(float(apart[best]))
+        self.slide(ends, np.maximum(hidden[best] - _BY_NOISE * noise / length, 0.0), bridge > 0, float(apart[best]))
+        self.settle(float(bent[best]), float(apart[best]))
         head, tail = hidden[best] * length
         return float(head), float(tail), float(rest[best])
 
+    def slide(self, ends: Ends, hidden: Array, bridged: bool, apart: float) -> None:
+        """Learn by how much a visible piece of the rope may have slid along it while no end of it was seen.
 
-def points_along(curve: FittedCurve) -> Array:
-    """Return ``(32, D)`` points at equal steps along a curve."""
-    return interpolate(curve.points, curve.stations, _PROBES * curve.stations[-1])
+        It looks then as if it lay where it was put last; the unforeseen motion adds up. After a while out of sight it
+        may be any piece. Only an end that is free, or all of the rope, shows where it is.
+
+        Args:
+            ends: What is known about the rope's ends.
+            hidden: ``(2,)`` share of its length that is hidden there, beyond what noise explains.
+            bridged: Whether something lies across it.
+            apart: Mean square distance from the prediction.
+        """
+        loose = [end == HIDDEN or (end == UNKNOWN and share > 0) for end, share in zip(ends, hidden, strict=True)]
+        sliding = all(loose) or (any(loose) and bridged)
+        if FREE in ends and not sliding:
+            self.adrift = 0.0
+            return
+        size = float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
+        slid = 1.0 if self.stale or self.lapse > _LONG_AGO else apart**0.5 / size * sliding
+        self.adrift = min(self.adrift + slid, float(hidden.max()))
 
 
 def widened(stations: Array, gap: tuple[int, int], more: float) -> Array:

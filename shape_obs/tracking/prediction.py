@@ -43,6 +43,7 @@ class Fit(NamedTuple):
         length: Of the object, metres, hidden pieces included; None if it is not known.
         new: Whether the numbering begins anew, though there was a track: the object is another one.
         track_id: The number of the track that the form belongs to.
+        relief: ``(K,)`` depth at the nodes of a chain in an image, see ``FittedCurve.relief``; None without depth.
     """
 
     form: Any = None
@@ -60,6 +61,7 @@ class Fit(NamedTuple):
     length: float | None = None
     new: bool = False
     track_id: int = 0
+    relief: Array | None = None
 
 
 class Track(NamedTuple):
@@ -78,6 +80,8 @@ class Track(NamedTuple):
         drift: By how much its edges have moved since the frame before, at most, pixels.
         area: Pixels or points of the object; 0 if a part of it was hidden.
         track_id: Its number among the tracks of the shape, from 1.
+        relief: ``(K,)`` depth at the nodes in an image, see ``FittedCurve.relief``; None without depth.
+        climb: ``(K,)`` how fast it changes, units a second.
     """
 
     nodes: Array
@@ -92,6 +96,8 @@ class Track(NamedTuple):
     drift: int = 0
     area: int = 0
     track_id: int = 0
+    relief: Array | None = None
+    climb: Array | None = None
 
 
 class Prediction(NamedTuple):
@@ -106,6 +112,8 @@ class Prediction(NamedTuple):
         width: Of the object as a ribbon; 0 if it is not known.
         steady: Whether all of the object was seen and is: what comes to light, or under a hand, changes its area first.
         stale: Whether the shape was lost for so long that its numbering begins again.
+        relief: ``(K,)`` depth at the nodes in an image, see ``FittedCurve.relief``; None without depth.
+        lapse: How long ago the object was seen last, in intervals of the track, at least 1.
     """
 
     nodes: Array
@@ -116,6 +124,8 @@ class Prediction(NamedTuple):
     width: float
     steady: bool
     stale: bool = False
+    relief: Array | None = None
+    lapse: float = 1.0
 
     @property
     def reference(self) -> Array:
@@ -133,7 +143,12 @@ def predict(track: Track | None, observed: Observed, stamp: float, stale: bool =
     ahead = min(max(stamp - track.stamp, 0.0), track.interval)
     nodes = track.nodes + _VELOCITY_SHARE * ahead * track.velocity
     steady = abs(observed.area - track.area) <= _STEADY * track.area
-    return Prediction(nodes, track.size, track.topology, track.hints, observed.resolution, track.width, steady, stale)
+    relief = track.relief
+    if relief is not None and track.climb is not None:
+        relief = relief + _VELOCITY_SHARE * ahead * track.climb
+    known = track.size, track.topology, track.hints, observed.resolution, track.width
+    lapse = (stamp - track.stamp) / track.interval if track.interval > 0 else 1.0
+    return Prediction(nodes, *known, steady, stale, relief, max(lapse, 1.0))
 
 
 def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -> Track:
@@ -149,14 +164,17 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
     if track is not None and track.width and width:
         width = track.width * (1 + _believed(width / track.width - 1))
     interval = 0.0 if track is None else stamp - track.stamp
-    velocity = np.zeros_like(nodes)
+    velocity, climb = np.zeros_like(nodes), None
     if track is not None and interval > _LEAST_INTERVAL:
         velocity = (nodes - track.nodes) / interval
+        if found.relief is not None and track.relief is not None:
+            climb = (found.relief - track.relief) / interval
     size, area = found.size, 0 if form.interpolated.any() else observed.area
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
     return Track(
-        nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area, found.track_id
-    )
+        nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area, found.track_id,
+        found.relief, climb,
+    )  # fmt: skip
 
 
 class Reach:

@@ -39,7 +39,8 @@ def learnt(known: Length, form: FittedCurve, ends: Ends) -> Length:
     if not whole:
         return known
     change = form.size / known.pixels - 1
-    spread = _varied(known.spread, change, _SPREAD["px"])
+    # What looks shorter may be hidden in part; only what comes back to its length has been seen at an angle.
+    spread = _varied(known.spread, max(change, -1.5 * known.spread), _SPREAD["px"])
     follow = min(max((spread / 0.04) ** 2, _LEARNING[0]), 1.0)
     pixels = known.pixels * (1 + follow * change)
     if not metres or not known.metres:

@@ -53,6 +53,12 @@ class TestPrediction:
     def test_the_first_frame_has_no_velocity(self):
         np.testing.assert_array_equal(predicted(first(), 5.0).nodes, NODES)
 
+    def test_a_prediction_knows_how_long_ago_the_shape_was_seen(self):
+        track = after(first(), 5.0, 0.1)
+        assert predicted(track, 0.2).lapse == pytest.approx(1.0)
+        assert predicted(track, 0.9).lapse == pytest.approx(8.0)
+        assert predicted(track, 0.05).lapse == 1.0
+
     def test_most_of_the_last_step_is_made_again(self):
         """With frames 0.1 s apart and 10 px per frame, 8 px are predicted for the next."""
         track = after(first(), 10.0, 0.1)

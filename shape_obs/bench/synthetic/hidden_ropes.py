@@ -1,11 +1,12 @@
 """Draw ropes with depth, in a plane or in space, while hands, shadows, bars and the image's border hide a part of them.
 
 What hides a rope grows from nothing, at any speed. The rope is a tube in front of a wall, or of nothing that returns
-depth; its mask and its depth are drawn together, far pieces first.
+depth, made of balls; its mask and its depth are drawn together.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from typing import Any, Final, Literal, NamedTuple
 
@@ -15,6 +16,7 @@ import numpy.typing as npt
 
 from shape_obs.bench.synthetic.ropes import moving_curve, resample, rotation
 from shape_obs.camera import Intrinsics
+from shape_obs.compiled import compiled
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
@@ -28,7 +30,8 @@ _AWAY: Final = 25  # frames before something comes, and after it has gone
 _STAYS: Final = 40
 _PLANE: Final = 0.7  # metres to a rope that moves in a plane
 _TABLE: Final = 0.01  # metres from there to the table
-_PIECE: Final = 0.4  # radii from one drawn piece to the next
+_PIECE: Final = 0.2  # radii from one drawn ball to the next
+_LONGEST: Final = 4.0  # radii from the axis to the surface, on a ray along the rope
 _CLEAR: Final = 14.0  # pixels from the rope's tip at which something is away
 _WIDE: Final = 640
 _BEHIND: Final = 0.3  # metres from the farthest point of a rope in space to the wall
@@ -39,8 +42,8 @@ class Seen(NamedTuple):
 
     Args:
         pixels: ``(P, 2)`` its axis from tip to tip at equal steps of material.
-        metres: ``(P, 3)`` the same on the visible surface, camera frame.
-        shown: ``(P,)`` bool: in sight, neither hidden nor outside the image.
+        metres: ``(P, 3)`` the same on the visible surface, on the viewing rays of the axis, camera frame.
+        shown: ``(P,)`` bool: in sight, neither hidden, by something or the rope itself, nor outside the image.
         mask: ``(H, W)`` uint8, 0 or 255.
         depth: ``(H, W)`` float32 metres, 0 where nothing is measured.
         camera: The projection.
@@ -76,34 +79,69 @@ def see(
     """
     height, width = camera.height, camera.width
     pixels = camera.project(axis)
-    surface = axis * (1 - radius / np.linalg.norm(axis, axis=1, keepdims=True))
     step = float(np.linalg.norm(axis[1] - axis[0]))
-    inner = slice(round(radius / step), len(axis) - round(radius / step), max(int(_PIECE / step * radius), 1))
-    z, thick = axis[inner, 2], 2 * radius * camera.fx / axis[inner, 2]
+    inset = round(radius / step)
+    balls = resample(axis[inset : len(axis) - inset], _PIECE * radius)
+    thick = 2 * radius * camera.fx / balls[:, 2]
     reach = float(thick.max()) / 2 + 2
     left, top = np.clip(np.floor(pixels.min(axis=0) - reach), 0, (width, height)).astype(int)
     right, bottom = np.clip(np.ceil(pixels.max(axis=0) + reach), 0, (width, height)).astype(int)
     mask, depth = np.zeros((height, width), np.uint8), np.full((height, width), behind, np.float32)
+    nearer_than_axis, over = _over_axis(axis, radius), np.zeros(len(axis), bool)
     if right > left and bottom > top:
         canvas = np.full(((bottom - top) * _FINER, (right - left) * _FINER), np.inf, np.float32)
-        fine = np.rint(((pixels[inner] - (left, top) + 0.5) * _FINER - 0.5) * 16).astype(np.int32)
-        for k in np.argsort(-(z[1:] + z[:-1])):
-            near, broad = float(min(z[k], z[k + 1]) - radius), max(round(float(thick[k]) * _FINER), 1)
-            cv2.line(canvas, fine[k].tolist(), fine[k + 1].tolist(), near, broad, shift=4)
+        fine = (camera.project(balls) - (left, top) + 0.5) * _FINER - 0.5
+        draw_balls(canvas, np.ascontiguousarray(fine), np.ascontiguousarray(balls[:, 2]), radius, camera.fx * _FINER)
         size = right - left, bottom - top
         share = cv2.resize(np.isfinite(canvas).view(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
-        nearest = canvas.reshape(bottom - top, _FINER, right - left, _FINER).min(axis=(1, 3))
+        blocks = canvas.reshape(bottom - top, _FINER, right - left, _FINER)
+        middle, nearest = blocks[:, _FINER // 2, :, _FINER // 2], blocks.min(axis=(1, 3))
         on = share > 127
         mask[top:bottom, left:right][on] = 255
-        depth[top:bottom, left:right][on] = nearest[on]
+        depth[top:bottom, left:right][on] = np.where(np.isfinite(middle), middle, nearest)[on]
+        u, v = np.rint((pixels - (left, top) + 0.5) * _FINER - 0.5).astype(int).T
+        inside = (u >= 0) & (v >= 0) & (u < canvas.shape[1]) & (v < canvas.shape[0])
+        seen = np.where(inside, canvas[v * inside, u * inside], np.inf)
+        over = seen < axis[:, 2] - nearer_than_axis - radius
+        own = np.isfinite(seen) & ~over
+        nearer_than_axis[own] = axis[own, 2] - seen[own]
+    surface = axis * (1 - nearer_than_axis / axis[:, 2])[:, None]
     column, row = np.rint(pixels).astype(int).T
-    shown = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    shown = (column >= 0) & (row >= 0) & (column < width) & (row < height) & ~over
     if cover is not None:
         mask[cover > 0] = 0
         if nearer:
             depth[cover > 0] = float(axis[:, 2].min()) - nearer
         shown[shown] &= cover[row[shown], column[shown]] == 0
     return Seen(pixels, surface, shown, mask, depth, camera)
+
+
+def _over_axis(axis: Array, radius: float) -> Array:
+    """Return ``(P,)`` how much nearer than its axis a tube's surface lies on each viewing ray, metres."""
+    along = np.gradient(axis, axis=0)
+    cosine = np.sum(along * axis, axis=1) / (np.linalg.norm(along, axis=1) * np.linalg.norm(axis, axis=1))
+    return np.minimum(radius / np.sqrt(np.maximum(1 - cosine**2, 1e-9)), _LONGEST * radius)
+
+
+@compiled("(f4[:,::1], f8[:,::1], f8[::1], f8, f8)")
+def draw_balls(canvas: Depth, places: Array, z: Array, radius: float, focal: float) -> None:
+    """Draw balls into an image of depth, in place; the nearest counts.
+
+    Args:
+        canvas: ``(H, W)`` metres.
+        places: ``(B, 2)`` their centres, pixels.
+        z: ``(B,)`` their depth, metres.
+        radius: In metres.
+        focal: Focal length, pixels.
+    """
+    height, width = canvas.shape
+    for b in range(len(places)):
+        x, y, reach = places[b, 0], places[b, 1], radius * focal / z[b]
+        for v in range(max(math.ceil(y - reach), 0), min(math.floor(y + reach), height - 1) + 1):
+            for u in range(max(math.ceil(x - reach), 0), min(math.floor(x + reach), width - 1) + 1):
+                square = 1 - ((u - x) ** 2 + (v - y) ** 2) / reach**2
+                if square >= 0:
+                    canvas[v, u] = min(canvas[v, u], z[b] - radius * math.sqrt(square))
 
 
 def hidden_ropes(

@@ -21,7 +21,9 @@ _PARTICLES: Final = 61
 _SUBSTEP: Final = 1 / 2000  # seconds
 _GRAVITY: Final = 9.81
 _DRAG: Final = 0.8  # share of the speed that is lost in a second
-_BENDING: Final = 0.3  # how strongly a particle is pulled to the middle of its neighbours, in each substep
+_BENDING: Final = 0.3  # how strongly a particle is pulled to the middle of two others, in each substep
+STIFFNESS: Final = (1, 2, 4, 7)  # of a cord, a rope, a cable, a stiff cable, see ``swung_rope``
+_SWEEPS: Final = 8  # over the distances, in each substep
 _SWAYS: Final = (3, 0.09, 2.2)  # number of sines of a hand's motion, metres of the first, most hertz
 _NEAREST: Final = 0.75  # metres from the camera, at least
 _CLOSEST: Final = 1.4  # lengths from the camera, at least
@@ -31,7 +33,7 @@ _SETTLING: Final = 0.5  # seconds before the first frame
 
 
 def swung_rope(
-    rng: np.random.Generator, hertz: float, frames: int, *, hands: int = 1, pace: float = 1.0
+    rng: np.random.Generator, hertz: float, frames: int, *, hands: int = 1, pace: float = 1.0, stiffness: int = 1
 ) -> Iterator[Array]:
     """Yield the axis of a swung rope in each frame: ``(P, 3)`` metres, camera frame, from tip to tip.
 
@@ -41,6 +43,7 @@ def swung_rope(
         frames: How many.
         hands: 1 or 2 ends are held.
         pace: Multiplies the speed of the hands.
+        stiffness: Over how many particles to either side the rope resists bending: 1 for a cord, 7 for a stiff cable.
     """
     length, lean = float(rng.uniform(*_LENGTH)), float(rng.uniform(*_LEAN))
     down = np.array([0.0, np.cos(lean), np.sin(lean)], dtype=np.float64)
@@ -59,7 +62,7 @@ def swung_rope(
         held[0] = top + first(at)
         if hands == 2:
             held[1] = _within(held[0], top + apart + other(at), 0.97 * length)
-        advance_particles(places, speeds, held, rest, down * _GRAVITY)
+        advance_particles(places, speeds, held, rest, down * _GRAVITY, stiffness)
         time += duration
         yield resample(places, _STEP)
 
@@ -85,8 +88,8 @@ def _within(centre: Array, points: Array, reach: float) -> Array:
     return centre + away * np.minimum(1.0, reach / np.maximum(distance, 1e-9))
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[:,:,::1], f8, f8[::1])")
-def advance_particles(places: Array, speeds: Array, held: Array, rest: float, gravity: Array) -> None:
+@compiled("(f8[:,::1], f8[:,::1], f8[:,:,::1], f8, f8[::1], i8)")
+def advance_particles(places: Array, speeds: Array, held: Array, rest: float, gravity: Array, stiffness: int) -> None:
     """Advance a chain of particles in place.
 
     Args:
@@ -95,6 +98,7 @@ def advance_particles(places: Array, speeds: Array, held: Array, rest: float, gr
         held: ``(1 or 2, T, 3)`` places of the first and the last particle in each of T substeps.
         rest: Metres between neighbours.
         gravity: ``(3,)`` metres per second squared.
+        stiffness: Particles to either side, over which it resists bending.
     """
     size, before = len(places), np.empty_like(places)
     for step in range(held.shape[1]):
@@ -103,13 +107,16 @@ def advance_particles(places: Array, speeds: Array, held: Array, rest: float, gr
                 before[k, d] = places[k, d]
                 speeds[k, d] = (speeds[k, d] + gravity[d] * _SUBSTEP) * (1 - _DRAG * _SUBSTEP)
                 places[k, d] += speeds[k, d] * _SUBSTEP
-        for k in range(1, size - 1):
-            for d in range(3):
-                middle = (places[k - 1, d] + places[k + 1, d]) / 2 - places[k, d]
-                places[k, d] += _BENDING * middle
-                places[k - 1, d] -= _BENDING * middle / 2
-                places[k + 1, d] -= _BENDING * middle / 2
-        for sweep in range(4):
+        for reach in range(1, stiffness + 1):
+            share = _BENDING / reach**2
+            for k in range(reach, size - reach):
+                first, last = k - reach, k + reach
+                for d in range(3):
+                    middle = (places[first, d] + places[last, d]) / 2 - places[k, d]
+                    places[k, d] += share * middle
+                    places[first, d] -= share * middle / 2
+                    places[last, d] -= share * middle / 2
+        for sweep in range(_SWEEPS):
             for d in range(3):
                 places[0, d] = held[0, step, d]
                 if len(held) == 2:
@@ -119,12 +126,12 @@ def advance_particles(places: Array, speeds: Array, held: Array, rest: float, gr
                 square = 0.0
                 for d in range(3):
                     square += (places[k + 1, d] - places[k, d]) ** 2
-                share = (np.sqrt(square) - rest) / max(np.sqrt(square), 1e-12)
+                excess = (np.sqrt(square) - rest) / max(np.sqrt(square), 1e-12)
                 heavy = 0.0 if k == 0 else 0.5
                 light = 0.0 if len(held) == 2 and k == size - 2 else 0.5
                 total = heavy + light
                 for d in range(3):
-                    away = (places[k + 1, d] - places[k, d]) * share / total
+                    away = (places[k + 1, d] - places[k, d]) * excess / total
                     places[k, d] += heavy * away
                     places[k + 1, d] -= light * away
         for k in range(size):

@@ -1,0 +1,86 @@
+"""A rope's curve in space: its depth and its length in metres."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from shape_obs import Intrinsics
+from shape_obs.point_cloud.chain_length import lift_chain, strand_gap
+
+CAMERA = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
+COUNT = 60
+
+
+def lifted(z: np.ndarray, bridged: slice | None = None, expected: np.ndarray | None = None, slack: float = 0.02):
+    """Lift a level curve over 200 columns, whose depth is given for each of its points, and constant across it."""
+    points = np.stack([np.linspace(60, 260, COUNT), np.full(COUNT, 120.0)], axis=1)
+    depth = np.zeros((240, 320), np.float32)
+    nearest = np.abs(np.arange(320)[:, None] - points[:, 0]).argmin(axis=1)
+    depth[115:126] = (
+        np.where(z[nearest] > 0, np.interp(np.arange(320), points[z > 0, 0], z[z > 0]), 0) if z.any() else 0
+    )
+    depth.flags.writeable = False
+    mask = np.zeros((240, 320), np.uint8)
+    mask[115:126, 55:266] = 255
+    left_out = np.zeros(COUNT, bool)
+    if bridged is not None:
+        left_out[bridged] = True
+    rays = np.ascontiguousarray(CAMERA.rays(points)[:, :2])
+    known = np.zeros(0) if expected is None else expected
+    return lift_chain(points, rays, left_out, depth, 1.0, mask, (0, 0), 11.0, known, slack)
+
+
+@pytest.mark.parametrize("away", [0.0, 0.1, 0.4])
+def test_the_length_of_a_rope_is_measured_at_any_tilt(away):
+    x, z = (np.linspace(60, 260, COUNT) - 159.5) / 300.0, 0.6 + away * np.linspace(0, 1, COUNT)
+    arc, smooth, share = lifted(z)
+    true = np.linalg.norm(np.diff(np.stack([x * z, z], axis=1), axis=0), axis=1).sum()
+    assert share == 1
+    assert arc[-1] == pytest.approx(true, rel=0.01)
+    np.testing.assert_allclose(smooth[2:-2], z[2:-2], atol=0.004)
+
+
+def test_noise_makes_a_rope_hardly_longer():
+    rng = np.random.default_rng(0)
+    still, _, _ = lifted(np.full(COUNT, 0.6))
+    noisy, _, _ = lifted(0.6 + rng.normal(0, 0.002, COUNT))
+    assert still[-1] < noisy[-1] < 1.02 * still[-1]
+
+
+def test_holes_and_bridged_pieces_take_the_depth_around_them():
+    z = np.full(COUNT, 0.6)
+    z[20:24] = 0.0
+    arc, smooth, share = lifted(z, bridged=slice(40, 44))
+    assert share < 1
+    np.testing.assert_allclose(smooth, 0.6, atol=1e-6)
+    assert arc[-1] == pytest.approx(200 / 300 * 0.6, rel=1e-3)
+
+
+def test_depth_of_another_strand_is_left_out_where_the_own_is_expected():
+    z = np.full(COUNT, 0.6)
+    z[25:35] = 0.5
+    _, smooth, _ = lifted(z, expected=np.full(COUNT, 0.6))
+    np.testing.assert_allclose(smooth, 0.6, atol=2e-3)
+
+
+def test_depth_that_jumps_does_not_put_a_point_behind_the_camera():
+    z = np.full(COUNT, 0.03)
+    z[:1] = 1.0
+    assert lifted(z)[1].min() > 0
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        assert lifted(rng.choice([0.02, 0.3, 3.0], COUNT))[1].min() > 0
+
+
+def test_nothing_is_known_without_depth():
+    arc, smooth, share = lifted(np.zeros(COUNT))
+    assert share == 0
+    assert np.isnan(smooth).all()
+    assert np.isnan(arc[1:]).all()
+
+
+def test_strands_lie_apart_by_widths_at_any_resolution():
+    assert strand_gap(16.0, 600.0) == pytest.approx(32 / 600)
+    assert strand_gap(4.0, 150.0) == pytest.approx(strand_gap(16.0, 600.0))
+    assert strand_gap(1.0, 600.0) == 0.02

@@ -1,0 +1,149 @@
+"""Faults in how ropes are followed through space, and under what hides them."""
+
+from __future__ import annotations
+
+from .mutant import Mutant
+
+_CLAIMS = "tests/bench/test_motion_claims.py"
+_LENGTH = "tests/point_cloud/test_chain_length.py"
+_OCCLUDERS = "tests/tracking/test_occluders.py"
+_OCCLUSION = "tests/tracking/test_occlusion.py"
+_PREDICTED = "tests/tracking/test_predicted_rope.py"
+_SPACE = "tests/tracking/test_ropes_in_space.py"
+
+
+def _rope(name: str, module: str, old: str, new: str, *tests: str) -> Mutant:
+    return Mutant(f"rope: {name}", f"shape_obs/{module}.py", old, new, tests or (_SPACE,))
+
+
+ROPES: tuple[Mutant, ...] = (
+    _rope(
+        "its place in depth is not compared",
+        "tracking/predicted_rope",
+        "if prediction.relief is not None and (form",
+        "if False and (form",
+        _SPACE,
+        _CLAIMS,
+    ),
+    _rope(
+        "what was folded back tells its direction",
+        "tracking/predicted_rope",
+        "seen = (at >= head) & (at <= 1 - tail)",
+        "seen = np.ones(len(at), bool)",
+    ),
+    _rope(
+        "predictions never grow old", "tracking/prediction", "relief, max(lapse, 1.0))", "relief, 1.0)", _SPACE, _CLAIMS
+    ),
+    _rope(
+        "predictions are as good in every track",
+        "tracking/predicted_rope",
+        "        self.residuals = bent, apart",
+        "        pass",
+        _SPACE,
+        _CLAIMS,
+    ),
+    _rope(
+        "its direction is never in doubt",
+        "tracking/predicted_rope",
+        "_SURE: Final = 8.0",
+        "_SURE: Final = 0.0",
+        _SPACE,
+        _CLAIMS,
+        "tests/tracking/test_prediction.py",
+    ),
+    _rope(
+        "depth does not move on",
+        "tracking/prediction",
+        "relief = relief + _VELOCITY_SHARE",
+        "relief = relief + 0",
+        _SPACE,
+        _CLAIMS,
+    ),
+    _rope(
+        "strands are not parted in a square",
+        "configurations/chain_in_mask",
+        "into = 2 * cell + (known and metres > behind * nearest[cell])",
+        "into = 2 * cell",
+        _SPACE,
+        _CLAIMS,
+    ),
+    _rope(
+        "the map is flat",
+        "configurations/chain_in_mask",
+        "if start.shape[1] == 2 or scene.depth is None or",
+        "if True or scene.depth is None or",
+        _SPACE,
+        _CLAIMS,
+    ),
+    _rope(
+        "depth of another strand is its own",
+        "point_cloud/chain_length",
+        "if not abs(z[p] / expected[p] - 1) <= slack:",
+        "if False:",
+        _SPACE,
+        _CLAIMS,
+    ),
+    _rope(
+        "a smooth depth may lie behind the camera",
+        "point_cloud/chain_length",
+        "if smooth[p] <= 0:",
+        "if False:",
+        "tests/test_bad_input.py",
+    ),
+    _rope("a strand under another is visible", "configurations/shape_points", "        visible &= ~over\n", ""),
+    _rope(
+        "depth is compared with the nearest strand's",
+        "configurations/shape_points",
+        "        at = _nearest(points, form.points) if at is None else at\n        focal",
+        "        at = _nearest(points, form.points)\n        focal",
+    ),
+    _rope(
+        "a point that is seen end-on is valid",
+        "configurations/shape_points",
+        "(form.steepness(width / 2)[at] < _END_ON)",
+        "True",
+    ),
+    _rope("a rope that is seen end-on is found", "configurations/centerline", "steep > _END_ON:", "False:"),
+    _rope(
+        "a length is sure where it is seen end-on",
+        "tracking/occlusion",
+        "_GRAIN * resolution * steep",
+        "_GRAIN * resolution",
+        _SPACE,
+        _CLAIMS,
+    ),
+    _rope(
+        "the rim of an end is its tip",
+        "configurations/chain_in_mask",
+        "return curve.trimmed(*rims) if max(rims) > _LEAST_RIM else curve",
+        "return curve",
+        _SPACE,
+        _CLAIMS,
+    ),
+    _rope(
+        "what looks shorter varies",
+        "tracking/rope_length",
+        "max(change, -1.5 * known.spread)",
+        "change",
+        _OCCLUSION,
+        _CLAIMS,
+    ),
+    _rope(
+        "a cut that is askew turns the rope",
+        "tracking/occluders",
+        "_TURNS: Final = (0.0, -0.25, 0.25, -0.5, 0.5)",
+        "_TURNS: Final = (0.0,)",
+        _OCCLUDERS,
+        _CLAIMS,
+    ),
+    _rope(
+        "a free end is hidden as easily",
+        "tracking/predicted_rope",
+        "FREE: 16.0}",
+        "FREE: 0.0}",
+        _OCCLUDERS,
+        _OCCLUSION,
+        _CLAIMS,
+        _SPACE,
+    ),
+)

@@ -1,0 +1,140 @@
+"""A predicted rope: which way a curve runs, and how sure that is."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from shape_obs import Centerline, Intrinsics, Shape, ShapeDetector
+from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
+from shape_obs.geometry.topology import Chain
+from shape_obs.tracking.predicted_rope import PredictedRope, oriented
+from shape_obs.tracking.prediction import Prediction
+
+NODES = 16
+
+
+def axis(turn: float = 0.0, count: int = 64, shift: float = 0.0) -> np.ndarray:
+    """Return a rope of 300 pixels that is bent at one end, turned about its middle by an angle in degrees."""
+    at = np.linspace(-0.5, 0.5, count)
+    points = 300 * np.stack([at, 0.3 * np.clip(at - 0.2, 0, None)], axis=1)
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    return points @ np.array([[c, s], [-s, c]]) + (320 + shift, 240)
+
+
+def predicted(lapse: float = 1.0, **hints: object) -> Prediction:
+    known = TrackHints(length=Length(pixels=300.0, frames=10))._replace(**hints)
+    return Prediction(axis(count=NODES), 300.0, Chain(NODES), known, 1.0, 8.0, True, lapse=lapse)
+
+
+def curve(turn: float = 0.0, shift: float = 0.0) -> FittedCurve:
+    points = axis(turn, shift=shift)
+    return FittedCurve.through(points, np.zeros(len(points), bool))
+
+
+def track(masks: list[np.ndarray]) -> Shape:
+    detector = ShapeDetector([Centerline(n=12, ends="tips", anchor=(150, 240))])
+    return [detector.detect_mask(mask).shapes[0] for mask in masks][-1]
+
+
+def drawn(turn: float) -> np.ndarray:
+    mask = np.zeros((480, 640), np.uint8)
+    c, s = 150 * np.cos(np.radians(turn)), 150 * np.sin(np.radians(turn))
+    cv2.line(mask, (round(320 - c), round(240 - s)), (round(320 + c), round(240 + s)), (255.0,), 8)
+    return mask
+
+
+@pytest.mark.parametrize("turn", [0.0, 20.0, -35.0])
+@pytest.mark.parametrize("shift", [0.0, 150.0])
+def test_a_curve_is_turned_the_way_of_the_rope(turn, shift):
+    for form, back in ((curve(turn, shift), False), (curve(turn, shift).reversed(), True)):
+        found, turned = oriented(form, predicted())
+        assert turned == back
+        assert not found.ambiguity
+        np.testing.assert_allclose(found.points[0], curve(turn, shift).points[0])
+
+
+def test_a_rope_that_comes_back_across_its_place_may_run_either_way():
+    gone = np.zeros((480, 640), np.uint8)
+    shape = track([drawn(0.0)] * 5 + [gone] * 3 + [drawn(90.0)])
+    assert shape.reason
+    assert not shape.visible.any()
+
+
+def test_a_direction_is_less_sure_the_longer_a_rope_was_gone():
+    found = curve(40.0)
+    doubts = [
+        PredictedRope(predicted(lapse)).doubt(found.at(np.linspace(0, found.size, 32)), 0.0, 1.0)
+        for lapse in (1.0, 4.0, 16.0, 64.0)
+    ]
+    assert doubts == sorted(doubts, reverse=True)
+    assert doubts[0] > doubts[-1] + 10
+
+
+def test_a_direction_is_surer_where_predictions_have_held():
+    found = curve(15.0)
+    held, failed = (PredictedRope(predicted(residuals=(known, known))) for known in (0.05, 50.0))
+    at = found.at(np.linspace(0, found.size, 32))
+    assert held.doubt(at, 0.0, 1.0) > failed.doubt(at, 0.0, 1.0) + 5
+
+
+def test_what_was_folded_back_is_not_compared():
+    """The predicted end lies on the rope; the curve goes straight on."""
+    back = predicted()
+    back.nodes[NODES // 2 :] = back.nodes[: NODES // 2][::-1]
+    at = curve().at(np.linspace(0, curve().size, 32))
+    compared = PredictedRope(back).doubt(at, 0.0, 1.0)
+    folded = back._replace(hints=back.hints._replace(hidden=(0.0, 0.5), folded=(False, True)))
+    assert PredictedRope(folded).doubt(at, 0.0, 1.0) < compared - 10
+
+
+def test_the_distance_from_predictions_is_learnt_and_outliers_hardly():
+    rope = PredictedRope(predicted(residuals=(1.0, 1.0)))
+    for _ in range(100):
+        rope.settle(4.0, 0.25)
+    assert rope.residuals == pytest.approx((4.0, 0.25), rel=0.01)
+    rope.settle(4000.0, 0.25)
+    assert rope.residuals[0] < 8
+
+
+class TestSliding:
+    """A visible piece between two hidden ends may slide along the rope unseen."""
+
+    @staticmethod
+    def adrift(ends: tuple[int, int], apart: float, **known: object) -> float:
+        rope = PredictedRope(predicted()._replace(**known))
+        for _ in range(10):
+            rope.slide(ends, np.array([0.2, 0.2]), False, apart)
+        return rope.adrift
+
+    def test_the_unforeseen_motion_adds_up(self):
+        assert self.adrift((1, 1), 0.0) == 0
+        assert self.adrift((1, 1), 4.0) == pytest.approx(10 * 2 / 300, rel=0.1)
+
+    def test_it_is_bounded_by_what_is_hidden(self):
+        assert self.adrift((1, 1), 400.0) == 0.2
+
+    def test_a_free_end_shows_where_the_rope_is(self):
+        assert self.adrift((1, 2), 400.0) == 0
+
+    def test_after_long_out_of_sight_it_may_be_any_piece(self):
+        assert self.adrift((0, 0), 0.0, stale=True) == 0.2
+        assert self.adrift((0, 0), 0.0, lapse=6.0) == 0.2
+
+    def test_a_rope_that_moves_between_two_hands_is_refused_after_a_while(self):
+        """It is straight, and both of its ends are hidden: nothing shows how it moves along itself."""
+        detector, reasons = ShapeDetector([Centerline(n=12, ends="tips", anchor=(150, 240))]), []
+        for frame in range(60):
+            mask = np.zeros((480, 640), np.uint8)
+            depth = np.full(mask.shape, 0.8, np.float32)
+            cv2.line(mask, (170, 240 + 2 * frame), (470, 240 + 2 * frame), (255.0,), 8)
+            depth[mask > 0] = 0.79
+            if frame >= 10:
+                over = np.zeros(mask.shape, bool)
+                over[:, :200] = over[:, 440:] = True
+                mask[over], depth[over] = 0, 0.7
+            shape = detector.detect_mask(mask, depth, Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)).shapes[0]
+            reasons.append(shape.reason)
+        assert reasons[:20] == [""] * 20
+        assert "may have slid" in reasons[-1]
