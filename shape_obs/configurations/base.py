@@ -27,6 +27,20 @@ Anchor = str | tuple[float, float] | tuple[float, float, float] | None
 Array = npt.NDArray[np.float64]
 
 
+class Scene(NamedTuple):
+    """What a frame shows around the object.
+
+    Args:
+        depth: ``(H, W)``, None if there is none: it shows what lies over the object.
+        intrinsics: Of the camera, None if there is none.
+        edge: The part of the image that may be searched: an object that touches its edge is cut. None without an image.
+    """
+
+    depth: npt.NDArray[Any] | None = None
+    intrinsics: Intrinsics | None = None
+    edge: Window | None = None
+
+
 class Points(NamedTuple):
     """The N points of a shape on its form.
 
@@ -39,20 +53,6 @@ class Points(NamedTuple):
     places: Array
     interpolated: npt.NDArray[np.bool_]
     nearest: npt.NDArray[np.intp] | None = None
-
-
-class Scene(NamedTuple):
-    """What a fit may see of a frame besides the object: evidence for what hides it, and what puts it in space.
-
-    Args:
-        depth: ``(H, W)`` the frame's depth; None without depth or camera.
-        intrinsics: The projection; None without depth or camera.
-        edge: The part of the image that is searched; None for clouds.
-    """
-
-    depth: npt.NDArray[Any] | None = None
-    intrinsics: Intrinsics | None = None
-    edge: Window | None = None
 
 
 _MODULES = {kind: f"shape_obs.configurations.{kind}" for kind in ("centerline", "contour", "surface")}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -20,8 +20,9 @@ from shape_obs.geometry.samples import SAMPLED, Samples, pairs
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
+from shape_obs.tracking.hidden_border import complete_outline, look_around, rim_depth
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
-from shape_obs.tracking.registration import match_outline, renumber_outline
+from shape_obs.tracking.registration import blend_space, index_shift_space, match_outline, renumber_outline
 from shape_obs.tracking.validation import outline_miss, ring_miss, validate_outline
 
 if TYPE_CHECKING:
@@ -84,28 +85,63 @@ class Contour(Configuration, kind="contour"):
             curve, miss = self._run_som(observed, outline.points[0], topology)
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
             nodes, (reason, quality) = curve.even(topology.size), validate_outline(observed, miss)
+            lifted, _ = self._lift(observed, curve.points, scene)
+            if lifted is not None:
+                curve, nodes = _begun_at(curve, lifted, 0.0, topology.size, None)
         else:
             topology = prediction.topology
-            curve, nodes, miss = self._track(observed, prediction.nodes[0], prediction)
+            curve, nodes, miss = self._track(observed, prediction.nodes[0], prediction, scene)
             reason, quality = validate_outline(observed, miss)
             if reason or abs(curve.arc[-1] / prediction.size - 1) > MAX_SIZE_CHANGE:
                 outline = observed.outline_curve(self.hole)
                 start = match_outline(outline, prediction)[0].points[0]
-                curve, nodes, miss = self._track(observed, start, prediction)
+                curve, nodes, miss = self._track(observed, start, prediction, scene)
                 reason, quality = validate_outline(observed, miss)
         return Fit(curve, quality, reason, nodes, topology, float(curve.arc[-1]), width, observed, width)
 
-    def _track(self, observed: Observed, start: Array, prediction: Prediction) -> tuple[FittedCurve, Array, float]:
-        """Run the self-organising map from a start and renumber the curve from where it began before."""
-        if isinstance(observed, Region):
-            traced = observed.traced_outline(self.hole)
-            points, arc, nodes, reference, miss = track_ring_in_mask(
-                traced.traced, traced.hole, start, prediction.reference, prediction.nodes
-            )
-            flags, hints = np.zeros(len(points), bool), TrackHints(reference=reference)
-            return FittedCurve(points, flags, arc, True, hints=hints), nodes, miss
+    def _track(
+        self, observed: Observed, start: Array, prediction: Prediction, scene: Scene
+    ) -> tuple[FittedCurve, Array, float]:
+        """Run the self-organising map from a start and renumber the curve from where it began before.
+
+        With depth the curve is numbered by its form in space; where something lies over it, by what is seen of it.
+        """
+        if not isinstance(observed, Region):
+            curve, miss = self._run_som(observed, start, prediction.topology)
+            return *match_outline(curve, prediction), miss
         curve, miss = self._run_som(observed, start, prediction.topology)
-        return *match_outline(curve, prediction), miss
+        lifted, cut = self._lift(observed, curve.points, scene)
+        known = prediction.hints.reference
+        if known is not None and known.shape[1] == 3 and lifted is None:
+            prediction = prediction._replace(hints=TrackHints())  # a frame without depth is numbered by its place
+        own = lifted if lifted is not None and known is not None and known.shape[1] == 3 else None
+        found, nodes = curve, prediction.nodes
+        if cut.any() and known is not None:
+            whole = complete_outline(curve, own or curve, cut, known, prediction.nodes)
+            if whole is None:
+                return curve, nodes, np.inf
+            completed, begin = whole
+            camera = scene.intrinsics
+            pixels = completed.points if own is None or camera is None else camera.project(completed.points)
+            curve = FittedCurve.through(pixels, np.zeros(len(pixels), bool), True)
+            return *_begun_at(curve, completed, begin, len(nodes), known, learn=False), miss
+        if own is not None:
+            found, nodes = _match_in_space(curve, own, prediction)
+        else:
+            found, nodes = match_outline(curve, prediction)
+            if lifted is not None:
+                near = int(np.argmin(((curve.points - nodes[0]) ** 2).sum(axis=1)))
+                found, nodes = _begun_at(curve, lifted, float(lifted.arc[near]), len(nodes), None)
+        return found, nodes, miss
+
+    def _lift(self, region: Observed, points: Array, scene: Scene) -> tuple[FittedCurve | None, npt.NDArray[np.bool_]]:
+        """Return an outline ``(P, 2)`` in space, None without depth, and where something lies over it, ``(P,)``."""
+        if not isinstance(region, Region) or self.hole is not None:
+            return None, np.zeros(len(points), bool)
+        lifted, cut = look_around(region, points, scene.depth, scene.intrinsics, scene.edge)
+        if lifted is None:
+            return None, cut
+        return FittedCurve.through(lifted, np.zeros(len(lifted), bool), True), cut
 
     def _run_som(self, observed: Observed, start: Array, topology: Topology) -> tuple[FittedCurve, float]:
         """Run the self-organising map on the outline from its place nearest to ``start``; return curve and miss."""
@@ -165,7 +201,7 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_ring_in_mask, track_ring_in_mask, _points_around, renumber_outline, material_outline, trace_hole
+        masks = fit_ring_in_mask, rim_depth, _points_around, renumber_outline, material_outline, trace_hole
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds
 
@@ -190,16 +226,6 @@ def fit_ring_in_mask(traced: Array, hole: bool, start: Array, count: int) -> tup
     return curve, ring_miss(samples, unit, curve, _PIECES) / SAMPLED
 
 
-@compiled("(f8[:,::1], b1, f8[::1], f8[:,::1], f8[:,::1])")
-def track_ring_in_mask(
-    traced: Array, hole: bool, start: Array, reference: Array, predicted: Array
-) -> tuple[Array, Array, Array, Array, float]:
-    """Fit a ring as ``fit_ring_in_mask`` does and renumber it as ``renumber_outline`` does, all in one call."""
-    curve, miss = fit_ring_in_mask(traced, hole, start, len(predicted))
-    points, arc, nodes, reference = renumber_outline(curve, reference, predicted)
-    return points, arc, nodes, reference, miss
-
-
 @compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8)")
 def _points_around(points: Array, arc: Array, metric: Array, metric_arc: Array, count: int) -> Array:
     """Return ``count`` points of a closed curve with equal chords in a metric, from its first point."""
@@ -215,3 +241,49 @@ def _least(values: Array, form: FittedCurve) -> float:
     bend = fall + rise
     shift = (fall * after - rise * before) / (2 * bend) if bend > 0 else 0.0
     return float(form.arc[at] + np.clip(shift, -before, after))
+
+
+def _match_in_space(curve: FittedCurve, lifted: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, Array]:
+    """Renumber a closed curve over an image by its form in space, which tilt and perspective do not change.
+
+    Args:
+        curve: ``(P, 2)`` pixels.
+        lifted: ``(P, 3)`` the same in metres.
+        prediction: Nodes in pixels, equally spaced in space, and a reference in metres.
+
+    Returns:
+        The same curve from the place where the predicted outline begins, and its ``(K, 2)`` nodes.
+    """
+    count = len(prediction.nodes)
+    at = np.arange(count, dtype=np.float64) * (lifted.size / count)
+    shift = index_shift_space(prediction.reference, prediction.nodes, lifted.even(count), _across(curve, lifted, at))
+    return _begun_at(curve, lifted, shift * lifted.size / count, count, prediction.reference)
+
+
+def _begun_at(
+    curve: FittedCurve, lifted: FittedCurve, begin: float, count: int, reference: Array | None, *, learn: bool = True
+) -> tuple[FittedCurve, Array]:
+    """Return a curve from an arc position in space on, and its ``count`` nodes, equally spaced there.
+
+    Args:
+        curve: ``(P, 2)`` pixels.
+        lifted: ``(P, 3)`` the same in metres.
+        begin: Metres along it.
+        count: How many nodes.
+        reference: ``(count, 3)`` metres, what is known of its form; None if nothing is.
+        learn: Whether the reference moves towards what was found.
+    """
+    at = begin + np.arange(count, dtype=np.float64) * (lifted.size / count)
+    found = lifted.at(at)
+    if reference is None:
+        reference = found
+    elif learn:
+        reference = blend_space(reference, found)
+    nodes = _across(curve, lifted, at)
+    first = float(np.interp(begin % lifted.size, lifted.arc, curve.arc))
+    return replace(curve.starting_at(first), hints=TrackHints(reference=reference)), nodes
+
+
+def _across(curve: FittedCurve, other: FittedCurve, at: npt.NDArray[Any]) -> Array:
+    """Return the points of a closed curve at arc positions of the same curve in another space."""
+    return curve.at(np.interp(at % other.size, other.arc, curve.arc))

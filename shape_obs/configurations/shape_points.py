@@ -15,7 +15,7 @@ from shape_obs.frame import Frame, readable_depth
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.point_cloud.chain_length import strand_gap
-from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, form_depth, lift_form, median_depth
+from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, form_depth, is_rope, lift_form, median_depth
 from shape_obs.shape import Shape
 from shape_obs.tracking.belief import MAX_SIGMA, arc_to_nearest, expected_error, residual_of, stereo_noise
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
@@ -109,7 +109,7 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     readable, unit = readable_depth(depth)
     left, top = region.window[:2]
     reach = min(max(round(width / 4), 1), MAX_REACH)
-    on_mask, z = visible_depth(readable, unit, region.mask, left, top, points, reach)
+    on_mask, z = visible_depth(readable, unit, region.mask, left, top, points, reach, not is_rope(form))
     visible = on_mask & ~interpolated
     if in_pieces and under is not None:
         # Next to what hides a piece, depth that is not the form's is not the points' either.
@@ -129,14 +129,21 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
 
 
 @compiled(
-    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8)",
-    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8)",
+    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, b1)",
+    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, b1)",
 )
 def visible_depth(
-    depth: npt.NDArray[Any], unit: float, mask: npt.NDArray[np.uint8], left: int, top: int, points: Array, reach: int
+    depth: npt.NDArray[Any],
+    unit: float,
+    mask: npt.NDArray[np.uint8],
+    left: int,
+    top: int,
+    points: Array,
+    reach: int,
+    sloped: bool,
 ) -> tuple[Mask, Array]:
     """Return whether the mask has a pixel at each point, and the median depth of the mask around it."""
-    z = median_depth(depth, unit, mask, left, top, points, reach, MIN_SHARE)
+    z = median_depth(depth, unit, mask, left, top, points, reach, MIN_SHARE, sloped)
     return near_mask(mask, left, top, points, 1), z
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -14,30 +14,35 @@ from scipy.ndimage import map_coordinates
 from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
-from shape_obs.geometry.coons import FINE, coons_patch
-from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, outer_corners, sample_lattice
+from shape_obs.geometry.coons import FINE, SIDE, beneath_fold, blend_sides, coons_patch
+from shape_obs.geometry.curve import TrackHints
+from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import material_outline
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.topology import Grid, undo_shrinkage
-from shape_obs.image.connected_runs import gather_cells, near_mask
+from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim, nearest_corners, rim_of
-from shape_obs.tracking.corner_matching import STRAYED, match_lattice
+from shape_obs.tracking.corner_matching import STRAYED, assign_corners, match_corners
+from shape_obs.tracking.hidden_border import rim_depth
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
-from shape_obs.tracking.validation import validate_sheet
+from shape_obs.tracking.sheet_view import KnownSheet, SheetView, first_known
+from shape_obs.tracking.validation import MAX_HIDDEN, FitQuality, validate_sheet
 
 Array = npt.NDArray[np.float64]
 
-_GRID: Final = Grid(8, 8)  # the nodes that are kept from frame to frame, for any lattice that is sampled
+_GRID: Final = Grid(FINE, FINE)  # the nodes that are kept from frame to frame, for any lattice that is sampled
+_MAP: Final = Grid(8, 8)  # the nodes of the self-organising map
 _MIN_SIDE: Final = 6.0  # in units of the resolution: what is narrower has no two sides that can be distinguished
 _MAX_ASPECT: Final = 8.0  # length over width; what is longer is a ribbon, whose corners are its ends
 _CELL: Final = 8  # pixels
 _SIGMA: Final = 0.5  # width of the map's neighbourhood, node units
 _MAX_CUT: Final = 0.03  # of the outline
 _NO_CORNERS: Final = "the outline's corners are not where the lattice's are"
-_ANY_CORNERS: Final = np.empty(0, np.int64)
-_NOTHING_EXPECTED: Final = np.empty((0, 0, 2))
+_OUT_OF_SIGHT: Final = "the sheet runs out of the camera's sight"
+_UNBENT: Final = (90.0, 0.0, 0.0, 0.0)
+_COVERED: Final = "something lies over the sheet's border"
 _MIN_PIECE: Final = 0.8  # of the mask: the largest piece, since a sheet cannot be connected over a gap
 
 
@@ -55,9 +60,9 @@ class Surface(Configuration, kind="surface"):
         epochs: Of the self-organising map, after the Coons patch. None by default: what is seen of a sheet's material
             is its outline. Each epoch evens the areas out and takes the points nearer to cluster centres and off their
             material (1.1, 1.3, 1.6 px over drawn sheets with 0, 1, 3), and away from what hides the inside.
-        freedom: How far a corner may move from one frame to the next that the three others do not, as a share of half
-            a diagonal. Beyond it something lies over that corner, and the shape is refused. Where grippers move
-            single corners give more.
+        freedom: Without depth, how far a corner may move from one frame to the next that the three others do not, as
+            a share of half a diagonal. Beyond it something lies over that corner, which is put back. Where grippers
+            move single corners give more.
     """
 
     rows: int = 4
@@ -81,78 +86,133 @@ class Surface(Configuration, kind="surface"):
         return Grid(self.rows, self.cols)
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
-        """Lay a Coons patch between the corners nearest to the predicted ones, else between the best four corners."""
-        reason = self._rejection_reason(observed)
+        """Lay a Coons patch between the predicted corners; put back what is hidden; else take the best four corners."""
+        reason = self._rejection_reason(observed, prediction is not None)
         if reason:
             return Fit(reason=reason)
-        found = Fit(reason="no corners were predicted")
-        expected = None if prediction is None else prediction.nodes.reshape(_GRID.rows, _GRID.cols, -1)
-        if expected is not None:
-            found = self._lay_patch(observed, None, expected)
-        if found.reason or (prediction is not None and abs(found.size / prediction.size - 1) > MAX_SIZE_CHANGE):
-            rim = Rim.along(*observed.sheet_outline())
-            corners = rim.corners()
-            if corners is None:
-                return Fit(reason=f"the outline has {len(rim.candidates)} corners, a sheet has four")
-            found = self._lay_patch(observed, corners, expected)
+        if not isinstance(observed, Region):
+            found = self._fit_in_cloud(observed, prediction)
+        elif prediction is None:
+            view = SheetView.of(observed, scene)
+            found = self._fit_whole(view, view.best_corners(), None)
+        else:
+            found = self._track(SheetView.of(observed, scene), prediction, scene)
         if found.reason or prediction is not None:
             return found
         form = self.apply_index_order(found.form, observed.seen(found.form.points, target), target)
-        return found._replace(form=form, nodes=form.evenly(_GRID.rows, _GRID.cols, centers=True))
+        return found._replace(form=form, nodes=form.points)
 
-    def _lay_patch(self, observed: Observed, corners: Indices | None, expected: Array | None) -> Fit:
-        """Lay the patch, move its inside with the map if that is asked for, match it to the track, validate it.
+    def _track(self, view: SheetView, prediction: Prediction, scene: Scene) -> Fit:
+        """Fit a sheet in an image: as a whole if nothing hides its border, else with its border put back."""
+        whole = Fit(reason=_COVERED)
+        if not view.cut.any():
+            whole = self._fit_whole(view, view.corners_near(prediction), prediction)
+        if not whole.reason:
+            return whole
+        found = self._fit_hidden(view, prediction, scene)
+        if found.reason and not view.cut.any():
+            found = self._fit_whole(view, view.best_corners(), prediction)
+        return found if not found.reason or whole.reason == _COVERED else whole
 
-        Args:
-            observed: The sheet.
-            corners: ``(4,)`` points of its rim; None for those nearest to the predicted ones.
-            expected: ``(R, C, D)`` the predicted nodes; None at a cold start.
-        """
-        predicted = expected if expected is not None else _NOTHING_EXPECTED
-        if isinstance(observed, Region) and not self.epochs:
-            laid = corners if corners is not None else _ANY_CORNERS
-            (left, top), traced = observed.window[:2], observed.outline.traced
-            points, on_object, kink, stray, share, measures, down, right, nodes = fit_patch_in_mask(
-                traced, observed.mask, left, top, laid, predicted
-            )
-            if not len(points):
-                return Fit(reason=_NO_CORNERS)
-            form = FittedLattice(points, ~on_object, (down, right), FINE)
+    def _fit_whole(self, view: SheetView, corners: Indices | None, prediction: Prediction | None) -> Fit:
+        """Lay the patch between four corners that are all seen, and compare it with what is known of the sheet."""
+        if corners is None:
+            few = f"the outline has {len(view.candidates)} corners, a sheet has four"
+            return Fit(reason=few if prediction is None else _NO_CORNERS)
+        stray = (0, 0.0)
+        if prediction is not None:
+            quarters, *stray = match_corners(_corners(prediction.nodes), view.rim[corners])
+            corners = np.roll(corners, -quarters)
+        patch, kink = coons_patch(view.space, view.turn, corners, view.step, view.grain)
+        lattice = view.pixels(patch)
+        if lattice is None:
+            return Fit(reason=_OUT_OF_SIGHT)
+        hints, measures, known = first_known(patch), _UNBENT, None
+        if prediction is not None:
+            known = KnownSheet.of(prediction, view)
+            reason = known.conflict(view, patch, lattice)
+            if reason:
+                return Fit(reason=reason)
+            hints = known.learn(view, patch)
+        if known is None or not known.metric:
+            measures = assess_lattice(_flattened(patch).reshape(FINE, FINE, 2))
         else:
-            rim = Rim.along(*observed.sheet_outline())
-            if corners is None and expected is not None:
-                corners = rim.corners_near(outer_corners(expected))
-            if corners is None:
-                return Fit(reason=_NO_CORNERS)
-            flat, kink = rim.patch(corners)
-            form = FittedLattice.over(observed.to_space(flat), np.zeros(len(flat), bool), FINE)
-            if self.epochs:
-                form = form.with_points(form.points + self._moved_inside(form, observed))
-            lattice, stray, share = match_lattice(form.lattice, predicted)
-            points = lattice.reshape(form.points.shape)
-            form = FittedLattice.over(points, ~observed.carries(points), FINE)
-            # A cloud is assessed as it lies unrolled, where a bent side does not wind.
-            measures = assess_lattice((points if observed.dimension == 2 else flat).reshape(FINE, FINE, 2))
-            nodes = form.evenly(_GRID.rows, _GRID.cols, centers=True)
-        off = np.count_nonzero(form.interpolated) / len(form.interpolated)
-        degrees, strays = math.degrees(kink), (stray, share)
-        reason, quality = validate_sheet(off, measures, observed.noun, degrees, strays, self.freedom)
-        size = float(form.gauges[0][-1] + form.gauges[1][-1])
-        width = observed.width if observed.dimension == 2 else 0.0
-        return Fit(form, quality, reason, nodes, _GRID, size, width, observed, width)
+            stray = (0, 0.0)  # in space the lengths of the sides say more
+        hidden, stray = ~view.region.carries(lattice), (int(stray[0]), float(stray[1]))
+        off = float(hidden.mean())
+        verdict = validate_sheet(off, measures, view.region.noun, math.degrees(kink), stray, self.freedom)
+        return self._finish(view.region, lattice, hints, verdict, hidden)
 
-    def _rejection_reason(self, observed: Observed) -> str:
+    def _fit_hidden(self, view: SheetView, prediction: Prediction, scene: Scene) -> Fit:
+        """Lay the patch between sides of which a part is hidden and put back."""
+        known = KnownSheet.of(prediction, view)
+        border = known.complete(view, scene.depth)
+        if border is None:
+            return Fit(reason="too little of the sheet's border is seen to know where the rest is")
+        sides = border.points[(np.arange(4)[:, None] * SIDE + np.arange(FINE)) % (4 * SIDE)]
+        patch = blend_sides(np.ascontiguousarray(sides))
+        lattice = view.pixels(patch) if known.metric else patch
+        if lattice is None:
+            return Fit(reason=_OUT_OF_SIGHT)
+        hidden = ~view.region.carries(lattice)
+        if border.folded:
+            hidden |= beneath_fold(border.folded, known.sides)
+        share, reason = float(hidden.mean()), ""
+        if share > MAX_HIDDEN:
+            reason = f"{share:.0%} of the sheet is hidden (at most {MAX_HIDDEN:.0%})"
+        verdict = FitQuality(reason, float(border.seen.mean()) ** 0.5)
+        return self._finish(view.region, lattice, known.seen_beside(border, patch), verdict, hidden)
+
+    def _finish(
+        self, region: Region, lattice: Array, hints: TrackHints, verdict: FitQuality, hidden: npt.NDArray[np.bool_]
+    ) -> Fit:
+        """Return the fit of a lattice of ``(625, 2)`` pixels, its inside moved with the map if that is asked for."""
+        form = FittedLattice.over(lattice, hidden, FINE, hints=hints)
+        if self.epochs:
+            form = form.with_points(form.points + self._moved_inside(form, region))
+        width = region.width
+        return Fit(form, verdict.quality, verdict.reason, form.points, _GRID, form.size, width, region, width)
+
+    def _fit_in_cloud(self, observed: Observed, prediction: Prediction | None) -> Fit:
+        """Lay the patch over a sheet that is unrolled, between the corners nearest to the predicted ones."""
+        rim = Rim.along(*observed.sheet_outline())
+        found = Fit(reason="no corners were predicted")
+        if prediction is not None:
+            found = self._lay_in_cloud(observed, rim, rim.corners_near(_corners(prediction.nodes)), prediction)
+        if found.reason or (prediction is not None and abs(found.size / prediction.size - 1) > MAX_SIZE_CHANGE):
+            found = self._lay_in_cloud(observed, rim, rim.corners(), prediction)
+        return found
+
+    def _lay_in_cloud(self, cloud: Observed, rim: Rim, corners: Indices | None, prediction: Prediction | None) -> Fit:
+        if corners is None:
+            return Fit(reason=_NO_CORNERS)
+        flat, kink = rim.patch(corners)
+        form = FittedLattice.over(cloud.to_space(flat), np.zeros(len(flat), bool), FINE)
+        if self.epochs:
+            form = form.with_points(form.points + self._moved_inside(form, cloud))
+        stray = (0, 0.0)
+        if prediction is not None:
+            quarters, corner, share = match_corners(_corners(prediction.nodes), form.corners)
+            form, stray = form.turned(quarters), (corner, share)
+        form = replace(form, interpolated=~cloud.carries(form.points))
+        off = float(form.interpolated.mean())
+        # A cloud is assessed as it lies unrolled, where a bent side does not wind.
+        measures = assess_lattice(flat.reshape(FINE, FINE, 2))
+        reason, quality = validate_sheet(off, measures, cloud.noun, math.degrees(kink), stray, self.freedom)
+        return Fit(form, quality, reason, form.points, _GRID, form.size, 0.0, cloud, 0.0)
+
+    def _rejection_reason(self, observed: Observed, tracked: bool) -> str:
         """Return why an object cannot be a sheet: a speck, a ribbon, pieces, corners out of sight, or no outline."""
         width, length, unit = observed.width, observed.length, observed.unit
         if width < _MIN_SIDE * observed.resolution:
             return f"the {observed.noun} is {width:.3g} {unit} wide: too small for a sheet"
-        if length > _MAX_ASPECT * width:
+        if length > _MAX_ASPECT * width and not tracked:
             return f"the {observed.noun} is {length:.4g} x {width:.4g} {unit}: too slender for a sheet"
         if isinstance(observed, Region):
             piece, cut = observed.outlined_share, observed.cut_share
             if piece < _MIN_PIECE:
                 return f"the mask falls into {observed.pieces} pieces, and the largest is {piece:.0%} of it"
-            if cut > _MAX_CUT:
+            if cut > _MAX_CUT and not tracked:
                 return f"{cut:.0%} of the outline lies on the image's edge: the sheet's corners are out of sight"
         elif not np.ptp(observed.sheet_outline()[1], axis=0).any():
             return f"the outline of the {observed.noun} has no extent"
@@ -160,11 +220,11 @@ class Surface(Configuration, kind="surface"):
 
     def _moved_inside(self, form: FittedLattice, observed: Observed) -> Array:
         """Return how the self-organising map moves the points of a patch: ``(P, D)``, nothing at its border."""
-        start = form.evenly(_GRID.rows, _GRID.cols, centers=True)
-        nodes = run_som(observed.gather(_CELL), start, _GRID, self.epochs * (_SIGMA,))
-        moved = np.pad(_GRID.lattice(nodes - start), ((1, 1), (1, 1), (0, 0)))
+        start = form.evenly(_MAP.rows, _MAP.cols, centers=True)
+        nodes = run_som(observed.gather(_CELL), start, _MAP, self.epochs * (_SIGMA,))
+        moved = np.pad(_MAP.lattice(nodes - start), ((1, 1), (1, 1), (0, 0)))
         at = []
-        for count, gauge in zip((_GRID.rows, _GRID.cols), form.gauges, strict=True):
+        for count, gauge in zip((_MAP.rows, _MAP.cols), form.gauges, strict=True):
             middles = np.interp((np.arange(count) + 0.5) / count * gauge[-1], gauge, np.arange(FINE))
             knots = np.concatenate([[0.0], middles, [FINE - 1.0]])
             at.append(np.interp(np.arange(FINE), knots, np.arange(count + 2)))
@@ -194,47 +254,26 @@ class Surface(Configuration, kind="surface"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_patch_in_mask, _points_over, rim_of, material_outline, coons_patch, nearest_corners, match_lattice
-        lattices = assess_lattice, lattice_gauges, outer_corners, sample_lattice, arc_length, interpolate
+        masks = rim_of, material_outline, rim_depth, coons_patch, blend_sides, nearest_corners, assign_corners
+        lattices = match_corners, assess_lattice, lattice_gauges, sample_lattice, _points_over, arc_length, interpolate
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
         return masks + lattices + maps
-
-
-@compiled("(f8[:,::1], u1[:,::1], i8, i8, i8[::1], f8[:,:,::1])")
-def fit_patch_in_mask(
-    traced: Array, mask: npt.NDArray[np.uint8], left: int, top: int, corners: Indices, expected: Array
-) -> tuple[Array, npt.NDArray[np.bool_], float, int, float, tuple[float, float, float, float], Array, Array, Array]:
-    """Lay the Coons patch of a sheet in a mask, match it to the track and measure it, all in one call.
-
-    Args:
-        traced: ``(P, 2)`` pixels, through the centres of the outline's border pixels.
-        mask: ``(h, w)`` uint8, C-contiguous.
-        left: Image column of its first pixel.
-        top: Image row of its first pixel.
-        corners: ``(4,)`` points of the rim; ``(0,)`` for those nearest to the predicted ones.
-        expected: ``(R, C, 2)`` the predicted nodes; ``(0, 0, 2)`` at a cold start.
-
-    Returns:
-        ``(625, 2)`` points, numbered as predicted, none if the corners are not in order; whether the mask has a pixel
-        there; the kink, radians; the corner that strays most, and by which share of half a diagonal; see
-        ``assess_lattice``; ``lattice_gauges``; ``(64, 2)`` the nodes.
-    """
-    rim, turn, candidates, step, grain = rim_of(material_outline(traced, False)[1])
-    if len(corners) == 0:
-        corners = nearest_corners(rim, candidates, step, outer_corners(expected))
-    if len(corners) == 0:
-        nothing = np.empty((0, 2))
-        return nothing, np.empty(0, np.bool_), 0.0, 0, 0.0, (0.0, 0.0, 0.0, 0.0), step * turn[:0], turn[:0], nothing
-    patch, kink = coons_patch(rim, turn, corners, step, grain)
-    lattice, corner, share = match_lattice(patch.reshape(FINE, FINE, 2), expected)
-    down, right = lattice_gauges(lattice)
-    nodes = sample_lattice(lattice, down, right, 8, 8, True)
-    patch = lattice.reshape(FINE * FINE, 2)
-    on_mask = near_mask(mask, left, top, patch, 1)
-    return patch, on_mask, kink, corner, share, assess_lattice(lattice), down, right, nodes
 
 
 @compiled("(f8[:,:,::1], f8[::1], f8[::1], i8, i8, b1)")
 def _points_over(lattice: Array, down: Array, right: Array, rows: int, cols: int, centers: bool) -> Array:
     """Return ``(rows*cols, D)`` points of a lattice with equal gaps down and across, on the mean."""
     return sample_lattice(lattice, down, right, rows, cols, centers)
+
+
+def _corners(nodes: Array) -> Array:
+    """Return ``(4, D)`` the corners of a lattice of 25 rows and columns, clockwise."""
+    return np.ascontiguousarray(nodes[[0, FINE - 1, FINE * FINE - 1, FINE * (FINE - 1)]])
+
+
+def _flattened(points: Array) -> Array:
+    """Return ``(P, 2)`` points in the plane along which they spread most; those of an image as they are."""
+    if points.shape[1] == 2:
+        return points
+    away = points - points.mean(axis=0)
+    return np.ascontiguousarray(away @ np.linalg.eigh(away.T @ away)[1][:, 1:])

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.polyline import arc_length, even_points
+from shape_obs.geometry.polyline import arc_length, closed, even_points
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -29,6 +29,9 @@ _OUTSIDE: Final = 2.5
 # Points of the lines that are intersected at a corner: longer ones would cut across bent sides, shorter ones follow the
 # noise. 0.4 px off at the median of drawn sheets; the strongest turn itself is 1.4 px off.
 _LINE: Final = 6
+SIDE: Final = FINE - 1  # points of a border from a corner to the next, which is not counted
+_INDEX: Final = np.arange(FINE * FINE).reshape(FINE, FINE)
+_BORDER: Final = np.concatenate([_INDEX[0, :-1], _INDEX[:-1, -1], _INDEX[-1, :0:-1], _INDEX[:0:-1, 0]])
 _PARALLEL: Final = 0.1  # squared sine of the angle between two sides that meet in no corner
 
 
@@ -37,28 +40,35 @@ def coons_patch(rim: Array, turn: Array, corners: Indices, step: float, grain: f
     """Return the Coons patch between four corners of a rim, and how much the rim turns between them.
 
     Args:
-        rim: ``(400, 2)`` points evenly spaced around the outline.
+        rim: ``(400, D)`` points around the outline, in pixels or in metres, evenly spaced in the image or the map.
         turn: ``(400,)`` radians by which it turns about each.
         corners: ``(4,)`` points, clockwise.
-        step: Distance between two points.
-        grain: What the outline was smoothed over.
+        step: Distance between two points in the image or the map.
+        grain: What the outline was smoothed over, in the unit of ``step``.
 
     Returns:
-        ``(625, 2)`` a lattice of 25 rows and columns, the first along the side from the first corner to the second; and
+        ``(625, D)`` a lattice of 25 rows and columns, the first along the side from the first corner to the second; and
         by how many radians the rim turns at most, either way, away from the corners.
     """
     places = _corner_places(rim, corners, step, grain)
     skip = max(round(_ROUNDED / 2 * grain / step), 1)
-    sides, kink = np.empty((4, FINE, 2)), 0.0
+    sides, kink = np.empty((4, FINE, rim.shape[1])), 0.0
     for k in range(4):
         begin, end = corners[k], corners[(k + 1) % 4]
         _side(rim, begin, end, skip, places, k, sides[k])
         for i in range(TURN_REACH + 1, (end - begin) % RIM - TURN_REACH):
             kink = max(kink, abs(turn[(begin + i) % RIM]))
-    out, last = np.empty((FINE * FINE, 2)), FINE - 1
+    return blend_sides(sides), float(kink)
+
+
+@compiled("(f8[:,:,::1],)")
+def blend_sides(sides: Array) -> Array:
+    """Return the Coons patch ``(625, D)`` of four sides ``(4, 25, D)``, each from a corner to the next, clockwise."""
+    last = FINE - 1
+    out = np.empty((FINE * FINE, sides.shape[2]))
     for row in range(FINE):
         v = row / last
-        for d in range(2):
+        for d in range(sides.shape[2]):
             left, right = sides[3, last - row, d], sides[1, row, d]
             # What top and bottom do not already bring to the left and to the right.
             left -= (1 - v) * sides[0, 0, d] + v * sides[2, last, d]
@@ -68,60 +78,137 @@ def coons_patch(rim: Array, turn: Array, corners: Indices, step: float, grain: f
                 out[row * FINE + col, d] = (
                     (1 - u) * left + u * right + (1 - v) * sides[0, col, d] + v * sides[2, last - col, d]
                 )
-    return out, float(kink)
-
-
-@compiled
-def _corner_places(rim: Array, corners: Indices, step: float, grain: float) -> Array:
-    """Return ``(4, 2)`` where the lines through both sides meet, as near as the smoothed outline's corners allow."""
-    first = max(math.ceil(_ROUNDED * grain / step), 1)
-    count = max(_LINE, first)
-    out = np.empty((4, 2))
-    for k in range(4):
-        corner = corners[k]
-        bu, bv, back_u, back_v = _line(rim, corner, first, count, -1)
-        au, av, ahead_u, ahead_v = _line(rim, corner, first, count, 1)
-        cosine = back_u * ahead_u + back_v * ahead_v
-        sine = 1 - cosine * cosine
-        out[k, 0], out[k, 1] = rim[corner, 0], rim[corner, 1]
-        if sine < _PARALLEL:
-            continue
-        along_back = (au - bu) * back_u + (av - bv) * back_v
-        along_ahead = (au - bu) * ahead_u + (av - bv) * ahead_v
-        s, t = (along_back - cosine * along_ahead) / sine, (cosine * along_back - along_ahead) / sine
-        u = (bu + s * back_u + au + t * ahead_u) / 2 - rim[corner, 0]
-        v = (bv + s * back_v + av + t * ahead_v) / 2 - rim[corner, 1]
-        far = max(math.sqrt(u * u + v * v) / (_OUTSIDE * grain), 1.0)
-        out[k, 0] += u / far
-        out[k, 1] += v / far
     return out
 
 
 @compiled
-def _line(rim: Array, corner: int, first: int, count: int, way: int) -> tuple[float, float, float, float]:
+def _corner_places(rim: Array, corners: Indices, step: float, grain: float) -> Array:
+    """Return ``(4, D)`` where the lines through both sides meet, as near as the smoothed outline's corners allow.
+
+    In space they pass each other, and the corner lies in the middle between them.
+    """
+    first = max(math.ceil(_ROUNDED * grain / step), 1)
+    count = max(_LINE, first)
+    dimension = rim.shape[1]
+    farthest = _OUTSIDE * grain * arc_length(closed(rim))[RIM] / (RIM * step)
+    out = np.empty((4, dimension))
+    for k in range(4):
+        corner = corners[k]
+        back, back_way = _line(rim, corner, first, count, -1)
+        ahead, ahead_way = _line(rim, corner, first, count, 1)
+        cosine = along_back = along_ahead = square = 0.0
+        for d in range(dimension):
+            out[k, d] = rim[corner, d]
+            cosine += back_way[d] * ahead_way[d]
+            along_back += (ahead[d] - back[d]) * back_way[d]
+            along_ahead += (ahead[d] - back[d]) * ahead_way[d]
+        sine = 1 - cosine * cosine
+        if sine < _PARALLEL:
+            continue
+        s, t = (along_back - cosine * along_ahead) / sine, (cosine * along_back - along_ahead) / sine
+        for d in range(dimension):
+            back[d] = (back[d] + s * back_way[d] + ahead[d] + t * ahead_way[d]) / 2 - rim[corner, d]
+            square += back[d] * back[d]
+        far = max(math.sqrt(square) / farthest, 1.0)
+        for d in range(dimension):
+            out[k, d] += back[d] / far
+    return out
+
+
+@compiled
+def _line(rim: Array, corner: int, first: int, count: int, way: int) -> tuple[Array, Array]:
     """Return the middle and the direction of ``count`` points, from the one ``first`` points away from a corner on."""
-    u = v = slope_u = slope_v = 0.0
+    middle, slope, square = np.zeros(rim.shape[1]), np.zeros(rim.shape[1]), 0.0
     for i in range(count):
         p = (corner + way * (first + i)) % RIM
-        u += rim[p, 0] / count
-        v += rim[p, 1] / count
         at = i - (count - 1) / 2
-        slope_u += at * rim[p, 0]
-        slope_v += at * rim[p, 1]
-    reach = max(math.sqrt(slope_u * slope_u + slope_v * slope_v), 1e-9)
-    return u, v, slope_u / reach, slope_v / reach
+        for d in range(rim.shape[1]):
+            middle[d] += rim[p, d] / count
+            slope[d] += at * rim[p, d]
+    for d in range(rim.shape[1]):
+        square += slope[d] * slope[d]
+    reach = max(math.sqrt(square), 1e-12)
+    for d in range(rim.shape[1]):
+        slope[d] /= reach
+    return middle, slope
 
 
 @compiled
 def _side(rim: Array, begin: int, end: int, skip: int, places: Array, k: int, out: Array) -> None:
-    """Fill ``(S, 2)`` places evenly spaced along the side from a corner to the next, both corners included."""
+    """Fill ``(S, D)`` places evenly spaced along the side from a corner to the next, both corners included."""
     inner = max((end - begin) % RIM - 2 * skip + 1, 0)
-    line = np.empty((inner + 2, 2))
-    for d in range(2):
+    dimension = rim.shape[1]
+    line = np.empty((inner + 2, dimension))
+    for d in range(dimension):
         line[0, d], line[inner + 1, d] = places[k, d], places[(k + 1) % 4, d]
     for i in range(inner):
         p = (begin + skip + i) % RIM
-        line[i + 1, 0], line[i + 1, 1] = rim[p, 0], rim[p, 1]
+        for d in range(dimension):
+            line[i + 1, d] = rim[p, d]
     even = even_points(line, arc_length(line), len(out), False)
     for i in range(len(out)):
-        out[i, 0], out[i, 1] = even[i, 0], even[i, 1]
+        for d in range(dimension):
+            out[i, d] = even[i, d]
+
+
+def border_of(lattice: Array) -> Array:
+    """Return the border of a lattice of 25 rows and columns, ``(625, D)``, clockwise from its first corner."""
+    return lattice[_BORDER]
+
+
+def side_lengths(border: Array) -> Array:
+    """Return ``(4,)`` the lengths of the sides of a border ``(96, D)``."""
+    steps = np.roll(border, -1, axis=0) - border
+    return np.sqrt(np.einsum("pd,pd->p", steps, steps)).reshape(4, SIDE).sum(axis=1)
+
+
+def stretched(border: Array, hidden: list[int], sides: Array) -> Array:
+    """Return a border with its hidden corners out where the known lengths of the sides put them."""
+    border, share = border.copy(), np.arange(SIDE, 0, -1)[:, None] / SIDE
+    for k in hidden:
+        at, shift = SIDE * k, np.zeros(border.shape[1])
+        for way, side in ((1, k), (-1, (k - 1) % 4)):
+            points = border[(at + way * np.arange(SIDE + 1)) % (4 * SIDE)]
+            length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+            begin = points[0] - points[SIDE // 4]
+            shift += (sides[side] - length) * begin / max(float(np.linalg.norm(begin)), 1e-9)
+        for way in (1, -1):
+            border[(at + way * np.arange(1, SIDE)) % (4 * SIDE)] += share[1:] * shift
+        border[at] += shift
+    return border
+
+
+def beneath_fold(folded: tuple[tuple[int, int], ...], sides: Array) -> npt.NDArray[np.bool_]:
+    """Return which points of a lattice ``(625,)`` belong to a folded corner, or lie under it.
+
+    The sheet is folded along the chord between the visible ends of its border: what lies there is the mirror image.
+
+    Args:
+        folded: First and last point of each hidden piece of the border, see ``border_of``.
+        sides: ``(4,)`` lengths.
+    """
+    width, height = (sides[0] + sides[2]) / 2, (sides[1] + sides[3]) / 2
+    v, u = np.divmod(np.arange(FINE * FINE), FINE)
+    lattice = np.stack([u * width, v * height], axis=1) / (FINE - 1)
+    outer = _BORDER
+    hidden = np.zeros(len(lattice), bool)
+    for first, last in folded:
+        a, b = lattice[outer[first % len(outer)]], lattice[outer[last % len(outer)]]
+        apex = lattice[outer[round((first + last) / 2 / SIDE) * SIDE % len(outer)]]
+        for tip in (apex, apex - 2 * _off_line(apex[None], a, b)[0]):
+            sides_of = [_turn(lattice, p, q) for p, q in ((a, b), (b, tip), (tip, a))]
+            inside = np.all([way >= 0 for way in sides_of], axis=0) | np.all([way <= 0 for way in sides_of], axis=0)
+            hidden |= inside
+    return hidden
+
+
+def _off_line(points: Array, a: Array, b: Array) -> Array:
+    """Return ``(P, 2)`` from the line through two points to each of some others."""
+    way = (b - a) / max(float(np.linalg.norm(b - a)), 1e-12)
+    away = points - a
+    return away - (away @ way)[:, None] * way
+
+
+def _turn(points: Array, a: Array, b: Array) -> Array:
+    """Return ``(P,)`` twice the area of the triangles of two points and each of some others, with its sign."""
+    return (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0])

@@ -61,7 +61,10 @@ class TrackHints(NamedTuple):
         cut: How much likelier, as logarithms, the tips of an open curve are cut than its own.
         tips: ``(2, 2, 2)`` mean and variance of what its own tips look like; None if it is not known.
         length: What is known of an open curve's length.
-        reference: ``(K, D)`` nodes of the past that a closed curve was numbered by; else None.
+        reference: ``(K, D)`` nodes of the past that a closed curve was numbered by, or the points of a lattice in
+            space; else None.
+        sides: ``(4,)`` the lengths of a sheet's sides as they are remembered, metres where the reference is in space;
+            else None.
     """
 
     hidden: tuple[float, float] = (0.0, 0.0)
@@ -76,6 +79,7 @@ class TrackHints(NamedTuple):
     tips: Array | None = None
     length: Length = Length()
     reference: Array | None = None
+    sides: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ _EQUAL: Final = 2e-3
 MAX_SHIFT: Final = 0.35
 # Around an outline with many corners, each of which shortens a chord, equal chords need more room.
 MAX_SHIFT_AROUND: Final = 1.5
+_COMPLEX = np.array([1, 1j])
 
 
 @compiled("(f8[:,::1],)")
@@ -231,3 +232,31 @@ def equal_chords(
             at[k] = min(max(moved[k, 0], even - max_shift * gap), even + max_shift * gap)
     along = interpolate(arc.reshape(len(arc), 1), metric_arc, at).reshape(count)
     return interpolate(points, arc, along), at
+
+
+def laid_over(pattern: Array, found: Array, points: Array, *, scaled: bool) -> tuple[Array, float]:
+    """Return points moved as a pattern moves best onto what was found, and the scale.
+
+    Args:
+        pattern: ``(M, D)``.
+        found: ``(M, D)`` where its points are.
+        points: ``(P, D)`` to be moved in the same way.
+        scaled: Whether they may be scaled, in addition to a proper rotation and a shift.
+
+    References:
+        S. Umeyama, "Least-Squares Estimation of Transformation Parameters Between Two Point Patterns", 1991.
+    """
+    middle, centre = pattern.mean(axis=0), found.mean(axis=0)
+    before, after = pattern - middle, found - centre
+    square = max(float(np.vdot(before, before)), 1e-18)
+    if pattern.shape[1] == 2:
+        turn = np.vdot(before @ _COMPLEX, after @ _COMPLEX)
+        scale = abs(turn) / square if scaled else 1.0
+        turn *= scale / max(abs(turn), 1e-18)
+        moved = np.array([[turn.real, turn.imag], [-turn.imag, turn.real]])
+        return (points - middle) @ moved + centre, scale
+    left, values, right = np.linalg.svd(before.T @ after)
+    signs = np.ones(len(values))
+    signs[-1] = np.sign(np.linalg.det(left) * np.linalg.det(right)) or 1.0
+    scale = float(values @ signs) / square if scaled else 1.0
+    return scale * (points - middle) @ (left * signs) @ right + centre, scale

@@ -72,7 +72,7 @@ def lift_chain(
     """
     size = len(points)
     reach = min(max(int(np.rint(width / 4)), 1), MAX_REACH)
-    z = median_depth(depth, unit, mask, at[0], at[1], points, reach, MIN_SHARE)
+    z = median_depth(depth, unit, mask, at[0], at[1], points, reach, MIN_SHARE, False)
     for p in range(len(expected)):
         if not abs(z[p] / expected[p] - 1) <= slack:
             z[p] = _depth_near(depth, unit, mask, at, points[p], reach, expected[p], slack)

@@ -21,6 +21,11 @@ MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry de
 SMEARED: Final = 2.5  # widths next to a hidden piece, in which depth may be that of what hides it
 COMPARED: Final = 6.0  # widths within which the rope's own depth is looked for
 STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much within a few widths
+_SPARSE: Final = 4  # pixels: from this reach on every second pixel is enough
+_ENOUGH: Final = 6  # pixels with depth that make a plane
+_IN_LINE: Final = 0.01  # of the squared spread: below it pixels lie in a line
+_ROUNDS: Final = 3
+_OFF_PLANE: Final = 3.0  # median distances from the plane: what lies farther off belongs to something else
 MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
 
 
@@ -41,10 +46,15 @@ def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region, width:
     left, top = region.window[:2]
     reach = min(max(round(width / 4), 1), MAX_REACH)
     points = np.ascontiguousarray(form.points, dtype=np.float64)
-    z = median_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE)
+    z = median_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE, not is_rope(form))
     if isinstance(form, FittedCurve) and not form.whole:
         z[form.interpolated | overlaid(form, z, width)] = np.nan
     return z
+
+
+def is_rope(form: FittedForm) -> bool:
+    """Return whether a form is an open curve: the depth under it does not slope across it."""
+    return isinstance(form, FittedCurve) and not form.closed
 
 
 def lift_form(form: FittedForm, z: Array, intrinsics: Intrinsics) -> Array | None:
@@ -117,8 +127,8 @@ def nearest_expected(arc: Array, metres: Array, at: float) -> float:
 
 
 @compiled(
-    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8)",
-    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8)",
+    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8, b1)",
+    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8, b1)",
 )
 def median_depth(
     depth: npt.NDArray[Any],
@@ -129,8 +139,13 @@ def median_depth(
     points: Array,
     reach: int,
     min_share: float,
+    sloped: bool,
 ) -> Array:
-    """Return the median depth of the mask around each point.
+    """Return the median depth of the mask around each point, measured from a plane through the depth there.
+
+    At a border the mask lies on one side of the point, and the median of a tilted sheet would be the depth some pixels
+    inside. The slope comes from the least squares of the inverse depth, which is linear in the pixel on a plane,
+    without what lies far off it.
 
     Args:
         depth: ``(H, W)`` read-only, uint16 or float32; 0, negative, non-finite or absurd = invalid.
@@ -139,29 +154,78 @@ def median_depth(
         left: Image column of its first pixel.
         top: Image row of its first pixel.
         points: ``(N, 2)`` image pixels.
-        reach: How far around a point is looked, pixels.
+        reach: How far around a point is looked, pixels; for a slope from 4 on at every second pixel, as on a chessboard.
         min_share: Of the mask's pixels there, that must have a valid depth.
+        sloped: Whether the depth may slope; a rope is too narrow for that, and lies on both sides of its points.
 
     Returns:
         ``(N,)`` metres, NaN where too few have.
     """
     height, width = mask.shape
+    step = 2 if sloped and reach >= _SPARSE else 1
     out, near = np.empty(len(points)), np.empty((2 * reach + 1) ** 2)
+    x, y, z = np.empty_like(near), np.empty_like(near), np.empty_like(near)
     for n in range(len(points)):
         out[n] = np.nan
         column, row = nearest_pixel(points[n, 0]) - left, nearest_pixel(points[n, 1]) - top
         inside = known = 0
         for v in range(max(row - reach, 0), min(row + reach + 1, height)):
-            for u in range(max(column - reach, 0), min(column + reach + 1, width)):
-                if mask[v, u] != 0:
+            for u in range(column - reach + (v - row & 1) * (step - 1), min(column + reach + 1, width), step):
+                if u >= 0 and mask[v, u] != 0:
                     inside += 1
-                    z = depth[v + top, u + left] * unit
-                    if 0 < z < FARTHEST:
-                        near[known] = z
+                    metres = depth[v + top, u + left] * unit
+                    if 0 < metres < FARTHEST:
+                        x[known], y[known] = u + left - points[n, 0], v + top - points[n, 1]
+                        z[known] = near[known] = metres
                         known += 1
         if known >= max(min_share * inside, 1):
-            out[n] = median_of(near, known)
+            middle = median_of(near, known)
+            out[n] = _over_plane(x, y, z, near, known, middle) if sloped and known >= _ENOUGH else middle
     return out
+
+
+@compiled
+def _over_plane(x: Array, y: Array, z: Array, spare: Array, count: int, middle: float) -> float:
+    """Return the depth at the origin of a plane through the first ``count`` of some depths: their median above it.
+
+    Args:
+        x: ``(K,)`` pixels.
+        y: ``(K,)`` pixels.
+        z: ``(K,)`` metres.
+        spare: ``(K,)`` is overwritten.
+        count: How many are known.
+        middle: Their median.
+    """
+    slope_x = slope_y = level = 0.0
+    for _ in range(_ROUNDS):
+        for k in range(count):
+            spare[k] = abs(middle / z[k] - 1 - level - slope_x * x[k] - slope_y * y[k])
+        limit = max(_OFF_PLANE * median_of(spare, count), 1e-6)
+        n = sx = sy = sxx = sxy = syy = sw = sxw = syw = 0.0
+        for k in range(count):
+            w = middle / z[k] - 1
+            if abs(w - level - slope_x * x[k] - slope_y * y[k]) <= limit:
+                n += 1
+                sx += x[k]
+                sy += y[k]
+                sxx += x[k] * x[k]
+                sxy += x[k] * y[k]
+                syy += y[k] * y[k]
+                sw += w
+                sxw += x[k] * w
+                syw += y[k] * w
+        if n < _ENOUGH:
+            return middle
+        sxx, sxy, syy = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
+        sxw, syw = sxw - sx * sw / n, syw - sy * sw / n
+        spread = sxx * syy - sxy * sxy
+        if spread <= _IN_LINE * (sxx + syy) ** 2:
+            return middle  # no slope across a line of pixels
+        slope_x, slope_y = (sxw * syy - syw * sxy) / spread, (syw * sxx - sxw * sxy) / spread
+        level = (sw - slope_x * sx - slope_y * sy) / n
+    for k in range(count):
+        spare[k] = middle / z[k] - slope_x * x[k] - slope_y * y[k]
+    return middle / max(median_of(spare, count), 0.5)
 
 
 @compiled
@@ -185,3 +249,23 @@ def median_of(values: Array, count: int) -> float:
     for k in range(1, half):
         below = max(below, values[k])
     return (below + values[half]) / 2
+
+
+@compiled
+def bridged(z: Array) -> bool:
+    """Fill the gaps of values around a ring by straight lines of their inverse; return False if most are unknown."""
+    count, first, known = len(z), -1, 0
+    for k in range(count):
+        if z[k] > 0:
+            first, known = k if first < 0 else first, known + 1
+    if known < 0.5 * count:
+        return False
+    last = first
+    for step in range(1, count + 1):
+        k = (first + step) % count
+        if z[k] > 0:
+            gap = (k - last - 1) % count + 1
+            for i in range(1, gap):
+                z[(last + i) % count] = 1 / (1 / z[last] + (1 / z[k] - 1 / z[last]) * i / gap)
+            last = k
+    return True

@@ -1,8 +1,8 @@
-"""Match the corners of a sheet to those of the last frame, and notice one that something hides.
+"""Match the corners of a sheet to those of the last frame, and choose the visible ones.
 
 A hand over a corner leaves the outline with another one, some way inside. The three others are laid over where they
 were expected by a similarity transform (S. Umeyama, "Least-Squares Estimation of Transformation Parameters Between Two
-Point Patterns", 1991), and the fourth has to follow.
+Point Patterns", 1991), and the fourth has to follow. The sides between visible corners keep their known lengths.
 """
 
 from __future__ import annotations
@@ -14,38 +14,27 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.lattice import outer_corners, transposed
+from shape_obs.geometry.coons import SIDE
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 Complexes = npt.NDArray[np.complex128]
 Vector = tuple[float, float, float]
 
 # Of half a diagonal. Cloths that bend and move by 30 px a frame stay below 0.025, a hand 12 px in radius makes 0.11.
 STRAYED: Final = 0.06
-
-
-@compiled("(f8[:,:,::1], f8[:,:,::1])")
-def match_lattice(lattice: Array, expected: Array) -> tuple[Array, int, float]:
-    """Turn a lattice so that its corners lie nearest to those that are expected.
-
-    Args:
-        lattice: ``(R, C, D)``.
-        expected: ``(R', C', D)`` predicted nodes, at the centres of equal pieces; ``(0, 0, 2)`` without any.
-
-    Returns:
-        The lattice, then which corner strays most, and by which share of half a diagonal: see ``match_corners``.
-    """
-    if len(expected) == 0:
-        return lattice, 0, 0.0
-    rows, cols, dimension = lattice.shape
-    found = np.empty((4, dimension))
-    for d in range(dimension):
-        found[0, d], found[1, d] = lattice[0, 0, d], lattice[0, cols - 1, d]
-        found[2, d], found[3, d] = lattice[rows - 1, cols - 1, d], lattice[rows - 1, 0, d]
-    quarters, corner, share = match_corners(outer_corners(expected), found)
-    for _ in range(quarters):
-        lattice = transposed(lattice)[::-1].copy()
-    return lattice, corner, share
+# The choice of corners weighs the squares of these deviations: of all of them in place, as a share of half a diagonal;
+# in radians of turn; in the logarithm of the scale. A hidden corner costs as much as three deviations; a side that is
+# too long, with something over its middle, at most two.
+_MOVED: Final = 0.3
+_TURNED: Final = 0.35
+_SCALED: Final = 0.15
+_HIDDEN: Final = 3.0
+_DETOUR: Final = 2.0
+_LIES_OVER: Final = 0.3  # of the outline where a corner is hidden: next to so much of it something nearer is seen
+_STRAIGHT: Final = 3  # points of a side that give the direction in which it goes on
+_REACH: Final = 0.8  # of half a diagonal: no corner is looked for farther off
 
 
 @compiled("(f8[:,::1], f8[:,::1])")
@@ -126,3 +115,110 @@ def _unit(x: float, y: float, z: float) -> Vector:
 def _cross(a: Vector, b: Vector) -> Vector:
     """Return the cross product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8, f8[::1], f8[::1], f8)")
+def assign_corners(
+    expected: Array, places: Array, arcs: Array, whole: float, sides: Array, slack: Array, astray: float
+) -> tuple[Indices, float]:
+    """Return which of the places where an outline turns are the corners of a sheet; -1 for one that is hidden.
+
+    Args:
+        expected: ``(4, 2)`` pixels, predicted, clockwise.
+        places: ``(Q, 2)`` pixels, clockwise around the outline.
+        arcs: ``(Q,)`` their arc lengths along it, in the unit of the sides.
+        whole: The outline's length.
+        sides: ``(4,)`` the sheet's known lengths, from each corner to the next.
+        slack: ``(4,)`` by which a length may be off.
+        astray: By how much a corner may lie from where the others put it, as a share of half a diagonal.
+
+    Returns:
+        ``(4,)`` indices, at least two of them places; and the cost. All -1 if no choice is possible.
+    """
+    count = len(places)
+    centre, reach = complex(0, 0), 0.0
+    at, to = np.empty(4, np.complex128), np.empty(max(count, 1), np.complex128)
+    for k in range(4):
+        at[k] = complex(expected[k, 0], expected[k, 1])
+        centre += at[k] / 4
+    for k in range(4):
+        reach = max(reach, abs(at[k] - centre))
+    for q in range(count):
+        to[q] = complex(places[q, 0], places[q, 1])
+    best, least, chosen = np.full(4, -1, np.int64), np.inf, np.empty(4, np.int64)
+    for number in range((count + 1) ** 4):
+        rest, visible, possible = number, 0, True
+        for k in range(4):
+            chosen[k] = rest % (count + 1) - 1
+            rest //= count + 1
+            if chosen[k] >= 0:
+                visible += 1
+                possible = possible and abs(to[chosen[k]] - at[k]) < _REACH * reach
+        if not possible or visible < 2:
+            continue
+        cost = _cost_of_corners(chosen, visible, at, to, arcs, whole, sides, slack, reach, astray)
+        if cost < least:
+            least = cost
+            for k in range(4):
+                best[k] = chosen[k]
+    return best, least
+
+
+@compiled
+def _cost_of_corners(
+    chosen: Indices, visible: int, at: Complexes, to: Complexes, arcs: Array, whole: float, sides: Array,
+    slack: Array, reach: float, astray: float,
+) -> float:  # fmt: skip
+    """Return what a choice of corners costs, infinity if they are not in order; see ``assign_corners``."""
+    before = after = product = complex(0, 0)
+    around, spread, cost, last = 0.0, 1e-18, _HIDDEN * (4 - visible), -1
+    for k in range(4):
+        if chosen[k] >= 0:
+            before, after, last = before + at[k] / visible, after + to[chosen[k]] / visible, k
+    for k in range(4):
+        if chosen[k] < 0:
+            continue
+        product += (at[k] - before).conjugate() * (to[chosen[k]] - after)
+        spread += abs(at[k] - before) ** 2
+        gap = (arcs[chosen[k]] - arcs[chosen[last]]) % whole
+        around += gap
+        if gap <= 0:
+            return np.inf
+        if (last + 1) % 4 == k:
+            off = (gap - sides[last]) / slack[last]
+            cost += min(off * off, _DETOUR) if off > 0 else off * off
+        last = k
+    product /= spread
+    if around > 1.5 * whole or abs(product) < 0.5:
+        return np.inf
+    for k in range(4):
+        if chosen[k] >= 0:
+            cost += (abs(to[chosen[k]] - after - product * (at[k] - before)) / (astray * reach)) ** 2
+    cost += (abs(after - before) / (_MOVED * reach)) ** 2 + (math.log(abs(product)) / _SCALED) ** 2
+    return float(cost + (math.atan2(product.imag, product.real) / _TURNED) ** 2)
+
+
+def folded_piece(points: Array, seen: Mask, k: int, space: Array, cut: Mask) -> tuple[int, int] | None:
+    """Return the last point seen before a hidden corner and the first one behind it if nothing lies over the corner."""
+    away = np.arange(1, 2 * SIDE)
+    before, behind = seen[(SIDE * k - away) % len(seen)], seen[(SIDE * k + away) % len(seen)]
+    if not (before.any() and behind.any()):
+        return None
+    first, last = SIDE * k - 1 - int(np.argmax(before)), SIDE * k + 1 + int(np.argmax(behind))
+    begin, end = (int(np.argmin(((space - points[p % len(points)]) ** 2).sum(axis=1))) for p in (first, last))
+    between = cut[(begin + np.arange((end - begin) % len(cut) + 1)) % len(cut)]
+    return None if between.mean() > _LIES_OVER else (first, last)
+
+
+def unfold(points: Array, first: int, last: int, corner: int, sides: Array) -> None:
+    """Lay a folded corner flat: its sides go on straight, as long as they are known to be."""
+    count, places = len(points), []
+    for at, way, side in ((first, -1, corner // SIDE - 1), (last, 1, corner // SIDE)):
+        ahead = points[at % count] - points[(at + way * _STRAIGHT) % count]
+        length = abs(corner - at) / SIDE * sides[side]
+        places.append(points[at % count] + length / max(float(np.linalg.norm(ahead)), 1e-9) * ahead)
+    apex = (places[0] + places[1]) / 2
+    for at in (first, last):
+        share = np.arange(1, abs(corner - at) + 1)[:, None] / abs(corner - at)
+        index = (at + np.sign(corner - at) * np.arange(1, abs(corner - at) + 1)) % count
+        points[index] = points[at % count] + share * (apex - points[at % count])

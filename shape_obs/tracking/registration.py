@@ -26,6 +26,8 @@ Array = npt.NDArray[np.float64]
 # Numbered by the last frame alone, an outline of noisy pixels creeps by 6 px in 180 frames. The mean of some twenty
 # frames holds it, and is left behind by slow changes of shape alone.
 _FORGETTING: Final = 0.05
+_FORGETTING_SPACE: Final = 0.15  # in space, where an outline also bends
+_MOST_FORGOTTEN: Final = 0.003  # of the radius, in a frame: what a hand hides little by little is not forgotten
 # How much the place and direction of an outline weigh against its shape, whose match is worth 1. A square fits itself
 # four ways, a towel two: the way that turns least is chosen.
 _TURNING: Final = 0.05
@@ -36,6 +38,7 @@ _FLAT: Final = 3e-4
 _HARMONICS: Final = 12
 # Shifts at which a peak is looked for, ten to the shortest wave, and half-widths of the parabolas through it, in turns.
 _SHIFTS: Final = 128
+_ALIKE: Final = 0.98  # a better match of forms in space is looked for near the expected place alone
 _PEAKS: Final = (0.5 / 128, 0.1 / 128)
 _ROUND = 2 * np.pi / _SHIFTS * np.outer(np.arange(1, _HARMONICS + 1), np.arange(_SHIFTS))
 _COS, _SIN = np.cos(_ROUND), np.sin(_ROUND)
@@ -51,10 +54,11 @@ def match_outline(curve: FittedCurve, prediction: Prediction) -> tuple[FittedCur
         points, arc, nodes, reference = renumber_outline(curve.points, reference, prediction.nodes)
         turned = FittedCurve(points, np.zeros(len(points), bool), arc, True)
     else:
-        shift = _index_shift_space(reference, prediction.nodes, curve.even(count))
+        nodes = curve.even(count)
+        shift = index_shift_space(reference, prediction.nodes, nodes, nodes)
         turned = curve.starting_at(shift * curve.size / count)
         nodes = turned.even(count)
-        reference = _blend_space(reference, nodes)
+        reference = blend_space(reference, nodes)
     return replace(turned, hints=TrackHints(reference=reference)), nodes
 
 
@@ -146,19 +150,22 @@ def blend(reference: Array, found: Array) -> Array:
         before_v += reference[k, 1] / count
         after_u += found[k, 0] / count
         after_v += found[k, 1] / count
-    cosine = sine = 0.0
+    cosine = sine = size = 0.0
     for k in range(count):
         x, y = reference[k, 0] - before_u, reference[k, 1] - before_v
+        size += x * x + y * y
         u, v = found[k, 0] - after_u, found[k, 1] - after_v
         cosine += x * u + y * v
         sine += x * v - y * u
     reach = math.sqrt(cosine * cosine + sine * sine)
     cosine, sine = (cosine / reach, sine / reach) if reach > 0 else (1.0, 0.0)
     out = np.empty_like(found)
+    most = _MOST_FORGOTTEN * math.sqrt(size / count)
     for k in range(count):
         x, y = reference[k, 0] - before_u, reference[k, 1] - before_v
-        out[k, 0] = found[k, 0] + (1 - _FORGETTING) * (x * cosine - y * sine - (found[k, 0] - after_u))
-        out[k, 1] = found[k, 1] + (1 - _FORGETTING) * (x * sine + y * cosine - (found[k, 1] - after_v))
+        u, v = x * cosine - y * sine + after_u, x * sine + y * cosine + after_v
+        out[k, 0] = u + max(-most, min(_FORGETTING * (found[k, 0] - u), most))
+        out[k, 1] = v + max(-most, min(_FORGETTING * (found[k, 1] - v), most))
     return out
 
 
@@ -230,20 +237,25 @@ def _score(shape: Array, place: Array, flat: float, turns: float) -> float:
     return math.sqrt(real * real + imaginary * imaginary) + flat * still
 
 
-def _blend_space(reference: Array, found: Array) -> Array:
+def blend_space(reference: Array, found: Array) -> Array:
     """Return the reference laid over ``found`` and moved a little there, all ``(K, D)``."""
     before, after = reference - reference.mean(axis=0), found - found.mean(axis=0)
     left, _, right = np.linalg.svd(before.T @ after)
     left[:, -1] *= np.sign(np.linalg.det(left) * np.linalg.det(right))
-    return found + (1 - _FORGETTING) * (before @ left @ right - after)
+    return found + (1 - _FORGETTING_SPACE) * (before @ left @ right - after)
 
 
-def _index_shift_space(reference: Array, predicted: Array, found: Array) -> float:
-    """Return what ``index_shift`` returns, in space: all ``(K, 3)``."""
-    shape, place = _cross_spectrum(reference, found), _cross_spectrum(predicted, found)
+def index_shift_space(reference: Array, predicted: Array, found: Array, seen: Array) -> float:
+    """Return what ``index_shift`` returns, by forms in space ``(K, 3)`` and places, expected and seen, ``(K, D)``."""
+    shape, place = _cross_spectrum(reference, found), _cross_spectrum(predicted, seen)
     shifts = np.arange(_SHIFTS) / _SHIFTS
-    turned, still = _rotated(_at(shape, shifts)), np.einsum("dds->s", _at(place, shifts))
-    flat = _FLAT / (1 + float(np.ptp(turned)) / _FLAT)
+    turned, still = np.full(_SHIFTS, -np.inf), np.einsum("dds->s", _at(place, shifts))
+    near = (int(np.argmax(still)) + np.arange(-_SHIFTS // 8, _SHIFTS // 8 + 1)) % _SHIFTS
+    turned[near] = _rotated(_at(shape, shifts[near]))
+    if turned.max() < _ALIKE or np.argmax(turned) in (near[0], near[-1]):  # it has turned far
+        near = np.arange(_SHIFTS)
+        turned = _rotated(_at(shape, shifts))
+    flat = _FLAT / (1 + float(np.ptp(turned[near])) / _FLAT)
     score, at = turned + flat * still, int(np.argmax(turned + _TURNING * still))
     while max(low := score[(at - 1) % _SHIFTS], high := score[(at + 1) % _SHIFTS]) > score[at % _SHIFTS]:
         at += -1 if low >= high else 1

@@ -189,17 +189,17 @@ class TestGate:
         cv2.line(mask, (0, 0), (639, 479), (0,), 12)
         assert "falls into 2 pieces" in one(mask).reason
 
-    def test_a_hand_over_a_side_is_reported_and_survived(self, towel):
+    def test_a_hand_over_a_side_hides_what_is_under_it_alone(self, towel):
         detector = ShapeDetector([Surface()])
         before = detector.detect_mask(towel.mask).shapes[0]
         bitten = towel.mask.copy()
         cv2.circle(bitten, tuple(np.round(towel.points[0, 32]).astype(int).tolist()), 30, (0,), -1)
-        held = detector.detect_mask(bitten).shapes[0]
-        assert "between two corners" in held.reason
-        assert not held.visible.any()
-        np.testing.assert_array_equal(held.pixels, before.pixels)
+        covered = detector.detect_mask(bitten).shapes[0]
+        under = np.linalg.norm(before.pixels - towel.points[0, 32], axis=1) < 28
+        assert not covered.visible[under].any()
+        assert covered.visible[~under].sum() >= (~under).sum() - 1
+        np.testing.assert_allclose(covered.pixels, before.pixels, atol=2)
         after = detector.detect_mask(towel.mask).shapes[0]
-        assert not after.reason
         np.testing.assert_allclose(after.pixels, before.pixels, atol=0.1)
 
     def test_a_hole_hides_its_points_alone(self, towel):

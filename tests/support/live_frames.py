@@ -18,6 +18,7 @@ from numba.core import event
 from shape_obs import Centerline, Contour, HSVRange, Intrinsics, ShapeDetector, Surface
 from shape_obs.bench.synthetic.blobs import moving_blob, random_blob
 from shape_obs.bench.synthetic.clouds import moving_rope_cloud, ring_cloud, rope_cloud, sheet_cloud
+from shape_obs.bench.synthetic.flat_objects import View, cloth, under_hand
 from shape_obs.bench.synthetic.images import hidden_rope, photographed
 from shape_obs.bench.synthetic.ropes import moving_rope, random_rope
 from shape_obs.bench.synthetic.sheets import moving_sheet, random_sheet
@@ -97,6 +98,7 @@ def surface_masks() -> list[list[np.ndarray]]:
     sheets = [s.mask for s in moving_sheet(rng, 8, 20)]
     return [
         sheets,
+        [scene.mask for scene in under_hand(rng, cloth(1.0), View(), "corner", 16.0, level=True)][:12],
         [random_sheet(rng, 1.5, 70.0).mask],
         [sheets[0][::-1]],
         [random_blob(rng).mask],
@@ -110,9 +112,9 @@ def main(kind: str) -> None:
     specs = [make(), make(order="image"), *holes, make(lift="cloud"), make(spacing="m")]
     detectors = [ShapeDetector([spec], BLUE) for spec in specs]
     kmeans = ShapeDetector([make()], BLUE, clustering="kmeans")
+    masks = {"centerline": centerline_masks, "contour": contour_masks, "surface": surface_masks}[kind]()
     called, late = watch()
     rng, ok = np.random.default_rng(0), 0
-    masks = {"centerline": centerline_masks, "contour": contour_masks, "surface": surface_masks}[kind]()
     for spec, detector in zip(specs, detectors, strict=True):
         in_space = spec.lift == "cloud" or spec.spacing == "m"
         for scene in [scene[:8] for scene in masks[:2]] if in_space else masks:

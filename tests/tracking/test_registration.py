@@ -14,7 +14,7 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.topology import Ring
 from shape_obs.tracking.prediction import Prediction
-from shape_obs.tracking.registration import _blend_space, blend, index_shift, match_outline, renumber_outline
+from shape_obs.tracking.registration import blend, blend_space, index_shift, match_outline, renumber_outline
 
 
 def one(mask: np.ndarray, detector: ShapeDetector | None = None) -> Any:
@@ -87,7 +87,7 @@ class TestRegistration:
 
     def test_a_blend_lies_over_what_was_found(self):
         rng = np.random.default_rng(0)
-        for dimension, laid_over in ((2, blended), (3, _blend_space)):
+        for dimension, laid_over in ((2, blended), (3, blend_space)):
             reference = rng.normal(size=(40, dimension))
             rotation = np.linalg.qr(rng.normal(size=(dimension, dimension)))[0]
             rotation[0] *= np.linalg.det(rotation)

@@ -1,0 +1,295 @@
+"""Put back the hidden part of a sheet's border.
+
+What is seen of the border is found by its length along the outline from the visible corners; the known border is laid
+over it (S. Umeyama, "Least-Squares Estimation of Transformation Parameters Between Two Point Patterns", 1991) and goes
+on where it is hidden. With depth, an outline next to which something nearer is seen is that of what hides the object.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.compiled import compiled
+from shape_obs.frame import FARTHEST, readable_depth
+from shape_obs.geometry.coons import RIM, SIDE, stretched
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.polyline import arc_length, interpolate, laid_over
+from shape_obs.image.connected_runs import nearest_pixel
+from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, bridged, median_depth
+from shape_obs.tracking.corner_matching import folded_piece, unfold
+
+if TYPE_CHECKING:
+    from shape_obs.camera import Intrinsics
+    from shape_obs.image.region import Region
+    from shape_obs.image.roi import Window
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+# A border is followed from a visible corner while it lies within so many pixels, in addition to a share of the way, of
+# where the others put it; the last points before it leaves are not believed, nor are those next to a rounded corner.
+_ASIDE: Final = 2.0
+_LAST: Final = 1
+_ROUND: Final = 1
+_LEAST_SEEN: Final = 0.3  # of the border
+_MISFIT: Final = 0.06  # of the size: the known border lies over what is seen of it at least so well
+_MANY: Final = 320  # points of an outline: of so many, the depth under every fourth is read
+_TRIMMED: Final = 2  # points of a piece of an outline next to what hides it, which are not believed
+_LEAST_OUTLINE: Final = 0.4  # of an outline that must be seen in one piece
+_SAMPLES: Final = 64
+_STARTS: Final = 128  # at which the piece may begin, before these are refined
+_PLACE: Final = 0.05  # how much a place weighs against the form
+_AT_EDGE: Final = 0.8  # pixels
+_REACHES: Final = 8.0  # depth along an outline is read within this share of the object's width
+_LEAST_REACH: Final = 2
+_NO_DEPTH = np.zeros((0, 0), np.float32)
+_NO_DEPTH.flags.writeable = False
+_OUTWARDS: Final = 7  # pixels beyond an outline: a camera has no depth next to an edge
+_NEARER: Final = 0.008  # metres: what is nearer by more lies over the object
+
+
+class Border(NamedTuple):
+    """The border of a sheet, put back where it is hidden.
+
+    Args:
+        points: ``(96, D)``: from each corner, clockwise, to the next.
+        seen: ``(96,)`` whether the outline shows it.
+        folded: First and last point of each piece around a corner that is hidden though nothing lies over it.
+    """
+
+    points: Array
+    seen: Mask
+    folded: tuple[tuple[int, int], ...] = ()
+
+
+def complete_border(
+    expected: Array, known: Array, rim: Array, space: Array, corners: Indices, cut: Mask, kinks: Mask,
+    sides: Array, slack: Array, aside: float,
+) -> Border | None:  # fmt: skip
+    """Return the whole border of a sheet of which a part is seen; None if too little is known.
+
+    Args:
+        expected: ``(96, 2)`` pixels, the border where it is predicted or as it was, 24 points to a side.
+        known: ``(96, D)`` the border as it was, wherever it lay.
+        rim: ``(400, 2)`` pixels, the outline.
+        space: ``(400, D)`` the same, in metres where it is known.
+        corners: ``(4,)`` points of the rim; -1 for a hidden one.
+        cut: ``(400,)`` whether something lies over what is behind this point.
+        kinks: ``(400,)`` whether it turns there as no sheet's side does.
+        sides: ``(4,)`` the known lengths.
+        slack: ``(4,)`` by which a length may be off.
+        aside: By how much of the way the border may lie off its form.
+    """
+    lines = [np.ascontiguousarray(np.concatenate([points, points[:1]])) for points in (rim, space)]
+    arc = arc_length(lines[1])
+    visible = [k for k in range(4) if corners[k] >= 0]
+    start = SIDE * np.array(visible)
+    placed, _ = laid_over(expected[start], rim[corners[visible]], expected, scaled=True)
+    found, seen = np.zeros((4 * SIDE, space.shape[1])), np.zeros(4 * SIDE, bool)
+    for k, way in product(visible, (1, -1)):
+        side, other = (k, (k + 1) % 4) if way > 0 else ((k - 1) % 4, (k - 1) % 4)
+        length = sides[side]
+        if corners[other] >= 0:
+            between = way * (arc[corners[other]] - arc[corners[k]]) % arc[-1]
+            length = between if abs(between - length) < 2 * slack[side] else length
+        points = (SIDE * k + way * np.arange(SIDE + 1)) % (4 * SIDE)
+        at = (arc[corners[k]] + way * np.linspace(0, length, SIDE + 1)) % arc[-1]
+        pixels, places = (interpolate(line, arc, at) for line in lines)
+        far = np.linalg.norm(placed[points] - placed[points[0]], axis=1)
+        off = np.linalg.norm(pixels - pixels[0] - (placed[points] - placed[points[0]]), axis=1)
+        covered = (cut | kinks)[np.searchsorted(arc, at, side="right").clip(1, RIM) - 1]
+        wrong = (off > _ASIDE + aside * far) | covered
+        good = points[: SIDE + 1 if not wrong.any() else max(int(np.argmax(wrong)) - _LAST, 0)]
+        found[good], seen[good] = places[: len(good)], True
+    if seen.mean() < _LEAST_SEEN:
+        return None
+    known = stretched(known, [k for k in range(4) if corners[k] < 0], sides)
+    laid = laid_over(known[seen], found[seen], known, scaled=space.shape[1] == 2)[0]
+    index = np.arange(4 * SIDE)
+    sharp = seen & (abs((index + SIDE // 2) % SIDE - SIDE // 2) > _ROUND)
+    if not sharp.any():
+        return None
+    off = found - laid
+    if np.sqrt((off[sharp] ** 2).sum(axis=1).mean()) > _MISFIT * sides.mean():
+        return None
+    off = [np.interp(index, index[sharp], column[sharp], period=4 * SIDE) for column in off.T]
+    points, folded = laid + np.stack(off, axis=1), []
+    for k in range(4):
+        if corners[k] < 0 and space.shape[1] == 3:
+            piece = folded_piece(points, seen, k, space, cut)
+            if piece is not None:
+                unfold(points, *piece, SIDE * k, sides)
+                folded.append(piece)
+    return Border(points, seen, tuple(folded))
+
+
+def look_around(
+    region: Region, points: Array, depth: npt.NDArray[Any] | None, intrinsics: Intrinsics | None, edge: Window | None
+) -> tuple[Array | None, Mask]:
+    """Return an outline ``(P, 2)`` in space, ``(P, 3)`` or None without depth, and where it is not the object's own.
+
+    Args:
+        region: The mask.
+        points: ``(P, 2)`` pixels, clockwise as seen, P a multiple of 4.
+        depth: ``(H, W)``; None if there is none.
+        intrinsics: The projection; None if there is none.
+        edge: The part of the image that is searched; None for the region's window.
+    """
+    readable, unit = _NO_DEPTH, 1.0
+    if depth is not None and intrinsics is not None:
+        readable, unit = readable_depth(depth)
+    left, top, width, height = edge or region.window
+    sides = left + _AT_EDGE, top + _AT_EDGE, left + width - 1 - _AT_EDGE, top + height - 1 - _AT_EDGE
+    reach = int(min(max(round(region.width / _REACHES), _LEAST_REACH), MAX_REACH))
+    z, cut = rim_depth(readable, unit, region.mask, region.window.left, region.window.top, points, reach, sides)
+    if intrinsics is None or np.isnan(z[0]):
+        return None, cut
+    lifted = intrinsics.deproject(points, z)
+    return (lifted if np.isfinite(lifted).all() else None), cut
+
+
+@compiled(
+    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, UniTuple(f8, 4))",
+    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, UniTuple(f8, 4))",
+)
+def rim_depth(
+    depth: npt.NDArray[Any],
+    unit: float,
+    mask: npt.NDArray[np.uint8],
+    left: int,
+    top: int,
+    rim: Array,
+    reach: int,
+    edge: tuple[float, float, float, float],
+) -> tuple[Array, Mask]:
+    """Return the depth along an outline, and where the object may go on beyond it.
+
+    Args:
+        depth: ``(H, W)`` as ``median_depth`` takes it; ``(0, 0)`` if there is none.
+        unit: Metres in a unit of depth.
+        mask: ``(h, w)`` uint8, C-contiguous.
+        left: Image column of its first pixel.
+        top: Image row of its first pixel.
+        rim: ``(P, 2)`` pixels, clockwise as seen, P a multiple of 4.
+        reach: How far around a point depth is read, pixels.
+        edge: Left, top, right, bottom: an outline that comes so far to either side may be cut there.
+
+    Returns:
+        ``(P,)`` metres, all NaN if less than half of the outline has depth; ``(P,)`` whether the outline is that of
+        something nearer that lies over the object, or of what is searched.
+    """
+    every = 4 if len(rim) >= _MANY else 2 if 2 * len(rim) >= _MANY else 1
+    count = len(rim) // every
+    some, cut, flags = np.empty((count, 2)), np.zeros(len(rim), np.bool_), np.zeros(count, np.bool_)
+    z = np.full(len(rim), np.nan)
+    for k in range(count):
+        some[k, 0], some[k, 1] = rim[k * every, 0], rim[k * every, 1]
+        u, v = some[k, 0], some[k, 1]
+        flags[k] = u <= edge[0] or v <= edge[1] or u >= edge[2] or v >= edge[3]
+    if depth.size > 0:
+        under = median_depth(depth, unit, mask, left, top, some, reach, MIN_SHARE, True)
+        if bridged(under):
+            for k in range(count):
+                flags[k] = flags[k] or _covered(depth, unit, mask, left, top, some, k, under[k])
+                near, far = 1 / under[k], 1 / under[(k + 1) % count]
+                for i in range(every):
+                    z[k * every + i] = 1 / (near + (far - near) * i / every)
+    for k in range(count):
+        if flags[k] and (flags[k - 1] or flags[(k + 1) % count]):  # a single one is noise
+            for i in range(-every // 2, every // 2 + 1):
+                cut[(k * every + i) % len(rim)] = True
+    return z, cut
+
+
+@compiled
+def _covered(
+    depth: npt.NDArray[Any], unit: float, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, k: int, z: float
+) -> bool:
+    """Return whether the first depth that is seen outside of an outline is nearer than the object."""
+    count = len(rim)
+    along_u, along_v = rim[(k + 1) % count, 0] - rim[k - 1, 0], rim[(k + 1) % count, 1] - rim[k - 1, 1]
+    reach = max((along_u * along_u + along_v * along_v) ** 0.5, 1e-9)
+    for step in range(_OUTWARDS):
+        away = step + 1.5
+        column = nearest_pixel(rim[k, 0] + away * along_v / reach)
+        row = nearest_pixel(rim[k, 1] - away * along_u / reach)
+        if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
+            return False
+        inside = 0 <= row - top < mask.shape[0] and 0 <= column - left < mask.shape[1]
+        metres = depth[row, column] * unit
+        if (inside and mask[row - top, column - left] != 0) or not 0 < metres < FARTHEST:
+            continue
+        if abs(metres - z) > _NEARER:
+            return metres < z
+    return False
+
+
+def complete_outline(
+    curve: FittedCurve, space: FittedCurve, cut: Mask, known: Array, expected: Array
+) -> tuple[FittedCurve, float] | None:
+    """Return a closed curve of which a part is hidden with that part put back; None if too little is seen.
+
+    What is seen lies over a piece of the known outline of the same length: of all such pieces, over the one that it
+    fits best after a rigid motion, and that lies nearest to where it is expected.
+
+    Args:
+        curve: ``(P, 2)`` pixels, the outline of what is seen.
+        space: ``(P, D)`` the same in metres, or in pixels.
+        cut: ``(P,)`` whether it is not the object's own there.
+        known: ``(K, D)`` equally spaced around the outline as it was, wherever it lay.
+        expected: ``(K, 2)`` pixels, the same nodes where they are expected.
+
+    Returns:
+        The whole curve in the unit of ``space``, and the arc position at which the known outline begins.
+    """
+    count, size, whole = len(cut), len(known), arc_length(np.ascontiguousarray(np.concatenate([known, known[:1]])))[-1]
+    over = np.flatnonzero(cut)
+    free = np.diff(np.append(over, over[0] + count))
+    index = (over[int(np.argmax(free))] + np.arange(1, int(free.max()))) % count  # the longest piece that is its own
+    index = index[_TRIMMED : len(index) - _TRIMMED]
+    if len(index) < 8:
+        return None
+    seen, pixels = space.points[index], curve.points[index]
+    arc = arc_length(np.ascontiguousarray(seen))
+    if not _LEAST_OUTLINE * whole < arc[-1] < whole:
+        return None
+    some = np.linspace(0, len(index) - 1, _SAMPLES).round().astype(int)
+    ring = np.concatenate([known, known[:1]])
+    knots = arc_length(np.ascontiguousarray(ring))
+    around = np.linspace(0, whole, size + 1)
+
+    def misfit(begin: Array) -> Array:
+        at = (arc[some] + begin[:, None]) % whole
+        pattern = np.stack([np.interp(at, knots, column) for column in ring.T], axis=-1)
+        place = np.stack([np.interp(at, around, np.append(column, column[0])) for column in expected.T], axis=-1)
+        before = pattern - pattern.mean(axis=1, keepdims=True)
+        after = seen[some] - seen[some].mean(axis=0)
+        product = np.swapaxes(before, 1, 2) @ after
+        values = np.linalg.svd(product, compute_uv=False)
+        values[:, -1] *= np.sign(np.linalg.det(product))
+        own = (after**2).sum()
+        shape = (own + (before**2).sum(axis=(1, 2)) - 2 * values.sum(axis=1)) / own
+        away = ((place - pixels[some]) ** 2).sum(axis=(1, 2)) / ((pixels[some] - pixels[some].mean(axis=0)) ** 2).sum()
+        return shape + _PLACE * away
+
+    begin, step, best = np.arange(_STARTS) * (whole / _STARTS), whole / _STARTS, 0.0
+    for _ in range(3):
+        best = begin[int(np.argmin(misfit(begin)))]
+        begin, step = best + step * np.linspace(-1, 1, 9), step / 4
+    at = (arc[some] + best) % whole
+    pattern = np.stack([np.interp(at, knots, column) for column in ring.T], axis=-1)
+    steps = max(round((whole - arc[-1]) / (arc[-1] / len(index))), 2)
+    rest = arc[-1] + (whole - arc[-1]) * np.arange(1, steps) / steps
+    ends = np.concatenate([[arc[-1], whole], rest])
+    hidden = np.stack([np.interp((ends + best) % whole, knots, column) for column in ring.T], axis=-1)
+    laid = laid_over(pattern, seen[some], hidden, scaled=False)[0]
+    share = (np.arange(1, steps) / steps)[:, None]
+    laid = laid[2:] + (1 - share) * (seen[-1] - laid[0]) + share * (seen[0] - laid[1])
+    points = np.concatenate([seen, laid])
+    flags = np.arange(len(points)) >= len(seen)
+    return FittedCurve.through(points, flags, True), float(-best)
