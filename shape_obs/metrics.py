@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
-from shape_obs.geometry.nearest import nearest_on
+from shape_obs.geometry.polyline import nearest_on
 from shape_obs.geometry.topology import Grid, Topology
 
 Array = npt.NDArray[np.float64]

@@ -15,8 +15,8 @@ from shape_obs.clustering.base import Clusterer
 from shape_obs.configurations.base import Configuration
 from shape_obs.geometry.curve import FittedCurve, FittedForm
 from shape_obs.geometry.lattice import FittedLattice
-from shape_obs.geometry.nearest import nearest_on
 from shape_obs.geometry.observed import Observed
+from shape_obs.geometry.polyline import nearest_on
 from shape_obs.geometry.topology import Grid
 from shape_obs.tracking.prediction import Fit
 

@@ -21,6 +21,7 @@ MAX_SHIFT: Final = 0.35
 # Around an outline with many corners, each of which shortens a chord, equal chords need more room.
 MAX_SHIFT_AROUND: Final = 1.5
 _COMPLEX = np.array([1, 1j])
+_BLOCK: Final = 250_000  # pairs of a point and a piece of a polyline in one pass: 4 MB in the plane
 
 
 @compiled("(f8[:,::1],)")
@@ -260,3 +261,25 @@ def laid_over(pattern: Array, found: Array, points: Array, *, scaled: bool) -> t
     signs[-1] = np.sign(np.linalg.det(left) * np.linalg.det(right)) or 1.0
     scale = float(values @ signs) / square if scaled else 1.0
     return scale * (points - middle) @ (left * signs) @ right + centre, scale
+
+
+def nearest_on(curve: Array, points: Array) -> tuple[Array, Array]:
+    """Return where a polyline is nearest to each point: ``(P, D)``, ``(N, D)`` -> arc positions, distances ``(N,)``."""
+    curve = np.ascontiguousarray(curve, dtype=np.float64)
+    start, side = curve[:-1], np.diff(curve, axis=0)
+    square = np.einsum("pd,pd->p", side, side)
+    length = np.sqrt(square)
+    begins = arc_length(curve)[:-1]
+    arc, distance = np.empty(len(points)), np.empty(len(points))
+    rows = max(_BLOCK // len(start), 1)
+    for first in range(0, len(points), rows):
+        block = slice(first, first + rows)
+        away = points[block, None, :] - start
+        share = np.clip(np.einsum("npd,pd->np", away, side) / np.maximum(square, 1e-300), 0.0, 1.0)
+        away -= share[..., None] * side
+        off = np.einsum("npd,npd->np", away, away)
+        best = np.argmin(off, axis=1)
+        row = np.arange(len(best))
+        arc[block] = begins[best] + share[row, best] * length[best]
+        distance[block] = np.sqrt(off[row, best])
+    return arc, distance

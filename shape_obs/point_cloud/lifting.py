@@ -154,7 +154,7 @@ def median_depth(
         left: Image column of its first pixel.
         top: Image row of its first pixel.
         points: ``(N, 2)`` image pixels.
-        reach: How far around a point is looked, pixels; for a slope from 4 on at every second pixel, as on a chessboard.
+        reach: How far around a point is looked, pixels; for a slope, from 4 on, at every second one as on a chessboard.
         min_share: Of the mask's pixels there, that must have a valid depth.
         sloped: Whether the depth may slope; a rope is too narrow for that, and lies on both sides of its points.
 

@@ -25,10 +25,9 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-# A side may be so much longer or shorter than it is known to be, as a share, without depth and with it,
-# and in pixels. What is known follows by so
-# much in a frame, without depth and with it; without depth all sides together may grow and shrink faster, as the sheet
-# comes nearer.
+# A side may be so much longer or shorter than it is known to be: as a share, without depth and with it, and in pixels.
+# What is known follows by so much in a frame, without depth and with it; without depth all sides together may grow and
+# shrink faster, as the sheet comes nearer.
 _SLACK: Final = ((0.04, 0.07), 2.0)
 _STRETCH: Final = (0.0022, 0.001)
 _ZOOM: Final = 0.03
@@ -41,9 +40,7 @@ _CUT: Final = np.where(np.abs((np.arange(4 * SIDE) + SIDE // 2) % SIDE - SIDE //
 _DENTED: Final = (0.035, 1.5)
 _FORGETTING: Final = 0.03
 _INNER: Final = 0.06  # of the width: so far inside of its border the sheet's own plane is measured
-_KINK: Final = (
-    0.45  # radians by which the border of a sheet turns within it at a fold, and nowhere else but at a corner
-)
+_KINK: Final = 0.45  # radians: a border turns so much within the sheet at a fold, and nowhere else but at a corner
 # Of half a diagonal, by which a corner may stray from where the others put it in a frame, and of the way, by which a
 # border may stray from its form: without depth, and with it, where tilt and perspective are no evidence.
 _ASTRAY: Final = (0.035, 0.12)

@@ -6,8 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shape_obs.geometry.nearest import nearest_on
-from shape_obs.geometry.polyline import arc_length, interpolate, resample
+from shape_obs.geometry.polyline import arc_length, interpolate, nearest_on, resample
 
 
 @given(st.integers(0, 2**32 - 1))

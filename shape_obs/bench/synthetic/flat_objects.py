@@ -120,18 +120,8 @@ def under_hand(
     way, width, deep = target / np.linalg.norm(target), rng.uniform(30, 60) * scale, rng.uniform(70, 120) * scale
     way = np.array([[np.cos(a := rng.uniform(-0.5, 0.5)), -np.sin(a)], [np.sin(a), np.cos(a)]]) @ way
     steps = int(np.ceil(deep / (speed * scale)))
-    inwards = [
-        -3,
-        -2,
-        -1,
-        *np.linspace(0, 1, steps),
-        *np.ones(15),
-        *np.linspace(1, 0, steps),
-        -1,
-        -2,
-        -3,
-        *-np.ones(12),
-    ]
+    comes, goes = np.linspace(0, 1, steps), np.linspace(1, 0, steps)
+    inwards = np.concatenate([[-3, -2, -1], comes, np.ones(15), goes, [-1, -2, -3], -np.ones(12)])
     clock = 0.0
     for share in inwards:
         clock = pose.after(clock, flat, view, moving * scale) if moving else clock

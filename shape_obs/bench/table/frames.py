@@ -23,7 +23,7 @@ from shape_obs.configurations.centerline import Centerline
 from shape_obs.configurations.contour import Contour
 from shape_obs.configurations.surface import Surface
 from shape_obs.frame import Frame
-from shape_obs.geometry.nearest import nearest_on
+from shape_obs.geometry.polyline import nearest_on
 from shape_obs.image.roi import Whole
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.metrics import in_order
