@@ -187,9 +187,7 @@ def beneath_fold(folded: tuple[tuple[int, int], ...], sides: Array) -> npt.NDArr
         folded: First and last point of each hidden piece of the border, see ``border_of``.
         sides: ``(4,)`` lengths.
     """
-    width, height = (sides[0] + sides[2]) / 2, (sides[1] + sides[3]) / 2
-    v, u = np.divmod(np.arange(FINE * FINE), FINE)
-    lattice = np.stack([u * width, v * height], axis=1) / (FINE - 1)
+    lattice = _flat_lattice(sides)
     outer = _BORDER
     hidden = np.zeros(len(lattice), bool)
     for first, last in folded:
@@ -200,6 +198,17 @@ def beneath_fold(folded: tuple[tuple[int, int], ...], sides: Array) -> npt.NDArr
             inside = np.all([way >= 0 for way in sides_of], axis=0) | np.all([way <= 0 for way in sides_of], axis=0)
             hidden |= inside
     return hidden
+
+
+def flat_border(sides: Array) -> Array:
+    """Return ``(96, 2)`` the border of a rectangle with the mean lengths of ``(4,)`` sides, from its first corner."""
+    return _flat_lattice(sides)[_BORDER]
+
+
+def _flat_lattice(sides: Array) -> Array:
+    width, height = (sides[0] + sides[2]) / 2, (sides[1] + sides[3]) / 2
+    v, u = np.divmod(np.arange(FINE * FINE), FINE)
+    return np.stack([u * width, v * height], axis=1) / (FINE - 1)
 
 
 def _off_line(points: Array, a: Array, b: Array) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.coons import SIDE
+from shape_obs.geometry.coons import SIDE, flat_border
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -33,6 +33,7 @@ _SCALED: Final = 0.15
 _HIDDEN: Final = 3.0
 _DETOUR: Final = 2.0
 _LIES_OVER: Final = 0.3  # of the outline where a corner is hidden: next to so much of it something nearer is seen
+_BULGE: Final = 0.2  # of the length of a fold: the outline lies off it by less
 _STRAIGHT: Final = 3  # points of a side that give the direction in which it goes on
 _REACH: Final = 0.8  # of half a diagonal: no corner is looked for farther off
 
@@ -198,16 +199,28 @@ def _cost_of_corners(
     return float(cost + (math.atan2(product.imag, product.real) / _TURNED) ** 2)
 
 
-def folded_piece(points: Array, seen: Mask, k: int, space: Array, cut: Mask) -> tuple[int, int] | None:
-    """Return the last point seen before a hidden corner and the first one behind it if nothing lies over the corner."""
+def folded_piece(
+    points: Array, seen: Mask, k: int, space: Array, cut: Mask, sides: Array, slack: Array
+) -> tuple[int, int] | None:
+    """Return the last point seen before a folded corner and the first one behind it; None if it is not folded.
+
+    Nothing lies over a folded corner. The outline runs straight along the fold, and both ends of it lie as far from
+    each other as in the flat sheet; those of a side that has buckled come nearer.
+    """
     away = np.arange(1, 2 * SIDE)
     before, behind = seen[(SIDE * k - away) % len(seen)], seen[(SIDE * k + away) % len(seen)]
     if not (before.any() and behind.any()):
         return None
     first, last = SIDE * k - 1 - int(np.argmax(before)), SIDE * k + 1 + int(np.argmax(behind))
     begin, end = (int(np.argmin(((space - points[p % len(points)]) ** 2).sum(axis=1))) for p in (first, last))
-    between = cut[(begin + np.arange((end - begin) % len(cut) + 1)) % len(cut)]
-    return None if between.mean() > _LIES_OVER else (first, last)
+    between = (begin + np.arange((end - begin) % len(cut) + 1)) % len(cut)
+    flat = flat_border(sides)
+    material = float(np.linalg.norm(flat[last % len(flat)] - flat[first % len(flat)]))
+    chord, away = space[end] - space[begin], space[between] - space[begin]
+    length = max(float(np.linalg.norm(chord)), 1e-9)
+    bulge = np.linalg.norm(away - (away @ chord)[:, None] / length**2 * chord, axis=1).max()
+    straight = bulge < _BULGE * length and abs(length - material) < slack.max()
+    return (first, last) if straight and cut[between].mean() <= _LIES_OVER else None
 
 
 def unfold(points: Array, first: int, last: int, corner: int, sides: Array) -> None:

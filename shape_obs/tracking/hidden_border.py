@@ -121,7 +121,7 @@ def complete_border(
     points, folded = laid + np.stack(off, axis=1), []
     for k in range(4):
         if corners[k] < 0 and space.shape[1] == 3:
-            piece = folded_piece(points, seen, k, space, cut)
+            piece = folded_piece(points, seen, k, space, cut, sides, slack)
             if piece is not None:
                 unfold(points, *piece, SIDE * k, sides)
                 folded.append(piece)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.frame import FARTHEST, readable_depth
 from shape_obs.geometry.coons import FINE, RIM, SIDE, TURN_REACH, border_of, side_lengths
 from shape_obs.geometry.curve import TrackHints
 from shape_obs.geometry.outline import material_outline
@@ -39,6 +40,7 @@ _CUT: Final = np.where(np.abs((np.arange(4 * SIDE) + SIDE // 2) % SIDE - SIDE //
 # and the known form follows by this share.
 _DENTED: Final = (0.035, 1.5)
 _FORGETTING: Final = 0.03
+_BEHIND: Final = 0.01  # metres: what lies farther behind a sheet would be hidden by it
 _INNER: Final = 0.06  # of the width: so far inside of its border the sheet's own plane is measured
 _KINK: Final = 0.45  # radians: a border turns so much within the sheet at a fold, and nowhere else but at a corner
 # Of half a diagonal, by which a corner may stray from where the others put it in a frame, and of the way, by which a
@@ -93,6 +95,22 @@ class SheetView:
             return points
         pixels = self.camera.project(points)
         return pixels if np.isfinite(pixels).all() else None
+
+    def seen_through(self, patch: Array, lattice: Array, depth: npt.NDArray[Any]) -> float:
+        """Return the share of a sheet where the camera sees what lies behind it, although nothing of it is there.
+
+        Args:
+            patch: ``(P, 3)`` metres.
+            lattice: ``(P, 2)`` the same in pixels.
+            depth: ``(H, W)`` the frame's.
+        """
+        readable, unit = readable_depth(depth)
+        column, row = np.rint(lattice).astype(np.int64).T
+        within = (row >= 0) & (row < readable.shape[0]) & (column >= 0) & (column < readable.shape[1])
+        behind = np.zeros(len(patch))
+        behind[within] = readable[row[within], column[within]] * unit
+        through = (behind < FARTHEST) & (behind > patch[:, 2] + _BEHIND)
+        return float(np.mean(through & ~self.region.carries(lattice)))
 
     def turns_in_sheet(self, depth: npt.NDArray[Any]) -> Array:
         """Return ``(400,)`` radians by which the outline turns within the sheet, which bending does not change.
