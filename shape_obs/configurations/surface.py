@@ -44,6 +44,7 @@ _OUT_OF_SIGHT: Final = "the sheet runs out of the camera's sight"
 _UNBENT: Final = (90.0, 0.0, 0.0, 0.0)
 _NOTHING_OVER: Final = "the sheet is smaller than it was, and nothing lies over the rest"
 _THROUGH: Final = 0.02  # of a sheet, where the camera may see what lies behind it
+_BARELY_CUT: Final = 0.1  # of the outline, next to which something nearer is seen, as a gripper is
 _COVERED: Final = "something lies over the sheet's border"
 _MIN_PIECE: Final = 0.8  # of the mask: the largest piece, since a sheet cannot be connected over a gap
 
@@ -114,9 +115,13 @@ class Surface(Configuration, kind="surface"):
         found = self._fit_hidden(view, prediction, scene)
         if found.reason and not view.cut.any():
             found = self._fit_whole(view, view.best_corners(), prediction)
+        if found.reason and view.camera is not None and view.cut.mean() < _BARELY_CUT:
+            found = self._fit_whole(view, view.corners_near(prediction), prediction, buckled=True)
         return found if not found.reason or whole.reason == _COVERED else whole
 
-    def _fit_whole(self, view: SheetView, corners: Indices | None, prediction: Prediction | None) -> Fit:
+    def _fit_whole(
+        self, view: SheetView, corners: Indices | None, prediction: Prediction | None, *, buckled: bool = False
+    ) -> Fit:
         """Lay the patch between four corners that are all seen, and compare it with what is known of the sheet."""
         if corners is None:
             few = f"the outline has {len(view.candidates)} corners, a sheet has four"
@@ -132,13 +137,13 @@ class Surface(Configuration, kind="surface"):
         hints, measures, known = first_known(patch), _UNBENT, None
         if prediction is not None:
             known = KnownSheet.of(prediction, view)
-            reason = known.conflict(view, patch, lattice)
+            reason = known.conflict(view, patch, lattice, buckled=buckled)
             if reason:
                 return Fit(reason=reason)
-            hints = known.learn(view, patch)
+            hints = known.hints._replace(reference=patch) if buckled and known.metric else known.learn(view, patch)
         if known is None or not known.metric:
             measures = assess_lattice(_flattened(patch).reshape(FINE, FINE, 2))
-        else:
+        elif not buckled:
             stray = (0, 0.0)  # in space the lengths of the sides say more
         hidden, stray = ~view.region.carries(lattice), (int(stray[0]), float(stray[1]))
         off = float(hidden.mean())

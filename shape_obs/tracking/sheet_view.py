@@ -13,6 +13,7 @@ from shape_obs.geometry.coons import FINE, RIM, SIDE, TURN_REACH, border_of, sid
 from shape_obs.geometry.curve import TrackHints
 from shape_obs.geometry.outline import material_outline
 from shape_obs.geometry.polyline import arc_length, laid_over
+from shape_obs.image.connected_runs import near_mask
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Rim, nearest_corners, rim_of
 from shape_obs.tracking.corner_matching import assign_corners
@@ -40,6 +41,8 @@ _CUT: Final = np.where(np.abs((np.arange(4 * SIDE) + SIDE // 2) % SIDE - SIDE //
 # and the known form follows by this share.
 _DENTED: Final = (0.035, 1.5)
 _FORGETTING: Final = 0.03
+_BUCKLED: Final = 0.7  # of its length a side that has buckled measures at least
+_APART: Final = 0.06  # of the width: a border that is put back may lie so far off
 _BEHIND: Final = 0.01  # metres: what lies farther behind a sheet would be hidden by it
 _INNER: Final = 0.06  # of the width: so far inside of its border the sheet's own plane is measured
 _KINK: Final = 0.45  # radians: a border turns so much within the sheet at a fold, and nowhere else but at a corner
@@ -97,7 +100,7 @@ class SheetView:
         return pixels if np.isfinite(pixels).all() else None
 
     def seen_through(self, patch: Array, lattice: Array, depth: npt.NDArray[Any]) -> float:
-        """Return the share of a sheet where the camera sees what lies behind it, although nothing of it is there.
+        """Return the share of a sheet where the camera sees what lies behind it, and nothing of the sheet is near.
 
         Args:
             patch: ``(P, 3)`` metres.
@@ -110,7 +113,11 @@ class SheetView:
         behind = np.zeros(len(patch))
         behind[within] = readable[row[within], column[within]] * unit
         through = (behind < FARTHEST) & (behind > patch[:, 2] + _BEHIND)
-        return float(np.mean(through & ~self.region.carries(lattice)))
+        outside = np.flatnonzero(through)
+        mask, (left, top) = self.region.mask, self.region.window[:2]
+        reach = int(max(_APART * self.region.width, 2))
+        outside = outside[~near_mask(mask, left, top, np.ascontiguousarray(lattice[outside]), reach)]
+        return len(outside) / len(lattice)
 
     def turns_in_sheet(self, depth: npt.NDArray[Any]) -> Array:
         """Return ``(400,)`` radians by which the outline turns within the sheet, which bending does not change.
@@ -178,19 +185,22 @@ class KnownSheet:
         share, pixels = _SLACK
         return np.maximum(share[self.metric] * self.sides, pixels * (view.scale if self.metric else 1.0))
 
-    def conflict(self, view: SheetView, patch: Array, lattice: Array) -> str:
+    def conflict(self, view: SheetView, patch: Array, lattice: Array, *, buckled: bool = False) -> str:
         """Return what of a sheet that was found does not fit to what is known, or nothing.
 
         Args:
             view: The outline.
             patch: ``(625, D)`` the lattice as it lies.
             lattice: ``(625, 2)`` the same in pixels.
+            buckled: Whether sides may be shorter, since nothing lies over them that could hide a part.
         """
         border, known = border_of(patch if self.metric else lattice), border_of(self.lattice)
         if not self.metric and (np.abs(_turns(border) - _turns(known)) < _CUT).all():
             return ""
         lengths = side_lengths(border)
         off = (lengths / self._zoom(lengths) - self.sides) / self.slack(view)
+        if buckled:
+            off[(off < 0) & (lengths > _BUCKLED * self.sides)] = 0.0
         side = int(np.argmax(np.abs(off)))
         if abs(off[side]) > 1:
             how = "shorter" if off[side] < 0 else "longer"
