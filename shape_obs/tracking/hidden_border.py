@@ -135,7 +135,7 @@ def look_around(
 
     Args:
         region: The mask.
-        points: ``(P, 2)`` pixels, clockwise as seen, P a multiple of 4.
+        points: ``(P, 2)`` pixels, clockwise as seen.
         depth: ``(H, W)``; None if there is none.
         intrinsics: The projection; None if there is none.
         edge: The part of the image that is searched; None for the region's window.
@@ -175,7 +175,7 @@ def rim_depth(
         mask: ``(h, w)`` uint8, C-contiguous.
         left: Image column of its first pixel.
         top: Image row of its first pixel.
-        rim: ``(P, 2)`` pixels, clockwise as seen, P a multiple of 4.
+        rim: ``(P, 2)`` pixels, clockwise as seen.
         reach: How far around a point depth is read, pixels.
         edge: Left, top, right, bottom: an outline that comes so far to either side may be cut there.
 
@@ -184,7 +184,7 @@ def rim_depth(
         something nearer that lies over the object, or of what is searched.
     """
     every = 4 if len(rim) >= _MANY else 2 if 2 * len(rim) >= _MANY else 1
-    count = len(rim) // every
+    count = -(-len(rim) // every)
     some, cut, flags = np.empty((count, 2)), np.zeros(len(rim), np.bool_), np.zeros(count, np.bool_)
     z = np.full(len(rim), np.nan)
     for k in range(count):
@@ -197,8 +197,9 @@ def rim_depth(
             for k in range(count):
                 flags[k] = flags[k] or _covered(depth, unit, mask, left, top, some, k, under[k])
                 near, far = 1 / under[k], 1 / under[(k + 1) % count]
-                for i in range(every):
-                    z[k * every + i] = 1 / (near + (far - near) * i / every)
+                steps = min(every, len(rim) - k * every)
+                for i in range(steps):
+                    z[k * every + i] = 1 / (near + (far - near) * i / steps)
     for k in range(count):
         if flags[k] and (flags[k - 1] or flags[(k + 1) % count]):  # a single one is noise
             for i in range(-every // 2, every // 2 + 1):
