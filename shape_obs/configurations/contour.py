@@ -22,7 +22,8 @@ from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
 from shape_obs.tracking.hidden_border import complete_outline, look_around, rim_depth
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
-from shape_obs.tracking.registration import blend_space, index_shift_space, match_outline, renumber_outline
+from shape_obs.tracking.registration import match_outline, renumber_outline
+from shape_obs.tracking.registration_in_space import blend_space, index_shift_space
 from shape_obs.tracking.validation import outline_miss, ring_miss, validate_outline
 
 if TYPE_CHECKING:

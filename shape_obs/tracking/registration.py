@@ -4,7 +4,7 @@ Both outlines are sampled at the same number of equidistant places. For every cy
 onto the other follows from their cross-covariance alone (P. H. Schönemann, "A generalized solution of the orthogonal
 Procrustes problem", Psychometrika 31, 1966; proper rotations: W. Kabsch, Acta Cryst. A32, 1976), and the covariances
 of all shifts are a few Fourier transforms (cf. F. P. Kuhl, C. R. Giardina, "Elliptic Fourier features of a closed
-contour", 1982). In the plane, compiled loops do this with complex waves; in space, NumPy does.
+contour", 1982). In the plane, compiled loops do this with complex waves.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.polyline import arc_length, closed, even_around
 from shape_obs.tracking.prediction import Prediction
+from shape_obs.tracking.registration_in_space import blend_space, index_shift_space
 
 Array = npt.NDArray[np.float64]
 
 # Numbered by the last frame alone, an outline of noisy pixels creeps by 6 px in 180 frames. The mean of some twenty
 # frames holds it, and is left behind by slow changes of shape alone.
 _FORGETTING: Final = 0.05
-_FORGETTING_SPACE: Final = 0.15  # in space, where an outline also bends
 _MOST_FORGOTTEN: Final = 0.003  # of the radius, in a frame: what a hand hides little by little is not forgotten
 # How much the place and direction of an outline weigh against its shape, whose match is worth 1. A square fits itself
 # four ways, a towel two: the way that turns least is chosen.
@@ -38,7 +38,6 @@ _FLAT: Final = 3e-4
 _HARMONICS: Final = 12
 # Shifts at which a peak is looked for, ten to the shortest wave, and half-widths of the parabolas through it, in turns.
 _SHIFTS: Final = 128
-_ALIKE: Final = 0.98  # a better match of forms in space is looked for near the expected place alone
 _PEAKS: Final = (0.5 / 128, 0.1 / 128)
 _ROUND = 2 * np.pi / _SHIFTS * np.outer(np.arange(1, _HARMONICS + 1), np.arange(_SHIFTS))
 _COS, _SIN = np.cos(_ROUND), np.sin(_ROUND)
@@ -235,56 +234,3 @@ def _score(shape: Array, place: Array, flat: float, turns: float) -> float:
         still += place[0, h] * wave.real + place[1, h] * wave.imag
         wave *= step
     return math.sqrt(real * real + imaginary * imaginary) + flat * still
-
-
-def blend_space(reference: Array, found: Array) -> Array:
-    """Return the reference laid over ``found`` and moved a little there, all ``(K, D)``."""
-    before, after = reference - reference.mean(axis=0), found - found.mean(axis=0)
-    left, _, right = np.linalg.svd(before.T @ after)
-    left[:, -1] *= np.sign(np.linalg.det(left) * np.linalg.det(right))
-    return found + (1 - _FORGETTING_SPACE) * (before @ left @ right - after)
-
-
-def index_shift_space(reference: Array, predicted: Array, found: Array, seen: Array) -> float:
-    """Return what ``index_shift`` returns, by forms in space ``(K, 3)`` and places, expected and seen, ``(K, D)``."""
-    shape, place = _cross_spectrum(reference, found), _cross_spectrum(predicted, seen)
-    shifts = np.arange(_SHIFTS) / _SHIFTS
-    turned, still = np.full(_SHIFTS, -np.inf), np.einsum("dds->s", _at(place, shifts))
-    near = (int(np.argmax(still)) + np.arange(-_SHIFTS // 8, _SHIFTS // 8 + 1)) % _SHIFTS
-    turned[near] = _rotated(_at(shape, shifts[near]))
-    if turned.max() < _ALIKE or np.argmax(turned) in (near[0], near[-1]):  # it has turned far
-        near = np.arange(_SHIFTS)
-        turned = _rotated(_at(shape, shifts))
-    flat = _FLAT / (1 + float(np.ptp(turned[near])) / _FLAT)
-    score, at = turned + flat * still, int(np.argmax(turned + _TURNING * still))
-    while max(low := score[(at - 1) % _SHIFTS], high := score[(at + 1) % _SHIFTS]) > score[at % _SHIFTS]:
-        at += -1 if low >= high else 1
-    at /= _SHIFTS
-    for width in _PEAKS:
-        shifts = at + width * np.array([-1.0, 0.0, 1.0])
-        score = _rotated(_at(shape, shifts)) + flat * np.einsum("dds->s", _at(place, shifts))
-        bend = score[0] - 2 * score[1] + score[2]
-        at += width * float(np.clip((score[0] - score[2]) / (2 * bend), -1, 1)) if bend < 0 else 0.0
-    return at * len(found)
-
-
-def _cross_spectrum(before: Array, after: Array) -> npt.NDArray[np.complex128]:
-    """Return the spectrum of the cross-covariance over cyclic shifts, ``(D, D, F)``; a perfect match gives 1."""
-    first, second = (np.fft.rfft(points.T)[:, 1 : _HARMONICS + 1] for points in (before, after))
-    scale = np.sqrt(np.sum(np.abs(first) ** 2) * np.sum(np.abs(second) ** 2))
-    return np.conj(first)[:, None] * second[None] / max(float(scale), 1e-12)
-
-
-def _at(spectrum: npt.NDArray[np.complex128], turns: Array) -> Array:
-    """Return the covariances at S shifts, in turns: ``(D, D, S)``."""
-    return (spectrum @ np.exp(2j * np.pi * np.arange(1, spectrum.shape[-1] + 1)[:, None] * turns)).real
-
-
-def _rotated(covariance: Array) -> Array:
-    """Return how well they match after the best proper rotation: ``(D, D, S)`` -> ``(S,)``.
-
-    Its trace is the sum of the singular values, the least one negative for a reflection.
-    """
-    stacked = np.moveaxis(covariance, -1, 0)
-    values = np.linalg.svd(stacked, compute_uv=False)
-    return values[:, :-1].sum(axis=1) + np.where(np.linalg.det(stacked) < 0, -1.0, 1.0) * values[:, -1]

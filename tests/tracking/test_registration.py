@@ -14,7 +14,8 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.topology import Ring
 from shape_obs.tracking.prediction import Prediction
-from shape_obs.tracking.registration import blend, blend_space, index_shift, match_outline, renumber_outline
+from shape_obs.tracking.registration import blend, index_shift, match_outline, renumber_outline
+from shape_obs.tracking.registration_in_space import blend_space
 
 
 def one(mask: np.ndarray, detector: ShapeDetector | None = None) -> Any:

@@ -8,7 +8,8 @@ import pytest
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.outline import material_outline
 from shape_obs.geometry.polyline import laid_over
-from shape_obs.tracking.registration import index_shift_space, renumber_outline
+from shape_obs.tracking.registration import renumber_outline
+from shape_obs.tracking.registration_in_space import index_shift_space
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, -1.0])
