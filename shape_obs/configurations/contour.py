@@ -113,10 +113,11 @@ class Contour(Configuration, kind="contour"):
         curve, miss = self._run_som(observed, start, prediction.topology)
         lifted, cut = self._lift(observed, curve.points, scene)
         known = prediction.hints.reference
-        if known is not None and known.shape[1] == 3 and lifted is None:
-            prediction = prediction._replace(hints=TrackHints())  # a frame without depth is numbered by its place
-        own = lifted if lifted is not None and known is not None and known.shape[1] == 3 else None
-        found, nodes = curve, prediction.nodes
+        in_space = known is not None and known.shape[1] == 3
+        if in_space and lifted is None:  # numbered by its place in the image, if all of it is seen
+            found, nodes = match_outline(curve, prediction._replace(hints=TrackHints()))
+            return replace(found, hints=TrackHints(reference=known)), nodes, np.inf if cut.any() else miss
+        own, nodes = lifted if in_space else None, prediction.nodes
         if cut.any() and known is not None:
             whole = complete_outline(curve, own or curve, cut, known, prediction.nodes)
             if whole is None:
