@@ -20,7 +20,7 @@ from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_ga
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import material_outline
 from shape_obs.geometry.polyline import arc_length, interpolate
-from shape_obs.geometry.topology import Grid, undo_shrinkage
+from shape_obs.geometry.topology import Grid, fill_lattice, undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim, nearest_corners, rim_of
@@ -265,8 +265,9 @@ class Surface(Configuration, kind="surface"):
         """The compiled functions that a fit may call."""
         masks = rim_of, material_outline, rim_depth, coons_patch, blend_sides, nearest_corners, assign_corners
         lattices = match_corners, assess_lattice, lattice_gauges, sample_lattice, _points_over, arc_length, interpolate
+        filled = (fill_lattice,)
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
-        return masks + lattices + maps
+        return masks + lattices + filled + maps
 
 
 @compiled("(f8[:,:,::1], f8[::1], f8[::1], i8, i8, b1)")

@@ -35,6 +35,7 @@ _DETOUR: Final = 2.0
 _LIES_OVER: Final = 0.3  # of the outline where a corner is hidden: next to so much of it something nearer is seen
 _BULGE: Final = 0.2  # of the length of a fold: the outline lies off it by less
 _STRAIGHT: Final = 3  # points of a side that give the direction in which it goes on
+_NEAREST: Final = 5  # places among which each corner is looked for
 _REACH: Final = 0.8  # of half a diagonal: no corner is looked for farther off
 
 
@@ -146,15 +147,24 @@ def assign_corners(
         reach = max(reach, abs(at[k] - centre))
     for q in range(count):
         to[q] = complex(places[q, 0], places[q, 1])
+    near = np.full((4, _NEAREST), -1, np.int64)
+    for k in range(4):
+        far = np.full(_NEAREST, _REACH * reach)
+        for q in range(count):
+            away, to_put = abs(to[q] - at[k]), q
+            for i in range(_NEAREST):  # insert it in order
+                if away < far[i]:
+                    away, far[i] = far[i], away
+                    to_put, near[k, i] = near[k, i], to_put
     best, least, chosen = np.full(4, -1, np.int64), np.inf, np.empty(4, np.int64)
-    for number in range((count + 1) ** 4):
+    for number in range((_NEAREST + 1) ** 4):
         rest, visible, possible = number, 0, True
         for k in range(4):
-            chosen[k] = rest % (count + 1) - 1
-            rest //= count + 1
-            if chosen[k] >= 0:
-                visible += 1
-                possible = possible and abs(to[chosen[k]] - at[k]) < _REACH * reach
+            i = rest % (_NEAREST + 1) - 1
+            chosen[k] = near[k, i] if i >= 0 else -1
+            possible = possible and (i < 0 or chosen[k] >= 0)
+            rest //= _NEAREST + 1
+            visible += chosen[k] >= 0
         if not possible or visible < 2:
             continue
         cost = _cost_of_corners(chosen, visible, at, to, arcs, whole, sides, slack, reach, astray)
