@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -11,6 +12,7 @@ from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
 from shape_obs.frame import FARTHEST, readable_depth
 from shape_obs.geometry.curve import FittedCurve, FittedForm
+from shape_obs.geometry.lattice import FittedLattice
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.image.region import Region
 
@@ -32,6 +34,8 @@ MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its o
 def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region, width: float) -> Array:
     """Return ``(P,)`` metres under a form, NaN where it is not known or belongs to something that lies over it.
 
+    Under a lattice every third row and column is read.
+
     Looks at the middle half of the object's width (13 pixels at most), so that a round rope's flanks do not pull the
     median down, and at mask pixels only, so that the table does not either. Where fewer than a quarter of these carry
     depth, a hole stays a hole.
@@ -46,10 +50,26 @@ def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region, width:
     left, top = region.window[:2]
     reach = min(max(round(width / 4), 1), MAX_REACH)
     points = np.ascontiguousarray(form.points, dtype=np.float64)
-    z = median_depth(readable, unit, region.mask, left, top, points, reach, MIN_SHARE, not is_rope(form))
+    where = readable, unit, region.mask, left, top
+    if isinstance(form, FittedLattice):
+        (rows, down), (cols, right) = _some(form.rows), _some(len(points) // form.rows)
+        some = np.ascontiguousarray(form.lattice[np.ix_(rows, cols)].reshape(-1, 2))
+        read = median_depth(*where, some, reach, MIN_SHARE, True).reshape(len(rows), -1)
+        known = np.isfinite(read)
+        share = down @ known @ right.T
+        z = down @ np.where(known, read, 0) @ right.T / np.maximum(share, 1e-9)
+        return np.where(share > 0.5, z, np.nan).ravel()
+    z = median_depth(*where, points, reach, MIN_SHARE, not is_rope(form))
     if isinstance(form, FittedCurve) and not form.whole:
         z[form.interpolated | overlaid(form, z, width)] = np.nan
     return z
+
+
+@lru_cache(maxsize=16)
+def _some(count: int) -> tuple[npt.NDArray[np.int64], Array]:
+    """Return every third row of ``count`` and the last, ``(S,)``, and how all follow from them, ``(count, S)``."""
+    nodes = np.unique(np.append(np.arange(0, count, 3), count - 1))
+    return nodes, np.stack([np.interp(np.arange(count), nodes, each) for each in np.eye(len(nodes))], axis=1)
 
 
 def is_rope(form: FittedForm) -> bool:

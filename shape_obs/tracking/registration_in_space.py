@@ -22,7 +22,8 @@ _HARMONICS: Final = 12
 _SHIFTS: Final = 128
 _PEAKS: Final = (0.5 / 128, 0.1 / 128)
 _ALIKE: Final = 0.98  # a better match of forms in space is looked for near the expected place alone
-_STEPS: Final = 6
+_STEPS: Final = 5
+_COMPARED: Final = 48  # of the nodes, at least
 _BENT: Final = 2.0  # median distances: what lies farther off has bent
 _FARTHEST: Final = 1 / 24  # of the outline
 _STAY: Final = 0.01  # how much staying weighs against moving
@@ -67,11 +68,12 @@ def _without_bends(reference: Array, found: Array, shift: float) -> float:
     distance (D. Geman, D. E. McClure, "Statistical methods for tomographic image reconstruction", 1987), go over to
     the part that has not bent.
     """
-    count, weight, most = len(found), np.ones(len(found)), shift + _FARTHEST * len(found) * np.array([-1.0, 1.0])
-    index = np.arange(count)
-    around = np.concatenate([found, found[:1]])
+    count, most = len(found), shift + _FARTHEST * len(found) * np.array([-1.0, 1.0])
+    index = np.arange(0, count, max(count // _COMPARED, 1))
+    reference, weight, around = reference[index], np.ones(len(index)), np.concatenate([found, found[:1]])
+    ahead = np.roll(found, -1, axis=0) - found
     for _ in range(_STEPS):
-        places = interpolate(around, np.arange(count + 1.0), (index + shift) % count)
+        places = interpolate(around, np.arange(count + 1.0), np.asarray((index + shift) % count, np.float64))
         share = weight / weight.sum()
         middle = share @ places
         before = reference - share @ reference
@@ -81,12 +83,12 @@ def _without_bends(reference: Array, found: Array, shift: float) -> float:
         off = places - middle - laid
         far = np.linalg.norm(off, axis=1)
         weight = 1 / (1 + (far / max(_BENT * float(np.median(far)), 1e-9)) ** 2) ** 2
-        along = (np.roll(places, -1, axis=0) - np.roll(places, 1, axis=0)) / 2
-        moves = np.zeros((count, 3, 7))  # of the residual, by the shift, a rotation and a translation
-        moves[:, :, 0] = along
-        for axis in range(3):
-            moves[:, :, 1 + axis] = np.cross(laid, np.eye(3)[axis])
-            moves[:, axis, 4 + axis] = -1
+        moves = np.zeros((len(index), 3, 7))  # of the residual, by the shift, a rotation and a translation
+        moves[:, :, 0] = ahead[np.floor(index + shift).astype(int) % count]
+        x, y, z = laid.T
+        moves[:, 1, 1], moves[:, 2, 1], moves[:, 0, 2] = z, -y, -z
+        moves[:, 2, 2], moves[:, 0, 3], moves[:, 1, 3] = x, y, -x
+        moves[:, (0, 1, 2), (4, 5, 6)] = -1
         flat, weights = moves.reshape(-1, 7), np.repeat(weight, 3)
         normal = (flat * weights[:, None]).T @ flat
         normal[0, 0] *= 1 + _STAY  # on a circle a shift is a rotation
