@@ -43,7 +43,6 @@ _NO_CORNERS: Final = "the outline's corners are not where the lattice's are"
 _OUT_OF_SIGHT: Final = "the sheet runs out of the camera's sight"
 _UNBENT: Final = (90.0, 0.0, 0.0, 0.0)
 _NOTHING_OVER: Final = "the sheet is smaller than it was, and nothing lies over the rest"
-_THROUGH: Final = 0.02  # of a sheet, where the camera may see what lies behind it
 _BARELY_CUT: Final = 0.1  # of the outline, next to which something nearer is seen, as a gripper is
 _COVERED: Final = "something lies over the sheet's border"
 _MIN_PIECE: Final = 0.8  # of the mask: the largest piece, since a sheet cannot be connected over a gap
@@ -161,12 +160,14 @@ class Surface(Configuration, kind="surface"):
         lattice = view.pixels(patch) if known.metric else patch
         if lattice is None:
             return Fit(reason=_OUT_OF_SIGHT)
-        hidden = ~view.region.carries(lattice)
+        hidden, reason = ~view.region.carries(lattice), ""
         if border.folded:
             hidden |= beneath_fold(border.folded, known.sides)
-        elif known.metric and scene.depth is not None and view.seen_through(patch, lattice, scene.depth) > _THROUGH:
-            return Fit(reason=_NOTHING_OVER)
-        share, reason = float(hidden.mean()), ""
+        elif known.metric and scene.depth is not None and view.cut.mean() < _BARELY_CUT:
+            reason = _NOTHING_OVER if view.sees_through(patch, lattice, scene.depth) else ""
+        if reason:
+            return Fit(reason=reason)
+        share = float(hidden.mean())
         if share > MAX_HIDDEN:
             reason = f"{share:.0%} of the sheet is hidden (at most {MAX_HIDDEN:.0%})"
         verdict = FitQuality(reason, float(border.seen.mean()) ** 0.5)

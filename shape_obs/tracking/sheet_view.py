@@ -13,7 +13,6 @@ from shape_obs.geometry.coons import FINE, RIM, SIDE, TURN_REACH, border_of, sid
 from shape_obs.geometry.curve import TrackHints
 from shape_obs.geometry.outline import material_outline
 from shape_obs.geometry.polyline import arc_length, laid_over
-from shape_obs.image.connected_runs import near_mask
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Rim, nearest_corners, rim_of
 from shape_obs.tracking.corner_matching import assign_corners
@@ -41,8 +40,8 @@ _CUT: Final = np.where(np.abs((np.arange(4 * SIDE) + SIDE // 2) % SIDE - SIDE //
 # and the known form follows by this share.
 _DENTED: Final = (0.035, 1.5)
 _FORGETTING: Final = 0.03
-_BUCKLED: Final = 0.7  # of its length a side that has buckled measures at least
-_APART: Final = 0.06  # of the width: a border that is put back may lie so far off
+_BUCKLED: Final = 0.8  # of its length a side that has buckled measures at least
+_THROUGH: Final = 0.02  # of a sheet: the border of what is put back may lie a little outside
 _BEHIND: Final = 0.01  # metres: what lies farther behind a sheet would be hidden by it
 _INNER: Final = 0.06  # of the width: so far inside of its border the sheet's own plane is measured
 _KINK: Final = 0.45  # radians: a border turns so much within the sheet at a fold, and nowhere else but at a corner
@@ -99,8 +98,8 @@ class SheetView:
         pixels = self.camera.project(points)
         return pixels if np.isfinite(pixels).all() else None
 
-    def seen_through(self, patch: Array, lattice: Array, depth: npt.NDArray[Any]) -> float:
-        """Return the share of a sheet where the camera sees what lies behind it, and nothing of the sheet is near.
+    def sees_through(self, patch: Array, lattice: Array, depth: npt.NDArray[Any]) -> bool:
+        """Return whether the camera sees what lies behind a sheet in more than a few places.
 
         Args:
             patch: ``(P, 3)`` metres.
@@ -113,11 +112,7 @@ class SheetView:
         behind = np.zeros(len(patch))
         behind[within] = readable[row[within], column[within]] * unit
         through = (behind < FARTHEST) & (behind > patch[:, 2] + _BEHIND)
-        outside = np.flatnonzero(through)
-        mask, (left, top) = self.region.mask, self.region.window[:2]
-        reach = int(max(_APART * self.region.width, 2))
-        outside = outside[~near_mask(mask, left, top, np.ascontiguousarray(lattice[outside]), reach)]
-        return len(outside) / len(lattice)
+        return float(np.mean(through & ~self.region.carries(lattice))) > _THROUGH
 
     def turns_in_sheet(self, depth: npt.NDArray[Any]) -> Array:
         """Return ``(400,)`` radians by which the outline turns within the sheet, which bending does not change.

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
+from shape_obs import Intrinsics, ShapeDetector, Surface
 from shape_obs.bench.contour_claims import seen_outline
 from shape_obs.bench.scores import tally_visible
 from shape_obs.bench.surface_claims import seen_points
@@ -61,3 +63,34 @@ def test_a_hand_over_an_outline_moves_no_visible_point(hollow):
     found = tally_visible(list(seen_outline(scenes, VIEW, True)))
     assert (found.slips, found.refused) == (0, 0), found
     assert found.hidden_valid < 15
+
+
+def test_an_outline_of_which_a_side_is_lifted_keeps_its_index():
+    """It moves by 40 px between the first frame and the second, and bends by 75 degrees after that."""
+    rng = np.random.default_rng((3, 400))
+    found = tally_visible(list(seen_outline(in_space(rng, ring(rng, False), VIEW, "corner up", 40.0, 60), VIEW, True)))
+    assert (found.slips, found.refused) == (0, 0), found
+    assert found.worst < 0.25
+    assert found.mm < 1.5
+
+
+def test_a_slow_hand_over_a_small_outline_moves_no_visible_point():
+    rng, view = np.random.default_rng((3, 10)), View(height=120)
+    found = tally_visible(list(seen_outline(under_hand(rng, ring(rng, True), view, "side", 1.0, 4.0), view, True)))
+    assert found.slips < 1, found
+    assert found.refused == 0
+
+
+def test_a_side_that_buckles_in_full_view_is_shorter_and_not_hidden():
+    """The sheet's top side becomes a tenth shorter; the camera sees the table where it was."""
+    camera = Intrinsics(640, 480, 500.0, 500.0, 320.0, 240.0)
+    detector = ShapeDetector([Surface(rows=4, cols=8, ends="tips", spacing="m")])
+    for shorter in range(0, 24, 3):
+        mask, depth = np.zeros((480, 640), np.uint8), np.full((480, 640), 0.70, np.float32)
+        corners = np.array([(210 + shorter // 2, 180), (430 - shorter // 2, 180), (430, 320), (210, 320)])
+        cv2.fillPoly(mask, [corners], 255)
+        depth[mask > 0] = 0.66
+        shape = detector.detect_mask(mask, depth, camera).shapes[0]
+        assert not shape.reason
+        assert shape.valid.all()
+        np.testing.assert_allclose(shape.pixels[[0, 7, 31, 24]], corners, atol=3)
