@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice
+from shape_obs.geometry.topology import Grid
 
 
 @settings(max_examples=20)
@@ -57,3 +58,22 @@ def test_samples_are_bilinear_between_equal_mean_gaps(seed, rows, cols, centers)
         np.stack(np.meshgrid(*at, indexing="ij"), -1)
     )
     np.testing.assert_allclose(sample_lattice(lattice, down, right, rows, cols, centers), expected.reshape(-1, 2))
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1), rows=st.integers(3, 8), cols=st.integers(3, 10))
+def test_lost_values_inside_a_plane_lie_in_it(seed, rows, cols):
+    rng = np.random.default_rng(seed)
+    v, u = np.mgrid[:rows, :cols]
+    values = np.stack([rng.normal() * u + rng.normal() * v + rng.normal(), 0.5 * u], axis=-1).reshape(-1, 2)
+    known = (rng.random((rows, cols)) < 0.5) | (u == 0) | (v == 0) | (u == cols - 1) | (v == rows - 1)
+    lost = np.where(known.reshape(-1, 1), values, np.nan)
+    np.testing.assert_allclose(Grid(rows, cols).interpolate(lost, known.ravel()), values, atol=1e-3)
+
+
+def test_lost_values_outside_are_like_the_nearest():
+    values, known = np.full((12, 1), np.nan, np.float32), np.zeros(12, bool)
+    values[5], known[5] = 0.7, True
+    filled = Grid(3, 4).interpolate(values, known)
+    assert filled.dtype == np.float32
+    np.testing.assert_allclose(filled, 0.7)

@@ -1,0 +1,37 @@
+"""Faults in what is known of a cloth or an outline, and in how what is hidden of it is put back."""
+
+from __future__ import annotations
+
+from .mutant import Mutant
+
+_BORDER = "tests/tracking/test_hidden_border.py"
+
+
+def _sheet(name: str, module: str, old: str, new: str, *tests: str) -> Mutant:
+    return Mutant(f"sheet: {name}", f"shape_obs/{module}.py", old, new, tests or (_BORDER,))
+
+
+SHEETS: tuple[Mutant, ...] = (
+    _sheet("nothing lies over", "tracking/hidden_border", "            return metres < z", "            return False"),
+    _sheet(
+        "the first frame of an outline has no depth",
+        "tracking/hidden_border",
+        "count = -(-len(rim) // every)",
+        "count = len(rim) // every",
+    ),
+    _sheet("the place outweighs the form", "tracking/hidden_border", "_PLACE: Final = 0.005", "_PLACE: Final = 0.05"),
+    _sheet("all that bends counts", "tracking/registration_in_space", "_BENT: Final = 2.0", "_BENT: Final = 2e3"),
+    _sheet("sides are forgotten fast", "tracking/sheet_view", "Final = (0.0022, 0.001)", "Final = (0.022, 0.01)"),
+    _sheet("sides may be of any length", "tracking/sheet_view", "((0.04, 0.07), 2.0)", "((0.4, 0.7), 20.0)"),
+    _sheet("the table is not seen", "tracking/sheet_view", "_THROUGH: Final = 0.02", "_THROUGH: Final = 2.0"),
+    _sheet("a corner has one place", "tracking/corner_matching", "_NEAREST: Final = 5", "_NEAREST: Final = 1"),
+    _sheet(
+        "depth has no slope at a border",
+        "point_cloud/lifting",
+        "if sloped and known >= _ENOUGH else middle",
+        "if False else middle",
+        "tests/point_cloud/test_median_depth.py",
+    ),
+    _sheet("lost values stay their neighbours'", "geometry/topology", "_SWEEPS: Final = 60", "_SWEEPS: Final = 0",
+           "tests/geometry/test_lattice.py"),
+)  # fmt: skip
