@@ -24,7 +24,6 @@ SHEETS: tuple[Mutant, ...] = (
     _sheet("sides are forgotten fast", "tracking/sheet_view", "Final = (0.0022, 0.001)", "Final = (0.022, 0.01)"),
     _sheet("sides may be of any length", "tracking/sheet_view", "((0.04, 0.07), 2.0)", "((0.4, 0.7), 20.0)"),
     _sheet("the table is not seen", "tracking/sheet_view", "_THROUGH: Final = 0.02", "_THROUGH: Final = 2.0"),
-    _sheet("a corner has one place", "tracking/corner_matching", "_NEAREST: Final = 5", "_NEAREST: Final = 1"),
     _sheet(
         "depth has no slope at a border",
         "point_cloud/lifting",
