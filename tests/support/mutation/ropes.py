@@ -125,8 +125,7 @@ ROPES: tuple[Mutant, ...] = (
         "tracking/rope_length",
         "max(change, -1.5 * known.spread)",
         "change",
-        _OCCLUSION,
-        _CLAIMS,
+        "tests/tracking/test_rope_length.py",
     ),
     _rope(
         "a cut that is askew turns the rope",
