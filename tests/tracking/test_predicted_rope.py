@@ -9,6 +9,7 @@ import pytest
 from shape_obs import Centerline, Intrinsics, Shape, ShapeDetector
 from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
 from shape_obs.geometry.topology import Chain
+from shape_obs.tracking.occluders import FREE, UNKNOWN
 from shape_obs.tracking.predicted_rope import PredictedRope, oriented
 from shape_obs.tracking.prediction import Prediction
 
@@ -138,3 +139,15 @@ class TestSliding:
             reasons.append(shape.reason)
         assert reasons[:20] == [""] * 20
         assert "may have slid" in reasons[-1]
+
+
+@pytest.mark.parametrize("free", [0, 1])
+def test_nothing_is_put_beyond_a_free_tip_where_predictions_are_poor(free):
+    """The piece that is seen lies at the other end of the prediction; its free tip is the rope's all the same."""
+    first = 96 if free == 0 else 0
+    points = np.ascontiguousarray(axis(count=641)[first : first + 545 : 10])
+    form, known = FittedCurve.through(points, np.zeros(len(points), bool)), predicted(residuals=(200.0, 200.0))
+    ends = (FREE, UNKNOWN) if free == 0 else (UNKNOWN, FREE)
+    missing = PredictedRope(known).place(form, ends, np.zeros(2), 45.0, 1.0, (0, 0))
+    assert missing[free] == 0
+    assert missing[1 - free] == pytest.approx(45.0)

@@ -140,9 +140,6 @@ ROPES: tuple[Mutant, ...] = (
         "tracking/predicted_rope",
         "FREE: 16.0}",
         "FREE: 0.0}",
-        _OCCLUDERS,
-        _OCCLUSION,
-        _CLAIMS,
-        _SPACE,
+        _PREDICTED,
     ),
 )
