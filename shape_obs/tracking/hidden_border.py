@@ -217,14 +217,24 @@ def _covered(
     reach = max((along_u * along_u + along_v * along_v) ** 0.5, 1e-9)
     for step in range(_OUTWARDS):
         away = step + 1.5
-        column = nearest_pixel(rim[k, 0] + away * along_v / reach)
-        row = nearest_pixel(rim[k, 1] - away * along_u / reach)
+        column, row = (
+            nearest_pixel(rim[k, 0] + away * along_v / reach),
+            nearest_pixel(rim[k, 1] - away * along_u / reach),
+        )
         if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
             return False
         inside = 0 <= row - top < mask.shape[0] and 0 <= column - left < mask.shape[1]
         metres = depth[row, column] * unit
         if (inside and mask[row - top, column - left] != 0) or not 0 < metres < FARTHEST:
             continue
+        column, row = (
+            nearest_pixel(rim[k, 0] - away * along_v / reach),
+            nearest_pixel(rim[k, 1] + away * along_u / reach),
+        )
+        if 0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]:
+            across = depth[row, column] * unit  # the object's own, so far inside: a table aslant goes on as it does
+            if 0 < across < FARTHEST and 2 / z > 1 / across:
+                z = min(z, 1 / (2 / z - 1 / across))
         if abs(metres - z) > _NEARER:
             return metres < z
     return False
