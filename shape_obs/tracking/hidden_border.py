@@ -214,23 +214,17 @@ def _covered(
     """Return whether the first depth that is seen outside of an outline is nearer than the object."""
     count = len(rim)
     along_u, along_v = rim[(k + 1) % count, 0] - rim[k - 1, 0], rim[(k + 1) % count, 1] - rim[k - 1, 1]
-    reach = max((along_u * along_u + along_v * along_v) ** 0.5, 1e-9)
+    reach, u, v = max((along_u * along_u + along_v * along_v) ** 0.5, 1e-9), rim[k, 0], rim[k, 1]
     for step in range(_OUTWARDS):
-        away = step + 1.5
-        column, row = (
-            nearest_pixel(rim[k, 0] + away * along_v / reach),
-            nearest_pixel(rim[k, 1] - away * along_u / reach),
-        )
+        x, y = (step + 1.5) * along_v / reach, -(step + 1.5) * along_u / reach
+        column, row = nearest_pixel(u + x), nearest_pixel(v + y)
         if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
             return False
         inside = 0 <= row - top < mask.shape[0] and 0 <= column - left < mask.shape[1]
         metres = depth[row, column] * unit
         if (inside and mask[row - top, column - left] != 0) or not 0 < metres < FARTHEST:
             continue
-        column, row = (
-            nearest_pixel(rim[k, 0] - away * along_v / reach),
-            nearest_pixel(rim[k, 1] + away * along_u / reach),
-        )
+        column, row = nearest_pixel(u - x), nearest_pixel(v - y)
         if 0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]:
             across = depth[row, column] * unit  # the object's own, so far inside: a table aslant goes on as it does
             if 0 < across < FARTHEST and 2 / z > 1 / across:
