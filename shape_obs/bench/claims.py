@@ -15,8 +15,8 @@ from shape_obs.bench.tables import Row
 
 Tables = Iterator[tuple[str, Iterable[Row]]]
 Group = Literal[
-    "ropes", "tangles", "hands", "motion", "noise", "outlines", "sheets", "clouds", "markers", "cable", "envs",
-    "camera", "deploy", "robustness", "time",
+    "ropes", "tangles", "hands", "motion", "belief", "noise", "outlines", "sheets", "clouds", "markers", "cable",
+    "envs", "camera", "deploy", "robustness", "time",
 ]  # fmt: skip
 
 
@@ -30,6 +30,7 @@ class Effort(NamedTuple):
         garments: A file of annotated garment outlines; None leaves them out.
         jobs: Processes for long measurements.
         report: Called with the progress of a long group.
+        figures: Folder for the pictures of groups that have some; None draws none.
     """
 
     share: float
@@ -38,6 +39,7 @@ class Effort(NamedTuple):
     garments: Path | None
     jobs: int = 1
     report: Callable[[str], object] = lambda text: None
+    figures: Path | None = None
 
     def count(self, full: int) -> int:
         """Return the share of a full count, at least one."""
@@ -73,12 +75,34 @@ def _hands(effort: Effort) -> Tables:
 
 
 def _motion(effort: Effort) -> Tables:
+    from shape_obs.bench import contour_claims as contours
     from shape_obs.bench import motion_claims as motions
+    from shape_obs.bench import surface_claims as surfaces
 
     hidden = motions.hidden_rope_tracks(effort.seeds(5))
     yield "ropes under what grows over them", motions.motion_table(hidden, ("cover", "depth"))
     swung = motions.swinging_rope_tracks(effort.seeds(50), noises=(False, True))
     yield "ropes swung in space", motions.motion_table(swung, ("hertz", "wall", "noise"))
+    few, speeds = effort.seeds(50), (0.5, 1, 2, 4, 8, 16)
+    flat = (
+        ("outlines", contours.outlines_under_hands, contours.outlines_in_space),
+        ("cloths", surfaces.cloths_under_hands, surfaces.cloths_in_space),
+    )
+    for what, under_hands, in_space in flat:
+        for title, depth in (("the mask alone", False), ("with depth", True)):
+            yield f"{what} over which a hand comes, stays and goes, {title}", under_hands(few, speeds, with_depth=depth)
+        for title, noise in (("exact depth", False), ("the noise of a D455", True)):
+            yield f"{what} in space, {title}", in_space(few, (8, 16, 40), noise=noise)
+
+
+def _belief(effort: Effort) -> Tables:
+    from shape_obs.bench import belief_claims
+
+    rows = list(belief_claims.beliefs(effort.seeds(12), effort.renderer))
+    yield "how far points are off, and what sigma says", belief_claims.reliability(rows)
+    yield "belief: asked and seen", belief_claims.targets(rows)
+    if effort.figures is not None:
+        belief_claims.draw(rows, effort.figures)
 
 
 def _noise(effort: Effort) -> Tables:
@@ -98,12 +122,6 @@ def _outlines(effort: Effort) -> Tables:
     yield "turning outlines, tracked", contours.turning_blobs(seeds=effort.seeds(2))
     some = blobs[:: len(blobs) // 4 or 1]
     yield "outlines at rest in masks that flicker", contours.flickering_blobs(some)
-    few = effort.seeds(50)
-    for title, depth in (("the mask alone", False), ("with depth", True)):
-        hands = contours.outlines_under_hands(few, (0.5, 1, 2, 4, 8, 16), with_depth=depth)
-        yield f"outlines over which a hand comes, stays and goes, {title}", hands
-    for title, noise in (("exact depth", False), ("the noise of a D455", True)):
-        yield f"outlines in space, {title}", contours.outlines_in_space(few, (8, 16, 40), noise=noise)
 
 
 def _sheets(effort: Effort) -> Tables:
@@ -114,12 +132,6 @@ def _sheets(effort: Effort) -> Tables:
     yield "sheets that turn once around, in steps of a degree", surfaces.turning_sheets(seeds)
     yield "sheets that wander, turn and bend, tracked", surfaces.moving_sheets((12,), seeds)
     yield "sheets at rest in masks that flicker", surfaces.noisy_sheets(seeds)
-    few = effort.seeds(50)
-    for title, depth in (("the mask alone", False), ("with depth", True)):
-        hands = surfaces.cloths_under_hands(few, (0.5, 1, 2, 4, 8, 16), with_depth=depth)
-        yield f"cloths over which a hand comes, stays and goes, {title}", hands
-    for title, noise in (("exact depth", False), ("the noise of a D455", True)):
-        yield f"cloths in space, {title}", surfaces.cloths_in_space(few, (8, 16, 40), noise=noise)
 
 
 def _clouds(effort: Effort) -> Tables:
@@ -214,7 +226,7 @@ def _time(effort: Effort) -> Tables:
 
 
 _FUNCTIONS: Final = (
-    _ropes, _tangles, _hands, _motion, _noise, _outlines, _sheets, _clouds, _markers, _cable, _envs, _camera, _deploy,
-    _robustness, _time,
+    _ropes, _tangles, _hands, _motion, _belief, _noise, _outlines, _sheets, _clouds, _markers, _cable, _envs, _camera,
+    _deploy, _robustness, _time,
 )  # fmt: skip
 GROUPS: Final[dict[Group, Callable[[Effort], Tables]]] = dict(zip(get_args(Group), _FUNCTIONS, strict=True))

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.detecting import at_rest, cold, followed
-from shape_obs.bench.scores import outline_score, tally, tally_visible
+from shape_obs.bench.scores import SLIP, belief, outline_score, tally, tally_visible
 from shape_obs.bench.synthetic.blobs import KINDS, Blob, moving_blob, random_blob
 from shape_obs.bench.synthetic.flat_objects import FlatScene, Motion, View, in_space, noisy_depth, ring, under_hand
 from shape_obs.bench.synthetic.ropes import resample
@@ -33,10 +33,10 @@ MOTIONS: Final[dict[str, dict[str, Any]]] = {
     "deforming": {"turn": 0.03, "swell": 0.4},
     "hole": {"hole": True},
 }
-# In gaps. Equal chords may move points along the outline by 1.5 gaps (``equal_chords``); an outline that needs
-# this much may need all of it once it is detected.
 VIEWS: Final = (View(), View(height=120))
 _FINE: Final = 64  # places on the true outline to a gap
+# In gaps. Equal chords may move points along the outline by 1.5 gaps (``equal_chords``); an outline that needs
+# this much may need all of it once it is detected.
 _COARSE: Final = 1.3
 
 
@@ -192,7 +192,9 @@ def outlines_in_space(
 
 def seen_outline(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> Iterator[Row]:
     """Track an outline with equal gaps in space where there is depth; yield the rows of ``tally_visible``."""
-    detector, start, count = ShapeDetector([Contour(spacing="m" if with_depth else "px")]), -1.0, 32
+    spec, start, count = Contour(spacing="m" if with_depth else "px"), -1.0, 32
+    name = 0
+    detector = ShapeDetector([spec], on_invalid="interpolate")
     for scene in scenes:
         depth, camera = (scene.depth, view.intrinsics) if with_depth else (None, None)
         shape = detector.detect_mask(scene.mask, depth, camera).shapes[0]
@@ -206,14 +208,15 @@ def seen_outline(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> I
         fine = FittedCurve(border, np.zeros(len(border), bool), arc, True).even(_FINE * count)
         place = shape.pixels.astype(np.float64)
         nearest = np.argmin(((place[:, None] - fine[:, :2]) ** 2).sum(axis=2), axis=1) / _FINE
-        if start < 0:
-            start = float(
-                np.angle(np.exp(2j * np.pi * (nearest - np.arange(count)) / count).mean()) * count / 2 / np.pi
-            )
-            start %= count
+        if shape.track_id != name:  # a new track may begin elsewhere
+            turn = np.exp(2j * np.pi * (nearest - np.arange(count)) / count).mean()
+            name, start = shape.track_id, float(np.angle(turn)) * count / 2 / np.pi % count
         off = np.abs((nearest - np.arange(count) - start + count / 2) % count - count / 2)
         true = fine[np.rint((np.arange(count) + start) * _FINE).astype(int) % len(fine)]
         points = shape.points3d if shape.points3d is not None else np.full((count, 3), np.nan)
         mm = 1e3 * np.linalg.norm(points - true[:, 2:5], axis=1)
-        claimed = {"visible": shape.visible, "valid": shape.valid, "hidden": true[:, 5] > 0.5}
+        hidden, slipped = true[:, 5] > 0.5, bool((off[shape.visible] > SLIP).any())
+        errors = mm / 1e3 if with_depth else np.linalg.norm(place - true[:, :2], axis=1)
+        claimed = {"visible": shape.visible, "valid": shape.valid, "hidden": hidden, "track": name}
+        claimed["belief"] = belief(shape, errors, ~hidden, slipped)
         yield Row(ok=shape.ok and not shape.reason, shown=scene.shown, off=off, mm=mm, **claimed)

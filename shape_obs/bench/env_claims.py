@@ -13,8 +13,9 @@ import numpy.typing as npt
 
 from shape_obs.bench import ENVS, Env, run_tasks
 from shape_obs.bench.env_physics import EPISODE, held_actions, is_finite, make_env, strain, warnings
-from shape_obs.bench.scores import SLIP, simulator_score
+from shape_obs.bench.scores import SLIP, belief, simulator_score
 from shape_obs.bench.tables import Row, at_most, failures, mean, of, summary
+from shape_obs.geometry.topology import Grid
 from shape_obs.utils.threads import one_thread
 
 Condition = Literal["clean", "noise", "randomised", "randomised, no hand"]
@@ -61,7 +62,8 @@ def episodes(setting: Setting, seeds: Sequence[int], steps: int = EPISODE) -> li
         half a gap from its position on the material, ``worst_slip`` in gaps; ``flips``: judged frames whose points are
         numbered differently from the object's; ``not_ok``: frames in which the shape was reported not ok; ``folded``:
         frames of a sheet that hides a part of itself; ``broken``: frames in which the physics state was not finite;
-        ``warnings``: of MuJoCo; ``whole`` and ``local``: the largest strains.
+        ``warnings``: of MuJoCo; ``whole`` and ``local``: the largest strains; ``beliefs``: of ``belief``, for each
+        judged frame in which the shape was found.
     """
     from shape_obs.wrappers import ShapeObservation
     from shape_obs_envs.d455 import D455Noise
@@ -182,6 +184,9 @@ def _episode(env: Any, seed: int, steps: int, goal: npt.NDArray[Any]) -> Row:
         frame = Row(ok=shape.ok, unfolded=unfolded, held=bool(shape.reason), finite=is_finite(simulator))
         if shape.ok and unfolded:
             frame.update(simulator_score(points, shape.valid, shape.layout, simulator))
+            grid = (shape.layout.rows, shape.layout.cols) if isinstance(shape.layout, Grid) else (shape.layout.size,)
+            errors = np.linalg.norm(points - simulator.truth(*grid), axis=1)
+            frame.update(belief=belief(shape, errors, shape.visible, frame.slip > SLIP))
         whole, local = strain(simulator)
         frames.append(Row(frame, whole=whole, local=local))
         if step < steps:
@@ -197,6 +202,7 @@ def _episode(env: Any, seed: int, steps: int, goal: npt.NDArray[Any]) -> Row:
         not_ok=failures("ok")(frames),
         folded=failures("unfolded")(frames),
         broken=failures("finite")(frames),
+        beliefs=[frame.belief for frame in judged if not frame.held],
         warnings=warnings(simulator),
         whole=max(frame.whole for frame in frames),
         local=max(frame.local for frame in frames),

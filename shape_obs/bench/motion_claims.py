@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import product
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from shape_obs.bench.scores import SLIP
+from shape_obs.bench.scores import SLIP, belief
 from shape_obs.bench.synthetic.hidden_ropes import Cover, Seen, camera_of, hidden_ropes, swinging_ropes, with_noise
 from shape_obs.bench.synthetic.swings import STIFFNESS, swung_rope
 from shape_obs.bench.tables import Row, mean, summary
@@ -35,10 +35,13 @@ def track(frames: Iterable[Seen], *, depth: bool, spacing: Spacing = "px", dt: f
         ``slips``: ok frames with a visible point more than half a gap from its place; ``off``: ok frames with a mean
         error of the visible points above 10 mm; ``mm``: mean error of the visible points in each ok frame, in
         millimetres; ``worst``: in gaps; ``late``: frames that were wrong though nothing was hidden any more since 10
-        frames; ``renewed``: how often a new track was reported, which may begin at the other end.
+        frames; ``renewed``: how often a new track was reported, which may begin at the other end; ``beliefs``: for each
+        ok frame, a row of ``belief``.
     """
     detector: ShapeDetector | None = None
-    row = Row(frames=0, due=0, ok=0, shown=0, claimed=0, slips=0, off=0, worst=0.0, late=0, renewed=0, mm=[])
+    row = Row(
+        frames=0, due=0, ok=0, shown=0, claimed=0, slips=0, off=0, worst=0.0, late=0, renewed=0, mm=[], beliefs=[]
+    )
     since, name, turned = 0, 1, False
     for seen in frames:
         pixels, metres = resample(seen.pixels, len(seen.pixels)), seen.metres
@@ -46,7 +49,9 @@ def track(frames: Iterable[Seen], *, depth: bool, spacing: Spacing = "px", dt: f
             continue  # its length cannot be known yet
         if detector is None:
             u, v = pixels[0].tolist()
-            detector = ShapeDetector([Centerline(n=_N, ends="tips", anchor=(u, v), spacing=spacing)], dt=dt)
+            detector = ShapeDetector(
+                [Centerline(n=_N, ends="tips", anchor=(u, v), spacing=spacing)], dt=dt, on_invalid="interpolate"
+            )
         metric = (seen.depth, seen.camera) if depth else (None, None)
         shape = detector.detect_mask(seen.mask, metric[0], metric[1]).shapes[0]
         at = np.linspace(0, len(pixels) - 1, _N) if spacing == "px" else _even(seen.metres)
@@ -77,6 +82,8 @@ def track(frames: Iterable[Seen], *, depth: bool, spacing: Spacing = "px", dt: f
             row["mm"].append(float(error.mean()) if len(error) else 0.0)
             row["off"] += bool(len(error) and error.mean() > 1e3 * _MOST)
         most = float(away[shape.visible & (shape.valid | (spacing == "px"))].max(initial=0.0))
+        errors = shape.pixels - true[0] if shape.points3d is None else shape.points3d - true[1]
+        row["beliefs"].append(belief(shape, np.linalg.norm(errors, axis=1), shown, most > SLIP))
         row["slips"] += most > SLIP
         row["late"] += most > SLIP and since > _HEALING
         row["worst"] = max(row["worst"], most)
@@ -90,15 +97,16 @@ def hidden_rope_tracks(
     approaches: Sequence[float] = APPROACHES,
     speeds: Sequence[float] = (0.0, 3.0),
     depths: Sequence[bool] = (False, True),
+    noises: Sequence[bool] = (False,),
     size: tuple[int, int] = (480, 640),
 ) -> Iterator[Row]:
     """Track ropes in a plane while something comes over them, stays and goes."""
     for cover, approach, speed, seed in product(covers, approaches, speeds, seeds):
         rng = np.random.default_rng([seed, round(2 * approach), round(speed)])
         frames = list(hidden_ropes(rng, cover, approach, speed, share=float(rng.uniform(0.15, 0.45)), size=size))
-        for depth in depths:
-            found = track(frames, depth=depth)
-            yield Row(cover=cover, depth=depth, approach=approach, speed=speed, seed=seed, **found)
+        for depth, noise in product(depths, noises):
+            found = track(_measured(frames, rng, size) if noise else frames, depth=depth)
+            yield Row(cover=cover, depth=depth, approach=approach, speed=speed, noise=noise, seed=seed, **found)
 
 
 def swinging_rope_tracks(
@@ -118,10 +126,7 @@ def swinging_rope_tracks(
         radius = float(rng.uniform(0.004, 0.008))
         for wall, noise in product(walls, noises):
             seen = swinging_ropes(curves, radius, camera_of(size), wall)
-            if noise:
-                measure = _d455(size)
-                seen = (with_noise(each, measure, rng) for each in seen)
-            found = track(seen, depth=True, spacing="m", dt=1 / hertz)
+            found = track(_measured(seen, rng, size) if noise else seen, depth=True, spacing="m", dt=1 / hertz)
             yield Row(hertz=hertz, wall=wall, noise=noise, stiffness=stiffness, seed=seed, **found)
 
 
@@ -146,11 +151,13 @@ def motion_table(rows: Iterable[Row], by: Sequence[str]) -> list[Row]:
     return summary(rows, tuple(by), columns)
 
 
-def _d455(size: tuple[int, int]) -> Any:
+def _measured(frames: Iterable[Seen], rng: np.random.Generator, size: tuple[int, int]) -> Iterator[Seen]:
+    """Yield frames with the depth that a D455 measures."""
     from shape_obs_envs.d455 import D455Model
     from shape_obs_envs.d455.noise import D455Camera
 
-    return D455Camera(D455Model(), size, fast=True).measure
+    camera = D455Camera(D455Model(), size, fast=True)
+    return (with_noise(each, camera.measure, rng) for each in frames)
 
 
 def _even(metres: np.ndarray) -> np.ndarray:

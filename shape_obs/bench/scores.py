@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -17,12 +18,14 @@ from shape_obs.geometry.outline import clockwise
 from shape_obs.geometry.polyline import arc_length, interpolate, resample
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.metrics import in_order, spacing_cv
+from shape_obs.shape import Shape
 
 Array = npt.NDArray[np.float64]
 
 BOTH_ENDS: Final[tuple[Ends, ...]] = ("centers", "tips")
 SLIP: Final = 0.5  # gaps; a point that is farther from its position is nearer to that of its neighbour
 LEAST_SHOWN: Final = 0.55  # of an object: with less in sight it may be refused
+FAR: Final = 0.010  # metres; the mean error of a frame that must not be called ok
 _FINE_STEP: Final = 0.1  # pixels
 _BEYOND: Final = 100  # points by which a curve is continued at its ends
 _PER_GAP: Final = 50  # points of a simulator's truth for each gap
@@ -207,13 +210,14 @@ def tally_visible(frames: Sequence[Row]) -> Row:
     Args:
         frames: One row for each: ``ok``, without a reason against it; ``shown``, the share of the object that is seen;
             ``off``: ``(N,)`` distances of the points from their material, in gaps; ``visible`` and ``valid``: ``(N,)``
-            what was claimed; ``hidden``: ``(N,)`` what is true; ``mm``: ``(N,)`` millimetres, NaN without depth.
+            what was claimed; ``hidden``: ``(N,)`` what is true; ``mm``: ``(N,)`` millimetres, NaN without depth;
+            ``track``: its number.
 
     Returns:
         ``slips``: frames that are ok and have a visible point more than half a gap off, in percent of those that are
         ok; ``refused``: in percent of the frames in which 55 % of the object shows; ``seen``: percent of the truly
         visible points of these frames that are visible and valid; ``hidden_valid``: percent of the truly hidden points
-        that are valid; ``mm``: mean of the valid points.
+        that are valid; ``mm``: mean of the valid points; ``renewed``: how often a new track was reported.
     """
     ok = [row for row in frames if row.ok]
     slips = sum(bool((row.off[row.visible] > SLIP).any()) for row in ok)
@@ -228,5 +232,24 @@ def tally_visible(frames: Sequence[Row]) -> Row:
         seen=100 * float(np.mean(seen)) if seen else 100.0,
         hidden_valid=100 * hidden / max(sum(int(row.hidden.sum()) for row in frames), 1),
         mm=float(errors.mean()) if len(errors) else float("nan"),
+        renewed=sum(after.track == before.track + 1 for before, after in pairwise(frames)),
         worst=max((float(row.off[row.visible].max(initial=0.0)) for row in ok), default=0.0),
     )
+
+
+def belief(shape: Shape, errors: Array, shown: npt.NDArray[np.bool_], slipped: bool) -> Row:
+    """Return what a shape that is ok says of its errors, and what they are.
+
+    Args:
+        shape: With points in space, or without.
+        errors: ``(N,)`` distances of the points from their material, metres or, without points in space, pixels.
+        shown: ``(N,)`` the points that are in sight in truth.
+        slipped: Whether a visible point is more than half a gap off.
+
+    Returns:
+        ``errors``, ``sigma`` and ``shown``: ``(N,)``; ``space``: whether they are metres; ``wrong``: whether the frame
+        should not be ok: it slipped, or the mean error of its valid points is above 10 mm.
+    """
+    space = shape.points3d is not None
+    far = space and shape.valid.any() and float(errors[shape.valid].mean()) > FAR
+    return Row(errors=errors, sigma=shape.sigma, shown=shown, space=space, wrong=bool(slipped or far))

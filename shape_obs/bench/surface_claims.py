@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.detecting import at_rest, cold, followed
-from shape_obs.bench.scores import BOTH_ENDS, SLIP, off_lattice, tally, tally_visible
+from shape_obs.bench.scores import BOTH_ENDS, SLIP, belief, off_lattice, tally, tally_visible
 from shape_obs.bench.synthetic.flat_objects import (
     FlatScene,
     Hand,
@@ -202,7 +202,8 @@ def cloths_in_space(
 def seen_points(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> Iterator[Row]:
     """Track a cloth with equal gaps in space where there is depth; yield the rows of ``tally_visible``."""
     spec = Surface(rows=4, cols=8, spacing="m" if with_depth else "px")
-    detector, corner = ShapeDetector([spec]), -1
+    detector, corner = ShapeDetector([spec], on_invalid="interpolate"), -1
+    name = 0
     for scene in scenes:
         depth, camera = (scene.depth, view.intrinsics) if with_depth else (None, None)
         shape = detector.detect_mask(scene.mask, depth, camera).shapes[0]
@@ -211,15 +212,20 @@ def seen_points(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> It
         whole = np.concatenate([scene.points, scene.space, scene.hidden[..., None].astype(np.float64)], axis=2)
         found = np.asarray(shape.pixels, dtype=np.float64).reshape(4, 8, 2)
         turned = [Sheet(np.rot90(whole, quarters), scene.mask).lattice(4, 8, "centers") for quarters in range(4)]
-        if corner < 0:
-            corner = int(np.argmin([np.linalg.norm(found - true[..., :2], axis=-1).mean() for true in turned]))
+        if shape.track_id != name:  # a new track may begin at another corner
+            name, corner = (
+                shape.track_id,
+                int(np.argmin([np.linalg.norm(found - true[..., :2], axis=-1).mean() for true in turned])),
+            )
         true = turned[corner]
         away, place = found - true[..., :2], true[..., :2]
         if shape.points3d is not None:  # in the image a steep piece of cloth has no gaps
             away, place = shape.points3d.reshape(4, 8, 3) - true[..., 2:5], true[..., 2:5]
         off = np.abs(off_lattice(np.nan_to_num(away), place)).max(axis=-1).ravel()
         mm = 1e3 * np.linalg.norm(away, axis=-1).ravel() if shape.points3d is not None else np.full(32, np.nan)
-        claimed = {"visible": shape.visible, "valid": shape.valid, "hidden": true[..., 5].ravel() > 0.5}
+        hidden, slipped = true[..., 5].ravel() > 0.5, bool((off[shape.visible] > SLIP).any())
+        claimed = {"visible": shape.visible, "valid": shape.valid, "hidden": hidden, "track": name}
+        claimed["belief"] = belief(shape, np.linalg.norm(away, axis=-1).ravel(), ~hidden, slipped)
         yield Row(ok=shape.ok and not shape.reason, shown=scene.shown, off=off, mm=mm, **claimed)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -13,11 +14,20 @@ from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.frame import Frame, readable_depth
 from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.topology import Grid
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.point_cloud.chain_length import strand_gap
 from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, form_depth, is_rope, lift_form, median_depth
 from shape_obs.shape import Shape
-from shape_obs.tracking.belief import MAX_SIGMA, arc_to_nearest, expected_error, residual_of, stereo_noise
+from shape_obs.tracking.belief import (
+    MAX_SIGMA,
+    arc_to_nearest,
+    expected_error,
+    shares_of,
+    stereo_noise,
+    stretches,
+    unevenness,
+)
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
 from shape_obs.tracking.occlusion import shown
 from shape_obs.tracking.prediction import Fit
@@ -72,18 +82,23 @@ def _expected_errors(
     """Return ``(N,)`` RMS errors per axis: metres where there are points in space, else pixels."""
     points2d, points3d, visible, valid = seen
     observed, in_image = found.observed, found.observed.dimension == 2
-    places = points2d if in_image else points3d
+    shares = shares_of(spec.layout, in_image)
+    places = points2d if points3d is None else points3d
     assert places is not None
     places = places.astype(np.float64)
-    residual = residual_of(found.form.size, observed.resolution)
-    if found.sigma is not None:
-        residual = found.sigma[_nearest(places, found.form.points)]
+    residual: float | Array = math.hypot(shares.resolution * observed.resolution, shares.size * found.form.size)
     unseen, unmeasured = (arc_to_nearest(places, spec.layout, known) for known in (visible, valid))
     if points3d is None or frame.camera is None:
         return expected_error(unseen, unmeasured, residual, diagonal if points3d is None else MAX_SIGMA)
-    z, focal = points3d[:, 2].astype(np.float64), (frame.camera.intrinsics.fx + frame.camera.intrinsics.fy) / 2
-    scale = z / focal if in_image else 1.0
-    return expected_error(unseen, unmeasured, residual, MAX_SIGMA, scale=scale, depth_noise=stereo_noise(z, focal))
+    camera, z = frame.camera.intrinsics, places[:, 2]
+    focal = (camera.fx + camera.fy) / 2
+    noise, stretch = shares.depth * stereo_noise(z, focal, camera.width), np.ones(len(z))
+    if in_image and points2d is not None:
+        residual = residual * z / focal
+        stretch = stretches(points2d.astype(np.float64), places, spec.layout.edges(), z / focal)
+        if isinstance(spec.layout, Grid):
+            residual = np.hypot(residual, unevenness(places, spec.layout))
+    return expected_error(unseen, unmeasured, residual, MAX_SIGMA, stretch=stretch, depth_noise=noise)
 
 
 def _is_metric_curve(found: Fit) -> bool:

@@ -40,7 +40,6 @@ class Fit(NamedTuple):
         object_width: The width of the object that the fit assumed.
         follow: Whether the track goes on with a form that was refused: it may still show where the object is.
         centres: ``(N, D)`` the shape's points in order if a clusterer found them; None if the form gives them.
-        sigma: ``(P,)`` RMS error per axis of the form's points, in their unit; None lets ``belief`` estimate it.
         length: Of the object, metres, hidden pieces included; None if it is not known.
         new: Whether the numbering begins anew, though there was a track: the object is another one.
         track_id: The number of the track that the form belongs to.
@@ -58,7 +57,6 @@ class Fit(NamedTuple):
     object_width: float = 0.0
     follow: bool = False
     centres: Array | None = None
-    sigma: Array | None = None
     length: float | None = None
     new: bool = False
     track_id: int = 0

@@ -12,7 +12,15 @@ from scipy.sparse.csgraph import dijkstra
 from shape_obs import Centerline, ShapeDetector
 from shape_obs.bench.synthetic.ropes import random_rope, resample
 from shape_obs.geometry.topology import Chain, Grid, Ring
-from shape_obs.tracking.belief import MAX_SIGMA, aged, arc_to_nearest, expected_error, stereo_noise
+from shape_obs.tracking.belief import (
+    MAX_SIGMA,
+    aged,
+    arc_to_nearest,
+    expected_error,
+    stereo_noise,
+    stretches,
+    unevenness,
+)
 
 
 @pytest.mark.parametrize("layout", [Chain(1), Chain(2), Chain(40), Ring(3), Ring(41), Grid(5, 8)], ids=repr)
@@ -44,15 +52,44 @@ def test_errors_grow_away_from_what_is_visible_up_to_the_bound():
     assert sigma[3:].tolist() == [200.0, 200.0, 200.0]
 
 
-def test_in_space_two_axes_come_from_pixels_and_one_from_depth():
+def test_in_space_two_axes_come_from_the_image_and_one_from_depth():
     nothing, z = np.zeros(2), np.array([0.5, 2.0])
-    noise = stereo_noise(z, 636.0)
+    noise = stereo_noise(z, 636.0, 1280)
     np.testing.assert_allclose(noise, z**2 * 0.08 / (636.0 * 0.095))  # 0.33 and 5.3 mm
-    sigma = expected_error(nothing, nothing, 0.7, MAX_SIGMA, scale=z / 636.0, depth_noise=noise)
-    np.testing.assert_allclose(sigma, np.sqrt((2 * (0.7 * z / 636.0) ** 2 + noise**2) / 3), rtol=1e-6)
-    hole = expected_error(nothing, np.array([0.0, 30.0]), 0.7, MAX_SIGMA, scale=z / 636.0, depth_noise=noise)
+    residual = 0.7 * z / 636.0
+    sigma = expected_error(nothing, nothing, residual, MAX_SIGMA, depth_noise=noise)
+    np.testing.assert_allclose(sigma, np.sqrt((2 * residual**2 + noise**2) / 3), rtol=1e-6)
+    hole = expected_error(nothing, np.array([0.0, 0.03]), residual, MAX_SIGMA, depth_noise=noise)
     assert hole[0] == sigma[0]
-    assert hole[1] > 2 * sigma[1]
+    assert hole[1] > sigma[1]
+    steep = expected_error(nothing, nothing, residual, MAX_SIGMA, stretch=3.0, depth_noise=noise)
+    np.testing.assert_allclose(steep, np.sqrt((10 * residual**2 + noise**2) / 3), rtol=1e-6)
+
+
+def test_a_small_image_has_the_noise_of_the_camera_that_it_comes_from():
+    z = np.array([0.7])
+    assert stereo_noise(z, 386.0, 640) == stereo_noise(z, 386.0 / 4, 160)
+    assert stereo_noise(z, 2 * 386.0, 1280) == stereo_noise(z, 386.0, 640) / 2
+
+
+def test_an_object_is_longer_than_it_looks_where_it_is_seen_aslant():
+    angle, z = np.radians(60), 0.7
+    flat = np.arange(5)[:, None] * [0.01, 0.0, 0.0]
+    points = np.array([0.0, 0.0, z]) + flat * [np.cos(angle), 0, 0] + flat[:, [1, 2, 0]] * np.sin(angle)
+    pixels = flat[:, :2] * np.cos(angle) * 600 / z
+    scale = np.full(5, z / 600)
+    np.testing.assert_allclose(stretches(pixels, points, Chain(5).edges(), scale), 2.0)
+    np.testing.assert_allclose(stretches(pixels * 3, points, Chain(5).edges(), scale), 1.0)
+
+
+def test_unequal_gaps_show_where_a_lattice_is_off():
+    lattice = np.stack([*np.meshgrid(np.arange(8.0), np.arange(4.0)), np.zeros((4, 8))], axis=-1) * 0.02
+    assert unevenness(lattice.reshape(-1, 3), Grid(4, 8)) == pytest.approx(0)
+    lattice[1, 3, 0] += 0.004
+    off = unevenness(lattice.reshape(-1, 3), Grid(4, 8)).reshape(4, 8)
+    assert off.argmax() == 8 + 3
+    assert 0.001 < off.max() < 0.008
+    assert off.min() > 0
 
 
 def test_what_is_not_seen_may_move():
@@ -63,7 +100,7 @@ def test_what_is_not_seen_may_move():
 
 
 def test_visible_points_of_ropes_lie_within_it():
-    """A first estimate: of smooth ropes at least 85 % of the points lie within 2.15 sigma, and sigma is small."""
+    """Of smooth ropes at least 85 % of the points lie within 2.15 sigma, and sigma is small."""
     rng, inside, sigmas = np.random.default_rng(0), [], []
     for _ in range(8):
         rope = random_rope(rng, "smooth")

@@ -10,7 +10,7 @@ from typing import Literal
 import tyro
 
 from shape_obs.bench.claims import GROUPS, Effort, Group
-from shape_obs.cli.bench.output import Output, check_minimum, progress
+from shape_obs.cli.bench.output import Output, check_minimum, need_matplotlib, progress
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,8 @@ class Claims:
     """Processes that share the episodes of the group envs."""
     garments: Path | None = None
     """A JSON file of annotated garment outlines, measured together with the drawn ones."""
+    figures: Path | None = None
+    """Folder for the pictures of the groups that have some (belief)."""
     json: bool = False
     """Print JSON instead of tables."""
 
@@ -41,9 +43,14 @@ def main(argv: Sequence[str]) -> int:
     check_minimum(args, jobs=1)
     if args.garments is not None and not args.garments.is_file():
         raise FileNotFoundError(f"{args.garments}: no such file")
+    if args.figures is not None:
+        need_matplotlib()
+        args.figures.mkdir(parents=True, exist_ok=True)
     groups, output = args.only or tuple(GROUPS), Output(args.json)
     with progress("claims", "group", len(groups)) as bar:
-        effort = Effort(args.share, args.seed, args.renderer, args.garments, args.jobs, bar.set_postfix_str)
+        effort = Effort(
+            args.share, args.seed, args.renderer, args.garments, args.jobs, bar.set_postfix_str, args.figures
+        )
         for group in groups:
             bar.set_postfix_str(group)
             for title, rows in GROUPS[group](effort):

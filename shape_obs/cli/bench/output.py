@@ -64,9 +64,7 @@ def check_minimum(args: Any, **minimum: int) -> None:
 def need_matplotlib() -> None:
     """Raise ImportError if matplotlib is not installed."""
     if find_spec("matplotlib") is None:
-        raise ImportError(
-            "the figures need matplotlib: pip install 'shape-obs[viz]', or leave them out with --no-figures."
-        )
+        raise ImportError("the figures need matplotlib: pip install 'shape-obs[viz]', or leave them out (see --help).")
 
 
 def image_size(text: str, least: int, landscape: bool = True) -> tuple[int, int]:
