@@ -20,7 +20,8 @@ from shape_obs.geometry.samples import SAMPLED, Samples, pairs
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
-from shape_obs.tracking.hidden_border import complete_outline, look_around, rim_depth
+from shape_obs.tracking.hidden_border import look_around, rim_depth
+from shape_obs.tracking.hidden_outline import complete_outline, hidden_pieces, laid_along, nearest_places
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.registration import match_outline, renumber_outline
 from shape_obs.tracking.registration_in_space import blend_space, index_shift_space
@@ -117,23 +118,22 @@ class Contour(Configuration, kind="contour"):
         if in_space and lifted is None:  # numbered by its place in the image, if all of it is seen
             found, nodes = match_outline(curve, prediction._replace(hints=TrackHints()))
             return replace(found, hints=TrackHints(reference=known)), nodes, np.inf if cut.any() else miss
-        own, nodes = lifted if in_space else None, prediction.nodes
-        if cut.any() and known is not None:
-            whole = complete_outline(curve, own or curve, cut, known, prediction.nodes)
+        own, laid = lifted if in_space else None, known
+        found, nodes = (curve, prediction.nodes) if cut.any() else _match(curve, own, prediction)
+        if laid is not None and own is None and not cut.any():
+            cut, laid = hidden_pieces(curve, nodes, laid, prediction.nodes)
+        if cut.any() and laid is not None:
+            whole = complete_outline(curve, own or curve, cut, laid, prediction.nodes)
             if whole is None:
-                return curve, nodes, np.inf
+                return curve, prediction.nodes, np.inf
             completed, begin = whole
             camera = scene.intrinsics
             pixels = completed.points if own is None or camera is None else camera.project(completed.points)
             curve = FittedCurve.through(pixels, np.zeros(len(pixels), bool), True)
             return *_begun_at(curve, completed, begin, len(nodes), known, learn=False), miss
-        if own is not None:
-            found, nodes = _match_in_space(curve, own, prediction)
-        else:
-            found, nodes = match_outline(curve, prediction)
-            if lifted is not None:
-                near = int(np.argmin(((curve.points - nodes[0]) ** 2).sum(axis=1)))
-                found, nodes = _begun_at(curve, lifted, float(lifted.arc[near]), len(nodes), None)
+        if own is None and lifted is not None:
+            near = int(np.argmin(((curve.points - nodes[0]) ** 2).sum(axis=1)))
+            found, nodes = _begun_at(curve, lifted, float(lifted.arc[near]), len(nodes), None)
         return found, nodes, miss
 
     def _lift(self, region: Observed, points: Array, scene: Scene) -> tuple[FittedCurve | None, npt.NDArray[np.bool_]]:
@@ -204,6 +204,7 @@ class Contour(Configuration, kind="contour"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         masks = fit_ring_in_mask, rim_depth, _points_around, renumber_outline, material_outline, trace_hole
+        masks += laid_along, nearest_places
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds
 
@@ -243,6 +244,11 @@ def _least(values: Array, form: FittedCurve) -> float:
     bend = fall + rise
     shift = (fall * after - rise * before) / (2 * bend) if bend > 0 else 0.0
     return float(form.arc[at] + np.clip(shift, -before, after))
+
+
+def _match(curve: FittedCurve, lifted: FittedCurve | None, prediction: Prediction) -> tuple[FittedCurve, Array]:
+    """Renumber a closed curve by its form, in space if that is known, and return it and its nodes."""
+    return match_outline(curve, prediction) if lifted is None else _match_in_space(curve, lifted, prediction)
 
 
 def _match_in_space(curve: FittedCurve, lifted: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, Array]:

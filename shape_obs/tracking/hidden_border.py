@@ -16,7 +16,6 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.frame import FARTHEST, readable_depth
 from shape_obs.geometry.coons import RIM, SIDE, stretched
-from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import arc_length, interpolate, laid_over
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, bridged, median_depth
@@ -39,11 +38,6 @@ _ROUND: Final = 1
 _LEAST_SEEN: Final = 0.3  # of the border
 _MISFIT: Final = 0.06  # of the size: the known border lies over what is seen of it at least so well
 _MANY: Final = 320  # points of an outline: of so many, the depth under every fourth is read
-_TRIMMED: Final = 4  # points of a piece of an outline next to what hides it, which are not believed
-_LEAST_OUTLINE: Final = 0.4  # of an outline that must be seen in one piece
-_SAMPLES: Final = 64
-_STARTS: Final = 128  # at which the piece may begin, before these are refined
-_PLACE: Final = 0.005  # how much a place weighs against the form
 _AT_EDGE: Final = 0.8  # pixels
 _REACHES: Final = 8.0  # depth along an outline is read within this share of the object's width
 _LEAST_REACH: Final = 2
@@ -232,69 +226,3 @@ def _covered(
         if abs(metres - z) > _NEARER:
             return metres < z
     return False
-
-
-def complete_outline(
-    curve: FittedCurve, space: FittedCurve, cut: Mask, known: Array, expected: Array
-) -> tuple[FittedCurve, float] | None:
-    """Return a closed curve of which a part is hidden with that part put back; None if too little is seen.
-
-    What is seen lies over a piece of the known outline of the same length: of all such pieces, over the one that it
-    fits best after a rigid motion, and that lies nearest to where it is expected.
-
-    Args:
-        curve: ``(P, 2)`` pixels, the outline of what is seen.
-        space: ``(P, D)`` the same in metres, or in pixels.
-        cut: ``(P,)`` whether it is not the object's own there.
-        known: ``(K, D)`` equally spaced around the outline as it was, wherever it lay.
-        expected: ``(K, 2)`` pixels, the same nodes where they are expected.
-
-    Returns:
-        The whole curve in the unit of ``space``, and the arc position at which the known outline begins.
-    """
-    count, size, whole = len(cut), len(known), arc_length(np.ascontiguousarray(np.concatenate([known, known[:1]])))[-1]
-    over = np.flatnonzero(cut)
-    free = np.diff(np.append(over, over[0] + count))
-    index = (over[int(np.argmax(free))] + np.arange(1, int(free.max()))) % count  # the longest piece that is its own
-    index = index[_TRIMMED : len(index) - _TRIMMED]
-    if len(index) < 8:
-        return None
-    seen, pixels = space.points[index], curve.points[index]
-    arc = arc_length(np.ascontiguousarray(seen))
-    if not _LEAST_OUTLINE * whole < arc[-1] < whole:
-        return None
-    some = np.linspace(0, len(index) - 1, _SAMPLES).round().astype(int)
-    ring = np.concatenate([known, known[:1]])
-    knots = arc_length(np.ascontiguousarray(ring))
-    around = np.linspace(0, whole, size + 1)
-
-    def misfit(begin: Array) -> Array:
-        at = (arc[some] + begin[:, None]) % whole
-        pattern = np.stack([np.interp(at, knots, column) for column in ring.T], axis=-1)
-        place = np.stack([np.interp(at, around, np.append(column, column[0])) for column in expected.T], axis=-1)
-        before = pattern - pattern.mean(axis=1, keepdims=True)
-        after = seen[some] - seen[some].mean(axis=0)
-        product = np.swapaxes(before, 1, 2) @ after
-        values = np.linalg.svd(product, compute_uv=False)
-        values[:, -1] *= np.sign(np.linalg.det(product))
-        own = (after**2).sum()
-        shape = (own + (before**2).sum(axis=(1, 2)) - 2 * values.sum(axis=1)) / own
-        away = ((place - pixels[some]) ** 2).sum(axis=(1, 2)) / ((pixels[some] - pixels[some].mean(axis=0)) ** 2).sum()
-        return shape + _PLACE * away
-
-    begin, step, best = np.arange(_STARTS) * (whole / _STARTS), whole / _STARTS, 0.0
-    for _ in range(3):
-        best = begin[int(np.argmin(misfit(begin)))]
-        begin, step = best + step * np.linspace(-1, 1, 9), step / 4
-    at = (arc[some] + best) % whole
-    pattern = np.stack([np.interp(at, knots, column) for column in ring.T], axis=-1)
-    steps = max(round((whole - arc[-1]) / (arc[-1] / len(index))), 2)
-    rest = arc[-1] + (whole - arc[-1]) * np.arange(1, steps) / steps
-    ends = np.concatenate([[arc[-1], whole], rest])
-    hidden = np.stack([np.interp((ends + best) % whole, knots, column) for column in ring.T], axis=-1)
-    laid = laid_over(pattern, seen[some], hidden, scaled=False)[0]
-    share = (np.arange(1, steps) / steps)[:, None]
-    laid = laid[2:] + (1 - share) * (seen[-1] - laid[0]) + share * (seen[0] - laid[1])
-    points = np.concatenate([seen, laid])
-    flags = np.arange(len(points)) >= len(seen)
-    return FittedCurve.through(points, flags, True), float(-best)

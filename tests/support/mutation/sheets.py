@@ -5,6 +5,7 @@ from __future__ import annotations
 from .mutant import Mutant
 
 _BORDER = "tests/tracking/test_hidden_border.py"
+_OUTLINE = "tests/tracking/test_hidden_outline.py"
 
 
 def _sheet(name: str, module: str, old: str, new: str, *tests: str) -> Mutant:
@@ -19,7 +20,15 @@ SHEETS: tuple[Mutant, ...] = (
         "count = -(-len(rim) // every)",
         "count = len(rim) // every",
     ),
-    _sheet("the place outweighs the form", "tracking/hidden_border", "_PLACE: Final = 0.005", "_PLACE: Final = 0.05"),
+    _sheet("the place outweighs the form", "tracking/hidden_outline", "_PLACE: Final = 0.005", "_PLACE: Final = 0.05"),
+    _sheet("a dent without turns hides", "tracking/hidden_outline", "_TURN: Final = 0.28", "_TURN: Final = -9.0",
+           _OUTLINE),
+    _sheet("turns are not seen", "tracking/hidden_outline", "_TURN: Final = 0.28", "_TURN: Final = 1.4", _OUTLINE),
+    _sheet("a dent is not seen", "tracking/hidden_outline", "Final = (1.2, 0.01)", "Final = (12.0, 0.1)", _OUTLINE),
+    _sheet("what lies far off counts", "tracking/hidden_outline", "_STRAY: Final = 2.0", "_STRAY: Final = 200.0",
+           _OUTLINE),
+    _sheet("a piece that is put back is learnt", "configurations/contour", "known, learn=False)", "known, learn=True)",
+           _OUTLINE),
     _sheet("all that bends counts", "tracking/registration_in_space", "_BENT: Final = 2.0", "_BENT: Final = 2e3"),
     _sheet("sides are forgotten fast", "tracking/sheet_view", "Final = (0.0022, 0.001)", "Final = (0.022, 0.01)"),
     _sheet("sides may be of any length", "tracking/sheet_view", "((0.04, 0.07), 2.0)", "((0.4, 0.7), 20.0)"),

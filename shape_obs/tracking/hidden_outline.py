@@ -1,0 +1,220 @@
+"""Find what hides a part of a closed outline, and put that part back.
+
+Without depth, what hides a part is seen by its own outline: it lies within the known one, and where the two meet the
+outline turns as it did not before. An object that changes its form by itself has no such turns.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.compiled import compiled
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.polyline import arc_length, laid_over
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+# An outline that lies so far within the known one, in pixels and as a share of its radius, is not the object's own.
+_WITHIN: Final = (1.2, 0.01)
+_STEPS: Final = 8  # of the search for where the known outline lies
+_STRAY: Final = 2.0  # median distances: what lies farther off counts for little in it
+_NOISE: Final = 0.5  # pixels
+_LEAST_NODES: Final = 64  # at which outlines are compared
+_TURN: Final = 0.28  # radians by which the outline turns more than the known one where something begins to hide it
+_CHORD: Final = 1 / 16  # of the outline to either side, over which a turn is measured
+_BESIDE: Final = 3  # nodes from where it leaves the known outline to that turn, at most
+_TRIMMED: Final = 4  # points of a piece of an outline next to what hides it, which are not believed
+_LEAST_OUTLINE: Final = 0.4  # of an outline that must be seen in one piece
+_SAMPLES: Final = 64
+_STARTS: Final = 128  # at which the piece may begin, before these are refined
+_PLACE: Final = 0.005  # how much a place weighs against the form
+
+
+def hidden_pieces(curve: FittedCurve, nodes: Array, known: Array, expected: Array) -> tuple[Mask, Array]:
+    """Return where an outline is not the object's own, ``(P,)``, and the known outline where it lies now, ``(L, 2)``.
+
+    Args:
+        curve: ``(P, 2)`` pixels, closed, clockwise as seen.
+        nodes: ``(K, 2)`` pixels, equally spaced around it from where it begins if all of it is the object's own.
+        known: ``(K, 2)`` pixels, equally spaced around the outline as it was, wherever it lay.
+        expected: ``(K, 2)`` pixels, the same nodes where they are expected.
+    """
+    cut = np.zeros(len(curve.points), bool)
+    laid = laid_over(known, nodes, known, scaled=True)[0]
+    radius = float(np.sqrt(((laid - laid.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    most = _WITHIN[0] + _WITHIN[1] * radius
+    if ((nodes - laid) ** 2).sum(axis=1).max() < most**2:
+        return cut, laid
+    count = max(len(known), _LEAST_NODES)
+    laid = laid_over(known, expected, known, scaled=True)[0]
+    laid = laid_along(_closed(curve.points), _around(laid, np.arange(count, dtype=np.float64) * (len(known) / count)))
+    own, nodes = _closed(laid), curve.even(count)
+    place, far, inside = nearest_places(own, nodes)
+    off = inside & (far > most)
+    if not off.any() or off.all():
+        return cut, laid
+    more = _turns(nodes) - _around(_turns(laid)[:, None], place)[:, 0]
+    begins, ends = np.flatnonzero(off & ~np.roll(off, 1)), np.flatnonzero(off & ~np.roll(off, -1))
+    if ends[0] < begins[0]:
+        ends = np.roll(ends, -1)
+    for begin, end in zip(begins, ends, strict=True):
+        before, after = begin - np.arange(-1, _BESIDE + 1), end + np.arange(-1, _BESIDE + 1)
+        first, last = (near[int(np.argmax(more[near % count]))] for near in (before, after))
+        if min(more[first % count], more[last % count]) > _TURN:  # else the object has changed its form
+            first, last = min(first, begin), max(last, end)
+            way = (last - first) % count / count * curve.size
+            cut |= (curve.arc[:-1] - first / count * curve.size) % curve.size <= way
+    return cut, laid
+
+
+@compiled("(f8[:,::1], f8[:,::1])")
+def laid_along(line: Array, points: Array) -> Array:
+    """Return points ``(L, 2)`` turned, scaled and shifted so that most of them lie on a closed line ``(P + 1, 2)``.
+
+    Each step moves them towards the nearest places on the line (P. J. Besl, N. D. McKay, "A Method for Registration of
+    3-D Shapes", 1992), weighted so that those that lie far off count for little (D. Geman, D. E. McClure, 1987).
+    """
+    laid, count = points.copy(), len(points)
+    for _ in range(_STEPS):
+        place, far, _ = nearest_places(line, laid)
+        aside = max(_STRAY * np.median(far), _NOISE)
+        total = before_u = before_v = after_u = after_v = 0.0
+        weight, target = np.empty(count), np.empty((count, 2))
+        for k in range(count):
+            i = int(place[k])
+            share = place[k] - i
+            for d in range(2):
+                target[k, d] = line[i, d] + share * (line[i + 1, d] - line[i, d])
+            weight[k] = 1 / (1 + (far[k] / aside) ** 2) ** 2
+            total += weight[k]
+            before_u += weight[k] * laid[k, 0]
+            before_v += weight[k] * laid[k, 1]
+            after_u += weight[k] * target[k, 0]
+            after_v += weight[k] * target[k, 1]
+        before_u, before_v, after_u, after_v = before_u / total, before_v / total, after_u / total, after_v / total
+        cosine = sine = square = 0.0
+        for k in range(count):
+            x, y = laid[k, 0] - before_u, laid[k, 1] - before_v
+            u, v = target[k, 0] - after_u, target[k, 1] - after_v
+            cosine += weight[k] * (x * u + y * v)
+            sine += weight[k] * (x * v - y * u)
+            square += weight[k] * (x * x + y * y)
+        cosine, sine = cosine / max(square, 1e-18), sine / max(square, 1e-18)
+        for k in range(count):
+            x, y = laid[k, 0] - before_u, laid[k, 1] - before_v
+            laid[k, 0], laid[k, 1] = x * cosine - y * sine + after_u, x * sine + y * cosine + after_v
+    return laid
+
+
+@compiled("(f8[:,::1], f8[:,::1])")
+def nearest_places(line: Array, points: Array) -> tuple[Array, Array, Mask]:
+    """Return where a closed line is nearest to each point, how far that is, and whether the point is inside.
+
+    Args:
+        line: ``(P + 1, 2)``, clockwise as seen, the last point as the first.
+        points: ``(N, 2)``.
+
+    Returns:
+        ``(N,)`` the place, as an index into the line that need not be whole; ``(N,)`` the distance; ``(N,)`` bool.
+    """
+    place, far, inside = np.empty(len(points)), np.empty(len(points)), np.empty(len(points), np.bool_)
+    for n in range(len(points)):
+        least, best, share = np.inf, 0, 0.0
+        for i in range(len(line) - 1):
+            x, y = line[i + 1, 0] - line[i, 0], line[i + 1, 1] - line[i, 1]
+            u, v = points[n, 0] - line[i, 0], points[n, 1] - line[i, 1]
+            along = min(max((u * x + v * y) / max(x * x + y * y, 1e-300), 0.0), 1.0)
+            square = (u - along * x) ** 2 + (v - along * y) ** 2
+            if square < least:
+                least, best, share = square, i, along
+        place[n], far[n] = best + min(share, 1 - 1e-9), math.sqrt(least)
+        x, y = line[best + 1, 0] - line[best, 0], line[best + 1, 1] - line[best, 1]
+        inside[n] = x * (points[n, 1] - line[best, 1]) - y * (points[n, 0] - line[best, 0]) > 0
+    return place, far, inside
+
+
+def complete_outline(
+    curve: FittedCurve, space: FittedCurve, cut: Mask, known: Array, expected: Array
+) -> tuple[FittedCurve, float] | None:
+    """Return a closed curve of which a part is hidden with that part put back; None if too little is seen.
+
+    What is seen lies over a piece of the known outline of the same length: of all such pieces, over the one that it
+    fits best after a rigid motion, and that lies nearest to where it is expected.
+
+    Args:
+        curve: ``(P, 2)`` pixels, the outline of what is seen.
+        space: ``(P, D)`` the same in metres, or in pixels.
+        cut: ``(P,)`` whether it is not the object's own there.
+        known: ``(K, D)`` equally spaced around the outline as it was, wherever it lay.
+        expected: ``(L, 2)`` pixels, equally spaced around it where it is expected.
+
+    Returns:
+        The whole curve in the unit of ``space``, and the arc position at which the known outline begins.
+    """
+    ring = _closed(known)
+    knots, count = arc_length(ring), len(cut)
+    whole = knots[-1]
+    over = np.flatnonzero(cut)
+    free = np.diff(np.append(over, over[0] + count))
+    index = (over[int(np.argmax(free))] + np.arange(1, int(free.max()))) % count  # the longest piece that is its own
+    index = index[_TRIMMED : len(index) - _TRIMMED]
+    if len(index) < 8:
+        return None
+    seen, pixels = space.points[index], curve.points[index]
+    arc = arc_length(np.ascontiguousarray(seen))
+    if not _LEAST_OUTLINE * whole < arc[-1] < whole:
+        return None
+    some = np.linspace(0, len(index) - 1, _SAMPLES).round().astype(int)
+    around = np.linspace(0, whole, len(expected) + 1)
+
+    def misfit(begin: Array) -> Array:
+        at = (arc[some] + begin[:, None]) % whole
+        pattern = np.stack([np.interp(at, knots, column) for column in ring.T], axis=-1)
+        place = np.stack([np.interp(at, around, np.append(column, column[0])) for column in expected.T], axis=-1)
+        before = pattern - pattern.mean(axis=1, keepdims=True)
+        after = seen[some] - seen[some].mean(axis=0)
+        product = np.swapaxes(before, 1, 2) @ after
+        values = np.linalg.svd(product, compute_uv=False)
+        values[:, -1] *= np.sign(np.linalg.det(product))
+        own = (after**2).sum()
+        shape = (own + (before**2).sum(axis=(1, 2)) - 2 * values.sum(axis=1)) / own
+        away = ((place - pixels[some]) ** 2).sum(axis=(1, 2)) / ((pixels[some] - pixels[some].mean(axis=0)) ** 2).sum()
+        return shape + _PLACE * away
+
+    begin, step, best = np.arange(_STARTS) * (whole / _STARTS), whole / _STARTS, 0.0
+    for _ in range(3):
+        best = begin[int(np.argmin(misfit(begin)))]
+        begin, step = best + step * np.linspace(-1, 1, 9), step / 4
+    at = (arc[some] + best) % whole
+    pattern = np.stack([np.interp(at, knots, column) for column in ring.T], axis=-1)
+    steps = max(round((whole - arc[-1]) / (arc[-1] / len(index))), 2)
+    rest = arc[-1] + (whole - arc[-1]) * np.arange(1, steps) / steps
+    ends = np.concatenate([[arc[-1], whole], rest])
+    hidden = np.stack([np.interp((ends + best) % whole, knots, column) for column in ring.T], axis=-1)
+    laid = laid_over(pattern, seen[some], hidden, scaled=False)[0]
+    share = (np.arange(1, steps) / steps)[:, None]
+    laid = laid[2:] + (1 - share) * (seen[-1] - laid[0]) + share * (seen[0] - laid[1])
+    points = np.concatenate([seen, laid])
+    flags = np.arange(len(points)) >= len(seen)
+    return FittedCurve.through(points, flags, True), float(-best)
+
+
+def _around(nodes: Array, index: Array) -> Array:
+    """Return points ``(P, 2)`` between the nodes ``(K, 2)`` of a closed line, at indices that need not be whole."""
+    at, around = np.arange(len(nodes) + 1), _closed(nodes)
+    return np.stack([np.interp(index, at, column) for column in around.T], axis=1)
+
+
+def _turns(nodes: Array) -> Array:
+    """Return ``(K,)`` radians by which a closed line ``(K, 2)`` turns about each node, clockwise as seen."""
+    at, chord = nodes[:, 0] + 1j * nodes[:, 1], round(_CHORD * len(nodes))
+    return np.angle((np.roll(at, -chord) - at) * (at - np.roll(at, chord)).conj())
+
+
+def _closed(points: Array) -> Array:
+    return np.ascontiguousarray(np.concatenate([points, points[:1]]))
