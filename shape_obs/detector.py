@@ -28,7 +28,7 @@ from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.point_cloud.lifting import median_depth
 from shape_obs.shape import Detection, Shape
-from shape_obs.tracking.belief import shortest_ways
+from shape_obs.tracking.belief import point_errors
 from shape_obs.tracking.missing import Clock, lost_shape
 from shape_obs.tracking.prediction import Fit, Reach, Track, advance, predict
 from shape_obs.tracking.search_window import RegionSearch, tracks_by_rule
@@ -86,7 +86,7 @@ class ShapeDetector:
         self.config = DetectorConfig.from_dict(options)
         self.shapes = self.config.resolved()
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
-        functions = [*prepare(spec.segmentation for spec in self.shapes), visible_depth, median_depth, shortest_ways]
+        functions = [*prepare(spec.segmentation for spec in self.shapes), visible_depth, median_depth, point_errors]
         compile_now([*functions, *(function for spec in self.shapes for function in spec.compiled_functions)])
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it

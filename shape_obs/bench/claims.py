@@ -98,7 +98,7 @@ def _motion(effort: Effort) -> Tables:
 def _belief(effort: Effort) -> Tables:
     from shape_obs.bench import belief_claims
 
-    rows = list(belief_claims.beliefs(effort.seeds(12), effort.renderer))
+    rows = list(belief_claims.beliefs(effort.seeds(8), effort.renderer))
     yield "how far points are off, and what sigma says", belief_claims.reliability(rows)
     yield "belief: asked and seen", belief_claims.targets(rows)
     if effort.figures is not None:

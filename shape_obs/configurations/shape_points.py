@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,19 +13,12 @@ from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.frame import Frame, readable_depth
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.topology import Grid
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.point_cloud.chain_length import strand_gap
 from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, form_depth, is_rope, lift_form, median_depth
 from shape_obs.shape import Shape
 from shape_obs.tracking.belief import (
-    MAX_SIGMA,
-    arc_to_nearest,
     expected_error,
-    shares_of,
-    stereo_noise,
-    stretches,
-    unevenness,
 )
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
 from shape_obs.tracking.occlusion import shown
@@ -60,8 +52,12 @@ def shape_of(
         diagonal: Of the image, pixels: the bound of ``sigma`` in pixels.
     """
     parts = _points_in_image if found.observed.dimension == 2 else _points_in_cloud
-    points2d, points3d, visible, valid = seen = parts(spec, found, frame)
-    sigma = _expected_errors(spec, found, frame, seen, diagonal)
+    points2d, points3d, visible, valid = parts(spec, found, frame)
+    camera = None if frame.camera is None else frame.camera.intrinsics
+    sigma = expected_error(
+        points2d, points3d, visible, valid, spec.layout, size=found.form.size, resolution=found.observed.resolution,
+        in_image=found.observed.dimension == 2, camera=camera, diagonal=diagonal,
+    )  # fmt: skip
     if points3d is not None and not valid.all():
         points3d = fill_invalid(points3d, valid, None if last is None else last.points3d, policy)
     quality = found.quality * (np.count_nonzero(valid) / len(valid))
@@ -74,31 +70,6 @@ def shape_of(
 
 # Pixels, points in space (those that were not seen where the form puts them), visible, valid.
 _Parts = tuple[npt.NDArray[np.float32] | None, npt.NDArray[np.float32] | None, Mask, Mask]
-
-
-def _expected_errors(
-    spec: Configuration, found: Fit, frame: Frame, seen: _Parts, diagonal: float
-) -> npt.NDArray[np.float32]:
-    """Return ``(N,)`` RMS errors per axis: metres where there are points in space, else pixels."""
-    points2d, points3d, visible, valid = seen
-    observed, in_image = found.observed, found.observed.dimension == 2
-    shares = shares_of(spec.layout, in_image)
-    places = points2d if points3d is None else points3d
-    assert places is not None
-    places = places.astype(np.float64)
-    residual: float | Array = math.hypot(shares.resolution * observed.resolution, shares.size * found.form.size)
-    unseen, unmeasured = (arc_to_nearest(places, spec.layout, known) for known in (visible, valid))
-    if points3d is None or frame.camera is None:
-        return expected_error(unseen, unmeasured, residual, diagonal if points3d is None else MAX_SIGMA)
-    camera, z = frame.camera.intrinsics, places[:, 2]
-    focal = (camera.fx + camera.fy) / 2
-    noise, stretch = shares.depth * stereo_noise(z, focal, camera.width), np.ones(len(z))
-    if in_image and points2d is not None:
-        residual = residual * z / focal
-        stretch = stretches(points2d.astype(np.float64), places, spec.layout.edges(), z / focal)
-        if isinstance(spec.layout, Grid):
-            residual = np.hypot(residual, unevenness(places, spec.layout))
-    return expected_error(unseen, unmeasured, residual, MAX_SIGMA, stretch=stretch, depth_noise=noise)
 
 
 def _is_metric_curve(found: Fit) -> bool:

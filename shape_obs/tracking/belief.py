@@ -7,15 +7,18 @@ about 90 % of the points lie within 2.15 sigma of the truth in an image, 2.50 si
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
 Array = npt.NDArray[np.float64]
+Points = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 #: Metres; of points in pixels the bound is the diagonal of the image.
@@ -55,41 +58,131 @@ _DRIFT: Final = 0.25
 _DISPARITY_NOISE: Final = 0.08  # pixels
 _BASELINE: Final = 0.095  # metres
 _NATIVE: Final = 640  # columns; an image with fewer is one of this width that was made smaller
+_NO_PIXELS: Final = np.zeros((0, 2), np.float32)
 
 
 def expected_error(
-    unseen: Array,
-    unmeasured: Array,
-    residual: float | Array,
-    bound: float,
+    points2d: Points | None,
+    points3d: Points | None,
+    visible: Mask,
+    valid: Mask,
+    layout: Topology,
     *,
-    stretch: float | Array = 1.0,
-    depth_noise: Array | None = None,
+    size: float,
+    resolution: float,
+    in_image: bool,
+    camera: Intrinsics | None,
+    diagonal: float,
 ) -> npt.NDArray[np.float32]:
     """Return the RMS error per axis that is expected of each point.
 
     Across the line of sight a point errs by the fit's residual, which is stretched along an object that is seen aslant,
     and by a share of its distance from what is visible. Along it, by the noise of depth and by a share of its distance
-    from what was measured. In space the three axes are averaged.
+    from what was measured. In space the three axes are averaged. A sheet's gaps are equal in space: where those of a
+    lattice differ, its points are off.
 
     Args:
-        unseen: ``(N,)`` arc length to the nearest visible point, pixels or metres: 0 where visible, infinite where
-            nothing is; see ``arc_to_nearest``.
-        unmeasured: ``(N,)`` the same to the nearest valid point.
-        residual: RMS error per axis of the fitted form, one number or ``(N,)``, in the unit of ``unseen``.
-        bound: Largest value returned.
-        stretch: ``(N,)`` length along the object over its length in the image, see ``stretches``.
-        depth_noise: ``(N,)`` metres, see ``stereo_noise``; None for points in an image, or in a cloud without a camera.
+        points2d: ``(N, 2)`` pixels; None for a cloud without a camera.
+        points3d: ``(N, 3)`` metres, camera frame; those that were not measured where they are expected; None without
+            depth.
+        visible: ``(N,)`` bool.
+        valid: ``(N,)`` bool.
+        layout: How the points are connected.
+        size: Of the form that was fitted, see ``FittedForm.size``, pixels or metres.
+        resolution: Of what it was fitted to: a pixel, or the distance of a cloud's points, in the same unit.
+        in_image: Whether it was fitted in an image.
+        camera: The projection; None if there is none.
+        diagonal: Of the image, pixels: the bound of errors in pixels.
 
     Returns:
-        ``(N,)`` float32, finite, 0...``bound``, in the unit of the points; the bound where an argument is not a number.
+        ``(N,)`` float32, metres or, without ``points3d``, pixels; finite, at most the bound, which also stands where a
+        point is not a number.
     """
-    hidden = _HIDDEN_SHARE * unseen
-    if depth_noise is None:
-        return _bounded(np.hypot(residual, hidden), bound)
-    across = np.square(residual) * (1 + np.square(stretch)) + 2 * hidden**2
-    along = depth_noise**2 + (_HIDDEN_SHARE * unmeasured) ** 2
-    return _bounded(np.sqrt((across + along) / 3), bound)
+    shares = _SHARES.get(type(layout), _IN_CLOUDS) if in_image else _IN_CLOUDS
+    places = points2d if points3d is None else points3d
+    assert places is not None
+    residual = math.hypot(shares.resolution * resolution, shares.size * size)
+    focal = noise = 0.0
+    if points3d is not None and camera is not None:
+        focal = (camera.fx + camera.fy) / 2
+        noise = shares.depth * stereo_noise(focal, camera.width)
+    across = layout.rows * (layout.cols - 1) if isinstance(layout, Grid) else 0
+    pixels = points2d if in_image and focal and points2d is not None else _NO_PIXELS
+    bound = diagonal if points3d is None else MAX_SIGMA
+    return point_errors(places, pixels, visible, valid, _edges_of(layout), across, residual, focal, noise, bound)
+
+
+@lru_cache(maxsize=64)
+def _edges_of(layout: Topology) -> npt.NDArray[np.int64]:
+    return np.ascontiguousarray(layout.edges(), dtype=np.int64)
+
+
+@compiled("(f4[:,::1], f4[:,::1], b1[::1], b1[::1], i8[:,::1], i8, f8, f8, f8, f8)")
+def point_errors(
+    places: Points,
+    pixels: Points,
+    visible: Mask,
+    valid: Mask,
+    edges: npt.NDArray[np.int64],
+    across: int,
+    residual: float,
+    focal: float,
+    noise: float,
+    bound: float,
+) -> npt.NDArray[np.float32]:
+    """Return the RMS errors of ``expected_error``.
+
+    Args:
+        places: ``(N, D)``.
+        pixels: ``(N, 2)``; ``(0, 2)`` if ``residual`` is in the unit of the places.
+        visible: ``(N,)``.
+        valid: ``(N,)``.
+        edges: ``(E, 2)`` pairs of neighbours.
+        across: How many of them lie along the rows of a lattice; 0 for other layouts.
+        residual: RMS error per axis of the fitted form, pixels or the unit of the places.
+        focal: Focal length, pixels; 0 without depth and a camera.
+        noise: Standard deviation of depth at one metre, metres.
+        bound: Largest value.
+    """
+    count, size = len(edges), len(places)
+    gaps, out = np.empty(count), np.empty(size, np.float32)
+    for e in range(count):
+        square = 0.0
+        for d in range(places.shape[1]):
+            square += (places[edges[e, 0], d] - places[edges[e, 1], d]) ** 2
+        gaps[e] = math.sqrt(square)
+    unseen, unmeasured = shortest_ways(gaps, edges, visible), shortest_ways(gaps, edges, valid)
+    long, seen, uneven, ends = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
+    offs = 0.0
+    if len(pixels) > 0:
+        along, down = gaps[:across].sum() / max(across, 1), gaps[across:].sum() / max(count - across, 1)
+        for e in range(count):
+            i, j = edges[e, 0], edges[e, 1]
+            looks = math.hypot(pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1])
+            looks *= (places[i, 2] + places[j, 2]) / (2 * focal)
+            off = abs(gaps[e] - (along if e < across else down)) if across > 0 else 0.0
+            offs += off / count
+            for k in (i, j):
+                long[k] += gaps[e]
+                seen[k] += looks
+                uneven[k] += off
+                ends[k] += 1.0
+    for k in range(size):
+        rough, stretch = residual, 1.0
+        if len(pixels) > 0:
+            stretch = max(long[k] / max(seen[k], 1e-9), 1.0)
+            rough = math.hypot(
+                residual * places[k, 2] / focal, _UNEVEN_SHARE * (uneven[k] / max(ends[k], 1.0) + offs) / 2
+            )
+        hidden = _HIDDEN_SHARE * unseen[k]
+        if focal > 0:
+            deep = noise * places[k, 2] ** 2
+            square = rough**2 * (1 + stretch**2) + 2 * hidden**2 + deep**2 + (_HIDDEN_SHARE * unmeasured[k]) ** 2
+            error = math.sqrt(square / 3)
+        else:
+            error = math.hypot(rough, hidden)
+        out[k] = error if error < bound else bound
+    return out
 
 
 def aged(sigma: npt.NDArray[np.float32], age: float, bound: float) -> npt.NDArray[np.float32]:
@@ -103,101 +196,33 @@ def aged(sigma: npt.NDArray[np.float32], age: float, bound: float) -> npt.NDArra
     return _bounded(np.hypot(sigma.astype(np.float64), _DRIFT * bound * age), bound)
 
 
-def unevenness(points: Array, layout: Grid) -> Array:
-    """Return the error per axis that the unequal gaps of a lattice in space show, ``(N,)`` metres.
-
-    On drawn cloths that bend, the errors of the points are proportional to it.
+def stereo_noise(focal: float, columns: int) -> float:
+    """Return the standard deviation of a pixel's depth at one metre, in metres, of a D455; it grows with the square.
 
     Args:
-        points: ``(N, 3)`` metres.
-        layout: The lattice.
-    """
-    edges = layout.edges()
-    gaps = np.sqrt(np.sum((points[edges[:, 0]] - points[edges[:, 1]]) ** 2, axis=1))
-    across = layout.rows * (layout.cols - 1)
-    off = np.abs(np.concatenate([gaps[:across] - gaps[:across].mean(), gaps[across:] - gaps[across:].mean()]))
-    ends, size = edges.ravel(), len(points)
-    local = np.bincount(ends, np.repeat(off, 2), size) / np.bincount(ends, minlength=size)
-    return _UNEVEN_SHARE * (local + off.mean()) / 2
-
-
-def shares_of(layout: Topology, in_image: bool) -> Shares:
-    """Return what the errors of visible points are made of, in images or in clouds."""
-    return _SHARES.get(type(layout), _IN_CLOUDS) if in_image else _IN_CLOUDS
-
-
-def stereo_noise(z: Array, focal: float, columns: int) -> Array:
-    """Return the standard deviation of a pixel's depth ``(N,)`` metres at a depth ``z`` ``(N,)`` metres, of a D455.
-
-    Args:
-        z: Depth, metres; NaN stays NaN.
         focal: Focal length of the image, pixels.
         columns: Of the image.
     """
-    return z**2 * (_DISPARITY_NOISE / (focal * max(_NATIVE / columns, 1.0) * _BASELINE))
+    return _DISPARITY_NOISE / (focal * max(_NATIVE / columns, 1.0) * _BASELINE)
 
 
-def stretches(pixels: Array, points: Array, edges: npt.NDArray[np.intp], scale: Array) -> Array:
-    """Return by how much the object is longer around each point than it looks, ``(N,)``, at least 1.
+@compiled("(f8[::1], i8[:,::1], b1[::1])")
+def shortest_ways(gaps: Array, edges: npt.NDArray[np.int64], known: Mask) -> Array:
+    """Return the length of the shortest way along ``(E, 2)`` edges of lengths ``(E,)`` to a known point, ``(N,)``.
 
-    Args:
-        pixels: ``(N, 2)``.
-        points: ``(N, 3)`` metres.
-        edges: ``(E, 2)`` pairs of points.
-        scale: ``(N,)`` metres per pixel across the line of sight, ``z / f``.
+    It is 0 for known points, and infinite if no point is known. Edges are relaxed forwards and backwards until nothing
+    changes (Bellman and Ford): along a chain once.
     """
-    i, j = edges.T
-    seen = np.sqrt(np.sum((pixels[i] - pixels[j]) ** 2, axis=1)) * (scale[i] + scale[j]) / 2
-    long = np.sqrt(np.sum((points[i] - points[j]) ** 2, axis=1))
-    size = len(pixels)
-    total = [np.bincount(i, each, size) + np.bincount(j, each, size) for each in (long, seen)]
-    return np.maximum(total[0] / np.maximum(total[1], 1e-9), 1.0)
-
-
-def arc_to_nearest(points: Array, layout: Topology, known: Mask) -> Array:
-    """Return the length of the way along the layout from each point to the nearest known one.
-
-    Args:
-        points: ``(N, D)``, all finite.
-        layout: How the points are connected.
-        known: ``(N,)`` bool.
-
-    Returns:
-        ``(N,)`` in the unit of the points: 0 where known, infinite if no point is.
-    """
-    if known.all():
-        return np.zeros(len(points))
-    if not known.any():
-        return np.full(len(points), np.inf)
-    edges = np.ascontiguousarray(layout.edges(), dtype=np.int64)
-    return shortest_ways(np.ascontiguousarray(points, dtype=np.float64), edges, np.where(known, 0.0, np.inf))
-
-
-@compiled("(f8[:,::1], i8[:,::1], f8[::1])")
-def shortest_ways(points: Array, edges: npt.NDArray[np.int64], start: Array) -> Array:
-    """Return the length of the shortest way along ``(E, 2)`` edges from each point to a point whose ``start`` is 0.
-
-    Edges are relaxed forwards and backwards until nothing changes (Bellman and Ford): along a chain once.
-
-    Args:
-        points: ``(N, D)``.
-        edges: ``(E, 2)`` pairs of points.
-        start: ``(N,)`` 0 or infinite.
-    """
-    arc, changed = start.copy(), True
+    arc, changed = np.where(known, 0.0, np.inf), not known.all()
     while changed:
         changed = False
         for sweep in range(2 * len(edges)):
             e = sweep if sweep < len(edges) else 2 * len(edges) - 1 - sweep
             i, j = edges[e, 0], edges[e, 1]
-            square = 0.0
-            for d in range(points.shape[1]):
-                square += (points[i, d] - points[j, d]) ** 2
-            length = math.sqrt(square)
-            if arc[i] + length < arc[j]:
-                arc[j], changed = arc[i] + length, True
-            if arc[j] + length < arc[i]:
-                arc[i], changed = arc[j] + length, True
+            if arc[i] + gaps[e] < arc[j]:
+                arc[j], changed = arc[i] + gaps[e], True
+            if arc[j] + gaps[e] < arc[i]:
+                arc[i], changed = arc[j] + gaps[e], True
     return arc
 
 

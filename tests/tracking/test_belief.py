@@ -9,18 +9,10 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from shape_obs import Centerline, ShapeDetector
+from shape_obs import Centerline, Intrinsics, ShapeDetector
 from shape_obs.bench.synthetic.ropes import random_rope, resample
 from shape_obs.geometry.topology import Chain, Grid, Ring
-from shape_obs.tracking.belief import (
-    MAX_SIGMA,
-    aged,
-    arc_to_nearest,
-    expected_error,
-    stereo_noise,
-    stretches,
-    unevenness,
-)
+from shape_obs.tracking.belief import MAX_SIGMA, aged, expected_error, shortest_ways, stereo_noise
 
 
 @pytest.mark.parametrize("layout", [Chain(1), Chain(2), Chain(40), Ring(3), Ring(41), Grid(5, 8)], ids=repr)
@@ -34,62 +26,87 @@ def test_the_way_to_the_nearest_known_point_is_the_shortest_along_the_layout(lay
         length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
         graph = coo_array((length, edges.T), shape=(layout.size, layout.size)).tocsr()
         oracle = dijkstra(graph, directed=False, indices=np.flatnonzero(known).astype(np.int32), min_only=True)
-        np.testing.assert_allclose(arc_to_nearest(points, layout, known), oracle)
+        np.testing.assert_allclose(shortest_ways(length, edges.astype(np.int64), known), oracle)
 
 
 def test_where_nothing_is_known_there_is_no_way():
-    points = np.zeros((4, 2))
-    assert np.isinf(arc_to_nearest(points, Chain(4), np.zeros(4, bool))).all()
-    assert not arc_to_nearest(points, Chain(4), np.ones(4, bool)).any()
+    edges = Chain(4).edges().astype(np.int64)
+    assert np.isinf(shortest_ways(np.zeros(3), edges, np.zeros(4, bool))).all()
+    assert not shortest_ways(np.zeros(3), edges, np.ones(4, bool)).any()
+
+
+CAMERA = Intrinsics(1280, 720, 636.0, 636.0, 639.5, 359.5)
+
+
+def expected(points3d, layout, visible=None, valid=None, camera=CAMERA, pixels=None):
+    """The errors of points in front of a camera that were fitted in its image."""
+    everything = np.ones(len(points3d), bool)
+    points2d = camera.project(np.asarray(points3d, np.float64)) if pixels is None else pixels
+    visible = everything if visible is None else visible
+    valid = visible if valid is None else valid
+    what: Any = {"size": 300.0, "resolution": 1.0, "in_image": True, "camera": camera, "diagonal": 800.0}
+    return expected_error(points2d.astype(np.float32), np.asarray(points3d, np.float32), visible, valid, layout, **what)
+
+
+def line(count: int, z: float, degrees: float = 0.0, step: float = 0.01) -> np.ndarray:
+    along = np.arange(count)[:, None] * step
+    turn = np.radians(degrees)
+    return along * [np.cos(turn), 0.0, np.sin(turn)] + [0.0, 0.0, z]
 
 
 def test_errors_grow_away_from_what_is_visible_up_to_the_bound():
-    away = np.array([0.0, 4.0, 40.0, 1e9, np.inf, np.nan])
-    sigma = expected_error(away, away, 0.6, 200.0)
+    points, visible = line(20, 0.7), np.arange(20) < 8
+    sigma = expected(points, Chain(20), visible)
     assert sigma.dtype == np.float32
-    assert sigma[0] == pytest.approx(0.6)
-    assert (np.diff(sigma[:4]) > 0).all()
-    assert sigma[3:].tolist() == [200.0, 200.0, 200.0]
+    assert np.ptp(sigma[:8]) < 1e-5
+    assert (np.diff(sigma[7:]) > 0).all()
+    assert sigma[-1] == pytest.approx(0.25 * 0.12 * np.sqrt(1.0), rel=0.05)
+    assert (expected(points, Chain(20), np.zeros(20, bool)) == MAX_SIGMA).all()
+    points[3] = np.nan
+    assert expected(points, Chain(20), visible)[3] == MAX_SIGMA
 
 
-def test_in_space_two_axes_come_from_the_image_and_one_from_depth():
-    nothing, z = np.zeros(2), np.array([0.5, 2.0])
-    noise = stereo_noise(z, 636.0, 1280)
-    np.testing.assert_allclose(noise, z**2 * 0.08 / (636.0 * 0.095))  # 0.33 and 5.3 mm
-    residual = 0.7 * z / 636.0
-    sigma = expected_error(nothing, nothing, residual, MAX_SIGMA, depth_noise=noise)
-    np.testing.assert_allclose(sigma, np.sqrt((2 * residual**2 + noise**2) / 3), rtol=1e-6)
-    hole = expected_error(nothing, np.array([0.0, 0.03]), residual, MAX_SIGMA, depth_noise=noise)
-    assert hole[0] == sigma[0]
-    assert hole[1] > sigma[1]
-    steep = expected_error(nothing, nothing, residual, MAX_SIGMA, stretch=3.0, depth_noise=noise)
-    np.testing.assert_allclose(steep, np.sqrt((10 * residual**2 + noise**2) / 3), rtol=1e-6)
+def test_in_pixels_there_is_no_depth():
+    points, visible = np.arange(20.0)[:, None] * [10.0, 0.0], np.arange(20) < 8
+    what: Any = {"size": 300.0, "resolution": 1.0, "in_image": True, "camera": CAMERA, "diagonal": 20.0}
+    sigma = expected_error(points.astype(np.float32), None, visible, visible, Chain(20), **what)
+    np.testing.assert_allclose(sigma[:8], np.hypot(0.25, 0.15), rtol=1e-6)
+    np.testing.assert_allclose(sigma[8:10], np.hypot(np.hypot(0.25, 0.15), [2.5, 5.0]), rtol=1e-6)
+    assert sigma[-1] == 20
+
+
+def test_two_axes_come_from_the_image_and_one_from_depth():
+    residual = np.hypot(0.25, 0.15)  # pixels
+    for z in (0.5, 2.0):
+        noise = 1.8 * z**2 * 0.08 / (636.0 * 0.095)  # 0.6 and 9.5 mm
+        sigma = expected(line(5, z), Chain(5))
+        np.testing.assert_allclose(sigma, np.sqrt((2 * (residual * z / 636.0) ** 2 + noise**2) / 3), rtol=1e-4)
+    hole = expected(line(5, 0.5), Chain(5), valid=np.arange(5) != 2)
+    assert hole[2] > 1.5 * hole[0]
+
+
+def test_what_is_seen_aslant_is_less_sure():
+    flat, steep = expected(line(5, 1.0), Chain(5)), expected(line(5, 1.0, 75.0, 0.002), Chain(5))
+    noise, residual = 1.8 * stereo_noise(636.0, 1280), np.hypot(0.25, 0.15) / 636.0
+    assert flat[2] == pytest.approx(np.sqrt((2 * residual**2 + noise**2) / 3), rel=1e-3)
+    stretch = 1 / np.cos(np.radians(75))
+    assert steep[2] == pytest.approx(np.sqrt(((1 + stretch**2) * residual**2 + noise**2) / 3), rel=0.02)
 
 
 def test_a_small_image_has_the_noise_of_the_camera_that_it_comes_from():
-    z = np.array([0.7])
-    assert stereo_noise(z, 386.0, 640) == stereo_noise(z, 386.0 / 4, 160)
-    assert stereo_noise(z, 2 * 386.0, 1280) == stereo_noise(z, 386.0, 640) / 2
-
-
-def test_an_object_is_longer_than_it_looks_where_it_is_seen_aslant():
-    angle, z = np.radians(60), 0.7
-    flat = np.arange(5)[:, None] * [0.01, 0.0, 0.0]
-    points = np.array([0.0, 0.0, z]) + flat * [np.cos(angle), 0, 0] + flat[:, [1, 2, 0]] * np.sin(angle)
-    pixels = flat[:, :2] * np.cos(angle) * 600 / z
-    scale = np.full(5, z / 600)
-    np.testing.assert_allclose(stretches(pixels, points, Chain(5).edges(), scale), 2.0)
-    np.testing.assert_allclose(stretches(pixels * 3, points, Chain(5).edges(), scale), 1.0)
+    assert stereo_noise(386.0, 640) == stereo_noise(386.0 / 4, 160)
+    assert stereo_noise(2 * 386.0, 1280) == stereo_noise(386.0, 640) / 2
 
 
 def test_unequal_gaps_show_where_a_lattice_is_off():
-    lattice = np.stack([*np.meshgrid(np.arange(8.0), np.arange(4.0)), np.zeros((4, 8))], axis=-1) * 0.02
-    assert unevenness(lattice.reshape(-1, 3), Grid(4, 8)) == pytest.approx(0)
+    lattice = np.stack([*np.meshgrid(np.arange(8.0), np.arange(4.0)), np.full((4, 8), 35.0)], axis=-1) * 0.02
+    even = expected(lattice.reshape(-1, 3), Grid(4, 8))
+    assert np.ptp(even) < 1e-5
     lattice[1, 3, 0] += 0.004
-    off = unevenness(lattice.reshape(-1, 3), Grid(4, 8)).reshape(4, 8)
+    off = expected(lattice.reshape(-1, 3), Grid(4, 8))
     assert off.argmax() == 8 + 3
     assert 0.001 < off.max() < 0.008
-    assert off.min() > 0
+    assert (off > even + 1e-5).all()
 
 
 def test_what_is_not_seen_may_move():

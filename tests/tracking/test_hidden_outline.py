@@ -75,7 +75,7 @@ def test_what_lies_within_the_known_outline_between_two_turns_is_not_its_own(dep
     cut, laid = hidden_pieces(curve, curve.even(80), known, known + [1.5, -1.0])
     assert nearest_on(closed(polygon), laid)[1].max() < 0.6
     true = nearest_on(closed(polygon), curve.points)[1] > 3
-    assert cut[true].mean() > 0.9
+    assert cut[true].mean() > 0.8
     assert cut.sum() <= true.sum() + 50
 
 

@@ -27,8 +27,6 @@ SHEETS: tuple[Mutant, ...] = (
     _sheet("a dent is not seen", "tracking/hidden_outline", "Final = (1.2, 0.01)", "Final = (12.0, 0.1)", _OUTLINE),
     _sheet("what lies far off counts", "tracking/hidden_outline", "_STRAY: Final = 2.0", "_STRAY: Final = 200.0",
            _OUTLINE),
-    _sheet("a piece that is put back is learnt", "configurations/contour", "known, learn=False)", "known, learn=True)",
-           _OUTLINE),
     _sheet("all that bends counts", "tracking/registration_in_space", "_BENT: Final = 2.0", "_BENT: Final = 2e3"),
     _sheet("sides are forgotten fast", "tracking/sheet_view", "Final = (0.0022, 0.001)", "Final = (0.022, 0.01)"),
     _sheet("sides may be of any length", "tracking/sheet_view", "((0.04, 0.07), 2.0)", "((0.4, 0.7), 20.0)"),
