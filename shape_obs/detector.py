@@ -32,7 +32,7 @@ from shape_obs.tracking.belief import point_errors
 from shape_obs.tracking.missing import Clock, lost_shape
 from shape_obs.tracking.prediction import Fit, Reach, Track, advance, predict
 from shape_obs.tracking.search_window import RegionSearch, tracks_by_rule
-from shape_obs.tracking.validation import validate_samples
+from shape_obs.tracking.validation import FOLDED, validate_samples
 from shape_obs.utils.threads import use_no_threads_in_forked_children
 
 Array = npt.NDArray[np.float64]
@@ -274,17 +274,16 @@ class ShapeDetector:
         shape, reason = None, found.reason
         if not found.reason:  # depth enters: -> points
             shape = shape_of(spec, found, moment.frame, last, self.config.on_invalid, math.hypot(*moment.size))
-            in_sight = shape.points2d is None or np.isfinite(shape.points2d).all()
-            if not in_sight or (moment.in_3d and not shape.valid.any()):
-                shape, reason = None, "no point has depth under it" if in_sight else "it runs out of the camera's sight"
+            shape, reason = (None, shape.reason) if shape.reason else (shape, "")
         if shape is not None:
             self._last[spec.name] = (shape, clock.now)
         else:
-            age, reason = clock.now - seen_at, f"{reason}; {clock.warning}" if clock.warning else reason
-            if last is not None and age > self.config.max_age:
+            age = clock.now - seen_at
+            if last is not None and age > self.config.max_age and reason != FOLDED:  # its outline is still tracked
                 self._gone.add(spec.name)
                 if not spec.resumes:
                     self._tracks.pop(spec.name, None)
+            reason = f"{reason}; {clock.warning}" if clock.warning else reason
             shape = lost_shape(
                 spec.name, spec.layout, reason=reason, in_2d=moment.in_2d, in_3d=moment.in_3d, last=last, age=age,
                 max_age=self.config.max_age, policy=self.config.on_missing, diagonal=math.hypot(*moment.size),

@@ -13,16 +13,16 @@ from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.frame import Frame, readable_depth
 from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.topology import Grid
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.point_cloud.chain_length import strand_gap
 from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, form_depth, is_rope, lift_form, median_depth
 from shape_obs.shape import Shape
-from shape_obs.tracking.belief import (
-    expected_error,
-)
+from shape_obs.tracking.belief import error_on_sheet, expected_error
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
 from shape_obs.tracking.occlusion import shown
 from shape_obs.tracking.prediction import Fit
+from shape_obs.tracking.validation import validate_gaps
 
 if TYPE_CHECKING:
     from shape_obs.image.region import Region
@@ -41,7 +41,7 @@ _SMOOTH: Final = 3.0  # points of the fine curve, over which its direction is ta
 def shape_of(
     spec: Configuration, found: Fit, frame: Frame, last: Shape | None, policy: OnInvalid, diagonal: float
 ) -> Shape:
-    """Return the shape of a fit.
+    """Return the shape of a fit, with a reason if it cannot be right.
 
     Args:
         spec: What was looked for.
@@ -58,14 +58,37 @@ def shape_of(
         points2d, points3d, visible, valid, spec.layout, size=found.form.size, resolution=found.observed.resolution,
         in_image=found.observed.dimension == 2, camera=camera, diagonal=diagonal,
     )  # fmt: skip
+    reason = _doubt(spec, found, points2d, points3d, valid, camera)
     if points3d is not None and not valid.all():
         points3d = fill_invalid(points3d, valid, None if last is None else last.points3d, policy)
     quality = found.quality * (np.count_nonzero(valid) / len(valid))
     length = found.size if found.length is None and _is_metric_curve(found) else found.length
     return Shape(
         spec.name, points2d, points3d, visible, valid, spec.layout, quality=quality, sigma=sigma, length=length,
-        track_id=found.track_id, new=last is None or last.track_id != found.track_id,
+        reason=reason, track_id=found.track_id, new=last is None or last.track_id != found.track_id,
     )  # fmt: skip
+
+
+def _doubt(
+    spec: Configuration,
+    found: Fit,
+    points2d: npt.NDArray[np.float32] | None,
+    points3d: npt.NDArray[np.float32] | None,
+    valid: Mask,
+    camera: Intrinsics | None,
+) -> str:
+    """Return why points cannot be right though their form was found; empty if they can."""
+    if points2d is not None and not np.isfinite(points2d).all():
+        return "it runs out of the camera's sight"
+    if points3d is None:
+        return ""
+    if not valid.any():
+        return "no point has depth under it"
+    equal = spec.spacing == "m" and found.observed.dimension == 2 and found.centres is None
+    if camera is None or not equal or not isinstance(spec.layout, Grid):
+        return ""
+    error = error_on_sheet(float(points3d[valid, 2].mean()), camera)
+    return validate_gaps(points3d.astype(np.float64), valid, spec.layout, error)
 
 
 # Pixels, points in space (those that were not seen where the form puts them), visible, valid.

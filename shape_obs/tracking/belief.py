@@ -112,6 +112,12 @@ def expected_error(
     return point_errors(places, pixels, visible, valid, _edges_of(layout), across, residual, focal, noise, bound)
 
 
+def error_on_sheet(z: float, camera: Intrinsics) -> float:
+    """Return the RMS error per axis of a visible point of a sheet that lies flat at a depth ``z``, metres."""
+    shares, focal = _SHARES[Grid], (camera.fx + camera.fy) / 2
+    return math.hypot(shares.resolution * z / focal, shares.depth * stereo_noise(focal, camera.width) * z**2)
+
+
 @lru_cache(maxsize=64)
 def _edges_of(layout: Topology) -> npt.NDArray[np.int64]:
     return np.ascontiguousarray(layout.edges(), dtype=np.int64)

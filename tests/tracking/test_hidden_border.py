@@ -11,6 +11,8 @@ from shape_obs.bench.contour_claims import seen_outline
 from shape_obs.bench.scores import tally_visible
 from shape_obs.bench.surface_claims import seen_points
 from shape_obs.bench.synthetic.flat_objects import View, cloth, in_space, ring, under_hand
+from shape_obs.geometry.topology import Grid
+from shape_obs.tracking.validation import FOLDED, validate_gaps
 
 VIEW = View()
 
@@ -36,16 +38,53 @@ def test_a_hand_that_creeps_is_no_change_of_the_cloth():
 def test_a_cloth_in_space_keeps_its_index(motion):
     scenes = in_space(np.random.default_rng(3), cloth(2.0), VIEW, motion, 30.0, 60)
     found = tally_visible(list(seen_points(scenes, VIEW, True)))
-    assert (found.slips, found.refused) == (0, 0), found
+    assert found.slips == 0, found
+    assert found.refused < 2
     assert found.mm < 5
 
 
 def test_what_a_fold_hides_is_not_valid():
     scenes = in_space(np.random.default_rng((0, 80)), cloth(1.0), VIEW, "folded", 8.0, 80)
     found = tally_visible(list(seen_points(scenes, VIEW, True)))
-    assert found.slips < 5
-    assert found.refused < 5
-    assert found.hidden_valid < 15
+    assert found.slips < 1
+    assert found.refused < 15
+    assert found.hidden_valid < 5
+
+
+def test_a_crumpled_cloth_is_refused_and_keeps_its_track():
+    """The pull of grippers lays folds into a cloth whose outline still looks like a sheet's."""
+    detector = ShapeDetector([Surface(rows=4, cols=8, spacing="m")], dt=0.1)
+    scenes = in_space(np.random.default_rng((1, 80)), cloth(1.5), VIEW, "folded", 8.0, 120)
+    shapes = [detector.detect_mask(scene.mask, scene.depth, VIEW.intrinsics).shapes[0] for scene in scenes]
+    refused = [shape for shape in shapes if "differ in space" in shape.reason]
+    assert 2 <= len(refused) <= 40
+    assert not any(shape.visible.any() or shape.valid.any() for shape in refused)
+    assert {shape.track_id for shape in shapes} == {1}
+
+
+class TestGapsInSpace:
+    SHEET = Grid(4, 8)
+
+    def points(self, stretch: float = 1.0) -> np.ndarray:
+        across = np.cumsum(np.linspace(1, stretch, 8)) * 0.03
+        return np.stack([*np.meshgrid(across, np.arange(4) * 0.04), np.full((4, 8), 0.6)], axis=-1).reshape(-1, 3)
+
+    def test_equal_gaps_are_a_sheet_and_others_are_not(self):
+        everything = np.ones(32, bool)
+        assert not validate_gaps(self.points(), everything, self.SHEET, 0.0)
+        assert not validate_gaps(self.points(1.1), everything, self.SHEET, 0.0)
+        assert validate_gaps(self.points(1.5), everything, self.SHEET, 0.0) == FOLDED
+
+    def test_what_is_not_measured_says_nothing(self):
+        points, valid = self.points(), np.arange(32) % 8 < 6
+        points[~valid] += 0.1
+        assert not validate_gaps(points, valid, self.SHEET, 0.0)
+        assert not validate_gaps(points, np.zeros(32, bool), self.SHEET, 0.0)
+
+    def test_noise_is_no_fold(self):
+        noise = np.random.default_rng(0).normal(0, 0.0025, (32, 3))
+        assert validate_gaps(self.points() + noise, np.ones(32, bool), self.SHEET, 0.0005) == FOLDED
+        assert not validate_gaps(self.points() + noise, np.ones(32, bool), self.SHEET, 0.004)
 
 
 @pytest.mark.parametrize("hollow", [True, False])
