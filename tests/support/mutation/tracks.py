@@ -62,8 +62,8 @@ TRACKS: tuple[Mutant, ...] = (
     _mutant("tracking", "lost shapes are not looked for elsewhere", "detector",
             "if not found.reason or found.follow or not search.widen(spec.segmentation):", "if True:", _SEARCH),
     _mutant("tracking", "a track never ends", "detector",
-            "                self._tracks.pop(spec.name, None)\n            shape = lost",
-            "                pass\n            shape = lost", _MISSING, _ORDER),
+            "                    self._tracks.pop(spec.name, None)\n            reason =",
+            "                    pass\n            reason =", _MISSING, _ORDER),
     _mutant("tracking", "pixels become metres", "detector",
             "self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres, or those of another size\n"
             "            self._last.pop(spec.name, None)", "pass",
@@ -130,8 +130,8 @@ TRACKS: tuple[Mutant, ...] = (
     _mutant("missing", "raise holds", "tracking/missing", 'if policy == "raise":', "if False:", _MISSING),
     _mutant("missing", "nan holds", "tracking/missing", 'if last is None or policy == "nan":', "if last is None:",
             _MISSING),
-    _mutant("missing", "a shape without depth is found", "detector", "(moment.in_3d and not shape.valid.any())",
-            "False", "tests/point_cloud/test_lifting.py"),
-    _mutant("missing", "pixels may be nan", "detector",
-            "shape.points2d is None or np.isfinite(shape.points2d).all()", "True", _DEGENERATE),
+    _mutant("missing", "a shape without depth is found", "configurations/shape_points",
+            "if not valid.any():", "if False:", "tests/point_cloud/test_lifting.py"),
+    _mutant("missing", "pixels may be nan", "configurations/shape_points",
+            "if points2d is not None and not np.isfinite(points2d).all():", "if False:", _DEGENERATE),
 )  # fmt: skip
