@@ -60,6 +60,7 @@ def test_a_crumpled_cloth_is_refused_and_keeps_its_track():
     assert 2 <= len(refused) <= 40
     assert not any(shape.visible.any() or shape.valid.any() for shape in refused)
     assert {shape.track_id for shape in shapes} == {1}
+    assert not shapes[-1].reason, "after more than half a second"
 
 
 class TestGapsInSpace:
