@@ -32,7 +32,7 @@ from shape_obs.tracking.belief import point_errors
 from shape_obs.tracking.missing import Clock, lost_shape
 from shape_obs.tracking.prediction import Fit, Reach, Track, advance, predict
 from shape_obs.tracking.search_window import RegionSearch, tracks_by_rule
-from shape_obs.tracking.validation import FOLDED, validate_samples
+from shape_obs.tracking.validation import validate_samples
 from shape_obs.utils.threads import use_no_threads_in_forked_children
 
 Array = npt.NDArray[np.float64]
@@ -279,7 +279,7 @@ class ShapeDetector:
             self._last[spec.name] = (shape, clock.now)
         else:
             age = clock.now - seen_at
-            if last is not None and age > self.config.max_age and reason != FOLDED:  # its outline is still tracked
+            if last is not None and age > self.config.max_age and found.reason:  # else it is still tracked
                 self._gone.add(spec.name)
                 if not spec.resumes:
                     self._tracks.pop(spec.name, None)

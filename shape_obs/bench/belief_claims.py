@@ -90,37 +90,31 @@ def reliability(rows: Iterable[Row]) -> list[Row]:
     out = []
     for (kind, given), some in grouped(rows, lambda row: (row.kind, row.given)).items():
         errors, sigma, shown = _joined(some)
-        inside = errors <= WITHIN[3 if some[0].space else 2] * sigma
         axes, unit = (3, 1e3) if some[0].space else (2, 1.0)
-        out.append(
-            Row(
-                {
-                    "kind": kind,
-                    "given": given,
-                    "frames": len(some),
-                    "wrong_%": 100 * float(np.mean([row.wrong for row in some])),
-                    "seen_%": 100 * float(np.mean(inside[shown])) if shown.any() else None,
-                    "hidden_%": 100 * float(np.mean(inside[~shown])) if not shown.all() else None,
-                    "rms": unit * _rms(errors[shown]) / np.sqrt(axes),
-                    "sigma": unit * _rms(sigma[shown]),
-                }
-            )
-        )
+        seen = {"rms": unit * _rms(errors[shown]) / np.sqrt(axes), "sigma": unit * _rms(sigma[shown])}
+        out.append(Row(kind=kind, given=given, frames=len(some), **_shares(some), **seen))
     return out
+
+
+def _shares(rows: Sequence[Row]) -> dict[str, float | None]:
+    """Return the percentages of ``reliability``."""
+    errors, sigma, shown = _joined(rows)
+    inside = errors <= WITHIN[3 if rows[0].space else 2] * sigma
+    wrong = 100 * float(np.mean([row.wrong for row in rows]))
+    seen, hidden = (100 * float(np.mean(inside[which])) if which.any() else None for which in (shown, ~shown))
+    return {"wrong_%": wrong, "seen_%": seen, "hidden_%": hidden}
 
 
 def targets(rows: Sequence[Row]) -> list[Row]:
     """Compare the belief over all scenes with its targets."""
     out = []
     for given, some in grouped(rows, lambda row: row.given).items():
-        errors, sigma, shown = _joined(some)
-        inside = errors <= WITHIN[3 if some[0].space else 2] * sigma
-        seen, hidden = (100 * float(np.mean(inside[which])) if which.any() else None for which in (shown, ~shown))
+        shares = _shares(some)
         out += [
-            at_least(f"{given}: errors of points in sight within the 90 % radius", 85, seen, " %"),
-            at_most(f"{given}: the same", 95, seen, " %"),
-            at_least(f"{given}: errors of hidden points within it", 85, hidden, " %"),
-            at_most(f"{given}: ok frames that are wrong", 0.2, 100 * float(np.mean([r.wrong for r in some])), " %"),
+            at_least(f"{given}: errors of points in sight within the 90 % radius", 85, shares["seen_%"], " %"),
+            at_most(f"{given}: the same", 95, shares["seen_%"], " %"),
+            at_least(f"{given}: errors of hidden points within it", 85, shares["hidden_%"], " %"),
+            at_most(f"{given}: ok frames that are wrong", 0.2, shares["wrong_%"], " %"),
         ]
     return out
 

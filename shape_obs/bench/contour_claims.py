@@ -192,13 +192,12 @@ def outlines_in_space(
 
 def seen_outline(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> Iterator[Row]:
     """Track an outline with equal gaps in space where there is depth; yield the rows of ``tally_visible``."""
-    spec, start, count = Contour(spacing="m" if with_depth else "px"), -1.0, 32
-    name = 0
-    detector = ShapeDetector([spec], on_invalid="interpolate")
+    detector = ShapeDetector([Contour(spacing="m" if with_depth else "px")], on_invalid="interpolate")
+    name, start, count = 0, 0.0, 32
     for scene in scenes:
         depth, camera = (scene.depth, view.intrinsics) if with_depth else (None, None)
         shape = detector.detect_mask(scene.mask, depth, camera).shapes[0]
-        if start < 0 and shape.reason:
+        if not name and shape.reason:
             continue  # not begun yet
         border = np.concatenate([scene.points[-1], scene.space[-1], scene.hidden[-1][:, None]], axis=1)
         if not clockwise(border[:, :2]):

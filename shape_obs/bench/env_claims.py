@@ -15,7 +15,6 @@ from shape_obs.bench import ENVS, Env, run_tasks
 from shape_obs.bench.env_physics import EPISODE, held_actions, is_finite, make_env, strain, warnings
 from shape_obs.bench.scores import SLIP, belief, simulator_score
 from shape_obs.bench.tables import Row, at_most, failures, mean, of, summary
-from shape_obs.geometry.topology import Grid
 from shape_obs.utils.threads import one_thread
 
 Condition = Literal["clean", "noise", "randomised", "randomised, no hand"]
@@ -184,9 +183,7 @@ def _episode(env: Any, seed: int, steps: int, goal: npt.NDArray[Any]) -> Row:
         frame = Row(ok=shape.ok, unfolded=unfolded, held=bool(shape.reason), finite=is_finite(simulator))
         if shape.ok and unfolded:
             frame.update(simulator_score(points, shape.valid, shape.layout, simulator))
-            grid = (shape.layout.rows, shape.layout.cols) if isinstance(shape.layout, Grid) else (shape.layout.size,)
-            errors = np.linalg.norm(points - simulator.truth(*grid), axis=1)
-            frame.update(belief=belief(shape, errors, shape.visible, frame.slip > SLIP))
+            frame.update(belief=belief(shape, frame.errors, shape.visible, frame.slip > SLIP))
         whole, local = strain(simulator)
         frames.append(Row(frame, whole=whole, local=local))
         if step < steps:

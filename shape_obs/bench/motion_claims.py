@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from shape_obs.bench.scores import SLIP, belief
+from shape_obs.bench.scores import FAR, SLIP, belief
 from shape_obs.bench.synthetic.hidden_ropes import Cover, Seen, camera_of, hidden_ropes, swinging_ropes, with_noise
 from shape_obs.bench.synthetic.swings import STIFFNESS, swung_rope
 from shape_obs.bench.tables import Row, mean, summary
@@ -21,7 +21,6 @@ Noise = Callable[[Seen], Seen]
 APPROACHES: Final = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # pixels per frame
 COVERS: Final[tuple[Cover, ...]] = ("hand", "shadow", "bar", "border")
 _N: Final = 20
-_MOST: Final = 0.010  # metres, of the mean error
 _ENOUGH: Final = 0.55  # of a rope: when that much shows it has to be found
 _HEALING: Final = 10  # frames
 
@@ -80,7 +79,7 @@ def track(frames: Iterable[Seen], *, depth: bool, spacing: Spacing = "px", dt: f
             away = np.linalg.norm(shape.points3d - true[1], axis=1) / _gap(true[1])
             error = 1e3 * np.linalg.norm(shape.points3d - true[1], axis=1)[shape.valid]
             row["mm"].append(float(error.mean()) if len(error) else 0.0)
-            row["off"] += bool(len(error) and error.mean() > 1e3 * _MOST)
+            row["off"] += bool(len(error) and error.mean() > 1e3 * FAR)
         most = float(away[shape.visible & (shape.valid | (spacing == "px"))].max(initial=0.0))
         errors = shape.pixels - true[0] if shape.points3d is None else shape.points3d - true[1]
         row["beliefs"].append(belief(shape, np.linalg.norm(errors, axis=1), shown, most > SLIP))

@@ -156,7 +156,8 @@ def simulator_score(points: Array, valid: npt.NDArray[np.bool_], layout: Topolog
     Returns:
         ``mm``: mean distance of all points from their true positions, in millimetres; ``slip``: largest distance of a
         valid point from its material, in gaps along the curve or the lattice; ``flipped``: whether another numbering of
-        the same points (from the other end, the other way round, from another corner) would be nearer.
+        the same points (from the other end, the other way round, from another corner) would be nearer; ``errors``:
+        ``(N,)`` distances of all points from their true positions, metres.
     """
     if isinstance(layout, Grid):
         true = simulator.truth(layout.rows, layout.cols)
@@ -170,7 +171,8 @@ def simulator_score(points: Array, valid: npt.NDArray[np.bool_], layout: Topolog
     distance = np.linalg.norm(points - true, axis=1)
     others = min(float(np.sum((other - true) ** 2)) for other in _renumbered(points, layout))
     slip = float(slips[valid].max(initial=0.0))
-    return Row(mm=1e3 * float(distance.mean()), slip=slip, flipped=others < float(np.sum(distance**2)))
+    flipped = others < float(np.sum(distance**2))
+    return Row(mm=1e3 * float(distance.mean()), slip=slip, flipped=flipped, errors=distance)
 
 
 def _along_curve(points: Array, simulator: Any, closed: bool) -> Array:

@@ -202,21 +202,18 @@ def cloths_in_space(
 def seen_points(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> Iterator[Row]:
     """Track a cloth with equal gaps in space where there is depth; yield the rows of ``tally_visible``."""
     spec = Surface(rows=4, cols=8, spacing="m" if with_depth else "px")
-    detector, corner = ShapeDetector([spec], on_invalid="interpolate"), -1
-    name = 0
+    detector, name, corner = ShapeDetector([spec], on_invalid="interpolate"), 0, 0
     for scene in scenes:
         depth, camera = (scene.depth, view.intrinsics) if with_depth else (None, None)
         shape = detector.detect_mask(scene.mask, depth, camera).shapes[0]
-        if corner < 0 and shape.reason:
+        if not name and shape.reason:
             continue  # not begun yet
         whole = np.concatenate([scene.points, scene.space, scene.hidden[..., None].astype(np.float64)], axis=2)
         found = np.asarray(shape.pixels, dtype=np.float64).reshape(4, 8, 2)
         turned = [Sheet(np.rot90(whole, quarters), scene.mask).lattice(4, 8, "centers") for quarters in range(4)]
         if shape.track_id != name:  # a new track may begin at another corner
-            name, corner = (
-                shape.track_id,
-                int(np.argmin([np.linalg.norm(found - true[..., :2], axis=-1).mean() for true in turned])),
-            )
+            apart = [np.linalg.norm(found - true[..., :2], axis=-1).mean() for true in turned]
+            name, corner = shape.track_id, int(np.argmin(apart))
         true = turned[corner]
         away, place = found - true[..., :2], true[..., :2]
         if shape.points3d is not None:  # in the image a steep piece of cloth has no gaps

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.polyline import arc_length, laid_over
+from shape_obs.geometry.polyline import arc_length, interpolate, laid_over
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -52,13 +52,14 @@ def hidden_pieces(curve: FittedCurve, nodes: Array, known: Array, expected: Arra
         return cut, laid
     count = max(len(known), _LEAST_NODES)
     laid = laid_over(known, expected, known, scaled=True)[0]
-    laid = laid_along(_closed(curve.points), _around(laid, np.arange(count, dtype=np.float64) * (len(known) / count)))
+    at = np.arange(count) * (len(known) / count)
+    laid = laid_along(_closed(curve.points), interpolate(_closed(laid), np.arange(len(known) + 1.0), at))
     own, nodes = _closed(laid), curve.even(count)
     place, far, inside = nearest_places(own, nodes)
     off = inside & (far > most)
     if not off.any() or off.all():
         return cut, laid
-    more = _turns(nodes) - _around(_turns(laid)[:, None], place)[:, 0]
+    more = _turns(nodes) - interpolate(_closed(_turns(laid)[:, None]), np.arange(count + 1.0), place)[:, 0]
     begins, ends = np.flatnonzero(off & ~np.roll(off, 1)), np.flatnonzero(off & ~np.roll(off, -1))
     if ends[0] < begins[0]:
         ends = np.roll(ends, -1)
@@ -202,12 +203,6 @@ def complete_outline(
     points = np.concatenate([seen, laid])
     flags = np.arange(len(points)) >= len(seen)
     return FittedCurve.through(points, flags, True), float(-best)
-
-
-def _around(nodes: Array, index: Array) -> Array:
-    """Return points ``(P, 2)`` between the nodes ``(K, 2)`` of a closed line, at indices that need not be whole."""
-    at, around = np.arange(len(nodes) + 1), _closed(nodes)
-    return np.stack([np.interp(index, at, column) for column in around.T], axis=1)
 
 
 def _turns(nodes: Array) -> Array:
