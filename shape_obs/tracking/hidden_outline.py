@@ -52,7 +52,7 @@ def hidden_pieces(curve: FittedCurve, nodes: Array, known: Array, expected: Arra
         return cut, laid
     count = max(len(known), _LEAST_NODES)
     laid = laid_over(known, expected, known, scaled=True)[0]
-    at = np.arange(count) * (len(known) / count)
+    at = np.arange(count, dtype=np.float64) * (len(known) / count)
     laid = laid_along(_closed(curve.points), interpolate(_closed(laid), np.arange(len(known) + 1.0), at))
     own, nodes = _closed(laid), curve.even(count)
     place, far, inside = nearest_places(own, nodes)
