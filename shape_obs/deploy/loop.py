@@ -132,7 +132,8 @@ class _Run:
         expired, ended, failed = interlock.expired, "", True
         try:
             check_controller(self._controller, self._spec, self._env)
-            ended, failed = self._loop(steps, seconds, until_reached)
+            with self._signals.unmasked():
+                ended, failed = self._loop(steps, seconds, until_reached)
         except Interrupted as interrupted:
             ended, failed = str(interrupted), False
             raise

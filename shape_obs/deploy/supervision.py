@@ -73,6 +73,19 @@ class SignalStop:
             self.raising = False
             raise Interrupted(self.received[0])
 
+    @contextmanager
+    def unmasked(self) -> Iterator[None]:
+        """Raise ``Interrupted`` again where it comes out as a ``SystemError``.
+
+        A compiled function calls some Python to build the arrays that it returns. An exception that a signal raises
+        there, the interpreter reports as an error of the function.
+        """
+        try:
+            yield
+        except SystemError:
+            self.check()
+            raise
+
     def __enter__(self) -> Self:
         self._previous: dict[int, Any] = {}
         self._thread: threading.Thread | None = None
@@ -146,7 +159,8 @@ def supervised(env: gym.Env[Any, Any], *, park: bool = True, close: bool = True)
                 end.callback(_park, robot_env, signals)
             end.callback(robot_env.interlock.stop)
             try:
-                yield signals
+                with signals.unmasked():
+                    yield signals
             finally:
                 signals.raising = False
         signals.check()

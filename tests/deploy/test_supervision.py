@@ -39,6 +39,28 @@ def test_a_signal_stops_parks_reports_and_is_raised(name, tmp_path):
     assert "signals" not in [thread.name for thread in threading.enumerate()]
 
 
+def test_a_signal_within_a_compiled_function_is_a_signal(tmp_path):
+    def act():
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except Interrupted as interrupted:  # as the interpreter does where C code goes on after an exception
+            raise SystemError("<function> returned a result with an exception set") from interrupted
+
+    env, robot, _ = cell()
+    with pytest.raises(Interrupted) as caught:
+        deploy(env, Always({2: act}), steps=9)
+    assert (caught.value.report.ended, caught.value.report.failed) == ("interrupted by SIGTERM", False)
+    assert robot.calls[-1] == "disconnect"
+
+
+def test_a_system_error_without_a_signal_stays_what_it_is():
+    def act():
+        raise SystemError("no signal")
+
+    with pytest.raises(SystemError, match="no signal"):
+        deploy(cell()[0], Always({2: act}), steps=9)
+
+
 def test_a_signal_while_it_parks_ends_the_parking():
     env, robot, _ = cell()
 
