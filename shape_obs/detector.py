@@ -30,7 +30,7 @@ from shape_obs.point_cloud.lifting import median_depth
 from shape_obs.shape import Detection, Shape
 from shape_obs.tracking.belief import point_errors
 from shape_obs.tracking.missing import Clock, lost_shape
-from shape_obs.tracking.prediction import Fit, Reach, Track, advance, predict
+from shape_obs.tracking.prediction import Fit, Reach, Track, advance, predict, typical_motion
 from shape_obs.tracking.search_window import RegionSearch, tracks_by_rule
 from shape_obs.tracking.validation import validate_samples
 from shape_obs.utils.threads import use_no_threads_in_forked_children
@@ -86,7 +86,8 @@ class ShapeDetector:
         self.config = DetectorConfig.from_dict(options)
         self.shapes = self.config.resolved()
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
-        functions = [*prepare(spec.segmentation for spec in self.shapes), visible_depth, median_depth, point_errors]
+        functions = [*prepare(spec.segmentation for spec in self.shapes), visible_depth, median_depth]
+        functions += [point_errors, typical_motion]
         compile_now([*functions, *(function for spec in self.shapes for function in spec.compiled_functions)])
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it

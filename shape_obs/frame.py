@@ -14,6 +14,8 @@ from shape_obs.camera import CameraModel
 
 MILLIMETRE: Final = 1e-3  # metres; the unit of depth in whole numbers
 FARTHEST: Final = 1e6  # metres; what lies beyond is garbage, and would overflow single precision
+_NO_DEPTH: Final = np.zeros((0, 0), np.float32)
+_NO_DEPTH.flags.writeable = False
 
 
 @dataclass(frozen=True)
@@ -78,11 +80,19 @@ class Frame:
         return None
 
 
-def readable_depth(depth: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], float]:
-    """Return a frame's depth as compiled code reads it, uint16 or float32 and read-only, and its unit in metres."""
-    depth = _as_stored(depth).view()
-    depth.flags.writeable = False
-    return depth, MILLIMETRE if depth.dtype == np.uint16 else 1.0
+def readable_depth(depth: npt.NDArray[Any] | None) -> tuple[npt.NDArray[Any], float]:
+    """Return depth as compiled code reads it, uint16 or float32 and read-only, and its unit in metres.
+
+    Args:
+        depth: ``(H, W)`` as a frame holds it; None gives ``(0, 0)``.
+    """
+    if depth is None:
+        return _NO_DEPTH, 1.0
+    stored = depth
+    if depth.flags.writeable:
+        stored = _as_stored(depth).view()
+        stored.flags.writeable = False
+    return stored, MILLIMETRE if stored.dtype == np.uint16 else 1.0
 
 
 def _as_stored(depth: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -14,7 +14,8 @@ from shape_obs.drawing import draw_curve, draw_detection, draw_text
 from shape_obs.frame import Frame
 from shape_obs.geometry.curve import FittedCurve, FittedForm
 from shape_obs.geometry.lattice import FittedLattice
-from shape_obs.geometry.samples import SAMPLED, Samples, pairs
+from shape_obs.geometry.observed import Samples
+from shape_obs.geometry.outline import SAMPLED, pairs
 from shape_obs.geometry.topology import Topology
 from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region

@@ -22,8 +22,8 @@ from shape_obs.bench.synthetic.streams import Name, Scene, Work, outline_pixels,
 from shape_obs.bench.tables import Row, at_least, at_most
 from shape_obs.bench.tangle_claims import longest_path
 from shape_obs.detector import ShapeDetector
+from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.polyline import nearest_on
-from shape_obs.geometry.samples import Samples
 from shape_obs.geometry.topology import Topology
 
 Array = npt.NDArray[np.float64]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.topology import Topology
 from shape_obs.spec import Spec
 

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from shape_obs.clustering.base import Centres, Clusterer, rms_spread
-from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.topology import Topology
 
 # What a squared distance is at least, the spread being 1: a sample on a centre belongs to it alone.

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shape_obs.clustering.base import Centres, Clusterer
-from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.topology import Topology
 
 

@@ -27,8 +27,9 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
+from shape_obs.geometry.observed import Samples
+from shape_obs.geometry.outline import SAMPLED
 from shape_obs.geometry.polyline import arc_length, closed, even_around
-from shape_obs.geometry.samples import SAMPLED, Samples
 from shape_obs.geometry.topology import Topology, neighbourhoods, undo_shrinkage
 
 Array = npt.NDArray[np.float64]

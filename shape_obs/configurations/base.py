@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
-from shape_obs.geometry.observed import Observed
-from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.observed import Observed, Samples
 from shape_obs.geometry.topology import Topology
 from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation

@@ -18,8 +18,9 @@ from shape_obs.configurations.chain_in_mask import (
     gather_lifted_cells,
     lifted_samples,
     measured_curve,
+    rims_of,
 )
-from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
+from shape_obs.geometry.curve import FittedCurve, Length, TrackHints, local_stretch, nearest_along
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equal_chords, even_points, interpolate
 from shape_obs.geometry.topology import Chain, Topology, neighbourhoods, shrinkage, undo_shrinkage
@@ -32,9 +33,9 @@ from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import thinned, trace_skeleton
 from shape_obs.point_cloud.chain_length import lift_chain, strand_gap
 from shape_obs.point_cloud.lifting import nearest_expected
-from shape_obs.tracking.occluders import chain_evidence
-from shape_obs.tracking.occlusion import match_chain, shown, surprise
-from shape_obs.tracking.predicted_rope import visible_nodes
+from shape_obs.tracking.occluders import blended_tips, chain_evidence, likelier_cut
+from shape_obs.tracking.occlusion import evened, match_chain, shown, surprise
+from shape_obs.tracking.predicted_rope import disagreements, visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.rope_length import learnt
 from shape_obs.tracking.validation import MAX_HIDDEN, sample_spread, validate_ribbon
@@ -225,6 +226,7 @@ class Centerline(Configuration, kind="centerline"):
         """The compiled functions that a fit may call."""
         masks = gather_cells, gather_lifted_cells, fit_chain_in_mask, _points_on, _nodes_on
         masks += lift_chain, strand_gap, nearest_expected, chain_evidence, closest_sides, sharp_bends, unexplained_share
+        masks += rims_of, likelier_cut, blended_tips, disagreements, evened, local_stretch, nearest_along
         axes = fill_holes, thinned, trace_skeleton, cheapest_order
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + axes + clouds

@@ -38,8 +38,6 @@ _LONG: Final = 3.0  # widths: of a shorter curve the ends have no direction of t
 _LEAST_RIM: Final = 0.5  # pixels, cut off an end that is seen at an angle
 _MOVED: Final = 0.13  # of its depth, by which a rope may come nearer or go away beyond what was predicted
 _FEW: Final = 3.0  # times as many pixels as a strand behind has in a square: then it is none
-_NO_DEPTH: Final = np.zeros((0, 0), np.float32)
-_NO_DEPTH.flags.writeable = False
 
 
 @compiled(
@@ -209,10 +207,9 @@ def measured_curve(curve: FittedCurve, observed: Observed, width: float, scene: 
     """Return a curve with its length in metres where there is depth, and what its two tips look like."""
     if not isinstance(observed, Region) or scene.edge is None:
         return curve, Tips()
-    depth, unit, z, expected = _NO_DEPTH, 1.0, np.full(len(curve.points), np.nan), np.zeros(0)
+    (depth, unit), z, expected = readable_depth(scene.depth), np.full(len(curve.points), np.nan), np.zeros(0)
     at, left_out = observed.window[:2], curve.interpolated
-    if scene.depth is not None and scene.intrinsics is not None:
-        depth, unit = readable_depth(scene.depth)
+    if scene.intrinsics is not None:
         rays = np.ascontiguousarray(scene.intrinsics.rays(curve.points)[:, :2])
         if curve.relief is not None:
             expected = np.exp(curve.relief / scene.intrinsics.fx)
@@ -234,10 +231,24 @@ def _without_rims(curve: FittedCurve, ends: tuple[int, int], width: float) -> Fi
     """
     if curve.relief is None or curve.size < _LONG * width:
         return curve
-    inside = curve.arc <= width, curve.arc >= curve.size - width
-    rims = []
-    for near, known in zip(inside, ends, strict=True):
-        flat = float(np.linalg.norm(np.diff(curve.points[near][[0, -1]], axis=0)))
-        steep = float(np.hypot(1.0, np.diff(curve.relief[near][[0, -1]])[0] / max(flat, 1e-9)))
-        rims.append(0.0 if known == HIDDEN else width / 2 * (1 - 1 / steep))
-    return curve.trimmed(*rims) if max(rims) > _LEAST_RIM else curve
+    rims = rims_of(curve.points, curve.arc, curve.relief, width)
+    head, tail = (0.0 if known == HIDDEN else rim for rim, known in zip(rims, ends, strict=True))
+    return curve.trimmed(head, tail) if max(head, tail) > _LEAST_RIM else curve
+
+
+@compiled("(f8[:,::1], f8[::1], f8[::1], f8)")
+def rims_of(points: Array, arc: Array, relief: Array, width: float) -> tuple[float, float]:
+    """Return how far the rims of both ends of a rope reach beyond the tips of its axis, pixels."""
+    last = len(arc) - 1
+    inner, outer = last, 0
+    while arc[inner] > width:
+        inner -= 1
+    while arc[outer] < arc[last] - width:
+        outer += 1
+    return _rim(points, relief, 0, inner, width), _rim(points, relief, last, outer, width)
+
+
+@compiled
+def _rim(points: Array, relief: Array, tip: int, inner: int, width: float) -> float:
+    flat = math.hypot(points[inner, 0] - points[tip, 0], points[inner, 1] - points[tip, 1])
+    return width / 2 * (1 - 1 / math.hypot(1.0, (relief[inner] - relief[tip]) / max(flat, 1e-9)))

@@ -13,10 +13,9 @@ from shape_obs.clustering.som import batch_epochs, run_ring_som, run_som
 from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Points, Scene
 from shape_obs.geometry.curve import FittedCurve, TrackHints
-from shape_obs.geometry.observed import Observed
-from shape_obs.geometry.outline import clockwise, material_outline
+from shape_obs.geometry.observed import Observed, Samples
+from shape_obs.geometry.outline import SAMPLED, clockwise, material_outline, pairs
 from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, closed, equal_chords, interpolate
-from shape_obs.geometry.samples import SAMPLED, Samples, pairs
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
@@ -204,7 +203,7 @@ class Contour(Configuration, kind="contour"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         masks = fit_ring_in_mask, rim_depth, _points_around, renumber_outline, material_outline, trace_hole
-        masks += laid_along, nearest_places
+        masks += laid_along, nearest_places, index_shift_space, blend_space
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.compiled import compiled
 from shape_obs.geometry.polyline import arc_length, interpolate, straightened
 
 if TYPE_CHECKING:
@@ -162,10 +163,10 @@ class FittedCurve(FittedForm):
             return self.metres
         return self.arc if self.pixels is None else self.pixels
 
-    @property
+    @cached_property
     def lifted(self) -> Array:
         """``(P, 3)`` the points with their relief; the points themselves without one."""
-        return self.points if self.relief is None else np.column_stack([self.points, self.relief])
+        return self.points if self.relief is None else np.concatenate([self.points, self.relief[:, None]], axis=1)
 
     def steepness(self, reach: float) -> Array:
         """Return ``(P,)`` how much longer an open curve is in space than in the image, around each of its points.
@@ -175,10 +176,7 @@ class FittedCurve(FittedForm):
         """
         if self.relief is None:
             return np.ones(len(self.points))
-        inside, first, last = arc_length(self.lifted), self.arc - reach, self.arc + reach
-        first, last = np.maximum(first, 0.0), np.minimum(last, self.arc[-1])
-        longer = np.interp(last, self.arc, inside) - np.interp(first, self.arc, inside)
-        return longer / np.maximum(last - first, 1e-9)
+        return local_stretch(self.arc, self.lifted, reach)
 
     def trimmed(self, head: float, tail: float) -> Self:
         """Return an open curve without so much of both of its ends, in units of its arc length."""
@@ -219,11 +217,8 @@ class FittedCurve(FittedForm):
 
     def nearest_to(self, arc: npt.ArrayLike) -> npt.NDArray[np.intp]:
         """Return ``(N,)`` which point of the curve is nearest along it to each arc position."""
-        at = np.asarray(arc, dtype=np.float64)
-        at = at % self.size if self.closed else at
-        after = np.clip(np.searchsorted(self.arc, at), 1, len(self.arc) - 1)
-        nearer = np.where(at - self.arc[after - 1] < self.arc[after] - at, after - 1, after)
-        return nearer % len(self.points)
+        at = np.ascontiguousarray(arc, dtype=np.float64)
+        return nearest_along(self.arc, at % self.size if self.closed else at) % len(self.points)
 
     def starting_at(self, arc: float) -> FittedCurve:
         """Return the same closed curve with its first point at an arc position."""
@@ -276,3 +271,22 @@ class FittedCurve(FittedForm):
 
 def _polyline(points: Array, closed: bool) -> Array:
     return np.ascontiguousarray(np.concatenate([points, points[:1]]) if closed else points, dtype=np.float64)
+
+
+@compiled("(f8[::1], f8[:,::1], f8)")
+def local_stretch(arc: Array, lifted: Array, reach: float) -> Array:
+    """Return ``(P,)`` how much longer a curve is in space than in the image, within ``reach`` of each point."""
+    first, last = np.maximum(arc - reach, 0.0), np.minimum(arc + reach, arc[-1])
+    inside = arc_length(lifted).reshape(-1, 1)
+    longer = interpolate(inside, arc, last) - interpolate(inside, arc, first)
+    return longer[:, 0] / np.maximum(last - first, 1e-9)
+
+
+@compiled("(f8[::1], f8[::1])")
+def nearest_along(arc: Array, at: Array) -> npt.NDArray[np.intp]:
+    """Return which of ``(P,)`` arc positions is nearest to each of ``(N,)`` others."""
+    out = np.empty(len(at), np.intp)
+    for n in range(len(at)):
+        after = min(max(np.searchsorted(arc, at[n]), 1), len(arc) - 1)
+        out[n] = after - 1 if at[n] - arc[after - 1] < arc[after] - at[n] else after
+    return out

@@ -1,17 +1,35 @@
-"""What shapes are fitted to: the protocol that a region of an image and a cloud of points share."""
+"""What shapes are fitted to: the protocol that a region of an image and a cloud of points share, and their samples."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.samples import Samples
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Weighted points.
+
+    Args:
+        points: ``(M, D)`` centroids: pixels for D = 2, metres for D = 3.
+        weight: ``(M,)`` how many pixels (points) each stands for.
+        scale: Edge of the cells, in the unit of ``points``.
+    """
+
+    points: Array
+    weight: Array
+    scale: float
+
+    def __len__(self) -> int:
+        return len(self.points)
 
 
 class Observed(Protocol):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -14,6 +15,7 @@ from shape_obs.geometry.curve import FittedCurve
 
 Array = npt.NDArray[np.float64]
 
+SAMPLED: Final = 2  # points of an outline in one sample: half the work, and no bend is lost
 # Smoothing along an outline, in its steps: enough to see a direction and a length through the staircase of pixels, at
 # 0.2 px off a bend of radius 10. What is fitted is not smoothed.
 _STAIRCASE: Final = 2.0
@@ -127,3 +129,50 @@ def _wrap(padded: Array) -> None:
     for i in range(_PAD):
         padded[i] = padded[_PAD + (i - _PAD) % size]
         padded[_PAD + size + i] = padded[_PAD + i % size]
+
+
+@compiled(reassociate=True)
+def waves(points: Array, count: int) -> Array:
+    """Return the first waves around a closed curve: ``(2 D, count)``.
+
+    Row 2d holds the sums of coordinate d times the cosine of each wave, and row 2d + 1 those with the sine.
+
+    Args:
+        points: ``(K, D)`` equidistant.
+        count: How many waves, from the longest.
+    """
+    size, dimension = points.shape
+    base_cos, base_sin, row = np.empty(size), np.empty(size), np.empty(size)
+    for k in range(size):
+        base_cos[k], base_sin[k] = math.cos(2 * math.pi * k / size), math.sin(2 * math.pi * k / size)
+    cos, sin = np.empty((count, size)), np.empty((count, size))
+    cos[0], sin[0] = base_cos, base_sin
+    for h in range(1, count):
+        for k in range(size):
+            cos[h, k] = cos[h - 1, k] * base_cos[k] - sin[h - 1, k] * base_sin[k]
+            sin[h, k] = sin[h - 1, k] * base_cos[k] + cos[h - 1, k] * base_sin[k]
+    out = np.empty((2 * dimension, count))
+    for d in range(dimension):
+        for k in range(size):
+            row[k] = points[k, d]
+        for h in range(count):
+            with_cos = with_sin = 0.0
+            for k in range(size):
+                with_cos += row[k] * cos[h, k]
+                with_sin += row[k] * sin[h, k]
+            out[2 * d, h], out[2 * d + 1, h] = with_cos, with_sin
+    return out
+
+
+@compiled("(f8[:,::1],)")
+def pairs(points: Array) -> Array:
+    """Return the mean of each two points, the last alone if they are odd: ``(P, D)`` -> ``(ceil(P / 2), D)``."""
+    size, dimension = points.shape
+    out = np.empty(((size + 1) // 2, dimension))
+    for p in range(size // 2):
+        for d in range(dimension):
+            out[p, d] = (points[2 * p, d] + points[2 * p + 1, d]) / 2
+    if size % 2:
+        for d in range(dimension):
+            out[size // 2, d] = points[size - 1, d]
+    return out

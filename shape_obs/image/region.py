@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.observed import Samples
 from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.outline_tracing import SPECK, Traced, trace_components, trace_hole
 from shape_obs.image.roi import Window

@@ -159,6 +159,8 @@ def _leave_out_overlaid(z: Array, points: Array, bridged: npt.NDArray[np.bool_],
         width: Of the object, pixels.
     """
     size = len(z)
+    if not bridged.any():
+        return
     arc, apart, others, places = arc_length(points), np.empty(size), np.empty(size), np.empty(size)
     for p in range(size):
         apart[p] = np.inf

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.outline import clockwise
-from shape_obs.geometry.samples import Samples
 from shape_obs.point_cloud.geodesics import chain, ring
 from shape_obs.point_cloud.rope_tip import extend_chain, first_gap
 from shape_obs.point_cloud.unrolling import Chart, border, chart

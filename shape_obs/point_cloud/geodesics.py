@@ -16,8 +16,8 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.polyline import arc_length, catmull_rom, resample
-from shape_obs.geometry.samples import Samples
 from shape_obs.point_cloud.voxels import Indices
 
 Array = npt.NDArray[np.float64]

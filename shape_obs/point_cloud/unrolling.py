@@ -23,8 +23,8 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
 from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.outline import clockwise
-from shape_obs.geometry.samples import Samples
 
 Array = npt.NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.observed import Samples
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]

@@ -41,8 +41,6 @@ _MANY: Final = 320  # points of an outline: of so many, the depth under every fo
 _AT_EDGE: Final = 0.8  # pixels
 _REACHES: Final = 8.0  # depth along an outline is read within this share of the object's width
 _LEAST_REACH: Final = 2
-_NO_DEPTH = np.zeros((0, 0), np.float32)
-_NO_DEPTH.flags.writeable = False
 _OUTWARDS: Final = 7  # pixels beyond an outline: a camera has no depth next to an edge
 _NEARER: Final = 0.008  # metres: what is nearer by more lies over the object
 
@@ -134,9 +132,7 @@ def look_around(
         intrinsics: The projection; None if there is none.
         edge: The part of the image that is searched; None for the region's window.
     """
-    readable, unit = _NO_DEPTH, 1.0
-    if depth is not None and intrinsics is not None:
-        readable, unit = readable_depth(depth)
+    readable, unit = readable_depth(None if intrinsics is None else depth)
     left, top, width, height = edge or region.window
     sides = left + _AT_EDGE, top + _AT_EDGE, left + width - 1 - _AT_EDGE, top + height - 1 - _AT_EDGE
     reach = int(min(max(round(region.width / _REACHES), _LEAST_REACH), MAX_REACH))

@@ -57,7 +57,7 @@ class Tips(NamedTuple):
 
     def reversed(self) -> Tips:
         """Return the tips of the curve run through backwards."""
-        shapes = None if self.shapes is None else self.shapes[::-1]
+        shapes = None if self.shapes is None else self.shapes[::-1].copy()
         return Tips((self.known[1], self.known[0]), shapes, self.width)
 
     def remembered(self, before: Array | None, frames: int) -> Array | None:
@@ -72,12 +72,10 @@ class Tips(NamedTuple):
         if before is None:
             least = (np.array(_SHAPE_NOISE) / max(self.width, 1.0)) ** 2
             return np.stack([self.shapes, _UNFAMILIAR * np.broadcast_to(least, (2, 2))])
-        (mean, variance), gain = before, max(_LEARNING, 1 / (frames + 1))
-        off = self.shapes - mean
-        return np.stack([mean + gain * off, variance + gain * (off**2 - variance)])
+        return blended_tips(self.shapes, before, max(_LEARNING, 1 / (frames + 1)))
 
-    def cut(self, before: Array | None) -> Array:
-        """Return ``(2,)`` how much likelier, as logarithms, the tips are cut than the rope's own.
+    def cut(self, before: Array | None) -> tuple[float, float]:
+        """Return how much likelier, as logarithms, the two tips are cut than the rope's own.
 
         A tip of the rope looks as it did before; what hides it cuts it in any way.
 
@@ -85,11 +83,34 @@ class Tips(NamedTuple):
             before: See ``remembered``.
         """
         if self.shapes is None or before is None:
-            return np.zeros(2)
-        least, (mean, variance) = (np.array(_SHAPE_NOISE) / max(self.width, 1.0)) ** 2, before
-        own, any_way = np.maximum(variance, least), np.maximum(variance, least) + np.square(_ANY_CUT)
-        off = (self.shapes - mean) ** 2
-        return np.sum(off / own - off / any_way + np.log(own / any_way), axis=1) / 2
+            return 0.0, 0.0
+        return likelier_cut(self.shapes, before, self.width)
+
+
+@compiled("(f8[:,::1], f8[:,:,::1], f8)")
+def likelier_cut(shapes: Array, before: Array, width: float) -> tuple[float, float]:
+    """Return what ``Tips.cut`` returns."""
+    first = last = 0.0
+    for k in range(2):
+        least = (_SHAPE_NOISE[k] / max(width, 1.0)) ** 2
+        for end in range(2):
+            own = max(before[1, end, k], least)
+            any_way, off = own + _ANY_CUT[k] ** 2, (shapes[end, k] - before[0, end, k]) ** 2
+            likelier = (off / own - off / any_way + math.log(own / any_way)) / 2
+            first, last = (first, last + likelier) if end else (first + likelier, last)
+    return first, last
+
+
+@compiled("(f8[:,::1], f8[:,:,::1], f8)")
+def blended_tips(shapes: Array, before: Array, gain: float) -> Array:
+    """Return mean and variance of the tips' shapes after another one, which counts with the weight ``gain``."""
+    out = before.copy()
+    for end in range(2):
+        for k in range(2):
+            off = shapes[end, k] - before[0, end, k]
+            out[0, end, k] += gain * off
+            out[1, end, k] += gain * (off * off - before[1, end, k])
+    return out
 
 
 @compiled(

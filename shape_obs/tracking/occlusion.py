@@ -15,10 +15,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.tracking.occluders import FREE, HIDDEN, Tips
-from shape_obs.tracking.predicted_rope import PredictedRope, oriented, widened
+from shape_obs.tracking.predicted_rope import PredictedRope, disagreements, oriented, widened
 from shape_obs.tracking.prediction import Prediction
 from shape_obs.tracking.rope_length import learnt, shortened
 
@@ -50,13 +51,14 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
         The whole rope. Its hints hold the lengths of the hidden ends, and what is known of the rope's length.
     """
     rope, known = PredictedRope(prediction, form), prediction.hints.length
-    turned, back = oriented(form, prediction)
+    turned, back = oriented(form, rope, known)
     form, tips = turned, tips.reversed() if back else tips
     ends = tips.known
     if HIDDEN in ends:  # that explains what is missing
         ends = (ends[0] or FREE, ends[1] or FREE)
     before = prediction.hints
-    cut = np.clip(_FADING * np.array(before.cut) + tips.cut(before.tips), -_CERTAIN, _CERTAIN)
+    head, tail = (_FADING * old + new for old, new in zip(before.cut, tips.cut(before.tips), strict=True))
+    cut = max(min(head, _CERTAIN), -_CERTAIN), max(min(tail, _CERTAIN), -_CERTAIN)
     unit = "m" if form.metres is not None or form.points.shape[1] == 3 else "px"
     length = known.metres if form.metres is not None else known.pixels
     if length <= 0:
@@ -73,9 +75,9 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
         adrift = rope.adrift
         form = _filled(rope, form, gap, head, between, length)
     else:
-        bent, apart = rope.disagreement(rope.along(form)[None], np.zeros(1), np.ones(1))
+        bent, apart = disagreements(rope.points, rope.share, rope.along(form)[None], np.zeros((1, 2)))
         rope.settle(float(bent[0]), float(apart[0]))
-    doubtful = missing > _DOUBTFUL * noise and cut.max() > 0
+    doubtful = missing > _DOUBTFUL * noise and max(cut) > 0
     if head + tail <= least and not doubtful:
         now, own = learnt(known, form, ends), tips.remembered(before.tips, known.frames)
     else:
@@ -83,11 +85,10 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     stretch = (length - head - tail) / max(float(form.stations[-1]), 1e-9)
     form = _completed(rope, form, ends, head, tail, stretch, length)
     hidden = head / length, tail / length
-    certain = (float(cut[0]), float(cut[1]))
     covered, folded = ((ends[0] == known, ends[1] == known) for known in (HIDDEN, FREE))
     measured = before.measured if head + tail > least else length - missing
     hints = TrackHints(
-        hidden, covered, folded, adrift, slack / length, stretch, measured, rope.residuals, certain, own, now
+        hidden, covered, folded, adrift, slack / length, stretch, measured, rope.residuals, cut, own, now
     )
     return replace(form, hints=hints)
 
@@ -227,11 +228,19 @@ def _stretched(form: FittedCurve, length: float) -> Array:
     stations = form.stations
     if form.metres is None:
         return stations * (length / max(float(stations[-1]), 1e-9))
-    step, pixels = np.diff(stations), np.maximum(np.diff(form.arc), 1e-9)
-    steep = np.maximum((step / pixels / np.median(step / pixels)) ** 2 - 1, 0.0)
-    weight = step * (_EVENLY + steep)
-    more = (length - float(stations[-1])) * weight / max(float(weight.sum()), 1e-12)
-    return np.concatenate([[0.0], np.cumsum(np.maximum(step + more, 0.1 * step))])
+    return evened(stations, form.arc, length)
+
+
+@compiled("(f8[::1], f8[::1], f8)")
+def evened(stations: Array, arc: Array, length: float) -> Array:
+    """Return stations in metres that span a length, see ``_stretched``."""
+    step, pixels = np.diff(stations), np.maximum(np.diff(arc), 1e-9)
+    usual = np.median(step / pixels)
+    weight = step * (_EVENLY + np.maximum((step / pixels / usual) ** 2 - 1, 0.0))
+    share, out = (length - stations[-1]) / max(weight.sum(), 1e-12), np.zeros(len(stations))
+    for p in range(len(step)):
+        out[p + 1] = out[p] + max(step[p] + share * weight[p], 0.1 * step[p])
+    return out
 
 
 def _folded(points: Array, stations: Array, length: float) -> Array:

@@ -7,16 +7,19 @@ would have to be off, and what is seen at the tips.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from functools import cached_property, lru_cache
 from itertools import product
-from math import dist, log1p
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.geometry.curve import FittedCurve
+from shape_obs.compiled import compiled
+from shape_obs.geometry.curve import FittedCurve, Length
 from shape_obs.geometry.polyline import interpolate
+from shape_obs.geometry.rotation import covariance_of, largest_trace
 from shape_obs.tracking.occluders import FREE, HIDDEN, UNKNOWN
 from shape_obs.tracking.prediction import Prediction
 
@@ -48,12 +51,11 @@ _LONG_AGO: Final = 25.0  # squared intervals of a track, after which a rope may 
 _FEWEST: Final = 6  # nodes of a visible piece
 
 
-def oriented(form: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, bool]:
+def oriented(form: FittedCurve, rope: PredictedRope, length: Length) -> tuple[FittedCurve, bool]:
     """Return a curve in the direction of the predicted rope, of which it may be a piece, and whether it was reversed.
 
     A direction that is in doubt is noted as the curve's ambiguity.
     """
-    rope, length = PredictedRope(prediction, form), prediction.hints.length
     if _is_along(rope.points_of(form), rope.nodes):
         return form, False
     whole = length.metres if form.metres is not None else length.pixels
@@ -80,7 +82,7 @@ def _is_along(points: Array, nodes: Array) -> bool:
     """Return whether a curve clearly runs in the direction of ``(K, D)`` nodes, by the distances of its ends."""
     first, last = points[0].tolist(), points[-1].tolist()
     head, tail = nodes[0].tolist(), nodes[-1].tolist()
-    forwards, backwards = dist(first, head) + dist(last, tail), dist(first, tail) + dist(last, head)
+    forwards, backwards = math.dist(first, head) + math.dist(last, tail), math.dist(first, tail) + math.dist(last, head)
     return _CLEAR * forwards < backwards
 
 
@@ -95,14 +97,23 @@ class PredictedRope:
     def __init__(self, prediction: Prediction, form: FittedCurve | None = None) -> None:
         nodes, self.hidden, self.folded = prediction.nodes, prediction.hints.hidden, prediction.hints.folded
         if prediction.relief is not None and (form is None or form.relief is not None):
-            nodes = np.column_stack([nodes, prediction.relief])
+            nodes = np.concatenate([nodes, prediction.relief[:, None]], axis=1)
         self.nodes = nodes
         # An object that moves as it likes is as far from its prediction as the square of the time that went by.
         self.residuals, self.lapse = prediction.hints.residuals, prediction.lapse**2
         self.adrift, self.stale = prediction.hints.adrift, prediction.stale
         self.askew, self.resolution = _ASKEW * prediction.width, prediction.resolution
-        self.share = np.concatenate([[0.0], (np.arange(len(nodes)) + 0.5) / len(nodes), [1.0]])
-        self.points = np.concatenate([1.5 * nodes[:1] - 0.5 * nodes[1:2], nodes, 1.5 * nodes[-1:] - 0.5 * nodes[-2:-1]])
+
+    @cached_property
+    def share(self) -> Array:
+        """``(K + 2,)`` where the points lie along the rope, 0...1."""
+        return _shares(len(self.nodes))
+
+    @cached_property
+    def points(self) -> Array:
+        """``(K + 2, D)`` the nodes, and the tips in front of and behind them."""
+        nodes = self.nodes
+        return np.concatenate([1.5 * nodes[:1] - 0.5 * nodes[1:2], nodes, 1.5 * nodes[-1:] - 0.5 * nodes[-2:-1]])
 
     def at(self, share: Array) -> Array:
         """Return ``(N, D)`` points at shares of the length."""
@@ -134,35 +145,11 @@ class PredictedRope:
         shift, least = away.mean(axis=0), (_NOISE * self.resolution) ** 2
         off = float(np.mean(np.sum((away - shift) ** 2, axis=1))), float(np.sum(shift**2))
         for now, usual, count in zip(off, self.residuals, _INDEPENDENT, strict=True):
-            doubt += _TRUST * log1p(count * now / max(self.lapse * usual, least) / _TRUST)
+            doubt += _TRUST * math.log1p(count * now / max(self.lapse * usual, least) / _TRUST)
         return doubt
 
-    def disagreement(self, found: Array, first: Array, last: Array) -> tuple[Array, Array]:
-        """Return the mean square distances between curves and the rope's pieces between two shares of its length.
-
-        They are taken after the best rigid motion (Kabsch 1976), and as they are: the prediction of a fast rope fails
-        first in where it is, and last in how it is bent; of a slow one both hold.
-
-        Args:
-            found: ``(C, 32, D)`` points along each curve.
-            first: ``(C,)`` where each piece begins.
-            last: ``(C,)`` where it ends.
-        """
-        share = first[:, None] + _PROBES * (last - first)[:, None]
-        expected = self.at(share.ravel()).reshape(found.shape)
-        apart = np.mean(np.sum((expected - found) ** 2, axis=2), axis=1)
-        expected, found = (points - points.mean(axis=1, keepdims=True) for points in (expected, found))
-        overlap = np.einsum("cpd,cpe->cde", expected, found)
-        if found.shape[2] == 2:
-            turned = np.hypot(overlap[:, 0, 0] + overlap[:, 1, 1], overlap[:, 0, 1] - overlap[:, 1, 0])
-        else:
-            values = np.linalg.svd(overlap, compute_uv=False)
-            turned = values[:, :-1].sum(axis=1) + np.sign(np.linalg.det(overlap)) * values[:, -1]
-        bent = np.sum(expected**2, axis=(1, 2)) + np.sum(found**2, axis=(1, 2)) - 2 * turned
-        return np.maximum(bent, 0.0) / len(_PROBES), apart
-
     def settle(self, *distances: float) -> None:
-        """Learn how far curves lie from their predictions: mean square distances, see ``disagreement``."""
+        """Learn how far curves lie from their predictions: mean square distances, see ``disagreements``."""
         bent, apart = (
             known + _SETTLING * (min(now, _OUTLIER * known) - known)
             for known, now in zip(self.residuals, distances, strict=True)
@@ -173,7 +160,7 @@ class PredictedRope:
         self,
         form: FittedCurve,
         ends: Ends,
-        cut: Array,
+        cut: tuple[float, float],
         missing: float,
         noise: float,
         gap: tuple[int, int],
@@ -183,7 +170,7 @@ class PredictedRope:
         Args:
             form: What is seen of it.
             ends: What is known about its tips.
-            cut: ``(2,)`` how much likelier, as logarithms, they are cut than the rope's own.
+            cut: How much likelier, as logarithms, they are cut than the rope's own.
             missing: By how much the form is shorter than the rope.
             noise: Standard deviation of the measured length.
             gap: The last point before a gap and the first after it.
@@ -201,13 +188,13 @@ class PredictedRope:
         for more in np.unique(rest) if bridge else rest[:1]:
             moved = widened(stations, gap, more) if bridge else stations
             found[rest == more if bridge else slice(None)] = interpolate(points, moved, _PROBES * moved[-1])
-        bent, apart = self.disagreement(found, hidden[:, 0], 1 - hidden[:, 1])
+        bent, apart = disagreements(self.points, self.share, found, hidden)
         cost = (rest / (noise + _BRIDGE * bridge)) ** 2
         for end in range(2):
             # What is hidden changes little from frame to frame; a free end is hidden in no frame for longer.
             known, last = ends[end], 0.0 if ends[end] == FREE else self.hidden[end]
             price = _FOLDED if known == FREE and HIDDEN in ends else _COST[known]
-            price = price * (last <= 0) + 2 * (cut.max() - cut[end]) * (HIDDEN not in ends)
+            price = price * (last <= 0) + 2 * (max(cut) - cut[end]) * (HIDDEN not in ends)
             change = ((hidden[:, end] - last) / _INERTIA[known]) ** 2
             cost += price * (hidden[:, end] > 0) + _TRUST * np.log1p(change / _TRUST)
         least = (_NOISE * self.resolution) ** 2
@@ -239,6 +226,42 @@ class PredictedRope:
         size = float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
         slid = 1.0 if self.stale or self.lapse > _LONG_AGO else apart**0.5 / size * sliding
         self.adrift = min(self.adrift + slid, float(hidden.max()))
+
+
+@compiled("(f8[:,::1], f8[::1], f8[:,:,::1], f8[:,::1])")
+def disagreements(points: Array, share: Array, found: Array, hidden: Array) -> tuple[Array, Array]:
+    """Return the mean square distances between curves and those pieces of a rope that are not hidden.
+
+    They are taken after the best rigid motion (Kabsch 1976), and as they are: the prediction of a fast rope fails
+    first in where it is, and last in how it is bent; of a slow one both hold.
+
+    Args:
+        points: ``(K, D)`` of the rope.
+        share: ``(K,)`` where they lie along it, 0...1.
+        found: ``(C, 32, D)`` points along each curve.
+        hidden: ``(C, 2)`` shares of the rope that are hidden at its ends.
+    """
+    count, probes, size = found.shape
+    bent, apart = np.empty(count), np.empty(count)
+    for c in range(count):
+        expected = interpolate(points, share, hidden[c, 0] + _PROBES * (1 - hidden[c, 1] - hidden[c, 0]))
+        covariance, middle, centre = covariance_of(expected, found[c])
+        square = away = 0.0
+        for n in range(probes):
+            for d in range(size):
+                square += (expected[n, d] - middle[d]) ** 2 + (found[c, n, d] - centre[d]) ** 2
+                away += (expected[n, d] - found[c, n, d]) ** 2
+        if size == 2:
+            turned = math.hypot(covariance[0, 0] + covariance[1, 1], covariance[0, 1] - covariance[1, 0])
+        else:
+            turned = largest_trace(covariance)
+        bent[c], apart[c] = max(square - 2 * turned, 0.0) / probes, away / probes
+    return bent, apart
+
+
+@lru_cache(maxsize=64)
+def _shares(count: int) -> Array:
+    return np.concatenate([[0.0], (np.arange(count) + 0.5) / count, [1.0]])
 
 
 def widened(stations: Array, gap: tuple[int, int], more: float) -> Array:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
-from shape_obs.frame import depth_in_metres
+from shape_obs.compiled import compiled
+from shape_obs.frame import FARTHEST, readable_depth
 from shape_obs.geometry.curve import FittedForm, TrackHints
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.topology import Topology
+from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.image.roi import Window
 
 Array = npt.NDArray[np.float64]
@@ -206,22 +209,56 @@ class Reach:
         if self._max_speed is None or nodes is None or nodes.shape[1] != track.nodes.shape[1]:
             return ""
         since = min(stamp - track.stamp, self._elsewhere.get(name, np.inf))
-        some = nodes[:: max(len(nodes) // _ASKED, 1)]
-        squares = (some**2).sum(axis=1)[:, None] + (track.nodes**2).sum(axis=1) - 2 * some @ track.nodes.T
-        apart = np.sqrt(np.maximum(squares.min(axis=1), 0))
-        moved, most, unit = float(np.median(apart)), self._max_speed * since, "m"
-        away = np.array([np.nan])
-        if nodes.shape[1] == 2 and depth is not None and intrinsics is not None:
-            u, v = np.clip(np.rint(some).astype(int), 0, (depth.shape[1] - 1, depth.shape[0] - 1)).T
-            away = depth_in_metres(depth[v, u])
-            moved *= float(np.nanmedian(away)) / intrinsics.fx if np.isfinite(away).any() else 1.0
-        if nodes.shape[1] == 2 and not np.isfinite(away).any():
+        in_image = nodes.shape[1] == 2
+        readable = readable_depth(depth if in_image and intrinsics is not None else None)
+        moved, away = typical_motion(np.ascontiguousarray(nodes), np.ascontiguousarray(track.nodes), *readable)
+        most, unit = self._max_speed * since, "m"
+        if in_image and intrinsics is not None and away > 0:
+            moved *= away / intrinsics.fx
+        elif in_image:
             most, unit = most * width, "px"
         if moved <= most:
             self._elsewhere.pop(name, None)
             return ""
         self._elsewhere[name] = since
         return f"it lies {moved:.3g} {unit} from where the shape was (at most {most:.3g} after {since:.2g} s)"
+
+
+@compiled(
+    "(f8[:,::1], f8[:,::1], Array(u2, 2, 'C', readonly=True), f8)",
+    "(f8[:,::1], f8[:,::1], Array(f4, 2, 'C', readonly=True), f8)",
+)
+def typical_motion(nodes: Array, before: Array, depth: npt.NDArray[Any], unit: float) -> tuple[float, float]:
+    """Return the median distance of the nodes of a track to the nearest of a form's, and the median depth there.
+
+    Args:
+        nodes: ``(K, D)`` of the form; about 64 of them are compared.
+        before: ``(K', D)`` of the track.
+        depth: ``(H, W)`` read-only, uint16 or float32; ``(0, 0)`` without depth.
+        unit: Metres in a unit of depth.
+
+    Returns:
+        In the unit of the nodes; metres, 0 where there is no depth.
+    """
+    step = max(len(nodes) // _ASKED, 1)
+    apart, away, known = np.empty(len(before)), np.empty(len(nodes)), 0
+    for k in range(len(before)):
+        least = np.inf
+        for j in range(0, len(nodes), step):
+            square = 0.0
+            for d in range(nodes.shape[1]):
+                square += (nodes[j, d] - before[k, d]) ** 2
+            least = min(least, square)
+        apart[k] = math.sqrt(least)
+    if depth.size > 0:
+        for j in range(0, len(nodes), step):
+            u = min(max(nearest_pixel(nodes[j, 0]), 0), depth.shape[1] - 1)
+            v = min(max(nearest_pixel(nodes[j, 1]), 0), depth.shape[0] - 1)
+            metres = depth[v, u] * unit
+            if 0 < metres < FARTHEST:
+                away[known] = metres
+                known += 1
+    return np.median(apart), np.median(away[:known]) if known else 0.0
 
 
 def _believed(change: float) -> float:

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, TrackHints
+from shape_obs.geometry.outline import waves
 from shape_obs.geometry.polyline import arc_length, closed, even_around
 from shape_obs.tracking.prediction import Prediction
 from shape_obs.tracking.registration_in_space import blend_space, index_shift_space
@@ -104,12 +105,8 @@ def index_shift(reference: Array, predicted: Array, found: Array) -> float:
     Returns:
         Places; fractions of a place too.
     """
-    count = len(found)
-    cos, sin = np.empty(count), np.empty(count)
-    for k in range(count):
-        cos[k], sin[k] = math.cos(2 * math.pi * k / count), math.sin(2 * math.pi * k / count)
-    seen = _waves(found, cos, sin)
-    shape, place = _spectrum(_waves(reference, cos, sin), seen), _spectrum(_waves(predicted, cos, sin), seen)
+    seen = waves(found, _HARMONICS)
+    shape, place = _spectrum(waves(reference, _HARMONICS), seen), _spectrum(waves(predicted, _HARMONICS), seen)
     real, imaginary, still = np.zeros(_SHIFTS), np.zeros(_SHIFTS), np.zeros(_SHIFTS)
     for h in range(_HARMONICS):
         for s in range(_SHIFTS):
@@ -165,35 +162,6 @@ def blend(reference: Array, found: Array) -> Array:
         u, v = x * cosine - y * sine + after_u, x * sine + y * cosine + after_v
         out[k, 0] = u + max(-most, min(_FORGETTING * (found[k, 0] - u), most))
         out[k, 1] = v + max(-most, min(_FORGETTING * (found[k, 1] - v), most))
-    return out
-
-
-@compiled(reassociate=True)
-def _waves(points: Array, base_cos: Array, base_sin: Array) -> Array:
-    """Return the first waves around an outline, ``(4, H)``: the sums of u cos, u sin, v cos and v sin.
-
-    Args:
-        points: ``(K, 2)`` equidistant.
-        base_cos: ``(K,)`` the cosine of the first wave.
-        base_sin: ``(K,)`` its sine.
-    """
-    count = len(points)
-    u, v, cos, sin = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
-    for k in range(count):
-        u[k], v[k], cos[k], sin[k] = points[k, 0], points[k, 1], base_cos[k], base_sin[k]
-    out = np.empty((4, _HARMONICS))
-    for h in range(_HARMONICS):
-        u_cos = u_sin = v_cos = v_sin = 0.0
-        for k in range(count):
-            u_cos += u[k] * cos[k]
-            u_sin += u[k] * sin[k]
-            v_cos += v[k] * cos[k]
-            v_sin += v[k] * sin[k]
-        out[0, h], out[1, h], out[2, h], out[3, h] = u_cos, u_sin, v_cos, v_sin
-        for k in range(count):
-            turned = cos[k] * base_cos[k] - sin[k] * base_sin[k]
-            sin[k] = sin[k] * base_cos[k] + cos[k] * base_sin[k]
-            cos[k] = turned
     return out
 
 

@@ -5,12 +5,16 @@ As in the plane, the best rigid motion for every cyclic shift follows from the c
 
 from __future__ import annotations
 
+import cmath
+import math
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.geometry.polyline import interpolate
+from shape_obs.compiled import compiled
+from shape_obs.geometry.outline import waves
+from shape_obs.geometry.rotation import best_rotation, covariance_of, largest_trace
 
 Array = npt.NDArray[np.float64]
 
@@ -29,37 +33,59 @@ _FARTHEST: Final = 1 / 24  # of the outline
 _STAY: Final = 0.01  # how much staying weighs against moving
 
 
+@compiled("(f8[:,::1], f8[:,::1])")
 def blend_space(reference: Array, found: Array) -> Array:
-    """Return the reference laid over ``found`` and moved a little there, all ``(K, D)``."""
-    before, after = reference - reference.mean(axis=0), found - found.mean(axis=0)
-    left, _, right = np.linalg.svd(before.T @ after)
-    left[:, -1] *= np.sign(np.linalg.det(left) * np.linalg.det(right))
-    return found + (1 - _FORGETTING) * (before @ left @ right - after)
+    """Return the reference laid over ``found`` and moved a little there, all ``(K, 3)``."""
+    covariance, before, after = covariance_of(reference, found)
+    rotation = best_rotation(covariance)
+    out = np.empty_like(found)
+    for k in range(len(found)):
+        for d in range(3):
+            laid = after[d]
+            for e in range(3):
+                laid += (reference[k, e] - before[e]) * rotation[e, d]
+            out[k, d] = laid + _FORGETTING * (found[k, d] - laid)
+    return out
 
 
+@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
 def index_shift_space(reference: Array, predicted: Array, found: Array, seen: Array) -> float:
     """Return what ``index_shift`` returns, by forms in space ``(K, 3)`` and places, expected and seen, ``(K, D)``."""
     shape, place = _cross_spectrum(reference, found), _cross_spectrum(predicted, seen)
-    shifts = np.arange(_SHIFTS) / _SHIFTS
-    turned, still = np.full(_SHIFTS, -np.inf), np.einsum("dds->s", _at(place, shifts))
-    near = (int(np.argmax(still)) + np.arange(-_SHIFTS // 8, _SHIFTS // 8 + 1)) % _SHIFTS
-    turned[near] = _rotated(_at(shape, shifts[near]))
-    if turned.max() < _ALIKE or np.argmax(turned) in (near[0], near[-1]):  # it has turned far
-        near = np.arange(_SHIFTS)
-        turned = _rotated(_at(shape, shifts))
-    flat = _FLAT / (1 + float(np.ptp(turned[near])) / _FLAT)
-    score, at = turned + flat * still, int(np.argmax(turned + _TURNING * still))
-    while max(low := score[(at - 1) % _SHIFTS], high := score[(at + 1) % _SHIFTS]) > score[at % _SHIFTS]:
-        at += -1 if low >= high else 1
-    at /= _SHIFTS
+    still, turned, expected = np.empty(_SHIFTS), np.full(_SHIFTS, -np.inf), 0
+    for s in range(_SHIFTS):
+        still[s] = _stayed(place, s / _SHIFTS)
+        expected = s if still[s] > still[expected] else expected
+    first, count, best = expected - _SHIFTS // 8, 2 * (_SHIFTS // 8) + 1, expected
+    for s in range(first, first + count):
+        turned[s % _SHIFTS] = _turned(shape, s / _SHIFTS)
+        best = s if turned[s % _SHIFTS] > turned[best % _SHIFTS] else best
+    if turned[best % _SHIFTS] < _ALIKE or best in (first, first + count - 1):  # it has turned far
+        first, count = 0, _SHIFTS
+        for s in range(_SHIFTS):
+            turned[s] = _turned(shape, s / _SHIFTS)
+    least, most, at, match = np.inf, -np.inf, 0, -np.inf
+    for s in range(_SHIFTS):
+        if turned[s] > -np.inf:
+            least, most = min(least, turned[s]), max(most, turned[s])
+        if turned[s] + _TURNING * still[s] > match:
+            at, match = s, turned[s] + _TURNING * still[s]
+    flat = _FLAT / (1 + (most - least) / _FLAT)
+    score = turned + flat * still
+    while max(score[at - 1], score[(at + 1) % _SHIFTS]) > score[at]:
+        at = (at - 1 if score[at - 1] >= score[(at + 1) % _SHIFTS] else at + 1) % _SHIFTS
+    turns = at / _SHIFTS
     for width in _PEAKS:
-        shifts = at + width * np.array([-1.0, 0.0, 1.0])
-        score = _rotated(_at(shape, shifts)) + flat * np.einsum("dds->s", _at(place, shifts))
-        bend = score[0] - 2 * score[1] + score[2]
-        at += width * float(np.clip((score[0] - score[2]) / (2 * bend), -1, 1)) if bend < 0 else 0.0
-    return _without_bends(reference, found, at * len(found))
+        low = _turned(shape, turns - width) + flat * _stayed(place, turns - width)
+        middle = _turned(shape, turns) + flat * _stayed(place, turns)
+        high = _turned(shape, turns + width) + flat * _stayed(place, turns + width)
+        bend = low - 2 * middle + high
+        if bend < 0:
+            turns += width * min(max((low - high) / (2 * bend), -1.0), 1.0)
+    return _without_bends(reference, found, turns * len(found))
 
 
+@compiled
 def _without_bends(reference: Array, found: Array, shift: float) -> float:
     """Refine a shift by those parts of an outline that have moved rigidly; the others count for little.
 
@@ -68,53 +94,114 @@ def _without_bends(reference: Array, found: Array, shift: float) -> float:
     distance (D. Geman, D. E. McClure, "Statistical methods for tomographic image reconstruction", 1987), go over to
     the part that has not bent.
     """
-    count, most = len(found), shift + _FARTHEST * len(found) * np.array([-1.0, 1.0])
-    index = np.arange(0, count, max(count // _COMPARED, 1))
-    reference, weight, around = reference[index], np.ones(len(index)), np.concatenate([found, found[:1]])
-    ahead = np.roll(found, -1, axis=0) - found
+    count = len(found)
+    low, high, every = shift - _FARTHEST * count, shift + _FARTHEST * count, max(count // _COMPARED, 1)
+    some = reference[::every]
+    weight, places, ahead = np.ones(len(some)), np.empty_like(some), np.empty_like(some)
+    off, far, move = np.empty_like(some), np.empty(len(some)), np.empty(7)
     for _ in range(_STEPS):
-        places = interpolate(around, np.arange(count + 1.0), np.asarray((index + shift) % count, np.float64))
-        share = weight / weight.sum()
-        middle = share @ places
-        before = reference - share @ reference
-        left, _, right = np.linalg.svd((before * share[:, None]).T @ (places - middle))
-        left[:, -1] *= np.sign(np.linalg.det(left) * np.linalg.det(right))
-        laid = before @ left @ right
-        off = places - middle - laid
-        far = np.linalg.norm(off, axis=1)
-        weight = 1 / (1 + (far / max(_BENT * float(np.median(far)), 1e-9)) ** 2) ** 2
-        moves = np.zeros((len(index), 3, 7))  # of the residual, by the shift, a rotation and a translation
-        moves[:, :, 0] = ahead[np.floor(index + shift).astype(int) % count]
-        x, y, z = laid.T
-        moves[:, 1, 1], moves[:, 2, 1], moves[:, 0, 2] = z, -y, -z
-        moves[:, 2, 2], moves[:, 0, 3], moves[:, 1, 3] = x, y, -x
-        moves[:, (0, 1, 2), (4, 5, 6)] = -1
-        flat, weights = moves.reshape(-1, 7), np.repeat(weight, 3)
-        normal = (flat * weights[:, None]).T @ flat
+        for n in range(len(some)):
+            at = (n * every + shift) % count
+            before = min(int(at), count - 1)
+            for d in range(3):
+                ahead[n, d] = found[(before + 1) % count, d] - found[before, d]
+                places[n, d] = found[before, d] + (at - before) * ahead[n, d]
+        laid, middle = _laid(some, places, weight)
+        for n in range(len(some)):
+            square = 0.0
+            for d in range(3):
+                off[n, d] = places[n, d] - middle[d] - laid[n, d]
+                square += off[n, d] ** 2
+            far[n] = math.sqrt(square)
+        reach = max(_BENT * np.median(far), 1e-9)
+        normal, slope = np.zeros((7, 7)), np.zeros(7)
+        for n in range(len(some)):
+            weight[n] = 1 / (1 + (far[n] / reach) ** 2) ** 2
+            for d in range(3):  # how the residual moves with the shift, a rotation and a translation
+                e, f = (d + 1) % 3, (d + 2) % 3
+                move[:] = 0.0
+                move[0], move[4 + d] = ahead[n, d], -1.0
+                move[1 + e], move[1 + f] = -laid[n, f], laid[n, e]
+                for i in range(7):
+                    slope[i] += weight[n] * move[i] * off[n, d]
+                    for j in range(7):
+                        normal[i, j] += weight[n] * move[i] * move[j]
         normal[0, 0] *= 1 + _STAY  # on a circle a shift is a rotation
-        normal[np.diag_indices(7)] += 1e-12
-        step = -np.linalg.solve(normal, (flat * weights[:, None]).T @ off.ravel())[0]
-        shift = float(np.clip(shift + np.clip(step, -1, 1), *most))
+        for i in range(7):
+            normal[i, i] += 1e-12
+        step = -np.linalg.solve(normal, slope)[0]
+        shift = min(max(shift + min(max(step, -1.0), 1.0), low), high)
     return shift
 
 
-def _cross_spectrum(before: Array, after: Array) -> npt.NDArray[np.complex128]:
-    """Return the spectrum of the cross-covariance over cyclic shifts, ``(D, D, F)``; a perfect match gives 1."""
-    first, second = (np.fft.rfft(points.T)[:, 1 : _HARMONICS + 1] for points in (before, after))
-    scale = np.sqrt(np.sum(np.abs(first) ** 2) * np.sum(np.abs(second) ** 2))
-    return np.conj(first)[:, None] * second[None] / max(float(scale), 1e-12)
+@compiled
+def _laid(points: Array, places: Array, weight: Array) -> tuple[Array, Array]:
+    """Return ``(N, 3)`` weighted points rotated onto places, about the places' mean, and that mean ``(3,)``."""
+    first, second, covariance, whole = np.zeros(3), np.zeros(3), np.zeros((3, 3)), weight.sum()
+    for n in range(len(points)):
+        for d in range(3):
+            first[d] += weight[n] / whole * points[n, d]
+            second[d] += weight[n] / whole * places[n, d]
+    for n in range(len(points)):
+        for d in range(3):
+            for e in range(3):
+                covariance[d, e] += weight[n] / whole * (points[n, d] - first[d]) * (places[n, e] - second[e])
+    rotation = best_rotation(covariance)
+    laid = np.zeros_like(points)
+    for n in range(len(points)):
+        for d in range(3):
+            for e in range(3):
+                laid[n, d] += (points[n, e] - first[e]) * rotation[e, d]
+    return laid, second
 
 
-def _at(spectrum: npt.NDArray[np.complex128], turns: Array) -> Array:
-    """Return the covariances at S shifts, in turns: ``(D, D, S)``."""
-    return (spectrum @ np.exp(2j * np.pi * np.arange(1, spectrum.shape[-1] + 1)[:, None] * turns)).real
+@compiled
+def _cross_spectrum(before: Array, after: Array) -> Array:
+    """Return the spectrum of the cross-covariance over cyclic shifts, ``(D, D, 2, H)``: cosines and sines.
 
-
-def _rotated(covariance: Array) -> Array:
-    """Return how well they match after the best proper rotation: ``(D, D, S)`` -> ``(S,)``.
-
-    Its trace is the sum of the singular values, the least one negative for a reflection.
+    A perfect match gives 1.
     """
-    stacked = np.moveaxis(covariance, -1, 0)
-    values = np.linalg.svd(stacked, compute_uv=False)
-    return values[:, :-1].sum(axis=1) + np.where(np.linalg.det(stacked) < 0, -1.0, 1.0) * values[:, -1]
+    first, second, size = waves(before, _HARMONICS), waves(after, _HARMONICS), before.shape[1]
+    scale = max(math.sqrt(np.sum(first * first) * np.sum(second * second)), 1e-12)
+    out = np.empty((size, size, 2, _HARMONICS))
+    for d in range(size):
+        for e in range(size):
+            for h in range(_HARMONICS):
+                a, b, c, f = first[2 * d, h], first[2 * d + 1, h], second[2 * e, h], second[2 * e + 1, h]
+                out[d, e, 0, h], out[d, e, 1, h] = (a * c + b * f) / scale, (a * f - b * c) / scale
+    return out
+
+
+@compiled
+def _turned(spectrum: Array, turns: float) -> float:
+    """Return how well forms match at a shift, in turns, after the best proper rotation."""
+    return largest_trace(_at(spectrum, turns))
+
+
+@compiled
+def _stayed(spectrum: Array, turns: float) -> float:
+    """Return how well places match at a shift, in turns, as they are."""
+    covariance = _at(spectrum, turns)
+    total = 0.0
+    for d in range(len(covariance)):
+        total += covariance[d, d]
+    return total
+
+
+@compiled
+def _at(spectrum: Array, turns: float) -> Array:
+    """Return the covariance at a shift, in turns: ``(D, D)``."""
+    size = len(spectrum)
+    covariance, cos, sin = np.empty((size, size)), np.empty(_HARMONICS), np.empty(_HARMONICS)
+    step = cmath.exp(2j * math.pi * turns)
+    wave = step
+    for h in range(_HARMONICS):
+        cos[h], sin[h] = wave.real, wave.imag
+        wave *= step
+    for d in range(size):
+        for e in range(size):
+            total = 0.0
+            for h in range(_HARMONICS):
+                total += spectrum[d, e, 0, h] * cos[h] + spectrum[d, e, 1, h] * sin[h]
+            covariance[d, e] = total
+    return covariance

@@ -22,7 +22,7 @@ from shape_obs.clustering.fcm import FuzzyCMeans
 from shape_obs.clustering.gmm import GaussianMixture
 from shape_obs.clustering.kmeans import KMeans
 from shape_obs.clustering.kohonen import Kohonen
-from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.topology import Chain, Grid
 from shape_obs.metrics import calinski_harabasz, distance, nearest, spacing_cv
 

@@ -111,7 +111,7 @@ import os, sys
 import numpy as np
 from shape_obs.clustering.gmm import GaussianMixture
 from shape_obs.clustering.kmeans import KMeans
-from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.topology import Chain
 
 points = np.random.default_rng(0).uniform(0, 100, (20000, 2))

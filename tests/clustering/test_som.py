@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from shape_obs.clustering.som import batch_epochs, best_matching_units, run_ring_som, run_som
-from shape_obs.geometry.outline import material_outline
-from shape_obs.geometry.samples import Samples, pairs
+from shape_obs.geometry.observed import Samples
+from shape_obs.geometry.outline import material_outline, pairs
 from shape_obs.geometry.topology import Chain, Grid, Ring, neighbourhoods
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shape_obs.geometry.samples import pairs
+from shape_obs.geometry.outline import pairs
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 8])

@@ -28,6 +28,7 @@ from shape_obs.configurations.shape_points import visible_depth
 from shape_obs.image.find_region import prepare
 from shape_obs.point_cloud.lifting import median_depth
 from shape_obs.tracking.belief import point_errors
+from shape_obs.tracking.prediction import typical_motion
 
 BLUE = HSVRange(low=(100, 80, 25), high=(130, 255, 255))
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
@@ -141,7 +142,7 @@ def main(kind: str) -> None:
         ok += kind == "surface" and detectors[2].detect_cloud(cloud).shapes[0].ok
     rules = [spec.segmentation for spec in detector.shapes]
     fits = {function for one in detectors for function in one.shapes[0].compiled_functions}
-    listed = [*prepare(rules), visible_depth, median_depth, point_errors, *fits]
+    listed = [*prepare(rules), visible_depth, median_depth, point_errors, typical_motion, *fits]
     names = sorted(function.__name__ for function in listed)
     print(json.dumps({"called": sorted(called), "listed": names, "late": sorted(late), "ok": int(ok)}))
 

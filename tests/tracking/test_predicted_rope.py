@@ -50,7 +50,7 @@ def drawn(turn: float) -> np.ndarray:
 @pytest.mark.parametrize("shift", [0.0, 150.0])
 def test_a_curve_is_turned_the_way_of_the_rope(turn, shift):
     for form, back in ((curve(turn, shift), False), (curve(turn, shift).reversed(), True)):
-        found, turned = oriented(form, predicted())
+        found, turned = oriented(form, PredictedRope(predicted(), form), predicted().hints.length)
         assert turned == back
         assert not found.ambiguity
         np.testing.assert_allclose(found.points[0], curve(turn, shift).points[0])
@@ -148,6 +148,6 @@ def test_nothing_is_put_beyond_a_free_tip_where_predictions_are_poor(free):
     points = np.ascontiguousarray(axis(count=641)[first : first + 545 : 10])
     form, known = FittedCurve.through(points, np.zeros(len(points), bool)), predicted(residuals=(200.0, 200.0))
     ends = (FREE, UNKNOWN) if free == 0 else (UNKNOWN, FREE)
-    missing = PredictedRope(known).place(form, ends, np.zeros(2), 45.0, 1.0, (0, 0))
+    missing = PredictedRope(known).place(form, ends, (0.0, 0.0), 45.0, 1.0, (0, 0))
     assert missing[free] == 0
     assert missing[1 - free] == pytest.approx(45.0)

@@ -24,7 +24,7 @@ from shape_obs.clustering.kohonen import Kohonen
 from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
-from shape_obs.geometry.samples import Samples
+from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.topology import Ring, Topology
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Whole

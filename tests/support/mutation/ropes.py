@@ -115,7 +115,7 @@ ROPES: tuple[Mutant, ...] = (
     _rope(
         "the rim of an end is its tip",
         "configurations/chain_in_mask",
-        "return curve.trimmed(*rims) if max(rims) > _LEAST_RIM else curve",
+        "return curve.trimmed(head, tail) if max(head, tail) > _LEAST_RIM else curve",
         "return curve",
         _SPACE,
         _CLAIMS,

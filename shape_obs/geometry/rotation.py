@@ -1,0 +1,156 @@
+"""The best rotation of one set of points in space onto another, from their covariance."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.compiled import compiled
+
+Array = npt.NDArray[np.float64]
+
+_SWEEPS: Final = 12
+_PARALLEL: Final = 1e-14  # cosine: columns that lie so close to a right angle are orthogonal
+_RANK: Final = 1e-12  # of the largest singular value: less is none
+
+
+@compiled("(f8[:,::1],)")
+def best_rotation(covariance: Array) -> Array:
+    """Return the ``(3, 3)`` proper rotation R that makes the trace of R'A largest.
+
+    With A the sum of the products of two sets of centred points, ``before.T @ after``, the points ``before @ R`` lie as
+    near to ``after`` as a rotation can take them (W. Kabsch, Acta Cryst. A32, 1976). The singular vectors come from
+    rotations of the columns against each other until they are orthogonal (M. R. Hestenes, "Inversion of Matrices by
+    Biorthogonalization and Related Results", 1958), which small singular values survive.
+
+    Args:
+        covariance: ``(3, 3)`` A.
+    """
+    left, right = covariance.copy(), np.eye(3)
+    size = _orthogonalized(left, right)
+    first = int(np.argmax(size))
+    least = int(np.argmin(size)) if size.min() < size[first] else 2
+    second = 3 - first - least
+    u, v = np.zeros((3, 3)), np.zeros((3, 3))
+    for i in range(3):
+        v[0, i], v[1, i] = right[i, first], right[i, second]
+        u[0, i] = left[i, first] / size[first] if size[first] > 0 else 1.0 * (i == first)
+        u[1, i] = left[i, second] / size[second] if size[second] > _RANK * size[first] else 0.0
+    if not size[second] > _RANK * size[first]:  # any direction at a right angle to the first
+        _across(u)
+    _cross(u)
+    _cross(v)
+    rotation = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                rotation[i, j] += u[k, i] * v[k, j]
+    return rotation
+
+
+@compiled
+def largest_trace(covariance: Array) -> float:
+    """Return the trace of R'A for the best proper rotation R of a ``(3, 3)`` matrix A, see ``best_rotation``.
+
+    It is the sum of the singular values, the least one negative if the best orthogonal matrix reflects.
+    """
+    a = covariance
+    size = _orthogonalized(a.copy(), np.zeros((3, 3)))
+    determinant = (
+        a[0, 0] * (a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1])
+        - a[0, 1] * (a[1, 0] * a[2, 2] - a[1, 2] * a[2, 0])
+        + a[0, 2] * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
+    )
+    return size[0] + size[1] + size[2] - (2 * size.min() if determinant < 0 else 0.0)
+
+
+@compiled
+def _orthogonalized(left: Array, right: Array) -> Array:
+    """Rotate the columns of a matrix until they are orthogonal, and those of another alike; return their lengths.
+
+    Args:
+        left: ``(3, 3)``, changed in place.
+        right: ``(3, 3)``, changed in place.
+    """
+    for _ in range(_SWEEPS):
+        turned = _made_orthogonal(left, right, 0, 1)
+        turned |= _made_orthogonal(left, right, 0, 2)
+        turned |= _made_orthogonal(left, right, 1, 2)
+        if not turned:
+            break
+    size = np.empty(3)
+    for k in range(3):
+        size[k] = math.sqrt(left[0, k] ** 2 + left[1, k] ** 2 + left[2, k] ** 2)
+    return size
+
+
+@compiled
+def _made_orthogonal(left: Array, right: Array, p: int, q: int) -> bool:
+    """Rotate the columns p and q until those on the left are orthogonal, and return whether they moved."""
+    one = other = both = 0.0
+    for i in range(3):
+        one += left[i, p] * left[i, p]
+        other += left[i, q] * left[i, q]
+        both += left[i, p] * left[i, q]
+    if abs(both) <= _PARALLEL * math.sqrt(one * other):
+        return False
+    ratio = (other - one) / (2 * both)
+    tangent = (1.0 if ratio >= 0 else -1.0) / (abs(ratio) + math.sqrt(1 + ratio * ratio))
+    cosine = 1 / math.sqrt(1 + tangent * tangent)
+    sine = cosine * tangent
+    for i in range(3):
+        a, b = left[i, p], left[i, q]
+        left[i, p], left[i, q] = cosine * a - sine * b, sine * a + cosine * b
+        a, b = right[i, p], right[i, q]
+        right[i, p], right[i, q] = cosine * a - sine * b, sine * a + cosine * b
+    return True
+
+
+@compiled
+def _across(rows: Array) -> None:
+    """Set the second row of a matrix to a unit vector at a right angle to the first."""
+    flat = 0
+    for k in range(3):
+        if abs(rows[0, k]) < abs(rows[0, flat]):
+            flat = k
+    away, length = rows[0, flat], 0.0
+    for k in range(3):
+        rows[1, k] = (k == flat) - away * rows[0, k]
+        length += rows[1, k] ** 2
+    for k in range(3):
+        rows[1, k] /= math.sqrt(length)
+
+
+@compiled
+def _cross(rows: Array) -> None:
+    """Set the third row of a matrix to the cross product of the first two."""
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        rows[2, k] = rows[0, i] * rows[1, j] - rows[0, j] * rows[1, i]
+
+
+@compiled("(f8[:,::1], f8[:,::1])")
+def covariance_of(before: Array, after: Array) -> tuple[Array, Array, Array]:
+    """Return the sum of the products of two sets of points about their means, and both means.
+
+    Args:
+        before: ``(N, D)``.
+        after: ``(N, D)``.
+
+    Returns:
+        ``(D, D)``, row a for coordinate a of the points before; ``(D,)``; ``(D,)``.
+    """
+    count, size = before.shape
+    covariance, first, second = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    for n in range(count):
+        for a in range(size):
+            first[a] += before[n, a] / count
+            second[a] += after[n, a] / count
+    for n in range(count):
+        for a in range(size):
+            for b in range(size):
+                covariance[a, b] += (before[n, a] - first[a]) * (after[n, b] - second[b])
+    return covariance, first, second
