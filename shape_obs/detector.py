@@ -26,7 +26,7 @@ from shape_obs.geometry.observed import Observed
 from shape_obs.image.find_region import prepare
 from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
-from shape_obs.point_cloud.lifting import median_depth
+from shape_obs.point_cloud.local_depth import median_depth
 from shape_obs.shape import Detection, Shape
 from shape_obs.tracking.belief import point_errors
 from shape_obs.tracking.missing import Clock, lost_shape
@@ -177,7 +177,7 @@ class ShapeDetector:
             ValueError: A wrong shape, or an anchor that cannot be resolved.
             ShapeLostError: A shape was not found and ``on_missing="raise"``.
         """
-        from shape_obs.point_cloud.reading import read_cloud  # most detectors only see images
+        from shape_obs.point_cloud.cloud import read_cloud  # most detectors only see images
 
         begin = time.perf_counter()
         frame, cloud = Frame(None, None, as_camera_model(camera), stamp), read_cloud(points)

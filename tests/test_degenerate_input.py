@@ -15,7 +15,7 @@ from sweep import sweep
 from shape_obs import CameraModel, Centerline, Contour, Intrinsics, Shape, ShapeDetector, Surface
 from shape_obs.geometry.topology import Chain
 from shape_obs.image.connected_runs import near_mask
-from shape_obs.point_cloud.lifting import median_depth
+from shape_obs.point_cloud.local_depth import median_depth
 
 EVERYTHING: dict[str, Any] = {"segmentation": {"kind": "gray", "min_area": 1, "min_share": 0}, "on_invalid": "nan"}
 

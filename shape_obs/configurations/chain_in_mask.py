@@ -66,42 +66,36 @@ def gather_lifted_cells(
     for k in range(len(expected)):
         low, high = min(low, expected[k, 2]), max(high, expected[k, 2])
     low, high = math.exp(low / focal - _MOVED), min(math.exp(high / focal + _MOVED), FARTHEST)
-    top, left, right = runs[0, 0] // edge, runs[0, 1], runs[0, 2]
+    left, right, most = runs[0, 1], runs[0, 2], 0
     for at in range(len(runs)):
         left, right = min(left, runs[at, 1]), max(right, runs[at, 2])
-    left = left // edge
+        most += (runs[at, 2] - runs[at, 1]) // edge + 2
+    top, left = runs[0, 0] // edge, left // edge
     across = (right - 1) // edge - left + 1
-    cells = (runs[-1, 0] // edge - top + 1) * across
-    nearest = np.full(cells, np.inf)
+    places = np.full((runs[-1, 0] // edge - top + 1) * across, -1, np.int32)
+    # Of each square: pixels, sums of columns and rows, pixels with depth, sum of their depth, the least and the most.
+    sums, held, behind, apart = np.empty((2 * most, 7)), 0, math.exp(strand_gap(width, focal)), False
     for at in range(len(runs)):
-        row, base = runs[at, 0], (runs[at, 0] // edge - top) * across - left
-        for column in range(runs[at, 1], runs[at, 2]):
-            metres, cell = depth[row, column] * unit, base + column // edge
-            if low < metres < high and metres < nearest[cell]:
-                nearest[cell] = metres
-    # Of each square, and of the strand behind: pixels, sums of columns and rows, pixels with depth, sum of their depth.
-    sums, behind = np.zeros((2 * cells, 5)), math.exp(strand_gap(width, focal))
-    for at in range(len(runs)):
-        row, base = runs[at, 0], (runs[at, 0] // edge - top) * across - left
-        for column in range(runs[at, 1], runs[at, 2]):
-            metres, cell = depth[row, column] * unit, base + column // edge
-            known = low < metres < high
-            into = 2 * cell + (known and metres > behind * nearest[cell])
-            sums[into, 0] += 1.0
-            sums[into, 1] += column
-            sums[into, 2] += row
-            if known:
-                sums[into, 3] += 1.0
-                sums[into, 4] += metres
-    held = 0
-    for cell in range(cells):
-        if _FEW * sums[2 * cell + 1, 0] < sums[2 * cell, 0]:  # the table next to the rope
-            for k in range(3):
-                sums[2 * cell, k] += sums[2 * cell + 1, k]
-                sums[2 * cell + 1, k] = 0.0
-        held += (sums[2 * cell, 0] > 0) + (sums[2 * cell + 1, 0] > 0)
+        row, column, base = runs[at, 0], runs[at, 1], (runs[at, 0] // edge - top) * across - left
+        cell = column // edge
+        while column < runs[at, 2]:
+            into, stop = places[base + cell], min((cell + 1) * edge, runs[at, 2])
+            if into < 0:
+                _clear(sums[held])
+                places[base + cell] = into = held
+                held += 1
+            near, far, known, total = sums[into, 5], sums[into, 6], 0.0, 0.0
+            for k in range(column, stop):
+                metres = depth[row, k] * unit
+                if low < metres < high:
+                    near, far, known, total = min(near, metres), max(far, metres), known + 1, total + metres
+            sums[into, 5], sums[into, 6], apart = near, far, apart or far > behind * near
+            _add(sums[into], row, column, stop, known, total)
+            column, cell = stop, cell + 1
+    if apart:
+        held = _part_strands(runs, edge, depth, unit, (low, high), behind, top, left, across, places, sums, held)
     points, weight, at = np.empty((held, 3)), np.empty(held), 0
-    for into in range(2 * cells):
+    for into in range(held):
         count = sums[into, 0]
         if count == 0:
             continue
@@ -112,7 +106,56 @@ def gather_lifted_cells(
         else:
             points[at, 2] = expected[_nearest_in_image(u, v, expected), 2]
         at += 1
-    return points, weight
+    return points[:at], weight[:at]
+
+
+@compiled
+def _clear(sums: Array) -> None:
+    for k in range(7):
+        sums[k] = 0.0
+    sums[5] = np.inf
+
+
+@compiled
+def _add(sums: Array, row: int, start: int, stop: int, known: float, metres: float) -> None:
+    """Add pixels of one row to a square's sums, and the depth of those where it is known."""
+    count = float(stop - start)
+    sums[0], sums[1], sums[2] = sums[0] + count, sums[1] + count * (start + stop - 1) / 2, sums[2] + count * row
+    sums[3], sums[4] = sums[3] + known, sums[4] + metres
+
+
+@compiled
+def _part_strands(
+    runs: Indices, edge: int, depth: npt.NDArray[Any], unit: float, limits: tuple[float, float], behind: float,
+    top: int, left: int, across: int, places: npt.NDArray[np.int32], sums: Array, held: int,
+) -> int:  # fmt: skip
+    """Give the strand behind another in a square sums of its own; return how many there are then."""
+    count, other = held, np.full(held, -1, np.int64)
+    for into in range(held):
+        if sums[into, 6] > behind * sums[into, 5]:
+            near = sums[into, 5]
+            other[into] = count
+            _clear(sums[count])
+            _clear(sums[into])
+            sums[into, 5], count = near, count + 1
+    for at in range(len(runs)):
+        row, base = runs[at, 0], (runs[at, 0] // edge - top) * across - left
+        for column in range(runs[at, 1], runs[at, 2]):
+            into = places[base + column // edge]
+            if other[into] >= 0:
+                metres = depth[row, column] * unit
+                known = limits[0] < metres < limits[1]
+                far = known and metres > behind * sums[into, 5]
+                _add(
+                    sums[other[into] if far else into], row, column, column + 1, 1.0 if known else 0.0,
+                    metres if known else 0.0,
+                )  # fmt: skip
+    for into in range(held):
+        if other[into] >= 0 and _FEW * sums[other[into], 0] < sums[into, 0]:  # the table next to the rope
+            for k in range(3):
+                sums[into, k] += sums[other[into], k]
+                sums[other[into], k] = 0.0
+    return count
 
 
 @compiled

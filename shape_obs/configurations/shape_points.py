@@ -16,7 +16,8 @@ from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.topology import Grid
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.point_cloud.chain_length import strand_gap
-from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, form_depth, is_rope, lift_form, median_depth
+from shape_obs.point_cloud.lifting import form_depth, is_rope, lift_form
+from shape_obs.point_cloud.local_depth import MAX_REACH, MIN_SHARE, median_depth
 from shape_obs.shape import Shape
 from shape_obs.tracking.belief import error_on_sheet, expected_error
 from shape_obs.tracking.missing import OnInvalid, fill_invalid

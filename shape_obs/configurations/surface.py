@@ -14,7 +14,7 @@ from scipy.ndimage import map_coordinates
 from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
-from shape_obs.geometry.coons import FINE, SIDE, beneath_fold, blend_sides, coons_patch
+from shape_obs.geometry.coons import FINE, SIDE, beneath_fold, blend_sides, coons_patch, side_lengths
 from shape_obs.geometry.curve import TrackHints
 from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice
 from shape_obs.geometry.observed import Observed
@@ -266,7 +266,7 @@ class Surface(Configuration, kind="surface"):
         """The compiled functions that a fit may call."""
         masks = rim_of, material_outline, rim_depth, coons_patch, blend_sides, nearest_corners, assign_corners
         lattices = match_corners, assess_lattice, lattice_gauges, sample_lattice, _points_over, arc_length, interpolate
-        filled = (fill_lattice,)
+        filled = fill_lattice, side_lengths
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
         return masks + lattices + filled + maps
 

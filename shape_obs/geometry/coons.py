@@ -156,10 +156,16 @@ def border_of(lattice: Array) -> Array:
     return lattice[_BORDER]
 
 
+@compiled("(f8[:,::1],)")
 def side_lengths(border: Array) -> Array:
     """Return ``(4,)`` the lengths of the sides of a border ``(96, D)``."""
-    steps = np.roll(border, -1, axis=0) - border
-    return np.sqrt(np.einsum("pd,pd->p", steps, steps)).reshape(4, SIDE).sum(axis=1)
+    lengths = np.zeros(4)
+    for p in range(4 * SIDE):
+        square = 0.0
+        for d in range(border.shape[1]):
+            square += (border[(p + 1) % (4 * SIDE), d] - border[p, d]) ** 2
+        lengths[p // SIDE] += math.sqrt(square)
+    return lengths
 
 
 def stretched(border: Array, hidden: list[int], sides: Array) -> Array:

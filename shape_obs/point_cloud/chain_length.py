@@ -12,16 +12,8 @@ from shape_obs.compiled import compiled
 from shape_obs.frame import FARTHEST
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.image.connected_runs import nearest_pixel
-from shape_obs.point_cloud.lifting import (
-    COMPARED,
-    MAX_REACH,
-    MIN_SHARE,
-    SMEARED,
-    STEP,
-    median_depth,
-    median_of,
-    nearest_expected,
-)
+from shape_obs.point_cloud.lifting import COMPARED, SMEARED, STEP, nearest_expected
+from shape_obs.point_cloud.local_depth import MAX_REACH, MIN_SHARE, median, median_depth, room
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
@@ -77,19 +69,9 @@ def lift_chain(
         if not abs(z[p] / expected[p] - 1) <= slack:
             z[p] = _depth_near(depth, unit, mask, at, points[p], reach, expected[p], slack)
     _leave_out_overlaid(z, points, bridged, width)
-    near, clean = np.empty(2 * _COMPANY + 1), np.empty(size)
+    clean, near = np.empty(size), np.empty(2 * _COMPANY + 1)
     for p in range(size):
-        clean[p] = np.nan
-        if bridged[p] or not z[p] > 0:
-            continue
-        count = 0
-        for q in range(max(p - _COMPANY, 0), min(p + _COMPANY + 1, size)):
-            if not bridged[q] and z[q] > 0:
-                near[count] = z[q]
-                count += 1
-        reach_up = max(near[count - 1], near[0]) - min(near[count - 1], near[0])
-        if abs(z[p] - median_of(near, count)) <= _ASTRAY + reach_up:
-            clean[p] = z[p]
+        clean[p] = z[p] if not bridged[p] and z[p] > 0 and not _astray(z, bridged, p, near) else np.nan
     known, before = 0, -1
     for p in range(size):
         if clean[p] > 0:
@@ -111,6 +93,22 @@ def lift_chain(
         away = smooth[p] - smooth[p - 1]
         arc[p] = arc[p - 1] + math.sqrt(x * x + y * y + away * away)
     return arc, smooth, known / size
+
+
+@compiled
+def _astray(z: Array, bridged: npt.NDArray[np.bool_], p: int, near: Array) -> bool:
+    """Return whether a depth lies off the median of its neighbours', by more than their own slope explains."""
+    first, last, count = p, p, 0
+    for q in range(max(p - _COMPANY, 0), min(p + _COMPANY + 1, len(z))):
+        if not bridged[q] and z[q] > 0:
+            first, last, at = min(first, q), q, count
+            while at > 0 and near[at - 1] > z[q]:
+                near[at] = near[at - 1]
+                at -= 1
+            near[at] = z[q]
+            count += 1
+    middle = (near[(count - 1) // 2] + near[count // 2]) / 2
+    return abs(z[p] - middle) > _ASTRAY + abs(z[last] - z[first])
 
 
 @compiled("(f8, f8)")
@@ -137,7 +135,7 @@ def _depth_near(
 ) -> float:
     """Return the median depth of the mask around a point, of what lies where it is expected; NaN where nothing does."""
     height, width = mask.shape
-    near, known = np.empty((2 * reach + 1) ** 2), 0
+    near, known = room((2 * reach + 1) ** 2), 0
     column, row = nearest_pixel(point[0]) - at[0], nearest_pixel(point[1]) - at[1]
     for v in range(max(row - reach, 0), min(row + reach + 1, height)):
         for u in range(max(column - reach, 0), min(column + reach + 1, width)):
@@ -145,7 +143,7 @@ def _depth_near(
             if mask[v, u] != 0 and 0 < z < FARTHEST and abs(z / expected - 1) <= slack:
                 near[known] = z
                 known += 1
-    return median_of(near, known) if known else np.nan
+    return median(near, known) if known else np.nan
 
 
 @compiled
@@ -187,18 +185,33 @@ def parabola_smoothed(values: Array, half: int) -> Array:
         values: ``(P,)``.
         half: How many neighbours to either side; at both ends the window is cut.
     """
-    size = len(values)
-    out = np.empty(size)
+    size, out = len(values), np.empty(len(values))
+    inner = np.empty(2 * half + 1)  # the weights where the window is whole
+    squares, fourths = half * (half + 1) * (2 * half + 1) / 3, 0.0
+    for x in range(1, half + 1):
+        fourths += 2.0 * x**4
+    for x in range(-half, half + 1):
+        inner[x + half] = (fourths - squares * x * x) / ((2 * half + 1) * fourths - squares * squares)
     for p in range(size):
-        low, high = max(p - half, 0), min(p + half, size - 1)
-        s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = 0.0
-        for q in range(low, high + 1):
-            x = float(q - p)
-            s0, s1, s2, s3, s4 = s0 + 1.0, s1 + x, s2 + x * x, s3 + x * x * x, s4 + x * x * x * x
-            t0, t1, t2 = t0 + values[q], t1 + x * values[q], t2 + x * x * values[q]
-        whole = s0 * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s2 * s3) + s2 * (s1 * s3 - s2 * s2)
-        if whole > 0:
-            out[p] = (t0 * (s2 * s4 - s3 * s3) - s1 * (t1 * s4 - t2 * s3) + s2 * (t1 * s3 - t2 * s2)) / whole
+        if half <= p < size - half:
+            total = 0.0
+            for k in range(2 * half + 1):
+                total += inner[k] * values[p - half + k]
+            out[p] = total
         else:
-            out[p] = values[p]
+            out[p] = _parabola_at(values, p, max(p - half, 0), min(p + half, size - 1))
     return out
+
+
+@compiled
+def _parabola_at(values: Array, p: int, low: int, high: int) -> float:
+    """Return the value at p of the parabola of least squares through the values from low to high."""
+    s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = 0.0
+    for q in range(low, high + 1):
+        x = float(q - p)
+        s0, s1, s2, s3, s4 = s0 + 1.0, s1 + x, s2 + x * x, s3 + x * x * x, s4 + x * x * x * x
+        t0, t1, t2 = t0 + values[q], t1 + x * values[q], t2 + x * x * values[q]
+    whole = s0 * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s2 * s3) + s2 * (s1 * s3 - s2 * s2)
+    if whole <= 0:
+        return values[p]
+    return (t0 * (s2 * s4 - s3 * s3) - s1 * (t1 * s4 - t2 * s3) + s2 * (t1 * s3 - t2 * s2)) / whole

@@ -18,7 +18,7 @@ from shape_obs.frame import FARTHEST, readable_depth
 from shape_obs.geometry.coons import RIM, SIDE, stretched
 from shape_obs.geometry.polyline import arc_length, interpolate, laid_over
 from shape_obs.image.connected_runs import nearest_pixel
-from shape_obs.point_cloud.lifting import MAX_REACH, MIN_SHARE, bridged, median_depth
+from shape_obs.point_cloud.local_depth import MAX_REACH, MIN_SHARE, median_depth
 from shape_obs.tracking.corner_matching import folded_piece, unfold
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ def rim_depth(
         flags[k] = u <= edge[0] or v <= edge[1] or u >= edge[2] or v >= edge[3]
     if depth.size > 0:
         under = median_depth(depth, unit, mask, left, top, some, reach, MIN_SHARE, True)
-        if bridged(under):
+        if _bridged(under):
             for k in range(count):
                 flags[k] = flags[k] or _covered(depth, unit, mask, left, top, some, k, under[k])
                 near, far = 1 / under[k], 1 / under[(k + 1) % count]
@@ -222,3 +222,23 @@ def _covered(
         if abs(metres - z) > _NEARER:
             return metres < z
     return False
+
+
+@compiled
+def _bridged(z: Array) -> bool:
+    """Fill the gaps of values around a ring by straight lines of their inverse; return False if most are unknown."""
+    count, first, known = len(z), -1, 0
+    for k in range(count):
+        if z[k] > 0:
+            first, known = k if first < 0 else first, known + 1
+    if known < 0.5 * count:
+        return False
+    last = first
+    for step in range(1, count + 1):
+        k = (first + step) % count
+        if z[k] > 0:
+            gap = (k - last - 1) % count + 1
+            for i in range(1, gap):
+                z[(last + i) % count] = 1 / (1 / z[last] + (1 / z[k] - 1 / z[last]) * i / gap)
+            last = k
+    return True

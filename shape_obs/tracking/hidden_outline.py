@@ -124,15 +124,21 @@ def nearest_places(line: Array, points: Array) -> tuple[Array, Array, Mask]:
         ``(N,)`` the place, as an index into the line that need not be whole; ``(N,)`` the distance; ``(N,)`` bool.
     """
     place, far, inside = np.empty(len(points)), np.empty(len(points)), np.empty(len(points), np.bool_)
+    longest = 0.0
+    for i in range(len(line) - 1):
+        longest = max(longest, math.hypot(line[i + 1, 0] - line[i, 0], line[i + 1, 1] - line[i, 1]))
     for n in range(len(points)):
-        least, best, share = np.inf, 0, 0.0
+        least, best, share, limit = np.inf, 0, 0.0, np.inf
         for i in range(len(line) - 1):
-            x, y = line[i + 1, 0] - line[i, 0], line[i + 1, 1] - line[i, 1]
             u, v = points[n, 0] - line[i, 0], points[n, 1] - line[i, 1]
+            if u * u + v * v > limit:  # all of this piece is farther away
+                continue
+            x, y = line[i + 1, 0] - line[i, 0], line[i + 1, 1] - line[i, 1]
             along = min(max((u * x + v * y) / max(x * x + y * y, 1e-300), 0.0), 1.0)
             square = (u - along * x) ** 2 + (v - along * y) ** 2
             if square < least:
                 least, best, share = square, i, along
+                limit = (math.sqrt(least) + longest) ** 2
         place[n], far[n] = best + min(share, 1 - 1e-9), math.sqrt(least)
         x, y = line[best + 1, 0] - line[best, 0], line[best + 1, 1] - line[best, 1]
         inside[n] = x * (points[n, 1] - line[best, 1]) - y * (points[n, 0] - line[best, 0]) > 0

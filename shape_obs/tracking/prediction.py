@@ -23,7 +23,7 @@ _VELOCITY_SHARE: Final = 0.8
 MAX_SIZE_CHANGE: Final = 0.06  # of the size, from one frame to the next
 _MAX_WIDTH_CHANGE: Final = 0.02
 _WIDTH_NOISE: Final = 0.03
-_ASKED: Final = 64  # nodes of a form whose nearest of the track is looked for
+_ASKED: Final = 64  # nodes of a form and of the track that are compared
 _STEADY: Final = 0.003  # of its area, by which an object that is seen as a whole changes from frame to frame
 _LEAST_INTERVAL: Final = 1e-6  # seconds; stamps that are closer give no velocity
 
@@ -232,24 +232,24 @@ def typical_motion(nodes: Array, before: Array, depth: npt.NDArray[Any], unit: f
     """Return the median distance of the nodes of a track to the nearest of a form's, and the median depth there.
 
     Args:
-        nodes: ``(K, D)`` of the form; about 64 of them are compared.
-        before: ``(K', D)`` of the track.
+        nodes: ``(K, D)`` of the form; at most 64 of them are compared.
+        before: ``(K', D)`` of the track; the same.
         depth: ``(H, W)`` read-only, uint16 or float32; ``(0, 0)`` without depth.
         unit: Metres in a unit of depth.
 
     Returns:
         In the unit of the nodes; metres, 0 where there is no depth.
     """
-    step = max(len(nodes) // _ASKED, 1)
-    apart, away, known = np.empty(len(before)), np.empty(len(nodes)), 0
-    for k in range(len(before)):
+    step, stride = -(-len(nodes) // _ASKED), -(-len(before) // _ASKED)
+    apart, away, known = np.empty(-(-len(before) // stride)), np.empty(len(nodes)), 0
+    for k in range(0, len(before), stride):
         least = np.inf
         for j in range(0, len(nodes), step):
             square = 0.0
             for d in range(nodes.shape[1]):
                 square += (nodes[j, d] - before[k, d]) ** 2
             least = min(least, square)
-        apart[k] = math.sqrt(least)
+        apart[k // stride] = math.sqrt(least)
     if depth.size > 0:
         for j in range(0, len(nodes), step):
             u = min(max(nearest_pixel(nodes[j, 0]), 0), depth.shape[1] - 1)

@@ -5,7 +5,6 @@ As in the plane, the best rigid motion for every cyclic shift follows from the c
 
 from __future__ import annotations
 
-import cmath
 import math
 from typing import Final
 
@@ -31,6 +30,9 @@ _COMPARED: Final = 48  # of the nodes, at least
 _BENT: Final = 2.0  # median distances: what lies farther off has bent
 _FARTHEST: Final = 1 / 24  # of the outline
 _STAY: Final = 0.01  # how much staying weighs against moving
+# Cosines and sines of the waves at each of the shifts that are looked at: ``(128, 2, 12)``.
+_ANGLES = 2 * np.pi * np.outer(np.arange(_SHIFTS) / _SHIFTS, np.arange(1, _HARMONICS + 1))
+_GRID: Final = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 
 
 @compiled("(f8[:,::1], f8[:,::1])")
@@ -51,19 +53,19 @@ def blend_space(reference: Array, found: Array) -> Array:
 @compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
 def index_shift_space(reference: Array, predicted: Array, found: Array, seen: Array) -> float:
     """Return what ``index_shift`` returns, by forms in space ``(K, 3)`` and places, expected and seen, ``(K, D)``."""
-    shape, place = _cross_spectrum(reference, found), _cross_spectrum(predicted, seen)
+    shape, place = _cross_spectrum(reference, found), _traced(_cross_spectrum(predicted, seen))
     still, turned, expected = np.empty(_SHIFTS), np.full(_SHIFTS, -np.inf), 0
     for s in range(_SHIFTS):
-        still[s] = _stayed(place, s / _SHIFTS)
+        still[s] = _stayed(place, _GRID[s])
         expected = s if still[s] > still[expected] else expected
     first, count, best = expected - _SHIFTS // 8, 2 * (_SHIFTS // 8) + 1, expected
     for s in range(first, first + count):
-        turned[s % _SHIFTS] = _turned(shape, s / _SHIFTS)
+        turned[s % _SHIFTS] = _turned(shape, _GRID[s % _SHIFTS])
         best = s if turned[s % _SHIFTS] > turned[best % _SHIFTS] else best
     if turned[best % _SHIFTS] < _ALIKE or best in (first, first + count - 1):  # it has turned far
         first, count = 0, _SHIFTS
         for s in range(_SHIFTS):
-            turned[s] = _turned(shape, s / _SHIFTS)
+            turned[s] = _turned(shape, _GRID[s])
     least, most, at, match = np.inf, -np.inf, 0, -np.inf
     for s in range(_SHIFTS):
         if turned[s] > -np.inf:
@@ -76,9 +78,10 @@ def index_shift_space(reference: Array, predicted: Array, found: Array, seen: Ar
         at = (at - 1 if score[at - 1] >= score[(at + 1) % _SHIFTS] else at + 1) % _SHIFTS
     turns = at / _SHIFTS
     for width in _PEAKS:
-        low = _turned(shape, turns - width) + flat * _stayed(place, turns - width)
-        middle = _turned(shape, turns) + flat * _stayed(place, turns)
-        high = _turned(shape, turns + width) + flat * _stayed(place, turns + width)
+        before, here, after = _wave(turns - width), _wave(turns), _wave(turns + width)
+        low = _turned(shape, before) + flat * _stayed(place, before)
+        middle = _turned(shape, here) + flat * _stayed(place, here)
+        high = _turned(shape, after) + flat * _stayed(place, after)
         bend = low - 2 * middle + high
         if bend < 0:
             turns += width * min(max((low - high) / (2 * bend), -1.0), 1.0)
@@ -98,7 +101,7 @@ def _without_bends(reference: Array, found: Array, shift: float) -> float:
     low, high, every = shift - _FARTHEST * count, shift + _FARTHEST * count, max(count // _COMPARED, 1)
     some = reference[::every]
     weight, places, ahead = np.ones(len(some)), np.empty_like(some), np.empty_like(some)
-    off, far, move = np.empty_like(some), np.empty(len(some)), np.empty(7)
+    off, far = np.empty_like(some), np.empty(len(some))
     for _ in range(_STEPS):
         for n in range(len(some)):
             at = (n * every + shift) % count
@@ -119,13 +122,11 @@ def _without_bends(reference: Array, found: Array, shift: float) -> float:
             weight[n] = 1 / (1 + (far[n] / reach) ** 2) ** 2
             for d in range(3):  # how the residual moves with the shift, a rotation and a translation
                 e, f = (d + 1) % 3, (d + 2) % 3
-                move[:] = 0.0
-                move[0], move[4 + d] = ahead[n, d], -1.0
-                move[1 + e], move[1 + f] = -laid[n, f], laid[n, e]
-                for i in range(7):
-                    slope[i] += weight[n] * move[i] * off[n, d]
-                    for j in range(7):
-                        normal[i, j] += weight[n] * move[i] * move[j]
+                moves = ((0, ahead[n, d]), (1 + e, -laid[n, f]), (1 + f, laid[n, e]), (4 + d, -1.0))
+                for i, by in moves:
+                    slope[i] += weight[n] * by * off[n, d]
+                    for j, other in moves:
+                        normal[i, j] += weight[n] * by * other
         normal[0, 0] *= 1 + _STAY  # on a circle a shift is a rotation
         for i in range(7):
             normal[i, i] += 1e-12
@@ -173,35 +174,39 @@ def _cross_spectrum(before: Array, after: Array) -> Array:
 
 
 @compiled
-def _turned(spectrum: Array, turns: float) -> float:
-    """Return how well forms match at a shift, in turns, after the best proper rotation."""
-    return largest_trace(_at(spectrum, turns))
-
-
-@compiled
-def _stayed(spectrum: Array, turns: float) -> float:
-    """Return how well places match at a shift, in turns, as they are."""
-    covariance = _at(spectrum, turns)
-    total = 0.0
-    for d in range(len(covariance)):
-        total += covariance[d, d]
-    return total
-
-
-@compiled
-def _at(spectrum: Array, turns: float) -> Array:
-    """Return the covariance at a shift, in turns: ``(D, D)``."""
-    size = len(spectrum)
-    covariance, cos, sin = np.empty((size, size)), np.empty(_HARMONICS), np.empty(_HARMONICS)
-    step = cmath.exp(2j * math.pi * turns)
-    wave = step
-    for h in range(_HARMONICS):
-        cos[h], sin[h] = wave.real, wave.imag
-        wave *= step
-    for d in range(size):
-        for e in range(size):
-            total = 0.0
+def _traced(spectrum: Array) -> Array:
+    """Return the spectrum of the trace of the covariance: ``(2, H)``."""
+    out = np.zeros((2, _HARMONICS))
+    for d in range(len(spectrum)):
+        for part in range(2):
             for h in range(_HARMONICS):
-                total += spectrum[d, e, 0, h] * cos[h] + spectrum[d, e, 1, h] * sin[h]
-            covariance[d, e] = total
-    return covariance
+                out[part, h] += spectrum[d, d, part, h]
+    return out
+
+
+@compiled
+def _wave(turns: float) -> Array:
+    """Return the waves at a shift, in turns: ``(2, H)`` cosines and sines."""
+    out = np.empty((2, _HARMONICS))
+    for h in range(_HARMONICS):
+        out[0, h], out[1, h] = math.cos(2 * math.pi * turns * (h + 1)), math.sin(2 * math.pi * turns * (h + 1))
+    return out
+
+
+@compiled
+def _turned(spectrum: Array, wave: Array) -> float:
+    """Return how well forms match at the shift of a wave, after the best proper rotation."""
+    covariance = np.empty((3, 3))
+    for d in range(3):
+        for e in range(3):
+            covariance[d, e] = _stayed(spectrum[d, e], wave)
+    return largest_trace(covariance)
+
+
+@compiled(reassociate=True)
+def _stayed(spectrum: Array, wave: Array) -> float:
+    """Return the value of a spectrum ``(2, H)`` at the shift of a wave; of a trace, how well places match unturned."""
+    total = 0.0
+    for h in range(_HARMONICS):
+        total += spectrum[0, h] * wave[0, h] + spectrum[1, h] * wave[1, h]
+    return total

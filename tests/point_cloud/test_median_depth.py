@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs.frame import FARTHEST
-from shape_obs.point_cloud.lifting import median_depth
+from shape_obs.point_cloud.local_depth import median_depth
 
 
 @settings(max_examples=30)
@@ -50,3 +50,15 @@ def test_a_tilted_sheet_is_not_shallower_at_its_border(reach):
     found = median_depth(depth, 1.0, mask, 0, 0, points, reach, 0.25, True)
     assert np.abs(found - true).mean() < 6e-4
     assert np.abs(found - true).max() < 3e-3
+
+
+def test_a_steep_sheet_of_few_pixels_has_a_slope():
+    """At 60° the next column of pixels is 10 mm farther, and is no outlier when most pixels lie in one column."""
+    rng = np.random.default_rng(0)
+    column = np.mgrid[:100, :100][1]
+    depth = (0.6 / (1 - 0.017 * (column - 60)) + rng.normal(0, 5e-4, column.shape)).astype(np.float32)
+    depth[rng.random(depth.shape) < np.where(column == 60, 0.5, 0.1)] = 0
+    mask = ((column >= 59) & (column <= 60)).astype(np.uint8)
+    points = np.stack([rng.uniform(59.6, 60.4, 200), rng.uniform(10, 90, 200)], axis=1)
+    found = median_depth(depth, 1.0, mask, 0, 0, points, 2, 0.25, True)
+    assert np.abs(found - 0.6 / (1 - 0.017 * (points[:, 0] - 60))).mean() < 2e-3

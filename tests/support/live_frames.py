@@ -26,7 +26,7 @@ from shape_obs.bench.synthetic.tangles import crossing_rope, cut_rope
 from shape_obs.compiled import decorator
 from shape_obs.configurations.shape_points import visible_depth
 from shape_obs.image.find_region import prepare
-from shape_obs.point_cloud.lifting import median_depth
+from shape_obs.point_cloud.local_depth import median_depth
 from shape_obs.tracking.belief import point_errors
 from shape_obs.tracking.prediction import typical_motion
 

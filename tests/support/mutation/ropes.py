@@ -62,8 +62,8 @@ ROPES: tuple[Mutant, ...] = (
     _rope(
         "strands are not parted in a square",
         "configurations/chain_in_mask",
-        "into = 2 * cell + (known and metres > behind * nearest[cell])",
-        "into = 2 * cell",
+        "far = known and metres > behind * sums[into, 5]",
+        "far = False",
         _SPACE,
         _CLAIMS,
     ),

@@ -68,7 +68,7 @@ SHAPES: tuple[Mutant, ...] = (
           "return points if np.isfinite(points).all() else None", "return points", _DEGENERATE),
     _lift("one pixel gives the depth of a form", "point_cloud/lifting",
           "reach = min(max(round(width / 4), 1), MAX_REACH)", "reach = 0"),
-    _lift("one valid pixel suffices", "point_cloud/lifting", "MIN_SHARE: Final = 0.25", "MIN_SHARE: Final = 0.0"),
+    _lift("one valid pixel suffices", "point_cloud/local_depth", "MIN_SHARE: Final = 0.25", "MIN_SHARE: Final = 0.0"),
     _lift("nan interpolates", "tracking/missing", 'if policy == "interpolate":', "if True:"),
     _lift("hold gives nan", "tracking/missing", 'np.nan if policy == "nan" or last is None else last[~valid]',
           "np.nan"),

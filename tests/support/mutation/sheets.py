@@ -36,9 +36,9 @@ SHEETS: tuple[Mutant, ...] = (
     _sheet("the table is not seen", "tracking/sheet_view", "_THROUGH: Final = 0.02", "_THROUGH: Final = 2.0"),
     _sheet(
         "depth has no slope at a border",
-        "point_cloud/lifting",
-        "if sloped and known >= _ENOUGH else middle",
-        "if False else middle",
+        "point_cloud/local_depth",
+        "if sloped and known >= _ENOUGH:",
+        "if False:",
         "tests/point_cloud/test_median_depth.py",
     ),
     _sheet("lost values stay their neighbours'", "geometry/topology", "_SWEEPS: Final = 60", "_SWEEPS: Final = 0",

@@ -1,0 +1,200 @@
+"""The depth under a point: the median of the object's pixels around it, measured from a plane where it slopes."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.compiled import compiled
+from shape_obs.frame import FARTHEST
+from shape_obs.image.connected_runs import nearest_pixel
+
+Array = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.uint8]
+
+MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry depth
+MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
+_SPARSE: Final = 4  # pixels: from this reach on every second pixel is enough
+_ENOUGH: Final = 6  # pixels with depth that make a plane
+_IN_LINE: Final = 0.01  # of the squared spread: below it pixels lie in a line
+_ROUNDS: Final = 3
+_OFF_PLANE: Final = 3.0  # median distances from the plane: what lies farther off belongs to something else
+_ABSURD: Final = 1e3  # times nearer than the median: products of greater numbers would overflow
+_LANES: Final = 64  # numbers that a processor compares at once, or a multiple of that
+_ROUGHLY: Final = 1 << 18  # steps of the last bit: 3 %
+_MOST: Final = np.int32(2**31 - 1)
+_ONE: Final = np.float32(1)
+
+
+@compiled(
+    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8, b1)",
+    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8, b1)",
+)
+def median_depth(
+    depth: npt.NDArray[Any],
+    unit: float,
+    mask: Mask,
+    left: int,
+    top: int,
+    points: Array,
+    reach: int,
+    min_share: float,
+    sloped: bool,
+) -> Array:
+    """Return the median depth of the mask around each point, measured from a plane through the depth there.
+
+    At a border the mask lies on one side of the point, and the median of a tilted sheet would be the depth some pixels
+    inside. The slope comes from the least squares of the inverse depth, which is linear in the pixel on a plane,
+    without what lies far off it.
+
+    Args:
+        depth: ``(H, W)`` read-only, uint16 or float32; 0, negative, non-finite or absurd = invalid.
+        unit: Metres in a unit of depth.
+        mask: ``(h, w)`` uint8, C-contiguous.
+        left: Image column of its first pixel.
+        top: Image row of its first pixel.
+        points: ``(N, 2)`` image pixels.
+        reach: How far around a point is looked, pixels; for a slope, from 4 on, at every second one as on a chessboard.
+        min_share: Of the mask's pixels there, that must have a valid depth.
+        sloped: Whether the depth may slope; a rope is too narrow for that, and lies on both sides of its points.
+
+    Returns:
+        ``(N,)`` metres, NaN where too few have.
+    """
+    height, width = mask.shape
+    step = 2 if sloped and reach >= _SPARSE else 1
+    size, metre = (2 * reach + 1) ** 2, np.float32(unit)
+    out, near, x, y, w, spare = np.empty(len(points)), room(size), room(size), room(size), room(size), room(size)
+    for n in range(len(points)):
+        out[n] = np.nan
+        column, row = nearest_pixel(points[n, 0]) - left, nearest_pixel(points[n, 1]) - top
+        inside = known = 0
+        for v in range(max(row - reach, 0), min(row + reach + 1, height)):
+            y_here = np.float32(v + top - points[n, 1])
+            for u in range(column - reach + (v - row & 1) * (step - 1), min(column + reach + 1, width), step):
+                if u >= 0 and mask[v, u] != 0:
+                    inside += 1
+                    near[known] = depth[v + top, u + left]
+                    x[known], y[known] = u + left - points[n, 0], y_here
+                    known += 0 < near[known] * metre < FARTHEST  # the next one overwrites what is not valid
+        if known >= max(min_share * inside, 1):
+            middle = median(near, known)
+            out[n] = middle * unit
+            if sloped and known >= _ENOUGH:
+                for k in range(known):
+                    w[k] = min(middle / near[k] - 1, _ABSURD)
+                out[n] /= _over_plane(x, y, w, spare, known)
+    return out
+
+
+@compiled
+def _over_plane(x: Floats, y: Floats, w: Floats, spare: Floats, count: int) -> float:
+    """Return the inverse depth at the origin of a plane through some depths, as a share of that of their median.
+
+    Args:
+        x: ``(K,)`` pixels, in ``room``; numbers behind the first ``count`` are of no account.
+        y: ``(K,)`` pixels.
+        w: ``(K,)`` how much greater the inverse depths are than that of the median, as a share of it.
+        spare: ``(K,)`` is overwritten.
+        count: How many are known.
+    """
+    slope_x = slope_y = level = np.float32(0)
+    for step in range(_ROUNDS):
+        _plane_misses(x, y, w, spare, slope_x, slope_y, level)
+        limit = np.float32(max(_OFF_PLANE * median(spare, count, _ROUGHLY), 1e-6))
+        n, u, v, away, xx, xy, yy, xw, yw = _moments(x, y, w, spare, count, limit)
+        if step == 0 and _is_line(n, xx, xy, yy):  # the next column of pixels on a steep plane lies as far off
+            n, u, v, away, xx, xy, yy, xw, yw = _moments(x, y, w, spare, count, np.float32(np.inf))
+        if _is_line(n, xx, xy, yy):  # no slope across it, but that of the step before
+            break
+        spread = xx * yy - xy * xy
+        slope_x, slope_y = np.float32((xw * yy - yw * xy) / spread), np.float32((yw * xx - xw * xy) / spread)
+        level = np.float32(away - slope_x * u - slope_y * v)
+    for k in range(count):
+        spare[k] = max(w[k] + _ONE - slope_x * x[k] - slope_y * y[k], np.float32(0))
+    return max(median(spare, count), 0.5)
+
+
+@compiled(reassociate=True)
+def _plane_misses(
+    x: Floats, y: Floats, w: Floats, out: Floats, slope_x: np.float32, slope_y: np.float32, level: np.float32
+) -> None:
+    for k in range(len(out)):
+        out[k] = abs(w[k] - level - slope_x * x[k] - slope_y * y[k])
+
+
+@compiled(reassociate=True)
+def _moments(x: Floats, y: Floats, w: Floats, misses: Floats, count: int, limit: np.float32) -> tuple[float, ...]:
+    """Return how many points miss a plane by no more, their means of x, y, w, and the sums of xx, xy, yy, xw, yw."""
+    n = sx = sy = sxx = sxy = syy = sw = sxw = syw = np.float32(0)
+    for k in range(count):
+        one = _ONE if misses[k] <= limit else np.float32(0)
+        n, sx, sy, sw = n + one, sx + one * x[k], sy + one * y[k], sw + one * w[k]
+        sxx, sxy, syy = sxx + one * x[k] * x[k], sxy + one * x[k] * y[k], syy + one * y[k] * y[k]
+        sxw, syw = sxw + one * x[k] * w[k], syw + one * y[k] * w[k]
+    some = max(float(n), 1.0)
+    u, v, away = sx / some, sy / some, sw / some
+    return float(n), u, v, away, sxx - sx * u, sxy - sx * v, syy - sy * v, sxw - u * sw, syw - v * sw
+
+
+@compiled
+def _is_line(n: float, xx: float, xy: float, yy: float) -> bool:
+    """Return whether points are too few for a plane, or lie in a line."""
+    return n < _ENOUGH or xx * yy - xy * xy <= _IN_LINE * (xx + yy) ** 2
+
+
+@compiled
+def room(count: int) -> Floats:
+    """Return room for ``count`` numbers and what ``median`` needs in addition, zeros."""
+    return np.zeros((count // _LANES + 2) * _LANES, np.float32)
+
+
+@compiled
+def median(values: Floats, count: int, within: int = 1) -> float:
+    """Return the median of the first ``count`` values, by halving the interval in which it lies.
+
+    Numbers that are not negative are ordered as their bits are, read as whole numbers. Each step counts how many lie
+    below, which a processor does for many at once. Depth in whole units leaves the last bits zero: fewer steps.
+
+    Args:
+        values: ``(K,)`` single precision, not negative, in ``room``; what is behind the first ``count`` is overwritten.
+        count: At least 1.
+        within: Steps of the last bit by which the result may be off; with 1 the median is exact.
+    """
+    bits, last = values.view(np.int32), len(values) - 1
+    some = bits[: -(-count // _LANES) * _LANES]
+    low, high, used = bits[0], bits[0], bits[0]
+    for k in range(count):
+        low, high, used = min(low, bits[k]), max(high, bits[k]), used | bits[k]
+    for k in range(count, len(some)):
+        some[k] = _MOST
+    step, most = max(used & -used, within), count
+    while high - low >= step:
+        middle = low + (high - low) // 2
+        below = _at_most(some, middle)
+        if 2 * below >= count:
+            high, most = middle, below
+        else:
+            low = middle + 1
+    high = high // step * step
+    above = high
+    if 2 * most == count:  # half of them: the mean of the two in the middle
+        above = _MOST
+        for k in range(count):
+            if bits[k] > high:
+                above = min(above, bits[k])
+    bits[last] = high
+    lower = float(values[last])
+    bits[last] = above
+    return (lower + float(values[last])) / 2
+
+
+@compiled
+def _at_most(bits: npt.NDArray[np.int32], limit: int) -> int:
+    count = np.int32(0)
+    for k in range(len(bits)):
+        count += np.int32(bits[k] <= limit)
+    return int(count)
