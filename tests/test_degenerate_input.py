@@ -96,7 +96,7 @@ def test_pixels_that_no_image_holds_lie_off_the_mask():
         image = np.zeros((80, 120), np.float32)
         image[top : top + 9, left : left + 12] = depth
         image.flags.writeable = False
-        z = median_depth(image, 1.0, mask, left, top, at, 1, 0.25, True)
+        z, _ = median_depth(image, 1.0, mask, left, top, at, 1, 0.25, True)
         np.testing.assert_array_equal(np.isfinite(z), on)
 
 

@@ -47,11 +47,13 @@ class Points(NamedTuple):
         places: ``(N, D)`` pixels or metres.
         interpolated: ``(N,)`` bool: on an interpolated piece of the form.
         nearest: ``(N,)`` which of the form's own points is nearest along it, where it may cross itself; else None.
+        relief: ``(N,)`` the form's relief there, see ``FittedCurve.relief``; None if it has none.
     """
 
     places: Array
     interpolated: npt.NDArray[np.bool_]
     nearest: npt.NDArray[np.intp] | None = None
+    relief: Array | None = None
 
 
 _MODULES = {kind: f"shape_obs.configurations.{kind}" for kind in ("centerline", "contour", "surface")}

@@ -215,11 +215,12 @@ class Centerline(Configuration, kind="centerline"):
         if along is not None:
             share = np.linspace(0, 1, self.n) if self.ends == "tips" else (np.arange(self.n) + 0.5) / self.n
             at = interpolate(form.arc[:, None], np.ascontiguousarray(along), share * along[-1])[:, 0]
-            return Points(form.at(at), form.interpolated_at(at), first + form.nearest_to(at))
+            return Points(form.at(at), form.interpolated_at(at), first + form.nearest_to(at), form.relief_at(at))
         margin = 0.0 if self.ends == "tips" else metric.arc[-1] / (2 * self.n)
         places, at = _points_on(form.points, form.arc, metric.points, metric.arc, self.n, margin)
         interpolated = metric.interpolated_at(at) if metric.interpolated.any() else np.zeros(self.n, bool)
-        return Points(places, interpolated, first + metric.nearest_to(at))
+        relief = None if form.relief is None else replace(form, arc=metric.arc).relief_at(at)
+        return Points(places, interpolated, first + metric.nearest_to(at), relief)
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:

@@ -105,14 +105,17 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     """Return points in pixels with the depth under them; where there is none, with their neighbours' depth."""
     region: Region = found.observed
     form, depth, camera, width = found.form, frame.depth, frame.camera, found.object_width
-    metric, under, in_pieces = form, None, False
+    metric, under, in_pieces, measured = form, None, False, False
     if isinstance(form, FittedCurve):
         in_pieces = bool(form.interpolated[shown(form) if any(form.hints.hidden) else slice(None)].any())
-    if depth is not None and camera is not None and (spec.spacing == "m" or in_pieces):
+        measured = form.metres is not None
+    uneven = spec.spacing == "m" and not measured
+    if depth is not None and camera is not None and (uneven or in_pieces):
         under = form_depth(form, depth, region, width)
-        lifted = lift_form(form, under, camera.intrinsics) if spec.spacing == "m" else None
+        lifted = lift_form(form, under, camera.intrinsics) if uneven else None
         metric = form if lifted is None else form.with_points(lifted)
-    points, interpolated, at = spec.resample(form, metric) if found.centres is None else _without_gaps(found.centres)
+    placed = spec.resample(form, metric) if found.centres is None else _without_gaps(found.centres)
+    points, interpolated, at, relief = placed
     if depth is None or camera is None:
         visible = region.carries(points) & ~interpolated
         return points.astype(np.float32), None, visible, visible.copy()
@@ -128,9 +131,11 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     if isinstance(form, FittedCurve) and form.relief is not None:
         at = _nearest(points, form.points) if at is None else at
         focal = camera.intrinsics.fx
-        over = np.log(z) < form.relief[at] / focal - strand_gap(width, focal)
-        visible &= ~over
+        own = (form.relief[at] if relief is None else relief) / focal
+        visible &= ~(np.log(z) < own - strand_gap(width, focal))
         valid &= visible & (form.steepness(width / 2)[at] < _END_ON)
+        if measured:  # along all of the rope, with less noise than under each point alone
+            z = np.where(valid, np.exp(own), np.nan)
     if not valid.all() and valid.any():
         z = spec.layout.interpolate(z[:, None], valid)[:, 0]
     points3d = _lift(points, z, camera.intrinsics, spec.radius)
@@ -153,7 +158,7 @@ def visible_depth(
     sloped: bool,
 ) -> tuple[Mask, Array]:
     """Return whether the mask has a pixel at each point, and the median depth of the mask around it."""
-    z = median_depth(depth, unit, mask, left, top, points, reach, MIN_SHARE, sloped)
+    z, _ = median_depth(depth, unit, mask, left, top, points, reach, MIN_SHARE, sloped)
     return near_mask(mask, left, top, points, 1), z
 
 
@@ -189,7 +194,7 @@ def _points_in_cloud(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         if centres is not None:
             centres = centres + shift[_nearest(centres, form.points)]
         form = form.with_points(form.points + shift)
-    points, interpolated, _ = spec.resample(form, form) if centres is None else _without_gaps(centres)
+    points, interpolated = (spec.resample(form, form) if centres is None else _without_gaps(centres))[:2]
     visible = cloud.carries(points) & ~interpolated
     pixels = cloud.pixels_of(points)
     points2d = None if pixels is None else pixels.astype(np.float32)

@@ -205,6 +205,12 @@ class FittedCurve(FittedForm):
         at = np.ascontiguousarray(arc, dtype=np.float64)
         return interpolate(_polyline(self.points, self.closed), self.arc, at % self.size if self.closed else at)
 
+    def relief_at(self, arc: Array) -> Array | None:
+        """Return the relief at ``(N,)`` arc positions of an open curve; None if it has none."""
+        if self.relief is None:
+            return None
+        return interpolate(np.ascontiguousarray(self.relief[:, None]), self.arc, np.ascontiguousarray(arc))[:, 0]
+
     def even(self, count: int) -> Array:
         """Return ``(count, D)`` places of equal arc length around a closed curve, from its first point on."""
         return self.at(np.arange(count) * (self.size / count))

@@ -20,7 +20,11 @@ Mask = npt.NDArray[np.uint8]
 
 _COMPANY: Final = 3  # points of a curve to either side, whose median depth a point's is compared with
 _ASTRAY: Final = 0.01  # metres: farther from it, apart from their own slope, a depth is not the curve's
-_SMOOTHED: Final = 4  # points to either side, over which depth is smoothed along a curve
+_FEWEST: Final = 3  # points with depth that make a curve in space
+_EXACT: Final = 3e-4  # of the depth: the least noise of it
+_NORMAL: Final = 1.21  # standard deviations of a value, in median distances from the mean of two others
+_CURVED: Final = 4.0  # per metre: the squared curvature that ropes have, and the arc over which it changes
+_ROUNDS: Final = 2
 _APART: Final = (2.0, 0.02)  # widths, and of the depth: strands that lie so far apart are not taken for each other
 
 
@@ -44,8 +48,9 @@ def lift_chain(
 ) -> tuple[Array, Array, float]:
     """Put an open curve in space, and measure how far along it each of its points lies, in metres.
 
-    Depth that lies off its neighbours' is left out, holes are bridged, and the rest is smoothed by parabolas over
-    nine points, since noise would make the curve longer than it is.
+    Depth that lies off its neighbours' is left out, holes are bridged, and the rest is smoothed, since noise would make
+    the curve longer than it is. Each depth counts where its pixels are on average: at a tip they all lie on one side of
+    the point.
 
     Args:
         points: ``(P, 2)`` pixels, at about equal steps.
@@ -64,28 +69,25 @@ def lift_chain(
     """
     size = len(points)
     reach = min(max(int(np.rint(width / 4)), 1), MAX_REACH)
-    z = median_depth(depth, unit, mask, at[0], at[1], points, reach, MIN_SHARE, False)
+    z, places = median_depth(depth, unit, mask, at[0], at[1], points, reach, MIN_SHARE, False)
     for p in range(len(expected)):
         if not abs(z[p] / expected[p] - 1) <= slack:
-            z[p] = _depth_near(depth, unit, mask, at, points[p], reach, expected[p], slack)
+            z[p] = _depth_near(depth, unit, mask, at, points[p], reach, expected[p], slack, places[p])
     _leave_out_overlaid(z, points, bridged, width)
-    clean, near = np.empty(size), np.empty(2 * _COMPANY + 1)
+    clean, near, along, step = np.empty(size), np.empty(2 * _COMPANY + 1), np.arange(float(size)), _step(points)
+    known, least, most = 0, np.inf, 0.0
     for p in range(size):
-        clean[p] = z[p] if not bridged[p] and z[p] > 0 and not _astray(z, bridged, p, near) else np.nan
-    known, before = 0, -1
-    for p in range(size):
-        if clean[p] > 0:
-            known += 1
-            for q in range(before + 1, p):
-                share = 1.0 if before < 0 else (q - before) / (p - before)
-                clean[q] = clean[p] if before < 0 else clean[before] + share * (clean[p] - clean[before])
-            before = p
-    for q in range(before + 1, size):
-        clean[q] = clean[before] if before >= 0 else np.nan
-    smooth = parabola_smoothed(clean, _SMOOTHED)
-    for p in range(size):
-        if smooth[p] <= 0:  # a parabola overshoots where depth jumps
-            smooth[p] = clean[p]
+        clean[p] = np.nan
+        if not bridged[p] and z[p] > 0 and not _astray(z, bridged, p, near):
+            clean[p], along[p] = z[p], p + _ahead(points, p, places[p]) / step
+            known, least, most = known + 1, min(least, z[p]), max(most, z[p])
+    if known < _FEWEST:
+        return np.full(size, np.nan), np.full(size, np.nan), known / size
+    apart = min(max(int((2 * reach + 1) / step), 1), size // 4)
+    noise = max(_noise_of(clean, apart), _EXACT * least)
+    smooth = smooth_depth(clean, along, rays, apart * noise**2)
+    for p in range(size):  # a spline overshoots where depth jumps
+        smooth[p] = min(max(smooth[p], least / 2), 2 * most)
     arc = np.zeros(size)
     for p in range(1, size):
         x = rays[p, 0] * smooth[p] - rays[p - 1, 0] * smooth[p - 1]
@@ -132,18 +134,25 @@ def _depth_near(
     reach: int,
     expected: float,
     slack: float,
+    place: Array,
 ) -> float:
-    """Return the median depth of the mask around a point, of what lies where it is expected; NaN where nothing does."""
+    """Return the median depth of the mask around a point, of what lies where it is expected; NaN where nothing does.
+
+    The mean place ``(2,)`` of those pixels is written to ``place``.
+    """
     height, width = mask.shape
-    near, known = room((2 * reach + 1) ** 2), 0
+    near, known, x, y = room((2 * reach + 1) ** 2), 0, 0.0, 0.0
     column, row = nearest_pixel(point[0]) - at[0], nearest_pixel(point[1]) - at[1]
     for v in range(max(row - reach, 0), min(row + reach + 1, height)):
         for u in range(max(column - reach, 0), min(column + reach + 1, width)):
             z = depth[v + at[1], u + at[0]] * unit
             if mask[v, u] != 0 and 0 < z < FARTHEST and abs(z / expected - 1) <= slack:
                 near[known] = z
-                known += 1
-    return median(near, known) if known else np.nan
+                x, y, known = x + u, y + v, known + 1
+    if known == 0:
+        return np.nan
+    place[0], place[1] = at[0] + x / known, at[1] + y / known
+    return median(near, known)
 
 
 @compiled
@@ -178,40 +187,88 @@ def _leave_out_overlaid(z: Array, points: Array, bridged: npt.NDArray[np.bool_],
 
 
 @compiled
-def parabola_smoothed(values: Array, half: int) -> Array:
-    """Smooth values by a parabola through each one's neighbours (Savitzky and Golay 1964, of second order).
-
-    Args:
-        values: ``(P,)``.
-        half: How many neighbours to either side; at both ends the window is cut.
-    """
-    size, out = len(values), np.empty(len(values))
-    inner = np.empty(2 * half + 1)  # the weights where the window is whole
-    squares, fourths = half * (half + 1) * (2 * half + 1) / 3, 0.0
-    for x in range(1, half + 1):
-        fourths += 2.0 * x**4
-    for x in range(-half, half + 1):
-        inner[x + half] = (fourths - squares * x * x) / ((2 * half + 1) * fourths - squares * squares)
-    for p in range(size):
-        if half <= p < size - half:
-            total = 0.0
-            for k in range(2 * half + 1):
-                total += inner[k] * values[p - half + k]
-            out[p] = total
-        else:
-            out[p] = _parabola_at(values, p, max(p - half, 0), min(p + half, size - 1))
-    return out
+def _step(points: Array) -> float:
+    """Return the mean distance of neighbours."""
+    total = 0.0
+    for p in range(1, len(points)):
+        total += math.hypot(points[p, 0] - points[p - 1, 0], points[p, 1] - points[p - 1, 1])
+    return max(total / (len(points) - 1), 1e-9)
 
 
 @compiled
-def _parabola_at(values: Array, p: int, low: int, high: int) -> float:
-    """Return the value at p of the parabola of least squares through the values from low to high."""
-    s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = 0.0
-    for q in range(low, high + 1):
-        x = float(q - p)
-        s0, s1, s2, s3, s4 = s0 + 1.0, s1 + x, s2 + x * x, s3 + x * x * x, s4 + x * x * x * x
-        t0, t1, t2 = t0 + values[q], t1 + x * values[q], t2 + x * x * values[q]
-    whole = s0 * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s2 * s3) + s2 * (s1 * s3 - s2 * s2)
-    if whole <= 0:
-        return values[p]
-    return (t0 * (s2 * s4 - s3 * s3) - s1 * (t1 * s4 - t2 * s3) + s2 * (t1 * s3 - t2 * s2)) / whole
+def _ahead(points: Array, p: int, place: Array) -> float:
+    """Return how far a place lies ahead of a point along a curve."""
+    before, after = max(p - 1, 0), min(p + 1, len(points) - 1)
+    x, y = points[after, 0] - points[before, 0], points[after, 1] - points[before, 1]
+    return (x * (place[0] - points[p, 0]) + y * (place[1] - points[p, 1])) / max(math.hypot(x, y), 1e-9)
+
+
+@compiled
+def _noise_of(values: Array, apart: int) -> float:
+    """Return the standard deviation of the noise of values along a curve, those ``apart`` being independent."""
+    off, known = room(len(values)), 0
+    for p in range(apart, len(values) - apart):
+        away = values[p] - (values[p - apart] + values[p + apart]) / 2
+        if away == away:  # all three are known
+            off[known] = abs(away)
+            known += 1
+    return _NORMAL * median(off, known) if known else 0.0
+
+
+@compiled
+def smooth_depth(values: Array, along: Array, rays: Array, variance: float) -> Array:
+    """Return the depth along a curve that bends as little as its noise allows: a smoothing spline.
+
+    It is the least of the squared misfits, over the noise, plus the squared curvature of the depth over the arc length
+    in space, over what ropes have of it (G. Wahba, "Improper priors, spline smoothing and the problem of guarding
+    against model errors in regression", 1978). The steps in space follow from the depth, in two rounds.
+
+    Args:
+        values: ``(P,)`` metres, NaN where it is not known.
+        along: ``(P,)`` where each was measured, as an index into the curve that need not be whole.
+        rays: ``(P, 2)`` x/z and y/z of the viewing rays.
+        variance: Of the noise of a value.
+    """
+    size = len(values)
+    z, step = np.full(size, np.nanmean(values)), np.empty(size - 1)
+    for _ in range(_ROUNDS):
+        for p in range(size - 1):
+            away = z[p] * math.hypot(rays[p + 1, 0] - rays[p, 0], rays[p + 1, 1] - rays[p, 1])
+            step[p] = max(math.hypot(away, z[p + 1] - z[p]), 1e-6)
+        main, next_, after, right = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
+        for p in range(size):
+            if values[p] > 0:
+                i = min(max(int(along[p]), 0), size - 2)
+                t = along[p] - i
+                main[i] += (1 - t) ** 2
+                main[i + 1] += t * t
+                next_[i] += t * (1 - t)
+                right[i] += (1 - t) * values[p]
+                right[i + 1] += t * values[p]
+        for p in range(1, size - 1):
+            a, b = 1 / step[p - 1], 1 / step[p]
+            w = 2 * variance / (_CURVED * (step[p - 1] + step[p]))
+            main[p - 1] += w * a * a
+            main[p] += w * (a + b) ** 2
+            main[p + 1] += w * b * b
+            next_[p - 1] -= w * a * (a + b)
+            next_[p] -= w * b * (a + b)
+            after[p - 1] += w * a * b
+        for p in range(size):  # the equations are positive definite, of two diagonals to either side
+            if p + 1 < size:
+                share = next_[p] / main[p]
+                main[p + 1] -= share * next_[p]
+                right[p + 1] -= share * right[p]
+                if p + 2 < size:
+                    next_[p + 1] -= share * after[p]
+                    over = after[p] / main[p]
+                    main[p + 2] -= over * after[p]
+                    right[p + 2] -= over * right[p]
+        for p in range(size - 1, -1, -1):
+            total = right[p]
+            if p + 1 < size:
+                total -= next_[p] * z[p + 1]
+            if p + 2 < size:
+                total -= after[p] * z[p + 2]
+            z[p] = total / main[p]
+    return z

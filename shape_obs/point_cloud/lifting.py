@@ -46,12 +46,12 @@ def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region, width:
     if isinstance(form, FittedLattice):
         (rows, down), (cols, right) = _some(form.rows), _some(len(points) // form.rows)
         some = np.ascontiguousarray(form.lattice[np.ix_(rows, cols)].reshape(-1, 2))
-        read = median_depth(*where, some, reach, MIN_SHARE, True).reshape(len(rows), -1)
+        read = median_depth(*where, some, reach, MIN_SHARE, True)[0].reshape(len(rows), -1)
         known = np.isfinite(read)
         share = down @ known @ right.T
         z = down @ np.where(known, read, 0) @ right.T / np.maximum(share, 1e-9)
         return np.where(share > 0.5, z, np.nan).ravel()
-    z = median_depth(*where, points, reach, MIN_SHARE, not is_rope(form))
+    z, _ = median_depth(*where, points, reach, MIN_SHARE, not is_rope(form))
     if isinstance(form, FittedCurve) and not form.whole:
         z[form.interpolated | overlaid(form, z, width)] = np.nan
     return z

@@ -43,12 +43,12 @@ def median_depth(
     reach: int,
     min_share: float,
     sloped: bool,
-) -> Array:
-    """Return the median depth of the mask around each point, measured from a plane through the depth there.
+) -> tuple[Array, Array]:
+    """Return the median depth of the mask around each point, and where it was measured.
 
     At a border the mask lies on one side of the point, and the median of a tilted sheet would be the depth some pixels
-    inside. The slope comes from the least squares of the inverse depth, which is linear in the pixel on a plane,
-    without what lies far off it.
+    inside: it is measured from a plane through the depth there. The slope comes from the least squares of the inverse
+    depth, which is linear in the pixel on a plane, without what lies far off it.
 
     Args:
         depth: ``(H, W)`` read-only, uint16 or float32; 0, negative, non-finite or absurd = invalid.
@@ -59,17 +59,19 @@ def median_depth(
         points: ``(N, 2)`` image pixels.
         reach: How far around a point is looked, pixels; for a slope, from 4 on, at every second one as on a chessboard.
         min_share: Of the mask's pixels there, that must have a valid depth.
-        sloped: Whether the depth may slope; a rope is too narrow for that, and lies on both sides of its points.
+        sloped: Whether the depth is measured from a plane; a rope is too narrow to have one.
 
     Returns:
-        ``(N,)`` metres, NaN where too few have.
+        ``(N,)`` metres, NaN where too few have; ``(N, 2)`` image pixels, the mean place of those that have depth, and
+        the point itself if the depth is measured from a plane.
     """
     height, width = mask.shape
     step = 2 if sloped and reach >= _SPARSE else 1
     size, metre = (2 * reach + 1) ** 2, np.float32(unit)
-    out, near, x, y, w, spare = np.empty(len(points)), room(size), room(size), room(size), room(size), room(size)
+    out, places = np.empty(len(points)), np.empty_like(points)
+    near, x, y, w, spare = room(size), room(size), room(size), room(size), room(size)
     for n in range(len(points)):
-        out[n] = np.nan
+        out[n], places[n, 0], places[n, 1] = np.nan, points[n, 0], points[n, 1]
         column, row = nearest_pixel(points[n, 0]) - left, nearest_pixel(points[n, 1]) - top
         inside = known = 0
         for v in range(max(row - reach, 0), min(row + reach + 1, height)):
@@ -87,7 +89,11 @@ def median_depth(
                 for k in range(known):
                     w[k] = min(middle / near[k] - 1, _ABSURD)
                 out[n] /= _over_plane(x, y, w, spare, known)
-    return out
+            elif not sloped:
+                for k in range(known):
+                    places[n, 0] += x[k] / known
+                    places[n, 1] += y[k] / known
+    return out, places
 
 
 @compiled

@@ -182,7 +182,7 @@ def rim_depth(
         u, v = some[k, 0], some[k, 1]
         flags[k] = u <= edge[0] or v <= edge[1] or u >= edge[2] or v >= edge[3]
     if depth.size > 0:
-        under = median_depth(depth, unit, mask, left, top, some, reach, MIN_SHARE, True)
+        under, _ = median_depth(depth, unit, mask, left, top, some, reach, MIN_SHARE, True)
         if _bridged(under):
             for k in range(count):
                 flags[k] = flags[k] or _covered(depth, unit, mask, left, top, some, k, under[k])
