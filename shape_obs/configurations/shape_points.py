@@ -135,8 +135,8 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         visible &= ~(np.log(z) < own - strand_gap(width, focal))
         valid &= visible & (form.steepness(width / 2)[at] < _END_ON)
         if measured:  # along all of the rope, with less noise than under each point alone
-            z = np.where(valid, np.exp(own), np.nan)
-    if not valid.all() and valid.any():
+            z = np.exp(own)
+    if not measured and not valid.all() and valid.any():
         z = spec.layout.interpolate(z[:, None], valid)[:, 0]
     points3d = _lift(points, z, camera.intrinsics, spec.radius)
     valid &= np.isfinite(points3d).all(axis=1)  # the lens may have no ray there

@@ -25,6 +25,7 @@ _EXACT: Final = 3e-4  # of the depth: the least noise of it
 _NORMAL: Final = 1.21  # standard deviations of a value, in median distances from the mean of two others
 _CURVED: Final = 4.0  # per metre: the squared curvature that ropes have, and the arc over which it changes
 _ROUNDS: Final = 2
+_LEAST: Final = 1e-9  # of a pivot: without it, depth in a single place would say nothing of a slope
 _APART: Final = (2.0, 0.02)  # widths, and of the depth: strands that lie so far apart are not taken for each other
 
 
@@ -85,6 +86,7 @@ def lift_chain(
         return np.full(size, np.nan), np.full(size, np.nan), known / size
     apart = min(max(int((2 * reach + 1) / step), 1), size // 4)
     noise = max(_noise_of(clean, apart), _EXACT * least)
+    _bridge(clean, bridged)
     smooth = smooth_depth(clean, along, rays, apart * noise**2)
     for p in range(size):  # a spline overshoots where depth jumps
         smooth[p] = min(max(smooth[p], least / 2), 2 * most)
@@ -204,6 +206,22 @@ def _ahead(points: Array, p: int, place: Array) -> float:
 
 
 @compiled
+def _bridge(values: Array, bridged: npt.NDArray[np.bool_]) -> None:
+    """Put straight lines under bridged pieces, and level ones at long ends without depth: a spline would swing out."""
+    before = -1
+    for p in range(len(values)):
+        if values[p] > 0:
+            for q in range(before + 1, p):
+                if before < 0 and p - q > _COMPANY:
+                    values[q] = values[p]
+                elif before >= 0 and bridged[q]:
+                    values[q] = values[before] + (q - before) / (p - before) * (values[p] - values[before])
+            before = p
+    for q in range(before + _COMPANY + 1, len(values)):
+        values[q] = values[before]
+
+
+@compiled
 def _noise_of(values: Array, apart: int) -> float:
     """Return the standard deviation of the noise of values along a curve, those ``apart`` being independent."""
     off, known = room(len(values)), 0
@@ -230,7 +248,7 @@ def smooth_depth(values: Array, along: Array, rays: Array, variance: float) -> A
         variance: Of the noise of a value.
     """
     size = len(values)
-    z, step = np.full(size, np.nanmean(values)), np.empty(size - 1)
+    z, step = np.full(size, float(np.nanmean(values))), np.empty(size - 1)
     for _ in range(_ROUNDS):
         for p in range(size - 1):
             away = z[p] * math.hypot(rays[p + 1, 0] - rays[p, 0], rays[p + 1, 1] - rays[p, 1])
@@ -255,6 +273,7 @@ def smooth_depth(values: Array, along: Array, rays: Array, variance: float) -> A
             next_[p] -= w * b * (a + b)
             after[p - 1] += w * a * b
         for p in range(size):  # the equations are positive definite, of two diagonals to either side
+            main[p] = max(main[p], _LEAST)
             if p + 1 < size:
                 share = next_[p] / main[p]
                 main[p + 1] -= share * next_[p]

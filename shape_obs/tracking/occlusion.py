@@ -18,7 +18,7 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.polyline import arc_length, interpolate
-from shape_obs.tracking.occluders import FREE, HIDDEN, Tips
+from shape_obs.tracking.occluders import FREE, HIDDEN, UNKNOWN, Tips
 from shape_obs.tracking.predicted_rope import PredictedRope, disagreements, oriented, widened
 from shape_obs.tracking.prediction import Prediction
 from shape_obs.tracking.rope_length import learnt, shortened
@@ -26,7 +26,8 @@ from shape_obs.tracking.rope_length import learnt, shortened
 Array = npt.NDArray[np.float64]
 Ends = tuple[int, int]
 
-_GRAIN: Final = 0.3  # in resolutions: the same of a short one; a rope seen end-on is longer there
+_GRAIN: Final = (0.3, 0.9)  # in resolutions: that of a short one, and what a rope adds that is seen twice as short
+_POINTING: Final = 3.0  # times as long in space as in the image: there a tip hides what goes on behind it
 _SLACK: Final = (0.01, 1.5)  # of the length and in resolutions: what is missing below this is noise
 _BEYOND: Final = 4.0  # standard deviations, beyond which noise explains nothing
 _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
@@ -53,9 +54,12 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     rope, known = PredictedRope(prediction, form), prediction.hints.length
     turned, back = oriented(form, rope, known)
     form, tips = turned, tips.reversed() if back else tips
-    ends = tips.known
+    ends, steep = tips.known, form.steepness(prediction.width / 2)
     if HIDDEN in ends:  # that explains what is missing
         ends = (ends[0] or FREE, ends[1] or FREE)
+    # What points at the camera lies in front of what goes on behind it.
+    first, last = (end == FREE and aslant > _POINTING for end, aslant in zip(ends, steep[[0, -1]], strict=True))
+    ends = UNKNOWN if first else ends[0], UNKNOWN if last else ends[1]
     before = prediction.hints
     head, tail = (_FADING * old + new for old, new in zip(before.cut, tips.cut(before.tips), strict=True))
     cut = max(min(head, _CERTAIN), -_CERTAIN), max(min(tail, _CERTAIN), -_CERTAIN)
@@ -68,8 +72,8 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     slack, missing = _SLACK[0] * length + _SLACK[1] * resolution, length - float(form.stations[-1])
     head = tail = adrift = 0.0
     least = _LEAST * length
-    steep = float(form.steepness(prediction.width / 2).max(initial=1.0))
-    noise = (known.spread if unit == "px" else known.spread_metres) * length + _GRAIN * resolution * steep
+    grain = _GRAIN[0] + _GRAIN[1] * (float(steep.max(initial=1.0)) - 1)
+    noise = (known.spread if unit == "px" else known.spread_metres) * length + grain * resolution
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
         head, tail, between = rope.place(form, ends, cut, missing, noise, gap)
         adrift = rope.adrift

@@ -181,7 +181,7 @@ class TestInvalidPoints:
         true = one(ShapeDetector(), mask, slope, intrinsics).points3d
         known = shape.valid
         assert 0 < (~known).sum() < 10
-        np.testing.assert_array_equal(shape.points3d[known], true[known])
+        np.testing.assert_allclose(shape.points3d[known], true[known], atol=5e-4)
         filled = shape.points3d[~known]
         np.testing.assert_allclose(filled, true[~known], atol=0.02)
 

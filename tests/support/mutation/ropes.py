@@ -86,16 +86,45 @@ ROPES: tuple[Mutant, ...] = (
     _rope(
         "a smooth depth may lie behind the camera",
         "point_cloud/chain_length",
-        "if smooth[p] <= 0:",
-        "if False:",
+        "smooth[p] = min(max(smooth[p], least / 2), 2 * most)",
+        "pass",
         "tests/test_bad_input.py",
     ),
-    _rope("a strand under another is visible", "configurations/shape_points", "        visible &= ~over\n", ""),
+    _rope(
+        "depth is not smoothed",
+        "point_cloud/chain_length",
+        "            w = 2 * variance /",
+        "            w = 1e-6 * variance /",
+        "tests/point_cloud/test_chain_length.py",
+    ),
+    _rope(
+        "depth counts at the point, not where it was measured",
+        "point_cloud/chain_length",
+        "p + _ahead(points, p, places[p]) / step",
+        "float(p)",
+        "tests/point_cloud/test_chain_length.py",
+    ),
+    _rope(
+        "a spline swings out under a bridged piece",
+        "point_cloud/chain_length",
+        "    _bridge(clean, bridged)\n",
+        "",
+        "tests/point_cloud/test_chain_length.py",
+    ),
+    _rope(
+        "a tip that points at the camera is free", "tracking/occlusion", "aslant > _POINTING", "False", _SPACE, _CLAIMS
+    ),
+    _rope(
+        "a strand under another is visible",
+        "configurations/shape_points",
+        "        visible &= ~(np.log(z) < own - strand_gap(width, focal))\n",
+        "",
+    ),
     _rope(
         "depth is compared with the nearest strand's",
         "configurations/shape_points",
         "        at = _nearest(points, form.points) if at is None else at\n        focal",
-        "        at = _nearest(points, form.points)\n        focal",
+        "        at, relief = _nearest(points, form.points), None\n        focal",
     ),
     _rope(
         "a point that is seen end-on is valid",
@@ -107,8 +136,8 @@ ROPES: tuple[Mutant, ...] = (
     _rope(
         "a length is sure where it is seen end-on",
         "tracking/occlusion",
-        "_GRAIN * resolution * steep",
-        "_GRAIN * resolution",
+        " + _GRAIN[1] * (float(steep.max(initial=1.0)) - 1)",
+        "",
         _SPACE,
         _CLAIMS,
     ),

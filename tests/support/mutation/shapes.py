@@ -54,7 +54,7 @@ SHAPES: tuple[Mutant, ...] = (
     _points("a point without depth is valid", "valid = visible & np.isfinite(z)", "valid = visible.copy()"),
     _points("a point without a ray is valid", "    valid &= np.isfinite(points3d).all(axis=1)", "    pass",
             _DEGENERATE),
-    _points("holes take no neighbour's depth", "if not valid.all() and valid.any():", "if False:"),
+    _points("holes take no neighbour's depth", "if not measured and not valid.all() and valid.any():", "if False:"),
     _points("depth next to what hides a piece is the points'",
             "z[np.isnan(under)[_nearest(points, form.points) if at is None else at]] = np.nan", "pass",
             _OCCLUDERS, _LIFTING),
