@@ -7,14 +7,17 @@ frame is the optical frame ``(x right, y down, z forward)`` in metres; depth is 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from functools import cached_property
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.compiled import compiled
 from shape_obs.spec import Spec
 
 Distortion = Literal["pinhole", "brown_conrady", "inverse_brown_conrady"]
+_INVERSE: Final = 2  # the number of librealsense's model among ``Distortion``
 _MAX_ITERATIONS: Final = 60
 _TOLERANCE: Final = 1e-10
 _CONVERGED: Final = 1e-3  # of the distance z; where the last step is larger, the lens has no such ray
@@ -124,13 +127,13 @@ class Intrinsics(Spec):
         NaN where the distortion cannot be undone: no point in front of the lens is seen at such a pixel.
         """
         uv = _as_points(pixels, 2, "pixels")
-        rays = np.ones((*uv.shape[:-1], 3))
-        rays[..., 0] = (uv[..., 0] - self.cx) / self.fx
-        rays[..., 1] = (uv[..., 1] - self.cy) / self.fy
-        if self.distorted:
-            rays[..., :2] = self._undistort(rays[..., :2].copy())
-            rays[np.isnan(rays[..., 0])] = np.nan
-        return rays
+        return viewing_rays(np.ascontiguousarray(uv.reshape(-1, 2)), self.lens).reshape(*uv.shape[:-1], 3)
+
+    @cached_property
+    def lens(self) -> npt.NDArray[np.float64]:
+        """``(10,)`` the projection as compiled code reads it: fx, fy, cx, cy, the model's number, and ``coeffs``."""
+        model = get_args(Distortion).index(self.model) if self.distorted else 0
+        return np.array([self.fx, self.fy, self.cx, self.cy, model, *self.coeffs], dtype=np.float64)
 
     def _distort(self, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         if not self.distorted:
@@ -139,25 +142,6 @@ class Intrinsics(Spec):
         if self.model == "inverse_brown_conrady":
             tangential = self._terms(xy * radial, xy)[1]
         return xy * radial + tangential
-
-    def _undistort(self, target: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Solve ``distort(xy) = target`` by the fixed point that OpenCV and librealsense iterate, to convergence.
-
-        Returns NaN where it does not converge.
-        """
-        xy, change = target, np.zeros_like(target)
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what diverges is found by its last step
-            for _ in range(_MAX_ITERATIONS):
-                radial, tangential = self._terms(xy, xy)
-                if self.model == "inverse_brown_conrady":
-                    tangential = self._terms(xy * radial, xy)[1]
-                step = (target - tangential) / radial
-                change = np.abs(step - xy)
-                xy = step
-                if np.fmax.reduce(change, axis=None, initial=0.0) < _TOLERANCE:
-                    break
-            found = change < _CONVERGED
-        return xy if found.all() else np.where(found.all(axis=-1, keepdims=True), xy, np.nan)
 
     def _terms(
         self, xy: npt.NDArray[np.float64], radius_of: npt.NDArray[np.float64]
@@ -223,6 +207,40 @@ class CameraModel:
                 "give CameraModel(intrinsics, transform_camera_to_base=T) with p_base = T p_camera."
             )
         return self.transform_camera_to_base
+
+
+@compiled("(f8[:,::1], f8[::1])")
+def viewing_rays(pixels: npt.NDArray[np.float64], lens: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return viewing rays through ``(N, 2)`` pixels, scaled to z = 1: ``(N, 3)``, NaN where the lens has none.
+
+    The distortion is undone by the fixed point that OpenCV and librealsense iterate, to convergence.
+
+    Args:
+        pixels: ``(N, 2)``.
+        lens: ``(10,)`` see ``Intrinsics.lens``.
+    """
+    rays = np.ones((len(pixels), 3))
+    for n in range(len(pixels)):
+        u, v = (pixels[n, 0] - lens[2]) / lens[0], (pixels[n, 1] - lens[3]) / lens[1]
+        x, y, change = u, v, 0.0
+        for _ in range(_MAX_ITERATIONS if lens[4] > 0 else 0):
+            r2 = x * x + y * y
+            radial = 1 + ((lens[9] * r2 + lens[6]) * r2 + lens[5]) * r2
+            if radial == 0:
+                change = np.inf
+                break
+            scale = radial if lens[4] == _INVERSE else 1.0
+            a, b = scale * x, scale * y  # librealsense's tangential part acts on the radially distorted point
+            tangential_x = 2 * lens[7] * a * b + lens[8] * (r2 + 2 * a * a)
+            tangential_y = 2 * lens[8] * a * b + lens[7] * (r2 + 2 * b * b)
+            next_x, next_y = (u - tangential_x) / radial, (v - tangential_y) / radial
+            change = max(abs(next_x - x), abs(next_y - y))
+            x, y = next_x, next_y
+            if not change >= _TOLERANCE:
+                break
+        found = change < _CONVERGED
+        rays[n, 0], rays[n, 1], rays[n, 2] = (x, y, 1.0) if found else (np.nan, np.nan, np.nan)
+    return rays
 
 
 def as_camera_model(camera: CameraModel | Intrinsics | None) -> CameraModel | None:

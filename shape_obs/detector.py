@@ -20,7 +20,7 @@ from shape_obs.compiled import compile_now
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.anchors import Anchors, anchor_pixel, anchor_point
 from shape_obs.configurations.base import Configuration, Scene
-from shape_obs.configurations.shape_points import shape_of, visible_depth
+from shape_obs.configurations.shape_points import lift_points, shape_of
 from shape_obs.frame import Frame, check_mask
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.find_region import prepare
@@ -86,7 +86,7 @@ class ShapeDetector:
         self.config = DetectorConfig.from_dict(options)
         self.shapes = self.config.resolved()
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
-        functions = [*prepare(spec.segmentation for spec in self.shapes), visible_depth, median_depth]
+        functions = [*prepare(spec.segmentation for spec in self.shapes), lift_points, median_depth]
         functions += [point_errors, typical_motion]
         compile_now([*functions, *(function for spec in self.shapes for function in spec.compiled_functions)])
         if any(spec.lift == "cloud" for spec in self.shapes):
@@ -222,7 +222,9 @@ class ShapeDetector:
     def _find(self, spec: Configuration, search: RegionSearch, target: Array | None, moment: _Moment) -> Fit:
         """Find one shape in an image: near where the track expects it, and if that fails everywhere."""
         frame, camera = moment.frame, moment.frame.camera if moment.in_3d else None
-        scene = Scene(frame.depth if camera else None, camera and camera.intrinsics, search.whole)
+        scene = (
+            Scene(search.whole) if camera is None else Scene(search.whole, frame.depth, camera.intrinsics, frame.images)
+        )
         while True:
             now, timings = time.perf_counter(), moment.timings
             observed: Observed = search.region(spec.segmentation)  # image -> region
@@ -248,7 +250,7 @@ class ShapeDetector:
         prediction = predict(track, observed, self._clock.now, spec.name in self._gone)
         found = spec.fit(observed, prediction, target, scene)
         if track is not None and prediction is not None and (not found.reason or found.follow):
-            view = scene.depth, scene.intrinsics
+            view = scene.images, 0.0 if scene.intrinsics is None else scene.intrinsics.fx
             if far := self._reach.exceeded(spec.name, track, found, self._clock.now, view, moment.size[1]):
                 found = spec.fit(observed, None, target, scene) if prediction.stale else Fit(reason=far)
         if not found.reason or found.follow:

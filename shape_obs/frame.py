@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import numbers
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -14,8 +15,12 @@ from shape_obs.camera import CameraModel
 
 MILLIMETRE: Final = 1e-3  # metres; the unit of depth in whole numbers
 FARTHEST: Final = 1e6  # metres; what lies beyond is garbage, and would overflow single precision
+DepthImages = tuple[npt.NDArray[np.uint16], npt.NDArray[np.float32]]
+#: The type of ``DepthImages`` as compiled functions declare it.
+DEPTH_TYPE: Final = "Tuple((Array(u2, 2, 'C', readonly=True), Array(f4, 2, 'C', readonly=True)))"
 _NO_DEPTH: Final = np.zeros((0, 0), np.float32)
-_NO_DEPTH.flags.writeable = False
+_NO_MILLIMETRES: Final = np.zeros((0, 0), np.uint16)
+_NO_DEPTH.flags.writeable = _NO_MILLIMETRES.flags.writeable = False
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,11 @@ class Frame:
         if stamp is not None and not math.isfinite(stamp):
             raise ValueError(f"stamp must be a finite number of seconds, got {stamp}.")
 
+    @cached_property
+    def images(self) -> DepthImages:
+        """The depth as compiled code reads it, see ``depth_images``."""
+        return depth_images(self.depth)
+
     @property
     def size(self) -> tuple[int, int] | None:
         """(H, W) in pixels."""
@@ -93,6 +103,16 @@ def readable_depth(depth: npt.NDArray[Any] | None) -> tuple[npt.NDArray[Any], fl
         stored = _as_stored(depth).view()
         stored.flags.writeable = False
     return stored, MILLIMETRE if stored.dtype == np.uint16 else 1.0
+
+
+def depth_images(depth: npt.NDArray[Any] | None) -> DepthImages:
+    """Return depth as a pair of which one is empty, in millimetres or in metres: one type for compiled code.
+
+    Args:
+        depth: ``(H, W)`` as a frame holds it; None gives two that are empty.
+    """
+    stored, _ = readable_depth(depth)
+    return (stored, _NO_DEPTH) if stored.dtype == np.uint16 else (_NO_MILLIMETRES, stored)
 
 
 def _as_stored(depth: npt.NDArray[Any]) -> npt.NDArray[Any]:

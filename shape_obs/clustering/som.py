@@ -30,7 +30,7 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.outline import SAMPLED
 from shape_obs.geometry.polyline import arc_length, closed, even_around
-from shape_obs.geometry.topology import Topology, neighbourhoods, undo_shrinkage
+from shape_obs.geometry.topology import Grid, Ring, Topology, undo_shrinkage
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -39,6 +39,7 @@ Indices = npt.NDArray[np.int64]
 _TRACE: Final = 1e-3
 _RING_REACH: Final = 2  # nodes to either side among which a sample of an outline looks for its best-matching unit
 _FAR: Final = 8.9  # widths of a Gaussian, beyond which it counts as zero
+_HALF: Final = np.float32(0.5)
 
 
 def run_som(samples: Samples, start: Array, topology: Topology, sigmas: tuple[float, ...]) -> Array:
@@ -58,20 +59,25 @@ def run_som(samples: Samples, start: Array, topology: Topology, sigmas: tuple[fl
     points, weight, start = (
         np.ascontiguousarray(values, dtype=np.float64) for values in (samples.points, samples.weight, start)
     )
-    nodes = batch_epochs(points, weight, start, *neighbourhoods(topology, sigmas))
+    closed = isinstance(topology, Ring)
+    shape = (topology.rows, topology.cols) if isinstance(topology, Grid) else (1, topology.size)
+    nodes = batch_epochs(points, weight, start, shape, closed, np.array(sigmas, dtype=np.float64))
     return topology.unshrink(nodes, sigmas[-1])
 
 
-@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,:,:,::1])", reassociate=True)
-def batch_epochs(points: Array, weight: Array, nodes: Array, first: Array, second: Array) -> Array:
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], UniTuple(i8, 2), b1, f8[::1])")
+def batch_epochs(
+    points: Array, weight: Array, nodes: Array, shape: tuple[int, int], closed: bool, sigmas: Array
+) -> Array:
     """Run batch epochs of a map with a local-linear neighbourhood.
 
     Args:
         points: ``(M, D)``.
         weight: ``(M,)``.
         nodes: ``(K, D)``.
-        first: ``(E, P+1, K, K)`` moments of the neighbourhood in each epoch, see ``topology.Neighbourhoods``.
-        second: ``(E, P+1, P+1, K, K)``.
+        shape: Rows and columns of the lattice that the nodes form; a chain or a ring has one row.
+        closed: Whether the nodes are a ring.
+        sigmas: Width of the neighbourhood in each epoch, node units.
 
     Returns:
         ``(K, D)`` new nodes.
@@ -91,71 +97,111 @@ def batch_epochs(points: Array, weight: Array, nodes: Array, first: Array, secon
     for k in range(size):
         for d in range(dimension):
             out[k, d] = nodes[k, d] - middle[d]
-    planes, count, total = first.shape[1], np.empty(size), np.empty((dimension, size))
-    moments, sums = np.empty((planes, planes)), np.empty((planes, dimension))
-    for epoch in range(len(first)):
+    held, total, trace = np.empty(size), np.empty((size, dimension)), _TRACE * whole / size
+    for epoch in range(len(sigmas)):
         unit = best_matching_units(moved, out)
-        trace = _TRACE * whole / size
         for k in range(size):
-            count[k] = trace
+            held[k] = trace
             for d in range(dimension):
-                total[d, k] = trace * out[k, d]
+                total[k, d] = trace * out[k, d]
         for m in range(len(points)):
             k = unit[m]
-            count[k] += weight[m]
+            held[k] += weight[m]
             for d in range(dimension):
-                total[d, k] += weight[m] * moved[m, d]
-        for k in range(size):
-            for a in range(planes):
-                for b in range(a, planes):
-                    moment = 0.0
-                    for j in range(size):
-                        moment += second[epoch, a, b, k, j] * count[j]
-                    moments[a, b] = moments[b, a] = moment
-                for d in range(dimension):
-                    pull = 0.0
-                    for j in range(size):
-                        pull += first[epoch, a, k, j] * total[d, j]
-                    sums[a, d] = pull
-            _solve_first(moments, sums)
-            for d in range(dimension):
-                out[k, d] = sums[0, d]
+                total[k, d] += weight[m] * moved[m, d]
+        if shape[0] == 1:
+            _update_line(out, held, total, closed, sigmas[epoch])
+        else:
+            _update_lattice(out, held, total, shape, sigmas[epoch])
     for k in range(size):
         for d in range(dimension):
             out[k, d] += middle[d]
     return out
 
 
-@compiled(reassociate=True)
-def best_matching_units(points: Array, nodes: Array) -> Indices:
-    """Return the best-matching unit of each point, argmax of x.c - |c|^2 / 2: ``(M, D)``, ``(K, D)`` -> ``(M,)``."""
-    dimension = points.shape[1]
-    unit, most = np.zeros(len(points), np.int64), np.empty(len(points))
-    columns, score = np.empty((dimension, len(points))), np.empty(len(points) if dimension != 2 else 0)
-    for m in range(len(points)):
-        for d in range(dimension):
-            columns[d, m] = points[m, d]
+@compiled
+def _update_line(nodes: Array, held: Array, total: Array, closed: bool, sigma: float) -> None:
+    """Update the nodes ``(K, D)`` of a chain or a ring from the weight ``(K,)`` and the sums ``(K, D)`` of their bins.
+
+    Each becomes the intercept of a line over the index that is fitted to its neighbours' means.
+    """
+    count, reach = len(nodes), math.ceil(_FAR * sigma)
+    reach = min(reach, (count - 1) // 2 if closed else count - 1)
+    near = np.empty(reach + 1)
+    for o in range(reach + 1):
+        near[o] = math.exp(-0.5 * (o / sigma) ** 2)
+    for k in range(count):
+        first, last = (-reach, reach) if closed else (-min(reach, k), min(reach, count - 1 - k))
+        s0 = s1 = s2 = 0.0
+        for o in range(first, last + 1):
+            j = k + o
+            j = j - count if j >= count else (j + count if j < 0 else j)
+            h = near[abs(o)] * held[j]
+            s0 += h
+            s1 += h * o
+            s2 += h * o * o
+        over = s0 * s2 - s1 * s1
+        for d in range(nodes.shape[1]):
+            pull = tilt = 0.0
+            for o in range(first, last + 1):
+                j = k + o
+                j = j - count if j >= count else (j + count if j < 0 else j)
+                h = near[abs(o)] * total[j, d]
+                pull += h
+                tilt += h * o
+            nodes[k, d] = (s2 * pull - s1 * tilt) / over
+
+
+@compiled
+def _update_lattice(nodes: Array, held: Array, total: Array, shape: tuple[int, int], sigma: float) -> None:
+    """Update the nodes of a lattice as ``_update_line`` does those of a line, by planes over row and column."""
+    (rows, cols), reach = shape, math.ceil(_FAR * sigma)
+    moments, sums, phi = np.empty((3, 3)), np.empty((3, nodes.shape[1])), np.empty(3)
+    phi[0] = 1.0
     for k in range(len(nodes)):
-        half = 0.0
-        for d in range(dimension):
-            half += 0.5 * nodes[k, d] ** 2
-        if dimension == 2:  # in one pass, which is compiled to vector instructions
-            x, y, u, v = columns[0], columns[1], nodes[k, 0], nodes[k, 1]
-            for m in range(len(points)):
-                near = x[m] * u + y[m] * v - half
-                nearer = near > most[m] or k == 0
-                most[m] = near if nearer else most[m]
-                unit[m] = k if nearer else unit[m]
-        else:
-            for m in range(len(points)):
-                score[m] = -half
-            for d in range(dimension):
-                for m in range(len(points)):
-                    score[m] += columns[d, m] * nodes[k, d]
-            for m in range(len(points)):
-                nearer = score[m] > most[m] or k == 0
-                most[m] = score[m] if nearer else most[m]
-                unit[m] = k if nearer else unit[m]
+        row, col = k // cols, k % cols
+        for a in range(3):
+            for b in range(3):
+                moments[a, b] = 0.0
+            for d in range(nodes.shape[1]):
+                sums[a, d] = 0.0
+        for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
+            for c in range(max(col - reach, 0), min(col + reach + 1, cols)):
+                j, phi[1], phi[2] = r * cols + c, r - row, c - col
+                h = math.exp(-0.5 * (phi[1] ** 2 + phi[2] ** 2) / sigma**2)
+                for a in range(3):
+                    for b in range(3):
+                        moments[a, b] += h * phi[a] * phi[b] * held[j]
+                    for d in range(nodes.shape[1]):
+                        sums[a, d] += h * phi[a] * total[j, d]
+        _solve_first(moments, sums)
+        for d in range(nodes.shape[1]):
+            nodes[k, d] = sums[0, d]
+
+
+@compiled(reassociate=True)
+def best_matching_units(points: Array, nodes: Array) -> npt.NDArray[np.int32]:
+    """Return the best-matching unit of each point, argmax of x.c - |c|^2 / 2: ``(M, D)``, ``(K, D)`` -> ``(M,)``.
+
+    In single precision relative to the first node, in one pass over all points for each node, so that a processor
+    compares many at once. Of nodes that are equally near to seven digits, either may be returned.
+    """
+    count, dimension = len(points), points.shape[1]
+    unit, most = np.zeros(count, np.int32), np.full(count, -np.inf, np.float32)
+    x, y, z = np.empty(count, np.float32), np.empty(count, np.float32), np.zeros(count, np.float32)
+    for m in range(count):
+        x[m], y[m] = points[m, 0] - nodes[0, 0], points[m, 1] - nodes[0, 1]
+        if dimension == 3:
+            z[m] = points[m, 2] - nodes[0, 2]
+    for k in range(len(nodes)):
+        u, v = np.float32(nodes[k, 0] - nodes[0, 0]), np.float32(nodes[k, 1] - nodes[0, 1])
+        w = np.float32(nodes[k, 2] - nodes[0, 2]) if dimension == 3 else np.float32(0)
+        half, own = (u * u + v * v + w * w) * _HALF, np.int32(k)
+        for m in range(count):
+            score = x[m] * u + y[m] * v + z[m] * w - half
+            nearer = score > most[m]
+            most[m] = score if nearer else most[m]
+            unit[m] = own if nearer else unit[m]
     return unit
 
 
@@ -229,39 +275,13 @@ def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma:
         held[k] += weight
         total[k, 0] += weight * u
         total[k, 1] += weight * v
-    nodes = _ring_epoch(nodes, held, total, sigma)
+    _update_line(nodes, held, total, True, sigma)
+    near = math.exp(-0.5 / sigma**2)
+    nodes = undo_shrinkage(nodes, 1 / 24 + near / (1 + 2 * near), True)
     for k in range(count):
         nodes[k, 0] += middle_u
         nodes[k, 1] += middle_v
     return nodes, unit
-
-
-@compiled
-def _ring_epoch(nodes: Array, held: Array, total: Array, sigma: float) -> Array:
-    """Update the nodes of a ring from the weight ``(K,)`` and the sums ``(K, 2)`` of their samples; undo the pull."""
-    count = len(nodes)
-    reach = min(math.ceil(_FAR * sigma), (count - 1) // 2)
-    near = np.empty(reach + 1)
-    for o in range(reach + 1):
-        near[o] = math.exp(-0.5 * (o / sigma) ** 2)
-    out = np.empty_like(nodes)
-    for k in range(count):
-        s0 = s1 = s2 = t0u = t0v = t1u = t1v = 0.0
-        for o in range(-reach, reach + 1):
-            j = k + o
-            j = j - count if j >= count else (j + count if j < 0 else j)
-            h = near[abs(o)]
-            s0 += h * held[j]
-            s1 += h * o * held[j]
-            s2 += h * o * o * held[j]
-            t0u += h * total[j, 0]
-            t0v += h * total[j, 1]
-            t1u += h * o * total[j, 0]
-            t1v += h * o * total[j, 1]
-        over = s0 * s2 - s1 * s1
-        out[k, 0], out[k, 1] = (s2 * t0u - s1 * t1u) / over, (s2 * t0v - s1 * t1v) / over
-    share = 1 / 24 + near[1] / (1 + 2 * near[1])
-    return undo_shrinkage(out, share, True)
 
 
 @compiled

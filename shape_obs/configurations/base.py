@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
+from shape_obs.frame import DepthImages, depth_images
 from shape_obs.geometry.observed import Observed, Samples
 from shape_obs.geometry.topology import Topology
 from shape_obs.image.roi import Window
@@ -30,14 +31,16 @@ class Scene(NamedTuple):
     """What a frame shows around the object.
 
     Args:
+        edge: The part of the image that may be searched: an object that touches its edge is cut. None without an image.
         depth: ``(H, W)``, None if there is none: it shows what lies over the object.
         intrinsics: Of the camera, None if there is none.
-        edge: The part of the image that may be searched: an object that touches its edge is cut. None without an image.
+        images: The depth as compiled code reads it; both empty if there is none.
     """
 
+    edge: Window | None = None
     depth: npt.NDArray[Any] | None = None
     intrinsics: Intrinsics | None = None
-    edge: Window | None = None
+    images: DepthImages = depth_images(None)
 
 
 class Points(NamedTuple):
@@ -48,12 +51,14 @@ class Points(NamedTuple):
         interpolated: ``(N,)`` bool: on an interpolated piece of the form.
         nearest: ``(N,)`` which of the form's own points is nearest along it, where it may cross itself; else None.
         relief: ``(N,)`` the form's relief there, see ``FittedCurve.relief``; None if it has none.
+        steep: ``(N,)`` how much longer the form is there in space than in the image; None if it has no relief.
     """
 
     places: Array
     interpolated: npt.NDArray[np.bool_]
     nearest: npt.NDArray[np.intp] | None = None
     relief: Array | None = None
+    steep: Array | None = None
 
 
 _MODULES = {kind: f"shape_obs.configurations.{kind}" for kind in ("centerline", "contour", "surface")}

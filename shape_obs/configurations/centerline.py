@@ -13,27 +13,20 @@ import numpy.typing as npt
 from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
-from shape_obs.configurations.chain_in_mask import (
-    fit_chain_in_mask,
-    gather_lifted_cells,
-    lifted_samples,
-    measured_curve,
-    rims_of,
-)
+from shape_obs.configurations.chain_in_mask import fit_chain_in_mask
 from shape_obs.geometry.curve import FittedCurve, Length, TrackHints, local_stretch, nearest_along
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equal_chords, even_points, interpolate
-from shape_obs.geometry.topology import Chain, Topology, neighbourhoods, shrinkage, undo_shrinkage
-from shape_obs.image.connected_runs import gather_cells
+from shape_obs.geometry.topology import Chain, Topology, shrinkage, undo_shrinkage
 from shape_obs.image.outline_tracing import fill_holes
 from shape_obs.image.region import Region
+from shape_obs.image.roi import Window
 from shape_obs.initialization.folding import closest_sides, sharp_bends, unexplained_share
 from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import thinned, trace_skeleton
-from shape_obs.point_cloud.chain_length import lift_chain, strand_gap
-from shape_obs.point_cloud.lifting import nearest_expected
-from shape_obs.tracking.occluders import blended_tips, chain_evidence, likelier_cut
+from shape_obs.point_cloud.lifting import strand_gap
+from shape_obs.tracking.occluders import Tips, blended_tips, likelier_cut
 from shape_obs.tracking.occlusion import evened, match_chain, shown, surprise
 from shape_obs.tracking.predicted_rope import disagreements, visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
@@ -45,8 +38,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.uint8]
-Moments = tuple[Array, Array]
+Mask = npt.NDArray[np.bool_]
 
 # Nodes sit about this many widths apart: closer, and a chain starts to fold across the rope; farther, and it cuts
 # corners. N is sampled from the curve afterwards, so it does not matter here.
@@ -67,6 +59,8 @@ _MIN_BETWEEN: Final = 0.6  # while both ends are hidden
 _ADRIFT: Final = 0.025  # of its length: by so much a rope may have slid along itself unseen
 _MIN_FOLLOWED: Final = 0.15
 _END_ON: Final = 4.0  # a rope is this much longer in space than in the image: its points cannot be told apart there
+_NOTHING: Final = np.zeros(0)
+_EVERYWHERE: Final = Window(-(1 << 30), -(1 << 30), 1 << 31, 1 << 31)
 _MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no distinct axis, and a chain would fold up in it
 
 
@@ -165,25 +159,29 @@ class Centerline(Configuration, kind="centerline"):
             cell = max(
                 int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1
             )  # thin ropes keep theirs
-            (first, second), pull = neighbourhoods(topology, sigmas), shrinkage(sigmas[-1])
-            start, samples = lifted_samples(observed, start, cell, width, scene)
-            lifted, arc, on_object, spread = fit_chain_in_mask(
-                *samples, start, (first, second), pull, observed.mask, observed.window[:2], width
-            )
-            points, relief = (lifted, None) if start.shape[1] == 2 else (lifted[:, :2].copy(), lifted[:, 2].copy())
+            lifted = scene.intrinsics is not None
+            points, arc, off, metres, relief, spread, ends, shapes = fit_chain_in_mask(
+                observed.runs, observed.mask, observed.window[:2],
+                np.ascontiguousarray(start if lifted else start[:, :2]), np.array(sigmas, dtype=np.float64),
+                shrinkage(sigmas[-1]), cell, width, scene.images,
+                _NOTHING if scene.intrinsics is None else scene.intrinsics.lens, tuple(scene.edge or _EVERYWHERE),
+            )  # fmt: skip
+            known = len(metres) > 0
+            curve = FittedCurve(points, off, arc, width=width)
+            if known:
+                curve = replace(curve, metres=metres, relief=relief)
+            tips = Tips(ends, shapes, width)
             square, area = spread + min(cell, width) ** 2 / 12, observed.area
         else:
             cloud = cast("Cloud", observed)
             samples = cloud.samples
             nodes = cloud.extend_to_tips(run_som(samples, start, topology, sigmas))
             points = catmull_rom(nodes, 4, False)
-            arc, on_object = arc_length(points), cloud.carries(points)
+            curve, tips = FittedCurve(points, ~cloud.carries(points), arc_length(points)), Tips()
             spread = sample_spread(np.ascontiguousarray(samples.points), np.ascontiguousarray(samples.weight), points)
             square = spread + cloud.hidden_variance
-            width, area, relief = cloud.ribbon_width, 0, None
+            width, area = cloud.ribbon_width, 0
         before = TrackHints() if prediction is None else prediction.hints
-        curve = FittedCurve(points, ~on_object, arc, relief=relief)
-        curve, tips = measured_curve(curve, observed, width, scene)  # depth enters
         if prediction is None:
             known = learnt(Length(metres=self.length or 0.0), curve, tips.known)
             curve = replace(curve, hints=TrackHints(length=known, tips=tips.remembered(None, 0)))
@@ -212,22 +210,19 @@ class Centerline(Configuration, kind="centerline"):
             form, first = form.cut(piece), piece.start
             metric = form if same else metric.cut(piece)
         along = form.metres if self.spacing == "m" and form.metres is not None else form.pixels
-        if along is not None:
-            share = np.linspace(0, 1, self.n) if self.ends == "tips" else (np.arange(self.n) + 0.5) / self.n
-            at = interpolate(form.arc[:, None], np.ascontiguousarray(along), share * along[-1])[:, 0]
-            return Points(form.at(at), form.interpolated_at(at), first + form.nearest_to(at), form.relief_at(at))
-        margin = 0.0 if self.ends == "tips" else metric.arc[-1] / (2 * self.n)
-        places, at = _points_on(form.points, form.arc, metric.points, metric.arc, self.n, margin)
-        interpolated = metric.interpolated_at(at) if metric.interpolated.any() else np.zeros(self.n, bool)
-        relief = None if form.relief is None else replace(form, arc=metric.arc).relief_at(at)
-        return Points(places, interpolated, first + metric.nearest_to(at), relief)
+        places, interpolated, nearest, relief, steep = points_along(
+            form.points, form.arc, metric.points, metric.arc, _NOTHING if along is None else along,
+            form.interpolated, _NOTHING if form.relief is None else form.relief, self.n, self.ends == "tips",
+            form.width / 2,
+        )  # fmt: skip
+        known = form.relief is not None
+        return Points(places, interpolated, first + nearest, relief if known else None, steep if known else None)
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = gather_cells, gather_lifted_cells, fit_chain_in_mask, _points_on, _nodes_on
-        masks += lift_chain, strand_gap, nearest_expected, chain_evidence, closest_sides, sharp_bends, unexplained_share
-        masks += rims_of, likelier_cut, blended_tips, disagreements, evened, local_stretch, nearest_along
+        masks = fit_chain_in_mask, points_along, _nodes_on, strand_gap, closest_sides, sharp_bends, unexplained_share
+        masks += likelier_cut, blended_tips, disagreements, evened, local_stretch, nearest_along
         axes = fill_holes, thinned, trace_skeleton, cheapest_order
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + axes + clouds
@@ -244,12 +239,57 @@ def _rejection_reason(observed: Observed, width: float) -> str:
     return ""
 
 
-@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8, f8)")
-def _points_on(
-    points: Array, arc: Array, metric: Array, metric_arc: Array, count: int, margin: float
-) -> tuple[Array, Array]:
-    """Return ``count`` points of a curve with equal chords in a metric, and their arc positions there."""
-    return equal_chords(points, arc, metric, metric_arc, count, margin, MAX_SHIFT)
+@compiled(
+    "(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], b1[::1], f8[::1], i8, b1, f8)",
+)
+def points_along(
+    points: Array, arc: Array, metric: Array, metric_arc: Array, along: Array, flags: Mask, relief: Array, count: int,
+    tips: bool, reach: float,
+) -> tuple[Array, Mask, Indices, Array, Array]:  # fmt: skip
+    """Spread points along a curve: with equal steps of a measure along it, else with equal chords.
+
+    Args:
+        points: ``(P, D)``.
+        arc: ``(P,)`` its arc length.
+        metric: ``(P, D')`` the same curve in the space in which chords are to be equal.
+        metric_arc: ``(P,)`` arc length there.
+        along: ``(P,)`` the measure, or ``(0,)`` for equal chords.
+        flags: ``(P,)`` what is interpolated.
+        relief: ``(P,)`` see ``FittedCurve.relief``, or ``(0,)``.
+        count: How many points, N.
+        tips: Whether the first and the last lie at the ends; else all lie at the centres of N equal pieces.
+        reach: To either side of a point, within which it is measured how steep the curve is, in units of ``arc``.
+
+    Returns:
+        ``(N, D)`` the points; ``(N,)`` whether they are interpolated; ``(N,)`` which of the curve's points is nearest
+        along it; ``(N,)`` their relief and how much longer the curve is there in space than in the image, 1 without.
+    """
+    last, at = len(arc) - 1, np.empty(count)
+    if len(along) > 0:
+        for n in range(count):
+            at[n] = (n / (count - 1) if tips else (n + 0.5) / count) * along[last]
+        at = interpolate(arc.reshape(-1, 1), along, at).reshape(count)
+        places, nearest = interpolate(points, arc, at), nearest_along(arc, at)
+    else:
+        margin = 0.0 if tips else metric_arc[last] / (2 * count)
+        places, at = equal_chords(points, arc, metric, metric_arc, count, margin, MAX_SHIFT)
+        nearest = nearest_along(metric_arc, at)
+        at = interpolate(arc.reshape(-1, 1), metric_arc, at).reshape(count)
+    interpolated, deep, steep = np.empty(count, np.bool_), np.empty(count), np.ones(count)
+    for n in range(count):
+        interpolated[n] = flags[nearest[n]]
+    if len(relief) > 0:
+        deep = interpolate(relief.reshape(-1, 1), arc, at).reshape(count)
+        longer, first, stop = np.zeros((len(arc), 1)), np.empty(count), np.empty(count)
+        for p in range(1, len(arc)):
+            away = relief[p] - relief[p - 1]
+            longer[p, 0] = longer[p - 1, 0] + math.sqrt((arc[p] - arc[p - 1]) ** 2 + away * away)
+        for n in range(count):
+            first[n], stop[n] = max(at[n] - reach, 0.0), min(at[n] + reach, arc[last])
+        before, after = interpolate(longer, arc, first), interpolate(longer, arc, stop)
+        for n in range(count):
+            steep[n] = (after[n, 0] - before[n, 0]) / max(stop[n] - first[n], 1e-9)
+    return places, interpolated, nearest, deep, steep
 
 
 @compiled("(f8[:,::1], f8[::1], i8)")

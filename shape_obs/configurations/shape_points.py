@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+import math
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
-from shape_obs.camera import Intrinsics
+from shape_obs.camera import Intrinsics, viewing_rays
 from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Points
-from shape_obs.frame import Frame, readable_depth
+from shape_obs.frame import DEPTH_TYPE, MILLIMETRE, DepthImages, Frame
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.topology import Grid
 from shape_obs.image.connected_runs import near_mask
-from shape_obs.point_cloud.chain_length import strand_gap
-from shape_obs.point_cloud.lifting import form_depth, is_rope, lift_form
+from shape_obs.point_cloud.chain_length import strand_under
+from shape_obs.point_cloud.lifting import form_depth, is_rope, lift_form, strand_gap
 from shape_obs.point_cloud.local_depth import MAX_REACH, MIN_SHARE, median_depth
 from shape_obs.shape import Shape
 from shape_obs.tracking.belief import error_on_sheet, expected_error
@@ -36,6 +37,7 @@ Mask = npt.NDArray[np.bool_]
 _HALF_ROUND: Final = np.pi / 4
 # Where a rope is this much longer in space than in the image, a pixel holds so much of it that its depth is no point's.
 _END_ON: Final = 2.4
+_NOTHING: Final = np.zeros(0)
 _SMOOTH: Final = 3.0  # points of the fine curve, over which its direction is taken
 
 
@@ -115,51 +117,85 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         lifted = lift_form(form, under, camera.intrinsics) if uneven else None
         metric = form if lifted is None else form.with_points(lifted)
     placed = spec.resample(form, metric) if found.centres is None else _without_gaps(found.centres)
-    points, interpolated, at, relief = placed
+    points, interpolated, at, relief, steep = placed
     if depth is None or camera is None:
         visible = region.carries(points) & ~interpolated
         return points.astype(np.float32), None, visible, visible.copy()
-    readable, unit = readable_depth(depth)
-    left, top = region.window[:2]
-    reach = min(max(round(width / 4), 1), MAX_REACH)
-    on_mask, z = visible_depth(readable, unit, region.mask, left, top, points, reach, not is_rope(form))
-    visible = on_mask & ~interpolated
+    if measured and (relief is None or steep is None):  # the points are a clusterer's
+        at = _nearest(points, form.points)
+        relief, steep = form.relief[at], form.steepness(width / 2)[at]
+    own = _NOTHING if relief is None else relief
+    pixels, points3d, z, visible, valid = lift_points(
+        points, interpolated, own, _NOTHING if steep is None else steep, frame.images, region.mask,
+        region.window[:2], width, camera.intrinsics.lens, spec.radius, is_rope(form),
+    )  # fmt: skip
     if in_pieces and under is not None:
         # Next to what hides a piece, depth that is not the form's is not the points' either.
-        z[np.isnan(under)[_nearest(points, form.points) if at is None else at]] = np.nan
-    valid = visible & np.isfinite(z)
-    if isinstance(form, FittedCurve) and form.relief is not None:
-        at = _nearest(points, form.points) if at is None else at
-        focal = camera.intrinsics.fx
-        own = (form.relief[at] if relief is None else relief) / focal
-        visible &= ~(np.log(z) < own - strand_gap(width, focal))
-        valid &= visible & (form.steepness(width / 2)[at] < _END_ON)
-        if measured:  # along all of the rope, with less noise than under each point alone
-            z = np.exp(own)
-    if not measured and not valid.all() and valid.any():
-        z = spec.layout.interpolate(z[:, None], valid)[:, 0]
-    points3d = _lift(points, z, camera.intrinsics, spec.radius)
-    valid &= np.isfinite(points3d).all(axis=1)  # the lens may have no ray there
-    return points.astype(np.float32), points3d.astype(np.float32), visible, valid
+        unknown = np.isnan(under)[_nearest(points, form.points) if at is None else at]
+        z[unknown] = np.nan
+        valid &= ~unknown
+    if not measured and not valid.all():
+        if valid.any():
+            z = spec.layout.interpolate(z[:, None], valid)[:, 0]
+        points3d = _lift(points, z, camera.intrinsics, spec.radius).astype(np.float32)
+        valid &= np.isfinite(points3d).all(axis=1)  # the lens may have no ray there
+    return pixels, points3d, visible, valid
 
 
-@compiled(
-    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, b1)",
-    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, b1)",
-)
-def visible_depth(
-    depth: npt.NDArray[Any],
-    unit: float,
-    mask: npt.NDArray[np.uint8],
-    left: int,
-    top: int,
-    points: Array,
-    reach: int,
-    sloped: bool,
-) -> tuple[Mask, Array]:
-    """Return whether the mask has a pixel at each point, and the median depth of the mask around it."""
-    z, _ = median_depth(depth, unit, mask, left, top, points, reach, MIN_SHARE, sloped)
-    return near_mask(mask, left, top, points, 1), z
+@compiled("(f8[:,::1], b1[::1], f8[::1], f8[::1], " + DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), f8, f8[::1], f8, b1)")
+def lift_points(
+    points: Array, interpolated: Mask, relief: Array, steep: Array, depth: DepthImages, mask: npt.NDArray[np.uint8],
+    at: tuple[int, int], width: float, lens: Array, radius: float, rope: bool,
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], Array, Mask, Mask]:  # fmt: skip
+    """Put points in an image in space, and say which are seen and measured.
+
+    Args:
+        points: ``(N, 2)`` pixels.
+        interpolated: ``(N,)`` whether the form is interpolated there.
+        relief: ``(N,)`` of the form, see ``FittedCurve.relief``; ``(0,)`` takes the median depth around each point.
+        steep: ``(N,)`` how much longer the form is there in space than in the image; ``(0,)`` without relief.
+        depth: The frame's, see ``frame.depth_images``.
+        mask: ``(h, w)`` uint8, C-contiguous.
+        at: Image column and row of its first pixel.
+        width: Of the object, pixels; depth is looked for within a quarter of it.
+        lens: The projection, see ``Intrinsics.lens``.
+        radius: Metres from the surface to the axis along the viewing ray; 0 stays on the surface.
+        rope: Whether the object is too narrow for its depth to slope across it.
+
+    Returns:
+        ``(N, 2)`` pixels; ``(N, 3)`` metres, camera frame, NaN where unknown; ``(N,)`` depth, metres; ``(N,)`` whether
+        the mask has a pixel there and nothing lies over it; ``(N,)`` whether it is also measured.
+    """
+    count, reach = len(points), min(max(int(np.rint(width / 4)), 1), MAX_REACH)
+    pixels, found = np.empty((count, 2), np.float32), np.empty((count, 3), np.float32)
+    visible, valid, rays = (
+        near_mask(mask, at[0], at[1], points, 1),
+        np.empty(count, np.bool_),
+        viewing_rays(points, lens),
+    )
+    z = np.empty(count)
+    if len(relief) > 0:
+        for n in range(count):
+            z[n] = math.exp(relief[n] / lens[0])
+        known, under = strand_under(depth, mask, at, points, reach, z, strand_gap(width, lens[0]))
+        for n in range(count):
+            visible[n] = visible[n] and not interpolated[n] and not under[n]
+            valid[n] = visible[n] and known[n] and steep[n] < _END_ON
+    else:
+        if len(depth[0]) > 0:
+            z, _ = median_depth(depth[0], MILLIMETRE, mask, at[0], at[1], points, reach, MIN_SHARE, not rope)
+        else:
+            z, _ = median_depth(depth[1], 1.0, mask, at[0], at[1], points, reach, MIN_SHARE, not rope)
+        for n in range(count):
+            visible[n] = visible[n] and not interpolated[n]
+            valid[n] = visible[n] and math.isfinite(z[n])
+    for n in range(count):
+        pixels[n, 0], pixels[n, 1] = points[n, 0], points[n, 1]
+        length = math.sqrt(rays[n, 0] ** 2 + rays[n, 1] ** 2 + 1)
+        for d in range(3):
+            found[n, d] = rays[n, d] * (z[n] + radius / length)
+            valid[n] = valid[n] and math.isfinite(found[n, d])
+    return pixels, found, z, visible, valid
 
 
 def _lift(points: Array, z: Array, intrinsics: Intrinsics, radius: float) -> Array:
@@ -174,12 +210,7 @@ def _lift(points: Array, z: Array, intrinsics: Intrinsics, radius: float) -> Arr
     Returns:
         ``(N, 3)`` in metres, camera frame; NaN where unknown.
     """
-    if intrinsics.model != "pinhole":
-        rays = intrinsics.rays(points)
-    else:
-        rays = np.ones((len(points), 3))
-        rays[:, 0] = (points[:, 0] - intrinsics.cx) / intrinsics.fx
-        rays[:, 1] = (points[:, 1] - intrinsics.cy) / intrinsics.fy
+    rays = intrinsics.rays(points)
     if radius:
         z = z + radius / np.linalg.norm(rays, axis=1)
     return rays * z[:, None]

@@ -129,6 +129,7 @@ class FittedCurve(FittedForm):
         pixels: ``(P,)`` arc length of the object in an image where its gaps are longer than they are drawn; else None.
         relief: ``(P,)`` the logarithm of the depth under an open curve in an image, times the focal length in pixels:
             a third coordinate, in which a step is as long as the same step in the image, at any distance; else None.
+        width: Of the object, in the unit of ``points``; 0 if it is not known.
     """
 
     arc: Array
@@ -136,6 +137,7 @@ class FittedCurve(FittedForm):
     metres: Array | None = None
     pixels: Array | None = None
     relief: Array | None = None
+    width: float = 0.0
 
     @classmethod
     def through(cls, points: Array, interpolated: Mask, closed: bool = False, **other: Any) -> Self:
@@ -178,19 +180,6 @@ class FittedCurve(FittedForm):
             return np.ones(len(self.points))
         return local_stretch(self.arc, self.lifted, reach)
 
-    def trimmed(self, head: float, tail: float) -> Self:
-        """Return an open curve without so much of both of its ends, in units of its arc length."""
-        inner = (self.arc > head) & (self.arc < self.size - tail)
-        at = np.concatenate([[head], self.arc[inner], [self.size - tail]])
-        flags = np.concatenate([self.interpolated[:1], self.interpolated[inner], self.interpolated[-1:]])
-        trimmed = self.relaid(interpolate(np.ascontiguousarray(self.lifted), self.arc, at), flags)
-        if self.metres is None:
-            return trimmed
-        metres = np.interp(at, self.arc, self.metres)
-        flat = float(np.min(np.diff(self.metres) / np.maximum(np.diff(self.arc), 1e-9)))
-        metres[0], metres[-1] = min(head * flat, metres[0]), max(self.metres[-1] - tail * flat, metres[-1])
-        return replace(trimmed, metres=metres - metres[0])
-
     def cut(self, piece: slice) -> Self:
         """Return a piece of an open curve."""
         metres, pixels = (
@@ -204,12 +193,6 @@ class FittedCurve(FittedForm):
         """Return ``(N, D)`` points at ``(N,)`` arc positions; a closed curve wraps around."""
         at = np.ascontiguousarray(arc, dtype=np.float64)
         return interpolate(_polyline(self.points, self.closed), self.arc, at % self.size if self.closed else at)
-
-    def relief_at(self, arc: Array) -> Array | None:
-        """Return the relief at ``(N,)`` arc positions of an open curve; None if it has none."""
-        if self.relief is None:
-            return None
-        return interpolate(np.ascontiguousarray(self.relief[:, None]), self.arc, np.ascontiguousarray(arc))[:, 0]
 
     def even(self, count: int) -> Array:
         """Return ``(count, D)`` places of equal arc length around a closed curve, from its first point on."""

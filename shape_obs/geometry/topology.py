@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar, Final, NamedTuple, TypeVar
+from typing import Any, ClassVar, Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,20 +19,6 @@ Array = npt.NDArray[np.float64]
 _SWEEPS: Final = 60  # over the unknown values of a lattice
 _OVER: Final = 1.6  # how far a sweep takes a value towards the mean of its neighbours
 Values = TypeVar("Values", bound=npt.NDArray[np.floating[Any]])
-
-
-class Neighbourhoods(NamedTuple):
-    """Kernel moments for E local-linear updates; row k weighs the bins as node k sees them.
-
-    With phi(k,j) = (1, offset of j from k in each of the P lattice directions):
-
-    Args:
-        first: ``(E, P+1, K, K)`` h(k,j) phi_a, h = exp(-|offset|^2 / 2 sigma^2).
-        second: ``(E, P+1, P+1, K, K)`` h(k,j) phi_a phi_b.
-    """
-
-    first: Array
-    second: Array
 
 
 class Topology(ABC):
@@ -227,14 +213,3 @@ def undo_shrinkage(nodes: Array, share: float, closed: bool) -> Array:
             bend = nodes[(at + 1) % size, d] - 2 * nodes[at, d] + nodes[at - 1, d]
             out[k, d] = nodes[k, d] - by * bend
     return out
-
-
-@lru_cache(maxsize=64)
-def neighbourhoods(topology: Topology, sigmas: tuple[float, ...]) -> Neighbourhoods:
-    """Return the moments of E neighbourhoods, from their widths in node units."""
-    offsets: Array = topology.offsets()
-    width = np.array(sigmas)[:, None, None]
-    weight = np.exp(-0.5 * np.sum(offsets**2, axis=0) / width**2)
-    basis = np.concatenate([np.ones((1, *weight.shape[1:])), offsets])
-    first = weight[:, None] * basis
-    return Neighbourhoods(np.ascontiguousarray(first), np.ascontiguousarray(first[:, :, None] * basis))

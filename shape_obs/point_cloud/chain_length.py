@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST
+from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.point_cloud.lifting import COMPARED, SMEARED, STEP, nearest_expected
-from shape_obs.point_cloud.local_depth import MAX_REACH, MIN_SHARE, median, median_depth, room
+from shape_obs.point_cloud.local_depth import MAX_REACH, MIN_SHARE, median, room, strand_depth
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
@@ -26,21 +26,14 @@ _NORMAL: Final = 1.21  # standard deviations of a value, in median distances fro
 _CURVED: Final = 4.0  # per metre: the squared curvature that ropes have, and the arc over which it changes
 _ROUNDS: Final = 2
 _LEAST: Final = 1e-9  # of a pivot: without it, depth in a single place would say nothing of a slope
-_APART: Final = (2.0, 0.02)  # widths, and of the depth: strands that lie so far apart are not taken for each other
 
 
-@compiled(
-    "(f8[:,::1], f8[:,::1], b1[::1], Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8, f8[::1], "
-    "f8)",
-    "(f8[:,::1], f8[:,::1], b1[::1], Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], UniTuple(i8, 2), f8, f8[::1], "
-    "f8)",
-)
+@compiled("(f8[:,::1], f8[:,::1], b1[::1], " + DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), f8, f8[::1], f8)")
 def lift_chain(
     points: Array,
     rays: Array,
     bridged: npt.NDArray[np.bool_],
-    depth: npt.NDArray[Any],
-    unit: float,
+    depth: DepthImages,
     mask: Mask,
     at: tuple[int, int],
     width: float,
@@ -55,10 +48,9 @@ def lift_chain(
 
     Args:
         points: ``(P, 2)`` pixels, at about equal steps.
-        rays: ``(P, 2)`` x/z and y/z of their viewing rays.
+        rays: ``(P, 3)`` their viewing rays, scaled to z = 1.
         bridged: ``(P,)`` where the curve does not lie on the object.
-        depth: ``(H, W)`` read-only, uint16 or float32.
-        unit: Metres in a unit of depth.
+        depth: The frame's, see ``frame.depth_images``.
         mask: ``(h, w)`` uint8, C-contiguous.
         at: Image column and row of its first pixel.
         width: Of the object, pixels; depth is looked for within a quarter of it.
@@ -70,10 +62,7 @@ def lift_chain(
     """
     size = len(points)
     reach = min(max(int(np.rint(width / 4)), 1), MAX_REACH)
-    z, places = median_depth(depth, unit, mask, at[0], at[1], points, reach, MIN_SHARE, False)
-    for p in range(len(expected)):
-        if not abs(z[p] / expected[p] - 1) <= slack:
-            z[p] = _depth_near(depth, unit, mask, at, points[p], reach, expected[p], slack, places[p])
+    z, places = strand_depth(depth, mask, at, points, reach, expected, slack)
     _leave_out_overlaid(z, points, bridged, width)
     clean, near, along, step = np.empty(size), np.empty(2 * _COMPANY + 1), np.arange(float(size)), _step(points)
     known, least, most = 0, np.inf, 0.0
@@ -113,48 +102,6 @@ def _astray(z: Array, bridged: npt.NDArray[np.bool_], p: int, near: Array) -> bo
             count += 1
     middle = (near[(count - 1) // 2] + near[count // 2]) / 2
     return abs(z[p] - middle) > _ASTRAY + abs(z[last] - z[first])
-
-
-@compiled("(f8, f8)")
-def strand_gap(width: float, focal: float) -> float:
-    """Return by which share of its depth a strand of a rope lies apart from another.
-
-    Args:
-        width: Of the rope, pixels.
-        focal: Focal length, pixels.
-    """
-    return max(_APART[0] * width / focal, _APART[1])
-
-
-@compiled
-def _depth_near(
-    depth: npt.NDArray[Any],
-    unit: float,
-    mask: Mask,
-    at: tuple[int, int],
-    point: Array,
-    reach: int,
-    expected: float,
-    slack: float,
-    place: Array,
-) -> float:
-    """Return the median depth of the mask around a point, of what lies where it is expected; NaN where nothing does.
-
-    The mean place ``(2,)`` of those pixels is written to ``place``.
-    """
-    height, width = mask.shape
-    near, known, x, y = room((2 * reach + 1) ** 2), 0, 0.0, 0.0
-    column, row = nearest_pixel(point[0]) - at[0], nearest_pixel(point[1]) - at[1]
-    for v in range(max(row - reach, 0), min(row + reach + 1, height)):
-        for u in range(max(column - reach, 0), min(column + reach + 1, width)):
-            z = depth[v + at[1], u + at[0]] * unit
-            if mask[v, u] != 0 and 0 < z < FARTHEST and abs(z / expected - 1) <= slack:
-                near[known] = z
-                x, y, known = x + u, y + v, known + 1
-    if known == 0:
-        return np.nan
-    place[0], place[1] = at[0] + x / known, at[1] + y / known
-    return median(near, known)
 
 
 @compiled
@@ -291,3 +238,36 @@ def smooth_depth(values: Array, along: Array, rays: Array, variance: float) -> A
                 total -= after[p] * z[p + 2]
             z[p] = total / main[p]
     return z
+
+
+@compiled
+def strand_under(
+    depth: DepthImages, mask: Mask, at: tuple[int, int], points: Array, reach: int, expected: Array, slack: float
+) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Return whether the depth around points of a strand is known, and whether most of it is another's in front.
+
+    Args:
+        depth: The frame's, see ``frame.depth_images``.
+        mask: ``(h, w)`` uint8, C-contiguous.
+        at: Image column and row of its first pixel.
+        points: ``(N, 2)`` image pixels.
+        reach: How far around a point is looked, pixels.
+        expected: ``(N,)`` depth of the strand, metres.
+        slack: By which share another strand is nearer, at least.
+    """
+    (millimetres, metric), (height, width) = depth, mask.shape
+    seen, under = np.zeros(len(points), np.bool_), np.zeros(len(points), np.bool_)
+    for n in range(len(points)):
+        column, row = nearest_pixel(points[n, 0]) - at[0], nearest_pixel(points[n, 1]) - at[1]
+        inside = known = nearer = 0
+        for v in range(max(row - reach, 0), min(row + reach + 1, height)):
+            for u in range(max(column - reach, 0), min(column + reach + 1, width)):
+                if mask[v, u] == 0:
+                    continue
+                y, x = v + at[1], u + at[0]
+                z = millimetres[y, x] * MILLIMETRE if len(millimetres) > 0 else float(metric[y, x])
+                inside += 1
+                known += 0 < z < FARTHEST
+                nearer += 0 < z < expected[n] * (1 - slack)
+        seen[n], under[n] = known >= max(MIN_SHARE * inside, 1), 2 * nearer > known
+    return seen, under

@@ -8,13 +8,13 @@ no evidence, and neither is a rope that looks shorter: perspective does that.
 from __future__ import annotations
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST
+from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.image.connected_runs import nearest_pixel
 
 Array = npt.NDArray[np.float64]
@@ -32,6 +32,7 @@ _ANY_CUT: Final = (0.1, 0.6)
 _UNFAMILIAR: Final = 4.0  # how much larger the variance of a tip is that was seen once
 _LEARNING: Final = 0.05  # how fast the shape of a tip is learnt
 _REACH: Final = (1.5, 8.0)  # widths and pixels around a tip in which what hides it must be
+_SPARSE: Final = 12.0  # pixels: from this reach on every second row and column is looked at
 _BORDER: Final = (0.5, 2.0)  # widths and pixels from the border, within which a rope is cut off by it
 _NEARER: Final = 0.008  # metres: what is nearer than the rope by this much, and its slope, lies over it
 _LEVEL: Final = 0.004  # metres: what goes on at the rope's own depth, within this, is the rope
@@ -113,19 +114,13 @@ def blended_tips(shapes: Array, before: Array, gain: float) -> Array:
     return out
 
 
-@compiled(
-    "(f8[:,::1], f8[::1], f8[::1], f8, Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], Tuple((i8, i8)), "
-    "UniTuple(i8, 4))",
-    "(f8[:,::1], f8[::1], f8[::1], f8, Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], Tuple((i8, i8)), "
-    "UniTuple(i8, 4))",
-)
+@compiled("(f8[:,::1], f8[::1], f8[::1], f8, " + DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), UniTuple(i8, 4))")
 def chain_evidence(
     points: Array,
     arc: Array,
     z: Array,
     width: float,
-    depth: npt.NDArray[Any],
-    unit: float,
+    depth: DepthImages,
     mask: Mask,
     at: tuple[int, int],
     edge: tuple[int, int, int, int],
@@ -137,8 +132,7 @@ def chain_evidence(
         arc: ``(P,)`` its arc length.
         z: ``(P,)`` its smooth depth, metres.
         width: Of the rope, pixels.
-        depth: ``(H, W)`` read-only, uint16 or float32; ``(0, 0)`` without depth.
-        unit: Metres in a unit of depth.
+        depth: The frame's, see ``frame.depth_images``.
         mask: ``(h, w)`` uint8, C-contiguous.
         at: Image column and row of its first pixel.
         edge: Left, top, width and height of the part of the image that is searched, pixels.
@@ -160,9 +154,7 @@ def chain_evidence(
         x, y = points[base, 0] - points[before, 0], points[base, 1] - points[before, 1]
         reach = math.sqrt(x * x + y * y)
         onwards[0], onwards[1] = (x / reach, y / reach) if reach > 0 else (ahead[0], ahead[1])
-        known = tip_evidence(
-            points[tip], ahead, points[base], onwards, width, z[tip], slope, depth, unit, mask, at, edge
-        )
+        known = tip_evidence(points[tip], ahead, points[base], onwards, width, z[tip], slope, depth, mask, at, edge)
         found = (found[0], known) if end else (known, 0)
         shapes[end, 0], shapes[end, 1] = tip_shape(points[tip], ahead, width, mask, at)
     return found, shapes
@@ -215,8 +207,7 @@ def tip_evidence(
     width: float,
     z: float,
     slope: float,
-    depth: npt.NDArray[Any],
-    unit: float,
+    depth: DepthImages,
     mask: Mask,
     at: tuple[int, int],
     edge: tuple[int, int, int, int],
@@ -231,8 +222,7 @@ def tip_evidence(
         width: Of the rope, pixels.
         z: Its depth at the tip, metres; NaN where it is not known.
         slope: Metres by which its depth changes in a pixel, at most.
-        depth: ``(H, W)`` read-only, uint16 or float32; ``(0, 0)`` without depth.
-        unit: Metres in a unit of depth.
+        depth: The frame's, see ``frame.depth_images``.
         mask: ``(h, w)`` uint8, C-contiguous.
         at: Image column and row of its first pixel.
         edge: Left, top, width and height of the part of the image that is searched, pixels.
@@ -245,14 +235,16 @@ def tip_evidence(
         or tip[1] > edge[1] + edge[3] - 1 - near
     ):
         return HIDDEN
-    if depth.size == 0 or not z > 0:
+    (millimetres, metric), reach = depth, max(_REACH[0] * width, _REACH[1])
+    whole, step = len(millimetres) > 0, 2 if reach >= _SPARSE else 1
+    high, wide = millimetres.shape if whole else metric.shape
+    if high == 0 or not z > 0:
         return UNKNOWN
-    reach = max(_REACH[0] * width, _REACH[1])
     column, row, steps = nearest_pixel(tip[0]), nearest_pixel(tip[1]), math.ceil(reach)
     count = nearer = aside = lower = 0
     straight, level = np.zeros(len(_TURNS)), np.zeros(len(_TURNS))
-    for v in range(max(row - steps, 0), min(row + steps + 1, depth.shape[0])):
-        for u in range(max(column - steps, 0), min(column + steps + 1, depth.shape[1])):
+    for v in range(max(row - steps, 0), min(row + steps + 1, high), step):
+        for u in range(max(column - steps, 0), min(column + steps + 1, wide), step):
             x, y = u - tip[0], v - tip[1]
             along, across = x * ahead[0] + y * ahead[1], y * ahead[0] - x * ahead[1]
             away = math.sqrt(x * x + y * y)
@@ -261,7 +253,7 @@ def tip_evidence(
             i, j = v - at[1], u - at[0]
             if 0 <= i < mask.shape[0] and 0 <= j < mask.shape[1] and mask[i, j] != 0:
                 continue
-            metres = depth[v, u] * unit
+            metres = millimetres[v, u] * MILLIMETRE if whole else float(metric[v, u])
             known = 0 < metres < FARTHEST
             count += 1
             spare = slope * away

@@ -8,9 +8,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST, readable_depth
+from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.geometry.curve import FittedForm, TrackHints
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.topology import Topology
@@ -191,7 +190,7 @@ class Reach:
         self._elsewhere: dict[str, float] = {}  # seconds after which something was seen out of reach
 
     def exceeded(
-        self, name: str, track: Track, found: Fit, stamp: float, view: tuple[Any, Intrinsics | None], width: int
+        self, name: str, track: Track, found: Fit, stamp: float, view: tuple[DepthImages, float], width: int
     ) -> str:
         """Return why a form is another object's than the one that was tracked; empty if it is not.
 
@@ -202,19 +201,18 @@ class Reach:
             track: Where the object was.
             found: Where the form is.
             stamp: Seconds.
-            view: ``(H, W)`` the frame's depth and the projection; None without depth or camera.
+            view: The frame's depth, see ``frame.depth_images``, and the focal length in pixels; 0 without a camera.
             width: Of the image, pixels.
         """
-        nodes, (depth, intrinsics) = found.nodes, view
+        nodes, (depth, focal) = found.nodes, view
         if self._max_speed is None or nodes is None or nodes.shape[1] != track.nodes.shape[1]:
             return ""
         since = min(stamp - track.stamp, self._elsewhere.get(name, np.inf))
         in_image = nodes.shape[1] == 2
-        readable = readable_depth(depth if in_image and intrinsics is not None else None)
-        moved, away = typical_motion(np.ascontiguousarray(nodes), np.ascontiguousarray(track.nodes), *readable)
+        moved, away = typical_motion(nodes, track.nodes, depth)
         most, unit = self._max_speed * since, "m"
-        if in_image and intrinsics is not None and away > 0:
-            moved *= away / intrinsics.fx
+        if in_image and focal > 0 and away > 0:
+            moved *= away / focal
         elif in_image:
             most, unit = most * width, "px"
         if moved <= most:
@@ -224,18 +222,14 @@ class Reach:
         return f"it lies {moved:.3g} {unit} from where the shape was (at most {most:.3g} after {since:.2g} s)"
 
 
-@compiled(
-    "(f8[:,::1], f8[:,::1], Array(u2, 2, 'C', readonly=True), f8)",
-    "(f8[:,::1], f8[:,::1], Array(f4, 2, 'C', readonly=True), f8)",
-)
-def typical_motion(nodes: Array, before: Array, depth: npt.NDArray[Any], unit: float) -> tuple[float, float]:
+@compiled("(f8[:,::1], f8[:,::1], " + DEPTH_TYPE + ")")
+def typical_motion(nodes: Array, before: Array, depth: DepthImages) -> tuple[float, float]:
     """Return the median distance of the nodes of a track to the nearest of a form's, and the median depth there.
 
     Args:
         nodes: ``(K, D)`` of the form; at most 64 of them are compared.
         before: ``(K', D)`` of the track; the same.
-        depth: ``(H, W)`` read-only, uint16 or float32; ``(0, 0)`` without depth.
-        unit: Metres in a unit of depth.
+        depth: The frame's, see ``frame.depth_images``.
 
     Returns:
         In the unit of the nodes; metres, 0 where there is no depth.
@@ -250,11 +244,12 @@ def typical_motion(nodes: Array, before: Array, depth: npt.NDArray[Any], unit: f
                 square += (nodes[j, d] - before[k, d]) ** 2
             least = min(least, square)
         apart[k // stride] = math.sqrt(least)
-    if depth.size > 0:
+    (millimetres, metric), (high, wide) = depth, depth[0].shape if len(depth[0]) > 0 else depth[1].shape
+    if high > 0:
         for j in range(0, len(nodes), step):
-            u = min(max(nearest_pixel(nodes[j, 0]), 0), depth.shape[1] - 1)
-            v = min(max(nearest_pixel(nodes[j, 1]), 0), depth.shape[0] - 1)
-            metres = depth[v, u] * unit
+            u = min(max(nearest_pixel(nodes[j, 0]), 0), wide - 1)
+            v = min(max(nearest_pixel(nodes[j, 1]), 0), high - 1)
+            metres = millimetres[v, u] * MILLIMETRE if len(millimetres) > 0 else float(metric[v, u])
             if 0 < metres < FARTHEST:
                 away[known] = metres
                 known += 1

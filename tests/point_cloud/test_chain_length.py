@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from shape_obs import Intrinsics
-from shape_obs.point_cloud.chain_length import lift_chain, strand_gap
+from shape_obs.frame import depth_images
+from shape_obs.point_cloud.chain_length import lift_chain
+from shape_obs.point_cloud.lifting import strand_gap
 
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 COUNT = 60
@@ -32,9 +34,8 @@ def lifted(
     left_out = np.zeros(COUNT, bool)
     if bridged is not None:
         left_out[bridged] = True
-    rays = np.ascontiguousarray(CAMERA.rays(points)[:, :2])
     known = np.zeros(0) if expected is None else expected
-    return lift_chain(points, rays, left_out, depth, 1.0, mask, (0, 0), 11.0, known, slack)
+    return lift_chain(points, CAMERA.rays(points), left_out, depth_images(depth), mask, (0, 0), 11.0, known, slack)
 
 
 @pytest.mark.parametrize("away", [0.0, 0.1, 0.4])
