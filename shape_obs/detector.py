@@ -31,8 +31,7 @@ from shape_obs.shape import Detection, Shape
 from shape_obs.tracking.belief import point_errors
 from shape_obs.tracking.missing import Clock, lost_shape
 from shape_obs.tracking.prediction import Fit, Reach, Track, advance, predict, typical_motion
-from shape_obs.tracking.search_window import RegionSearch, tracks_by_rule
-from shape_obs.tracking.validation import validate_samples
+from shape_obs.tracking.search_window import RegionSearch
 from shape_obs.utils.threads import use_no_threads_in_forked_children
 
 Array = npt.NDArray[np.float64]
@@ -208,8 +207,8 @@ class ShapeDetector:
             roi, self._roi_memory, reason = roi.place(frame.rgb, self._roi_memory)
             _lap(timings, "roi", now)
         self._frames += 1
-        tracks = tracks_by_rule(self.shapes, self._tracks) if self._frames % _SEARCH_ALL else {}
-        search = None if roi is None else RegionSearch(frame, mask, roi, tracks)
+        tracks = self._tracks if self._frames % _SEARCH_ALL else {}
+        search = None if roi is None else RegionSearch(frame, mask, roi, self.shapes, tracks)
         self._clock.tick(frame.stamp)
         size = (frame.size or (0, 0)) if mask is None else (mask.shape[0], mask.shape[1])
         moment, shapes = _Moment(frame, timings, in_2d=True, in_3d=with_depth, size=size), []
@@ -244,8 +243,8 @@ class ShapeDetector:
             self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres, or those of another size
             self._last.pop(spec.name, None)
             self._kinds[spec.name] = kind
-        if reason := validate_samples(observed):
-            return Fit(reason=reason)
+        if observed.refusal:
+            return Fit(reason=observed.refusal)
         track = self._tracks.get(spec.name)
         prediction = predict(track, observed, self._clock.now, spec.name in self._gone)
         found = spec.fit(observed, prediction, target, scene)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final
 
@@ -37,6 +37,10 @@ class Frame:
         number: The source's own count of its frames; gaps are missed frames. None if it does not count.
         exposed: The earliest time at which its exposure can have begun: ``time.monotonic()``, seconds; None if unknown.
 
+    Attributes:
+        size: ``(H, W)`` of rgb and depth, pixels; None without either.
+        images: The depth as compiled code reads it, see ``depth_images``.
+
     Raises:
         TypeError: A wrong array type or dtype.
         ValueError: A wrong shape, or sizes that differ between rgb, depth and camera.
@@ -49,6 +53,7 @@ class Frame:
     received: float | None = None
     number: int | None = None
     exposed: float | None = None
+    size: tuple[int, int] | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         rgb, depth, camera, stamp = self.rgb, self.depth, self.camera, self.stamp
@@ -63,6 +68,7 @@ class Frame:
                     "give depth aligned to the colour image (rs.align, or render both with one camera)."
                 )
         image = rgb if rgb is not None else depth
+        object.__setattr__(self, "size", None if image is None else image.shape[:2])
         if camera is not None and image is not None:
             width, height = camera.intrinsics.width, camera.intrinsics.height
             if (height, width) != image.shape[:2]:
@@ -80,14 +86,6 @@ class Frame:
     def images(self) -> DepthImages:
         """The depth as compiled code reads it, see ``depth_images``."""
         return depth_images(self.depth)
-
-    @property
-    def size(self) -> tuple[int, int] | None:
-        """(H, W) in pixels."""
-        for image in (self.rgb, self.depth):
-            if image is not None:
-                return image.shape[0], image.shape[1]
-        return None
 
 
 def readable_depth(depth: npt.NDArray[Any] | None) -> tuple[npt.NDArray[Any], float]:

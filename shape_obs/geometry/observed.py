@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,8 @@ from shape_obs.geometry.curve import FittedCurve
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+
+MIN_SAMPLES: Final = 16  # pixels or points: with fewer there is no object
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class Observed(Protocol):
 
     @property
     def refusal(self) -> str:
-        """Why what was seen is no object and was left out, in words; empty if it was not."""
+        """Why what was seen is no object, in words; empty if it may be one."""
         ...
 
     @property

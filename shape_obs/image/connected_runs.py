@@ -20,8 +20,8 @@ _FAR_OFF: Final = 2.0**30  # pixels; no image reaches there, and integers hold i
 _U = np.uint64
 _TOPS = np.uint64(0x8080808080808080)  # the highest bit of each byte
 
-# A mask, its runs, the areas of its components and their box: see ``find_components``.
-Components = tuple[Mask, Indices, Indices, tuple[int, int, int, int]]
+# A mask, its runs, the areas of its components, their box, and its runs along columns: see ``find_components``.
+Components = tuple[Mask, Indices, Indices, tuple[int, int, int, int], int]
 
 
 @compiled("(u1[:,::1], i8, i8, i8, f8, f8)")
@@ -39,7 +39,8 @@ def find_components(mask: Mask, left: int, top: int, step: int, min_area: float,
 
     Returns:
         The mask with these components alone, itself if none are dropped; ``(R, 3)`` its runs, top to bottom and left
-        to right; ``(Q,)`` the components' pixels, as they appear; left, top, width and height of the box around them.
+        to right; ``(Q,)`` the components' pixels, as they appear; left, top, width and height of the box around them;
+        how many runs they have along their columns.
     """
     runs = _runs(mask, left, top)
     label, count = label_runs(runs)
@@ -74,7 +75,7 @@ def find_components(mask: Mask, left: int, top: int, step: int, min_area: float,
     box = (left, top, 0, 0)
     if held:
         box = (first, runs[0, 0], last - first, runs[held - 1, 0] - runs[0, 0] + 1)
-    return mask, runs[:held], kept[:found], box
+    return mask, runs[:held], kept[:found], box, count_column_runs(runs[:held])
 
 
 @compiled(inline=True)
@@ -166,7 +167,7 @@ def find_root(parent: Indices, at: int) -> int:
     return at
 
 
-@compiled("(i8[:,::1],)")
+@compiled
 def count_column_runs(runs: Indices) -> int:
     """Return how many runs a mask has along its columns: pixels without one above them."""
     found, above = 0, 0

@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.frame import Frame
+from shape_obs.geometry.observed import MIN_SAMPLES
 from shape_obs.image.colour_search import find_by_colour, find_on_lattice, look_up, table_mask
 from shape_obs.image.colour_table import colour_table
-from shape_obs.image.connected_runs import count_column_runs, find_components, near_mask
+from shape_obs.image.connected_runs import find_components, near_mask
 from shape_obs.image.outline_tracing import trace_components
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Window
@@ -77,16 +78,20 @@ def _region(
     runs: npt.NDArray[np.int64],
     areas: npt.NDArray[np.int64],
     box: tuple[int, int, int, int],
+    column_runs: int,
 ) -> Region:
     refusal, most = "", max(_MOST_RUNS, mask.size // _PIXELS_PER_RUN)
-    if (count := max(len(runs), count_column_runs(runs))) > most:
+    if (count := max(len(runs), column_runs)) > most:
         refusal = (
             f"the mask has {count} runs of pixels, at most {most}: it is noise or a fine pattern, no object; "
             "check the segmentation"
         )
         mask, runs, areas, box = np.zeros_like(mask), runs[:0], areas[:0], (window.left, window.top, 0, 0)
     sizes = sorted(areas.tolist(), reverse=True)
-    return Region(window, mask, runs, tuple(sizes), Window(*box), sum(sizes), len(sizes), refusal)
+    area = sum(sizes)
+    if area < MIN_SAMPLES and not refusal:
+        refusal = f"the mask has {area} pixels, at least {MIN_SAMPLES} are needed" if area else "the mask is empty"
+    return Region(window, mask, runs, tuple(sizes), Window(*box), area, len(sizes), refusal)
 
 
 @lru_cache(maxsize=64)
@@ -104,4 +109,4 @@ def prepare(rules: Iterable[Segmentation | None]) -> list[Callable[..., Any]]:
     """Build the tables of colour rules, and return the compiled functions that any region needs."""
     tabulated = [colour_table(rule) for rule in rules if is_tabulated(rule)]
     colours = [look_up, find_on_lattice] if tabulated else []
-    return [find_components, count_column_runs, near_mask, trace_components, *colours]
+    return [find_components, near_mask, trace_components, *colours]

@@ -55,7 +55,7 @@ class Region:
         box: The upright rectangle around them.
         area: Pixels of all components.
         pieces: How many components there are.
-        refusal: Why a mask that is no object was left out before it was measured, in words; empty if it was not.
+        refusal: Why it is no object, in words: nothing is seen, or noise, which is left out; empty if it may be one.
         resolution: One pixel.
     """
 

@@ -196,7 +196,7 @@ def _coarse(piece: Mask, cell: int) -> Mask:
 
 def _fill_slits(grid: Mask, thickest: float) -> int:
     """Fill narrow holes, in place; return how many holes are left."""
-    _, runs, areas, _ = find_components(grid, 0, 0, 1, 1, 0.0)
+    _, runs, areas, _, _ = find_components(grid, 0, 0, 1, 1, 0.0)
     holes = trace_components(grid, runs, len(areas), 0, 0)[-1]
     return fill_holes(grid, runs, holes, 0, 0, 0.0, max(_SLIT * thickest, 1.0))
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from shape_obs.frame import FARTHEST
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.observed import Samples
+from shape_obs.geometry.observed import MIN_SAMPLES, Samples
 from shape_obs.geometry.outline import clockwise
 from shape_obs.point_cloud.geodesics import chain, ring
 from shape_obs.point_cloud.rope_tip import extend_chain, first_gap
@@ -57,8 +57,11 @@ class Cloud:
 
     @property
     def refusal(self) -> str:
-        """Why the points were left out as no object, in words; empty if they were not."""
-        return ""
+        """Why the points are no object, in words; empty if they may be one."""
+        if not self.pieces:
+            return "the cloud is empty"
+        few = f"the cloud has {self.area} points, at least {MIN_SAMPLES} are needed"
+        return few if self.area < MIN_SAMPLES else ""
 
     @property
     def pieces(self) -> int:

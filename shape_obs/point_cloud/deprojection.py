@@ -68,8 +68,8 @@ class SeenCloud(Cloud):
 
     @property
     def refusal(self) -> str:
-        """The mask's."""
-        return self.region.refusal
+        """The mask's, if nothing in it was measured; else the cloud's."""
+        return (self.region.refusal if not self.region.pieces else "") or super().refusal
 
     @property
     def parts(self) -> tuple[Observed, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
@@ -66,21 +66,6 @@ class Sought(Protocol):
         ...
 
 
-def tracks_by_rule(
-    shapes: Iterable[Sought], tracks: Mapping[str, Track]
-) -> dict[Segmentation | None, list[Track | None]]:
-    """Return the tracks of the shapes of each segmentation.
-
-    Args:
-        shapes: The shapes that are looked for.
-        tracks: By the names of the shapes.
-    """
-    rules: dict[Segmentation | None, list[Track | None]] = {}
-    for spec in shapes:
-        rules.setdefault(spec.segmentation, []).append(tracks.get(spec.name))
-    return rules
-
-
 @dataclass
 class RegionSearch:
     """The regions found in one frame so far, one for each pixel rule.
@@ -89,22 +74,29 @@ class RegionSearch:
         frame: The images.
         mask: ``(H, W)`` uint8 where someone else has segmented; None where the rules do.
         roi: The part of the image to search.
-        tracks: The tracks of the shapes of each rule; a rule without an entry is looked for everywhere.
+        shapes: The shapes that are looked for.
+        found: Their tracks by name; a rule of which a shape has none is looked for everywhere.
+
+    Attributes:
+        whole: The part of the image that the region of interest reads; what touches its edge may go on behind it.
+        tracks: The tracks of the shapes of each rule.
     """
 
     frame: Frame
     mask: npt.NDArray[np.uint8] | None
     roi: ROI
-    tracks: dict[Segmentation | None, list[Track | None]]
+    shapes: InitVar[Iterable[Sought]]
+    found: InitVar[Mapping[str, Track]]
     regions: dict[Segmentation | None, Region] = field(default_factory=dict)
     clouds: dict[Segmentation | None, SeenCloud] = field(default_factory=dict)
 
-    @property
-    def whole(self) -> Window:
-        """The part of the image that the region of interest reads; what touches its edge may go on behind it."""
+    def __post_init__(self, shapes: Iterable[Sought], found: Mapping[str, Track]) -> None:
         size = self.frame.size if self.mask is None else self.mask.shape
         assert size is not None
-        return _window(self.roi, size[0], size[1])
+        self.whole = _window(self.roi, size[0], size[1])
+        self.tracks: dict[Segmentation | None, list[Track | None]] = {}
+        for spec in shapes:
+            self.tracks.setdefault(spec.segmentation, []).append(found.get(spec.name))
 
     def region(self, rule: Segmentation | None) -> Region:
         """Return the region of a rule, looked for where it is expected; what runs out of there, everywhere."""

@@ -17,7 +17,6 @@ from shape_obs.geometry.topology import Grid
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-_MIN_SAMPLES: Final = 16  # pixels or points
 _MAX_OFF: Final = 0.10
 _MAX_SPREAD: Final = 0.40
 _IDEAL_SPREAD: Final = 12**-0.5
@@ -74,16 +73,6 @@ def validate_gaps(points: Array, valid: npt.NDArray[np.bool_], layout: Grid, err
         return ""
     unequal = np.abs(gaps / np.where(along, *means) - 1)[known].mean()
     return FOLDED if unequal > max(_MAX_UNEQUAL, _OF_NOISE * error / min(means)) else ""
-
-
-def validate_samples(observed: Observed) -> str:
-    """Return why an object is too small for any shape; empty if it is not."""
-    if not observed.pieces:
-        return observed.refusal or f"the {observed.noun} is empty"
-    if observed.area < _MIN_SAMPLES:
-        have = f"the {observed.noun} has {observed.area} {observed.sample_unit}"
-        return f"{have}, at least {_MIN_SAMPLES} are needed"
-    return ""
 
 
 def validate_ribbon(

@@ -76,7 +76,7 @@ def test_rows_in_a_ring_s_hole_are_a_piece_of_their_own():
 @given(MASKS, st.integers(1, 30), st.floats(0, 1))
 def test_plausible_components_are_those_of_opencv(mask, min_area, min_share):
     before = mask.copy()
-    found, runs, areas, box = find_components(mask, -3, 7, 1, min_area, min_share)
+    found, runs, areas, box, _ = find_components(mask, -3, 7, 1, min_area, min_share)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     sizes = stats[1:, cv2.CC_STAT_AREA]
     kept = sizes >= max(min_area, min_share * sizes.max(initial=0))

@@ -35,7 +35,7 @@ def test_components_are_those_of_opencv(seed, share, grain, floors):
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     areas = stats[1:count, cv2.CC_STAT_AREA]
     kept = areas >= max(floors[0], floors[1] * max(areas, default=0))
-    plausible, runs, found, box = find_components(mask, -3, 7, 1, *floors)
+    plausible, runs, found, box, _ = find_components(mask, -3, 7, 1, *floors)
     left = mask * np.isin(labels, 1 + np.flatnonzero(kept))
     np.testing.assert_array_equal(runs, runs_of(left))
     np.testing.assert_array_equal(plausible, left)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from shape_obs.image.connected_runs import count_column_runs, find_components
+from shape_obs.image.connected_runs import find_components
 from shape_obs.image.outline_tracing import SPECK, Traced, fill_holes, trace_components, trace_hole
 
 LEFT, TOP = 5, -3
@@ -28,7 +28,7 @@ def masks(count: int) -> Iterator[npt.NDArray[np.uint8]]:
 
 
 def traced(mask):
-    mask, runs, areas, _ = find_components(mask, LEFT, TOP, 1, 1, 0.0)
+    mask, runs, areas, *_ = find_components(mask, LEFT, TOP, 1, 1, 0.0)
     return runs, areas, Traced(*trace_components(mask, runs, len(areas), LEFT, TOP))
 
 
@@ -91,6 +91,6 @@ def test_small_holes_are_filled_as_opencv_fills_them():
 
 def test_runs_along_columns_are_counted():
     for mask in masks(100):
-        runs = find_components(mask, LEFT, TOP, 1, 1, 0.0)[1]
+        count = find_components(mask, LEFT, TOP, 1, 1, 0.0)[4]
         above = np.pad(mask, ((1, 0), (0, 0)))[:-1]
-        assert count_column_runs(runs) == np.count_nonzero((mask > 0) & (above == 0))
+        assert count == np.count_nonzero((mask > 0) & (above == 0))
