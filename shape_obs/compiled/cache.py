@@ -60,18 +60,22 @@ class DiskCache:
     Args:
         function: The Python function.
         key: Hash of all that its machine code depends on.
+
+    Attributes:
+        written: How a signature of types is written, by which its file is found.
     """
 
     def __init__(self, function: FunctionType, key: str) -> None:
         self._name = f"{function.__module__}.{function.__qualname__}"
         self._key = key
+        self.written: dict[Any, str] = {}
 
-    def _path(self, signature: str) -> Path | None:
-        folder = cache_folder()
+    def _path(self, signature: Any) -> Path | None:
+        folder, signature = cache_folder(), self.written.get(signature, signature)
         digest = hashlib.blake2b(f"{self._key} {signature}".encode(), digest_size=_DIGEST).hexdigest()
         return folder and folder / f"{self._name}-{digest}.bin"
 
-    def load_overload(self, sig: str, target_context: Any) -> CompileResult | None:
+    def load_overload(self, sig: Any, target_context: Any) -> CompileResult | None:
         """Return a function that was compiled before, None where there is none."""
         path = self._path(sig)
         try:
@@ -97,7 +101,7 @@ class DiskCache:
             _warn(f"{type(error).__name__}: {error}", _REPORT)
             return None
 
-    def save_overload(self, sig: str, cres: CompileResult) -> None:
+    def save_overload(self, sig: Any, cres: CompileResult) -> None:
         """Write a compiled function, and delete versions of it that were written long ago."""
         path = self._path(sig)
         if path is None or cres.library.has_dynamic_globals:

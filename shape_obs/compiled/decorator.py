@@ -20,6 +20,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 _OPTIONS: Final[dict[str, Any]] = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
 # Sums may be taken in any order, so that several terms are added at once: the last of 16 digits differ.
 _REASSOCIATE: Final = {"reassoc", "contract", "nsz"}
+_NUMBERS: Final = {"float": types.float64, "int": types.int64, "bool": types.boolean}
 # Compile time is proportional to the code of a function and of all that it calls, roughly.
 _SECONDS_PER_BYTE: Final = 0.5e-3
 _WORTH_SAYING: Final = 2.0  # seconds
@@ -76,8 +77,9 @@ def compiled(*signatures: Any, reassociate: bool = False, inline: bool = False) 
     """Compile a function with Numba at its first use, not at import.
 
     Args:
-        signatures: The types of the arguments as Numba writes them, ``"(f8[:,::1], i8)"``. No signature for a function
-            that only compiled functions call.
+        signatures: The types of the arguments as Numba writes them, ``"(f8[:,::1], i8)"``, or the names of named
+            tuples of numbers that the function's file imports or defines. No signature for a function that only
+            compiled functions call.
         reassociate: Whether sums may be taken in any order.
         inline: Copy the function into its callers; for a few lines in an inner loop.
 
@@ -179,10 +181,28 @@ def _prepare(entry: _EntryPoint) -> None:
     """Compile a function, or load it where it is on disk."""
     if not isinstance(entry, _EntryPoint) or _load(entry):
         return
-    setattr(entry, "_cache", _cache(entry))  # noqa: B010 - Numba's own attribute, which its stubs lack
+    cache = _cache(entry)
+    setattr(entry, "_cache", cache)  # noqa: B010 - Numba's own attribute, which its stubs lack
     for signature in entry.signatures_declared:
-        entry.compile(signature)
+        arguments = _parsed(signature, entry.py_func.__globals__)
+        cache.written[arguments] = signature
+        entry.compile(arguments)
     _finish(entry)
+
+
+def _parsed(signature: str, names: dict[str, Any]) -> tuple[types.Type, ...]:
+    """Return the types that a signature stands for, by the names of Numba's types and of named tuples."""
+    named = {name: value for name, value in names.items() if hasattr(value, "_fields") and name in signature}
+    return eval(signature, {}, {**vars(types), **{name: _struct(value) for name, value in named.items()}})
+
+
+def _struct(named: Any) -> types.Type:
+    """Return the type of a named tuple whose fields are ``float``, ``int`` or ``bool``."""
+    kinds = [getattr(kind, "__forward_arg__", kind) for kind in named.__annotations__.values()]
+    fields = [_NUMBERS[kind] for kind in kinds]
+    if len(set(fields)) == 1:
+        return types.NamedUniTuple(fields[0], len(fields), named)
+    return types.NamedTuple(fields, named)
 
 
 def _finish(entry: _EntryPoint) -> None:

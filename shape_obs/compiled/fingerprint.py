@@ -66,7 +66,7 @@ def _parts(value: Any, seen: set[int], constants: bool = True) -> Iterator[bytes
             yield repr((value.dtype.str, value.shape)).encode() + value.tobytes()
     elif isinstance(value, (ModuleType, type, BuiltinFunctionType, np.ufunc)):
         if constants:
-            yield f"{getattr(value, '__module__', '')}.{value.__name__}".encode()
+            yield f"{getattr(value, '__module__', '')}.{value.__name__}{_fields(value)}".encode()
     elif constants:
         yield repr(_plain(value)).encode()
 
@@ -88,6 +88,11 @@ def _of_code(code: CodeType, function: FunctionType, seen: set[int], constants: 
             yield from _parts(value, seen, constants)
     for cell in function.__closure__ or ():
         yield from _parts(cell.cell_contents, seen, constants)
+
+
+def _fields(value: Any) -> str:
+    """Return the fields of a named tuple and their types, in words; empty for anything else."""
+    return repr(value.__annotations__) if hasattr(value, "_fields") else ""
 
 
 def _plain(value: Any) -> Any:

@@ -14,7 +14,7 @@ from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
 from shape_obs.configurations.chain_in_mask import fit_chain_in_mask
-from shape_obs.geometry.curve import FittedCurve, Length, TrackHints, local_stretch, nearest_along
+from shape_obs.geometry.curve import FittedCurve, Length, TrackHints, local_stretch, nearest_along, with_relief
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equal_chords, even_points, interpolate
 from shape_obs.geometry.topology import Chain, Topology, shrinkage, undo_shrinkage
@@ -26,11 +26,13 @@ from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import thinned, trace_skeleton
 from shape_obs.point_cloud.lifting import strand_gap
-from shape_obs.tracking.occluders import Tips, blended_tips, likelier_cut
-from shape_obs.tracking.occlusion import evened, match_chain, shown, surprise
-from shape_obs.tracking.predicted_rope import disagreements, visible_nodes
+from shape_obs.tracking.occluders import Tips, blended_tips
+from shape_obs.tracking.occlusion import match_chain, shown, surprise
+from shape_obs.tracking.placement import from_tip_to_tip, widened
+from shape_obs.tracking.predicted_rope import visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
-from shape_obs.tracking.rope_length import learnt
+from shape_obs.tracking.rope_length import learn_length, learnt
+from shape_obs.tracking.rope_match import evened, match_to_rope
 from shape_obs.tracking.validation import MAX_HIDDEN, sample_spread, validate_ribbon
 
 if TYPE_CHECKING:
@@ -117,21 +119,28 @@ class Centerline(Configuration, kind="centerline"):
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
         topology = found.topology if prediction is None else prediction.topology
         assert topology is not None
-        nodes = _nodes_on(curve.lifted, curve.stations, topology.size)
-        nodes, relief = (nodes, None) if curve.relief is None else (nodes[:, :2].copy(), nodes[:, 2].copy())
-        seen_width = max(observed.area / max(_seen_length(curve), 1e-9), 1.0) if observed.dimension == 2 else 0.0
-        seen = 1 - curve.unsupported_fraction
-        reason = "" if seen >= _MIN_SEEN else f"{seen:.0%} of the rope is in sight (at least {_MIN_SEEN:.0%})"
-        if not reason and seen < _MIN_BETWEEN and all(curve.hints.covered):
-            reason = f"both ends are hidden, and {seen:.0%} of the rope is in sight (at least {_MIN_BETWEEN:.0%})"
-        if not reason and curve.hints.adrift > _ADRIFT:
-            reason = f"a piece without an end in sight may have slid by {curve.hints.adrift:.0%} of the rope's length"
-        follow, steep = seen >= _MIN_FOLLOWED, arc_length(curve.lifted)[-1] / max(curve.size, 1e-9)
+        flat = _NOTHING if curve.relief is None else curve.relief
+        nodes, relief, steep = nodes_along(curve.points, curve.arc, curve.stations, flat, topology.size)
+        hidden = curve.unsupported_fraction
+        seen_width = max(observed.area / max(curve.size * (1 - hidden), 1e-9), 1.0) if observed.dimension == 2 else 0.0
+        reason, follow = self._reason_of(curve, 1 - hidden), 1 - hidden >= _MIN_FOLLOWED
         if not reason and steep > _END_ON:
             reason, follow = f"it is seen end-on, {steep:.2g} times as long as in the image (at most {_END_ON})", False
-        fit = found._replace(form=curve, nodes=nodes, topology=topology, size=float(curve.arc[-1]), width=seen_width)
-        fit = fit._replace(relief=relief, length=curve.hints.length.metres or fit.length)
-        return fit._replace(reason=reason, follow=follow)
+        return found._replace(
+            form=curve, nodes=nodes, topology=topology, size=curve.size, width=seen_width, reason=reason,
+            follow=follow, relief=None if curve.relief is None else relief,
+            length=curve.hints.length.metres or found.length,
+        )  # fmt: skip
+
+    def _reason_of(self, curve: FittedCurve, seen: float) -> str:
+        """Return why a matched curve may be wrong, or shows too little of the rope; empty if it does not."""
+        if seen < _MIN_SEEN:
+            return f"{seen:.0%} of the rope is in sight (at least {_MIN_SEEN:.0%})"
+        if seen < _MIN_BETWEEN and all(curve.hints.covered):
+            return f"both ends are hidden, and {seen:.0%} of the rope is in sight (at least {_MIN_BETWEEN:.0%})"
+        if curve.hints.adrift > _ADRIFT:
+            return f"a piece without an end in sight may have slid by {curve.hints.adrift:.0%} of the rope's length"
+        return ""
 
     def _fit_initial(self, observed: Observed, prediction: Prediction | None, scene: Scene) -> Fit:
         """Fit from an initial axis."""
@@ -139,7 +148,7 @@ class Centerline(Configuration, kind="centerline"):
         if axis.ambiguity:
             return Fit(reason=axis.ambiguity)
         topology = Chain(int(np.clip(round(observed.length / (_NODE_SPACING * observed.width)), *_NODES)))
-        start = _nodes_on(axis.points, axis.arc, topology.size)
+        start = nodes_along(axis.points, axis.arc, axis.arc, _NOTHING, topology.size)[0]
         off = axis.unsupported_fraction if prediction is None else MAX_HIDDEN
         return self._refine(observed, start, topology, _SIGMAS_INITIAL, observed.width, off, prediction, scene)
 
@@ -221,8 +230,8 @@ class Centerline(Configuration, kind="centerline"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_chain_in_mask, points_along, _nodes_on, strand_gap, closest_sides, sharp_bends, unexplained_share
-        masks += likelier_cut, blended_tips, disagreements, evened, local_stretch, nearest_along
+        masks = fit_chain_in_mask, points_along, nodes_along, strand_gap, closest_sides, sharp_bends, unexplained_share
+        masks += match_to_rope, blended_tips, evened, local_stretch, widened, from_tip_to_tip, learn_length
         axes = fill_holes, thinned, trace_skeleton, cheapest_order
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + axes + clouds
@@ -292,18 +301,25 @@ def points_along(
     return places, interpolated, nearest, deep, steep
 
 
-@compiled("(f8[:,::1], f8[::1], i8)")
-def _nodes_on(points: Array, arc: Array, count: int) -> Array:
-    """Return the middles of ``count`` equal pieces of a curve."""
-    return even_points(points, arc, count, True)
+@compiled("(f8[:,::1], f8[::1], f8[::1], f8[::1], i8)")
+def nodes_along(points: Array, arc: Array, along: Array, relief: Array, count: int) -> tuple[Array, Array, float]:
+    """Return the middles of equal pieces of a curve, their relief, and how long it is in space over the image.
+
+    Args:
+        points: ``(P, D)``.
+        arc: ``(P,)`` its arc length.
+        along: ``(P,)`` the measure in which the pieces are equal.
+        relief: ``(P,)`` see ``FittedCurve.relief``; ``(0,)`` without, then its nodes' is empty and the ratio 1.
+        count: How many pieces.
+    """
+    nodes = even_points(points, along, count, True)
+    if len(relief) == 0:
+        return nodes, relief, 1.0
+    longer = arc_length(with_relief(points, relief))[-1]
+    deep = even_points(relief.reshape(-1, 1), along, count, True).reshape(count)
+    return nodes, deep, longer / max(arc[-1], 1e-9)
 
 
 def _begins_again(curve: FittedCurve, prediction: Prediction | None) -> bool:
     """Return whether a rope is numbered by the paper's rule: at a cold start, or as a whole after a long loss."""
     return prediction is None or (prediction.stale and max(curve.hints.hidden) <= curve.hints.slack)
-
-
-def _seen_length(curve: FittedCurve) -> float:
-    """Return the arc length of a curve without what is interpolated."""
-    missing = curve.unsupported_fraction if curve.interpolated.any() else 0.0
-    return float(curve.arc[-1]) * (1 - missing)

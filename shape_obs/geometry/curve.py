@@ -42,8 +42,8 @@ class Length(NamedTuple):
     metres: float = 0.0
     spread: float = 0.003
     spread_metres: float = 0.006
-    frames: int = 0
-    short: int = 0
+    frames: float = 0.0
+    short: float = 0.0
 
 
 class TrackHints(NamedTuple):
@@ -260,6 +260,15 @@ class FittedCurve(FittedForm):
 
 def _polyline(points: Array, closed: bool) -> Array:
     return np.ascontiguousarray(np.concatenate([points, points[:1]]) if closed else points, dtype=np.float64)
+
+
+@compiled
+def with_relief(points: Array, relief: Array) -> Array:
+    """Return ``(P, 3)`` points of an image with their relief."""
+    out = np.empty((len(points), 3))
+    for p in range(len(points)):
+        out[p, 0], out[p, 1], out[p, 2] = points[p, 0], points[p, 1], relief[p]
+    return out
 
 
 @compiled("(f8[::1], f8[:,::1], f8)")

@@ -12,12 +12,11 @@ import numpy.typing as npt
 from shape_obs.frame import Frame
 from shape_obs.geometry.observed import MIN_SAMPLES
 from shape_obs.image.colour_search import find_by_colour, find_on_lattice, look_up, table_mask
-from shape_obs.image.colour_table import colour_table
 from shape_obs.image.connected_runs import find_components, near_mask
 from shape_obs.image.outline_tracing import trace_components
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Window
-from shape_obs.image.segmentation import ColourRule, Segmentation, need
+from shape_obs.image.segmentation import ColourRule, Segmentation, colour_table, need
 
 # A strand at least so wide, pixels, is not missed where one pixel in step x step is looked at: see ``find_by_colour``.
 _WIDE, _FAR_STEP, _NARROW, _NEAR_STEP = 12.0, 8, 7.0, 4

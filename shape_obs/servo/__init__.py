@@ -1,9 +1,15 @@
 """Shape servoing: from an error of features to a robot's action, on a Jacobian that is learnt on the way."""
 
-from shape_obs.servo.control_law import LAWS, DampedLeastSquares, ModelFreeAdaptiveControl, ServoLaw, make_law
+from shape_obs.servo.control_law import (
+    LAWS,
+    DampedLeastSquares,
+    ModelFreeAdaptiveControl,
+    ServoLaw,
+    geometric_weights,
+    make_law,
+)
 from shape_obs.servo.jacobian import Broyden, JacobianEstimator, Kalman, PseudoJacobian, RecursiveLeastSquares
 from shape_obs.servo.shape_servo import Excitation, ShapeServo
-from shape_obs.servo.weights import geometric_weights
 
 __all__ = [
     "LAWS",

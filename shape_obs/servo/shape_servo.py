@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.robot import ActionSpec
-from shape_obs.servo.control_law import ServoLaw, make_law
+from shape_obs.servo.control_law import ServoLaw, geometric_weights, make_law, noise_weights
 from shape_obs.servo.jacobian import check_in_range
-from shape_obs.servo.weights import geometric_weights, noise_weights
 from shape_obs.shape import Shape
 from shape_obs.spec import Spec, SpecError
 

@@ -30,7 +30,7 @@ FREE: Final = 2
 _SHAPE_NOISE: Final = (0.25, 1.2)
 _ANY_CUT: Final = (0.1, 0.6)
 _UNFAMILIAR: Final = 4.0  # how much larger the variance of a tip is that was seen once
-_LEARNING: Final = 0.05  # how fast the shape of a tip is learnt
+TIP_LEARNING: Final = 0.05  # how fast the shape of a tip is learnt
 _REACH: Final = (1.5, 8.0)  # widths and pixels around a tip in which what hides it must be
 _SPARSE: Final = 12.0  # pixels: from this reach on every second row and column is looked at
 _BORDER: Final = (0.5, 2.0)  # widths and pixels from the border, within which a rope is cut off by it
@@ -41,6 +41,9 @@ _SEEN_PAST: Final = 0.5  # of the pixels ahead: that many lie behind a tip that 
 _GOES_ON: Final = 0.7  # of the pixels straight ahead, or a little to the side
 _BASE: Final = (1.0, 2.5)  # widths before a tip, between which the direction of the axis is taken
 _TURNS: Final = (0.0, -0.25, 0.25, -0.5, 0.5)  # tangents of how far to the side; what is cut askew seems to turn
+
+
+_NO_SHAPES: Final = np.zeros((2, 2))
 
 
 class Tips(NamedTuple):
@@ -55,6 +58,11 @@ class Tips(NamedTuple):
     known: tuple[int, int] = (UNKNOWN, UNKNOWN)
     shapes: Array | None = None
     width: float = 0.0
+
+    @property
+    def seen(self) -> tuple[tuple[int, int], Array]:
+        """What is known, and the shapes as compiled code takes them."""
+        return self.known, _NO_SHAPES if self.shapes is None else self.shapes
 
     def reversed(self) -> Tips:
         """Return the tips of the curve run through backwards."""
@@ -73,24 +81,20 @@ class Tips(NamedTuple):
         if before is None:
             least = (np.array(_SHAPE_NOISE) / max(self.width, 1.0)) ** 2
             return np.stack([self.shapes, _UNFAMILIAR * np.broadcast_to(least, (2, 2))])
-        return blended_tips(self.shapes, before, max(_LEARNING, 1 / (frames + 1)))
-
-    def cut(self, before: Array | None) -> tuple[float, float]:
-        """Return how much likelier, as logarithms, the two tips are cut than the rope's own.
-
-        A tip of the rope looks as it did before; what hides it cuts it in any way.
-
-        Args:
-            before: See ``remembered``.
-        """
-        if self.shapes is None or before is None:
-            return 0.0, 0.0
-        return likelier_cut(self.shapes, before, self.width)
+        return blended_tips(self.shapes, before, max(TIP_LEARNING, 1 / (frames + 1)))
 
 
 @compiled("(f8[:,::1], f8[:,:,::1], f8)")
 def likelier_cut(shapes: Array, before: Array, width: float) -> tuple[float, float]:
-    """Return what ``Tips.cut`` returns."""
+    """Return how much likelier, as logarithms, two tips are cut than a rope's own.
+
+    A tip of the rope looks as it did before; what hides it cuts it in any way.
+
+    Args:
+        shapes: ``(2, 2)`` see ``tip_shape``.
+        before: ``(2, 2, 2)`` see ``Tips.remembered``.
+        width: Of the rope, pixels.
+    """
     first = last = 0.0
     for k in range(2):
         least = (_SHAPE_NOISE[k] / max(width, 1.0)) ** 2

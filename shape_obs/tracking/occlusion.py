@@ -1,10 +1,8 @@
 """Occlusion: find out which piece of a known rope a visible curve is.
 
 A rope has a length, and what is seen of it may be shorter for three reasons: an end is hidden, a gap is bridged too
-straight, or the measurement is short, because of noise or, in pixels, of perspective. One decision weighs all of them:
-for each way to share out what is missing, how well the visible points agree with where their material was expected, how
-far the measurement would have to be off, and what is seen at the tips. Visible points keep their distance from the
-rope's ends, and hidden ends are carried along.
+straight, or the measurement is short, because of noise or, in pixels, of perspective. One decision weighs all of them,
+see ``rope_match``. Visible points keep their distance from the rope's ends, and hidden ends are carried along.
 """
 
 from __future__ import annotations
@@ -15,28 +13,23 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.polyline import arc_length, interpolate
-from shape_obs.tracking.occluders import FREE, HIDDEN, UNKNOWN, Tips
-from shape_obs.tracking.predicted_rope import PredictedRope, disagreements, oriented, widened
+from shape_obs.tracking.occluders import FREE, HIDDEN, Tips
+from shape_obs.tracking.placement import widened
+from shape_obs.tracking.predicted_rope import PredictedRope, oriented
 from shape_obs.tracking.prediction import Prediction
-from shape_obs.tracking.rope_length import learnt, shortened
+from shape_obs.tracking.rope_length import learnt
+from shape_obs.tracking.rope_match import LEAST, Match, RopeBelief, evened, match_to_rope
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 Ends = tuple[int, int]
 
-_GRAIN: Final = (0.3, 0.9)  # in resolutions: that of a short one, and what a rope adds that is seen twice as short
-_POINTING: Final = 3.0  # times as long in space as in the image: there a tip hides what goes on behind it
-_SLACK: Final = (0.01, 1.5)  # of the length and in resolutions: what is missing below this is noise
-_BEYOND: Final = 4.0  # standard deviations, beyond which noise explains nothing
 _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
-_EVENLY: Final = 0.1  # the weight of a piece of a curve at a right angle to the view, in a length that is off
-_LEAST: Final = 0.002  # of a length in pixels: less cannot be seen to be missing
-_FADING: Final = 0.8  # how much of the last frame's evidence for cut tips is kept
-_CERTAIN: Final = 8.0  # the most that such evidence can weigh
-_DOUBTFUL: Final = 1.5  # standard deviations by which a rope is too short, and its tips may be cut
 _LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
+_NOTHING: Final = np.zeros(0)
+_UNKNOWN_TIPS: Final = np.zeros((0, 2, 2))
 _NEXT_TO: Final = 0.25  # of the visible piece, next to a hidden end, whose scale that end has
 
 
@@ -51,50 +44,43 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     Returns:
         The whole rope. Its hints hold the lengths of the hidden ends, and what is known of the rope's length.
     """
-    rope, known = PredictedRope(prediction, form), prediction.hints.length
-    turned, back = oriented(form, rope, known)
-    form, tips = turned, tips.reversed() if back else tips
-    ends, steep = tips.known, form.steepness(prediction.width / 2)
-    if HIDDEN in ends:  # that explains what is missing
-        ends = (ends[0] or FREE, ends[1] or FREE)
-    # What points at the camera lies in front of what goes on behind it.
-    first, last = (end == FREE and aslant > _POINTING for end, aslant in zip(ends, steep[[0, -1]], strict=True))
-    ends = UNKNOWN if first else ends[0], UNKNOWN if last else ends[1]
     before = prediction.hints
-    head, tail = (_FADING * old + new for old, new in zip(before.cut, tips.cut(before.tips), strict=True))
-    cut = max(min(head, _CERTAIN), -_CERTAIN), max(min(tail, _CERTAIN), -_CERTAIN)
-    unit = "m" if form.metres is not None or form.points.shape[1] == 3 else "px"
-    length = known.metres if form.metres is not None else known.pixels
-    if length <= 0:
-        return replace(form, hints=TrackHints(length=learnt(known, form, ends), tips=tips.remembered(None, 0)))
-    gap = _widest_gap(form)
-    resolution = prediction.resolution * float(form.stations[-1]) / max(form.size, 1e-9)
-    slack, missing = _SLACK[0] * length + _SLACK[1] * resolution, length - float(form.stations[-1])
-    head = tail = adrift = 0.0
-    least = _LEAST * length
-    grain = _GRAIN[0] + _GRAIN[1] * (float(steep.max(initial=1.0)) - 1)
-    noise = (known.spread if unit == "px" else known.spread_metres) * length + grain * resolution
-    if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
-        head, tail, between = rope.place(form, ends, cut, missing, noise, gap)
-        adrift = rope.adrift
-        form = _filled(rope, form, gap, head, between, length)
-    else:
-        bent, apart = disagreements(rope.points, rope.share, rope.along(form)[None], np.zeros((1, 2)))
-        rope.settle(float(bent[0]), float(apart[0]))
-    doubtful = missing > _DOUBTFUL * noise and max(cut) > 0
-    if head + tail <= least and not doubtful:
-        now, own = learnt(known, form, ends), tips.remembered(before.tips, known.frames)
-    else:
-        now, own = shortened(known, form, ends == (FREE, FREE) and missing > _BEYOND * noise), before.tips
-    stretch = (length - head - tail) / max(float(form.stations[-1]), 1e-9)
-    form = _completed(rope, form, ends, head, tail, stretch, length)
-    hidden = head / length, tail / length
-    covered, folded = ((ends[0] == known, ends[1] == known) for known in (HIDDEN, FREE))
-    measured = before.measured if head + tail > least else length - missing
+    belief = RopeBelief(
+        *before.hidden, *before.residuals, *before.cut, before.adrift, form.width, prediction.resolution,
+        prediction.lapse, float(prediction.stale),
+    )  # fmt: skip
+    relief = _NOTHING if prediction.relief is None else prediction.relief
+    known = belief, before.length, prediction.nodes, relief, _UNKNOWN_TIPS if before.tips is None else before.tips
+    found, stations, length, own = match_to_rope(*_seen(form), *tips.seen, *known, False)
+    if not found.clear:
+        form, back = oriented(form, PredictedRope(prediction, form), before.length)
+        tips = tips.reversed() if back else tips
+        found, stations, length, own = match_to_rope(*_seen(form), *tips.seen, *known, True)
+    metric = form.metres is not None
+    if found.length <= 0:
+        length = learnt(before.length, form, (found.first, found.last))
+        return replace(form, hints=TrackHints(length=length, tips=tips.remembered(None, 0)))
+    measured = before.measured if found.head + found.tail > LEAST * found.length else float(form.stations[-1])
+    gap = found.gap_start, found.gap_stop
+    if gap[1] > gap[0] or found.head + found.tail > 0:
+        rope = PredictedRope(prediction, form)
+        form = _filled(rope, form, gap, found.head, found.between, found.length)
+        form = _completed(rope, form, found)
+    elif metric:
+        form = replace(form, metres=stations)
+    ends = found.first, found.last
     hints = TrackHints(
-        hidden, covered, folded, adrift, slack / length, stretch, measured, rope.residuals, cut, own, now
-    )
+        (found.head / found.length, found.tail / found.length), (ends[0] == HIDDEN, ends[1] == HIDDEN),
+        (ends[0] == FREE, ends[1] == FREE), found.adrift, found.slack / found.length, found.stretch, measured,
+        (found.bent, found.apart), (found.cut_head, found.cut_tail), own if len(own) else None, length,
+    )  # fmt: skip
     return replace(form, hints=hints)
+
+
+def _seen(form: FittedCurve) -> tuple[Array, Array, Mask, Array, Array]:
+    """Return the arrays of a curve as ``match_to_rope`` takes them."""
+    metres, relief = _NOTHING if form.metres is None else form.metres, _NOTHING if form.relief is None else form.relief
+    return form.points, form.arc, form.interpolated, metres, relief
 
 
 def surprise(form: FittedCurve, prediction: Prediction) -> float:
@@ -110,18 +96,6 @@ def shown(form: FittedCurve) -> slice:
     first = np.searchsorted(share, head - 1e-9) if head < slack else 0
     last = np.searchsorted(share, 1 - tail + 1e-9) if tail < slack else len(share)
     return slice(int(first), int(last))
-
-
-def _widest_gap(curve: FittedCurve) -> tuple[int, int]:
-    """Return the last point before and the first after the widest bridged piece; the same point without one."""
-    if curve.whole:
-        return 0, 0
-    seen = np.flatnonzero(~curve.interpolated)
-    if len(seen) < 2:
-        return 0, 0
-    widest = int(np.argmax(np.diff(curve.arc[seen])))
-    first, last = int(seen[widest]), int(seen[widest + 1])
-    return (first, last) if last > first + 1 else (0, 0)
 
 
 def _filled(
@@ -149,24 +123,17 @@ def _filled(
     return replace(drawn, metres=stations, pixels=pixels)
 
 
-def _completed(
-    rope: PredictedRope, form: FittedCurve, ends: Ends, head: float, tail: float, stretch: float, length: float
-) -> FittedCurve:
+def _completed(rope: PredictedRope, form: FittedCurve, found: Match) -> FittedCurve:
     """Return the visible piece that begins at station ``head``, with the hidden ends before and behind it.
 
     A hand cuts a rope askew, and what is fitted turns into the longer side of the cut; near a long hidden end the
     rope is therefore as predicted too. The rest of an end that is free can only lie on what is seen of the rope.
     """
+    ends, head, tail, length = (found.first, found.last), found.head, found.tail, found.length
     stations = head + _stretched(form, length - head - tail)
     metric = form.metres is not None
     if head + tail <= 0:
-        return (
-            replace(form, metres=stations)
-            if metric
-            else form
-            if form.pixels is None
-            else replace(form, pixels=stations)
-        )
+        return replace(form, metres=stations) if metric else replace(form, pixels=stations)
     first, last = (rope.askew if hidden > _LONG * length else 0.0 for hidden in (head, tail))
     inner = (form.arc >= first) & (form.arc <= form.size - last)
     if np.count_nonzero(inner) < 2:
@@ -233,18 +200,6 @@ def _stretched(form: FittedCurve, length: float) -> Array:
     if form.metres is None:
         return stations * (length / max(float(stations[-1]), 1e-9))
     return evened(stations, form.arc, length)
-
-
-@compiled("(f8[::1], f8[::1], f8)")
-def evened(stations: Array, arc: Array, length: float) -> Array:
-    """Return stations in metres that span a length, see ``_stretched``."""
-    step, pixels = np.diff(stations), np.maximum(np.diff(arc), 1e-9)
-    usual = np.median(step / pixels)
-    weight = step * (_EVENLY + np.maximum((step / pixels / usual) ** 2 - 1, 0.0))
-    share, out = (length - stations[-1]) / max(weight.sum(), 1e-12), np.zeros(len(stations))
-    for p in range(len(step)):
-        out[p + 1] = out[p] + max(step[p] + share * weight[p], 0.1 * step[p])
-    return out
 
 
 def _folded(points: Array, stations: Array, length: float) -> Array:

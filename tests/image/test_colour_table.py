@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from shape_obs import ColourRule, DepthRange, Frame, GrayRange, HSVRange, Polygon, ShapeDetector, Whole
 from shape_obs.bench.synthetic.ropes import KINDS, random_rope
 from shape_obs.image.colour_search import find_by_colour, table_mask
-from shape_obs.image.colour_table import colour_table
 from shape_obs.image.find_region import find_region, prepare, segment
 from shape_obs.image.roi import Window
+from shape_obs.image.segmentation import colour_table
 
 BLUE = HSVRange((100, 120, 60), (125, 255, 255))
 

@@ -25,7 +25,7 @@ def axis(turn: float = 0.0, count: int = 64, shift: float = 0.0) -> np.ndarray:
 
 
 def predicted(lapse: float = 1.0, **hints: object) -> Prediction:
-    known = TrackHints(length=Length(pixels=300.0, frames=10))._replace(**hints)
+    known = TrackHints(length=Length(pixels=300.0, frames=10.0))._replace(**hints)
     return Prediction(axis(count=NODES), 300.0, Chain(NODES), known, 1.0, 8.0, True, lapse=lapse)
 
 

@@ -9,7 +9,7 @@ from shape_obs.geometry.curve import FittedCurve, Length
 from shape_obs.tracking.occluders import FREE, HIDDEN, UNKNOWN
 from shape_obs.tracking.rope_length import learnt, shortened
 
-KNOWN = Length(pixels=300.0, metres=0.6, frames=20)
+KNOWN = Length(pixels=300.0, metres=0.6, frames=20.0)
 
 
 def seen(pixels: float) -> FittedCurve:
