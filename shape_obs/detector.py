@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
+from shape_obs.camera import CameraModel, Intrinsics, as_camera_model, viewing_rays
 from shape_obs.clustering.base import Clusterer
 from shape_obs.compiled import compile_now
 from shape_obs.config.detector_config import DetectorConfig
@@ -85,7 +85,7 @@ class ShapeDetector:
         self.config = DetectorConfig.from_dict(options)
         self.shapes = self.config.resolved()
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
-        functions = [*prepare(spec.segmentation for spec in self.shapes), lift_points, median_depth]
+        functions = [*prepare(spec.segmentation for spec in self.shapes), lift_points, median_depth, viewing_rays]
         functions += [point_errors, typical_motion]
         compile_now([*functions, *(function for spec in self.shapes for function in spec.compiled_functions)])
         if any(spec.lift == "cloud" for spec in self.shapes):

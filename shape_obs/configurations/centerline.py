@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.clustering.som import batch_epochs, run_som
-from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
-from shape_obs.configurations.chain_in_mask import fit_chain_in_mask
-from shape_obs.geometry.curve import FittedCurve, Length, TrackHints, local_stretch, nearest_along, with_relief
+from shape_obs.configurations.chain_in_mask import (
+    nodes_along,
+    points_along,
+    track_chain_in_mask,
+)
+from shape_obs.geometry.curve import FittedCurve, Length, TrackHints, local_stretch
 from shape_obs.geometry.observed import Observed
-from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equal_chords, even_points, interpolate
-from shape_obs.geometry.topology import Chain, Topology, shrinkage, undo_shrinkage
+from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate
+from shape_obs.geometry.topology import Chain, shrinkage, undo_shrinkage
 from shape_obs.image.outline_tracing import fill_holes
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
@@ -27,7 +30,7 @@ from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import thinned, trace_skeleton
 from shape_obs.point_cloud.lifting import strand_gap
 from shape_obs.tracking.occluders import Tips, blended_tips
-from shape_obs.tracking.occlusion import match_chain, shown, surprise
+from shape_obs.tracking.occlusion import known_rope, match_chain, shown, surprise
 from shape_obs.tracking.placement import from_tip_to_tip, widened
 from shape_obs.tracking.predicted_rope import visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
@@ -106,8 +109,8 @@ class Centerline(Configuration, kind="centerline"):
             found = self._fit_initial(observed, None, scene)
         else:
             sigmas = _SIGMAS_STEADY if prediction.steady else _SIGMAS_AREA_CHANGED
-            start = visible_nodes(prediction)
-            found = self._refine(observed, start, Chain(len(start)), sigmas, width, MAX_HIDDEN, prediction, scene)
+            start = visible_nodes(prediction) if any(prediction.hints.hidden) else prediction
+            found = self._refine(observed, start.nodes, start.relief, sigmas, width, MAX_HIDDEN, prediction, scene)
             off = np.inf if found.reason else surprise(found.form, prediction)
             if off > MAX_SIZE_CHANGE:  # of another length, or the chain lost its way: an initial axis decides
                 again = self._fit_initial(observed, prediction, scene)
@@ -118,18 +121,18 @@ class Centerline(Configuration, kind="centerline"):
         if _begins_again(curve, prediction):
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
         topology = found.topology if prediction is None else prediction.topology
-        assert topology is not None
-        flat = _NOTHING if curve.relief is None else curve.relief
-        nodes, relief, steep = nodes_along(curve.points, curve.arc, curve.stations, flat, topology.size)
-        hidden = curve.unsupported_fraction
-        seen_width = max(observed.area / max(curve.size * (1 - hidden), 1e-9), 1.0) if observed.dimension == 2 else 0.0
+        assert found.nodes is not None
+        count = len(found.nodes if prediction is None else prediction.nodes)
+        measures = (_NOTHING if each is None else each for each in (curve.metres, curve.pixels, curve.relief))
+        nodes, relief, steep = nodes_along(curve.points, curve.arc, *measures, count)
+        size, hidden = float(curve.arc[-1]), curve.unsupported_fraction if curve.interpolated.any() else 0.0
+        seen_width = max(observed.area / max(size * (1 - hidden), 1e-9), 1.0) if observed.dimension == 2 else 0.0
         reason, follow = self._reason_of(curve, 1 - hidden), 1 - hidden >= _MIN_FOLLOWED
         if not reason and steep > _END_ON:
             reason, follow = f"it is seen end-on, {steep:.2g} times as long as in the image (at most {_END_ON})", False
         return found._replace(
-            form=curve, nodes=nodes, topology=topology, size=curve.size, width=seen_width, reason=reason,
-            follow=follow, relief=None if curve.relief is None else relief,
-            length=curve.hints.length.metres or found.length,
+            form=curve, nodes=nodes, topology=topology, size=size, width=seen_width, reason=reason, follow=follow,
+            relief=None if curve.relief is None else relief, length=curve.hints.length.metres or found.length,
         )  # fmt: skip
 
     def _reason_of(self, curve: FittedCurve, seen: float) -> str:
@@ -147,16 +150,16 @@ class Centerline(Configuration, kind="centerline"):
         axis = medial_axis(observed)
         if axis.ambiguity:
             return Fit(reason=axis.ambiguity)
-        topology = Chain(int(np.clip(round(observed.length / (_NODE_SPACING * observed.width)), *_NODES)))
-        start = nodes_along(axis.points, axis.arc, axis.arc, _NOTHING, topology.size)[0]
+        count = int(np.clip(round(observed.length / (_NODE_SPACING * observed.width)), *_NODES))
+        start = nodes_along(axis.points, axis.arc, _NOTHING, _NOTHING, _NOTHING, count)[0]
         off = axis.unsupported_fraction if prediction is None else MAX_HIDDEN
-        return self._refine(observed, start, topology, _SIGMAS_INITIAL, observed.width, off, prediction, scene)
+        return self._refine(observed, start, None, _SIGMAS_INITIAL, observed.width, off, prediction, scene)
 
     def _refine(
         self,
         observed: Observed,
         start: Array,
-        topology: Topology,
+        relief: Array | None,
         sigmas: tuple[float, ...],
         width: float,
         expected_off: float,
@@ -164,22 +167,19 @@ class Centerline(Configuration, kind="centerline"):
         scene: Scene,
     ) -> Fit:
         """Run the self-organising map from a start, finish the curve, match it to the track, validate it."""
+        topology, found = Chain(len(start)), None
         if isinstance(observed, Region):
-            cell = max(
-                int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1
-            )  # thin ropes keep theirs
-            lifted = scene.intrinsics is not None
-            points, arc, off, metres, relief, spread, ends, shapes = fit_chain_in_mask(
-                observed.runs, observed.mask, observed.window[:2],
-                np.ascontiguousarray(start if lifted else start[:, :2]), np.array(sigmas, dtype=np.float64),
-                shrinkage(sigmas[-1]), cell, width, scene.images,
-                _NOTHING if scene.intrinsics is None else scene.intrinsics.lens, tuple(scene.edge or _EVERYWHERE),
+            cell = max(int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1)  # thin ropes keep it
+            camera = scene.intrinsics
+            seen = (
+                observed.runs, observed.mask, observed.window[:2], start,
+                _NOTHING if relief is None or camera is None else relief, *_epochs(sigmas), cell, width, scene.images,
+                _NOTHING if camera is None else camera.lens, tuple(scene.edge or _EVERYWHERE),
             )  # fmt: skip
-            known = len(metres) > 0
-            curve = FittedCurve(points, off, arc, width=width)
-            if known:
-                curve = replace(curve, metres=metres, relief=relief)
-            tips = Tips(ends, shapes, width)
+            drawn, found = track_chain_in_mask(*seen, *known_rope(prediction, width))
+            points, arc, off, metres, deep, spread, ends, shapes = drawn
+            lifted = (metres, None, deep) if len(metres) else (None, None, None)
+            curve, tips = FittedCurve(points, off, arc, False, *lifted, width), Tips(ends, shapes, width)
             square, area = spread + min(cell, width) ** 2 / 12, observed.area
         else:
             cloud = cast("Cloud", observed)
@@ -190,15 +190,16 @@ class Centerline(Configuration, kind="centerline"):
             spread = sample_spread(np.ascontiguousarray(samples.points), np.ascontiguousarray(samples.weight), points)
             square = spread + cloud.hidden_variance
             width, area = cloud.ribbon_width, 0
-        before = TrackHints() if prediction is None else prediction.hints
+        measured = 0.0
         if prediction is None:
             known = learnt(Length(metres=self.length or 0.0), curve, tips.known)
             curve = replace(curve, hints=TrackHints(length=known, tips=tips.remembered(None, 0)))
         else:
-            curve = match_chain(curve, prediction, tips)  # an end under a hand is put back here
+            measured = prediction.hints.measured
+            curve = match_chain(curve, prediction, tips, found)  # an end under a hand is put back here
         reason, quality = validate_ribbon(curve, observed.noun, expected_off, square, width, area)
         stretch = max(curve.hints.stretch, 1e-9)
-        grown = curve.metres is not None and curve.hints.measured * _MIN_STRETCH > before.measured > 0
+        grown = curve.metres is not None and curve.hints.measured * _MIN_STRETCH > measured > 0
         if not reason and grown and stretch < _MIN_STRETCH:
             reason = f"the curve is {1 / stretch - 1:.0%} longer than the rope"
         if curve.ambiguity and not _begins_again(curve, prediction):
@@ -230,8 +231,9 @@ class Centerline(Configuration, kind="centerline"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_chain_in_mask, points_along, nodes_along, strand_gap, closest_sides, sharp_bends, unexplained_share
-        masks += match_to_rope, blended_tips, evened, local_stretch, widened, from_tip_to_tip, learn_length
+        masks = track_chain_in_mask, match_to_rope, points_along, nodes_along, strand_gap
+        masks += closest_sides, sharp_bends, unexplained_share, blended_tips, evened, local_stretch, widened
+        masks += from_tip_to_tip, learn_length
         axes = fill_holes, thinned, trace_skeleton, cheapest_order
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + axes + clouds
@@ -248,76 +250,10 @@ def _rejection_reason(observed: Observed, width: float) -> str:
     return ""
 
 
-@compiled(
-    "(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], b1[::1], f8[::1], i8, b1, f8)",
-)
-def points_along(
-    points: Array, arc: Array, metric: Array, metric_arc: Array, along: Array, flags: Mask, relief: Array, count: int,
-    tips: bool, reach: float,
-) -> tuple[Array, Mask, Indices, Array, Array]:  # fmt: skip
-    """Spread points along a curve: with equal steps of a measure along it, else with equal chords.
-
-    Args:
-        points: ``(P, D)``.
-        arc: ``(P,)`` its arc length.
-        metric: ``(P, D')`` the same curve in the space in which chords are to be equal.
-        metric_arc: ``(P,)`` arc length there.
-        along: ``(P,)`` the measure, or ``(0,)`` for equal chords.
-        flags: ``(P,)`` what is interpolated.
-        relief: ``(P,)`` see ``FittedCurve.relief``, or ``(0,)``.
-        count: How many points, N.
-        tips: Whether the first and the last lie at the ends; else all lie at the centres of N equal pieces.
-        reach: To either side of a point, within which it is measured how steep the curve is, in units of ``arc``.
-
-    Returns:
-        ``(N, D)`` the points; ``(N,)`` whether they are interpolated; ``(N,)`` which of the curve's points is nearest
-        along it; ``(N,)`` their relief and how much longer the curve is there in space than in the image, 1 without.
-    """
-    last, at = len(arc) - 1, np.empty(count)
-    if len(along) > 0:
-        for n in range(count):
-            at[n] = (n / (count - 1) if tips else (n + 0.5) / count) * along[last]
-        at = interpolate(arc.reshape(-1, 1), along, at).reshape(count)
-        places, nearest = interpolate(points, arc, at), nearest_along(arc, at)
-    else:
-        margin = 0.0 if tips else metric_arc[last] / (2 * count)
-        places, at = equal_chords(points, arc, metric, metric_arc, count, margin, MAX_SHIFT)
-        nearest = nearest_along(metric_arc, at)
-        at = interpolate(arc.reshape(-1, 1), metric_arc, at).reshape(count)
-    interpolated, deep, steep = np.empty(count, np.bool_), np.empty(count), np.ones(count)
-    for n in range(count):
-        interpolated[n] = flags[nearest[n]]
-    if len(relief) > 0:
-        deep = interpolate(relief.reshape(-1, 1), arc, at).reshape(count)
-        longer, first, stop = np.zeros((len(arc), 1)), np.empty(count), np.empty(count)
-        for p in range(1, len(arc)):
-            away = relief[p] - relief[p - 1]
-            longer[p, 0] = longer[p - 1, 0] + math.sqrt((arc[p] - arc[p - 1]) ** 2 + away * away)
-        for n in range(count):
-            first[n], stop[n] = max(at[n] - reach, 0.0), min(at[n] + reach, arc[last])
-        before, after = interpolate(longer, arc, first), interpolate(longer, arc, stop)
-        for n in range(count):
-            steep[n] = (after[n, 0] - before[n, 0]) / max(stop[n] - first[n], 1e-9)
-    return places, interpolated, nearest, deep, steep
-
-
-@compiled("(f8[:,::1], f8[::1], f8[::1], f8[::1], i8)")
-def nodes_along(points: Array, arc: Array, along: Array, relief: Array, count: int) -> tuple[Array, Array, float]:
-    """Return the middles of equal pieces of a curve, their relief, and how long it is in space over the image.
-
-    Args:
-        points: ``(P, D)``.
-        arc: ``(P,)`` its arc length.
-        along: ``(P,)`` the measure in which the pieces are equal.
-        relief: ``(P,)`` see ``FittedCurve.relief``; ``(0,)`` without, then its nodes' is empty and the ratio 1.
-        count: How many pieces.
-    """
-    nodes = even_points(points, along, count, True)
-    if len(relief) == 0:
-        return nodes, relief, 1.0
-    longer = arc_length(with_relief(points, relief))[-1]
-    deep = even_points(relief.reshape(-1, 1), along, count, True).reshape(count)
-    return nodes, deep, longer / max(arc[-1], 1e-9)
+@lru_cache(maxsize=16)
+def _epochs(sigmas: tuple[float, ...]) -> tuple[Array, float]:
+    """Return the widths of the map's neighbourhood as an array, and how far averaging pulls the nodes at the end."""
+    return np.array(sigmas, dtype=np.float64), shrinkage(sigmas[-1])
 
 
 def _begins_again(curve: FittedCurve, prediction: Prediction | None) -> bool:

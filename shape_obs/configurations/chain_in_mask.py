@@ -16,34 +16,35 @@ from shape_obs.camera import viewing_rays
 from shape_obs.clustering.som import batch_epochs
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, DepthImages
-from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate
+from shape_obs.geometry.curve import Length, nearest_along, with_relief
+from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equal_chords, even_points, interpolate
 from shape_obs.geometry.topology import undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells, near_mask
-from shape_obs.image.rope_tip import extend_chain
+from shape_obs.image.rope_tip import extend_chain, rims_of, without_ends
 from shape_obs.point_cloud.chain_length import lift_chain
 from shape_obs.point_cloud.lifting import gather_lifted_cells, strand_gap
 from shape_obs.tracking.occluders import HIDDEN, chain_evidence
+from shape_obs.tracking.rope_match import Found, RopeBelief, match_to_rope
 from shape_obs.tracking.validation import sample_spread
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
+Drawn = tuple[Array, Array, Flags, Array, Array, float, tuple[int, int], Array]
 
 _LEAST_DEPTH: Final = 0.3  # of a curve's points: with less its length in metres is not measured
 _LONG: Final = 3.0  # widths: of a shorter curve the ends have no direction of their own
 _LEAST_RIM: Final = 0.5  # pixels, cut off an end that is seen at an angle
 
 
-@compiled(
-    "(i8[:,::1], u1[:,::1], UniTuple(i8, 2), f8[:,::1], f8[::1], f8, i8, f8, " + DEPTH_TYPE + ", f8[::1], "
-    "UniTuple(i8, 4))"
-)
+@compiled
 def fit_chain_in_mask(
     runs: Indices,
     mask: Mask,
     at: tuple[int, int],
     start: Array,
+    relief: Array,
     sigmas: Array,
     pull: float,
     cell: int,
@@ -51,14 +52,15 @@ def fit_chain_in_mask(
     depth: DepthImages,
     lens: Array,
     edge: tuple[int, int, int, int],
-) -> tuple[Array, Array, Flags, Array, Array, float, tuple[int, int], Array]:
+) -> Drawn:
     """Run the self-organising map of a chain in a mask, finish its curve and lift it into space, all in one call.
 
     Args:
         runs: ``(R, 3)`` of the mask; at least one.
         mask: ``(h, w)`` uint8, C-contiguous.
         at: Image column and row of its first pixel.
-        start: ``(K, 2)`` nodes, pixels; ``(K, 3)`` with their relief, if there is depth.
+        start: ``(K, 2)`` nodes, pixels.
+        relief: ``(K,)`` their relief, if there is depth; ``(0,)`` if it is not known.
         sigmas: Width of the map's neighbourhood in each epoch, node units.
         pull: How far averaging pulls the nodes, see ``topology.shrinkage``.
         cell: Edge of the squares in which pixels are gathered.
@@ -74,7 +76,8 @@ def fit_chain_in_mask(
         ``chain_evidence``.
     """
     focal = lens[0] if len(lens) > 0 else 0.0
-    if start.shape[1] == 3:
+    if len(relief) > 0:
+        start = with_relief(start, relief)
         points, weight = gather_lifted_cells(runs, cell, depth, focal, width, start)
     else:
         points, weight = gather_cells(runs, cell)
@@ -86,7 +89,7 @@ def fit_chain_in_mask(
     off, on = np.empty(len(curve), np.bool_), near_mask(mask, at[0], at[1], curve, 1)
     for p in range(len(curve)):
         off[p] = not on[p]
-    arc, metres, relief, z = arc_length(curve), np.empty(0), np.empty(0), np.full(len(curve), np.nan)
+    arc, metres, deep, z = arc_length(curve), np.empty(0), np.empty(0), np.full(len(curve), np.nan)
     if len(lens) > 0:
         expected = np.empty(len(curve) if nodes.shape[1] == 3 else 0)
         for p in range(len(expected)):
@@ -94,57 +97,51 @@ def fit_chain_in_mask(
         rays, slack = viewing_rays(curve, lens), strand_gap(width, focal)
         along, z, share = lift_chain(curve, rays, off, depth, mask, at, width, expected, slack)
         if share >= _LEAST_DEPTH and math.isfinite(along[-1]):
-            metres, relief = along, np.empty(len(curve))
+            metres, deep = along, np.empty(len(curve))
             for p in range(len(curve)):
-                relief[p] = focal * math.log(z[p])
+                deep[p] = focal * math.log(z[p])
     ends, shapes = chain_evidence(curve, arc, z, width, depth, mask, at, edge)
-    if len(relief) > 0 and arc[-1] >= _LONG * width:
-        head, tail = rims_of(curve, arc, relief, width)
+    if len(deep) > 0 and arc[-1] >= _LONG * width:
+        head, tail = rims_of(curve, arc, deep, width)
         head, tail = 0.0 if ends[0] == HIDDEN else head, 0.0 if ends[1] == HIDDEN else tail
         if max(head, tail) > _LEAST_RIM:
-            curve, arc, off, metres, relief = without_ends(curve, arc, off, metres, relief, head, tail)
-    return curve, arc, off, metres, relief, spread, ends, shapes
+            curve, arc, off, metres, deep = without_ends(curve, arc, off, metres, deep, head, tail)
+    return curve, arc, off, metres, deep, spread, ends, shapes
 
 
-@compiled
-def without_ends(
-    points: Array, arc: Array, flags: Flags, metres: Array, relief: Array, head: float, tail: float
-) -> tuple[Array, Array, Flags, Array, Array]:
-    """Return a curve without so much of both of its ends, in units of its arc length in the image.
+@compiled(
+    "(i8[:,::1], u1[:,::1], UniTuple(i8, 2), f8[:,::1], f8[::1], f8[::1], f8, i8, f8, " + DEPTH_TYPE + ", f8[::1], "
+    "UniTuple(i8, 4), RopeBelief, Length, f8[:,::1], f8[::1], f8[:,:,::1])"
+)
+def track_chain_in_mask(
+    runs: Indices,
+    mask: Mask,
+    at: tuple[int, int],
+    start: Array,
+    relief: Array,
+    sigmas: Array,
+    pull: float,
+    cell: int,
+    width: float,
+    depth: DepthImages,
+    lens: Array,
+    edge: tuple[int, int, int, int],
+    belief: RopeBelief,
+    known: Length,
+    nodes: Array,
+    node_relief: Array,
+    own: Array,
+) -> tuple[Drawn, Found]:
+    """Fit the curve of a rope in a mask and find out which piece of the rope it is, all in one call.
 
-    What is cut off is as long in metres as it is where the curve is seen least aslant, or less.
-
-    Args:
-        points: ``(P, 2)``.
-        arc: ``(P,)`` its arc length.
-        flags: ``(P,)``.
-        metres: ``(P,)`` its arc length in space.
-        relief: ``(P,)``.
-        head: Off the start.
-        tail: Off the end.
+    Returns:
+        What ``fit_chain_in_mask`` and ``match_to_rope`` return, where the arguments are described too. Nothing is
+        matched to a rope of unknown length.
     """
-    last, first, stop = len(arc) - 1, 1, len(arc) - 1
-    while first < last and arc[first] <= head:
-        first += 1
-    while stop > first and arc[stop - 1] >= arc[last] - tail:
-        stop -= 1
-    count, least = stop - first + 2, np.inf
-    at, line, kept = np.empty(count), np.empty((len(arc), 4)), np.empty(count, np.bool_)
-    for p in range(len(arc)):
-        line[p, 0], line[p, 1], line[p, 2], line[p, 3] = points[p, 0], points[p, 1], metres[p], relief[p]
-        if p > 0:
-            least = min(least, (metres[p] - metres[p - 1]) / max(arc[p] - arc[p - 1], 1e-9))
-    at[0], at[count - 1], kept[0], kept[count - 1] = head, arc[last] - tail, flags[0], flags[last]
-    for p in range(first, stop):
-        at[p - first + 1], kept[p - first + 1] = arc[p], flags[p]
-    found = interpolate(line, arc, at)
-    found[0, 2] = min(head * least, found[0, 2])
-    found[count - 1, 2] = max(metres[last] - tail * least, found[count - 1, 2])
-    shorter, along, deep = np.empty((count, 2)), np.empty(count), np.empty(count)
-    for p in range(count):
-        shorter[p, 0], shorter[p, 1], deep[p] = found[p, 0], found[p, 1], found[p, 3]
-        along[p] = found[p, 2] - found[0, 2]
-    return shorter, arc_length(shorter), kept, along, deep
+    drawn = fit_chain_in_mask(runs, mask, at, start, relief, sigmas, pull, cell, width, depth, lens, edge)
+    curve, arc, off, metres, deep, _, ends, shapes = drawn
+    found = match_to_rope(curve, arc, off, metres, deep, ends, shapes, belief, known, nodes, node_relief, own, False)
+    return drawn, found
 
 
 @compiled
@@ -176,22 +173,77 @@ def _with_relief(flat: Array, nodes: Array) -> Array:
     return lifted
 
 
-@compiled
-def rims_of(points: Array, arc: Array, relief: Array, width: float) -> tuple[float, float]:
-    """Return how far the rims of both ends of a rope reach beyond the tips of its axis, pixels.
+@compiled(
+    "(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], b1[::1], f8[::1], i8, b1, f8)",
+)
+def points_along(
+    points: Array, arc: Array, metric: Array, metric_arc: Array, along: Array, flags: Flags, relief: Array, count: int,
+    tips: bool, reach: float,
+) -> tuple[Array, Flags, Indices, Array, Array]:  # fmt: skip
+    """Spread points along a curve: with equal steps of a measure along it, else with equal chords.
 
-    The round end of a tube of width w that is k times as long in space as in the image reaches w/2 (1 - 1/k) farther.
+    Args:
+        points: ``(P, D)``.
+        arc: ``(P,)`` its arc length.
+        metric: ``(P, D')`` the same curve in the space in which chords are to be equal.
+        metric_arc: ``(P,)`` arc length there.
+        along: ``(P,)`` the measure, or ``(0,)`` for equal chords.
+        flags: ``(P,)`` what is interpolated.
+        relief: ``(P,)`` see ``FittedCurve.relief``, or ``(0,)``.
+        count: How many points, N.
+        tips: Whether the first and the last lie at the ends; else all lie at the centres of N equal pieces.
+        reach: To either side of a point, within which it is measured how steep the curve is, in units of ``arc``.
+
+    Returns:
+        ``(N, D)`` the points; ``(N,)`` whether they are interpolated; ``(N,)`` which of the curve's points is nearest
+        along it; ``(N,)`` their relief and how much longer the curve is there in space than in the image, 1 without.
     """
-    last = len(arc) - 1
-    inner, outer = last, 0
-    while arc[inner] > width:
-        inner -= 1
-    while arc[outer] < arc[last] - width:
-        outer += 1
-    return _rim(points, relief, 0, inner, width), _rim(points, relief, last, outer, width)
+    last, at = len(arc) - 1, np.empty(count)
+    if len(along) > 0:
+        for n in range(count):
+            at[n] = (n / (count - 1) if tips else (n + 0.5) / count) * along[last]
+        at = interpolate(arc.reshape(-1, 1), along, at).reshape(count)
+        places, nearest = interpolate(points, arc, at), nearest_along(arc, at)
+    else:
+        margin = 0.0 if tips else metric_arc[last] / (2 * count)
+        places, at = equal_chords(points, arc, metric, metric_arc, count, margin, MAX_SHIFT)
+        nearest = nearest_along(metric_arc, at)
+        at = interpolate(arc.reshape(-1, 1), metric_arc, at).reshape(count)
+    interpolated, deep, steep = np.empty(count, np.bool_), np.empty(count), np.ones(count)
+    for n in range(count):
+        interpolated[n] = flags[nearest[n]]
+    if len(relief) > 0:
+        deep = interpolate(relief.reshape(-1, 1), arc, at).reshape(count)
+        longer, first, stop = np.zeros((len(arc), 1)), np.empty(count), np.empty(count)
+        for p in range(1, len(arc)):
+            away = relief[p] - relief[p - 1]
+            longer[p, 0] = longer[p - 1, 0] + math.sqrt((arc[p] - arc[p - 1]) ** 2 + away * away)
+        for n in range(count):
+            first[n], stop[n] = max(at[n] - reach, 0.0), min(at[n] + reach, arc[last])
+        before, after = interpolate(longer, arc, first), interpolate(longer, arc, stop)
+        for n in range(count):
+            steep[n] = (after[n, 0] - before[n, 0]) / max(stop[n] - first[n], 1e-9)
+    return places, interpolated, nearest, deep, steep
 
 
-@compiled
-def _rim(points: Array, relief: Array, tip: int, inner: int, width: float) -> float:
-    flat = math.hypot(points[inner, 0] - points[tip, 0], points[inner, 1] - points[tip, 1])
-    return width / 2 * (1 - 1 / math.hypot(1.0, (relief[inner] - relief[tip]) / max(flat, 1e-9)))
+@compiled("(f8[:,::1], f8[::1], f8[::1], f8[::1], f8[::1], i8)")
+def nodes_along(
+    points: Array, arc: Array, metres: Array, pixels: Array, relief: Array, count: int
+) -> tuple[Array, Array, float]:
+    """Return the middles of equal pieces of a curve, their relief, and how long it is in space over the image.
+
+    Args:
+        points: ``(P, D)``.
+        arc: ``(P,)`` its arc length.
+        metres: ``(P,)`` the measure in which the pieces are equal, if it is known, else ``(0,)``.
+        pixels: ``(P,)`` the measure otherwise; ``(0,)`` for ``arc``.
+        relief: ``(P,)`` see ``FittedCurve.relief``; ``(0,)`` without, then its nodes' is empty and the ratio 1.
+        count: How many pieces.
+    """
+    along = metres if len(metres) > 0 else pixels if len(pixels) > 0 else arc
+    nodes = even_points(points, along, count, True)
+    if len(relief) == 0:
+        return nodes, relief, 1.0
+    longer = arc_length(with_relief(points, relief))[-1]
+    deep = even_points(relief.reshape(-1, 1), along, count, True).reshape(count)
+    return nodes, deep, longer / max(arc[-1], 1e-9)

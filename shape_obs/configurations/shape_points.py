@@ -17,7 +17,7 @@ from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.topology import Grid
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.point_cloud.chain_length import strand_under
-from shape_obs.point_cloud.lifting import form_depth, is_rope, lift_form, strand_gap
+from shape_obs.point_cloud.lifting import form_depth, lift_form, strand_gap
 from shape_obs.point_cloud.local_depth import MAX_REACH, MIN_SHARE, median_depth
 from shape_obs.shape import Shape
 from shape_obs.tracking.belief import error_on_sheet, expected_error
@@ -58,7 +58,7 @@ def shape_of(
     points2d, points3d, visible, valid = parts(spec, found, frame)
     camera = None if frame.camera is None else frame.camera.intrinsics
     sigma = expected_error(
-        points2d, points3d, visible, valid, spec.layout, size=found.form.size, resolution=found.observed.resolution,
+        points2d, points3d, visible, valid, spec.layout, size=found.size, resolution=found.observed.resolution,
         in_image=found.observed.dimension == 2, camera=camera, diagonal=diagonal,
     )  # fmt: skip
     reason = _doubt(spec, found, points2d, points3d, valid, camera)
@@ -124,10 +124,10 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     if measured and (relief is None or steep is None):  # the points are a clusterer's
         at = _nearest(points, form.points)
         relief, steep = form.relief[at], form.steepness(width / 2)[at]
-    own = _NOTHING if relief is None else relief
+    own, rope = _NOTHING if relief is None else relief, isinstance(form, FittedCurve) and not form.closed
     pixels, points3d, z, visible, valid = lift_points(
         points, interpolated, own, _NOTHING if steep is None else steep, frame.images, region.mask,
-        region.window[:2], width, camera.intrinsics.lens, spec.radius, is_rope(form),
+        region.window[:2], width, camera.intrinsics.lens, spec.radius, rope,
     )  # fmt: skip
     if in_pieces and under is not None:
         # Next to what hides a piece, depth that is not the form's is not the points' either.

@@ -9,10 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
+from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.image.connected_runs import near_mask
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
+Flags = npt.NDArray[np.bool_]
 
 # Pixels: what lies farther is ahead; the pixel on which one stands is not, however sums are rounded.
 _AHEAD: Final = 1e-6
@@ -197,3 +199,65 @@ def _bend(dx: float, dy: float, px: float, py: float, share: float) -> tuple[flo
     x, y = dx + share * (dx - px), dy + share * (dy - py)
     norm = np.sqrt(x * x + y * y)
     return (x / norm, y / norm) if norm > 1e-9 else (dx, dy)
+
+
+@compiled
+def rims_of(points: Array, arc: Array, relief: Array, width: float) -> tuple[float, float]:
+    """Return how far the rims of both ends of a rope reach beyond the tips of its axis, pixels.
+
+    The round end of a tube of width w that is k times as long in space as in the image reaches w/2 (1 - 1/k) farther.
+    """
+    last = len(arc) - 1
+    inner, outer = last, 0
+    while arc[inner] > width:
+        inner -= 1
+    while arc[outer] < arc[last] - width:
+        outer += 1
+    return _rim(points, relief, 0, inner, width), _rim(points, relief, last, outer, width)
+
+
+@compiled
+def _rim(points: Array, relief: Array, tip: int, inner: int, width: float) -> float:
+    flat = math.hypot(points[inner, 0] - points[tip, 0], points[inner, 1] - points[tip, 1])
+    return width / 2 * (1 - 1 / math.hypot(1.0, (relief[inner] - relief[tip]) / max(flat, 1e-9)))
+
+
+@compiled
+def without_ends(
+    points: Array, arc: Array, flags: Flags, metres: Array, relief: Array, head: float, tail: float
+) -> tuple[Array, Array, Flags, Array, Array]:
+    """Return a curve without so much of both of its ends, in units of its arc length in the image.
+
+    What is cut off is as long in metres as it is where the curve is seen least aslant, or less.
+
+    Args:
+        points: ``(P, 2)``.
+        arc: ``(P,)`` its arc length.
+        flags: ``(P,)``.
+        metres: ``(P,)`` its arc length in space.
+        relief: ``(P,)``.
+        head: Off the start.
+        tail: Off the end.
+    """
+    last, first, stop = len(arc) - 1, 1, len(arc) - 1
+    while first < last and arc[first] <= head:
+        first += 1
+    while stop > first and arc[stop - 1] >= arc[last] - tail:
+        stop -= 1
+    count, least = stop - first + 2, np.inf
+    at, line, kept = np.empty(count), np.empty((len(arc), 4)), np.empty(count, np.bool_)
+    for p in range(len(arc)):
+        line[p, 0], line[p, 1], line[p, 2], line[p, 3] = points[p, 0], points[p, 1], metres[p], relief[p]
+        if p > 0:
+            least = min(least, (metres[p] - metres[p - 1]) / max(arc[p] - arc[p - 1], 1e-9))
+    at[0], at[count - 1], kept[0], kept[count - 1] = head, arc[last] - tail, flags[0], flags[last]
+    for p in range(first, stop):
+        at[p - first + 1], kept[p - first + 1] = arc[p], flags[p]
+    found = interpolate(line, arc, at)
+    found[0, 2] = min(head * least, found[0, 2])
+    found[count - 1, 2] = max(metres[last] - tail * least, found[count - 1, 2])
+    shorter, along, deep = np.empty((count, 2)), np.empty(count), np.empty(count)
+    for p in range(count):
+        shorter[p, 0], shorter[p, 1], deep[p] = found[p, 0], found[p, 1], found[p, 3]
+        along[p] = found[p, 2] - found[0, 2]
+    return shorter, arc_length(shorter), kept, along, deep

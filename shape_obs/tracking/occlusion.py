@@ -13,14 +13,14 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.geometry.curve import FittedCurve, TrackHints
+from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.tracking.occluders import FREE, HIDDEN, Tips
 from shape_obs.tracking.placement import widened
 from shape_obs.tracking.predicted_rope import PredictedRope, oriented
 from shape_obs.tracking.prediction import Prediction
 from shape_obs.tracking.rope_length import learnt
-from shape_obs.tracking.rope_match import LEAST, Match, RopeBelief, evened, match_to_rope
+from shape_obs.tracking.rope_match import LEAST, Found, Match, RopeBelief, evened, match_to_rope
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -30,37 +30,46 @@ _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this m
 _LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
 _NOTHING: Final = np.zeros(0)
 _UNKNOWN_TIPS: Final = np.zeros((0, 2, 2))
+_NO_ROPE: Final = RopeBelief(*np.zeros(11).tolist()), Length(), np.zeros((2, 2)), _NOTHING, _UNKNOWN_TIPS
 _NEXT_TO: Final = 0.25  # of the visible piece, next to a hidden end, whose scale that end has
 
 
-def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> FittedCurve:
+def known_rope(prediction: Prediction | None, width: float) -> tuple[RopeBelief, Length, Array, Array, Array]:
+    """Return what a track knows of a rope of a width in pixels as ``match_to_rope`` takes it; None for nothing."""
+    if prediction is None:
+        return _NO_ROPE
+    hints = prediction.hints
+    belief = RopeBelief(
+        *hints.hidden, *hints.residuals, *hints.cut, hints.adrift, float(width), float(prediction.resolution),
+        float(prediction.lapse), float(prediction.stale),
+    )  # fmt: skip
+    relief = _NOTHING if prediction.relief is None else prediction.relief
+    return belief, hints.length, prediction.nodes, relief, _UNKNOWN_TIPS if hints.tips is None else hints.tips
+
+
+def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips, match: Found | None = None) -> FittedCurve:
     """Match a curve to the predicted rope: same direction, hidden ends put back, as long as the rope is known to be.
 
     Args:
         form: ``(P, D)`` fitted to this frame, in any direction.
         prediction: Where the rope should be.
         tips: What the curve's tips look like.
+        match: What ``match_to_rope`` has found out about it; None if it has not been asked.
 
     Returns:
         The whole rope. Its hints hold the lengths of the hidden ends, and what is known of the rope's length.
     """
     before = prediction.hints
-    belief = RopeBelief(
-        *before.hidden, *before.residuals, *before.cut, before.adrift, form.width, prediction.resolution,
-        prediction.lapse, float(prediction.stale),
-    )  # fmt: skip
-    relief = _NOTHING if prediction.relief is None else prediction.relief
-    known = belief, before.length, prediction.nodes, relief, _UNKNOWN_TIPS if before.tips is None else before.tips
-    found, stations, length, own = match_to_rope(*_seen(form), *tips.seen, *known, False)
-    if not found.clear:
+    if match is None or not match[0].clear:
         form, back = oriented(form, PredictedRope(prediction, form), before.length)
         tips = tips.reversed() if back else tips
-        found, stations, length, own = match_to_rope(*_seen(form), *tips.seen, *known, True)
+        match = match_to_rope(*_seen(form), *tips.seen, *known_rope(prediction, form.width), True)
+    found, stations, length, own = match
     metric = form.metres is not None
     if found.length <= 0:
         length = learnt(before.length, form, (found.first, found.last))
         return replace(form, hints=TrackHints(length=length, tips=tips.remembered(None, 0)))
-    measured = before.measured if found.head + found.tail > LEAST * found.length else float(form.stations[-1])
+    measured = before.measured if found.head + found.tail > LEAST * found.length else found.measured
     gap = found.gap_start, found.gap_stop
     if gap[1] > gap[0] or found.head + found.tail > 0:
         rope = PredictedRope(prediction, form)

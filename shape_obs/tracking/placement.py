@@ -214,7 +214,7 @@ def widened(stations: Array, gap: tuple[int, int], more: float) -> Array:
 
 @compiled("(f8[:,::1],)")
 def from_tip_to_tip(nodes: Array) -> tuple[Array, Array]:
-    """Return nodes at the centres of K equal pieces with the tips ``(K + 2, D)``, and where they lie, 0...1 ``(K + 2,)``."""
+    """Return nodes at the centres of equal pieces with the tips, ``(K + 2, D)``, and where they lie, 0...1."""
     count, size = nodes.shape
     points, share = np.empty((count + 2, size)), np.empty(count + 2)
     for d in range(size):

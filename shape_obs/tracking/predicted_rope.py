@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -40,15 +40,27 @@ def oriented(form: FittedCurve, rope: PredictedRope, length: Length) -> tuple[Fi
     return (back, True) if off_back < off else (form, False)
 
 
-def visible_nodes(prediction: Prediction) -> Array:
-    """Return the predicted nodes of the visible piece, about as far apart, with their relief: ``(K', 2 or 3)``."""
+class Nodes(NamedTuple):
+    """Predicted nodes.
+
+    Args:
+        nodes: ``(K, D)``.
+        relief: ``(K,)`` depth at the nodes in an image, see ``FittedCurve.relief``; None without depth.
+    """
+
+    nodes: Array
+    relief: Array | None
+
+
+def visible_nodes(prediction: Prediction) -> Nodes:
+    """Return the predicted nodes of the visible piece, about as far apart."""
     (head, tail), rope = prediction.hints.hidden, PredictedRope(prediction)
-    nodes = rope.nodes
-    if head + tail <= 0:
-        return nodes
     first, last = head, 1 - tail
-    count = max(round(len(nodes) * (last - first)), _FEWEST)
-    return rope.at(first + (np.arange(count) + 0.5) / count * (last - first))
+    count = max(round(len(rope.nodes) * (last - first)), _FEWEST)
+    nodes = rope.at(first + (np.arange(count) + 0.5) / count * (last - first))
+    if prediction.relief is None:
+        return Nodes(nodes, None)
+    return Nodes(nodes[:, :2].copy(), nodes[:, 2].copy())
 
 
 def _is_along(points: Array, nodes: Array) -> bool:

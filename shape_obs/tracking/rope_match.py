@@ -88,6 +88,7 @@ class Match(NamedTuple):
         adrift: Share.
         steepest: How much longer the curve is in space than in the image, at most.
         stretch: By how much more of the rope there is than was measured where it is visible.
+        measured: Length of what is visible.
     """
 
     clear: bool
@@ -107,6 +108,11 @@ class Match(NamedTuple):
     adrift: float
     steepest: float
     stretch: float
+    measured: float
+
+
+#: The match; ``(P,)`` stations in metres if all of the rope is seen; what is then known of its length and its tips.
+Found = tuple[Match, Array, Length, Array]
 
 
 @compiled(
@@ -116,7 +122,7 @@ class Match(NamedTuple):
 def match_to_rope(
     points: Array, arc: Array, flags: Mask, metres: Array, relief: Array, ends: Ends, shapes: Array,
     belief: RopeBelief, known: Length, nodes: Array, node_relief: Array, own: Array, oriented: bool,
-) -> tuple[Match, Array, Length, Array]:  # fmt: skip
+) -> Found:  # fmt: skip
     """Find out which piece of a known rope a curve is.
 
     Args:
@@ -146,10 +152,10 @@ def match_to_rope(
     length, steep, steepest = known.metres if metric else known.pixels, np.ones(2), 1.0
     clear = oriented or _is_along(found, rope)
     if not clear or length <= 0:
-        return (
-            Match(clear, ends[0], ends[1], 0, 0, 0.0, 0.0, 0.0, length, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0),
-            along, known, own,
-        )  # fmt: skip
+        unknown = Match(
+            clear, ends[0], ends[1], 0, 0, 0.0, 0.0, 0.0, length, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, along[last]
+        )
+        return unknown, along, known, own
     if len(relief) > 0:
         stretched = local_stretch(arc, lifted, belief.width / 2)
         steep[0], steep[1] = stretched[0], stretched[last]
@@ -198,7 +204,7 @@ def match_to_rope(
     stretch = (length - hidden_length) / max(along[last] + placed.between * (gap[1] > gap[0]), 1e-9)
     match = Match(
         True, first, second, gap[0], gap[1], placed.head, placed.tail, placed.between, length, slack, residuals[0],
-        residuals[1], cut_head, cut_tail, adrift, steepest, stretch,
+        residuals[1], cut_head, cut_tail, adrift, steepest, stretch, along[last],
     )  # fmt: skip
     return match, stations, known, own
 

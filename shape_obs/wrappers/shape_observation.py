@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import gymnasium as gym
 import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
@@ -18,7 +20,6 @@ from shape_obs.features import Feature, FeatureContext, FeatureVector, read_feat
 from shape_obs.shape import Detection, Shape
 from shape_obs.spec import SpecError, did_you_mean, to_plain
 from shape_obs.wrappers import env_protocol
-from shape_obs.wrappers.env_protocol import Images
 from shape_obs.wrappers.goals import EnvGoal
 from shape_obs.wrappers.observation_layout import ObservationLayout
 
@@ -176,6 +177,58 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         self.target = self._goal.target(observation["desired_goal"], camera)
         goals = self._goal.achieved(values), self._goal.vector.desired(self.target, contexts[0])
         return self._layout.compose(values, observation, goals)
+
+
+@dataclass(frozen=True)
+class Images:
+    """The images in an env's observation.
+
+    Args:
+        rgb_key: Key of the uint8 image of shape ``(H, W, 3)``; None if the observation is the image.
+        depth_key: Key of the depth image of shape ``(H, W)``; None without depth.
+        size: ``(H, W)`` of the images.
+    """
+
+    rgb_key: str | None
+    depth_key: str | None
+    size: tuple[int, int]
+
+    @classmethod
+    def find(cls, space: spaces.Space[Any], rgb_key: str | None = None, depth_key: str | None = None) -> Images:
+        """Find the images in an observation space; the default keys are ``"rgb"`` and, if it exists, ``"depth"``.
+
+        Raises:
+            ValueError: There is no image under a key; the message lists the keys.
+        """
+        if isinstance(space, spaces.Dict):
+            rgb_key = rgb_key or "rgb"
+            for name, key in (("rgb_key", rgb_key), ("depth_key", depth_key)):
+                if key is not None and key not in space.spaces:
+                    raise ValueError(
+                        f"{name} {key!r} is not in the observation{did_you_mean(key, space.spaces)} "
+                        "Pass rgb_key= and depth_key=."
+                    )
+            depth = depth_key or ("depth" if "depth" in space.spaces else None)
+            return cls(rgb_key, depth, _image_size(space[rgb_key], f"observation[{rgb_key!r}]"))
+        return cls(None, None, _image_size(space, "the observation"))
+
+    def read(self, observation: Any) -> tuple[npt.NDArray[np.uint8], npt.NDArray[Any] | None]:
+        """Return the colour image and the depth image of an observation."""
+        if self.rgb_key is None:
+            return observation, None
+        for key in (self.rgb_key, self.depth_key):
+            if key is not None and key not in observation:
+                raise KeyError(f"the observation has no {key!r}, but its space does; keys: {sorted(observation)}.")
+        return observation[self.rgb_key], observation[self.depth_key] if self.depth_key else None
+
+
+def _image_size(space: spaces.Space[Any], where: str) -> tuple[int, int]:
+    if not isinstance(space, spaces.Box) or space.dtype != np.uint8 or len(space.shape) != 3 or space.shape[2] != 3:
+        raise ValueError(
+            f"{where} must be an RGB image, Box(0, 255, (H, W, 3), uint8), got {space}. For state observations add "
+            "images first, e.g. with gymnasium.wrappers.AddRenderObservation."
+        )
+    return space.shape[0], space.shape[1]
 
 
 def to_recorded(value: Any) -> Any:

@@ -165,7 +165,7 @@ class TestSearch:
         window = Window(left, top, int(rng.integers(size[1] - left)) + 1, int(rng.integers(size[0] - top)) + 1)
         min_area, min_share = int(rng.integers(1, 30)), float(rng.uniform())
         table = colour_table(GrayRange(low=128))
-        mask, runs, found_areas, box = find_by_colour(image, window, table, step, min_area, min_share)
+        mask, runs, found_areas, box, _ = find_by_colour(image, window, table, step, min_area, min_share)
         expected, areas = met_by_lattice(blobs[window.slices], window, step, min_area, min_share)
         np.testing.assert_array_equal(mask, np.where(expected, 255, 0))
         np.testing.assert_array_equal(np.sort(found_areas)[::-1], areas)

@@ -23,6 +23,7 @@ from shape_obs.bench.synthetic.images import hidden_rope, photographed
 from shape_obs.bench.synthetic.ropes import moving_rope, random_rope
 from shape_obs.bench.synthetic.sheets import moving_sheet, random_sheet
 from shape_obs.bench.synthetic.tangles import crossing_rope, cut_rope
+from shape_obs.camera import viewing_rays
 from shape_obs.compiled import decorator
 from shape_obs.configurations.shape_points import lift_points
 from shape_obs.image.find_region import prepare
@@ -142,7 +143,7 @@ def main(kind: str) -> None:
         ok += kind == "surface" and detectors[2].detect_cloud(cloud).shapes[0].ok
     rules = [spec.segmentation for spec in detector.shapes]
     fits = {function for one in detectors for function in one.shapes[0].compiled_functions}
-    listed = [*prepare(rules), lift_points, median_depth, point_errors, typical_motion, *fits]
+    listed = [*prepare(rules), lift_points, median_depth, viewing_rays, point_errors, typical_motion, *fits]
     names = sorted(function.__name__ for function in listed)
     print(json.dumps({"called": sorted(called), "listed": names, "late": sorted(late), "ok": int(ok)}))
 
