@@ -29,7 +29,7 @@ from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import thinned, trace_skeleton
 from shape_obs.point_cloud.lifting import strand_gap
-from shape_obs.tracking.occluders import Tips, blended_tips
+from shape_obs.tracking.occluders import Tips
 from shape_obs.tracking.occlusion import known_rope, match_chain, shown, surprise
 from shape_obs.tracking.placement import from_tip_to_tip, widened
 from shape_obs.tracking.predicted_rope import visible_nodes
@@ -193,7 +193,7 @@ class Centerline(Configuration, kind="centerline"):
         measured = 0.0
         if prediction is None:
             known = learnt(Length(metres=self.length or 0.0), curve, tips.known)
-            curve = replace(curve, hints=TrackHints(length=known, tips=tips.remembered(None, 0)))
+            curve = replace(curve, hints=TrackHints(length=known, tips=tips.remembered()))
         else:
             measured = prediction.hints.measured
             curve = match_chain(curve, prediction, tips, found)  # an end under a hand is put back here
@@ -232,7 +232,7 @@ class Centerline(Configuration, kind="centerline"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         masks = track_chain_in_mask, match_to_rope, points_along, nodes_along, strand_gap
-        masks += closest_sides, sharp_bends, unexplained_share, blended_tips, evened, local_stretch, widened
+        masks += closest_sides, sharp_bends, unexplained_share, evened, local_stretch, widened
         masks += from_tip_to_tip, learn_length
         axes = fill_holes, thinned, trace_skeleton, cheapest_order
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage

@@ -121,7 +121,7 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     if depth is None or camera is None:
         visible = region.carries(points) & ~interpolated
         return points.astype(np.float32), None, visible, visible.copy()
-    if measured and (relief is None or steep is None):  # the points are a clusterer's
+    if isinstance(form, FittedCurve) and form.relief is not None and relief is None:  # the points are a clusterer's
         at = _nearest(points, form.points)
         relief, steep = form.relief[at], form.steepness(width / 2)[at]
     own, rope = _NOTHING if relief is None else relief, isinstance(form, FittedCurve) and not form.closed
@@ -134,7 +134,7 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         unknown = np.isnan(under)[_nearest(points, form.points) if at is None else at]
         z[unknown] = np.nan
         valid &= ~unknown
-    if not measured and not valid.all():
+    if relief is None and not valid.all():
         if valid.any():
             z = spec.layout.interpolate(z[:, None], valid)[:, 0]
         points3d = _lift(points, z, camera.intrinsics, spec.radius).astype(np.float32)

@@ -69,22 +69,15 @@ class Tips(NamedTuple):
         shapes = None if self.shapes is None else self.shapes[::-1].copy()
         return Tips((self.known[1], self.known[0]), shapes, self.width)
 
-    def remembered(self, before: Array | None, frames: int) -> Array | None:
-        """Return what the track remembers of the tips of a rope that is seen as a whole.
-
-        Args:
-            before: ``(2, 2, 2)`` mean and variance of both tips' shapes; None at first.
-            frames: In how many they were learnt.
-        """
+    def remembered(self) -> Array | None:
+        """Return what a track remembers of the tips of a rope that was seen once: ``(2, 2, 2)`` mean and variance."""
         if self.shapes is None:
-            return before
-        if before is None:
-            least = (np.array(_SHAPE_NOISE) / max(self.width, 1.0)) ** 2
-            return np.stack([self.shapes, _UNFAMILIAR * np.broadcast_to(least, (2, 2))])
-        return blended_tips(self.shapes, before, max(TIP_LEARNING, 1 / (frames + 1)))
+            return None
+        least = (np.array(_SHAPE_NOISE) / max(self.width, 1.0)) ** 2
+        return np.stack([self.shapes, _UNFAMILIAR * np.broadcast_to(least, (2, 2))])
 
 
-@compiled("(f8[:,::1], f8[:,:,::1], f8)")
+@compiled
 def likelier_cut(shapes: Array, before: Array, width: float) -> tuple[float, float]:
     """Return how much likelier, as logarithms, two tips are cut than a rope's own.
 
@@ -106,7 +99,7 @@ def likelier_cut(shapes: Array, before: Array, width: float) -> tuple[float, flo
     return first, last
 
 
-@compiled("(f8[:,::1], f8[:,:,::1], f8)")
+@compiled
 def blended_tips(shapes: Array, before: Array, gain: float) -> Array:
     """Return mean and variance of the tips' shapes after another one, which counts with the weight ``gain``."""
     out = before.copy()

@@ -68,7 +68,7 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips, match: Fo
     metric = form.metres is not None
     if found.length <= 0:
         length = learnt(before.length, form, (found.first, found.last))
-        return replace(form, hints=TrackHints(length=length, tips=tips.remembered(None, 0)))
+        return replace(form, hints=TrackHints(length=length, tips=tips.remembered()))
     measured = before.measured if found.head + found.tail > LEAST * found.length else found.measured
     gap = found.gap_start, found.gap_stop
     if gap[1] > gap[0] or found.head + found.tail > 0:

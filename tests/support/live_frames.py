@@ -133,6 +133,8 @@ def main(kind: str) -> None:
         depth = rng.integers(695, 705, mask.shape, np.uint16)
         if k == 5:
             depth[:, : int(np.flatnonzero(mask.any(axis=0)).mean())] = 0  # half of the object has no depth
+        if k == 6:
+            depth[:, int(np.flatnonzero(mask.any(axis=0)).mean()) - 20 :] = 0  # and here most of it
         if k % 2:
             depth, image = depth.astype(np.float64) / 1000, image[:, ::-1][:, ::-1]
         ok += detector.detect(image, depth, CAMERA).shapes[0].ok
