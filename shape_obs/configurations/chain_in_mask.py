@@ -16,7 +16,7 @@ from shape_obs.camera import viewing_rays
 from shape_obs.clustering.som import batch_epochs
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, DepthImages
-from shape_obs.geometry.curve import Length, nearest_along, with_relief
+from shape_obs.geometry.curve import Length, local_stretch, nearest_along, with_relief
 from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, catmull_rom, equal_chords, even_points, interpolate
 from shape_obs.geometry.topology import undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells, near_mask
@@ -35,6 +35,7 @@ Drawn = tuple[Array, Array, Flags, Array, Array, float, tuple[int, int], Array]
 
 _LEAST_DEPTH: Final = 0.3  # of a curve's points: with less its length in metres is not measured
 _LONG: Final = 3.0  # widths: of a shorter curve the ends have no direction of their own
+_NEAR: Final = 0.06  # of its length: within it of a piece that is seen end-on, a gap of 20 points, points are off
 _LEAST_RIM: Final = 0.5  # pixels, cut off an end that is seen at an angle
 
 
@@ -173,12 +174,10 @@ def _with_relief(flat: Array, nodes: Array) -> Array:
     return lifted
 
 
-@compiled(
-    "(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], b1[::1], f8[::1], i8, b1, f8)",
-)
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], f8[::1], f8[::1], b1[::1], i8, b1, b1, f8)")
 def points_along(
-    points: Array, arc: Array, metric: Array, metric_arc: Array, along: Array, flags: Flags, relief: Array, count: int,
-    tips: bool, reach: float,
+    points: Array, arc: Array, metric: Array, metric_arc: Array, metres: Array, pixels: Array, relief: Array,
+    flags: Flags, count: int, tips: bool, in_metres: bool, reach: float,
 ) -> tuple[Array, Flags, Indices, Array, Array]:  # fmt: skip
     """Spread points along a curve: with equal steps of a measure along it, else with equal chords.
 
@@ -187,18 +186,20 @@ def points_along(
         arc: ``(P,)`` its arc length.
         metric: ``(P, D')`` the same curve in the space in which chords are to be equal.
         metric_arc: ``(P,)`` arc length there.
-        along: ``(P,)`` the measure, or ``(0,)`` for equal chords.
-        flags: ``(P,)`` what is interpolated.
+        metres: ``(P,)`` arc length in metres; ``(0,)`` if it is not known.
+        pixels: ``(P,)`` arc length in the image of a curve with hidden pieces; ``(0,)`` for equal chords.
         relief: ``(P,)`` see ``FittedCurve.relief``, or ``(0,)``.
+        flags: ``(P,)`` what is interpolated.
         count: How many points, N.
         tips: Whether the first and the last lie at the ends; else all lie at the centres of N equal pieces.
-        reach: To either side of a point, within which it is measured how steep the curve is, in units of ``arc``.
+        in_metres: Whether the steps are equal in metres, if these are known.
+        reach: To either side of a place, within which it is measured how steep the curve is, in units of ``arc``.
 
     Returns:
         ``(N, D)`` the points; ``(N,)`` whether they are interpolated; ``(N,)`` which of the curve's points is nearest
-        along it; ``(N,)`` their relief and how much longer the curve is there in space than in the image, 1 without.
+        along it; ``(N,)`` their relief; ``(N,)`` how much longer the curve is near there in space than in the image.
     """
-    last, at = len(arc) - 1, np.empty(count)
+    last, at, along = len(arc) - 1, np.empty(count), metres if in_metres and len(metres) > 0 else pixels
     if len(along) > 0:
         for n in range(count):
             at[n] = (n / (count - 1) if tips else (n + 0.5) / count) * along[last]
@@ -214,15 +215,11 @@ def points_along(
         interpolated[n] = flags[nearest[n]]
     if len(relief) > 0:
         deep = interpolate(relief.reshape(-1, 1), arc, at).reshape(count)
-        longer, first, stop = np.zeros((len(arc), 1)), np.empty(count), np.empty(count)
-        for p in range(1, len(arc)):
-            away = relief[p] - relief[p - 1]
-            longer[p, 0] = longer[p - 1, 0] + math.sqrt((arc[p] - arc[p - 1]) ** 2 + away * away)
+        stretched, along = local_stretch(arc, with_relief(points, relief), reach), metres if len(metres) > 0 else arc
         for n in range(count):
-            first[n], stop[n] = max(at[n] - reach, 0.0), min(at[n] + reach, arc[last])
-        before, after = interpolate(longer, arc, first), interpolate(longer, arc, stop)
-        for n in range(count):
-            steep[n] = (after[n, 0] - before[n, 0]) / max(stop[n] - first[n], 1e-9)
+            for p in range(last + 1):
+                if abs(along[p] - along[nearest[n]]) <= _NEAR * along[last]:
+                    steep[n] = max(steep[n], stretched[p])
     return places, interpolated, nearest, deep, steep
 
 

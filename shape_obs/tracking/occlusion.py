@@ -31,6 +31,9 @@ _LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the 
 _NOTHING: Final = np.zeros(0)
 _UNKNOWN_TIPS: Final = np.zeros((0, 2, 2))
 _NO_ROPE: Final = RopeBelief(*np.zeros(11).tolist()), Length(), np.zeros((2, 2)), _NOTHING, _UNKNOWN_TIPS
+_WHOLE: Final = 0.03  # of a length in metres, by which the curve of a whole rope may be too long or too short
+_RIVAL: Final = 0.08  # of the length: if so much more may be hidden at the other end, nothing is known of either
+_TURN: Final = 0.1  # of the length, at most: so much next to what lies behind the rope is off by up to 2 gaps of 20
 _NEXT_TO: Final = 0.25  # of the visible piece, next to a hidden end, whose scale that end has
 
 
@@ -70,6 +73,8 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips, match: Fo
         length = learnt(before.length, form, (found.first, found.last))
         return replace(form, hints=TrackHints(length=length, tips=tips.remembered()))
     measured = before.measured if found.head + found.tail > LEAST * found.length else found.measured
+    if found.rival > _RIVAL:
+        form = replace(form, ambiguity="it is in doubt which end of the rope is out of sight")
     gap = found.gap_start, found.gap_stop
     if gap[1] > gap[0] or found.head + found.tail > 0:
         rope = PredictedRope(prediction, form)
@@ -97,6 +102,11 @@ def surprise(form: FittedCurve, prediction: Prediction) -> float:
     (head, tail), before, hints = form.hints.hidden, prediction.hints.hidden, form.hints
     change = abs(head - before[0]) + abs(tail - before[1])
     return max(change, (1 if form.metres is None else 2) * abs(hints.stretch - 1))
+
+
+def is_whole(form: FittedCurve) -> bool:
+    """Return whether a form is as long in space as its rope, and nothing of it is hidden."""
+    return form.metres is not None and max(form.hints.hidden) <= 0 and abs(form.hints.stretch - 1) <= _WHOLE
 
 
 def shown(form: FittedCurve) -> slice:
@@ -159,11 +169,15 @@ def _completed(rope: PredictedRope, form: FittedCurve, found: Match) -> FittedCu
         behind = _hidden_piece(rope, at[-1], length, points[-1], _scale(points[-reach - 1 :], at[::-1]), length)
     hidden_before = np.linspace(0, at[0], len(before) + 1)[:-1]
     hidden_behind = np.linspace(at[-1], length, len(behind) + 1)[1:]
-    whole = form.relaid(
-        np.concatenate([before, points, behind]),
-        np.concatenate([hidden_before < head - 1e-9, flags, hidden_behind > length - tail + 1e-9]),
-    )
     along = np.concatenate([hidden_before, at, hidden_behind])
+    # Where a rope turns round or towards the camera, and goes on behind itself, a part of the turn is not seen either.
+    first, last = (
+        hidden + min(hidden, _TURN * length) * (metric and end != HIDDEN)
+        for hidden, end in zip((head, tail), ends, strict=True)
+    )
+    flags = np.concatenate([np.zeros(len(before), bool), flags, np.zeros(len(behind), bool)])
+    flags |= (along < first - 1e-9) | (along > length - last + 1e-9)
+    whole = form.relaid(np.concatenate([before, points, behind]), flags)
     if not metric:
         return replace(whole, pixels=along)
     if form.pixels is None:

@@ -47,6 +47,8 @@ class Placed(NamedTuple):
         between: By how much a gap in it is longer than it is bridged.
         bent: Mean square distance from the prediction after the best rigid motion.
         apart: The same as it is.
+        rival: By which share of the length more would be hidden elsewhere if the prediction alone decided whether a
+            free end is folded back.
     """
 
     head: float
@@ -54,6 +56,7 @@ class Placed(NamedTuple):
     between: float
     bent: float
     apart: float
+    rival: float
 
 
 @compiled(
@@ -76,6 +79,8 @@ def place(
     gap: tuple[int, int],
 ) -> Placed:
     """Return how much of a rope is hidden at its start, at its end and in a gap: what costs least.
+
+    If something hides one end, what is missing is taken to be there.
 
     Args:
         rope: ``(K, D)`` where it is predicted, from tip to tip.
@@ -106,28 +111,37 @@ def place(
             b, scale = hidden - a, missing / length / steps
             bent[a, b], apart[a, b] = disagreement(rope, share, found, a * scale, b * scale)
             nearest_bent, nearest_apart = min(nearest_bent, bent[a, b]), min(nearest_apart, apart[a, b])
+    # The cheapest as what hides an end explains it, and as the prediction alone does: costs and shares at both ends.
     best, first, second, floor = np.inf, 0, 0, (NOISE * resolution) ** 2
+    likeliest, other_first, other_second = np.inf, 0, 0
     for a in range(steps + 1):
         for b in range(steps + 1 - a):
             if bent[a, b] == np.inf:
                 continue
-            rest, cost = missing * (steps - a - b) / steps, 0.0
-            cost += (rest / (noise + _BRIDGE * bridge)) ** 2
+            cost, dearer = (missing * (steps - a - b) / steps / (noise + _BRIDGE * bridge)) ** 2, 0.0
             for end in range(2):
                 # What is hidden changes little from frame to frame; a free end is hidden in no frame for longer.
                 share_now, known = (b if end else a) * missing / length / steps, ends[end]
                 was = 0.0 if known == FREE else before[end]
+                change = TRUST * math.log1p(((share_now - was) / _INERTIA[known]) ** 2 / TRUST)
                 if share_now > 0:
-                    price = _FOLDED if known == FREE and HIDDEN in ends else _COST[known]
-                    cost += (price if was <= 0 else 0.0) + (0.0 if HIDDEN in ends else 2 * (max(cut) - cut[end]))
-                cost += TRUST * math.log1p(((share_now - was) / _INERTIA[known]) ** 2 / TRUST)
+                    price = _COST[known] if was <= 0 else 0.0
+                    price += 0.0 if HIDDEN in ends else 2 * (max(cut) - cut[end])
+                    cost += price
+                    if known == FREE and HIDDEN in ends:  # a hairpin closes in the image from one frame to the next
+                        dearer += _FOLDED - price
+                        change = 0.0
+                cost += change
             off = bent[a, b] - nearest_bent, apart[a, b] - nearest_apart
             for k in range(2):
                 cost += TRUST * math.log1p(INDEPENDENT[k] * off[k] / max(lapse * residuals[k], floor) / TRUST)
-            if cost < best:
-                best, first, second = cost, a, b
+            if cost + dearer < best:
+                best, first, second = cost + dearer, a, b
+            if cost < likeliest:
+                likeliest, other_first, other_second = cost, a, b
     head, tail = first * missing / steps, second * missing / steps
-    return Placed(head, tail, missing - head - tail, bent[first, second], apart[first, second])
+    rival = max(abs(first - other_first), abs(second - other_second)) * missing / steps / length
+    return Placed(head, tail, missing - head - tail, bent[first, second], apart[first, second], rival)
 
 
 @compiled("(UniTuple(f8, 2), f8, f8)")
@@ -140,13 +154,13 @@ def settled(residuals: tuple[float, float], bent: float, apart: float) -> tuple[
     )
 
 
-@compiled("(f8, f8[:,::1], UniTuple(i8, 2), UniTuple(f8, 2), b1, f8, b1)")
+@compiled("(f8, f8[:,::1], UniTuple(i8, 2), UniTuple(f8, 2), f8, f8, b1)")
 def slid(
     adrift: float,
     rope: Array,
     ends: Ends,
     hidden: tuple[float, float],
-    bridged: bool,
+    bridged: float,
     apart: float,
     long_ago: bool,
 ) -> float:
@@ -160,18 +174,18 @@ def slid(
         rope: ``(K, D)`` where it is predicted, from tip to tip.
         ends: What is known about its ends.
         hidden: Share of its length that is hidden there, beyond what noise explains.
-        bridged: Whether something lies across it.
+        bridged: By how much of its length it may have slid into a gap that something leaves in it.
         apart: Mean square distance from the prediction.
         long_ago: Whether it was out of sight for so long that it may have slid anywhere.
     """
     loose = 0
     for end in range(2):
         loose += ends[end] == HIDDEN or (ends[end] == UNKNOWN and hidden[end] > 0)
-    sliding = loose == 2 or (loose == 1 and bridged)
+    sliding = loose == 2 or (loose == 1 and bridged > 0)
     if FREE in ends and not sliding:
         return 0.0
     now = 1.0 if long_ago else (math.sqrt(apart) / arc_length(rope)[-1] if sliding else 0.0)
-    return min(adrift + now, max(hidden))
+    return min(adrift + now, max(hidden) + (bridged if HIDDEN in ends else 0.0))
 
 
 @compiled

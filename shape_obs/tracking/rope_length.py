@@ -60,7 +60,7 @@ def learn_length(known: Length, size: float, metres: float, in_sight: bool, unbr
         unbroken: Whether no piece is bridged.
     """
     whole = in_sight and unbroken
-    if known.frames == 0:
+    if known.frames == 0 and (unbroken or known.pixels == 0):  # a gap may be bridged by too long a way
         return Length(
             max(size, known.pixels),
             max(metres, known.metres),

@@ -33,6 +33,7 @@ _CERTAIN: Final = 8.0  # the most that such evidence can weigh
 _DOUBTFUL: Final = 1.5  # standard deviations by which a rope is too short, and its tips may be cut
 _CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
 _BY_NOISE: Final = 1.0  # standard deviations of a length, which may seem hidden
+_SLIDES: Final = 0.1  # of a bridged gap: by so much what lies behind it may have slid into it
 _LONG_AGO: Final = 25.0  # squared intervals of a track, after which a rope may have slid anywhere
 LEAST: Final = 0.002  # of a length in pixels: less cannot be seen to be missing
 
@@ -86,7 +87,7 @@ class Match(NamedTuple):
         cut_head: Logarithm.
         cut_tail: Logarithm.
         adrift: Share.
-        steepest: How much longer the curve is in space than in the image, at most.
+        rival: By which share of the length more may be hidden elsewhere, see ``Placed``.
         stretch: By how much more of the rope there is than was measured where it is visible.
         measured: Length of what is visible.
     """
@@ -106,7 +107,7 @@ class Match(NamedTuple):
     cut_head: float
     cut_tail: float
     adrift: float
-    steepest: float
+    rival: float
     stretch: float
     measured: float
 
@@ -153,7 +154,7 @@ def match_to_rope(
     clear = oriented or _is_along(found, rope)
     if not clear or length <= 0:
         unknown = Match(
-            clear, ends[0], ends[1], 0, 0, 0.0, 0.0, 0.0, length, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, along[last]
+            clear, ends[0], ends[1], 0, 0, 0.0, 0.0, 0.0, length, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, along[last]
         )
         return unknown, along, known, own
     if len(relief) > 0:
@@ -176,7 +177,7 @@ def match_to_rope(
     slack, missing, least = _SLACK[0] * length + _SLACK[1] * resolution, length - along[last], LEAST * length
     grain, spread = _GRAIN[0] + _GRAIN[1] * (steepest - 1), known.spread_metres if metric or in_space else known.spread
     noise = spread * length + grain * resolution
-    placed, residuals, adrift = Placed(0.0, 0.0, 0.0, 0.0, 0.0), (belief.bent, belief.apart), 0.0
+    placed, residuals, adrift, rival = Placed(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (belief.bent, belief.apart), 0.0, 0.0
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
         placed = place(
             rope, share, found, along, ends, (cut_head, cut_tail), (belief.head, belief.tail), residuals, missing,
@@ -185,7 +186,9 @@ def match_to_rope(
         beyond = _BY_NOISE * noise / length
         hidden = max(placed.head / length - beyond, 0.0), max(placed.tail / length - beyond, 0.0)
         long_ago = belief.stale > 0 or belief.lapse**2 > _LONG_AGO
-        adrift = slid(belief.adrift, rope, ends, hidden, gap[1] > gap[0], placed.apart, long_ago)
+        bridge = along[gap[1]] - along[gap[0]]
+        adrift = slid(belief.adrift, rope, ends, hidden, _SLIDES * bridge / length, placed.apart, long_ago)
+        rival = 0.0 if bridge > 0 or belief.adrift > 0 or belief.lapse**2 > _LONG_AGO else placed.rival
         bent, apart = placed.bent, placed.apart
     else:
         probes = interpolate(found, along, PROBES * along[last])
@@ -204,7 +207,7 @@ def match_to_rope(
     stretch = (length - hidden_length) / max(along[last] + placed.between * (gap[1] > gap[0]), 1e-9)
     match = Match(
         True, first, second, gap[0], gap[1], placed.head, placed.tail, placed.between, length, slack, residuals[0],
-        residuals[1], cut_head, cut_tail, adrift, steepest, stretch, along[last],
+        residuals[1], cut_head, cut_tail, adrift, rival, stretch, along[last],
     )  # fmt: skip
     return match, stations, known, own
 
