@@ -86,8 +86,8 @@ class ShapeDetector:
         self.shapes = self.config.resolved()
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
         functions = [*prepare(spec.segmentation for spec in self.shapes), lift_points, median_depth, viewing_rays]
-        functions += [point_errors, typical_motion]
-        compile_now([*functions, *(function for spec in self.shapes for function in spec.compiled_functions)])
+        functions += (function for spec in self.shapes for function in spec.compiled_functions)
+        compile_now([*functions, point_errors, typical_motion])
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it
         self.reset()
@@ -221,9 +221,9 @@ class ShapeDetector:
     def _find(self, spec: Configuration, search: RegionSearch, target: Array | None, moment: _Moment) -> Fit:
         """Find one shape in an image: near where the track expects it, and if that fails everywhere."""
         frame, camera = moment.frame, moment.frame.camera if moment.in_3d else None
-        scene = (
-            Scene(search.whole) if camera is None else Scene(search.whole, frame.depth, camera.intrinsics, frame.images)
-        )
+        scene = Scene(search.whole)
+        if camera is not None:
+            scene = scene._replace(depth=frame.depth, intrinsics=camera.intrinsics, images=frame.images)
         while True:
             now, timings = time.perf_counter(), moment.timings
             observed: Observed = search.region(spec.segmentation)  # image -> region
@@ -270,8 +270,7 @@ class ShapeDetector:
 
     def _finish(self, spec: Configuration, found: Fit, moment: _Moment) -> Shape:
         """Turn a form into ordered points, in space if there is depth; or apply the policy for a lost shape."""
-        now = time.perf_counter()
-        clock = self._clock
+        now, clock = time.perf_counter(), self._clock
         last, seen_at = self._last.get(spec.name, (None, 0.0))
         shape, reason = None, found.reason
         if not found.reason:  # depth enters: -> points

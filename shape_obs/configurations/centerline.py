@@ -130,8 +130,7 @@ class Centerline(Configuration, kind="centerline"):
         topology = found.topology if prediction is None else prediction.topology
         assert found.nodes is not None
         count = len(found.nodes if prediction is None else prediction.nodes)
-        measures = (_NOTHING if each is None else each for each in (curve.metres, curve.pixels, curve.relief))
-        nodes, relief, steep = nodes_along(curve.points, curve.arc, *measures, count)
+        nodes, relief, steep = nodes_along(curve.points, curve.arc, *_measures(curve), count)
         size, hidden = float(curve.arc[-1]), curve.unsupported_fraction if curve.interpolated.any() else 0.0
         seen_width = max(observed.area / max(size * (1 - hidden), 1e-9), 1.0) if observed.dimension == 2 else 0.0
         reason, follow = self._reason_of(curve, 1 - hidden), 1 - hidden >= _MIN_FOLLOWED
@@ -183,7 +182,7 @@ class Centerline(Configuration, kind="centerline"):
             seen = (
                 observed.runs, observed.mask, observed.window[:2], start,
                 _NOTHING if relief is None or camera is None else relief, *_epochs(sigmas), cell, width, scene.images,
-                _NOTHING if camera is None else camera.lens, tuple(scene.edge or _EVERYWHERE),
+                _NOTHING if camera is None else camera.lens, (scene.edge or _EVERYWHERE)[:4],
             )  # fmt: skip
             drawn, found = track_chain_in_mask(*seen, *known_rope(prediction, width))
             points, arc, off, metres, deep, spread, ends, shapes = drawn
@@ -228,9 +227,8 @@ class Centerline(Configuration, kind="centerline"):
             piece, same = shown(form), metric is form
             form, first = form.cut(piece), piece.start
             metric = form if same else metric.cut(piece)
-        measures = (_NOTHING if each is None else each for each in (form.metres, form.pixels, form.relief))
         places, interpolated, nearest, relief, steep = points_along(
-            form.points, form.arc, metric.points, metric.arc, *measures, form.interpolated, self.n,
+            form.points, form.arc, metric.points, metric.arc, *_measures(form), form.interpolated, self.n,
             self.ends == "tips", self.spacing == "m", form.width / 2,
         )  # fmt: skip
         known = form.relief is not None
@@ -270,6 +268,15 @@ def _doubt_in_space(curve: FittedCurve) -> str:
     if aslant > _ASLANT:
         return f"an end is hidden, and the rope is {aslant:.2g} times as long as it looks (at most {_ASLANT})"
     return ""
+
+
+def _measures(curve: FittedCurve) -> tuple[Array, Array, Array]:
+    """Return the metres, pixels and relief along a curve; ``(0,)`` for what is not known."""
+    metres, pixels, relief = curve.metres, curve.pixels, curve.relief
+    return (
+        _NOTHING if metres is None else metres, _NOTHING if pixels is None else pixels,
+        _NOTHING if relief is None else relief,
+    )  # fmt: skip
 
 
 @lru_cache(maxsize=16)

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 from numpy.typing import NDArray
 
-from shape_obs.wrappers.env_protocol import Images
+from shape_obs.wrappers.shape_observation import Images
 from shape_obs_envs.d455.model import D455Model
 from shape_obs_envs.d455.random_fields import BankFields, DrawnFields
 from shape_obs_envs.d455.sensors import Colour, Light, Measurement, Stereo

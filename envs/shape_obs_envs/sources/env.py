@@ -17,7 +17,7 @@ from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.source import SourceError
 from shape_obs.wrappers import env_protocol
-from shape_obs.wrappers.env_protocol import Images
+from shape_obs.wrappers.shape_observation import Images
 from shape_obs_envs.sources.sequence import SequenceSource
 
 Actions = Literal["zero", "random"] | Callable[[Any], Any]
