@@ -58,8 +58,10 @@ _MAX_CELL: Final = 24  # pixels
 _MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
-_MIN_STRETCH: Final = 0.97  # a curve that became longer than the rope follows something else
-_MIN_SEEN: Final = 0.45  # of a rope's length: what has to be in sight to report it, and below, to follow it
+_MIN_STRETCH: Final = 0.95  # a curve that became longer than the rope follows something else
+_MIN_SEEN: Final = 0.3  # of a rope's length: what has to be in sight to report it, and below, to follow it
+_MIN_IN_PIECES: Final = 0.45  # around a gap of a tenth of it: a piece behind a long gap may be anywhere
+_GAP: Final = 0.1
 _MIN_BETWEEN: Final = 0.6  # while both ends are hidden
 _ADRIFT: Final = 0.02  # of its length: by so much a rope may have slid along itself unseen
 _MIN_FOLLOWED: Final = 0.15
@@ -69,6 +71,7 @@ _MIN_FOLLOWED: Final = 0.15
 _ASLANT: Final = 2.7
 _ELSEWHERE: Final = 0.45
 _SHORTER: Final = 1.4
+_SHORT: Final = 2.5  # standard deviations of its length, at least: a far rope with noise varies more
 _END_ON: Final = 4.0  # a rope is this much longer in space than in the image: its points cannot be told apart there
 _NOTHING: Final = np.zeros(0)
 _EVERYWHERE: Final = Window(-(1 << 30), -(1 << 30), 1 << 31, 1 << 31)
@@ -145,8 +148,9 @@ class Centerline(Configuration, kind="centerline"):
 
     def _reason_of(self, curve: FittedCurve, seen: float) -> str:
         """Return why a matched curve may be wrong, or shows too little of the rope; empty if it does not."""
-        if seen < _MIN_SEEN:
-            return f"{seen:.0%} of the rope is in sight (at least {_MIN_SEEN:.0%})"
+        least = _MIN_IN_PIECES if 1 - seen - sum(curve.hints.hidden) > _GAP else _MIN_SEEN
+        if seen < least:
+            return f"{seen:.0%} of the rope is in sight (at least {least:.0%})"
         if seen < _MIN_BETWEEN and all(curve.hints.covered):
             return f"both ends are hidden, and {seen:.0%} of the rope is in sight (at least {_MIN_BETWEEN:.0%})"
         if curve.hints.adrift > _ADRIFT:
@@ -259,7 +263,7 @@ def _rejection_reason(observed: Observed, width: float) -> str:
 def _doubt_in_space(curve: FittedCurve) -> str:
     """Return why the points of a rope may lie elsewhere along a curve that was found in space; empty if they do not."""
     hints = curve.hints
-    if hints.stretch > 1 + _SHORTER * hints.slack:
+    if hints.stretch > 1 + max(_SHORTER * hints.slack, _SHORT * hints.length.spread_metres):
         return f"the curve is {1 - 1 / hints.stretch:.1%} shorter than the rope, and nothing is seen to hide an end"
     if hints.covered[0] == hints.covered[1]:
         return ""
