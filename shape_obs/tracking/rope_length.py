@@ -34,7 +34,7 @@ def learnt(known: Length, form: FittedCurve, ends: Ends) -> Length:
     """
     metres = 0.0 if form.metres is None else float(form.metres[-1])
     whole = HIDDEN not in ends and form.whole
-    if known.frames == 0:
+    if known.frames == 0 and (form.whole or not known.pixels):  # a gap may be bridged by too long a way
         return known._replace(pixels=max(form.size, known.pixels), metres=max(metres, known.metres), frames=int(whole))
     if not whole:
         return known
