@@ -36,6 +36,7 @@ Mask = npt.NDArray[np.bool_]
 _HALF_ROUND: Final = np.pi / 4
 # Where a rope is this much longer in space than in the image, a pixel holds so much of it that its depth is no point's.
 _END_ON: Final = 2.4
+_NEAR: Final = 0.04  # of its length: the points within this of such a piece, a gap of 20 points, are off as well
 _SMOOTH: Final = 3.0  # points of the fine curve, over which its direction is taken
 
 
@@ -133,7 +134,7 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         focal = camera.intrinsics.fx
         own = (form.relief[at] if relief is None else relief) / focal
         visible &= ~(np.log(z) < own - strand_gap(width, focal))
-        valid &= visible & (form.steepness(width / 2)[at] < _END_ON)
+        valid &= visible & ~_near_steep(form, width, at)
         if measured:  # along all of the rope, with less noise than under each point alone
             z = np.exp(own)
     if not measured and not valid.all() and valid.any():
@@ -141,6 +142,16 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     points3d = _lift(points, z, camera.intrinsics, spec.radius)
     valid &= np.isfinite(points3d).all(axis=1)  # the lens may have no ray there
     return points.astype(np.float32), points3d.astype(np.float32), visible, valid
+
+
+def _near_steep(form: FittedCurve, width: float, at: npt.NDArray[np.intp]) -> Mask:
+    """Return whether a curve is seen end-on near its points ``at``: where its length is in doubt, so are they."""
+    steep = form.steepness(width / 2) >= _END_ON
+    if not steep.any():
+        return np.zeros(len(at), bool)
+    count, along = np.concatenate([[0], np.cumsum(steep)]), form.stations
+    near = _NEAR * along[-1]
+    return count[np.searchsorted(along, along[at] + near, "right")] > count[np.searchsorted(along, along[at] - near)]
 
 
 @compiled(

@@ -37,6 +37,8 @@ _FADING: Final = 0.8  # how much of the last frame's evidence for cut tips is ke
 _CERTAIN: Final = 8.0  # the most that such evidence can weigh
 _DOUBTFUL: Final = 1.5  # standard deviations by which a rope is too short, and its tips may be cut
 _LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
+_RIVAL: Final = 0.08  # of the length: if so much more may be hidden at the other end, nothing is known of either
+_TURN: Final = 0.1  # of the length, at most: so much next to what lies behind the rope is off by up to 2 gaps of 20
 _NEXT_TO: Final = 0.25  # of the visible piece, next to a hidden end, whose scale that end has
 
 
@@ -78,6 +80,8 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
         head, tail, between = rope.place(form, ends, cut, missing, noise, gap)
         adrift = rope.adrift
         form = _filled(rope, form, gap, head, between, length)
+        if rope.rival > _RIVAL:
+            form = replace(form, ambiguity="it is in doubt which end of the rope is out of sight")
     else:
         bent, apart = disagreements(rope.points, rope.share, rope.along(form)[None], np.zeros((1, 2)))
         rope.settle(float(bent[0]), float(apart[0]))
@@ -183,11 +187,15 @@ def _completed(
         behind = _hidden_piece(rope, at[-1], length, points[-1], _scale(points[-reach - 1 :], at[::-1]), length)
     hidden_before = np.linspace(0, at[0], len(before) + 1)[:-1]
     hidden_behind = np.linspace(at[-1], length, len(behind) + 1)[1:]
-    whole = form.relaid(
-        np.concatenate([before, points, behind]),
-        np.concatenate([hidden_before < head - 1e-9, flags, hidden_behind > length - tail + 1e-9]),
-    )
     along = np.concatenate([hidden_before, at, hidden_behind])
+    # Where a rope turns round or towards the camera, and goes on behind itself, a part of the turn is not seen either.
+    first, last = (
+        hidden + min(hidden, _TURN * length) * (metric and end != HIDDEN)
+        for hidden, end in zip((head, tail), ends, strict=True)
+    )
+    flags = np.concatenate([np.zeros(len(before), bool), flags, np.zeros(len(behind), bool)])
+    flags |= (along < first - 1e-9) | (along > length - last + 1e-9)
+    whole = form.relaid(np.concatenate([before, points, behind]), flags)
     if not metric:
         return replace(whole, pixels=along)
     if form.pixels is None:

@@ -38,6 +38,7 @@ _COST: Final = {UNKNOWN: 4.0, HIDDEN: 4.0, FREE: 16.0}
 _FOLDED: Final = 100.0  # of a free end while something hides the other, which explains what is missing
 _INERTIA: Final = {UNKNOWN: 0.05, HIDDEN: 0.1, FREE: 0.05}
 _BRIDGE: Final = 0.35  # of a bridged gap: the standard deviation of its length
+_SLIDES: Final = 0.1  # of a bridged gap: by so much what lies behind it may have slid into it
 _UNSEEN: Final = 30.0  # squared standard deviations: a piece that lies where all was folded back is so unlikely
 _CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
 _ASKEW: Final = 0.6  # widths: of the visible piece next to a hidden end, which may follow the cut
@@ -102,6 +103,7 @@ class PredictedRope:
         # An object that moves as it likes is as far from its prediction as the square of the time that went by.
         self.residuals, self.lapse = prediction.hints.residuals, prediction.lapse**2
         self.adrift, self.stale = prediction.hints.adrift, prediction.stale
+        self.rival = 0.0
         self.askew, self.resolution = _ASKEW * prediction.width, prediction.resolution
 
     @cached_property
@@ -167,6 +169,9 @@ class PredictedRope:
     ) -> tuple[float, float, float]:
         """Return how much of a rope is hidden at its start, at its end and in a gap: what costs least.
 
+        If something hides one end, what is missing is taken to be there. ``rival`` is set to the share of the length by
+        which more would be hidden elsewhere if the prediction alone decided whether the free end is folded back.
+
         Args:
             form: What is seen of it.
             ends: What is known about its tips.
@@ -189,24 +194,28 @@ class PredictedRope:
             moved = widened(stations, gap, more) if bridge else stations
             found[rest == more if bridge else slice(None)] = interpolate(points, moved, _PROBES * moved[-1])
         bent, apart = disagreements(self.points, self.share, found, hidden)
-        cost = (rest / (noise + _BRIDGE * bridge)) ** 2
+        cost, dearer = (rest / (noise + _BRIDGE * bridge)) ** 2, np.zeros(len(shares))
         for end in range(2):
             # What is hidden changes little from frame to frame; a free end is hidden in no frame for longer.
             known, last = ends[end], 0.0 if ends[end] == FREE else self.hidden[end]
-            price = _FOLDED if known == FREE and HIDDEN in ends else _COST[known]
-            price = price * (last <= 0) + 2 * (max(cut) - cut[end]) * (HIDDEN not in ends)
-            change = ((hidden[:, end] - last) / _INERTIA[known]) ** 2
-            cost += price * (hidden[:, end] > 0) + _TRUST * np.log1p(change / _TRUST)
+            price = _COST[known] * (last <= 0) + 2 * (max(cut) - cut[end]) * (HIDDEN not in ends)
+            change = _TRUST * np.log1p(((hidden[:, end] - last) / _INERTIA[known]) ** 2 / _TRUST)
+            cost += price * (hidden[:, end] > 0) + change
+            if known == FREE and HIDDEN in ends:  # a hairpin closes in the image from one frame to the next
+                dearer += (_FOLDED - price) * (hidden[:, end] > 0)
+                cost -= change * (hidden[:, end] > 0)
         least = (_NOISE * self.resolution) ** 2
         for off, known, count in zip((bent, apart), self.residuals, _INDEPENDENT, strict=True):
             cost += _TRUST * np.log1p(count * (off - off.min()) / max(self.lapse * known, least) / _TRUST)
-        best = int(np.argmin(cost))
-        self.slide(ends, np.maximum(hidden[best] - _BY_NOISE * noise / length, 0.0), bridge > 0, float(apart[best]))
+        folded, best = int(np.argmin(cost)), int(np.argmin(cost + dearer))
+        self.rival = 0.0 if bridge else float(np.abs(hidden[folded] - hidden[best]).max())
+        beyond = np.maximum(hidden[best] - _BY_NOISE * noise / length, 0.0)
+        self.slide(ends, beyond, _SLIDES * bridge / length, float(apart[best]))
         self.settle(float(bent[best]), float(apart[best]))
         head, tail = hidden[best] * length
         return float(head), float(tail), float(rest[best])
 
-    def slide(self, ends: Ends, hidden: Array, bridged: bool, apart: float) -> None:
+    def slide(self, ends: Ends, hidden: Array, bridged: float, apart: float) -> None:
         """Learn by how much a visible piece of the rope may have slid along it while no end of it was seen.
 
         It looks then as if it lay where it was put last; the unforeseen motion adds up. After a while out of sight it
@@ -215,17 +224,17 @@ class PredictedRope:
         Args:
             ends: What is known about the rope's ends.
             hidden: ``(2,)`` share of its length that is hidden there, beyond what noise explains.
-            bridged: Whether something lies across it.
+            bridged: By how much of its length it may have slid into a gap that something leaves in it.
             apart: Mean square distance from the prediction.
         """
         loose = [end == HIDDEN or (end == UNKNOWN and share > 0) for end, share in zip(ends, hidden, strict=True)]
-        sliding = all(loose) or (any(loose) and bridged)
+        sliding = all(loose) or (any(loose) and bridged > 0)
         if FREE in ends and not sliding:
             self.adrift = 0.0
             return
         size = float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
         slid = 1.0 if self.stale or self.lapse > _LONG_AGO else apart**0.5 / size * sliding
-        self.adrift = min(self.adrift + slid, float(hidden.max()))
+        self.adrift = min(self.adrift + slid, float(hidden.max()) + bridged)
 
 
 @compiled("(f8[:,::1], f8[::1], f8[:,:,::1], f8[:,::1])")
