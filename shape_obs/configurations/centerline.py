@@ -34,7 +34,7 @@ from shape_obs.initialization.skeleton import thinned, trace_skeleton
 from shape_obs.point_cloud.chain_length import lift_chain, strand_gap
 from shape_obs.point_cloud.lifting import nearest_expected
 from shape_obs.tracking.occluders import blended_tips, chain_evidence, likelier_cut
-from shape_obs.tracking.occlusion import evened, match_chain, shown, surprise
+from shape_obs.tracking.occlusion import evened, is_whole, match_chain, shown, surprise
 from shape_obs.tracking.predicted_rope import disagreements, visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.rope_length import learnt
@@ -62,16 +62,16 @@ _MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
 _MIN_STRETCH: Final = 0.97  # a curve that became longer than the rope follows something else
-_MIN_SEEN: Final = 0.3  # of a rope's length: what has to be in sight to report it, and below, to follow it
+_MIN_SEEN: Final = 0.45  # of a rope's length: what has to be in sight to report it, and below, to follow it
 _MIN_BETWEEN: Final = 0.6  # while both ends are hidden
-_ADRIFT: Final = 0.0165  # of its length: by so much a rope may have slid along itself unseen
+_ADRIFT: Final = 0.02  # of its length: by so much a rope may have slid along itself unseen
 _MIN_FOLLOWED: Final = 0.15
-# With depth: the share by which a rope with free ends is measured too short, and how much longer a piece may be in
-# space than in the image, so that its length shows how much lies beyond a hidden end. Of 7,000 frames of swung ropes
-# (exact depth and a D455's, 640 x 480) these refuse 22 that were wrong, 31 that were not, and none in full view.
-_SHORTER: Final = 0.03
+# With depth: how much longer the free tip may be in space than in the image, or another piece by this share of it, so
+# that the length in sight shows how much lies beyond a hidden end; and by how many measuring errors a rope with free
+# ends may be too short. Chosen from 4,800 frames of swung ropes and 7,900 under shadows, exact depth and a D455's.
 _ASLANT: Final = 2.7
 _ELSEWHERE: Final = 0.45
+_SHORTER: Final = 1.4
 _END_ON: Final = 4.0  # a rope is this much longer in space than in the image: its points cannot be told apart there
 _MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no distinct axis, and a chain would fold up in it
 
@@ -121,7 +121,8 @@ class Centerline(Configuration, kind="centerline"):
             off = np.inf if found.reason else surprise(found.form, prediction)
             if off > MAX_SIZE_CHANGE:  # of another length, or the chain lost its way: an initial axis decides
                 again = self._fit_initial(observed, prediction, scene)
-                found = again if not again.reason and surprise(again.form, prediction) <= off else found
+                better = not again.reason and (surprise(again.form, prediction) <= off or is_whole(again.form))
+                found = again if better else found
         if found.reason:
             return found
         curve: FittedCurve = found.form
@@ -269,12 +270,13 @@ def _nodes_on(points: Array, arc: Array, count: int) -> Array:
 def _doubt_in_space(curve: FittedCurve, width: float) -> str:
     """Return why the points of a rope may lie elsewhere along a curve that was found in space; empty if they do not."""
     hints, steep = curve.hints, curve.steepness(width / 2)
-    if hints.stretch > 1 + _SHORTER:
-        return f"the curve is {1 - 1 / hints.stretch:.0%} shorter than the rope, and nothing hides an end"
-    free = [steep[end] for end, over in zip((0, -1), hints.covered, strict=True) if not over]
-    aslant = max(_ELSEWHERE * steep.max(), *free) if len(free) == 1 else 0.0
+    if hints.stretch > 1 + _SHORTER * hints.slack:
+        return f"the curve is {1 - 1 / hints.stretch:.1%} shorter than the rope, and nothing is seen to hide an end"
+    if hints.covered[0] == hints.covered[1]:
+        return ""
+    aslant = max(float(steep[0 if hints.covered[1] else -1]), _ELSEWHERE * float(steep.max()))
     if aslant > _ASLANT:
-        return f"an end is hidden, and a piece is {aslant:.2g} times as long as it looks (at most {_ASLANT})"
+        return f"an end is hidden, and the rope is {aslant:.2g} times as long as it looks (at most {_ASLANT})"
     return ""
 
 

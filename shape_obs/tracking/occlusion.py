@@ -26,6 +26,7 @@ from shape_obs.tracking.rope_length import learnt, shortened
 Array = npt.NDArray[np.float64]
 Ends = tuple[int, int]
 
+_WHOLE: Final = 0.03  # of a length in metres, by which the curve of a whole rope may be too long or too short
 _GRAIN: Final = (0.3, 0.9)  # in resolutions: that of a short one, and what a rope adds that is seen twice as short
 _POINTING: Final = 3.0  # times as long in space as in the image: there a tip hides what goes on behind it
 _SLACK: Final = (0.01, 1.5)  # of the length and in resolutions: what is missing below this is noise
@@ -106,6 +107,11 @@ def surprise(form: FittedCurve, prediction: Prediction) -> float:
     (head, tail), before, hints = form.hints.hidden, prediction.hints.hidden, form.hints
     change = abs(head - before[0]) + abs(tail - before[1])
     return max(change, (1 if form.metres is None else 2) * abs(hints.stretch - 1))
+
+
+def is_whole(form: FittedCurve) -> bool:
+    """Return whether a form is as long in space as its rope, and nothing of it is hidden."""
+    return form.metres is not None and max(form.hints.hidden) <= 0 and abs(form.hints.stretch - 1) <= _WHOLE
 
 
 def shown(form: FittedCurve) -> slice:

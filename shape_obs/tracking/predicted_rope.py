@@ -208,7 +208,8 @@ class PredictedRope:
         for off, known, count in zip((bent, apart), self.residuals, _INDEPENDENT, strict=True):
             cost += _TRUST * np.log1p(count * (off - off.min()) / max(self.lapse * known, least) / _TRUST)
         folded, best = int(np.argmin(cost)), int(np.argmin(cost + dearer))
-        self.rival = 0.0 if bridge else float(np.abs(hidden[folded] - hidden[best]).max())
+        vague = bridge > 0 or self.adrift > 0 or self.lapse > _LONG_AGO
+        self.rival = 0.0 if vague else float(np.abs(hidden[folded] - hidden[best]).max())
         beyond = np.maximum(hidden[best] - _BY_NOISE * noise / length, 0.0)
         self.slide(ends, beyond, _SLIDES * bridge / length, float(apart[best]))
         self.settle(float(bent[best]), float(apart[best]))
@@ -234,7 +235,7 @@ class PredictedRope:
             return
         size = float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
         slid = 1.0 if self.stale or self.lapse > _LONG_AGO else apart**0.5 / size * sliding
-        self.adrift = min(self.adrift + slid, float(hidden.max()) + bridged)
+        self.adrift = min(self.adrift + slid, float(hidden.max()) + bridged * (HIDDEN in ends))
 
 
 @compiled("(f8[:,::1], f8[::1], f8[:,:,::1], f8[:,::1])")
