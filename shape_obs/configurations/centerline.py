@@ -62,7 +62,9 @@ _MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
 _MIN_STRETCH: Final = 0.97  # a curve that became longer than the rope follows something else
-_MIN_SEEN: Final = 0.45  # of a rope's length: what has to be in sight to report it, and below, to follow it
+_MIN_SEEN: Final = 0.3  # of a rope's length: what has to be in sight to report it, and below, to follow it
+_MIN_IN_PIECES: Final = 0.45  # around a gap of a tenth of it: a piece behind a long gap may be anywhere
+_GAP: Final = 0.1
 _MIN_BETWEEN: Final = 0.6  # while both ends are hidden
 _ADRIFT: Final = 0.02  # of its length: by so much a rope may have slid along itself unseen
 _MIN_FOLLOWED: Final = 0.15
@@ -134,7 +136,8 @@ class Centerline(Configuration, kind="centerline"):
         nodes, relief = (nodes, None) if curve.relief is None else (nodes[:, :2].copy(), nodes[:, 2].copy())
         seen_width = max(observed.area / max(_seen_length(curve), 1e-9), 1.0) if observed.dimension == 2 else 0.0
         seen = 1 - curve.unsupported_fraction
-        reason = "" if seen >= _MIN_SEEN else f"{seen:.0%} of the rope is in sight (at least {_MIN_SEEN:.0%})"
+        least = _MIN_IN_PIECES if 1 - seen - sum(curve.hints.hidden) > _GAP else _MIN_SEEN
+        reason = "" if seen >= least else f"{seen:.0%} of the rope is in sight (at least {least:.0%})"
         if not reason and seen < _MIN_BETWEEN and all(curve.hints.covered):
             reason = f"both ends are hidden, and {seen:.0%} of the rope is in sight (at least {_MIN_BETWEEN:.0%})"
         if not reason and curve.hints.adrift > _ADRIFT:

@@ -39,7 +39,7 @@ _CERTAIN: Final = 8.0  # the most that such evidence can weigh
 _DOUBTFUL: Final = 1.5  # standard deviations by which a rope is too short, and its tips may be cut
 _LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
 _RIVAL: Final = 0.08  # of the length: if so much more may be hidden at the other end, nothing is known of either
-_TURN: Final = 0.1  # of the length, at most: so much next to what lies behind the rope is off by up to 2 gaps of 20
+_TURN: Final = 0.06  # of the length, at most: so much next to what lies behind the rope is off by up to 2 gaps of 20
 _NEXT_TO: Final = 0.25  # of the visible piece, next to a hidden end, whose scale that end has
 
 
