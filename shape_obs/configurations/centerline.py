@@ -272,11 +272,12 @@ def _nodes_on(points: Array, arc: Array, count: int) -> Array:
 
 def _doubt_in_space(curve: FittedCurve, width: float) -> str:
     """Return why the points of a rope may lie elsewhere along a curve that was found in space; empty if they do not."""
-    hints, steep = curve.hints, curve.steepness(width / 2)
+    hints = curve.hints
     if hints.stretch > 1 + _SHORTER * hints.slack:
         return f"the curve is {1 - 1 / hints.stretch:.1%} shorter than the rope, and nothing is seen to hide an end"
     if hints.covered[0] == hints.covered[1]:
         return ""
+    steep = curve.steepness(width / 2)
     aslant = max(float(steep[0 if hints.covered[1] else -1]), _ELSEWHERE * float(steep.max()))
     if aslant > _ASLANT:
         return f"an end is hidden, and the rope is {aslant:.2g} times as long as it looks (at most {_ASLANT})"

@@ -36,7 +36,7 @@ Mask = npt.NDArray[np.bool_]
 _HALF_ROUND: Final = np.pi / 4
 # Where a rope is this much longer in space than in the image, a pixel holds so much of it that its depth is no point's.
 _END_ON: Final = 2.4
-_NEAR: Final = 0.06  # of its length: the points within this of such a piece, a gap of 20 points, are off as well
+_NEAR: Final = 0.053  # of its length: points within this of such a piece, a gap of 20 points, are off as well
 _SMOOTH: Final = 3.0  # points of the fine curve, over which its direction is taken
 
 
