@@ -74,6 +74,7 @@ _MIN_FOLLOWED: Final = 0.15
 _ASLANT: Final = 2.7
 _ELSEWHERE: Final = 0.45
 _SHORTER: Final = 1.4
+_SHORT: Final = 2.5  # standard deviations of its length, at least: a far rope with noise varies more
 _END_ON: Final = 4.0  # a rope is this much longer in space than in the image: its points cannot be told apart there
 _MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no distinct axis, and a chain would fold up in it
 
@@ -273,7 +274,7 @@ def _nodes_on(points: Array, arc: Array, count: int) -> Array:
 def _doubt_in_space(curve: FittedCurve, width: float) -> str:
     """Return why the points of a rope may lie elsewhere along a curve that was found in space; empty if they do not."""
     hints = curve.hints
-    if hints.stretch > 1 + _SHORTER * hints.slack:
+    if hints.stretch > 1 + max(_SHORTER * hints.slack, _SHORT * hints.length.spread_metres):
         return f"the curve is {1 - 1 / hints.stretch:.1%} shorter than the rope, and nothing is seen to hide an end"
     if hints.covered[0] == hints.covered[1]:
         return ""
