@@ -1,11 +1,13 @@
 """The identity of a rope's points under hands, at borders and in the air; `shape-obs bench claims --only motion`
 measures the same on more of them."""
 
+from itertools import islice
+
 import numpy as np
 import pytest
 
-from shape_obs.bench.motion_claims import hidden_rope_tracks, motion_table, swinging_rope_tracks
-from shape_obs.bench.synthetic.hidden_ropes import camera_of, see
+from shape_obs.bench.motion_claims import hidden_rope_tracks, motion_table, swinging_rope_tracks, track
+from shape_obs.bench.synthetic.hidden_ropes import camera_of, hidden_ropes, see
 from shape_obs.bench.tables import Row
 
 RADIUS = 0.006
@@ -35,6 +37,19 @@ def test_a_swung_rope_keeps_its_points():
     assert found["ok_%"] >= 99
     assert found["claimed_%"] >= 95
     assert found["mean_mm"] <= 2
+
+
+def test_hairpins_and_tips_that_point_at_the_camera_are_not_wrong_in_silence():
+    found = list(swinging_rope_tracks([0, 104], frames=122, rates=[33], walls=[True]))
+    assert [row.slips <= most for row, most in zip(found, (2, 0), strict=True)] == [True, True]
+    assert sum(row.off for row in found) <= 2
+
+
+def test_a_rope_that_a_shadow_makes_shorter_is_refused_until_it_is_known_what_is_missing():
+    for seed in (501, 502):
+        rng = np.random.default_rng([seed, 2, 0])
+        frames = hidden_ropes(rng, "shadow", 1.0, 0.0, share=float(rng.uniform(0.15, 0.45)))
+        assert track(islice(frames, 60), depth=True).slips <= 1
 
 
 def test_the_answers_are_the_same_with_and_without_a_wall_behind_the_rope():

@@ -54,6 +54,26 @@ def test_a_rope_whose_tips_are_free_is_as_long_as_it_is_seen_after_a_while():
     assert pixels[-1, 0] == pytest.approx(220, abs=2)
 
 
+@pytest.mark.parametrize(("last", "reason"), [(230, "in sight (at least 45%)"), (150, "")])
+def test_a_rope_of_which_two_short_pieces_are_in_sight_is_refused(last, reason):
+    detector = ShapeDetector([Centerline(n=20, ends="tips", anchor=(40.0, 120.0))])
+    found = ""
+    for hand in range(100, last + 1, 5):
+        mask, depth, _ = rope(220)
+        mask, depth = mask.copy(), depth.copy()
+        mask[:, 100:hand], depth[:, 100:hand] = 0, HAND
+        found = detector.detect_mask(mask, depth, CAMERA).shapes[0].reason
+    assert found.endswith(reason)
+    assert bool(found) == bool(reason)
+
+
+def test_a_rope_does_not_become_longer_from_one_frame_to_the_next():
+    detector = ShapeDetector([Centerline(n=20, ends="tips", anchor=(40.0, 120.0))])
+    reasons = [detector.detect_mask(*rope(length)[:2], CAMERA).shapes[0].reason for length in (200, 200, 200, 210)]
+    assert reasons[:3] == [""] * 3
+    assert "longer than the rope" in reasons[3]
+
+
 def test_what_has_no_depth_may_hide_an_end():
     detector = ShapeDetector([Centerline(n=20, ends="tips", anchor=(40.0, 120.0))])
     mask, depth, _ = rope(220)

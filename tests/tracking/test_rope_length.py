@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -34,6 +36,13 @@ def test_a_rope_that_comes_back_to_its_length_is_seen_at_an_angle():
 
 def test_nothing_is_learnt_while_an_end_is_hidden():
     assert learnt(KNOWN, seen(320.0), (HIDDEN, FREE)) == KNOWN
+
+
+def test_a_bridged_gap_makes_no_rope_longer_whose_end_was_never_seen():
+    known = Length(pixels=300.0)
+    bridged = replace(seen(320.0), interpolated=np.arange(64) // 16 == 1)
+    assert learnt(known, bridged, (HIDDEN, FREE)) == known
+    assert learnt(known, seen(320.0), (HIDDEN, FREE)).pixels == pytest.approx(320.0)
 
 
 @pytest.mark.parametrize(("free", "frames", "changed"), [(True, 40, True), (True, 20, False), (False, 40, False)])
