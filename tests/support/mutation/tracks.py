@@ -101,7 +101,7 @@ TRACKS: tuple[Mutant, ...] = (
     _mutant("order", "no frame is numbered again", "detector", 'if spec.order == "image":', "if False:",
             _DETECTOR, _ORDER),
     _order("a fitted chain is not matched to the track", "centerline",
-           "            curve = match_chain(curve, prediction, tips)", "            pass"),
+           "            curve = match_chain(curve, prediction, tips, found)", "            pass"),
     _mutant("curve", "a long rope has too few nodes", "configurations/centerline", "_NODES: Final = (6, 128)",
             "_NODES: Final = (6, 48)", _CENTERLINE),
     _mutant("curve", "the sides of a coil are matched by their own lengths", "initialization/folding",
