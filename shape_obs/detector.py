@@ -181,11 +181,10 @@ class ShapeDetector:
         begin = time.perf_counter()
         frame, cloud = Frame(None, None, as_camera_model(camera), stamp), read_cloud(points)
         now = _lap(timings := {}, "cloud", begin)
-        targets = [anchor_point(spec, anchors, frame.camera) for spec in self.shapes]
         self._clock.tick(frame.stamp)
         moment, shapes = _Moment(frame, timings, in_2d=False, in_3d=True), []
-        for spec, target in zip(self.shapes, targets, strict=True):
-            found = self._fit(spec, cloud, target, moment, Scene())
+        for spec in self.shapes:
+            found = self._fit(spec, cloud, anchors, moment, Scene())
             _lap(timings, "fit", now)
             shapes.append(self._finish(spec, found, moment))
             now = time.perf_counter()
@@ -200,7 +199,6 @@ class ShapeDetector:
         if not with_depth:
             for spec in self.shapes:
                 spec.check_without_depth()
-        targets = [None if spec.anchor is None else anchor_pixel(spec, anchors, frame.camera) for spec in self.shapes]
         roi, reason = self.config.roi, ""
         if type(roi).place is not ROI.place:
             now = time.perf_counter()
@@ -212,13 +210,13 @@ class ShapeDetector:
         self._clock.tick(frame.stamp)
         size = (frame.size or (0, 0)) if mask is None else (mask.shape[0], mask.shape[1])
         moment, shapes = _Moment(frame, timings, in_2d=True, in_3d=with_depth, size=size), []
-        for spec, target in zip(self.shapes, targets, strict=True):
-            found = Fit(reason=reason) if search is None else self._find(spec, search, target, moment)
+        for spec in self.shapes:
+            found = Fit(reason=reason) if search is None else self._find(spec, search, anchors, moment)
             shapes.append(self._finish(spec, found, moment))
         _lap(timings, "total", begin)
         return Detection(tuple(shapes), self._clock.stamp, timings, self._clock.warning)
 
-    def _find(self, spec: Configuration, search: RegionSearch, target: Array | None, moment: _Moment) -> Fit:
+    def _find(self, spec: Configuration, search: RegionSearch, anchors: Anchors, moment: _Moment) -> Fit:
         """Find one shape in an image: near where the track expects it, and if that fails everywhere."""
         frame, camera = moment.frame, moment.frame.camera if moment.in_3d else None
         scene = Scene(search.whole)
@@ -231,18 +229,21 @@ class ShapeDetector:
             if spec.lift == "cloud":
                 observed = search.cloud(spec.segmentation)  # depth enters: region -> cloud
                 now = _lap(timings, "cloud", now)
-            found = self._fit(spec, observed, target, moment, scene)  # -> form, matched and validated
+            found = self._fit(spec, observed, anchors, moment, scene)  # -> form, matched and validated
             _lap(timings, "fit", now)
             if not found.reason or found.follow or not search.widen(spec.segmentation):
                 return found
 
-    def _fit(self, spec: Configuration, observed: Observed, target: Array | None, moment: _Moment, scene: Scene) -> Fit:
+    def _fit(self, spec: Configuration, observed: Observed, anchors: Anchors, moment: _Moment, scene: Scene) -> Fit:
         """Fit a configuration to an object, from its track if there is one, and advance the track."""
         kind = type(observed), moment.size
         if self._kinds.setdefault(spec.name, kind) != kind:
             self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres, or those of another size
             self._last.pop(spec.name, None)
             self._kinds[spec.name] = kind
+        target, begins = None, spec.name in self._gone or spec.name not in self._tracks
+        if spec.anchor is not None and (begins or spec.order == "image"):
+            target = (anchor_pixel if moment.in_2d else anchor_point)(spec, anchors, moment.frame.camera)
         if observed.refusal:
             return Fit(reason=observed.refusal)
         track = self._tracks.get(spec.name)
