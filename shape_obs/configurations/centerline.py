@@ -58,6 +58,7 @@ _MAX_CELL: Final = 24  # pixels
 _MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
+_MORE: Final = 2.5  # times as many pixels as the rope: it does not come so much nearer from one frame to the next
 _MIN_STRETCH: Final = 0.95  # a curve that became longer than the rope follows something else
 _MIN_SEEN: Final = 0.3  # of a rope's length: what has to be in sight to report it, and below, to follow it
 _MIN_IN_PIECES: Final = 0.45  # around a gap of a tenth of it: a piece behind a long gap may be anywhere
@@ -121,6 +122,9 @@ class Centerline(Configuration, kind="centerline"):
             start = visible_nodes(prediction) if any(prediction.hints.hidden) else prediction
             found = self._refine(observed, start.nodes, start.relief, sigmas, width, MAX_HIDDEN, prediction, scene)
             off = np.inf if found.reason else surprise(found.form, prediction)
+            more = observed.area / max(prediction.size * width, 1e-9) if observed.dimension == 2 else 1.0
+            if more > _MORE and found.reason and not prediction.stale:  # noise, or another object: no time is lost
+                return Fit(reason=f"the mask has {more:.2g} times as many pixels as the rope (at most {_MORE:.2g})")
             if off > MAX_SIZE_CHANGE:  # of another length, or the chain lost its way: an initial axis decides
                 again = self._fit_initial(observed, prediction, scene)
                 better = not again.reason and (surprise(again.form, prediction) <= off or is_whole(again.form))

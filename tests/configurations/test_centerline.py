@@ -25,6 +25,20 @@ def test_an_object_that_is_gone_for_a_while_comes_back_the_right_way_round(speed
             assert ends.max() < 3
 
 
+def test_a_frame_that_shows_far_more_than_the_rope_is_refused_and_the_rope_found_again():
+    """A skeleton of all of it would take longer than a control loop waits."""
+    detector, comb = ShapeDetector([Centerline(n=20, ends="tips")]), np.zeros((480, 640), np.uint8)
+    comb[::32], comb[:, :16] = 255, 255
+    for row in range(16):
+        comb[row::32] = 255
+    masks = [rope.mask for rope in moving_rope(np.random.default_rng(9), 4.0, 20)]
+    for mask in masks[:15]:
+        assert not detector.detect_mask(mask).shapes[0].reason
+    assert "times as many pixels as the rope" in detector.detect_mask(comb).shapes[0].reason
+    for mask in masks[15:]:
+        assert not detector.detect_mask(mask).shapes[0].reason
+
+
 def test_order_is_right_in_noise_on_ragged_masks_and_in_uneven_light():
     results = list(ropes_in_noise(per_kind=4, seed=3))
     assert {result.disturbance.split(",")[0] for result in results} == {"salt and pepper", "ragged edges", "light"}
