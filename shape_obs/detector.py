@@ -241,20 +241,19 @@ class ShapeDetector:
             self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres, or those of another size
             self._last.pop(spec.name, None)
             self._kinds[spec.name] = kind
-        target, begins = None, spec.name in self._gone or spec.name not in self._tracks
-        if spec.anchor is not None and (begins or spec.order == "image"):
+        track, gone, target = self._tracks.get(spec.name), spec.name in self._gone, None
+        if spec.anchor is not None and (track is None or gone or spec.order == "image"):
             target = (anchor_pixel if moment.in_2d else anchor_point)(spec, anchors, moment.frame.camera)
         if observed.refusal:
             return Fit(reason=observed.refusal)
-        track = self._tracks.get(spec.name)
-        prediction = predict(track, observed, self._clock.now, spec.name in self._gone)
+        prediction = predict(track, observed, self._clock.now, gone)
         found = spec.fit(observed, prediction, target, scene)
         if track is not None and prediction is not None and (not found.reason or found.follow):
             view = scene.images, 0.0 if scene.intrinsics is None else scene.intrinsics.fx
             if far := self._reach.exceeded(spec.name, track, found, self._clock.now, view, moment.size[1]):
                 found = spec.fit(observed, None, target, scene) if prediction.stale else Fit(reason=far)
         if not found.reason or found.follow:
-            track = None if found.new or spec.name in self._gone else track
+            track = None if found.new or gone else track
             self._gone.discard(spec.name)
             number = self._track_ids.get(spec.name, 0) + 1 if track is None else track.track_id
             found, self._track_ids[spec.name] = found._replace(track_id=number), number

@@ -59,7 +59,7 @@ _MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
 _MORE: Final = 2.5  # times as many pixels as the rope: it does not come so much nearer from one frame to the next
-_MIN_STRETCH: Final = 0.957  # a curve that became longer by more follows something else; a band that is pulled becomes so long
+_MIN_STRETCH: Final = 0.957  # a curve that became longer by more follows something else; a pulled band does not
 _MIN_SEEN: Final = 0.3  # of a rope's length: what has to be in sight to report it, and below, to follow it
 _MIN_IN_PIECES: Final = 0.45  # around a gap of a tenth of it: a piece behind a long gap may be anywhere
 _GAP: Final = 0.1
