@@ -37,6 +37,8 @@ Mask = npt.NDArray[np.bool_]
 _HALF_ROUND: Final = np.pi / 4
 # Where a rope is this much longer in space than in the image, a pixel holds so much of it that its depth is no point's.
 _END_ON: Final = 2.4
+_END_ON_IF_THIN: Final = 2.0  # the same of a rope thinner than 6 px, of which a pixel holds more
+_THIN: Final = 6.0
 _NOTHING: Final = np.zeros(0)
 _SMOOTH: Final = 3.0  # points of the fine curve, over which its direction is taken
 
@@ -180,7 +182,7 @@ def lift_points(
         known, under = strand_under(depth, mask, at, points, reach, z, strand_gap(width, lens[0]))
         for n in range(count):
             visible[n] = visible[n] and not interpolated[n] and not under[n]
-            valid[n] = visible[n] and known[n] and steep[n] < _END_ON
+            valid[n] = visible[n] and known[n] and steep[n] < (_END_ON if width >= _THIN else _END_ON_IF_THIN)
     else:
         if len(depth[0]) > 0:
             z, _ = median_depth(depth[0], MILLIMETRE, mask, at[0], at[1], points, reach, MIN_SHARE, not rope)
