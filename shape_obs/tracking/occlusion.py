@@ -110,10 +110,14 @@ def is_whole(form: FittedCurve) -> bool:
 
 
 def shown(form: FittedCurve) -> slice:
-    """Return the piece of a matched curve over which points are spread: without ends hidden by less than the slack."""
-    (head, tail), slack, share = form.hints.hidden, form.hints.slack, form.stations / form.stations[-1]
-    first = np.searchsorted(share, head - 1e-9) if head < slack else 0
-    last = np.searchsorted(share, 1 - tail + 1e-9) if tail < slack else len(share)
+    """Return the piece of a matched curve over which points are spread.
+
+    It leaves out the ends of which so little seems to be hidden that it may be noise, and nothing is seen to hide them.
+    """
+    hints, share = form.hints, form.stations / form.stations[-1]
+    (head, tail), (over_head, over_tail), slack = hints.hidden, hints.covered, hints.slack
+    first = 0 if over_head or head >= slack else np.searchsorted(share, head - 1e-9)
+    last = len(share) if over_tail or tail >= slack else np.searchsorted(share, 1 - tail + 1e-9)
     return slice(int(first), int(last))
 
 
