@@ -29,7 +29,7 @@ _SHARES: Final = 8  # of what is missing, that may be hidden at an end
 # What it costs, in squared standard deviations, to take an end for hidden: one of which nothing is known, one that
 # something hides, and a free one, which is then folded back or points at the camera. And by which share of the length
 # it changes from frame to frame.
-_COST: Final = (4.0, 0.0, 16.0)
+_COST: Final = (4.0, 1.0, 16.0)
 _INERTIA: Final = (0.05, 0.1, 0.05)
 _FOLDED: Final = 100.0  # of a free end while something hides the other, which explains what is missing
 _BRIDGE: Final = 0.35  # of a bridged gap: the standard deviation of its length

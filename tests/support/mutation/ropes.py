@@ -172,8 +172,8 @@ ROPES: tuple[Mutant, ...] = (
     _rope(
         "a free end is hidden as easily",
         "tracking/placement",
-        "_COST: Final = (4.0, 0.0, 16.0)",
-        "_COST: Final = (4.0, 0.0, 0.0)",
+        "_COST: Final = (4.0, 1.0, 16.0)",
+        "_COST: Final = (4.0, 1.0, 0.0)",
         _PREDICTED,
     ),
     _rope(
