@@ -35,7 +35,7 @@ Drawn = tuple[Array, Array, Flags, Array, Array, float, tuple[int, int], Array]
 
 _LEAST_DEPTH: Final = 0.3  # of a curve's points: with less its length in metres is not measured
 _LONG: Final = 3.0  # widths: of a shorter curve the ends have no direction of their own
-_NEAR: Final = 0.053  # of its length: within it of a piece that is seen end-on, a gap of 20 points, points are off
+_NEAR: Final = 0.04  # of its length: so near to a piece that is seen end-on points are off
 _LEAST_RIM: Final = 0.5  # pixels, cut off an end that is seen at an angle
 
 

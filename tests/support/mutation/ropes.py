@@ -185,7 +185,7 @@ ROPES: tuple[Mutant, ...] = (
     _rope(
         "points next to what is seen end-on are valid",
         "configurations/chain_in_mask",
-        "_NEAR: Final = 0.053",
+        "_NEAR: Final = 0.04",
         "_NEAR: Final = 0.0",
     ),
     _rope(
