@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 #: The version of the algorithm: equal images and arguments give equal points where it is equal. It grows with each
 #: release that changes points, and is recorded with policies and tables, since the schema's hash does not show it.
 #: 1: the first; lengths known in pixels, no time where stamps stand still. 2: lengths known in metres, evidence for
-#: hidden ends, tips that do not turn round, a clock that always goes on. 3: ropes with depth are followed in space. 4: points of
-#: ropes lie at the depth of their curve; sheets and outlines are laid in space, and what is hidden of them is put back.
+#: hidden ends, tips that do not turn round, a clock that always goes on. 3: ropes with depth are followed in space. 4:
+#: points of ropes lie at the depth of their curve; sheets and outlines are laid in space, their hidden parts put back.
 ALGORITHM: Final = 4
 NO_BACKEND: Final = "backend={!r} is ignored: the inner loops are always compiled with Numba. Remove it."
 

@@ -110,14 +110,14 @@ def is_whole(form: FittedCurve) -> bool:
 
 
 def shown(form: FittedCurve) -> slice:
-    """Return the piece of a matched curve over which points are spread.
+    """Return the piece of a matched curve over which points are spread: without what may be hidden by noise alone.
 
-    It leaves out the ends of which so little seems to be hidden that it may be noise, and nothing is seen to hide them.
+    Of an end that something hides, two thirds of what may be noise elsewhere.
     """
     hints, share = form.hints, form.stations / form.stations[-1]
-    (head, tail), (over_head, over_tail), slack = hints.hidden, hints.covered, hints.slack
-    first = 0 if over_head or head >= slack else np.searchsorted(share, head - 1e-9)
-    last = len(share) if over_tail or tail >= slack else np.searchsorted(share, 1 - tail + 1e-9)
+    least = [hints.slack * (2 / 3 if over else 1) for over in hints.covered]
+    first = np.searchsorted(share, hints.hidden[0] - 1e-9) if hints.hidden[0] < least[0] else 0
+    last = np.searchsorted(share, 1 - hints.hidden[1] + 1e-9) if hints.hidden[1] < least[1] else len(share)
     return slice(int(first), int(last))
 
 
