@@ -10,12 +10,14 @@ from scipy.signal import savgol_filter
 
 from shape_obs import CameraModel, Centerline, Frame, Intrinsics, ShapeDetector
 from shape_obs.bench.synthetic.ropes import Rope, draw_rope
+from shape_obs.compiled import compiled
 from shape_obs.configurations.shape_points import shape_of
+from shape_obs.frame import DEPTH_TYPE, depth_images
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import straightened
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
-from shape_obs.point_cloud.lifting import lift_form
+from shape_obs.point_cloud.lifting import gather_lifted_cells, lift_form
 from shape_obs.tracking.prediction import Fit
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
@@ -282,3 +284,21 @@ def test_a_centre_outside_the_mask_is_not_valid_though_depth_lies_near_it(intrin
     )
     assert shape.visible.tolist() == [True, False, True]
     assert shape.valid.tolist() == [True, False, True]
+
+
+@compiled("(i8[:,::1], i8, " + DEPTH_TYPE + ", f8, f8, f8[:,::1])")
+def cells(runs, edge, depth, focal, width, expected):
+    return gather_lifted_cells(runs, edge, depth, focal, width, expected)
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.2])
+def test_strands_that_share_a_square_are_gathered_apart_in_depth(apart):
+    """The left half of each square of 8 pixels lies at 1 m, and its right half so much farther."""
+    runs = np.array([[row, 0, 64] for row in range(16)])
+    depth = np.full((16, 64), 1.0, np.float32)
+    depth[:, np.arange(64) % 8 >= 4] += apart
+    nodes = np.array([[4.0 + 8 * k, 8.0, relief] for k in range(8) for relief in (0.0, 300 * np.log(1.0 + apart))])
+    points, weight = cells(runs, 8, depth_images(depth), 300.0, 4.0, nodes)
+    assert weight.sum() == runs.shape[0] * 64
+    assert len(points) == 16 * (2 if apart else 1)
+    assert set(np.round(np.exp(points[:, 2] / 300), 3)) == ({1.0, 1.2} if apart else {1.0})

@@ -249,3 +249,15 @@ class TestTrackIds:
         assert np.count_nonzero(half) < 2000 < np.count_nonzero(wave.mask)
         found = [detector.detect_mask(mask).shapes[0] for mask in (wave.mask, wave.mask, half, wave.mask)]
         assert [(shape.track_id, shape.new) for shape in found] == [(1, True), (1, False), (2, True), (2, False)]
+
+
+def test_a_prediction_moves_in_depth_and_grows_old():
+    nodes, relief = np.zeros((8, 2)), np.full(8, 50.0)
+    track = Track(nodes, nodes, 0.1, 100.0, 1.0, Chain(8), relief=relief, climb=np.full(8, 20.0))
+    next_one, later = (predict(track, observation(), stamp) for stamp in (1.1, 1.4))
+    assert next_one is not None
+    assert later is not None
+    assert next_one.relief is not None
+    assert np.all((next_one.relief > 51) & (next_one.relief <= 52))  # most of the 2 units of an interval
+    assert next_one.lapse == pytest.approx(1.0)
+    assert later.lapse == pytest.approx(4.0)

@@ -9,6 +9,7 @@ _LENGTH = "tests/point_cloud/test_chain_length.py"
 _OCCLUDERS = "tests/tracking/test_occluders.py"
 _OCCLUSION = "tests/tracking/test_occlusion.py"
 _PREDICTED = "tests/tracking/test_predicted_rope.py"
+_PREDICTION = "tests/tracking/test_prediction.py"
 _SPACE = "tests/tracking/test_ropes_in_space.py"
 
 
@@ -32,7 +33,11 @@ ROPES: tuple[Mutant, ...] = (
         "seen = np.ones(len(at), bool)",
     ),
     _rope(
-        "predictions never grow old", "tracking/prediction", "relief, max(lapse, 1.0))", "relief, 1.0)", _SPACE, _CLAIMS
+        "predictions never grow old",
+        "tracking/prediction",
+        "relief, max(lapse, 1.0))",
+        "relief, 1.0)",
+        _PREDICTION,
     ),
     _rope(
         "predictions are as good in every track",
@@ -49,23 +54,21 @@ ROPES: tuple[Mutant, ...] = (
         "_SURE: Final = 0.0",
         _SPACE,
         _CLAIMS,
-        "tests/tracking/test_prediction.py",
+        _PREDICTED,
     ),
     _rope(
         "depth does not move on",
         "tracking/prediction",
         "relief = relief + _VELOCITY_SHARE",
         "relief = relief + 0",
-        _SPACE,
-        _CLAIMS,
+        _PREDICTION,
     ),
     _rope(
         "strands are not parted in a square",
         "point_cloud/lifting",
         "far = known and metres > behind * sums[into, 5]",
         "far = False",
-        _SPACE,
-        _CLAIMS,
+        "tests/point_cloud/test_lifting.py",
     ),
     _rope(
         "the map is flat",
@@ -88,7 +91,7 @@ ROPES: tuple[Mutant, ...] = (
         "point_cloud/chain_length",
         "smooth[p] = min(max(smooth[p], least / 2), 2 * most)",
         "pass",
-        "tests/test_bad_input.py",
+        _LENGTH,
     ),
     _rope(
         "depth is not smoothed",

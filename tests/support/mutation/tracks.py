@@ -77,7 +77,7 @@ TRACKS: tuple[Mutant, ...] = (
     _mutant("tracking", "a lost track keeps its number", "detector", "self._track_ids.get(spec.name, 0) + 1", "1",
             _PREDICTION),
     _mutant("tracking", "a new object continues the track", "detector",
-            "track = None if found.new or spec.name in self._gone else track", "pass", _PREDICTION),
+            "track = None if found.new or gone else track", "pass", _PREDICTION),
     _mutant("tracking", "a track is new in every frame", "configurations/shape_points",
             "new=last is None or last.track_id != found.track_id", "new=True", _PREDICTION),
     _mutant("tracking", "reset keeps the track", "detector", "self._tracks: dict[str, Track] = {}",
