@@ -110,6 +110,11 @@ def test_a_loop_that_crosses_itself_only_in_the_image_keeps_its_order():
         angle = 2 * np.pi * t * (0.8 + 0.35 * open_)
         return curve(np.stack([0.1 * np.sin(angle) + 0.2 * t, -0.1 * np.cos(angle), 0.15 * t], axis=1))
 
+    under = 0
     for shape, seen in tracked(map(loop, np.linspace(0, 1, 30))):
         assert shape.ok
         assert errors(shape, seen)[shape.visible & shape.valid].max() < 0.5
+        hidden = ~seen.shown[np.linspace(0, len(seen.shown) - 1, N).round().astype(int)]
+        assert not (shape.visible & hidden).any()
+        under += int(hidden.sum())
+    assert under > 5
