@@ -28,7 +28,7 @@ from shape_obs.initialization.folding import closest_sides, sharp_bends, unexpla
 from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import thinned, trace_skeleton
-from shape_obs.point_cloud.lifting import strand_gap
+from shape_obs.point_cloud.lifting import nearest_expected
 from shape_obs.tracking.occluders import Tips
 from shape_obs.tracking.occlusion import is_whole, known_rope, match_chain, shown, surprise
 from shape_obs.tracking.placement import from_tip_to_tip, widened
@@ -245,9 +245,9 @@ class Centerline(Configuration, kind="centerline"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = track_chain_in_mask, match_to_rope, points_along, nodes_along, strand_gap
+        masks = track_chain_in_mask, match_to_rope, points_along, nodes_along
         masks += closest_sides, sharp_bends, unexplained_share, evened, local_stretch, widened
-        masks += from_tip_to_tip, learn_length
+        masks += from_tip_to_tip, learn_length, nearest_expected
         axes = fill_holes, thinned, trace_skeleton, cheapest_order
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + axes + clouds

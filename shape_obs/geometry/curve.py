@@ -62,6 +62,8 @@ class TrackHints(NamedTuple):
         cut: How much likelier, as logarithms, the tips of an open curve are cut than its own.
         tips: ``(2, 2, 2)`` mean and variance of what its own tips look like; None if it is not known.
         length: What is known of an open curve's length.
+        credit: For how many frames the start and the end of an open curve are taken for hidden though nothing is seen
+            to hide them.
         reference: ``(K, D)`` nodes of the past that a closed curve was numbered by, or the points of a lattice in
             space; else None.
         sides: ``(4,)`` the lengths of a sheet's sides as they are remembered, metres where the reference is in space;
@@ -79,6 +81,7 @@ class TrackHints(NamedTuple):
     cut: tuple[float, float] = (0.0, 0.0)
     tips: Array | None = None
     length: Length = Length()
+    credit: tuple[float, float] = (0.0, 0.0)
     reference: Array | None = None
     sides: Array | None = None
 

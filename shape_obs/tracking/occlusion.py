@@ -30,7 +30,7 @@ _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this m
 _LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
 _NOTHING: Final = np.zeros(0)
 _UNKNOWN_TIPS: Final = np.zeros((0, 2, 2))
-_NO_ROPE: Final = RopeBelief(*np.zeros(11).tolist()), Length(), np.zeros((2, 2)), _NOTHING, _UNKNOWN_TIPS
+_NO_ROPE: Final = RopeBelief(*np.zeros(13).tolist()), Length(), np.zeros((2, 2)), _NOTHING, _UNKNOWN_TIPS
 _WHOLE: Final = 0.03  # of a length in metres, by which the curve of a whole rope may be too long or too short
 _RIVAL: Final = 0.08  # of the length: if so much more may be hidden at the other end, nothing is known of either
 _TURN: Final = 0.06  # of the length, at most: so much next to what lies behind the rope is off by up to 2 gaps of 20
@@ -44,7 +44,7 @@ def known_rope(prediction: Prediction | None, width: float) -> tuple[RopeBelief,
     hints = prediction.hints
     belief = RopeBelief(
         *hints.hidden, *hints.residuals, *hints.cut, hints.adrift, float(width), float(prediction.resolution),
-        float(prediction.lapse), float(prediction.stale),
+        float(prediction.lapse), float(prediction.stale), *hints.credit,
     )  # fmt: skip
     relief = _NOTHING if prediction.relief is None else prediction.relief
     return belief, hints.length, prediction.nodes, relief, _UNKNOWN_TIPS if hints.tips is None else hints.tips
@@ -87,6 +87,7 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips, match: Fo
         (found.head / found.length, found.tail / found.length), (ends[0] == HIDDEN, ends[1] == HIDDEN),
         (ends[0] == FREE, ends[1] == FREE), found.adrift, found.slack / found.length, found.stretch, measured,
         (found.bent, found.apart), (found.cut_head, found.cut_tail), own if len(own) else None, length,
+        credit=(found.credit_head, found.credit_tail),
     )  # fmt: skip
     return replace(form, hints=hints)
 
@@ -166,11 +167,11 @@ def _completed(rope: PredictedRope, form: FittedCurve, found: Match) -> FittedCu
     if ends[0] == FREE:
         before = _folded(points, at, at[0])[::-1]
     else:
-        before = _hidden_piece(rope, 0.0, at[0], points[0], _scale(points[: reach + 1], at), length, at_start=True)
+        before = _hidden_piece(rope, 0, at[0], points[: reach + 1], at[: reach + 1], length)[::-1]
     if ends[1] == FREE:
         behind = _folded(points[::-1], at[-1] - at[::-1], length - at[-1])
     else:
-        behind = _hidden_piece(rope, at[-1], length, points[-1], _scale(points[-reach - 1 :], at[::-1]), length)
+        behind = _hidden_piece(rope, 1, length - at[-1], points[: -reach - 2 : -1], at[: -reach - 2 : -1], length)
     hidden_before = np.linspace(0, at[0], len(before) + 1)[:-1]
     hidden_behind = np.linspace(at[-1], length, len(behind) + 1)[1:]
     along = np.concatenate([hidden_before, at, hidden_behind])
@@ -193,28 +194,31 @@ def _completed(rope: PredictedRope, form: FittedCurve, found: Match) -> FittedCu
     return replace(whole, metres=along, pixels=pixels)
 
 
-def _hidden_piece(
-    rope: PredictedRope, start: float, stop: float, joint: Array, scale: float, length: float, *, at_start: bool = False
-) -> Array:
-    """Return the rope between two stations without its joint with the visible piece, moved there.
+def _hidden_piece(rope: PredictedRope, end: int, hidden: float, seen: Array, stations: Array, length: float) -> Array:
+    """Return a hidden end of the rope from its joint with the visible piece outwards, without the joint.
+
+    It is bent as predicted, but goes straight on if it was folded back onto the rope before: of that, nothing is known.
 
     Args:
         rope: Where it was expected.
-        start: First station.
-        stop: Last station.
-        joint: ``(D,)`` where the visible piece ends.
-        scale: The curve's units in a unit of the stations.
+        end: 0 for its start, 1 for its end.
+        hidden: Length of what is hidden.
+        seen: ``(P, D)`` the visible piece from the joint inwards.
+        stations: ``(P,)`` of these points.
         length: Of the rope.
-        at_start: Whether the joint is at the last station.
     """
-    if stop - start <= 1e-9 * length:
-        return np.zeros((0, len(joint)))
-    gap = length * rope.share[1]
-    share = np.linspace(start, stop, max(int(np.ceil((stop - start) / gap)) + 1, 2)) / length
-    piece = rope.at(share)
-    piece = piece - piece[-1 if at_start else 0]
-    piece *= scale * (stop - start) / max(float(arc_length(np.ascontiguousarray(piece))[-1]), 1e-9)
-    return (piece[:-1] if at_start else piece[1:]) + joint
+    if hidden <= 1e-9 * length:
+        return np.zeros((0, seen.shape[1]))
+    count = max(int(np.ceil(hidden / (length * rope.share[1]))) + 1, 2)
+    scale = float(arc_length(np.ascontiguousarray(seen))[-1]) / max(abs(float(stations[-1] - stations[0])), 1e-9)
+    if rope.folded[end] and rope.hidden[end] > 0:
+        piece = np.linspace(0, 1, count)[:, None] * (seen[0] - seen[-1])
+    else:
+        share = np.linspace(hidden, 0, count) / length
+        piece = rope.at(1 - share if end else share)
+        piece = piece - piece[0]
+    piece = piece * (scale * hidden / max(float(arc_length(np.ascontiguousarray(piece))[-1]), 1e-9))
+    return piece[1:] + seen[0]
 
 
 def _stretched(form: FittedCurve, length: float) -> Array:
@@ -244,9 +248,3 @@ def _seen_scale(form: FittedCurve) -> float:
     seen = ~form.interpolated
     seen = seen[1:] & seen[:-1]
     return float(np.diff(form.arc)[seen].sum()) / max(float(np.diff(form.stations)[seen].sum()), 1e-9)
-
-
-def _scale(points: Array, stations: Array) -> float:
-    """Return the units of a curve in a unit of its stations, which begin with the points'."""
-    along = abs(float(stations[len(points) - 1] - stations[0]))
-    return float(arc_length(np.ascontiguousarray(points))[-1]) / max(along, 1e-9)

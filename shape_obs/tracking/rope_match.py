@@ -34,6 +34,8 @@ _DOUBTFUL: Final = 1.5  # standard deviations by which a rope is too short, and 
 _CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
 _BY_NOISE: Final = 1.0  # standard deviations of a length, which may seem hidden
 _SLIDES: Final = 0.1  # of a bridged gap: by so much what lies behind it may have slid into it
+_CREDIT: Final = 3.0  # frames, for which an end is taken for hidden after something was seen to hide it
+_STILL: Final = 0.5  # of what was hidden: an end is only taken for hidden if so much is missing
 _LONG_AGO: Final = 25.0  # squared intervals of a track, after which a rope may have slid anywhere
 LEAST: Final = 0.002  # of a length in pixels: less cannot be seen to be missing
 
@@ -53,6 +55,8 @@ class RopeBelief(NamedTuple):
         resolution: Of the observation.
         lapse: Intervals since it was seen.
         stale: 1 if it was lost for long, else 0.
+        credit_head: For how many frames its start is taken for hidden though nothing is seen to hide it.
+        credit_tail: The same of its end.
     """
 
     head: float
@@ -66,6 +70,8 @@ class RopeBelief(NamedTuple):
     resolution: float
     lapse: float
     stale: float
+    credit_head: float
+    credit_tail: float
 
 
 class Match(NamedTuple):
@@ -90,6 +96,8 @@ class Match(NamedTuple):
         rival: By which share of the length more may be hidden elsewhere, see ``Placed``.
         stretch: By how much more of the rope there is than was measured where it is visible.
         measured: Length of what is visible.
+        credit_head: Frames, see ``RopeBelief``.
+        credit_tail: The same of its end.
     """
 
     clear: bool
@@ -110,6 +118,8 @@ class Match(NamedTuple):
     rival: float
     stretch: float
     measured: float
+    credit_head: float
+    credit_tail: float
 
 
 #: The match; ``(P,)`` stations in metres if all of the rope is seen; what is then known of its length and its tips.
@@ -154,15 +164,19 @@ def match_to_rope(
     clear = oriented or _is_along(found, rope)
     if not clear or length <= 0:
         unknown = Match(
-            clear, ends[0], ends[1], 0, 0, 0.0, 0.0, 0.0, length, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, along[last]
-        )
+            clear, ends[0], ends[1], 0, 0, 0.0, 0.0, 0.0, length, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, along[last],
+            0.0, 0.0,
+        )  # fmt: skip
         return unknown, along, known, own
     if len(relief) > 0:
         stretched = local_stretch(arc, lifted, belief.width / 2)
         steep[0], steep[1] = stretched[0], stretched[last]
         for p in range(last + 1):
             steepest = max(steepest, stretched[p])
-    first, second = ends
+    short = (1 - along[last] / length) / _STILL
+    first, credit_head = _still_hidden(ends[0], _SLACK[0] < belief.head < short, belief.credit_head)
+    second, credit_tail = _still_hidden(ends[1], _SLACK[0] < belief.tail < short, belief.credit_tail)
+    ends = first, second
     if HIDDEN in ends:  # that explains what is missing
         first, second = first if first != UNKNOWN else FREE, second if second != UNKNOWN else FREE
     # What points at the camera lies in front of what goes on behind it.
@@ -207,9 +221,19 @@ def match_to_rope(
     stretch = (length - hidden_length) / max(along[last] + placed.between * (gap[1] > gap[0]), 1e-9)
     match = Match(
         True, first, second, gap[0], gap[1], placed.head, placed.tail, placed.between, length, slack, residuals[0],
-        residuals[1], cut_head, cut_tail, adrift, rival, stretch, along[last],
+        residuals[1], cut_head, cut_tail, adrift, rival, stretch, along[last], credit_head, credit_tail,
     )  # fmt: skip
     return match, stations, known, own
+
+
+@compiled
+def _still_hidden(known: int, may_be: bool, credit: float) -> tuple[int, float]:
+    """Return what is known about a tip, and for how many frames it is taken for hidden: noise may hide the evidence."""
+    if known == HIDDEN:
+        return HIDDEN, _CREDIT
+    if known == FREE and may_be and credit > 0:
+        return HIDDEN, credit - 1
+    return known, 0.0
 
 
 @compiled

@@ -125,7 +125,7 @@ def main(kind: str) -> None:
                 depth: Any = rng.integers(695, 705, mask.shape, np.uint16)
                 ok += detector.detect_mask(mask, *([depth, CAMERA] if in_space else [])).shapes[0].ok
     for mask in masks[0][:5]:
-        kmeans.detect_mask(mask)
+        kmeans.detect_mask(mask, np.full(mask.shape, 700, np.uint16), CAMERA)
     detector = detectors[0]
     detector.reset()
     for k, mask in enumerate(masks[0][:12]):

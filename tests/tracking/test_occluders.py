@@ -54,6 +54,21 @@ def test_a_rope_whose_tips_are_free_is_as_long_as_it_is_seen_after_a_while():
     assert pixels[-1, 0] == pytest.approx(220, abs=2)
 
 
+def test_an_end_stays_under_a_hand_whose_depth_fails_for_a_few_frames():
+    """Its points lie where they did, and the next frames that show the hand find them there."""
+    detector = ShapeDetector([Centerline(n=20, ends="tips", anchor=(40.0, 120.0))])
+    mask, depth, curve = rope(220)
+    for _ in range(5):
+        detector.detect_mask(mask, depth, CAMERA)
+    mask, hand = mask.copy(), depth.copy()
+    mask[:, 220:], depth[:, 220:], hand[:, 220:] = 0, TABLE, HAND
+    for over in [hand] * 3 + [depth] * 2 + [hand] * 2:
+        shape = detector.detect_mask(mask, over, CAMERA).shapes[0]
+        assert shape.ok
+        assert 2 <= (~shape.visible).sum() <= 6
+        assert shape.pixels[-1] == pytest.approx(curve[-1], abs=8)
+
+
 @pytest.mark.parametrize(("last", "reason"), [(230, "in sight (at least 45%)"), (150, "")])
 def test_a_rope_of_which_two_short_pieces_are_in_sight_is_refused(last, reason):
     detector = ShapeDetector([Centerline(n=20, ends="tips", anchor=(40.0, 120.0))])
