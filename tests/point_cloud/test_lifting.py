@@ -274,14 +274,8 @@ def test_a_centre_outside_the_mask_is_not_valid_though_depth_lies_near_it(intrin
     curve = FittedCurve.through(np.stack([np.linspace(20, 300, 99), np.full(99, 120.0)], axis=1), np.zeros(99, bool))
     centres = np.array([[50.0, 120.0], [150.0, 134.5], [250.0, 120.0]])
     frame = Frame(None, np.full(mask.shape, 0.7), CameraModel(intrinsics))
-    shape = shape_of(
-        Centerline(n=3),
-        Fit(curve, 1.0, observed=region, object_width=region.width, centres=centres),
-        frame,
-        None,
-        "nan",
-        400.0,
-    )
+    found = Fit(curve, 1.0, observed=region, object_width=region.width, centres=centres)
+    shape = shape_of(Centerline(n=3), found, frame, None, "nan", 400.0)
     assert shape.visible.tolist() == [True, False, True]
     assert shape.valid.tolist() == [True, False, True]
 
