@@ -32,25 +32,28 @@ class Shares(NamedTuple):
         resolution: Share of a step of the observation (a pixel, a voxel).
         size: Share of the object's size: lengths are measured along all of it.
         depth: Multiple of a pixel's depth noise.
+        aslant: Share of the object's length in space, of points where it is seen end-on: what is measured of the length
+            there depends on depth.
     """
 
     resolution: float
     size: float
     depth: float
+    aslant: float
 
 
 # Measured with a D455's noise at 640 x 480 and 160 x 120. The depth of a sheet is that of many pixels; that of a rope
 # is that of few, and the noise of those at its sides comes from what lies behind.
 _SHARES: Final[dict[type[Topology], Shares]] = {
-    Chain: Shares(0.25, 0.0005, 1.8),
-    Ring: Shares(0.25, 0.0012, 1.0),
-    Grid: Shares(0.2, 0.0004, 0.4),
+    Chain: Shares(0.35, 0.0005, 1.8, 0.013),
+    Ring: Shares(0.25, 0.0012, 1.0, 0.0),
+    Grid: Shares(0.2, 0.0004, 0.4, 0.0),
 }
-_IN_CLOUDS: Final = Shares(0.5, 0.001, 1.0)
+_IN_CLOUDS: Final = Shares(0.5, 0.001, 1.0, 0.0)
 # A sheet's gaps are equal in space, so that points are off where they are not: by this multiple of what they differ.
 _UNEVEN_SHARE: Final = 1.4
 # What cannot be seen is expected to stray by this share of the arc length to the nearest point that can.
-_HIDDEN_SHARE: Final = 0.25
+_HIDDEN_SHARE: Final = 0.32
 # A shape that is not seen is expected to move by this share of the bound in a second: 0.25 m/s, or a quarter of the
 # diagonal; a hand that carries an object moves so.
 _DRIFT: Final = 0.25
@@ -109,7 +112,9 @@ def expected_error(
     across = layout.rows * (layout.cols - 1) if isinstance(layout, Grid) else 0
     pixels = points2d if in_image and focal and points2d is not None else _NO_PIXELS
     bound = diagonal if points3d is None else MAX_SIGMA
-    return point_errors(places, pixels, visible, valid, _edges_of(layout), across, residual, focal, noise, bound)
+    return point_errors(
+        places, pixels, visible, valid, _edges_of(layout), across, residual, shares.aslant, focal, noise, bound
+    )
 
 
 def error_on_sheet(z: float, camera: Intrinsics) -> float:
@@ -123,7 +128,7 @@ def _edges_of(layout: Topology) -> npt.NDArray[np.int64]:
     return np.ascontiguousarray(layout.edges(), dtype=np.int64)
 
 
-@compiled("(f4[:,::1], f4[:,::1], b1[::1], b1[::1], i8[:,::1], i8, f8, f8, f8, f8)")
+@compiled("(f4[:,::1], f4[:,::1], b1[::1], b1[::1], i8[:,::1], i8, f8, f8, f8, f8, f8)")
 def point_errors(
     places: Points,
     pixels: Points,
@@ -132,6 +137,7 @@ def point_errors(
     edges: npt.NDArray[np.int64],
     across: int,
     residual: float,
+    aslant: float,
     focal: float,
     noise: float,
     bound: float,
@@ -146,6 +152,7 @@ def point_errors(
         edges: ``(E, 2)`` pairs of neighbours.
         across: How many of them lie along the rows of a lattice; 0 for other layouts.
         residual: RMS error per axis of the fitted form, pixels or the unit of the places.
+        aslant: See ``Shares``.
         focal: Focal length, pixels; 0 without depth and a camera.
         noise: Standard deviation of depth at one metre, metres.
         bound: Largest value.
@@ -184,6 +191,7 @@ def point_errors(
         if focal > 0:
             deep = noise * places[k, 2] ** 2
             square = rough**2 * (1 + stretch**2) + 2 * hidden**2 + deep**2 + (_HIDDEN_SHARE * unmeasured[k]) ** 2
+            square += (aslant * gaps.sum() * (1 - 1 / stretch)) ** 2
             error = math.sqrt(square / 3)
         else:
             error = math.hypot(rough, hidden)

@@ -60,7 +60,7 @@ def test_errors_grow_away_from_what_is_visible_up_to_the_bound():
     assert sigma.dtype == np.float32
     assert np.ptp(sigma[:8]) < 1e-5
     assert (np.diff(sigma[7:]) > 0).all()
-    assert sigma[-1] == pytest.approx(0.25 * 0.12 * np.sqrt(1.0), rel=0.05)
+    assert sigma[-1] == pytest.approx(0.32 * 0.12, rel=0.05)
     assert (expected(points, Chain(20), np.zeros(20, bool)) == MAX_SIGMA).all()
     points[3] = np.nan
     assert expected(points, Chain(20), visible)[3] == MAX_SIGMA
@@ -70,13 +70,13 @@ def test_in_pixels_there_is_no_depth():
     points, visible = np.arange(20.0)[:, None] * [10.0, 0.0], np.arange(20) < 8
     what: Any = {"size": 300.0, "resolution": 1.0, "in_image": True, "camera": CAMERA, "diagonal": 20.0}
     sigma = expected_error(points.astype(np.float32), None, visible, visible, Chain(20), **what)
-    np.testing.assert_allclose(sigma[:8], np.hypot(0.25, 0.15), rtol=1e-6)
-    np.testing.assert_allclose(sigma[8:10], np.hypot(np.hypot(0.25, 0.15), [2.5, 5.0]), rtol=1e-6)
+    np.testing.assert_allclose(sigma[:8], np.hypot(0.35, 0.15), rtol=1e-6)
+    np.testing.assert_allclose(sigma[8:10], np.hypot(np.hypot(0.35, 0.15), [3.2, 6.4]), rtol=1e-6)
     assert sigma[-1] == 20
 
 
 def test_two_axes_come_from_the_image_and_one_from_depth():
-    residual = np.hypot(0.25, 0.15)  # pixels
+    residual = np.hypot(0.35, 0.15)  # pixels
     for z in (0.5, 2.0):
         noise = 1.8 * z**2 * 0.08 / (636.0 * 0.095)  # 0.6 and 9.5 mm
         sigma = expected(line(5, z), Chain(5))
@@ -87,10 +87,22 @@ def test_two_axes_come_from_the_image_and_one_from_depth():
 
 def test_what_is_seen_aslant_is_less_sure():
     flat, steep = expected(line(5, 1.0), Chain(5)), expected(line(5, 1.0, 75.0, 0.002), Chain(5))
-    noise, residual = 1.8 * stereo_noise(636.0, 1280), np.hypot(0.25, 0.15) / 636.0
+    noise, residual = 1.8 * stereo_noise(636.0, 1280), np.hypot(0.35, 0.15) / 636.0
     assert flat[2] == pytest.approx(np.sqrt((2 * residual**2 + noise**2) / 3), rel=1e-3)
     stretch = 1 / np.cos(np.radians(75))
-    assert steep[2] == pytest.approx(np.sqrt(((1 + stretch**2) * residual**2 + noise**2) / 3), rel=0.02)
+    along = 0.013 * 4 * 0.002 * (1 - 1 / stretch)  # of the length
+    assert steep[2] == pytest.approx(np.sqrt(((1 + stretch**2) * residual**2 + noise**2 + along**2) / 3), rel=0.02)
+
+
+def test_the_steeper_a_long_rope_is_seen_the_less_sure_are_its_points():
+    rope = []
+    for turn in np.radians([0.0, 30.0, 60.0]):
+        points = line(41, 0.7, np.degrees(turn), 0.015)
+        points += [0.0, 0.0, 0.7] - points[20]
+        rope.append(float(expected(points, Chain(41))[20]))
+    by_slope = [0.013 * 0.6 * (1 - np.cos(np.radians(turn))) / np.sqrt(3) for turn in (30.0, 60.0)]
+    assert rope[1:] == pytest.approx(np.hypot(rope[0], by_slope), rel=0.1)
+    assert rope[2] > 1.5 * rope[1]
 
 
 def test_a_small_image_has_the_noise_of_the_camera_that_it_comes_from():

@@ -123,6 +123,8 @@ TRACKS: tuple[Mutant, ...] = (
     _mutant("tracking", "depth has no noise", "tracking/belief", "deep = noise *", "deep = 0.0 *", _BELIEF),
     _mutant("tracking", "what is seen aslant is as sure", "tracking/belief", "(1 + stretch**2)", "2",
             _BELIEF),
+    _mutant("tracking", "a length that is seen end-on is as sure", "tracking/belief", "aslant * gaps.sum()",
+            "0.1 * aslant * gaps.sum()", _BELIEF),
     _mutant("tracking", "a sheet's gaps say nothing", "tracking/belief", "_UNEVEN_SHARE: Final = 1.4",
             "_UNEVEN_SHARE: Final = 0.14", _BELIEF),
     _mutant("tracking", "a small image has less noise", "tracking/belief", "max(_NATIVE / columns, 1.0)", "1.0",
