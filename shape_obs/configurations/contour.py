@@ -191,7 +191,9 @@ class Contour(Configuration, kind="contour"):
         return form.starting_at(_least(far, form))
 
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
-        """Return points with equal chords around, from the form's first point."""
+        """Return points with equal chords around, from the form's first point; in space along what was measured of it."""
+        if form.space is not None and metric is not form:
+            metric = FittedCurve.through(form.space, form.interpolated, True)
         places = _points_around(form.points, form.arc, metric.points, metric.arc, self.n)
         return Points(places, np.zeros(self.n, bool))
 
@@ -288,6 +290,8 @@ def _begun_at(
         reference = blend_space(reference, found)
     nodes = _across(curve, lifted, at)
     first = float(np.interp(begin % lifted.size, lifted.arc, curve.arc))
+    if lifted.points.shape[1] == 3:
+        curve = replace(curve, space=lifted.points)
     return replace(curve.starting_at(first), hints=TrackHints(reference=reference)), nodes
 
 

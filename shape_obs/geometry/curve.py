@@ -24,6 +24,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 _SMOOTHING: Final = 9  # points of a fine curve
+_MEASURED: Final = ("metres", "pixels", "relief", "space")  # what is not known of a curve through other points
 
 
 class Length(NamedTuple):
@@ -129,6 +130,7 @@ class FittedCurve(FittedForm):
         pixels: ``(P,)`` arc length of the object in an image where its gaps are longer than they are drawn; else None.
         relief: ``(P,)`` the logarithm of the depth under an open curve in an image, times the focal length in pixels:
             a third coordinate, in which a step is as long as the same step in the image, at any distance; else None.
+        space: ``(P, 3)`` where the points of a closed curve in an image lie in space, metres; None if it is not known.
     """
 
     arc: Array
@@ -136,6 +138,7 @@ class FittedCurve(FittedForm):
     metres: Array | None = None
     pixels: Array | None = None
     relief: Array | None = None
+    space: Array | None = None
 
     @classmethod
     def through(cls, points: Array, interpolated: Mask, closed: bool = False, **other: Any) -> Self:
@@ -235,7 +238,11 @@ class FittedCurve(FittedForm):
             after, before = 1, 0
         points = np.concatenate([self.at([start]), self.points[after:], self.points[:before]])
         flags = np.concatenate([self.interpolated_at([start]), self.interpolated[after:], self.interpolated[:before]])
-        return self.with_geometry(points, flags)
+        begun = self.with_geometry(points, flags)
+        if self.space is None:
+            return begun
+        first = interpolate(_polyline(self.space, True), self.arc, np.array([start]))
+        return replace(begun, space=np.concatenate([first, self.space[after:], self.space[:before]]))
 
     def smoothed(self, values: Array, known: Mask) -> Array:
         """Fill ``(P,)`` values by a straight line between the known ones, and smooth them over nine points."""
@@ -261,12 +268,13 @@ class FittedCurve(FittedForm):
             relief = None if self.relief is None else self.relief[::-1].copy()
             return replace(back, hints=hints, metres=metres, pixels=pixels, relief=relief)
         back = -np.arange(len(self.points))
-        return self.with_geometry(self.points[back], self.interpolated[back])
+        other = self.with_geometry(self.points[back], self.interpolated[back])
+        return other if self.space is None else replace(other, space=self.space[back])
 
     def with_geometry(self, points: Array, interpolated: Mask) -> Self:
         """Return a curve of the same kind through other points."""
-        arc = arc_length(_polyline(points, self.closed))
-        return replace(self, points=points, interpolated=interpolated, arc=arc, metres=None, pixels=None, relief=None)
+        arc, unknown = arc_length(_polyline(points, self.closed)), dict.fromkeys(_MEASURED)
+        return replace(self, points=points, interpolated=interpolated, arc=arc, **unknown)
 
     def relaid(self, lifted: Array, interpolated: Mask) -> Self:
         """Return a curve of the same kind through other points, ``(P', 3)`` with their relief or ``(P', D)``."""
