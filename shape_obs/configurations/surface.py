@@ -146,6 +146,8 @@ class Surface(Configuration, kind="surface"):
             stray = (0, 0.0)  # in space the lengths of the sides say more
         hidden, stray = ~view.region.carries(lattice), (int(stray[0]), float(stray[1]))
         off = float(hidden.mean())
+        if known is not None and not known.metric:
+            hidden |= known.doubtful(patch, self._gap(known))
         verdict = validate_sheet(off, measures, view.region.noun, math.degrees(kink), stray, self.freedom)
         return self._finish(view.region, lattice, hints, verdict, hidden)
 
@@ -161,6 +163,8 @@ class Surface(Configuration, kind="surface"):
         if lattice is None:
             return Fit(reason=_OUT_OF_SIGHT)
         hidden, reason = ~view.region.carries(lattice), ""
+        if not known.metric:
+            hidden |= known.doubtful(patch, self._gap(known))
         if border.folded:
             hidden |= beneath_fold(border.folded, known.sides)
         elif known.metric and scene.depth is not None and view.cut.mean() < _BARELY_CUT:
@@ -172,6 +176,10 @@ class Surface(Configuration, kind="surface"):
             reason = f"{share:.0%} of the sheet is hidden (at most {MAX_HIDDEN:.0%})"
         verdict = FitQuality(reason, float(border.seen.mean()) ** 0.5)
         return self._finish(view.region, lattice, known.seen_beside(border, patch), verdict, hidden)
+
+    def _gap(self, known: KnownSheet) -> float:
+        """Return the least distance of two points over a sheet."""
+        return float(min(known.sides[0] / self.cols, known.sides[1] / self.rows))
 
     def _finish(
         self, region: Region, lattice: Array, hints: TrackHints, verdict: FitQuality, hidden: npt.NDArray[np.bool_]

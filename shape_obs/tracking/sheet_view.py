@@ -40,6 +40,9 @@ _CUT: Final = np.where(np.abs((np.arange(4 * SIDE) + SIDE // 2) % SIDE - SIDE //
 # and the known form follows by this share.
 _DENTED: Final = (0.035, 1.5)
 _FORGETTING: Final = 0.03
+_DOUBTED: Final = (0.3, 1.0)  # what lies farther from the known form, as a share of a gap and in pixels, is hidden
+_STEADY: Final = 0.5
+_LOCAL: Final = 2.5  # median distances: what lies off by less has bent with the rest of the sheet
 _BUCKLED: Final = 0.8  # of its length a side that has buckled measures at least
 _THROUGH: Final = 0.02  # of a sheet: the border of what is put back may lie a little outside
 _BEHIND: Final = 0.01  # metres: what lies farther behind a sheet would be hidden by it
@@ -226,9 +229,27 @@ class KnownSheet:
         if self.metric:
             return TrackHints(reference=patch, sides=sides)
         laid = laid_over(self.lattice, patch, self.lattice, scaled=True)[0]
-        step = _FORGETTING * (patch - laid)
+        step = patch - laid
+        square = (step**2).sum(axis=1, keepdims=True)
+        limit = max(_LOCAL**2 * float(np.median(square)), _STEADY**2)
+        step *= _FORGETTING * np.minimum(limit / np.maximum(square, limit), 1.0) ** 2
         most = _STRETCH[True] * sides.mean()
         return TrackHints(reference=laid + np.clip(step, -most, most), sides=sides)
+
+    def doubtful(self, patch: Array, gap: float) -> npt.NDArray[np.bool_]:
+        """Return which points of a lattice ``(625, 2)`` are not where the known form has them, without depth.
+
+        Something may lie over a border there that hides too little to be noticed by the border alone.
+
+        Args:
+            patch: The lattice as it lies.
+            gap: Between two points that are asked for, pixels.
+        """
+        far = np.linalg.norm(patch - laid_over(self.lattice, patch, self.lattice, scaled=True)[0], axis=1)
+        near = far <= max(_LOCAL * float(np.median(far)), _DOUBTED[1])
+        far = np.linalg.norm(patch - laid_over(self.lattice[near], patch[near], self.lattice, scaled=True)[0], axis=1)
+        share, pixels = _DOUBTED
+        return far > max(share * gap, pixels, _LOCAL * float(np.median(far)))
 
     def seen_beside(self, border: Border, patch: Array) -> TrackHints:
         """Return what is known after a frame in which a part of the border was put back.
