@@ -16,7 +16,7 @@ from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
 from shape_obs.geometry.coons import FINE, SIDE, beneath_fold, blend_sides, coons_patch, side_lengths
 from shape_obs.geometry.curve import TrackHints
-from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice
+from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice, uneven_places
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import material_outline
 from shape_obs.geometry.polyline import arc_length, interpolate
@@ -263,17 +263,29 @@ class Surface(Configuration, kind="surface"):
     def resample(self, form: FittedLattice, metric: FittedLattice) -> Points:
         """Return points with equal gaps down and across, on the mean over the lattice."""
         where = *metric.gauges, self.rows, self.cols, self.ends != "tips"
-        places = _points_over(form.points.reshape(form.rows, -1, form.points.shape[1]), *where)
-        if not form.interpolated.any():
-            return Points(places, np.zeros(len(places), bool))
-        share = form.interpolated.reshape(form.rows, -1, 1).astype(np.float64)
-        return Points(places, _points_over(share, *where)[:, 0] > 0.5)
+        places, lattice = _points_over(form.lattice, *where), metric.lattice
+        hidden = np.zeros(len(places), bool)
+        if form.interpolated.any():
+            share = form.interpolated.reshape(form.rows, -1, 1).astype(np.float64)
+            hidden = _points_over(share, *where)[:, 0] > 0.5
+        if lattice.shape[2] == 3 and form.points.shape[1] == 2:
+            hidden |= uneven_places(_points_over(lattice, *where).reshape(self.rows, self.cols, 3))
+        return Points(places, hidden)
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         masks = rim_of, material_outline, rim_depth, coons_patch, blend_sides, nearest_corners, assign_corners
-        lattices = match_corners, assess_lattice, lattice_gauges, sample_lattice, _points_over, arc_length, interpolate
+        lattices = (
+            match_corners,
+            assess_lattice,
+            lattice_gauges,
+            sample_lattice,
+            _points_over,
+            arc_length,
+            interpolate,
+            uneven_places,
+        )
         filled = fill_lattice, side_lengths
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
         return masks + lattices + filled + maps
