@@ -26,6 +26,7 @@ _STRAY: Final = 2.0  # median distances: what lies farther off counts for little
 _NOISE: Final = 0.5  # pixels
 _LEAST_NODES: Final = 64  # at which outlines are compared
 _TURN: Final = 0.28  # radians by which the outline turns more than the known one where something begins to hide it
+_ALMOST: Final = 0.4
 _CHORD: Final = 1 / 16  # of the outline to either side, over which a turn is measured
 _BESIDE: Final = 3  # nodes from where it leaves the known outline to that turn, at most
 _TRIMMED: Final = 4  # points of a piece of an outline next to what hides it, which are not believed
@@ -48,7 +49,7 @@ def hidden_pieces(curve: FittedCurve, nodes: Array, known: Array, expected: Arra
     laid = laid_over(known, nodes, known, scaled=True)[0]
     radius = float(np.sqrt(((laid - laid.mean(axis=0)) ** 2).sum(axis=1).mean()))
     most = _WITHIN[0] + _WITHIN[1] * radius
-    if ((nodes - laid) ** 2).sum(axis=1).max() < most**2:
+    if ((nodes - laid) ** 2).sum(axis=1).max() < most**2 or not _turns_more(nodes, laid):
         return cut, laid
     count = max(len(known), _LEAST_NODES)
     laid = laid_over(known, expected, known, scaled=True)[0]
@@ -209,6 +210,13 @@ def complete_outline(
     points = np.concatenate([seen, laid])
     flags = np.arange(len(points)) >= len(seen)
     return FittedCurve.through(points, flags, True), float(-best)
+
+
+def _turns_more(nodes: Array, known: Array) -> bool:
+    """Return whether an outline ``(K, 2)`` turns somewhere almost as it does where something begins to hide it."""
+    before = _turns(known)
+    nearby = np.max([np.roll(before, step) for step in range(-_BESIDE, _BESIDE + 1)], axis=0)
+    return bool((_turns(nodes) - nearby).max() > _ALMOST * _TURN)
 
 
 def _turns(nodes: Array) -> Array:
