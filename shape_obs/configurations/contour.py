@@ -191,7 +191,7 @@ class Contour(Configuration, kind="contour"):
         return form.starting_at(_least(far, form))
 
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
-        """Return points with equal chords around, from the form's first point; in space along what was measured of it."""
+        """Return points with equal chords around, from the form's first point; in space along the form there."""
         if form.space is not None and metric is not form:
             metric = FittedCurve.through(form.space, form.interpolated, True)
         places = _points_around(form.points, form.arc, metric.points, metric.arc, self.n)

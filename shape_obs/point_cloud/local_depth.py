@@ -17,7 +17,7 @@ Mask = npt.NDArray[np.uint8]
 
 MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry depth
 MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
-_SPARSE: Final = 4  # pixels: from this reach on every second pixel is enough
+SPARSE: Final = 4  # pixels: from this reach on every second pixel is enough
 _ENOUGH: Final = 6  # pixels with depth that make a plane
 _IN_LINE: Final = 0.01  # of the squared spread: below it pixels lie in a line
 _ROUNDS: Final = 3
@@ -65,35 +65,82 @@ def median_depth(
         ``(N,)`` metres, NaN where too few have; ``(N, 2)`` image pixels, the mean place of those that have depth, and
         the point itself if the depth is measured from a plane.
     """
-    height, width = mask.shape
-    step = 2 if sloped and reach >= _SPARSE else 1
-    size, metre = (2 * reach + 1) ** 2, np.float32(unit)
+    step, size = 2 if sloped and reach >= SPARSE else 1, (2 * reach + 1) ** 2
     out, places = np.empty(len(points)), np.empty_like(points)
     near, x, y, w, spare = room(size), room(size), room(size), room(size), room(size)
     for n in range(len(points)):
-        out[n], places[n, 0], places[n, 1] = np.nan, points[n, 0], points[n, 1]
-        column, row = nearest_pixel(points[n, 0]) - left, nearest_pixel(points[n, 1]) - top
-        inside = known = 0
-        for v in range(max(row - reach, 0), min(row + reach + 1, height)):
-            y_here = np.float32(v + top - points[n, 1])
-            for u in range(column - reach + (v - row & 1) * (step - 1), min(column + reach + 1, width), step):
-                if u >= 0 and mask[v, u] != 0:
-                    inside += 1
-                    near[known] = depth[v + top, u + left]
-                    x[known], y[known] = u + left - points[n, 0], y_here
-                    known += 0 < near[known] * metre < FARTHEST  # the next one overwrites what is not valid
-        if known >= max(min_share * inside, 1):
-            middle = median(near, known)
-            out[n] = middle * unit
-            if sloped and known >= _ENOUGH:
-                for k in range(known):
-                    w[k] = min(middle / near[k] - 1, _ABSURD)
-                out[n] /= _over_plane(x, y, w, spare, known)
-            elif not sloped:
-                for k in range(known):
-                    places[n, 0] += x[k] / known
-                    places[n, 1] += y[k] / known
+        places[n, 0], places[n, 1] = points[n, 0], points[n, 1]
+        inside, known = gather_depth(depth, unit, mask, left, top, points[n, 0], points[n, 1], reach, step, near, x, y)
+        out[n] = middle_depth(near, x, y, w, spare, known, max(min_share * inside, 1), sloped) * unit
+        if not sloped and out[n] > 0:
+            for k in range(known):
+                places[n, 0] += x[k] / known
+                places[n, 1] += y[k] / known
     return out, places
+
+
+@compiled
+def gather_depth(
+    depth: npt.NDArray[Any], unit: float, mask: Mask, left: int, top: int, at_u: float, at_v: float, reach: int,
+    step: int, near: Floats, x: Floats, y: Floats,
+) -> tuple[int, int]:  # fmt: skip
+    """Gather the valid depth of a mask around a point, and where it lies from there.
+
+    Args:
+        depth: As ``median_depth`` takes it, and the next four.
+        unit: Metres.
+        mask: Uint8.
+        left: Image column.
+        top: Image row.
+        at_u: Of the point, image pixels.
+        at_v: The same.
+        reach: Pixels.
+        step: 1 for every pixel, 2 for every second one as on a chessboard.
+        near: In ``room``, is filled with the depth, in its own unit.
+        x: Is filled with pixels from the point.
+        y: The same.
+
+    Returns:
+        How many pixels of the mask there are, and how many of them have depth.
+    """
+    height, width = mask.shape
+    column, row, metre = nearest_pixel(at_u) - left, nearest_pixel(at_v) - top, np.float32(unit)
+    inside = known = 0
+    for v in range(max(row - reach, 0), min(row + reach + 1, height)):
+        y_here = np.float32(v + top - at_v)
+        for u in range(column - reach + (v - row & 1) * (step - 1), min(column + reach + 1, width), step):
+            if u >= 0 and mask[v, u] != 0:
+                inside += 1
+                near[known] = depth[v + top, u + left]
+                x[known], y[known] = u + left - at_u, y_here
+                known += 0 < near[known] * metre < FARTHEST  # the next one overwrites what is not valid
+    return inside, known
+
+
+@compiled
+def middle_depth(
+    near: Floats, x: Floats, y: Floats, w: Floats, spare: Floats, known: int, least: float, sloped: bool
+) -> float:
+    """Return the depth at a point by the depth around it, in its own unit; NaN if less than ``least`` pixels have any.
+
+    Args:
+        near: What ``gather_depth`` has filled, as are the next two.
+        x: Pixels.
+        y: Pixels.
+        w: In ``room``, is overwritten.
+        spare: The same.
+        known: How many pixels have depth.
+        least: How many must have.
+        sloped: Whether the depth is measured from a plane.
+    """
+    if known < least:
+        return np.nan
+    middle = median(near, known)
+    if not sloped or known < _ENOUGH:
+        return middle
+    for k in range(known):
+        w[k] = min(middle / near[k] - 1, _ABSURD)
+    return middle / _over_plane(x, y, w, spare, known)
 
 
 @compiled
