@@ -25,6 +25,7 @@ _OFF_PLANE: Final = 3.0  # median distances from the plane: what lies farther of
 _ABSURD: Final = 1e3  # times nearer than the median: products of greater numbers would overflow
 _LANES: Final = 64  # numbers that a processor compares at once, or a multiple of that
 _ROUGHLY: Final = 1 << 18  # steps of the last bit: 3 %
+_NEARLY: Final = 1 << 6  # 1e-5
 _MOST: Final = np.int32(2**31 - 1)
 _ONE: Final = np.float32(1)
 
@@ -66,6 +67,7 @@ def median_depth(
         the point itself if the depth is measured from a plane.
     """
     step, size = 2 if sloped and reach >= SPARSE else 1, (2 * reach + 1) ** 2
+    size = size // step + 1
     out, places = np.empty(len(points)), np.empty_like(points)
     near, x, y, w, spare = room(size), room(size), room(size), room(size), room(size)
     for n in range(len(points)):
@@ -155,8 +157,9 @@ def _over_plane(x: Floats, y: Floats, w: Floats, spare: Floats, count: int) -> f
         count: How many are known.
     """
     slope_x = slope_y = level = np.float32(0)
+    lanes, before = -(-count // _LANES) * _LANES, -1.0
     for step in range(_ROUNDS):
-        _plane_misses(x, y, w, spare, slope_x, slope_y, level)
+        _plane_misses(x, y, w, spare, lanes, slope_x, slope_y, level)
         limit = np.float32(max(_OFF_PLANE * median(spare, count, _ROUGHLY), 1e-6))
         n, u, v, away, xx, xy, yy, xw, yw = _moments(x, y, w, spare, count, limit)
         if step == 0 and _is_line(n, xx, xy, yy):  # the next column of pixels on a steep plane lies as far off
@@ -166,16 +169,20 @@ def _over_plane(x: Floats, y: Floats, w: Floats, spare: Floats, count: int) -> f
         spread = xx * yy - xy * xy
         slope_x, slope_y = np.float32((xw * yy - yw * xy) / spread), np.float32((yw * xx - xw * xy) / spread)
         level = np.float32(away - slope_x * u - slope_y * v)
+        if n == before:  # the same pixels lie on it
+            break
+        before = n
     for k in range(count):
         spare[k] = max(w[k] + _ONE - slope_x * x[k] - slope_y * y[k], np.float32(0))
-    return max(median(spare, count), 0.5)
+    return max(median(spare, count, _NEARLY), 0.5)
 
 
 @compiled(reassociate=True)
 def _plane_misses(
-    x: Floats, y: Floats, w: Floats, out: Floats, slope_x: np.float32, slope_y: np.float32, level: np.float32
-) -> None:
-    for k in range(len(out)):
+    x: Floats, y: Floats, w: Floats, out: Floats, count: int, slope_x: np.float32, slope_y: np.float32,
+    level: np.float32,
+) -> None:  # fmt: skip
+    for k in range(count):
         out[k] = abs(w[k] - level - slope_x * x[k] - slope_y * y[k])
 
 

@@ -14,12 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST, readable_depth
-from shape_obs.geometry.coons import RIM, SIDE, stretched
+from shape_obs.frame import FARTHEST, MILLIMETRE, readable_depth
+from shape_obs.geometry.coons import RIM, SIDE, folded_piece, stretched, unfold
 from shape_obs.geometry.polyline import arc_length, interpolate, laid_over
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.point_cloud.local_depth import MIN_SHARE, SPARSE, gather_depth, middle_depth, room
-from shape_obs.tracking.corner_matching import folded_piece, unfold
 
 if TYPE_CHECKING:
     from shape_obs.camera import Intrinsics
@@ -31,7 +30,8 @@ Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 Shorts = npt.NDArray[np.uint16]
 Singles = npt.NDArray[np.float32]
-Edges = tuple[float, float, float, float]
+Edges = tuple[int, int, int, int]
+Lens = tuple[float, float, float, float]
 Pair = tuple[float, float]
 
 # A border is followed from a visible corner while it lies within so many pixels, in addition to a share of the way, of
@@ -140,27 +140,30 @@ def look_around(
         intrinsics: The projection; None if there is none.
         edge: The part of the image that is searched; None for the region's window.
     """
-    seen = depth_around(None if intrinsics is None else depth, edge or region.window)
-    z, cut = rim_depth(*seen, region.mask, region.window.left, region.window.top, points, region.width)
+    seen = both_depths(None if intrinsics is None else depth)
+    at = region.window.left, region.window.top
+    z, cut = rim_depth(*seen, tuple(edge or region.window), region.mask, *at, points, region.width)
     if intrinsics is None or np.isnan(z[0]):
         return None, cut
     lifted = intrinsics.deproject(points, z)
     return (lifted if np.isfinite(lifted).all() else None), cut
 
 
-def depth_around(depth: npt.NDArray[Any] | None, edge: Window) -> tuple[Shorts, Singles, float, Edges]:
-    """Return depth as ``rim_depth`` takes it, and where an outline may be cut by the edge of what is searched."""
-    sides = edge[0] + _AT_EDGE, edge[1] + _AT_EDGE, edge[0] + edge[2] - 1 - _AT_EDGE, edge[1] + edge[3] - 1 - _AT_EDGE
+def both_depths(depth: npt.NDArray[Any] | None) -> tuple[Shorts, Singles, float]:
+    """Return depth as ``rim_depth`` takes it: of two types, of which one is empty, and its unit in metres."""
     if depth is None:
-        return _NO_SHORTS, _NO_SINGLES, 1.0, sides
-    readable, unit = readable_depth(depth)
-    if readable.dtype == np.uint16:
-        return readable, _NO_SINGLES, unit, sides
-    return _NO_SHORTS, readable, unit, sides
+        return _NO_SHORTS, _NO_SINGLES, 1.0
+    if depth.dtype.char not in "Hf" or not depth.flags.c_contiguous:
+        depth, _ = readable_depth(depth)
+    readable = depth.view()
+    readable.flags.writeable = False
+    if readable.dtype.char == "H":
+        return readable, _NO_SINGLES, MILLIMETRE
+    return _NO_SHORTS, readable, 1.0
 
 
 @compiled(
-    "(Array(u2, 2, 'C', readonly=True), Array(f4, 2, 'C', readonly=True), f8, UniTuple(f8, 4), u1[:,::1], i8, i8, "
+    "(Array(u2, 2, 'C', readonly=True), Array(f4, 2, 'C', readonly=True), f8, UniTuple(i8, 4), u1[:,::1], i8, i8, "
     "f8[:,::1], f8)"
 )
 def rim_depth(
@@ -173,7 +176,7 @@ def rim_depth(
         shorts: ``(H, W)`` depth as ``median_depth`` takes it; ``(0, 0)`` if there is none of this type.
         singles: The same.
         unit: Metres in a unit of depth.
-        edge: Left, top, right, bottom: an outline that comes so far to either side may be cut there.
+        edge: Left, top, width, height of what is searched: an outline that reaches its edge may be cut there.
         mask: ``(h, w)`` uint8, C-contiguous.
         left: Image column of its first pixel.
         top: Image row of its first pixel.
@@ -189,7 +192,8 @@ def rim_depth(
     z, cut, flags = np.full(len(rim), np.nan), np.zeros(len(rim), np.bool_), np.zeros(count, np.bool_)
     for k in range(count):
         u, v = rim[k * every, 0], rim[k * every, 1]
-        flags[k] = u <= edge[0] or v <= edge[1] or u >= edge[2] or v >= edge[3]
+        inside = edge[0] + _AT_EDGE < u < edge[0] + edge[2] - 1 - _AT_EDGE
+        flags[k] = not (inside and edge[1] + _AT_EDGE < v < edge[1] + edge[3] - 1 - _AT_EDGE)
     if known:
         reach = int(min(max(round(width / _REACHES), _LEAST_REACH), _MOST_REACH))
         under = np.empty(count)
@@ -220,7 +224,8 @@ def _read(
     reach: int, out: Array,
 ) -> None:  # fmt: skip
     """Fill the depth under every few points of an outline, metres."""
-    size, step = (2 * reach + 1) ** 2, 2 if reach >= SPARSE else 1
+    step = 2 if reach >= SPARSE else 1
+    size = (2 * reach + 1) ** 2 // step + 1
     near, x, y, w, spare = room(size), room(size), room(size), room(size), room(size)
     for k in range(len(out)):
         u, v = rim[k * every, 0], rim[k * every, 1]
