@@ -18,7 +18,6 @@ from shape_obs.configurations.flat_in_mask import (
     SIGMA,
     fit_ring_in_mask,
     see_outline,
-    what_is_seen,
 )
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.observed import Observed, Samples
@@ -27,7 +26,7 @@ from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_ro
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
-from shape_obs.tracking.hidden_border import look_around, rim_depth
+from shape_obs.tracking.hidden_border import look_around, rim_depth, what_is_seen
 from shape_obs.tracking.hidden_outline import (
     complete_outline,
     hidden_pieces,
@@ -99,11 +98,12 @@ class Contour(Configuration, kind="contour"):
         if prediction is None:
             outline = observed.outline_curve(self.hole)
             topology = self._topology(observed, outline)
-            curve, miss, space, _ = self._run_som(observed, outline.points[0], topology, scene)
-            curve = self.apply_index_order(replace(curve, space=space), observed.seen(curve.points, target), target)
+            curve, miss = self._run_som(observed, outline.points[0], topology)
+            curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
             nodes, (reason, quality) = curve.even(topology.size), validate_outline(observed, miss)
+            space, _ = self._lift(observed, curve.points, scene)
             if space is not None:
-                curve, nodes = _begun_at(curve, curve.space, 0.0, topology.size, None)
+                curve, nodes = _begun_at(curve, space, 0.0, topology.size, None)
         else:
             topology = prediction.topology
             curve, nodes, miss = self._track(observed, prediction.nodes[0], prediction, scene)
@@ -118,8 +118,8 @@ class Contour(Configuration, kind="contour"):
     def _follow(self, region: Region, prediction: Prediction, scene: Scene) -> Fit | None:
         """Fit the outline of a region that looks as it did; None if that is to be looked at more closely."""
         nodes, known = prediction.nodes, prediction.hints.reference
-        own, frame = what_is_seen(region, scene)
-        curve, space, covered, miss, width = see_outline(*own, nodes[0], len(nodes), *frame)
+        own, around = what_is_seen(region, scene)
+        curve, space, covered, miss, width = see_outline(*own, *around, nodes[0], len(nodes))
         if covered or width < _MIN_WIDTH * SAMPLED or known is None or (known.shape[1] == 3) != (len(space) > 0):
             return None
         curve, space, arc, nodes, known, doubtful = follow_outline(curve, space, known, nodes)
@@ -140,7 +140,8 @@ class Contour(Configuration, kind="contour"):
 
         With depth the curve is numbered by its form in space; where something lies over it, by what is seen of it.
         """
-        curve, miss, space, cut = self._run_som(observed, start, prediction.topology, scene)
+        curve, miss = self._run_som(observed, start, prediction.topology)
+        space, cut = self._lift(observed, curve.points, scene)
         if not isinstance(observed, Region):
             return *match_outline(curve, prediction), miss
         known = prediction.hints.reference
@@ -152,7 +153,7 @@ class Contour(Configuration, kind="contour"):
         found, nodes = curve, prediction.nodes
         if not cut.any() and own is None:
             found, nodes = match_outline(curve, prediction)
-        elif not cut.any():
+        elif own is not None and not cut.any():
             points, there, arc, nodes, reference, _ = follow_outline(curve.points, own, prediction.reference, nodes)
             found = FittedCurve(points, np.zeros(len(points), bool), arc, True, space=there)
             found = replace(found, hints=TrackHints(reference=reference))
@@ -175,16 +176,14 @@ class Contour(Configuration, kind="contour"):
             )
         return found, nodes, miss
 
-    def _run_som(
-        self, observed: Observed, start: Array, topology: Topology, scene: Scene
-    ) -> tuple[FittedCurve, float, Array | None, npt.NDArray[np.bool_]]:
-        """Run the self-organising map on the outline from its place nearest to ``start``.
+    def _lift(self, region: Observed, points: Array, scene: Scene) -> tuple[Array | None, npt.NDArray[np.bool_]]:
+        """Return an outline ``(P, 2)`` in metres, None without depth, and where something lies over it, ``(P,)``."""
+        if not isinstance(region, Region) or self.hole is not None:
+            return None, np.zeros(len(points), bool)
+        return look_around(region, points, scene.depth, scene.intrinsics, scene.edge)
 
-        Returns:
-            The curve, how far the outline misses it, the curve ``(P, 3)`` in metres or None without depth, and where
-            something lies over it, ``(P,)``.
-        """
-        space = None
+    def _run_som(self, observed: Observed, start: Array, topology: Topology) -> tuple[FittedCurve, float]:
+        """Run the self-organising map on the outline from its place nearest to ``start``; return curve and miss."""
         if isinstance(observed, Region):
             traced = observed.traced_outline(self.hole)
             points, miss = fit_ring_in_mask(traced.traced, traced.hole, start, topology.size)
@@ -194,10 +193,7 @@ class Contour(Configuration, kind="contour"):
             begin = outline.starting_at(float(outline.arc[nearest])).even(topology.size)
             points = catmull_rom(run_som(samples, begin, topology, (SIGMA,)), PIECES, True)
             miss = outline_miss(samples.points, points) / samples.scale
-        cut = np.zeros(len(points), bool)
-        if isinstance(observed, Region) and self.hole is None:
-            space, cut = look_around(observed, points, scene.depth, scene.intrinsics, scene.edge)
-        return FittedCurve.through(points, np.zeros(len(points), bool), True), miss, space, cut
+        return FittedCurve.through(points, np.zeros(len(points), bool), True), miss
 
     def _topology(self, observed: Observed, outline: FittedCurve) -> Ring:
         """Return a ring with a node every three samples, 24 to 192 of them; closer on what is thin."""

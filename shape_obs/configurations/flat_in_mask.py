@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -10,15 +10,15 @@ import numpy.typing as npt
 from shape_obs.clustering.som import run_ring_som
 from shape_obs.compiled import compiled
 from shape_obs.geometry.coons import FINE, RIM, border_of, coons_patch, side_lengths
-from shape_obs.geometry.lattice import assess_lattice, lattice_gauges
+from shape_obs.geometry.lattice import assess_lattice, lattice_gauges, sample_lattice
 from shape_obs.geometry.outline import SAMPLED, material_outline, pairs
-from shape_obs.geometry.polyline import arc_length, catmull_rom, closed
+from shape_obs.geometry.polyline import arc_length, catmull_rom, closed, interpolate
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.image.outline_tracing import trace_largest
 from shape_obs.initialization.corners import nearest_corners, rim_of
-from shape_obs.tracking.corner_matching import FITS, compare_sheet, known_slack, match_corners
-from shape_obs.tracking.hidden_border import Edges, Lens, Shorts, Singles, both_depths, rim_depth
-from shape_obs.tracking.sheet_view import doubtful_places, learn_sheet
+from shape_obs.tracking.corner_matching import FITS, assign_corners, compare_sheet, known_slack, match_corners
+from shape_obs.tracking.hidden_border import Edges, Lens, Shorts, Singles, rim_depth, what_is_seen
+from shape_obs.tracking.sheet_view import SheetView, doubtful_places, learn_sheet
 from shape_obs.tracking.validation import ring_miss
 
 if TYPE_CHECKING:
@@ -34,25 +34,17 @@ Flags = npt.NDArray[np.bool_]
 SIGMA: Final = 0.4
 PIECES: Final = 4  # of the curve between two nodes
 MIN_SAMPLES: Final = 8  # a ring of 16 pixels, as few as an object may have
-NO_CORNERS, OUT_OF_SIGHT = 4, 5  # as ``compare_sheet`` returns, what else may be wrong with a sheet
+NO_CORNERS, OUT_OF_SIGHT = 4, 5  # what may be wrong with a sheet besides what ``compare_sheet`` returns
+SHEET_WRONG: Final = (
+    "",
+    "side {} is shorter than it was: something hides a part of the sheet",
+    "side {} is longer than it was: something hides a part of the sheet",
+    "a side is not where it was: something hides a part of the sheet",
+    "the outline's corners are not where the lattice's are",
+    "the sheet runs out of the camera's sight",
+)
 UNBENT: Final = (90.0, 0.0, 0.0, 0.0)
-_NO_LENS: Final = (0.0, 0.0, 0.0, 0.0)
 _MAX_PIXEL: Final = 1e12  # farther off, a projected point counts as out of sight
-
-
-def what_is_seen(region: Region, scene: Scene) -> tuple[Any, ...]:
-    """Return what ``see_outline`` takes of a mask, and of the rest of the frame.
-
-    Returns:
-        Mask, runs, pieces, left, top; depth of two types, of which one is empty, its unit, the window of what is
-        searched; the pinhole, zeros without a camera or for one that is none.
-    """
-    camera, window, lens = scene.intrinsics, region.window, _NO_LENS
-    depth = both_depths(None if camera is None else scene.depth)
-    if camera is not None and camera.model == "pinhole":
-        lens = camera.fx, camera.fy, camera.cx, camera.cy
-    frame = *depth, tuple(scene.edge or window), lens
-    return (region.mask, region.runs, region.pieces, window[0], window[1]), frame
 
 
 @compiled("(f8[:,::1], b1, f8[::1], i8)")
@@ -76,12 +68,12 @@ def fit_ring_in_mask(traced: Array, hole: bool, start: Array, count: int) -> tup
 
 
 @compiled(
-    "(u1[:,::1], i8[:,::1], i8, i8, i8, f8[::1], i8, Array(u2, 2, 'C', readonly=True), "
-    "Array(f4, 2, 'C', readonly=True), f8, UniTuple(i8, 4), UniTuple(f8, 4))"
+    "(u1[:,::1], i8[:,::1], i8, i8, i8, Array(u2, 2, 'C', readonly=True), Array(f4, 2, 'C', readonly=True), f8, "
+    "UniTuple(i8, 4), UniTuple(f8, 4), f8[::1], i8)"
 )
 def see_outline(
-    mask: Mask, runs: Indices, pieces: int, left: int, top: int, start: Array, count: int,
-    shorts: Shorts, singles: Singles, unit: float, edge: Edges, camera: Lens,
+    mask: Mask, runs: Indices, pieces: int, left: int, top: int, shorts: Shorts, singles: Singles, unit: float,
+    edge: Edges, camera: Lens, start: Array, count: int,
 ) -> tuple[Array, Array, bool, float, float]:  # fmt: skip
     """Fit a ring to the outline of the largest piece of a mask, and put it in space, all in one call.
 
@@ -91,13 +83,13 @@ def see_outline(
         pieces: How many components there are.
         left: Image column.
         top: Image row.
-        start: As ``fit_ring_in_mask`` takes it.
-        count: How many nodes.
         shorts: As ``rim_depth`` takes it, and the next three.
         singles: Depth.
         unit: Metres.
         edge: Of what is searched.
         camera: Focal lengths and principal point of a pinhole, pixels.
+        start: As ``fit_ring_in_mask`` takes it.
+        count: How many nodes.
 
     Returns:
         ``(count * 4, 2)`` the closed curve; the same in metres, ``(0, 3)`` without depth; whether something lies over
@@ -108,7 +100,7 @@ def see_outline(
         return np.empty((0, 2)), np.empty((0, 3)), False, 0.0, 0.0
     curve, miss = fit_ring_in_mask(traced, False, start, count)
     z, cut = rim_depth(shorts, singles, unit, edge, mask, left, top, curve, width)
-    return curve, lifted(curve, z, camera), cut.any(), miss, width
+    return curve, lifted(curve, z, camera), bool(cut.any()), miss, width
 
 
 @compiled(
@@ -144,6 +136,18 @@ def see_sheet(
     rim, turn, candidates, step, grain = rim_of(material_outline(traced, False)[1])
     z, cut = rim_depth(shorts, singles, unit, edge, mask, left, top, rim, width)
     return rim, turn, candidates, step, grain, lifted(rim, z, camera), z, cut, width
+
+
+def view_sheet(region: Region, scene: Scene) -> SheetView:
+    """Return the outline of a region as the rim of a sheet, in space if the frame has depth along it."""
+    own, around = what_is_seen(region, scene)
+    rim, turn, candidates, step, grain, space, z, cut, width = see_sheet(*own, *around)
+    camera = scene.intrinsics
+    if camera is not None and camera.model != "pinhole" and len(z) and np.isfinite(z).all():
+        there = camera.deproject(rim, z)
+        space = there if np.isfinite(there).all() else space
+    space, camera = (space, camera) if len(space) else (rim, None)
+    return SheetView(region, rim, turn, candidates, step, grain, space, cut, camera, width, around[-1])
 
 
 @compiled("(f8[:,::1], f8[::1], i8[::1], f8, f8, f8[:,::1], i8[::1], f8[:,::1])")
@@ -286,3 +290,10 @@ def projected(points: Array, camera: Lens) -> Array:
         if not max(abs(out[p, 0]), abs(out[p, 1])) < _MAX_PIXEL:
             return out[:0]
     return out
+
+
+SHEET_FUNCTIONS: Final = (
+    see_sheet, lay_sheet, lay_patch, judge_patch, rim_of, rim_depth, coons_patch, border_of, assign_corners, arc_length,
+    known_slack, side_lengths, doubtful_places, interpolate, match_corners, nearest_corners, assess_lattice,
+    lattice_gauges, sample_lattice,
+)  # fmt: skip

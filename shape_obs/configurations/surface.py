@@ -12,37 +12,26 @@ import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
 from shape_obs.clustering.som import batch_epochs, run_som
-from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
 from shape_obs.configurations.flat_in_mask import (
     NO_CORNERS,
     OUT_OF_SIGHT,
+    SHEET_FUNCTIONS,
+    SHEET_WRONG,
     judge_patch,
     lay_patch,
     lay_sheet,
-    see_sheet,
-    what_is_seen,
-)  # fmt: skip
-from shape_obs.geometry.coons import FINE, SIDE, beneath_fold, blend_sides, border_of, coons_patch, side_lengths
+    view_sheet,
+)
+from shape_obs.geometry.coons import FINE, SIDE, beneath_fold, blend_sides, border_of, side_lengths
 from shape_obs.geometry.curve import TrackHints
 from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice, uneven_places
 from shape_obs.geometry.observed import Observed
-from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.topology import Grid, fill_lattice, undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.region import Region
-from shape_obs.initialization.corners import Indices, Rim, nearest_corners, rim_of
-from shape_obs.tracking.corner_matching import (
-    FITS,
-    LONGER,
-    MOVED,
-    SHORTER,
-    STRAYED,
-    assign_corners,
-    known_slack,
-    match_corners,
-)  # fmt: skip
-from shape_obs.tracking.hidden_border import rim_depth
+from shape_obs.initialization.corners import Indices, Rim
+from shape_obs.tracking.corner_matching import STRAYED, match_corners
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.sheet_view import KnownSheet, SheetView, doubtful_places
 from shape_obs.tracking.validation import MAX_HIDDEN, FitQuality, validate_sheet
@@ -56,18 +45,8 @@ _MAX_ASPECT: Final = 8.0  # length over width; what is longer is a ribbon, whose
 _CELL: Final = 8  # pixels
 _SIGMA: Final = 0.5  # width of the map's neighbourhood, node units
 _MAX_CUT: Final = 0.03  # of the outline
-_NO_CORNERS: Final = "the outline's corners are not where the lattice's are"
-_OUT_OF_SIGHT: Final = "the sheet runs out of the camera's sight"
-_WRONG: Final = {
-    SHORTER: "side {} is shorter than it was: something hides a part of the sheet",
-    LONGER: "side {} is longer than it was: something hides a part of the sheet",
-    MOVED: "a side is not where it was: something hides a part of the sheet",
-    NO_CORNERS: _NO_CORNERS,
-    OUT_OF_SIGHT: _OUT_OF_SIGHT,
-}
 _NEAREST: Final = np.empty(0, np.int64)  # the corners nearest to the predicted ones
-_NO_NODES: Final = np.empty((0, 2))
-_NO_SIDES: Final = np.zeros(4)
+_NO_NODES, _NO_SIDES = np.empty((0, 2)), np.zeros(4)
 _NOTHING_OVER: Final = "the sheet is smaller than it was, and nothing lies over the rest"
 _BARELY_CUT: Final = 0.1  # of the outline, next to which something nearer is seen, as a gripper is
 _COVERED: Final = "something lies over the sheet's border"
@@ -115,7 +94,7 @@ class Surface(Configuration, kind="surface"):
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Lay a Coons patch between the predicted corners; put back what is hidden; else take the best four corners."""
-        view = _seen(observed, scene) if isinstance(observed, Region) else None
+        view = view_sheet(observed, scene) if isinstance(observed, Region) else None
         reason = self._rejection_reason(
             observed, observed.width if view is None else view.width, prediction is not None
         )
@@ -152,11 +131,13 @@ class Surface(Configuration, kind="surface"):
         """Lay the patch between four corners that are all seen, and compare it with what is known of the sheet."""
         if corners is None:
             few = f"the outline has {len(view.candidates)} corners, a sheet has four"
-            return Fit(reason=few if prediction is None else _NO_CORNERS)
+            return Fit(reason=few if prediction is None else SHEET_WRONG[NO_CORNERS])
         predicted, before, sides, hints = _NO_NODES, _NO_NODES, _NO_SIDES, TrackHints()
         if prediction is not None:
             predicted, hints = prediction.nodes, prediction.hints
-            before, sides = KnownSheet.of(prediction, view).measured
+            before, sides = hints.reference, hints.sides
+            if before is None or sides is None or before.shape[1] > view.space.shape[1]:
+                before, sides = predicted, side_lengths(border_of(predicted))
         metric = before.shape[1] == 3
         (left, top), mask = view.region.window[:2], view.region.mask
         seen = view.rim, view.turn, view.candidates, view.step, view.grain, view.space, corners, predicted
@@ -164,14 +145,14 @@ class Surface(Configuration, kind="surface"):
         if view.camera is None or view.camera.model == "pinhole":
             judged, patch, kink, number, stray = lay_sheet(*seen, view.lens, *rest)
         else:
-            judged, (patch, kink, number, stray) = None, lay_patch(*seen)
+            patch, kink, number, stray = lay_patch(*seen)
             lattice = view.camera.project(patch)
             if not len(patch) or not np.isfinite(lattice).all():
-                return Fit(reason=_OUT_OF_SIGHT if len(patch) else _NO_CORNERS)
+                return Fit(reason=SHEET_WRONG[OUT_OF_SIGHT if len(patch) else NO_CORNERS])
             judged = judge_patch(patch, lattice, view.space, view.step, *rest)
         code, side, lattice, down, right, hidden, off, known, sides, measures = judged
-        if code != FITS:
-            return Fit(reason=_WRONG[code].format(side))
+        if code:
+            return Fit(reason=SHEET_WRONG[code].format(side))
         if hints.reference is None or hints.reference.shape[1] <= patch.shape[1]:  # else this frame has lost its depth
             hints = TrackHints(reference=known, sides=sides)
         if not metric and patch.shape[1] == 3:
@@ -190,7 +171,7 @@ class Surface(Configuration, kind="surface"):
         patch = blend_sides(np.ascontiguousarray(sides))
         lattice = view.pixels(patch) if known.metric else patch
         if lattice is None:
-            return Fit(reason=_OUT_OF_SIGHT)
+            return Fit(reason=SHEET_WRONG[OUT_OF_SIGHT])
         hidden, reason = ~view.region.carries(lattice), ""
         if not known.metric:
             gap = min(known.sides[0] / self.cols, known.sides[1] / self.rows)
@@ -201,8 +182,7 @@ class Surface(Configuration, kind="surface"):
             reason = _NOTHING_OVER if view.sees_through(patch, lattice, scene.depth) else ""
         if reason:
             return Fit(reason=reason)
-        share = float(hidden.mean())
-        if share > MAX_HIDDEN:
+        if (share := float(hidden.mean())) > MAX_HIDDEN:
             reason = f"{share:.0%} of the sheet is hidden (at most {MAX_HIDDEN:.0%})"
         verdict = FitQuality(reason, float(border.seen.mean()) ** 0.5)
         gauges = lattice_gauges(lattice.reshape(FINE, FINE, 2))
@@ -231,7 +211,7 @@ class Surface(Configuration, kind="surface"):
 
     def _lay_in_cloud(self, cloud: Observed, rim: Rim, corners: Indices | None, prediction: Prediction | None) -> Fit:
         if corners is None:
-            return Fit(reason=_NO_CORNERS)
+            return Fit(reason=SHEET_WRONG[NO_CORNERS])
         flat, kink = rim.patch(corners)
         form = FittedLattice.over(cloud.to_space(flat), np.zeros(len(flat), bool), FINE)
         if self.epochs:
@@ -292,41 +272,21 @@ class Surface(Configuration, kind="surface"):
     def resample(self, form: FittedLattice, metric: FittedLattice) -> Points:
         """Return points with equal gaps down and across, on the mean over the lattice."""
         where = *metric.gauges, self.rows, self.cols, self.ends != "tips"
-        places, lattice = _points_over(form.lattice, *where), metric.lattice
+        places = sample_lattice(form.points.reshape(form.rows, -1, form.points.shape[1]), *where)
+        lattice = metric.points.reshape(metric.rows, -1, metric.points.shape[1])
         hidden = np.zeros(len(places), bool)
         if form.interpolated.any():
             share = form.interpolated.reshape(form.rows, -1, 1).astype(np.float64)
-            hidden = _points_over(share, *where)[:, 0] > 0.5
+            hidden = sample_lattice(share, *where)[:, 0] > 0.5
         if lattice.shape[2] == 3 and form.points.shape[1] == 2:
-            hidden |= uneven_places(_points_over(lattice, *where).reshape(self.rows, self.cols, 3))
+            hidden |= uneven_places(sample_lattice(lattice, *where).reshape(self.rows, self.cols, 3))
         return Points(places, hidden)
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = see_sheet, lay_sheet, lay_patch, judge_patch, rim_of, rim_depth, coons_patch, blend_sides, border_of
-        hidden = assign_corners, side_lengths, known_slack, doubtful_places, arc_length, interpolate
-        lattices = match_corners, nearest_corners, assess_lattice, lattice_gauges, sample_lattice, _points_over
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
-        return masks + hidden + lattices + (uneven_places, fill_lattice) + maps
-
-
-def _seen(region: Region, scene: Scene) -> SheetView:
-    """Return the outline of a region, in space if the frame has depth along it."""
-    own, frame = what_is_seen(region, scene)
-    *rim, space, z, cut, width = see_sheet(*own, *frame)
-    camera = scene.intrinsics
-    if camera is not None and camera.model != "pinhole" and len(z) and np.isfinite(z).all():
-        there = camera.deproject(rim[0], z)
-        space = there if np.isfinite(there).all() else space
-    space, camera = (space, camera) if len(space) else (rim[0], None)
-    return SheetView(region, *rim, space, cut, camera, width, frame[-1])
-
-
-@compiled("(f8[:,:,::1], f8[::1], f8[::1], i8, i8, b1)")
-def _points_over(lattice: Array, down: Array, right: Array, rows: int, cols: int, centers: bool) -> Array:
-    """Return ``(rows*cols, D)`` points of a lattice with equal gaps down and across, on the mean."""
-    return sample_lattice(lattice, down, right, rows, cols, centers)
+        return SHEET_FUNCTIONS + (uneven_places, blend_sides, fill_lattice) + maps
 
 
 def _corners(nodes: Array) -> Array:
@@ -335,8 +295,6 @@ def _corners(nodes: Array) -> Array:
 
 
 def _flattened(points: Array) -> Array:
-    """Return ``(P, 2)`` points in the plane along which they spread most; those of an image as they are."""
-    if points.shape[1] == 2:
-        return points
+    """Return ``(P, 2)`` points in space in the plane along which they spread most."""
     away = points - points.mean(axis=0)
     return np.ascontiguousarray(away @ np.linalg.eigh(away.T @ away)[1][:, 1:])

@@ -24,7 +24,6 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 _SMOOTHING: Final = 9  # points of a fine curve
-_MEASURED: Final = ("metres", "pixels", "relief", "space")  # what is not known of a curve through other points
 
 
 class Length(NamedTuple):
@@ -238,11 +237,7 @@ class FittedCurve(FittedForm):
             after, before = 1, 0
         points = np.concatenate([self.at([start]), self.points[after:], self.points[:before]])
         flags = np.concatenate([self.interpolated_at([start]), self.interpolated[after:], self.interpolated[:before]])
-        begun = self.with_geometry(points, flags)
-        if self.space is None:
-            return begun
-        first = interpolate(_polyline(self.space, True), self.arc, np.array([start]))
-        return replace(begun, space=np.concatenate([first, self.space[after:], self.space[:before]]))
+        return self.with_geometry(points, flags)
 
     def smoothed(self, values: Array, known: Mask) -> Array:
         """Fill ``(P,)`` values by a straight line between the known ones, and smooth them over nine points."""
@@ -268,13 +263,12 @@ class FittedCurve(FittedForm):
             relief = None if self.relief is None else self.relief[::-1].copy()
             return replace(back, hints=hints, metres=metres, pixels=pixels, relief=relief)
         back = -np.arange(len(self.points))
-        other = self.with_geometry(self.points[back], self.interpolated[back])
-        return other if self.space is None else replace(other, space=self.space[back])
+        return self.with_geometry(self.points[back], self.interpolated[back])
 
     def with_geometry(self, points: Array, interpolated: Mask) -> Self:
         """Return a curve of the same kind through other points."""
-        arc, unknown = arc_length(_polyline(points, self.closed)), dict.fromkeys(_MEASURED)
-        return replace(self, points=points, interpolated=interpolated, arc=arc, **unknown)
+        form = {"points": points, "interpolated": interpolated, "arc": arc_length(_polyline(points, self.closed))}
+        return replace(self, **form, metres=None, pixels=None, relief=None, space=None)
 
     def relaid(self, lifted: Array, interpolated: Mask) -> Self:
         """Return a curve of the same kind through other points, ``(P', 3)`` with their relief or ``(P', D)``."""

@@ -8,7 +8,7 @@ on where it is hidden. With depth, an outline next to which something nearer is 
 from __future__ import annotations
 
 from itertools import product
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +18,11 @@ from shape_obs.frame import FARTHEST, MILLIMETRE, readable_depth
 from shape_obs.geometry.coons import RIM, SIDE, folded_piece, stretched, unfold
 from shape_obs.geometry.polyline import arc_length, interpolate, laid_over
 from shape_obs.image.connected_runs import nearest_pixel
-from shape_obs.point_cloud.local_depth import MIN_SHARE, SPARSE, gather_depth, middle_depth, room
+from shape_obs.point_cloud.local_depth import MIN_SHARE, SPARSE, bridged, gather_depth, middle_depth, room
 
 if TYPE_CHECKING:
     from shape_obs.camera import Intrinsics
+    from shape_obs.configurations.base import Scene
     from shape_obs.image.region import Region
     from shape_obs.image.roi import Window
 
@@ -32,6 +33,8 @@ Shorts = npt.NDArray[np.uint16]
 Singles = npt.NDArray[np.float32]
 Edges = tuple[int, int, int, int]
 Lens = tuple[float, float, float, float]
+Own = tuple[npt.NDArray[np.uint8], Indices, int, int, int]
+Around = tuple[Shorts, Singles, float, Edges, Lens]
 Pair = tuple[float, float]
 
 # A border is followed from a visible corner while it lies within so many pixels, in addition to a share of the way, of
@@ -142,11 +145,27 @@ def look_around(
     """
     seen = both_depths(None if intrinsics is None else depth)
     at = region.window.left, region.window.top
-    z, cut = rim_depth(*seen, tuple(edge or region.window), region.mask, *at, points, region.width)
+    searched = cast("Edges", tuple(edge or region.window))
+    z, cut = rim_depth(*seen, searched, region.mask, *at, points, region.width)
     if intrinsics is None or np.isnan(z[0]):
         return None, cut
     lifted = intrinsics.deproject(points, z)
     return (lifted if np.isfinite(lifted).all() else None), cut
+
+
+def what_is_seen(region: Region, scene: Scene) -> tuple[Own, Around]:
+    """Return what compiled stages take of a mask, and of the rest of the frame.
+
+    Returns:
+        Mask, runs, pieces, left, top; depth of two types, of which one is empty, its unit, the window of what is
+        searched; the pinhole, zeros without a camera or for one that is none.
+    """
+    camera, (left, top) = scene.intrinsics, region.window[:2]
+    depth = both_depths(None if camera is None else scene.depth)
+    lens, searched = (0.0, 0.0, 0.0, 0.0), tuple(scene.edge or region.window)
+    if camera is not None and camera.model == "pinhole":
+        lens = camera.fx, camera.fy, camera.cx, camera.cy
+    return (region.mask, region.runs, region.pieces, left, top), (*depth, cast("Edges", searched), lens)
 
 
 def both_depths(depth: npt.NDArray[Any] | None) -> tuple[Shorts, Singles, float]:
@@ -201,7 +220,7 @@ def rim_depth(
             _read(shorts, unit, mask, left, top, rim, every, reach, under)
         else:
             _read(singles, unit, mask, left, top, rim, every, reach, under)
-        if _bridged(under):
+        if bridged(under):
             if shorts.size > 0:
                 _look_over(shorts, unit, mask, left, top, rim, every, under, flags)
             else:
@@ -278,23 +297,3 @@ def _covered(
         if abs(metres - z) > _NEARER:
             return metres < z
     return False
-
-
-@compiled
-def _bridged(z: Array) -> bool:
-    """Fill the gaps of values around a ring by straight lines of their inverse; return False if most are unknown."""
-    count, first, known = len(z), -1, 0
-    for k in range(count):
-        if z[k] > 0:
-            first, known = k if first < 0 else first, known + 1
-    if known < 0.5 * count:
-        return False
-    last = first
-    for step in range(1, count + 1):
-        k = (first + step) % count
-        if z[k] > 0:
-            gap = (k - last - 1) % count + 1
-            for i in range(1, gap):
-                z[(last + i) % count] = 1 / (1 / z[last] + (1 / z[k] - 1 / z[last]) * i / gap)
-            last = k
-    return True

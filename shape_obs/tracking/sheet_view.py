@@ -153,11 +153,6 @@ class KnownSheet:
         return cls(expected, hints.reference, hints.sides, hints)
 
     @property
-    def measured(self) -> tuple[Array, Array]:
-        """The lattice, and the lengths of its sides."""
-        return self.lattice, self.sides
-
-    @property
     def metric(self) -> bool:
         """Whether lengths are metres."""
         return self.lattice.shape[1] == 3
