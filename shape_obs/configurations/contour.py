@@ -21,7 +21,7 @@ from shape_obs.configurations.flat_in_mask import (
 )
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.observed import Observed, Samples
-from shape_obs.geometry.outline import SAMPLED, clockwise, material_outline
+from shape_obs.geometry.outline import SAMPLED, clockwise, enclosed_by, material_outline
 from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, closed, equal_chords, interpolate
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.outline_tracing import trace_hole
@@ -86,7 +86,7 @@ class Contour(Configuration, kind="contour"):
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit a ring of nodes to this frame's own outline; number it as the track does, or by the paper's rule."""
-        region = observed if isinstance(observed, Region) and self.hole is None and not self.ring else None
+        region = observed if isinstance(observed, Region) and self.hole is None else None
         if prediction is not None and region is not None:
             found = self._follow(region, prediction, scene)
             if found is not None:
@@ -119,7 +119,9 @@ class Contour(Configuration, kind="contour"):
         """Fit the outline of a region that looks as it did; None if that is to be looked at more closely."""
         nodes, known = prediction.nodes, prediction.hints.reference
         own, around = what_is_seen(region, scene)
-        curve, space, covered, miss, width = see_outline(*own, *around, nodes[0], len(nodes))
+        curve, space, covered, miss, width, enclosed = see_outline(*own, *around, nodes[0], len(nodes))
+        if self.ring and 1 - region.areas[0] / max(enclosed, 1.0) < _HOLLOW:
+            return None
         if covered or width < _MIN_WIDTH * SAMPLED or known is None or (known.shape[1] == 3) != (len(space) > 0):
             return None
         curve, space, arc, nodes, known, doubtful = follow_outline(curve, space, known, nodes)
@@ -241,7 +243,7 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = see_outline, follow_outline, fit_ring_in_mask, rim_depth, _points_around, renumber_outline
+        masks = see_outline, follow_outline, fit_ring_in_mask, enclosed_by, rim_depth, _points_around, renumber_outline
         masks += begin_outline, may_be_hidden, turns_around, laid_along, nearest_places, trace_hole, material_outline
         masks += index_shift_space, blend_space
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage

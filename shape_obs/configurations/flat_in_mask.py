@@ -11,7 +11,7 @@ from shape_obs.clustering.som import run_ring_som
 from shape_obs.compiled import compiled
 from shape_obs.geometry.coons import FINE, RIM, border_of, coons_patch, side_lengths
 from shape_obs.geometry.lattice import assess_lattice, lattice_gauges, sample_lattice
-from shape_obs.geometry.outline import SAMPLED, material_outline, pairs
+from shape_obs.geometry.outline import SAMPLED, enclosed_by, material_outline, pairs
 from shape_obs.geometry.polyline import arc_length, catmull_rom, closed, interpolate
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.image.outline_tracing import trace_largest
@@ -74,7 +74,7 @@ def fit_ring_in_mask(traced: Array, hole: bool, start: Array, count: int) -> tup
 def see_outline(
     mask: Mask, runs: Indices, pieces: int, left: int, top: int, shorts: Shorts, singles: Singles, unit: float,
     edge: Edges, camera: Lens, start: Array, count: int,
-) -> tuple[Array, Array, bool, float, float]:  # fmt: skip
+) -> tuple[Array, Array, bool, float, float, float]:  # fmt: skip
     """Fit a ring to the outline of the largest piece of a mask, and put it in space, all in one call.
 
     Args:
@@ -93,14 +93,15 @@ def see_outline(
 
     Returns:
         ``(count * 4, 2)`` the closed curve; the same in metres, ``(0, 3)`` without depth; whether something lies over
-        it; how far the outline misses it, in distances of its samples; the width, 0 for a few pixels.
+        it; how far the outline misses it, in distances of its samples; the width, 0 for a few pixels; the area that
+        the outline encloses, square pixels.
     """
     traced, width = trace_largest(mask, runs, pieces, left, top)
     if len(traced) <= SAMPLED * (MIN_SAMPLES - 1):
-        return np.empty((0, 2)), np.empty((0, 3)), False, 0.0, 0.0
+        return np.empty((0, 2)), np.empty((0, 3)), False, 0.0, 0.0, 0.0
     curve, miss = fit_ring_in_mask(traced, False, start, count)
     z, cut = rim_depth(shorts, singles, unit, edge, mask, left, top, curve, width)
-    return curve, lifted(curve, z, camera), bool(cut.any()), miss, width
+    return curve, lifted(curve, z, camera), bool(cut.any()), miss, width, enclosed_by(traced)
 
 
 @compiled(

@@ -1,8 +1,4 @@
-"""Fitted forms: ordered points laid over an observed object. A curve here; ``lattice`` holds the form of a sheet.
-
-A form gives order to what has none, and measures equal distances: along a curve by arc length, over a lattice by its
-two coordinates.
-"""
+"""Fitted forms: ordered points laid over an observed object. A curve here; ``lattice`` holds the form of a sheet."""
 
 from __future__ import annotations
 
@@ -235,9 +231,12 @@ class FittedCurve(FittedForm):
         before = after - (start - self.arc[after - 1] <= same)  # the point that is there already
         if after > len(self.points):
             after, before = 1, 0
-        points = np.concatenate([self.at([start]), self.points[after:], self.points[:before]])
+        known = self.points if self.space is None else np.concatenate([self.points, self.space], axis=1)
+        first, size = interpolate(_polyline(known, True), self.arc, np.array([start])), self.points.shape[1]
+        points = np.concatenate([first, known[after:], known[:before]])
         flags = np.concatenate([self.interpolated_at([start]), self.interpolated[after:], self.interpolated[:before]])
-        return self.with_geometry(points, flags)
+        begun = self.with_geometry(np.ascontiguousarray(points[:, :size]), flags)
+        return begun if self.space is None else replace(begun, space=points[:, size:].copy())
 
     def smoothed(self, values: Array, known: Mask) -> Array:
         """Fill ``(P,)`` values by a straight line between the known ones, and smooth them over nine points."""

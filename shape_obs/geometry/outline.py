@@ -62,6 +62,15 @@ def clockwise(points: Array) -> bool:
     return bool(u[:-1] @ v[1:] >= v[:-1] @ u[1:])
 
 
+@compiled("(f8[:,::1],)")
+def enclosed_by(traced: Array) -> float:
+    """Return how many pixels lie within an outline ``(P, 2)`` through the centres of border pixels, half of them."""
+    area = 0.0
+    for p in range(len(traced)):
+        area += traced[p - 1, 0] * traced[p, 1] - traced[p - 1, 1] * traced[p, 0]
+    return abs(area) / 2 + len(traced) / 2
+
+
 @compiled("(f8[:,::1], b1)")
 def material_outline(traced: Array, hole: bool) -> tuple[Array, Array]:
     """Return where the material ends, clockwise as seen: with the staircase of pixels, and without.

@@ -178,8 +178,9 @@ class Region:
     @cached_property
     def hollow_share(self) -> float:
         """The share of what the largest component's outline encloses that is not the component's."""
-        enclosed = cv2.contourArea(self.outline.traced.astype(np.float32)) + len(self.outline.traced) / 2
-        return 1 - self.areas[0] / max(enclosed, 1.0)
+        from shape_obs.geometry.outline import enclosed_by
+
+        return 1 - self.areas[0] / max(enclosed_by(self.outline.traced), 1.0)
 
     @cached_property
     def pixels(self) -> npt.NDArray[np.int32]:

@@ -43,7 +43,7 @@ _ZOOM: Final = 0.03
 # Without depth, what hides a part is seen by a turn of the outline where it did not turn before, in radians: a sheet
 # that bends on a table has none, but its corners are sheared.
 _CHORD: Final = 3  # points of a border to either side, over which it is seen to turn
-_CUT: Final = (0.38, 0.6)  # between corners, and next to them
+_CUT: Final = (math.cos(0.38), math.cos(0.6))  # between corners, and next to them
 # Without depth, a border that lies off its known form by so much, as a share of a side and in pixels, is not its own.
 _DENTED: Final = (0.035, 1.5)
 _BUCKLED: Final = 0.8  # of its length a side that has buckled measures at least
@@ -238,9 +238,8 @@ def compare_sheet(
         turned = False
         for p in range(4 * SIDE):
             near = abs((p + SIDE // 2) % SIDE - SIDE // 2) <= _CHORD
-            more = _turn(border, p) - _turn(known, p)
-            more -= 2 * math.pi * np.rint(more / (2 * math.pi))
-            turned = turned or abs(more) >= _CUT[1 if near else 0]
+            more = _turn(border, p) * _turn(known, p).conjugate()
+            turned = turned or more.real <= _CUT[1 if near else 0] * abs(more)
         if not turned:
             return FITS, 0
     lengths = side_lengths(border)
@@ -282,9 +281,8 @@ def zoom_of(lengths: Array, sides: Array) -> float:
 
 
 @compiled
-def _turn(border: Array, p: int) -> float:
-    """Return by how many radians a border ``(96, 2)`` turns about its p-th point."""
+def _turn(border: Array, p: int) -> complex:
+    """Return the turn of a border ``(96, 2)`` about its p-th point, as a complex number of any length."""
     after, before = (p + _CHORD) % (4 * SIDE), (p - _CHORD) % (4 * SIDE)
-    u, v = border[after, 0] - border[p, 0], border[after, 1] - border[p, 1]
-    x, y = border[p, 0] - border[before, 0], border[p, 1] - border[before, 1]
-    return math.atan2(x * v - y * u, x * u + y * v)
+    ahead = complex(border[after, 0] - border[p, 0], border[after, 1] - border[p, 1])
+    return ahead * complex(border[p, 0] - border[before, 0], border[before, 1] - border[p, 1])
