@@ -78,7 +78,7 @@ class FittedLattice(FittedForm):
         gauges = _gauges(points, len(lattice))
         if hints.reference is not None:
             known = np.rot90(hints.reference.reshape(self.rows, -1, hints.reference.shape[1]), quarters)
-            hints = hints._replace(reference=known.reshape(hints.reference.shape))
+            hints = hints._replace(reference=np.ascontiguousarray(known).reshape(hints.reference.shape))
         if hints.sides is not None:
             hints = hints._replace(sides=np.roll(hints.sides, -quarters))
         return replace(self, points=points, interpolated=flags, gauges=gauges, rows=len(lattice), hints=hints)

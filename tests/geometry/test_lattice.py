@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
+from shape_obs.geometry.curve import TrackHints
 from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice, uneven_places
 from shape_obs.geometry.topology import Grid
 
@@ -17,7 +20,11 @@ from shape_obs.geometry.topology import Grid
 def test_a_turn_moves_the_corners_and_nothing_else(seed, quarters, dimension):
     rng = np.random.default_rng(seed)
     patch = FittedLattice.over(rng.normal(size=(63, dimension)), rng.random(63) < 0.3, 7)
+    patch = replace(patch, hints=TrackHints(reference=patch.points))
     turned = patch.turned(quarters)
+    assert turned.hints.reference is not None
+    assert turned.hints.reference.flags.c_contiguous
+    np.testing.assert_allclose(turned.hints.reference, turned.points)
     np.testing.assert_allclose(turned.corners, np.roll(patch.corners, -quarters, axis=0))
     np.testing.assert_allclose(turned.lattice, np.rot90(patch.lattice, quarters))
     back = turned.turned((4 - quarters) % 4)
