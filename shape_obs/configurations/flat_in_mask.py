@@ -296,5 +296,5 @@ def projected(points: Array, camera: Lens) -> Array:
 SHEET_FUNCTIONS: Final = (
     see_sheet, lay_sheet, lay_patch, judge_patch, rim_of, rim_depth, coons_patch, border_of, assign_corners, arc_length,
     known_slack, side_lengths, doubtful_places, interpolate, match_corners, nearest_corners, assess_lattice,
-    lattice_gauges, sample_lattice,
+    lattice_gauges, sample_lattice, material_outline,
 )  # fmt: skip
