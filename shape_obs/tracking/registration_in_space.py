@@ -25,8 +25,7 @@ _HARMONICS: Final = 12
 _SHIFTS: Final = 128
 _PEAKS: Final = (0.5 / 128, 0.1 / 128)
 _ALIKE: Final = 0.98  # a better match of forms in space is looked for near the expected place alone
-_STEPS: Final = 8
-_SETTLED: Final = 3e-5  # of the outline: a smaller step is the last one
+_STEPS: Final = 5
 _COMPARED: Final = 48  # of the nodes, at least
 _BENT: Final = 2.0  # median distances: what lies farther off has bent
 _FARTHEST: Final = 1 / 24  # of the outline
@@ -135,8 +134,6 @@ def _without_bends(reference: Array, found: Array, shift: float) -> float:
             normal[i, i] += 1e-12
         step = -np.linalg.solve(normal, slope)[0]
         shift = min(max(shift + min(max(step, -1.0), 1.0), low), high)
-        if abs(step) < _SETTLED * count:
-            break
     return shift
 
 
