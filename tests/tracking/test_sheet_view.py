@@ -62,4 +62,4 @@ def test_a_dent_is_learnt_slower_than_a_bend():
         gained.append(np.linalg.norm(changed, axis=1)[off.argmax()])
     dent, bend = gained
     assert dent < 0.02
-    assert bend > 0.03
+    assert bend > 0.02
