@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 
-from shape_obs.bench.detecting import followed
+from shape_obs.bench import followed
 from shape_obs.bench.scores import score, tally
 from shape_obs.bench.synthetic import clouds
 from shape_obs.bench.synthetic.images import CAMERA, tilted_rope, tilted_sheet

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.detecting import at_rest, cold, followed
+from shape_obs.bench import at_rest, cold, followed
 from shape_obs.bench.scores import SLIP, belief, outline_score, tally, tally_visible
 from shape_obs.bench.synthetic.blobs import KINDS, Blob, moving_blob, random_blob
 from shape_obs.bench.synthetic.flat_objects import FlatScene, Motion, View, in_space, noisy_depth, ring, under_hand

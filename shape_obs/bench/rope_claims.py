@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.detecting import Mask, at_rest, cold, followed
+from shape_obs.bench import Mask, at_rest, cold, followed
 from shape_obs.bench.scores import BOTH_ENDS, SLIP, faithfulness, score, tally
 from shape_obs.bench.synthetic.images import BLUE, Where, hidden_rope, photographed, ragged, salted
 from shape_obs.bench.synthetic.ropes import (

@@ -9,7 +9,7 @@ from typing import Final, get_args
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.detecting import at_rest, cold, followed
+from shape_obs.bench import at_rest, cold, followed
 from shape_obs.bench.scores import BOTH_ENDS, SLIP, belief, off_lattice, tally, tally_visible
 from shape_obs.bench.synthetic.flat_objects import (
     FlatScene,

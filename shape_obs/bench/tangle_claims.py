@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from shape_obs.bench.detecting import Mask, cold
+from shape_obs.bench import Mask, cold
 from shape_obs.bench.synthetic.tangles import Tangle, crossing_rope, cut_rope, is_traversed, touching_rope
 from shape_obs.bench.tables import Row, median
 from shape_obs.configurations.centerline import Centerline

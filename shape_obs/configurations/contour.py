@@ -9,22 +9,36 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.clustering.som import batch_epochs, run_ring_som, run_som
+from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Points, Scene
+from shape_obs.configurations.flat_in_mask import (
+    MIN_SAMPLES,
+    PIECES,
+    SIGMA,
+    fit_ring_in_mask,
+    see_outline,
+)
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.observed import Observed, Samples
-from shape_obs.geometry.outline import SAMPLED, clockwise, material_outline, pairs
+from shape_obs.geometry.outline import SAMPLED, clockwise, enclosed_by, material_outline
 from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, closed, equal_chords, interpolate
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
-from shape_obs.tracking.hidden_border import look_around, rim_depth
-from shape_obs.tracking.hidden_outline import complete_outline, hidden_pieces, laid_along, nearest_places
+from shape_obs.tracking.hidden_border import look_around, rim_depth, what_is_seen
+from shape_obs.tracking.hidden_outline import (
+    complete_outline,
+    hidden_pieces,
+    laid_along,
+    may_be_hidden,
+    nearest_places,
+    turns_around,
+)  # fmt: skip
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
-from shape_obs.tracking.registration import match_outline, renumber_outline
+from shape_obs.tracking.registration import begin_outline, follow_outline, match_outline, renumber_outline
 from shape_obs.tracking.registration_in_space import blend_space, index_shift_space
-from shape_obs.tracking.validation import outline_miss, ring_miss, validate_outline
+from shape_obs.tracking.validation import outline_miss, validate_outline
 
 if TYPE_CHECKING:
     from shape_obs.point_cloud.cloud import Cloud
@@ -36,11 +50,7 @@ Array = npt.NDArray[np.float64]
 _NODE_SPACING: Final = 3.0
 _THIN: Final = 1.5  # widths from node to node at most: farther, and a node's samples are those of the other side too
 _NODES: Final = (24, 192)
-# Width of the map's neighbourhood, nodes. One epoch: the start lies on the outline, and further ones change nothing.
-_SIGMA: Final = 0.4
-_PIECES: Final = 4  # of the curve between two nodes
 _HOLLOW: Final = 0.05  # of what the outline encloses; drawn shapes without a hole have at most 0.01
-_MIN_SAMPLES: Final = 8  # a ring of 16 pixels, as few as an object may have
 _MIN_WIDTH: Final = 1.25  # in samples: of outlines of 2 px, one in three has its two sides mixed up; of 3 px, none
 
 
@@ -76,6 +86,11 @@ class Contour(Configuration, kind="contour"):
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit a ring of nodes to this frame's own outline; number it as the track does, or by the paper's rule."""
+        region = observed if isinstance(observed, Region) and self.hole is None else None
+        if prediction is not None and region is not None:
+            found = self._follow(region, prediction, scene)
+            if found is not None:
+                return found
         reason = self._rejection_reason(observed)
         if reason:
             return Fit(reason=reason)
@@ -86,9 +101,9 @@ class Contour(Configuration, kind="contour"):
             curve, miss = self._run_som(observed, outline.points[0], topology)
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
             nodes, (reason, quality) = curve.even(topology.size), validate_outline(observed, miss)
-            lifted, _ = self._lift(observed, curve.points, scene)
-            if lifted is not None:
-                curve, nodes = _begun_at(curve, lifted, 0.0, topology.size, None)
+            space, _ = self._lift(observed, curve.points, scene)
+            if space is not None:
+                curve, nodes = _begun_at(curve, space, 0.0, topology.size, None)
         else:
             topology = prediction.topology
             curve, nodes, miss = self._track(observed, prediction.nodes[0], prediction, scene)
@@ -100,6 +115,26 @@ class Contour(Configuration, kind="contour"):
                 reason, quality = validate_outline(observed, miss)
         return Fit(curve, quality, reason, nodes, topology, float(curve.arc[-1]), width, observed, width)
 
+    def _follow(self, region: Region, prediction: Prediction, scene: Scene) -> Fit | None:
+        """Fit the outline of a region that looks as it did; None if that is to be looked at more closely."""
+        nodes, known = prediction.nodes, prediction.hints.reference
+        own, around = what_is_seen(region, scene)
+        curve, space, covered, miss, width, enclosed = see_outline(*own, *around, nodes[0], len(nodes))
+        if self.ring and 1 - region.areas[0] / max(enclosed, 1.0) < _HOLLOW:
+            return None
+        if covered or width < _MIN_WIDTH * SAMPLED or known is None or (known.shape[1] == 3) != (len(space) > 0):
+            return None
+        curve, space, arc, nodes, known, doubtful = follow_outline(curve, space, known, nodes)
+        reason, quality = validate_outline(region, miss)
+        size = arc.item(len(arc) - 1)
+        if doubtful or reason or abs(size / prediction.size - 1) > MAX_SIZE_CHANGE:
+            return None
+        form = FittedCurve(
+            curve, np.zeros(len(curve), bool), arc, True, space=space if len(space) else None,
+            hints=TrackHints(reference=known),
+        )  # fmt: skip
+        return Fit(form, quality, "", nodes, prediction.topology, size, width, region, width)
+
     def _track(
         self, observed: Observed, start: Array, prediction: Prediction, scene: Scene
     ) -> tuple[FittedCurve, Array, float]:
@@ -107,42 +142,47 @@ class Contour(Configuration, kind="contour"):
 
         With depth the curve is numbered by its form in space; where something lies over it, by what is seen of it.
         """
-        if not isinstance(observed, Region):
-            curve, miss = self._run_som(observed, start, prediction.topology)
-            return *match_outline(curve, prediction), miss
         curve, miss = self._run_som(observed, start, prediction.topology)
-        lifted, cut = self._lift(observed, curve.points, scene)
+        space, cut = self._lift(observed, curve.points, scene)
+        if not isinstance(observed, Region):
+            return *match_outline(curve, prediction), miss
         known = prediction.hints.reference
         in_space = known is not None and known.shape[1] == 3
-        if in_space and lifted is None:  # numbered by its place in the image, if all of it is seen
+        if in_space and space is None:  # numbered by its place in the image, if all of it is seen
             found, nodes = match_outline(curve, prediction._replace(hints=TrackHints()))
             return replace(found, hints=TrackHints(reference=known)), nodes, np.inf if cut.any() else miss
-        own, laid = lifted if in_space else None, known
-        found, nodes = (curve, prediction.nodes) if cut.any() else _match(curve, own, prediction)
+        own, laid = space if in_space else None, known
+        found, nodes = curve, prediction.nodes
+        if not cut.any() and own is None:
+            found, nodes = match_outline(curve, prediction)
+        elif own is not None and not cut.any():
+            points, there, arc, nodes, reference, _ = follow_outline(curve.points, own, prediction.reference, nodes)
+            found = FittedCurve(points, np.zeros(len(points), bool), arc, True, space=there)
+            found = replace(found, hints=TrackHints(reference=reference))
         if laid is not None and own is None and not cut.any():
             cut, laid = hidden_pieces(curve, nodes, laid, prediction.nodes)
         if cut.any() and laid is not None:
-            whole = complete_outline(curve, own or curve, cut, laid, prediction.nodes)
+            lifted = curve if own is None else FittedCurve.through(own, np.zeros(len(own), bool), True)
+            whole = complete_outline(curve, lifted, cut, laid, prediction.nodes)
             if whole is None:
                 return curve, prediction.nodes, np.inf
             completed, begin = whole
-            camera = scene.intrinsics
-            pixels = completed.points if own is None or camera is None else camera.project(completed.points)
+            camera, there = scene.intrinsics, completed.points
+            pixels = there if own is None or camera is None else camera.project(there)
             curve = FittedCurve.through(pixels, np.zeros(len(pixels), bool), True)
-            return *_begun_at(curve, completed, begin, len(nodes), known, learn=False), miss
-        if own is None and lifted is not None:
+            return *_begun_at(curve, there, begin, len(nodes), known), miss
+        if own is None and space is not None:
             near = int(np.argmin(((curve.points - nodes[0]) ** 2).sum(axis=1)))
-            found, nodes = _begun_at(curve, lifted, float(lifted.arc[near]), len(nodes), None)
+            found, nodes = _begun_at(
+                curve, space, float(FittedCurve.through(space, curve.interpolated, True).arc[near]), len(nodes), None
+            )
         return found, nodes, miss
 
-    def _lift(self, region: Observed, points: Array, scene: Scene) -> tuple[FittedCurve | None, npt.NDArray[np.bool_]]:
-        """Return an outline ``(P, 2)`` in space, None without depth, and where something lies over it, ``(P,)``."""
+    def _lift(self, region: Observed, points: Array, scene: Scene) -> tuple[Array | None, npt.NDArray[np.bool_]]:
+        """Return an outline ``(P, 2)`` in metres, None without depth, and where something lies over it, ``(P,)``."""
         if not isinstance(region, Region) or self.hole is not None:
             return None, np.zeros(len(points), bool)
-        lifted, cut = look_around(region, points, scene.depth, scene.intrinsics, scene.edge)
-        if lifted is None:
-            return None, cut
-        return FittedCurve.through(lifted, np.zeros(len(lifted), bool), True), cut
+        return look_around(region, points, scene.depth, scene.intrinsics, scene.edge)
 
     def _run_som(self, observed: Observed, start: Array, topology: Topology) -> tuple[FittedCurve, float]:
         """Run the self-organising map on the outline from its place nearest to ``start``; return curve and miss."""
@@ -153,7 +193,7 @@ class Contour(Configuration, kind="contour"):
             samples, outline = cast("Cloud", observed).outline_samples(), observed.outline_curve()
             nearest = np.argmin(np.sum((outline.points - start) ** 2, axis=1))
             begin = outline.starting_at(float(outline.arc[nearest])).even(topology.size)
-            points = catmull_rom(run_som(samples, begin, topology, (_SIGMA,)), _PIECES, True)
+            points = catmull_rom(run_som(samples, begin, topology, (SIGMA,)), PIECES, True)
             miss = outline_miss(samples.points, points) / samples.scale
         return FittedCurve.through(points, np.zeros(len(points), bool), True), miss
 
@@ -176,8 +216,8 @@ class Contour(Configuration, kind="contour"):
             count = -(-len(region.traced_outline(self.hole).traced) // SAMPLED)
             if self.ring and region.hollow_share < _HOLLOW:
                 return "the mask encloses no hole: something lies over the ring, or it is open"
-        if count < _MIN_SAMPLES:
-            return f"the outline is too small: {count} samples, at least {_MIN_SAMPLES} are needed"
+        if count < MIN_SAMPLES:
+            return f"the outline is too small: {count} samples, at least {MIN_SAMPLES} are needed"
         if region is not None and self.hole is None and region.width < _MIN_WIDTH * SAMPLED:
             thin = f"too thin for an outline (at least {_MIN_WIDTH * SAMPLED:.2g})"
             return f"the mask is {region.width:.2g} px wide: {thin}"
@@ -191,8 +231,9 @@ class Contour(Configuration, kind="contour"):
         return form.starting_at(_least(far, form))
 
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
-        """Return points with equal chords around, from the form's first point."""
-        places = _points_around(form.points, form.arc, metric.points, metric.arc, self.n)
+        """Return points with equal chords around, from the form's first point; in space along the form there."""
+        there = form.points if metric is form else metric.points if form.space is None else form.space
+        places = _points_around(form.points, form.arc, there, self.n)
         return Points(places, np.zeros(self.n, bool))
 
     def clusterer_samples(self, observed: Observed) -> Samples:
@@ -202,36 +243,18 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = fit_ring_in_mask, rim_depth, _points_around, renumber_outline, material_outline, trace_hole
-        masks += laid_along, nearest_places, index_shift_space, blend_space
+        masks = see_outline, follow_outline, fit_ring_in_mask, enclosed_by, rim_depth, _points_around, renumber_outline
+        masks += begin_outline, may_be_hidden, turns_around, laid_along, nearest_places, trace_hole, material_outline
+        masks += index_shift_space, blend_space
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds
 
 
-@compiled("(f8[:,::1], b1, f8[::1], i8)")
-def fit_ring_in_mask(traced: Array, hole: bool, start: Array, count: int) -> tuple[Array, float]:
-    """Run the self-organising map of a ring on the outline of a mask and finish its curve, all in one call.
-
-    Args:
-        traced: ``(P, 2)`` pixels, through the centres of the border pixels.
-        hole: Whether the material lies outside.
-        start: ``(2,)`` the first node starts at the outline's point nearest to it.
-        count: How many nodes.
-
-    Returns:
-        ``(count * 4, 2)`` the closed curve, and how far the outline misses it, in distances of its samples.
-    """
-    points, smooth = material_outline(traced, hole)
-    samples = pairs(points)
-    nodes, unit = run_ring_som(samples, smooth, start, count, _SIGMA)
-    curve = catmull_rom(nodes, _PIECES, True)
-    return curve, ring_miss(samples, unit, curve, _PIECES) / SAMPLED
-
-
-@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8)")
-def _points_around(points: Array, arc: Array, metric: Array, metric_arc: Array, count: int) -> Array:
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], i8)")
+def _points_around(points: Array, arc: Array, metric: Array, count: int) -> Array:
     """Return ``count`` points of a closed curve with equal chords in a metric, from its first point."""
-    places, _ = equal_chords(closed(points), arc, closed(metric), metric_arc, count + 1, 0.0, MAX_SHIFT_AROUND)
+    around = closed(metric)
+    places, _ = equal_chords(closed(points), arc, around, arc_length(around), count + 1, 0.0, MAX_SHIFT_AROUND)
     return places[:count]
 
 
@@ -245,52 +268,19 @@ def _least(values: Array, form: FittedCurve) -> float:
     return float(form.arc[at] + np.clip(shift, -before, after))
 
 
-def _match(curve: FittedCurve, lifted: FittedCurve | None, prediction: Prediction) -> tuple[FittedCurve, Array]:
-    """Renumber a closed curve by its form, in space if that is known, and return it and its nodes."""
-    return match_outline(curve, prediction) if lifted is None else _match_in_space(curve, lifted, prediction)
-
-
-def _match_in_space(curve: FittedCurve, lifted: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, Array]:
-    """Renumber a closed curve over an image by its form in space, which tilt and perspective do not change.
-
-    Args:
-        curve: ``(P, 2)`` pixels.
-        lifted: ``(P, 3)`` the same in metres.
-        prediction: Nodes in pixels, equally spaced in space, and a reference in metres.
-
-    Returns:
-        The same curve from the place where the predicted outline begins, and its ``(K, 2)`` nodes.
-    """
-    count = len(prediction.nodes)
-    at = np.arange(count, dtype=np.float64) * (lifted.size / count)
-    shift = index_shift_space(prediction.reference, prediction.nodes, lifted.even(count), _across(curve, lifted, at))
-    return _begun_at(curve, lifted, shift * lifted.size / count, count, prediction.reference)
-
-
 def _begun_at(
-    curve: FittedCurve, lifted: FittedCurve, begin: float, count: int, reference: Array | None, *, learn: bool = True
+    curve: FittedCurve, space: Array, begin: float, count: int, reference: Array | None
 ) -> tuple[FittedCurve, Array]:
     """Return a curve from an arc position in space on, and its ``count`` nodes, equally spaced there.
 
     Args:
         curve: ``(P, 2)`` pixels.
-        lifted: ``(P, 3)`` the same in metres.
+        space: ``(P, D)`` the same in metres.
         begin: Metres along it.
         count: How many nodes.
-        reference: ``(count, 3)`` metres, what is known of its form; None if nothing is.
-        learn: Whether the reference moves towards what was found.
+        reference: ``(count, D)`` what is known of its form; None if nothing is.
     """
-    at = begin + np.arange(count, dtype=np.float64) * (lifted.size / count)
-    found = lifted.at(at)
-    if reference is None:
-        reference = found
-    elif learn:
-        reference = blend_space(reference, found)
-    nodes = _across(curve, lifted, at)
-    first = float(np.interp(begin % lifted.size, lifted.arc, curve.arc))
-    return replace(curve.starting_at(first), hints=TrackHints(reference=reference)), nodes
-
-
-def _across(curve: FittedCurve, other: FittedCurve, at: npt.NDArray[Any]) -> Array:
-    """Return the points of a closed curve at arc positions of the same curve in another space."""
-    return curve.at(np.interp(at % other.size, other.arc, curve.arc))
+    points, there, arc, nodes, places = begin_outline(curve.points, np.ascontiguousarray(space), begin, count)
+    hints = TrackHints(reference=places if reference is None else reference)
+    known = there if there.shape[1] == 3 else None
+    return FittedCurve(points, np.zeros(len(points), bool), arc, True, space=known, hints=hints), nodes

@@ -12,22 +12,28 @@ import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
 from shape_obs.clustering.som import batch_epochs, run_som
-from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
-from shape_obs.geometry.coons import FINE, SIDE, beneath_fold, blend_sides, coons_patch, side_lengths
+from shape_obs.configurations.flat_in_mask import (
+    NO_CORNERS,
+    OUT_OF_SIGHT,
+    SHEET_FUNCTIONS,
+    SHEET_WRONG,
+    judge_patch,
+    lay_patch,
+    lay_sheet,
+    view_sheet,
+)
+from shape_obs.geometry.coons import FINE, SIDE, beneath_fold, blend_sides, border_of, side_lengths
 from shape_obs.geometry.curve import TrackHints
-from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice
+from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice, uneven_places
 from shape_obs.geometry.observed import Observed
-from shape_obs.geometry.outline import material_outline
-from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.topology import Grid, fill_lattice, undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.region import Region
-from shape_obs.initialization.corners import Indices, Rim, nearest_corners, rim_of
-from shape_obs.tracking.corner_matching import STRAYED, assign_corners, match_corners
-from shape_obs.tracking.hidden_border import rim_depth
+from shape_obs.initialization.corners import Indices, Rim
+from shape_obs.tracking.corner_matching import STRAYED, match_corners
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
-from shape_obs.tracking.sheet_view import KnownSheet, SheetView, first_known
+from shape_obs.tracking.sheet_view import KnownSheet, SheetView, doubtful_places
 from shape_obs.tracking.validation import MAX_HIDDEN, FitQuality, validate_sheet
 
 Array = npt.NDArray[np.float64]
@@ -39,9 +45,8 @@ _MAX_ASPECT: Final = 8.0  # length over width; what is longer is a ribbon, whose
 _CELL: Final = 8  # pixels
 _SIGMA: Final = 0.5  # width of the map's neighbourhood, node units
 _MAX_CUT: Final = 0.03  # of the outline
-_NO_CORNERS: Final = "the outline's corners are not where the lattice's are"
-_OUT_OF_SIGHT: Final = "the sheet runs out of the camera's sight"
-_UNBENT: Final = (90.0, 0.0, 0.0, 0.0)
+_NEAREST: Final = np.empty(0, np.int64)  # the corners nearest to the predicted ones
+_NO_NODES, _NO_SIDES = np.empty((0, 2)), np.zeros(4)
 _NOTHING_OVER: Final = "the sheet is smaller than it was, and nothing lies over the rest"
 _BARELY_CUT: Final = 0.1  # of the outline, next to which something nearer is seen, as a gripper is
 _COVERED: Final = "something lies over the sheet's border"
@@ -89,16 +94,18 @@ class Surface(Configuration, kind="surface"):
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Lay a Coons patch between the predicted corners; put back what is hidden; else take the best four corners."""
-        reason = self._rejection_reason(observed, prediction is not None)
+        view = view_sheet(observed, scene) if isinstance(observed, Region) else None
+        reason = self._rejection_reason(
+            observed, observed.width if view is None else view.width, prediction is not None
+        )
         if reason:
             return Fit(reason=reason)
-        if not isinstance(observed, Region):
+        if view is None:
             found = self._fit_in_cloud(observed, prediction)
         elif prediction is None:
-            view = SheetView.of(observed, scene)
-            found = self._fit_whole(view, view.best_corners(), None)
+            found = self._fit_whole(view, None, view.best_corners())
         else:
-            found = self._track(SheetView.of(observed, scene), prediction, scene)
+            found = self._track(view, prediction, scene)
         if found.reason or prediction is not None:
             return found
         form = self.apply_index_order(found.form, observed.seen(found.form.points, target), target)
@@ -106,48 +113,53 @@ class Surface(Configuration, kind="surface"):
 
     def _track(self, view: SheetView, prediction: Prediction, scene: Scene) -> Fit:
         """Fit a sheet in an image: as a whole if nothing hides its border, else with its border put back."""
-        whole = Fit(reason=_COVERED)
-        if not view.cut.any():
-            whole = self._fit_whole(view, view.corners_near(prediction), prediction)
+        whole, covered = Fit(reason=_COVERED), view.cut.any()
+        if not covered:
+            whole = self._fit_whole(view, prediction, _NEAREST)
         if not whole.reason:
             return whole
         found = self._fit_hidden(view, prediction, scene)
-        if found.reason and not view.cut.any():
-            found = self._fit_whole(view, view.best_corners(), prediction)
+        if found.reason and not covered:
+            found = self._fit_whole(view, prediction, view.best_corners())
         if found.reason and view.camera is not None and view.cut.mean() < _BARELY_CUT:
-            found = self._fit_whole(view, view.corners_near(prediction), prediction, buckled=True)
+            found = self._fit_whole(view, prediction, _NEAREST, buckled=True)
         return found if not found.reason or whole.reason == _COVERED else whole
 
     def _fit_whole(
-        self, view: SheetView, corners: Indices | None, prediction: Prediction | None, *, buckled: bool = False
+        self, view: SheetView, prediction: Prediction | None, corners: Indices | None, *, buckled: bool = False
     ) -> Fit:
         """Lay the patch between four corners that are all seen, and compare it with what is known of the sheet."""
         if corners is None:
             few = f"the outline has {len(view.candidates)} corners, a sheet has four"
-            return Fit(reason=few if prediction is None else _NO_CORNERS)
-        stray = (0, 0.0)
+            return Fit(reason=few if prediction is None else SHEET_WRONG[NO_CORNERS])
+        predicted, before, sides, hints = _NO_NODES, _NO_NODES, _NO_SIDES, TrackHints()
         if prediction is not None:
-            quarters, *stray = match_corners(_corners(prediction.nodes), view.rim[corners])
-            corners = np.roll(corners, -quarters)
-        patch, kink = coons_patch(view.space, view.turn, corners, view.step, view.grain)
-        lattice = view.pixels(patch)
-        if lattice is None:
-            return Fit(reason=_OUT_OF_SIGHT)
-        hints, measures, known = first_known(patch), _UNBENT, None
-        if prediction is not None:
-            known = KnownSheet.of(prediction, view)
-            reason = known.conflict(view, patch, lattice, buckled=buckled)
-            if reason:
-                return Fit(reason=reason)
-            hints = known.hints._replace(reference=patch) if buckled and known.metric else known.learn(view, patch)
-        if known is None or not known.metric:
+            predicted, hints = prediction.nodes, prediction.hints
+            before, sides = hints.reference, hints.sides
+            if before is None or sides is None or before.shape[1] > view.space.shape[1]:
+                before, sides = predicted, side_lengths(border_of(predicted))
+        metric = before.shape[1] == 3
+        (left, top), mask = view.region.window[:2], view.region.mask
+        seen = view.rim, view.turn, view.candidates, view.step, view.grain, view.space, corners, predicted
+        rest = before, sides, mask, left, top, float(self.rows), float(self.cols), buckled
+        if view.camera is None or view.camera.model == "pinhole":
+            judged, patch, kink, number, stray = lay_sheet(*seen, view.lens, *rest)
+        else:
+            patch, kink, number, stray = lay_patch(*seen)
+            lattice = view.camera.project(patch)
+            if not len(patch) or not np.isfinite(lattice).all():
+                return Fit(reason=SHEET_WRONG[OUT_OF_SIGHT if len(patch) else NO_CORNERS])
+            judged = judge_patch(patch, lattice, view.space, view.step, *rest)
+        code, side, lattice, down, right, hidden, off, known, sides, measures = judged
+        if code:
+            return Fit(reason=SHEET_WRONG[code].format(side))
+        if hints.reference is None or hints.reference.shape[1] <= patch.shape[1]:  # else this frame has lost its depth
+            hints = TrackHints(reference=known, sides=sides)
+        if not metric and patch.shape[1] == 3:
             measures = assess_lattice(_flattened(patch).reshape(FINE, FINE, 2))
-        elif not buckled:
-            stray = (0, 0.0)  # in space the lengths of the sides say more
-        hidden, stray = ~view.region.carries(lattice), (int(stray[0]), float(stray[1]))
-        off = float(hidden.mean())
-        verdict = validate_sheet(off, measures, view.region.noun, math.degrees(kink), stray, self.freedom)
-        return self._finish(view.region, lattice, hints, verdict, hidden)
+        corner = (0, 0.0) if metric and not buckled else (number, stray)  # in space the lengths of the sides say more
+        verdict = validate_sheet(off, measures, Region.noun, math.degrees(kink), corner, self.freedom)
+        return self._finish(view, lattice, (down, right), hints, verdict, hidden)
 
     def _fit_hidden(self, view: SheetView, prediction: Prediction, scene: Scene) -> Fit:
         """Lay the patch between sides of which a part is hidden and put back."""
@@ -159,29 +171,33 @@ class Surface(Configuration, kind="surface"):
         patch = blend_sides(np.ascontiguousarray(sides))
         lattice = view.pixels(patch) if known.metric else patch
         if lattice is None:
-            return Fit(reason=_OUT_OF_SIGHT)
+            return Fit(reason=SHEET_WRONG[OUT_OF_SIGHT])
         hidden, reason = ~view.region.carries(lattice), ""
+        if not known.metric:
+            gap = min(known.sides[0] / self.cols, known.sides[1] / self.rows)
+            hidden |= doubtful_places(known.lattice, patch, gap)
         if border.folded:
             hidden |= beneath_fold(border.folded, known.sides)
         elif known.metric and scene.depth is not None and view.cut.mean() < _BARELY_CUT:
             reason = _NOTHING_OVER if view.sees_through(patch, lattice, scene.depth) else ""
         if reason:
             return Fit(reason=reason)
-        share = float(hidden.mean())
-        if share > MAX_HIDDEN:
+        if (share := float(hidden.mean())) > MAX_HIDDEN:
             reason = f"{share:.0%} of the sheet is hidden (at most {MAX_HIDDEN:.0%})"
         verdict = FitQuality(reason, float(border.seen.mean()) ** 0.5)
-        return self._finish(view.region, lattice, known.seen_beside(border, patch), verdict, hidden)
+        gauges = lattice_gauges(lattice.reshape(FINE, FINE, 2))
+        return self._finish(view, lattice, gauges, known.seen_beside(border, patch), verdict, hidden)
 
     def _finish(
-        self, region: Region, lattice: Array, hints: TrackHints, verdict: FitQuality, hidden: npt.NDArray[np.bool_]
-    ) -> Fit:
+        self, view: SheetView, lattice: Array, gauges: tuple[Array, Array], hints: TrackHints, verdict: FitQuality,
+        hidden: npt.NDArray[np.bool_],
+    ) -> Fit:  # fmt: skip
         """Return the fit of a lattice of ``(625, 2)`` pixels, its inside moved with the map if that is asked for."""
-        form = FittedLattice.over(lattice, hidden, FINE, hints=hints)
+        form = FittedLattice(lattice, hidden, gauges, FINE, hints=hints)
         if self.epochs:
-            form = form.with_points(form.points + self._moved_inside(form, region))
-        width = region.width
-        return Fit(form, verdict.quality, verdict.reason, form.points, _GRID, form.size, width, region, width)
+            form = form.with_points(form.points + self._moved_inside(form, view.region))
+        size, width = float(form.gauges[0][-1] + form.gauges[1][-1]), view.width
+        return Fit(form, verdict.quality, verdict.reason, form.points, _GRID, size, width, view.region, width)
 
     def _fit_in_cloud(self, observed: Observed, prediction: Prediction | None) -> Fit:
         """Lay the patch over a sheet that is unrolled, between the corners nearest to the predicted ones."""
@@ -195,7 +211,7 @@ class Surface(Configuration, kind="surface"):
 
     def _lay_in_cloud(self, cloud: Observed, rim: Rim, corners: Indices | None, prediction: Prediction | None) -> Fit:
         if corners is None:
-            return Fit(reason=_NO_CORNERS)
+            return Fit(reason=SHEET_WRONG[NO_CORNERS])
         flat, kink = rim.patch(corners)
         form = FittedLattice.over(cloud.to_space(flat), np.zeros(len(flat), bool), FINE)
         if self.epochs:
@@ -211,19 +227,20 @@ class Surface(Configuration, kind="surface"):
         reason, quality = validate_sheet(off, measures, cloud.noun, math.degrees(kink), stray, self.freedom)
         return Fit(form, quality, reason, form.points, _GRID, form.size, 0.0, cloud, 0.0)
 
-    def _rejection_reason(self, observed: Observed, tracked: bool) -> str:
+    def _rejection_reason(self, observed: Observed, width: float, tracked: bool) -> str:
         """Return why an object cannot be a sheet: a speck, a ribbon, pieces, corners out of sight, or no outline."""
-        width, length, unit = observed.width, observed.length, observed.unit
+        unit = observed.unit
         if width < _MIN_SIDE * observed.resolution:
             return f"the {observed.noun} is {width:.3g} {unit} wide: too small for a sheet"
-        if length > _MAX_ASPECT * width and not tracked:
-            return f"the {observed.noun} is {length:.4g} x {width:.4g} {unit}: too slender for a sheet"
+        if not tracked and observed.length > _MAX_ASPECT * width:
+            return f"the {observed.noun} is {observed.length:.4g} x {width:.4g} {unit}: too slender for a sheet"
         if isinstance(observed, Region):
-            piece, cut = observed.outlined_share, observed.cut_share
+            piece = observed.areas[0] / observed.area
             if piece < _MIN_PIECE:
                 return f"the mask falls into {observed.pieces} pieces, and the largest is {piece:.0%} of it"
-            if cut > _MAX_CUT and not tracked:
-                return f"{cut:.0%} of the outline lies on the image's edge: the sheet's corners are out of sight"
+            if not tracked and observed.cut_share > _MAX_CUT:
+                cut = f"{observed.cut_share:.0%} of the outline lies on the image's edge"
+                return f"{cut}: the sheet's corners are out of sight"
         elif not np.ptp(observed.sheet_outline()[1], axis=0).any():
             return f"the outline of the {observed.noun} has no extent"
         return ""
@@ -255,26 +272,21 @@ class Surface(Configuration, kind="surface"):
     def resample(self, form: FittedLattice, metric: FittedLattice) -> Points:
         """Return points with equal gaps down and across, on the mean over the lattice."""
         where = *metric.gauges, self.rows, self.cols, self.ends != "tips"
-        places = _points_over(form.points.reshape(form.rows, -1, form.points.shape[1]), *where)
-        if not form.interpolated.any():
-            return Points(places, np.zeros(len(places), bool))
-        share = form.interpolated.reshape(form.rows, -1, 1).astype(np.float64)
-        return Points(places, _points_over(share, *where)[:, 0] > 0.5)
+        places = sample_lattice(form.points.reshape(form.rows, -1, form.points.shape[1]), *where)
+        lattice = metric.points.reshape(metric.rows, -1, metric.points.shape[1])
+        hidden = np.zeros(len(places), bool)
+        if form.interpolated.any():
+            share = form.interpolated.reshape(form.rows, -1, 1).astype(np.float64)
+            hidden = sample_lattice(share, *where)[:, 0] > 0.5
+        if lattice.shape[2] == 3 and form.points.shape[1] == 2:
+            hidden |= uneven_places(sample_lattice(lattice, *where).reshape(self.rows, self.cols, 3))
+        return Points(places, hidden)
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = rim_of, material_outline, rim_depth, coons_patch, blend_sides, nearest_corners, assign_corners
-        lattices = match_corners, assess_lattice, lattice_gauges, sample_lattice, _points_over, arc_length, interpolate
-        filled = fill_lattice, side_lengths
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
-        return masks + lattices + filled + maps
-
-
-@compiled("(f8[:,:,::1], f8[::1], f8[::1], i8, i8, b1)")
-def _points_over(lattice: Array, down: Array, right: Array, rows: int, cols: int, centers: bool) -> Array:
-    """Return ``(rows*cols, D)`` points of a lattice with equal gaps down and across, on the mean."""
-    return sample_lattice(lattice, down, right, rows, cols, centers)
+        return SHEET_FUNCTIONS + (uneven_places, blend_sides, fill_lattice) + maps
 
 
 def _corners(nodes: Array) -> Array:
@@ -283,8 +295,6 @@ def _corners(nodes: Array) -> Array:
 
 
 def _flattened(points: Array) -> Array:
-    """Return ``(P, 2)`` points in the plane along which they spread most; those of an image as they are."""
-    if points.shape[1] == 2:
-        return points
+    """Return ``(P, 2)`` points in space in the plane along which they spread most."""
     away = points - points.mean(axis=0)
     return np.ascontiguousarray(away @ np.linalg.eigh(away.T @ away)[1][:, 1:])

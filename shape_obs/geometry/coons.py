@@ -18,6 +18,7 @@ from shape_obs.geometry.polyline import arc_length, closed, even_points
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 
 RIM: Final = 400  # points around a sheet's outline
 TURN_REACH: Final = 16  # points on either side: the scale at which a turn is a corner, 4 % of the perimeter
@@ -32,6 +33,9 @@ _LINE: Final = 6
 SIDE: Final = FINE - 1  # points of a border from a corner to the next, which is not counted
 _INDEX: Final = np.arange(FINE * FINE).reshape(FINE, FINE)
 _BORDER: Final = np.concatenate([_INDEX[0, :-1], _INDEX[:-1, -1], _INDEX[-1, :0:-1], _INDEX[:0:-1, 0]])
+_LIES_OVER: Final = 0.3  # of the outline where a corner is hidden: next to so much of it something nearer is seen
+_BULGE: Final = 0.3  # of the length of a fold: the outline lies off it by less
+_STRAIGHT: Final = 3  # points of a side that give the direction in which it goes on
 _PARALLEL: Final = 0.1  # squared sine of the angle between two sides that meet in no corner
 
 
@@ -151,9 +155,14 @@ def _side(rim: Array, begin: int, end: int, skip: int, places: Array, k: int, ou
             out[i, d] = even[i, d]
 
 
+@compiled("(f8[:,::1],)")
 def border_of(lattice: Array) -> Array:
     """Return the border of a lattice of 25 rows and columns, ``(625, D)``, clockwise from its first corner."""
-    return lattice[_BORDER]
+    out = np.empty((4 * SIDE, lattice.shape[1]))
+    for p in range(4 * SIDE):
+        for d in range(lattice.shape[1]):
+            out[p, d] = lattice[_BORDER[p], d]
+    return out
 
 
 @compiled("(f8[:,::1],)")
@@ -208,7 +217,7 @@ def beneath_fold(folded: tuple[tuple[int, int], ...], sides: Array) -> npt.NDArr
 
 def flat_border(sides: Array) -> Array:
     """Return ``(96, 2)`` the border of a rectangle with the mean lengths of ``(4,)`` sides, from its first corner."""
-    return _flat_lattice(sides)[_BORDER]
+    return border_of(np.ascontiguousarray(_flat_lattice(sides)))
 
 
 def _flat_lattice(sides: Array) -> Array:
@@ -227,3 +236,41 @@ def _off_line(points: Array, a: Array, b: Array) -> Array:
 def _turn(points: Array, a: Array, b: Array) -> Array:
     """Return ``(P,)`` twice the area of the triangles of two points and each of some others, with its sign."""
     return (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0])
+
+
+def folded_piece(
+    points: Array, seen: Mask, k: int, space: Array, cut: Mask, sides: Array, slack: Array
+) -> tuple[int, int] | None:
+    """Return the last point seen before a folded corner and the first one behind it; None if it is not folded.
+
+    Nothing lies over a folded corner. The outline runs straight along the fold, and both ends of it lie as far from
+    each other as in the flat sheet; those of a side that has buckled come nearer.
+    """
+    away = np.arange(1, 2 * SIDE)
+    before, behind = seen[(SIDE * k - away) % len(seen)], seen[(SIDE * k + away) % len(seen)]
+    if not (before.any() and behind.any()):
+        return None
+    first, last = SIDE * k - 1 - int(np.argmax(before)), SIDE * k + 1 + int(np.argmax(behind))
+    begin, end = (int(np.argmin(((space - points[p % len(points)]) ** 2).sum(axis=1))) for p in (first, last))
+    between = (begin + np.arange((end - begin) % len(cut) + 1)) % len(cut)
+    flat = flat_border(sides)
+    material = float(np.linalg.norm(flat[last % len(flat)] - flat[first % len(flat)]))
+    chord, away = space[end] - space[begin], space[between] - space[begin]
+    length = max(float(np.linalg.norm(chord)), 1e-9)
+    bulge = np.linalg.norm(away - (away @ chord)[:, None] / length**2 * chord, axis=1).max()
+    straight = bulge < _BULGE * length and abs(length - material) < slack.max()
+    return (first, last) if straight and cut[between].mean() <= _LIES_OVER else None
+
+
+def unfold(points: Array, first: int, last: int, corner: int, sides: Array) -> None:
+    """Lay a folded corner flat: its sides go on straight, as long as they are known to be."""
+    count, places = len(points), []
+    for at, way, side in ((first, -1, corner // SIDE - 1), (last, 1, corner // SIDE)):
+        ahead = points[at % count] - points[(at + way * _STRAIGHT) % count]
+        length = abs(corner - at) / SIDE * sides[side]
+        places.append(points[at % count] + length / max(float(np.linalg.norm(ahead)), 1e-9) * ahead)
+    apex = (places[0] + places[1]) / 2
+    for at in (first, last):
+        share = np.arange(1, abs(corner - at) + 1)[:, None] / abs(corner - at)
+        index = (at + np.sign(corner - at) * np.arange(1, abs(corner - at) + 1)) % count
+        points[index] = points[at % count] + share * (apex - points[at % count])

@@ -1,8 +1,4 @@
-"""Fitted forms: ordered points laid over an observed object. A curve here; ``lattice`` holds the form of a sheet.
-
-A form gives order to what has none, and measures equal distances: along a curve by arc length, over a lattice by its
-two coordinates.
-"""
+"""Fitted forms: ordered points laid over an observed object. A curve here; ``lattice`` holds the form of a sheet."""
 
 from __future__ import annotations
 
@@ -133,6 +129,7 @@ class FittedCurve(FittedForm):
         relief: ``(P,)`` the logarithm of the depth under an open curve in an image, times the focal length in pixels:
             a third coordinate, in which a step is as long as the same step in the image, at any distance; else None.
         width: Of the object, in the unit of ``points``; 0 if it is not known.
+        space: ``(P, 3)`` where the points of a closed curve in an image lie in space, metres; None if it is not known.
     """
 
     arc: Array
@@ -141,6 +138,7 @@ class FittedCurve(FittedForm):
     pixels: Array | None = None
     relief: Array | None = None
     width: float = 0.0
+    space: Array | None = None
 
     @classmethod
     def through(cls, points: Array, interpolated: Mask, closed: bool = False, **other: Any) -> Self:
@@ -219,9 +217,12 @@ class FittedCurve(FittedForm):
         before = after - (start - self.arc[after - 1] <= same)  # the point that is there already
         if after > len(self.points):
             after, before = 1, 0
-        points = np.concatenate([self.at([start]), self.points[after:], self.points[:before]])
+        known = self.points if self.space is None else np.concatenate([self.points, self.space], axis=1)
+        first, size = interpolate(_polyline(known, True), self.arc, np.array([start])), self.points.shape[1]
+        points = np.concatenate([first, known[after:], known[:before]])
         flags = np.concatenate([self.interpolated_at([start]), self.interpolated[after:], self.interpolated[:before]])
-        return self.with_geometry(points, flags)
+        begun = self.with_geometry(np.ascontiguousarray(points[:, :size]), flags)
+        return begun if self.space is None else replace(begun, space=points[:, size:].copy())
 
     def smoothed(self, values: Array, known: Mask) -> Array:
         """Fill ``(P,)`` values by a straight line between the known ones, and smooth them over nine points."""
@@ -251,8 +252,8 @@ class FittedCurve(FittedForm):
 
     def with_geometry(self, points: Array, interpolated: Mask) -> Self:
         """Return a curve of the same kind through other points."""
-        arc = arc_length(_polyline(points, self.closed))
-        return replace(self, points=points, interpolated=interpolated, arc=arc, metres=None, pixels=None, relief=None)
+        form = {"points": points, "interpolated": interpolated, "arc": arc_length(_polyline(points, self.closed))}
+        return replace(self, **form, metres=None, pixels=None, relief=None, space=None)
 
     def relaid(self, lifted: Array, interpolated: Mask) -> Self:
         """Return a curve of the same kind through other points, ``(P', 3)`` with their relief or ``(P', D)``."""

@@ -62,6 +62,15 @@ def clockwise(points: Array) -> bool:
     return bool(u[:-1] @ v[1:] >= v[:-1] @ u[1:])
 
 
+@compiled("(f8[:,::1],)")
+def enclosed_by(traced: Array) -> float:
+    """Return how many pixels lie within an outline ``(P, 2)`` through the centres of border pixels, half of them."""
+    area = 0.0
+    for p in range(len(traced)):
+        area += traced[p - 1, 0] * traced[p, 1] - traced[p - 1, 1] * traced[p, 0]
+    return abs(area) / 2 + len(traced) / 2
+
+
 @compiled("(f8[:,::1], b1)")
 def material_outline(traced: Array, hole: bool) -> tuple[Array, Array]:
     """Return where the material ends, clockwise as seen: with the staircase of pixels, and without.
@@ -131,27 +140,32 @@ def _wrap(padded: Array) -> None:
         padded[_PAD + size + i] = padded[_PAD + i % size]
 
 
+@compiled
+def wave_table(size: int, count: int) -> tuple[Array, Array]:
+    """Return cosines and sines of the first waves around ``size`` points, from the longest: both ``(count, size)``."""
+    cos, sin = np.empty((count, size)), np.empty((count, size))
+    for k in range(size):
+        cos[0, k], sin[0, k] = math.cos(2 * math.pi * k / size), math.sin(2 * math.pi * k / size)
+    for h in range(1, count):
+        for k in range(size):
+            cos[h, k] = cos[h - 1, k] * cos[0, k] - sin[h - 1, k] * sin[0, k]
+            sin[h, k] = sin[h - 1, k] * cos[0, k] + cos[h - 1, k] * sin[0, k]
+    return cos, sin
+
+
 @compiled(reassociate=True)
-def waves(points: Array, count: int) -> Array:
+def waves(points: Array, cos: Array, sin: Array) -> Array:
     """Return the first waves around a closed curve: ``(2 D, count)``.
 
     Row 2d holds the sums of coordinate d times the cosine of each wave, and row 2d + 1 those with the sine.
 
     Args:
         points: ``(K, D)`` equidistant.
-        count: How many waves, from the longest.
+        cos: ``(count, K)``, see ``wave_table``.
+        sin: The same.
     """
-    size, dimension = points.shape
-    base_cos, base_sin, row = np.empty(size), np.empty(size), np.empty(size)
-    for k in range(size):
-        base_cos[k], base_sin[k] = math.cos(2 * math.pi * k / size), math.sin(2 * math.pi * k / size)
-    cos, sin = np.empty((count, size)), np.empty((count, size))
-    cos[0], sin[0] = base_cos, base_sin
-    for h in range(1, count):
-        for k in range(size):
-            cos[h, k] = cos[h - 1, k] * base_cos[k] - sin[h - 1, k] * base_sin[k]
-            sin[h, k] = sin[h - 1, k] * base_cos[k] + cos[h - 1, k] * base_sin[k]
-    out = np.empty((2 * dimension, count))
+    (size, dimension), count = points.shape, len(cos)
+    row, out = np.empty(size), np.empty((2 * dimension, count))
     for d in range(dimension):
         for k in range(size):
             row[k] = points[k, d]

@@ -154,3 +154,40 @@ def covariance_of(before: Array, after: Array) -> tuple[Array, Array, Array]:
             for b in range(size):
                 covariance[a, b] += (before[n, a] - first[a]) * (after[n, b] - second[b])
     return covariance, first, second
+
+
+@compiled
+def similarity(before: Array, after: Array, among: npt.NDArray[np.bool_]) -> tuple[complex, complex, complex]:
+    """Return the turn and scale in the plane that lays points over others, and the middles of both.
+
+    The least squares of complex numbers, ``after = turn (before - first) + second``, see S. Umeyama, "Least-Squares
+    Estimation of Transformation Parameters Between Two Point Patterns", 1991.
+
+    Args:
+        before: ``(P, 2)``.
+        after: ``(P, 2)``.
+        among: ``(P,)`` which of them count.
+    """
+    first = second = product = 0j
+    count, square = 0, 1e-18
+    for p in range(len(before)):
+        if among[p]:
+            first, second = first + complex(before[p, 0], before[p, 1]), second + complex(after[p, 0], after[p, 1])
+            count += 1
+    first, second = first / max(count, 1), second / max(count, 1)
+    for p in range(len(before)):
+        if among[p]:
+            away = complex(before[p, 0], before[p, 1]) - first
+            product += away.conjugate() * (complex(after[p, 0], after[p, 1]) - second)
+            square += away.real * away.real + away.imag * away.imag
+    return product / square, first, second
+
+
+@compiled
+def laid_flat(points: Array, laying: tuple[complex, complex, complex]) -> Array:
+    """Return points ``(P, 2)`` laid over others by a ``similarity``."""
+    out, (turn, first, second) = np.empty_like(points), laying
+    for p in range(len(points)):
+        place = turn * (complex(points[p, 0], points[p, 1]) - first) + second
+        out[p, 0], out[p, 1] = place.real, place.imag
+    return out

@@ -30,6 +30,7 @@ class Traced(NamedTuple):
         stops: ``(Q,)`` where each outline ends.
         areas: ``(Q,)`` pixels of each component, without its holes.
         perimeters: ``(Q,)`` length of each outline, pixels.
+        widths: ``(Q,)`` of the ribbons of these areas and perimeters, pixels.
         holes: ``(H, 6)`` of each hole: its component, column and row of the first pixel of its border in the image,
             pixels of the border, its length, and the area that it encloses.
     """
@@ -38,6 +39,7 @@ class Traced(NamedTuple):
     stops: Indices
     areas: Indices
     perimeters: Array
+    widths: Array
     holes: Array
 
 
@@ -46,6 +48,10 @@ def trace_components(mask: Mask, runs: Indices, pieces: int, left: int, top: int
     """Trace the outlines of the components of a mask, and measure their holes.
 
     The time grows with the runs and the border pixels alone, however many components and holes there are.
+
+    The width is the root w of ``w (s - w) = area``, s being half of what is around the component: the outline of an
+    L x w ribbon runs through pixel centres, so it is 2 (L - 1) + 2 (w - 1) long. A ribbon that lies in a loop has a
+    part of it around the hole.
 
     Args:
         mask: ``(h, w)`` uint8, C-contiguous, 0 = background.
@@ -74,7 +80,23 @@ def trace_components(mask: Mask, runs: Indices, pieces: int, left: int, top: int
     holes = np.empty((0, 6))
     if _touching(runs) > len(runs) - pieces:
         holes = _holes(mask, runs, label, left, top)
-    return outlines[:count], stops, areas, perimeters, holes
+    around, widths = perimeters.copy(), np.empty(pieces)
+    for h in range(len(holes)):
+        around[int(holes[h, 0])] += holes[h, 4] if holes[h, 3] >= SPECK else 0.0
+    for q in range(pieces):
+        half = around[q] / 2 + 2
+        widths[q] = max((half - math.sqrt(max(half * half - 4 * areas[q], 0.0))) / 2, 1.0)
+    return outlines[:count], stops, areas, perimeters, widths, holes
+
+
+@compiled
+def trace_largest(mask: Mask, runs: Indices, pieces: int, left: int, top: int) -> tuple[Array, float]:
+    """Return the outline ``(P, 2)`` of the largest component of a mask, and its width; see ``trace_components``."""
+    outlines, stops, areas, _, widths, _ = trace_components(mask, runs, pieces, left, top)
+    largest = 0
+    for q in range(1, pieces):
+        largest = q if areas[q] > areas[largest] else largest
+    return outlines[stops[largest - 1] if largest else 0 : stops[largest]], widths[largest]
 
 
 @compiled("(u1[:,::1], i8, i8, i8, i8)")

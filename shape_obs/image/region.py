@@ -88,19 +88,11 @@ class Region:
         return tuple(self._component(int(piece)) for piece in self._largest_first)
 
     def _component(self, piece: int) -> Component:
-        """Measure a component. Its width is the root w of ``w (s - w) = area``, s being half of what is around it.
-
-        The outline of an L x w ribbon runs through pixel centres, so it is 2 (L - 1) + 2 (w - 1) long. A ribbon that
-        lies in a loop has a part of it around the hole.
-        """
-        outlines, stops, areas, perimeters, inner = self.traced
-        first, stop = (stops.item(piece - 1) if piece else 0), stops.item(piece)
-        area, perimeter, holes = areas.item(piece), perimeters.item(piece), 0.0
+        outlines, stops, areas, perimeters, widths, inner = self.traced
+        first, stop, holes = (stops.item(piece - 1) if piece else 0), stops.item(piece), 0.0
         if len(inner):
             holes = float(inner[(inner[:, 0] == piece) & (inner[:, 3] >= SPECK), 4].sum())
-        half = (perimeter + holes) / 2 + 2
-        width = max((half - max(half * half - 4 * area, 0.0) ** 0.5) / 2, 1.0)
-        return Component(area, outlines[first:stop], perimeter, holes, width)
+        return Component(areas.item(piece), outlines[first:stop], perimeters.item(piece), holes, widths.item(piece))
 
     @cached_property
     def largest(self) -> Component:
@@ -186,8 +178,9 @@ class Region:
     @cached_property
     def hollow_share(self) -> float:
         """The share of what the largest component's outline encloses that is not the component's."""
-        enclosed = cv2.contourArea(self.outline.traced.astype(np.float32)) + len(self.outline.traced) / 2
-        return 1 - self.areas[0] / max(enclosed, 1.0)
+        from shape_obs.geometry.outline import enclosed_by
+
+        return 1 - self.areas[0] / max(enclosed_by(self.outline.traced), 1.0)
 
     @cached_property
     def pixels(self) -> npt.NDArray[np.int32]:

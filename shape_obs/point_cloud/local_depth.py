@@ -17,7 +17,7 @@ Mask = npt.NDArray[np.uint8]
 
 MIN_SHARE: Final = 0.25  # of the mask pixels around a point, that must carry depth
 MAX_REACH: Final = 6  # pixels: what is wider is no rope, and its depth is its own at every place
-_SPARSE: Final = 4  # pixels: from this reach on every second pixel is enough
+SPARSE: Final = 4  # pixels: from this reach on every second pixel is enough
 _ENOUGH: Final = 6  # pixels with depth that make a plane
 _IN_LINE: Final = 0.01  # of the squared spread: below it pixels lie in a line
 _ROUNDS: Final = 3
@@ -25,6 +25,7 @@ _OFF_PLANE: Final = 3.0  # median distances from the plane: what lies farther of
 _ABSURD: Final = 1e3  # times nearer than the median: products of greater numbers would overflow
 _LANES: Final = 64  # numbers that a processor compares at once, or a multiple of that
 _ROUGHLY: Final = 1 << 18  # steps of the last bit: 3 %
+_NEARLY: Final = 1 << 6  # 1e-5
 _MOST: Final = np.int32(2**31 - 1)
 _ONE: Final = np.float32(1)
 
@@ -65,34 +66,18 @@ def median_depth(
         ``(N,)`` metres, NaN where too few have; ``(N, 2)`` image pixels, the mean place of those that have depth, and
         the point itself if the depth is measured from a plane.
     """
-    height, width = mask.shape
-    step = 2 if sloped and reach >= _SPARSE else 1
-    size, metre = (2 * reach + 1) ** 2, np.float32(unit)
+    step, size = 2 if sloped and reach >= SPARSE else 1, (2 * reach + 1) ** 2
+    size = size // step + 1
     out, places = np.empty(len(points)), np.empty_like(points)
     near, x, y, w, spare = room(size), room(size), room(size), room(size), room(size)
     for n in range(len(points)):
-        out[n], places[n, 0], places[n, 1] = np.nan, points[n, 0], points[n, 1]
-        column, row = nearest_pixel(points[n, 0]) - left, nearest_pixel(points[n, 1]) - top
-        inside = known = 0
-        for v in range(max(row - reach, 0), min(row + reach + 1, height)):
-            y_here = np.float32(v + top - points[n, 1])
-            for u in range(column - reach + (v - row & 1) * (step - 1), min(column + reach + 1, width), step):
-                if u >= 0 and mask[v, u] != 0:
-                    inside += 1
-                    near[known] = depth[v + top, u + left]
-                    x[known], y[known] = u + left - points[n, 0], y_here
-                    known += 0 < near[known] * metre < FARTHEST  # the next one overwrites what is not valid
-        if known >= max(min_share * inside, 1):
-            middle = median(near, known)
-            out[n] = middle * unit
-            if sloped and known >= _ENOUGH:
-                for k in range(known):
-                    w[k] = min(middle / near[k] - 1, _ABSURD)
-                out[n] /= _over_plane(x, y, w, spare, known)
-            elif not sloped:
-                for k in range(known):
-                    places[n, 0] += x[k] / known
-                    places[n, 1] += y[k] / known
+        places[n, 0], places[n, 1] = points[n, 0], points[n, 1]
+        inside, known = gather_depth(depth, unit, mask, left, top, points[n, 0], points[n, 1], reach, step, near, x, y)
+        out[n] = middle_depth(near, x, y, w, spare, known, max(min_share * inside, 1), sloped) * unit
+        if not sloped and out[n] > 0:
+            for k in range(known):
+                places[n, 0] += x[k] / known
+                places[n, 1] += y[k] / known
     return out, places
 
 
@@ -123,7 +108,7 @@ def strand_depth(
     Returns:
         ``(P,)`` metres; ``(P, 2)`` image pixels.
     """
-    (millimetres, metres), step = depth, 2 if reach >= _SPARSE else 1
+    (millimetres, metres), step = depth, 2 if reach >= SPARSE else 1
     whole = len(millimetres) > 0
     unit = MILLIMETRE if whole else 1.0
     height, width = mask.shape
@@ -154,6 +139,70 @@ def strand_depth(
 
 
 @compiled
+def gather_depth(
+    depth: npt.NDArray[Any], unit: float, mask: Mask, left: int, top: int, at_u: float, at_v: float, reach: int,
+    step: int, near: Floats, x: Floats, y: Floats,
+) -> tuple[int, int]:  # fmt: skip
+    """Gather the valid depth of a mask around a point, and where it lies from there.
+
+    Args:
+        depth: As ``median_depth`` takes it, and the next four.
+        unit: Metres.
+        mask: Uint8.
+        left: Image column.
+        top: Image row.
+        at_u: Of the point, image pixels.
+        at_v: The same.
+        reach: Pixels.
+        step: 1 for every pixel, 2 for every second one as on a chessboard.
+        near: In ``room``, is filled with the depth, in its own unit.
+        x: Is filled with pixels from the point.
+        y: The same.
+
+    Returns:
+        How many pixels of the mask there are, and how many of them have depth.
+    """
+    height, width = mask.shape
+    column, row, metre = nearest_pixel(at_u) - left, nearest_pixel(at_v) - top, np.float32(unit)
+    inside = known = 0
+    for v in range(max(row - reach, 0), min(row + reach + 1, height)):
+        y_here = np.float32(v + top - at_v)
+        for u in range(column - reach + (v - row & 1) * (step - 1), min(column + reach + 1, width), step):
+            if u >= 0 and mask[v, u] != 0:
+                inside += 1
+                near[known] = depth[v + top, u + left]
+                x[known], y[known] = u + left - at_u, y_here
+                known += 0 < near[known] * metre < FARTHEST  # the next one overwrites what is not valid
+    return inside, known
+
+
+@compiled
+def middle_depth(
+    near: Floats, x: Floats, y: Floats, w: Floats, spare: Floats, known: int, least: float, sloped: bool
+) -> float:
+    """Return the depth at a point by the depth around it, in its own unit; NaN if less than ``least`` pixels have any.
+
+    Args:
+        near: What ``gather_depth`` has filled, as are the next two.
+        x: Pixels.
+        y: Pixels.
+        w: In ``room``, is overwritten.
+        spare: The same.
+        known: How many pixels have depth.
+        least: How many must have.
+        sloped: Whether the depth is measured from a plane.
+    """
+    if known < least:
+        return np.nan
+    middle = median(near, known)
+    if not sloped or known < _ENOUGH:
+        return middle
+    for k in range(known):
+        w[k] = min(middle / near[k] - 1, _ABSURD)
+    return middle / _over_plane(x, y, w, spare, known)
+
+
+@compiled
 def _over_plane(x: Floats, y: Floats, w: Floats, spare: Floats, count: int) -> float:
     """Return the inverse depth at the origin of a plane through some depths, as a share of that of their median.
 
@@ -165,8 +214,9 @@ def _over_plane(x: Floats, y: Floats, w: Floats, spare: Floats, count: int) -> f
         count: How many are known.
     """
     slope_x = slope_y = level = np.float32(0)
+    lanes, before = -(-count // _LANES) * _LANES, -1.0
     for step in range(_ROUNDS):
-        _plane_misses(x, y, w, spare, slope_x, slope_y, level)
+        _plane_misses(x, y, w, spare, lanes, slope_x, slope_y, level)
         limit = np.float32(max(_OFF_PLANE * median(spare, count, _ROUGHLY), 1e-6))
         n, u, v, away, xx, xy, yy, xw, yw = _moments(x, y, w, spare, count, limit)
         if step == 0 and _is_line(n, xx, xy, yy):  # the next column of pixels on a steep plane lies as far off
@@ -176,16 +226,20 @@ def _over_plane(x: Floats, y: Floats, w: Floats, spare: Floats, count: int) -> f
         spread = xx * yy - xy * xy
         slope_x, slope_y = np.float32((xw * yy - yw * xy) / spread), np.float32((yw * xx - xw * xy) / spread)
         level = np.float32(away - slope_x * u - slope_y * v)
+        if n == before:  # the same pixels lie on it
+            break
+        before = n
     for k in range(count):
         spare[k] = max(w[k] + _ONE - slope_x * x[k] - slope_y * y[k], np.float32(0))
-    return max(median(spare, count), 0.5)
+    return max(median(spare, count, _NEARLY), 0.5)
 
 
 @compiled(reassociate=True)
 def _plane_misses(
-    x: Floats, y: Floats, w: Floats, out: Floats, slope_x: np.float32, slope_y: np.float32, level: np.float32
-) -> None:
-    for k in range(len(out)):
+    x: Floats, y: Floats, w: Floats, out: Floats, count: int, slope_x: np.float32, slope_y: np.float32,
+    level: np.float32,
+) -> None:  # fmt: skip
+    for k in range(count):
         out[k] = abs(w[k] - level - slope_x * x[k] - slope_y * y[k])
 
 
@@ -261,3 +315,23 @@ def _at_most(bits: npt.NDArray[np.int32], limit: int) -> int:
     for k in range(len(bits)):
         count += np.int32(bits[k] <= limit)
     return int(count)
+
+
+@compiled
+def bridged(z: Array) -> bool:
+    """Fill the gaps of values around a ring by straight lines of their inverse; return False if most are unknown."""
+    count, first, known = len(z), -1, 0
+    for k in range(count):
+        if z[k] > 0:
+            first, known = k if first < 0 else first, known + 1
+    if known < 0.5 * count:
+        return False
+    last = first
+    for step in range(1, count + 1):
+        k = (first + step) % count
+        if z[k] > 0:
+            gap = (k - last - 1) % count + 1
+            for i in range(1, gap):
+                z[(last + i) % count] = 1 / (1 / z[last] + (1 / z[k] - 1 / z[last]) * i / gap)
+            last = k
+    return True

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.coons import SIDE, flat_border
+from shape_obs.geometry.coons import SIDE, side_lengths
+from shape_obs.geometry.rotation import laid_flat, similarity
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -32,11 +33,21 @@ _TURNED: Final = 0.35
 _SCALED: Final = 0.15
 _HIDDEN: Final = 3.0
 _DETOUR: Final = 2.0
-_LIES_OVER: Final = 0.3  # of the outline where a corner is hidden: next to so much of it something nearer is seen
-_BULGE: Final = 0.3  # of the length of a fold: the outline lies off it by less
-_STRAIGHT: Final = 3  # points of a side that give the direction in which it goes on
 _NEAREST: Final = 5  # places among which each corner is looked for
 _REACH: Final = 0.8  # of half a diagonal: no corner is looked for farther off
+
+# A side may be so much longer or shorter than it is known to be: as a share, without depth and with it, and in pixels.
+# Without depth all sides together may grow and shrink, as the sheet comes nearer.
+_SLACK: Final = ((0.04, 0.07), 2.0)
+_ZOOM: Final = 0.03
+# Without depth, what hides a part is seen by a turn of the outline where it did not turn before, in radians: a sheet
+# that bends on a table has none, but its corners are sheared.
+_CHORD: Final = 3  # points of a border to either side, over which it is seen to turn
+_CUT: Final = (math.cos(0.38), math.cos(0.6))  # between corners, and next to them
+# Without depth, a border that lies off its known form by so much, as a share of a side and in pixels, is not its own.
+_DENTED: Final = (0.035, 1.5)
+_BUCKLED: Final = 0.8  # of its length a side that has buckled measures at least
+FITS, SHORTER, LONGER, MOVED = 0, 1, 2, 3  # what ``compare_sheet`` returns
 
 
 @compiled("(f8[:,::1], f8[:,::1])")
@@ -209,39 +220,69 @@ def _cost_of_corners(
     return float(cost + (math.atan2(product.imag, product.real) / _TURNED) ** 2)
 
 
-def folded_piece(
-    points: Array, seen: Mask, k: int, space: Array, cut: Mask, sides: Array, slack: Array
-) -> tuple[int, int] | None:
-    """Return the last point seen before a folded corner and the first one behind it; None if it is not folded.
+@compiled
+def compare_sheet(
+    border: Array, known: Array, sides: Array, slack: Array, metric: bool, buckled: bool
+) -> tuple[int, int]:  # fmt: skip
+    """Return what of a sheet's border does not fit to what is known of it: a code, and the side.
 
-    Nothing lies over a folded corner. The outline runs straight along the fold, and both ends of it lie as far from
-    each other as in the flat sheet; those of a side that has buckled come nearer.
+    Args:
+        border: ``(96, D)`` as it lies, in the unit of the next three.
+        known: ``(96, D)`` as it was, wherever it lay.
+        sides: ``(4,)`` known lengths.
+        slack: ``(4,)`` by how much they may be off.
+        metric: Whether the unit is a metre, not a pixel.
+        buckled: Whether sides may be shorter, since nothing lies over them that could hide a part.
     """
-    away = np.arange(1, 2 * SIDE)
-    before, behind = seen[(SIDE * k - away) % len(seen)], seen[(SIDE * k + away) % len(seen)]
-    if not (before.any() and behind.any()):
-        return None
-    first, last = SIDE * k - 1 - int(np.argmax(before)), SIDE * k + 1 + int(np.argmax(behind))
-    begin, end = (int(np.argmin(((space - points[p % len(points)]) ** 2).sum(axis=1))) for p in (first, last))
-    between = (begin + np.arange((end - begin) % len(cut) + 1)) % len(cut)
-    flat = flat_border(sides)
-    material = float(np.linalg.norm(flat[last % len(flat)] - flat[first % len(flat)]))
-    chord, away = space[end] - space[begin], space[between] - space[begin]
-    length = max(float(np.linalg.norm(chord)), 1e-9)
-    bulge = np.linalg.norm(away - (away @ chord)[:, None] / length**2 * chord, axis=1).max()
-    straight = bulge < _BULGE * length and abs(length - material) < slack.max()
-    return (first, last) if straight and cut[between].mean() <= _LIES_OVER else None
+    if not metric:
+        turned = False
+        for p in range(4 * SIDE):
+            near = abs((p + SIDE // 2) % SIDE - SIDE // 2) <= _CHORD
+            more = _turn(border, p) * _turn(known, p).conjugate()
+            turned = turned or more.real <= _CUT[1 if near else 0] * abs(more)
+        if not turned:
+            return FITS, 0
+    lengths = side_lengths(border)
+    zoom, side, most = 1.0 if metric else zoom_of(lengths, sides), 0, 0.0
+    for k in range(4):
+        off = (lengths[k] / zoom - sides[k]) / slack[k]
+        if buckled and off < 0 and lengths[k] > _BUCKLED * sides[k]:
+            off = 0.0
+        if abs(off) > abs(most):
+            side, most = k, off
+    if abs(most) > 1:
+        return (SHORTER if most < 0 else LONGER), side
+    if not metric:
+        laid, far = laid_flat(known, similarity(known, border, np.ones(len(known), np.bool_))), 0.0
+        for p in range(4 * SIDE):
+            far = max(far, math.hypot(border[p, 0] - laid[p, 0], border[p, 1] - laid[p, 1]))
+        if far > _DENTED[1] + _DENTED[0] * sides.mean():
+            return MOVED, 0
+    return FITS, 0
 
 
-def unfold(points: Array, first: int, last: int, corner: int, sides: Array) -> None:
-    """Lay a folded corner flat: its sides go on straight, as long as they are known to be."""
-    count, places = len(points), []
-    for at, way, side in ((first, -1, corner // SIDE - 1), (last, 1, corner // SIDE)):
-        ahead = points[at % count] - points[(at + way * _STRAIGHT) % count]
-        length = abs(corner - at) / SIDE * sides[side]
-        places.append(points[at % count] + length / max(float(np.linalg.norm(ahead)), 1e-9) * ahead)
-    apex = (places[0] + places[1]) / 2
-    for at in (first, last):
-        share = np.arange(1, abs(corner - at) + 1)[:, None] / abs(corner - at)
-        index = (at + np.sign(corner - at) * np.arange(1, abs(corner - at) + 1)) % count
-        points[index] = points[at % count] + share * (apex - points[at % count])
+@compiled("(f8[::1], b1, f8)")
+def known_slack(sides: Array, metric: bool, scale: float) -> Array:
+    """Return ``(4,)`` by how much the sides of a sheet may be off; ``scale`` is a pixel's length in their unit."""
+    out = np.empty(4)
+    for k in range(4):
+        out[k] = max(_SLACK[0][1 if metric else 0] * sides[k], _SLACK[1] * scale)
+    return out
+
+
+@compiled
+def zoom_of(lengths: Array, sides: Array) -> float:
+    """Return by how much all sides have become longer; what hides a part shortens two or three of them."""
+    most = second = 0.0
+    for k in range(4):
+        longer = lengths[k] / sides[k]
+        most, second = max(most, longer), max(second, min(most, longer))
+    return min(max(second, 1 - _ZOOM), 1 + _ZOOM)
+
+
+@compiled
+def _turn(border: Array, p: int) -> complex:
+    """Return the turn of a border ``(96, 2)`` about its p-th point, as a complex number of any length."""
+    after, before = (p + _CHORD) % (4 * SIDE), (p - _CHORD) % (4 * SIDE)
+    ahead = complex(border[after, 0] - border[p, 0], border[after, 1] - border[p, 1])
+    return ahead * complex(border[p, 0] - border[before, 0], border[before, 1] - border[p, 1])

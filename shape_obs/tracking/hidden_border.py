@@ -8,27 +8,34 @@ on where it is hidden. With depth, an outline next to which something nearer is 
 from __future__ import annotations
 
 from itertools import product
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST, readable_depth
-from shape_obs.geometry.coons import RIM, SIDE, stretched
+from shape_obs.frame import FARTHEST, MILLIMETRE, readable_depth
+from shape_obs.geometry.coons import RIM, SIDE, folded_piece, stretched, unfold
 from shape_obs.geometry.polyline import arc_length, interpolate, laid_over
 from shape_obs.image.connected_runs import nearest_pixel
-from shape_obs.point_cloud.local_depth import MAX_REACH, MIN_SHARE, median_depth
-from shape_obs.tracking.corner_matching import folded_piece, unfold
+from shape_obs.point_cloud.local_depth import MIN_SHARE, SPARSE, bridged, gather_depth, middle_depth, room
 
 if TYPE_CHECKING:
     from shape_obs.camera import Intrinsics
+    from shape_obs.configurations.base import Scene
     from shape_obs.image.region import Region
     from shape_obs.image.roi import Window
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
+Shorts = npt.NDArray[np.uint16]
+Singles = npt.NDArray[np.float32]
+Edges = tuple[int, int, int, int]
+Lens = tuple[float, float, float, float]
+Own = tuple[npt.NDArray[np.uint8], Indices, int, int, int]
+Around = tuple[Shorts, Singles, float, Edges, Lens]
+Pair = tuple[float, float]
 
 # A border is followed from a visible corner while it lies within so many pixels, in addition to a share of the way, of
 # where the others put it; the last points before it leaves are not believed, nor are those next to a rounded corner.
@@ -37,11 +44,15 @@ _LAST: Final = 1
 _ROUND: Final = 1
 _LEAST_SEEN: Final = 0.3  # of the border
 _MISFIT: Final = 0.06  # of the size: the known border lies over what is seen of it at least so well
-_MANY: Final = 320  # points of an outline: of so many, the depth under every fourth is read
+_WINDOWS: Final = 96  # places along an outline at which depth is read, at least; half as many more at most
 _AT_EDGE: Final = 0.8  # pixels
 _REACHES: Final = 8.0  # depth along an outline is read within this share of the object's width
 _LEAST_REACH: Final = 2
+_MOST_REACH: Final = 5
 _OUTWARDS: Final = 7  # pixels beyond an outline: a camera has no depth next to an edge
+_NO_SHORTS: Final = np.zeros((0, 0), np.uint16)
+_NO_SINGLES: Final = np.zeros((0, 0), np.float32)
+_NO_SHORTS.flags.writeable = _NO_SINGLES.flags.writeable = False
 _NEARER: Final = 0.008  # metres: what is nearer by more lies over the object
 
 
@@ -132,60 +143,89 @@ def look_around(
         intrinsics: The projection; None if there is none.
         edge: The part of the image that is searched; None for the region's window.
     """
-    readable, unit = readable_depth(None if intrinsics is None else depth)
-    left, top, width, height = edge or region.window
-    sides = left + _AT_EDGE, top + _AT_EDGE, left + width - 1 - _AT_EDGE, top + height - 1 - _AT_EDGE
-    reach = int(min(max(round(region.width / _REACHES), _LEAST_REACH), MAX_REACH))
-    z, cut = rim_depth(readable, unit, region.mask, region.window.left, region.window.top, points, reach, sides)
+    seen = both_depths(None if intrinsics is None else depth)
+    at = region.window.left, region.window.top
+    searched = cast("Edges", tuple(edge or region.window))
+    z, cut = rim_depth(*seen, searched, region.mask, *at, points, region.width)
     if intrinsics is None or np.isnan(z[0]):
         return None, cut
     lifted = intrinsics.deproject(points, z)
     return (lifted if np.isfinite(lifted).all() else None), cut
 
 
+def what_is_seen(region: Region, scene: Scene) -> tuple[Own, Around]:
+    """Return what compiled stages take of a mask, and of the rest of the frame.
+
+    Returns:
+        Mask, runs, pieces, left, top; depth of two types, of which one is empty, its unit, the window of what is
+        searched; the pinhole, zeros without a camera or for one that is none.
+    """
+    camera, (left, top) = scene.intrinsics, region.window[:2]
+    depth = both_depths(None if camera is None else scene.depth)
+    lens, searched = (0.0, 0.0, 0.0, 0.0), tuple(scene.edge or region.window)
+    if camera is not None and camera.model == "pinhole":
+        lens = camera.fx, camera.fy, camera.cx, camera.cy
+    return (region.mask, region.runs, region.pieces, left, top), (*depth, cast("Edges", searched), lens)
+
+
+def both_depths(depth: npt.NDArray[Any] | None) -> tuple[Shorts, Singles, float]:
+    """Return depth as ``rim_depth`` takes it: of two types, of which one is empty, and its unit in metres."""
+    if depth is None:
+        return _NO_SHORTS, _NO_SINGLES, 1.0
+    if depth.dtype.char not in "Hf" or not depth.flags.c_contiguous:
+        depth, _ = readable_depth(depth)
+    readable = depth.view()
+    readable.flags.writeable = False
+    if readable.dtype.char == "H":
+        return readable, _NO_SINGLES, MILLIMETRE
+    return _NO_SHORTS, readable, 1.0
+
+
 @compiled(
-    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, UniTuple(f8, 4))",
-    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, UniTuple(f8, 4))",
+    "(Array(u2, 2, 'C', readonly=True), Array(f4, 2, 'C', readonly=True), f8, UniTuple(i8, 4), u1[:,::1], i8, i8, "
+    "f8[:,::1], f8)"
 )
 def rim_depth(
-    depth: npt.NDArray[Any],
-    unit: float,
-    mask: npt.NDArray[np.uint8],
-    left: int,
-    top: int,
-    rim: Array,
-    reach: int,
-    edge: tuple[float, float, float, float],
-) -> tuple[Array, Mask]:
+    shorts: Shorts, singles: Singles, unit: float, edge: Edges, mask: npt.NDArray[np.uint8], left: int, top: int,
+    rim: Array, width: float,
+) -> tuple[Array, Mask]:  # fmt: skip
     """Return the depth along an outline, and where the object may go on beyond it.
 
     Args:
-        depth: ``(H, W)`` as ``median_depth`` takes it; ``(0, 0)`` if there is none.
+        shorts: ``(H, W)`` depth as ``median_depth`` takes it; ``(0, 0)`` if there is none of this type.
+        singles: The same.
         unit: Metres in a unit of depth.
+        edge: Left, top, width, height of what is searched: an outline that reaches its edge may be cut there.
         mask: ``(h, w)`` uint8, C-contiguous.
         left: Image column of its first pixel.
         top: Image row of its first pixel.
         rim: ``(P, 2)`` pixels, clockwise as seen.
-        reach: How far around a point depth is read, pixels.
-        edge: Left, top, right, bottom: an outline that comes so far to either side may be cut there.
+        width: Of the object, pixels: depth is read within a share of it.
 
     Returns:
         ``(P,)`` metres, all NaN if less than half of the outline has depth; ``(P,)`` whether the outline is that of
         something nearer that lies over the object, or of what is searched.
     """
-    every = 4 if len(rim) >= _MANY else 2 if 2 * len(rim) >= _MANY else 1
-    count = -(-len(rim) // every)
-    some, cut, flags = np.empty((count, 2)), np.zeros(len(rim), np.bool_), np.zeros(count, np.bool_)
-    z = np.full(len(rim), np.nan)
+    every = max(len(rim) // _WINDOWS, 1)
+    count, known = -(-len(rim) // every), shorts.size > 0 or singles.size > 0
+    z, cut, flags = np.full(len(rim), np.nan), np.zeros(len(rim), np.bool_), np.zeros(count, np.bool_)
     for k in range(count):
-        some[k, 0], some[k, 1] = rim[k * every, 0], rim[k * every, 1]
-        u, v = some[k, 0], some[k, 1]
-        flags[k] = u <= edge[0] or v <= edge[1] or u >= edge[2] or v >= edge[3]
-    if depth.size > 0:
-        under, _ = median_depth(depth, unit, mask, left, top, some, reach, MIN_SHARE, True)
-        if _bridged(under):
+        u, v = rim[k * every, 0], rim[k * every, 1]
+        inside = edge[0] + _AT_EDGE < u < edge[0] + edge[2] - 1 - _AT_EDGE
+        flags[k] = not (inside and edge[1] + _AT_EDGE < v < edge[1] + edge[3] - 1 - _AT_EDGE)
+    if known:
+        reach = int(min(max(round(width / _REACHES), _LEAST_REACH), _MOST_REACH))
+        under = np.empty(count)
+        if shorts.size > 0:
+            _read(shorts, unit, mask, left, top, rim, every, reach, under)
+        else:
+            _read(singles, unit, mask, left, top, rim, every, reach, under)
+        if bridged(under):
+            if shorts.size > 0:
+                _look_over(shorts, unit, mask, left, top, rim, every, under, flags)
+            else:
+                _look_over(singles, unit, mask, left, top, rim, every, under, flags)
             for k in range(count):
-                flags[k] = flags[k] or _covered(depth, unit, mask, left, top, some, k, under[k])
                 near, far = 1 / under[k], 1 / under[(k + 1) % count]
                 steps = min(every, len(rim) - k * every)
                 for i in range(steps):
@@ -198,15 +238,50 @@ def rim_depth(
 
 
 @compiled
+def _read(
+    depth: npt.NDArray[Any], unit: float, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, every: int,
+    reach: int, out: Array,
+) -> None:  # fmt: skip
+    """Fill the depth under every few points of an outline, metres."""
+    step = 2 if reach >= SPARSE else 1
+    size = (2 * reach + 1) ** 2 // step + 1
+    near, x, y, w, spare = room(size), room(size), room(size), room(size), room(size)
+    for k in range(len(out)):
+        u, v = rim[k * every, 0], rim[k * every, 1]
+        inside, known = gather_depth(depth, unit, mask, left, top, u, v, reach, step, near, x, y)
+        out[k] = middle_depth(near, x, y, w, spare, known, max(MIN_SHARE * inside, 1), True) * unit
+
+
+@compiled
+def _look_over(
+    depth: npt.NDArray[Any], unit: float, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, every: int,
+    under: Array, flags: Mask,
+) -> None:  # fmt: skip
+    """Mark where the first depth that is seen outside of an outline is nearer than the object."""
+    count = len(under)
+    for k in range(count):
+        before, after = (k - 1) % count * every, (k + 1) % count * every
+        u, v = rim[after, 0] - rim[before, 0], rim[after, 1] - rim[before, 1]
+        reach = max((u * u + v * v) ** 0.5, 1e-9)
+        at = rim[k * every, 0], rim[k * every, 1]
+        flags[k] = flags[k] or _covered(depth, unit, mask, left, top, at, (u / reach, v / reach), under[k])
+
+
+@compiled
 def _covered(
-    depth: npt.NDArray[Any], unit: float, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, k: int, z: float
+    depth: npt.NDArray[Any],
+    unit: float,
+    mask: npt.NDArray[np.uint8],
+    left: int,
+    top: int,
+    at: Pair,
+    way: Pair,
+    z: float,
 ) -> bool:
-    """Return whether the first depth that is seen outside of an outline is nearer than the object."""
-    count = len(rim)
-    along_u, along_v = rim[(k + 1) % count, 0] - rim[k - 1, 0], rim[(k + 1) % count, 1] - rim[k - 1, 1]
-    reach, u, v = max((along_u * along_u + along_v * along_v) ** 0.5, 1e-9), rim[k, 0], rim[k, 1]
+    """Return whether the first depth that is seen outside of an outline, which runs along ``way``, is nearer than z."""
+    u, v = at
     for step in range(_OUTWARDS):
-        x, y = (step + 1.5) * along_v / reach, -(step + 1.5) * along_u / reach
+        x, y = (step + 1.5) * way[1], -(step + 1.5) * way[0]
         column, row = nearest_pixel(u + x), nearest_pixel(v + y)
         if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
             return False
@@ -222,23 +297,3 @@ def _covered(
         if abs(metres - z) > _NEARER:
             return metres < z
     return False
-
-
-@compiled
-def _bridged(z: Array) -> bool:
-    """Fill the gaps of values around a ring by straight lines of their inverse; return False if most are unknown."""
-    count, first, known = len(z), -1, 0
-    for k in range(count):
-        if z[k] > 0:
-            first, known = k if first < 0 else first, known + 1
-    if known < 0.5 * count:
-        return False
-    last = first
-    for step in range(1, count + 1):
-        k = (first + step) % count
-        if z[k] > 0:
-            gap = (k - last - 1) % count + 1
-            for i in range(1, gap):
-                z[(last + i) % count] = 1 / (1 / z[last] + (1 / z[k] - 1 / z[last]) * i / gap)
-            last = k
-    return True

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import arc_length, interpolate, laid_over
+from shape_obs.geometry.rotation import laid_flat, similarity
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -26,6 +27,7 @@ _STRAY: Final = 2.0  # median distances: what lies farther off counts for little
 _NOISE: Final = 0.5  # pixels
 _LEAST_NODES: Final = 64  # at which outlines are compared
 _TURN: Final = 0.28  # radians by which the outline turns more than the known one where something begins to hide it
+_ALMOST: Final = 0.4
 _CHORD: Final = 1 / 16  # of the outline to either side, over which a turn is measured
 _BESIDE: Final = 3  # nodes from where it leaves the known outline to that turn, at most
 _TRIMMED: Final = 4  # points of a piece of an outline next to what hides it, which are not believed
@@ -45,11 +47,10 @@ def hidden_pieces(curve: FittedCurve, nodes: Array, known: Array, expected: Arra
         expected: ``(K, 2)`` pixels, the same nodes where they are expected.
     """
     cut = np.zeros(len(curve.points), bool)
-    laid = laid_over(known, nodes, known, scaled=True)[0]
-    radius = float(np.sqrt(((laid - laid.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    most = _WITHIN[0] + _WITHIN[1] * radius
-    if ((nodes - laid) ** 2).sum(axis=1).max() < most**2:
+    laid, scale = laid_over(known, nodes, known, scaled=True)
+    if not may_be_hidden(nodes, known):
         return cut, laid
+    most = _WITHIN[0] + _WITHIN[1] * scale * float(np.sqrt(((known - known.mean(axis=0)) ** 2).sum(axis=1).mean()))
     count = max(len(known), _LEAST_NODES)
     laid = laid_over(known, expected, known, scaled=True)[0]
     at = np.arange(count, dtype=np.float64) * (len(known) / count)
@@ -59,18 +60,57 @@ def hidden_pieces(curve: FittedCurve, nodes: Array, known: Array, expected: Arra
     off = inside & (far > most)
     if not off.any() or off.all():
         return cut, laid
-    more = _turns(nodes) - interpolate(_closed(_turns(laid)[:, None]), np.arange(count + 1.0), place)[:, 0]
+    before = turns_around(np.ascontiguousarray(laid))
+    more = turns_around(nodes) - interpolate(_closed(before[:, None]), np.arange(count + 1.0), place)[:, 0]
     begins, ends = np.flatnonzero(off & ~np.roll(off, 1)), np.flatnonzero(off & ~np.roll(off, -1))
     if ends[0] < begins[0]:
         ends = np.roll(ends, -1)
     for begin, end in zip(begins, ends, strict=True):
-        before, after = begin - np.arange(-1, _BESIDE + 1), end + np.arange(-1, _BESIDE + 1)
-        first, last = (near[int(np.argmax(more[near % count]))] for near in (before, after))
+        around, after = begin - np.arange(-1, _BESIDE + 1), end + np.arange(-1, _BESIDE + 1)
+        first, last = (near[int(np.argmax(more[near % count]))] for near in (around, after))
         if min(more[first % count], more[last % count]) > _TURN:  # else the object has changed its form
             first, last = min(first, begin), max(last, end)
             way = (last - first) % count / count * curve.size
             cut |= (curve.arc[:-1] - first / count * curve.size) % curve.size <= way
     return cut, laid
+
+
+@compiled("(f8[:,::1], f8[:,::1])")
+def may_be_hidden(nodes: Array, known: Array) -> bool:
+    """Return whether an outline ``(K, 2)`` leaves the known one, and turns almost as it does where something hides it.
+
+    Args:
+        nodes: Equally spaced.
+        known: The same as they were, wherever they lay.
+    """
+    count, far, square = len(nodes), 0.0, 0.0
+    laying = similarity(known, nodes, np.ones(count, np.bool_))
+    laid = laid_flat(known, laying)
+    for k in range(count):
+        far = max(far, math.hypot(nodes[k, 0] - laid[k, 0], nodes[k, 1] - laid[k, 1]))
+        square += (laid[k, 0] - laying[2].real) ** 2 + (laid[k, 1] - laying[2].imag) ** 2
+    if far < _WITHIN[0] + _WITHIN[1] * math.sqrt(square / count):
+        return False
+    now, then = turns_around(nodes), turns_around(known)
+    for k in range(count):
+        nearby = -np.inf
+        for step in range(-_BESIDE, _BESIDE + 1):
+            nearby = max(nearby, then[(k + step) % count])
+        if now[k] - nearby > _ALMOST * _TURN:
+            return True
+    return False
+
+
+@compiled("(f8[:,::1],)")
+def turns_around(nodes: Array) -> Array:
+    """Return ``(K,)`` radians by which a closed line ``(K, 2)`` turns about each node, clockwise as seen."""
+    count, chord, out = len(nodes), round(_CHORD * len(nodes)), np.empty(len(nodes))
+    for k in range(count):
+        after, before = (k + chord) % count, (k - chord) % count
+        u, v = nodes[after, 0] - nodes[k, 0], nodes[after, 1] - nodes[k, 1]
+        x, y = nodes[k, 0] - nodes[before, 0], nodes[k, 1] - nodes[before, 1]
+        out[k] = math.atan2(x * v - y * u, x * u + y * v)
+    return out
 
 
 @compiled("(f8[:,::1], f8[:,::1])")
@@ -209,12 +249,6 @@ def complete_outline(
     points = np.concatenate([seen, laid])
     flags = np.arange(len(points)) >= len(seen)
     return FittedCurve.through(points, flags, True), float(-best)
-
-
-def _turns(nodes: Array) -> Array:
-    """Return ``(K,)`` radians by which a closed line ``(K, 2)`` turns about each node, clockwise as seen."""
-    at, chord = nodes[:, 0] + 1j * nodes[:, 1], round(_CHORD * len(nodes))
-    return np.angle((np.roll(at, -chord) - at) * (at - np.roll(at, chord)).conj())
 
 
 def _closed(points: Array) -> Array:

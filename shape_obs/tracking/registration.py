@@ -18,8 +18,9 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, TrackHints
-from shape_obs.geometry.outline import waves
+from shape_obs.geometry.outline import wave_table, waves
 from shape_obs.geometry.polyline import arc_length, closed, even_around
+from shape_obs.tracking.hidden_outline import may_be_hidden
 from shape_obs.tracking.prediction import Prediction
 from shape_obs.tracking.registration_in_space import blend_space, index_shift_space
 
@@ -77,20 +78,89 @@ def renumber_outline(points: Array, reference: Array, predicted: Array) -> tuple
     """
     count, around = len(predicted), closed(points)
     arc = arc_length(around)
-    whole = arc[-1]
-    start = index_shift(reference, predicted, even_around(around, arc, 0.0, count)) * (whole / count) % whole
-    same = 1e-9 * whole
+    gap = arc[-1] / count
+    start = index_shift(reference, predicted, even_around(around, arc, 0.0, count)) * gap
+    turned = _from(points, arc, start)
+    around = closed(turned)
+    arc = arc_length(around)
+    nodes = even_around(around, arc, 0.0, count)
+    return turned, arc, nodes, blend(reference, nodes)
+
+
+@compiled("(f8[:,::1], f8[:,::1], f8, i8)")
+def begin_outline(points: Array, space: Array, start: float, count: int) -> tuple[Array, Array, Array, Array, Array]:
+    """Let an outline in an image begin elsewhere, with its nodes equally spaced in space.
+
+    Args:
+        points: ``(P, 2)`` pixels.
+        space: ``(P, D)`` the same in metres.
+        start: Arc position of the first point, metres.
+        count: How many nodes.
+
+    Returns:
+        ``(P', 2)`` and ``(P', D)`` the same from there on, P' = P or P + 1; ``(P' + 1,)`` arc length in the image, the
+        last entry the whole; the nodes, ``(count, 2)`` in pixels and ``(count, D)`` in metres.
+    """
+    metres = arc_length(closed(space))
+    points, space = _from(points, metres, start), _from(space, metres, start)
+    around, lifted = closed(points), closed(space)
+    metres = arc_length(lifted)
+    nodes, places = even_around(around, metres, 0.0, count), even_around(lifted, metres, 0.0, count)
+    return points, space, arc_length(around), nodes, places
+
+
+@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
+def follow_outline(
+    points: Array, space: Array, reference: Array, predicted: Array
+) -> tuple[Array, Array, Array, Array, Array, bool]:
+    """Renumber an outline in an image from where it began before, by its form in space if that is known.
+
+    Args:
+        points: ``(P, 2)`` pixels.
+        space: ``(P, 3)`` the same in metres, for a reference in metres.
+        reference: ``(K, D)`` equidistant around the outline as it was, wherever it lay.
+        predicted: ``(K, 2)`` the same nodes where they are expected, pixels.
+
+    Returns:
+        The points from there on ``(P', 2)``; in metres ``(P', 3)``, or ``(0, 3)``; arc length in pixels ``(P' + 1,)``;
+        nodes ``(K, 2)``; the reference ``(K, D)`` as it is known now; whether something may hide a part, by the
+        outline in the image alone.
+    """
+    count = len(predicted)
+    if reference.shape[1] == 2:
+        turned, arc, nodes, known = renumber_outline(points, reference, predicted)
+        return turned, np.empty((0, 3)), arc, nodes, known, may_be_hidden(nodes, reference)
+    around, lifted = closed(points), closed(space)
+    metres = arc_length(lifted)
+    found, seen = even_around(lifted, metres, 0.0, count), even_around(around, metres, 0.0, count)
+    start = index_shift_space(reference, predicted, found, seen) * (metres[-1] / count)
+    turned, there, arc, nodes, places = begin_outline(points, space, start, count)
+    return turned, there, arc, nodes, blend_space(reference, places), False
+
+
+@compiled
+def _from(points: Array, arc: Array, start: float) -> Array:
+    """Return the points of an outline ``(P, D)`` from an arc position on, with a first one there: P or P + 1 of them.
+
+    Args:
+        points: ``(P, D)``.
+        arc: ``(P + 1,)`` arc length, or any other measure along it.
+        start: The place.
+    """
+    count, whole = len(points), arc[-1]
+    same, start = 1e-9 * whole, start % whole
     if start + same >= whole:
         start = 0.0
     after = 1
     while arc[after] < start + same:
         after += 1
     before = after - 1 if start - arc[after - 1] <= same else after  # the point is there already
-    turned = np.concatenate((even_around(around, arc, start, 1), points[after:], points[:before]))
-    around = closed(turned)
-    arc = arc_length(around)
-    nodes = even_around(around, arc, 0.0, count)
-    return turned, arc, nodes, blend(reference, nodes)
+    out = np.empty((1 + count - after + before, points.shape[1]))
+    first = even_around(closed(points), arc, start, 1)
+    for p in range(len(out)):
+        for d in range(points.shape[1]):
+            out[p, d] = first[0, d] if p == 0 else points[(after + p - 1) % count, d]
+    return out
 
 
 @compiled
@@ -105,8 +175,9 @@ def index_shift(reference: Array, predicted: Array, found: Array) -> float:
     Returns:
         Places; fractions of a place too.
     """
-    seen = waves(found, _HARMONICS)
-    shape, place = _spectrum(waves(reference, _HARMONICS), seen), _spectrum(waves(predicted, _HARMONICS), seen)
+    cos, sin = wave_table(len(found), _HARMONICS)
+    seen = waves(found, cos, sin)
+    shape, place = _spectrum(waves(reference, cos, sin), seen), _spectrum(waves(predicted, cos, sin), seen)
     real, imaginary, still = np.zeros(_SHIFTS), np.zeros(_SHIFTS), np.zeros(_SHIFTS)
     for h in range(_HARMONICS):
         for s in range(_SHIFTS):

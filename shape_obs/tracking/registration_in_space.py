@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.outline import waves
+from shape_obs.geometry.outline import wave_table, waves
 from shape_obs.geometry.rotation import best_rotation, covariance_of, largest_trace
 
 Array = npt.NDArray[np.float64]
@@ -53,7 +53,9 @@ def blend_space(reference: Array, found: Array) -> Array:
 @compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
 def index_shift_space(reference: Array, predicted: Array, found: Array, seen: Array) -> float:
     """Return what ``index_shift`` returns, by forms in space ``(K, 3)`` and places, expected and seen, ``(K, D)``."""
-    shape, place = _cross_spectrum(reference, found), _traced(_cross_spectrum(predicted, seen))
+    cos, sin = wave_table(len(found), _HARMONICS)
+    shape = _cross_spectrum(waves(reference, cos, sin), waves(found, cos, sin))
+    place = _traced(_cross_spectrum(waves(predicted, cos, sin), waves(seen, cos, sin)))
     still, turned, expected = np.empty(_SHIFTS), np.full(_SHIFTS, -np.inf), 0
     for s in range(_SHIFTS):
         still[s] = _stayed(place, _GRID[s])
@@ -157,12 +159,12 @@ def _laid(points: Array, places: Array, weight: Array) -> tuple[Array, Array]:
 
 
 @compiled
-def _cross_spectrum(before: Array, after: Array) -> Array:
+def _cross_spectrum(first: Array, second: Array) -> Array:
     """Return the spectrum of the cross-covariance over cyclic shifts, ``(D, D, 2, H)``: cosines and sines.
 
-    A perfect match gives 1.
+    It is that of two curves by their ``waves``, ``(2 D, H)``. A perfect match gives 1.
     """
-    first, second, size = waves(before, _HARMONICS), waves(after, _HARMONICS), before.shape[1]
+    size = len(first) // 2
     scale = max(math.sqrt(np.sum(first * first) * np.sum(second * second)), 1e-12)
     out = np.empty((size, size, 2, _HARMONICS))
     for d in range(size):

@@ -2,45 +2,38 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.compiled import compiled
 from shape_obs.frame import FARTHEST, readable_depth
-from shape_obs.geometry.coons import FINE, RIM, SIDE, TURN_REACH, border_of, side_lengths
+from shape_obs.geometry.coons import RIM, SIDE, TURN_REACH, border_of, side_lengths
 from shape_obs.geometry.curve import TrackHints
-from shape_obs.geometry.outline import material_outline
-from shape_obs.geometry.polyline import arc_length, laid_over
+from shape_obs.geometry.polyline import arc_length
+from shape_obs.geometry.rotation import laid_flat, similarity
 from shape_obs.image.region import Region
-from shape_obs.initialization.corners import Rim, nearest_corners, rim_of
-from shape_obs.tracking.corner_matching import assign_corners
-from shape_obs.tracking.hidden_border import Border, complete_border, look_around
+from shape_obs.initialization.corners import Rim
+from shape_obs.tracking.corner_matching import assign_corners, known_slack, zoom_of
+from shape_obs.tracking.hidden_border import Border, Lens, complete_border, look_around
 from shape_obs.tracking.prediction import Prediction
 
 if TYPE_CHECKING:
     from shape_obs.camera import Intrinsics
-    from shape_obs.configurations.base import Scene
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-# A side may be so much longer or shorter than it is known to be: as a share, without depth and with it, and in pixels.
-# What is known follows by so much in a frame, without depth and with it; without depth all sides together may grow and
-# shrink faster, as the sheet comes nearer.
-_SLACK: Final = ((0.04, 0.07), 2.0)
+# What is known of the sides follows by so much in a frame, as a share, without depth and with it.
 _STRETCH: Final = (0.0022, 0.001)
-_ZOOM: Final = 0.03
-# Without depth, what hides a part is seen by a turn of the outline where it did not turn before, in radians: a sheet
-# that bends on a table has none, but its corners are sheared.
-_CHORD: Final = 3  # points of a border to either side, over which it is seen to turn
-_CUT: Final = np.where(np.abs((np.arange(4 * SIDE) + SIDE // 2) % SIDE - SIDE // 2) <= _CHORD, 0.6, 0.38)
-# Without depth, a border that lies off its known form by so much, as a share of a side and in pixels, is not its own;
-# and the known form follows by this share.
-_DENTED: Final = (0.035, 1.5)
 _FORGETTING: Final = 0.03
-_BUCKLED: Final = 0.8  # of its length a side that has buckled measures at least
+_DOUBTED: Final = (0.3, 1.0)  # what lies farther from the known form, as a share of a gap and in pixels, is hidden
+_STEADY: Final = 0.5  # pixels: what lies off by less is learnt as fast as the rest
+_SOME: Final = 4  # every so many points of a lattice give that median
+_LOCAL: Final = 2.5  # median distances: what lies off by less has bent with the rest of the sheet
 _THROUGH: Final = 0.02  # of a sheet: the border of what is put back may lie a little outside
 _BEHIND: Final = 0.01  # metres: what lies farther behind a sheet would be hidden by it
 _INNER: Final = 0.06  # of the width: so far inside of its border the sheet's own plane is measured
@@ -65,6 +58,8 @@ class SheetView:
         space: ``(400, D)`` the rim in metres where there is depth, else in pixels.
         cut: ``(400,)`` bool, see ``look_around``.
         camera: The projection where there is depth, else None.
+        width: Of the mask's largest piece, pixels.
+        lens: Focal lengths and principal point, if the camera is a pinhole.
     """
 
     region: Region
@@ -76,15 +71,8 @@ class SheetView:
     space: Array
     cut: npt.NDArray[np.bool_]
     camera: Intrinsics | None
-
-    @classmethod
-    def of(cls, region: Region, scene: Scene) -> SheetView:
-        """Return the outline of a region, in space if the frame has depth along it."""
-        outline = material_outline(region.outline.traced, False)[1]
-        rim, turn, candidates, step, grain = rim_of(outline)
-        lifted, cut = look_around(region, rim, scene.depth, scene.intrinsics, scene.edge)
-        space, camera = (rim, None) if lifted is None else (lifted, scene.intrinsics)
-        return cls(region, rim, turn, candidates, step, grain, space, cut, camera)
+    width: float
+    lens: Lens
 
     @property
     def scale(self) -> float:
@@ -139,12 +127,6 @@ class SheetView:
         """Return ``(4,)`` the points most like the corners of a sheet, clockwise; None if there are not four."""
         return Rim(self.rim, self.rim, self.turn, self.candidates, self.step, self.grain).corners()
 
-    def corners_near(self, prediction: Prediction) -> Indices | None:
-        """Return ``(4,)`` the corners nearest to the predicted ones; None if they are not in order."""
-        expected = prediction.nodes[[0, FINE - 1, FINE * FINE - 1, FINE * (FINE - 1)]]
-        found = nearest_corners(self.rim, self.candidates, self.step, np.ascontiguousarray(expected))
-        return found if len(found) else None
-
 
 @dataclass(frozen=True, eq=False)
 class KnownSheet:
@@ -177,58 +159,7 @@ class KnownSheet:
 
     def slack(self, view: SheetView) -> Array:
         """Return ``(4,)`` by how much a side may be off."""
-        share, pixels = _SLACK
-        return np.maximum(share[self.metric] * self.sides, pixels * (view.scale if self.metric else 1.0))
-
-    def conflict(self, view: SheetView, patch: Array, lattice: Array, *, buckled: bool = False) -> str:
-        """Return what of a sheet that was found does not fit to what is known, or nothing.
-
-        Args:
-            view: The outline.
-            patch: ``(625, D)`` the lattice as it lies.
-            lattice: ``(625, 2)`` the same in pixels.
-            buckled: Whether sides may be shorter, since nothing lies over them that could hide a part.
-        """
-        border, known = border_of(patch if self.metric else lattice), border_of(self.lattice)
-        if not self.metric and (np.abs(_turns(border) - _turns(known)) < _CUT).all():
-            return ""
-        lengths = side_lengths(border)
-        off = (lengths / self._zoom(lengths) - self.sides) / self.slack(view)
-        if buckled:
-            off[(off < 0) & (lengths > _BUCKLED * self.sides)] = 0.0
-        side = int(np.argmax(np.abs(off)))
-        if abs(off[side]) > 1:
-            how = "shorter" if off[side] < 0 else "longer"
-            return f"side {side} is {how} than it was: something hides a part of the sheet"
-        if not self.metric:
-            away = border - laid_over(known, border, known, scaled=True)[0]
-            share, pixels = _DENTED
-            if np.sqrt((away**2).sum(axis=1).max()) > pixels + share * self.sides.mean():
-                return "a side is not where it was: something hides a part of the sheet"
-        return ""
-
-    def _zoom(self, lengths: Array) -> float:
-        """Return by how much all sides have become longer; what hides a part shortens two or three of them."""
-        if self.metric:
-            return 1.0
-        return float(np.clip(np.sort(lengths / self.sides)[2], 1 - _ZOOM, 1 + _ZOOM))
-
-    def learn(self, view: SheetView, patch: Array) -> TrackHints:
-        """Return what is known after a frame in which the whole border was seen, ``(625, D)`` as it lies."""
-        if self.hints.reference is None or self.hints.reference.shape[1] < patch.shape[1]:
-            return first_known(patch)
-        if self.hints.reference.shape[1] > patch.shape[1]:  # a frame without depth adds nothing
-            return self.hints
-        lengths = side_lengths(border_of(patch))
-        sides = self.sides * self._zoom(lengths)
-        stretch = _STRETCH[self.metric] * sides
-        sides = sides + np.clip(lengths - sides, -stretch, stretch)
-        if self.metric:
-            return TrackHints(reference=patch, sides=sides)
-        laid = laid_over(self.lattice, patch, self.lattice, scaled=True)[0]
-        step = _FORGETTING * (patch - laid)
-        most = _STRETCH[True] * sides.mean()
-        return TrackHints(reference=laid + np.clip(step, -most, most), sides=sides)
+        return known_slack(self.sides, self.metric, view.scale if self.metric else 1.0)
 
     def seen_beside(self, border: Border, patch: Array) -> TrackHints:
         """Return what is known after a frame in which a part of the border was put back.
@@ -265,21 +196,58 @@ class KnownSheet:
         return complete_border(pattern, known, view.rim, space, corners, view.cut, kinks, self.sides, slack, aside)
 
 
-def first_known(patch: Array) -> TrackHints:
-    """Return what is known of a sheet that was seen once, ``(625, D)`` as it lay."""
-    return TrackHints(reference=patch, sides=side_lengths(border_of(patch)))
+@compiled("(f8[:,::1], f8[:,::1], f8[::1])")
+def learn_sheet(known: Array, patch: Array, sides: Array) -> tuple[Array, Array]:
+    """Return what is known of a sheet after a frame in which all of it was seen: its lattice, and its sides ``(4,)``.
+
+    Args:
+        known: ``(625, D)`` as it was, wherever it lay: metres or pixels.
+        patch: ``(625, D)`` as it lies.
+        sides: ``(4,)`` lengths.
+    """
+    metric, lengths, learnt = known.shape[1] == 3, side_lengths(border_of(patch)), np.empty(4)
+    zoom = 1.0 if metric else zoom_of(lengths, sides)
+    for k in range(4):
+        stretch = _STRETCH[1 if metric else 0] * sides[k] * zoom
+        learnt[k] = sides[k] * zoom + min(max(lengths[k] - sides[k] * zoom, -stretch), stretch)
+    if metric:
+        return patch, learnt
+    laid = laid_flat(known, similarity(known, patch, np.ones(len(known), np.bool_)))
+    far, most = np.empty(len(patch)), _STRETCH[1] * learnt.mean()
+    for p in range(len(patch)):
+        far[p] = math.hypot(patch[p, 0] - laid[p, 0], patch[p, 1] - laid[p, 1])
+    limit = max(_LOCAL * np.median(far[::_SOME]), _STEADY)
+    for p in range(len(patch)):
+        share = _FORGETTING * min(limit / max(far[p], 1e-9), 1.0) ** 4
+        for d in range(2):
+            laid[p, d] += min(max(share * (patch[p, d] - laid[p, d]), -most), most)
+    return laid, learnt
+
+
+@compiled("(f8[:,::1], f8[:,::1], f8)")
+def doubtful_places(known: Array, patch: Array, gap: float) -> npt.NDArray[np.bool_]:
+    """Return which points of a lattice are not where the known form has them, without depth, ``(625,)``.
+
+    Something may lie over a border there that hides too little to be noticed by the border alone.
+
+    Args:
+        known: ``(625, 2)`` pixels, as it was, wherever it lay.
+        patch: ``(625, 2)`` as it lies.
+        gap: Between two points that are asked for, pixels.
+    """
+    far, near, out = np.empty(len(patch)), np.ones(len(patch), np.bool_), np.zeros(len(patch), np.bool_)
+    for last in (False, True):
+        laid = laid_flat(known, similarity(known, patch, near))
+        for p in range(len(patch)):
+            far[p] = math.hypot(patch[p, 0] - laid[p, 0], patch[p, 1] - laid[p, 1])
+        if not last and far.max() <= max(_DOUBTED[0] * gap, _DOUBTED[1]):
+            break
+        own = _LOCAL * np.median(far[::_SOME])
+        limit = max(_DOUBTED[0] * gap, _DOUBTED[1], own) if last else max(own, _DOUBTED[1])
+        for p in range(len(patch)):
+            near[p], out[p] = far[p] <= limit, far[p] > limit
+    return out
 
 
 def _closed(points: Array) -> Array:
     return np.ascontiguousarray(np.concatenate([points, points[:1]]))
-
-
-def _turns(border: Array) -> Array:
-    """Return ``(96,)`` radians by which a border ``(96, 2)`` turns about each of its points."""
-    at = border[:, 0] + 1j * border[:, 1]
-    ahead, back = at[_AHEAD] - at, at - at[_BACK]
-    return np.angle(ahead * back.conj())
-
-
-_AHEAD: Final = (np.arange(4 * SIDE) + _CHORD) % (4 * SIDE)
-_BACK: Final = (np.arange(4 * SIDE) - _CHORD) % (4 * SIDE)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice
+from shape_obs.geometry.curve import TrackHints
+from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice, uneven_places
 from shape_obs.geometry.topology import Grid
 
 
@@ -17,7 +20,11 @@ from shape_obs.geometry.topology import Grid
 def test_a_turn_moves_the_corners_and_nothing_else(seed, quarters, dimension):
     rng = np.random.default_rng(seed)
     patch = FittedLattice.over(rng.normal(size=(63, dimension)), rng.random(63) < 0.3, 7)
+    patch = replace(patch, hints=TrackHints(reference=patch.points))
     turned = patch.turned(quarters)
+    assert turned.hints.reference is not None
+    assert turned.hints.reference.flags.c_contiguous
+    np.testing.assert_allclose(turned.hints.reference, turned.points)
     np.testing.assert_allclose(turned.corners, np.roll(patch.corners, -quarters, axis=0))
     np.testing.assert_allclose(turned.lattice, np.rot90(patch.lattice, quarters))
     back = turned.turned((4 - quarters) % 4)
@@ -77,3 +84,22 @@ def test_lost_values_outside_are_like_the_nearest():
     filled = Grid(3, 4).interpolate(values, known)
     assert filled.dtype == np.float32
     np.testing.assert_allclose(filled, 0.7)
+
+
+class TestUnevenGaps:
+    def sheet(self, seed: int = 0, noise: float = 0.0) -> np.ndarray:
+        down, across = np.meshgrid(np.arange(5.0), np.arange(7.0), indexing="ij")
+        flat = np.stack([across * 30, down * 40, np.zeros_like(down)], axis=-1)
+        return np.ascontiguousarray(flat + np.random.default_rng(seed).normal(scale=max(noise, 1e-9), size=flat.shape))
+
+    def test_a_corner_that_is_folded_is_marked_with_its_neighbours(self):
+        sheet = self.sheet()
+        sheet[0, -1, 0] -= 6  # a fifth of a gap
+        marked = uneven_places(sheet).reshape(5, 7)
+        assert set(zip(*(place.tolist() for place in np.nonzero(marked)), strict=True)) == {
+            (0, 4), (0, 5), (0, 6), (1, 5), (1, 6)
+        }  # fmt: skip
+
+    def test_equal_gaps_and_gaps_that_all_differ_by_noise_are_not(self):
+        assert not uneven_places(self.sheet()).any()
+        assert np.mean([uneven_places(self.sheet(seed, 3.0)).mean() for seed in range(20)]) < 0.4

@@ -18,7 +18,7 @@ from numba.core import event
 from shape_obs import Centerline, Contour, HSVRange, Intrinsics, ShapeDetector, Surface
 from shape_obs.bench.synthetic.blobs import moving_blob, random_blob
 from shape_obs.bench.synthetic.clouds import moving_rope_cloud, ring_cloud, rope_cloud, sheet_cloud
-from shape_obs.bench.synthetic.flat_objects import View, cloth, under_hand
+from shape_obs.bench.synthetic.flat_objects import View, cloth, ring, under_hand
 from shape_obs.bench.synthetic.images import hidden_rope, photographed
 from shape_obs.bench.synthetic.ropes import moving_rope, random_rope
 from shape_obs.bench.synthetic.sheets import moving_sheet, random_sheet
@@ -33,6 +33,7 @@ from shape_obs.tracking.prediction import typical_motion
 
 BLUE = HSVRange(low=(100, 80, 25), high=(130, 255, 255))
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
+LENS = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5, "brown_conrady", (0.02, 0.0, 0.0, 0.0, 0.0))
 CLASSES: dict[str, type] = {"centerline": Centerline, "contour": Contour, "surface": Surface}
 
 
@@ -90,9 +91,10 @@ def centerline_masks() -> list[list[np.ndarray]]:
 def contour_masks() -> list[list[np.ndarray]]:
     rng = np.random.default_rng(1)
     blobs = [b.mask for b in moving_blob(rng, turn=0.1, speed=6, swell=0.3, frames=20)]
-    rope, ring = random_rope(rng, "loop").mask, np.zeros((480, 640), np.uint8)
-    ring[100:380, 150:500], ring[160:320, 210:440] = 255, 0
-    return [blobs, [random_blob(rng).mask], [blobs[0][:, ::-1]], [rope], [ring], [mask[:, :320] for mask in blobs]]
+    rope, band = random_rope(rng, "loop").mask, np.zeros((480, 640), np.uint8)
+    band[100:380, 150:500], band[160:320, 210:440] = 255, 0
+    hand = [scene.mask for scene in under_hand(rng, ring(rng, True), View(), "side", 16.0, level=True)][:12]
+    return [blobs, [random_blob(rng).mask], [blobs[0][:, ::-1]], [rope], [band] * 3, [b[:, :320] for b in blobs], hand]
 
 
 def surface_masks() -> list[list[np.ndarray]]:
@@ -111,6 +113,7 @@ def surface_masks() -> list[list[np.ndarray]]:
 def main(kind: str) -> None:
     make = CLASSES[kind]
     holes = [make(hole=0)] if kind == "contour" else [make(epochs=1)] if kind == "surface" else [make(ends="centers")]
+    holes += [make(ring=True)] if kind == "contour" else []
     specs = [make(), make(order="image"), *holes, make(lift="cloud"), make(spacing="m")]
     detectors = [ShapeDetector([spec], BLUE) for spec in specs]
     kmeans = ShapeDetector([make()], BLUE, clustering="kmeans")
@@ -137,7 +140,7 @@ def main(kind: str) -> None:
             depth[:, int(np.flatnonzero(mask.any(axis=0)).mean()) - 20 :] = 0  # and here most of it
         if k % 2:
             depth, image = depth.astype(np.float64) / 1000, image[:, ::-1][:, ::-1]
-        ok += detector.detect(image, depth, CAMERA).shapes[0].ok
+        ok += detector.detect(image, depth, CAMERA if k < 9 else LENS).shapes[0].ok
     clouds = [rope_cloud(rng).points, ring_cloud(rng).points, sheet_cloud(rng).points]
     clouds += [frame.points for frame in moving_rope_cloud(rng, 0.01, frames=3)]
     for cloud in [*clouds, clouds[2] + 1e-4, clouds[1] + 1e-4]:

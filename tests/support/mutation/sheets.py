@@ -6,6 +6,9 @@ from .mutant import Mutant
 
 _BORDER = "tests/tracking/test_hidden_border.py"
 _OUTLINE = "tests/tracking/test_hidden_outline.py"
+_VIEW = "tests/tracking/test_sheet_view.py"
+_LATTICE = "tests/geometry/test_lattice.py"
+_SPACED = "tests/configurations/test_contour_in_space.py"
 
 
 def _sheet(name: str, module: str, old: str, new: str, *tests: str) -> Mutant:
@@ -17,8 +20,8 @@ SHEETS: tuple[Mutant, ...] = (
     _sheet(
         "the first frame of an outline has no depth",
         "tracking/hidden_border",
-        "count = -(-len(rim) // every)",
-        "count = len(rim) // every",
+        "-(-len(rim) // every)",
+        "len(rim) // every",
     ),
     _sheet("the place outweighs the form", "tracking/hidden_outline", "_PLACE: Final = 0.005", "_PLACE: Final = 0.05"),
     _sheet("a dent without turns hides", "tracking/hidden_outline", "_TURN: Final = 0.28", "_TURN: Final = -9.0",
@@ -32,15 +35,26 @@ SHEETS: tuple[Mutant, ...] = (
            _OUTLINE),
     _sheet("all that bends counts", "tracking/registration_in_space", "_BENT: Final = 2.0", "_BENT: Final = 2e3"),
     _sheet("sides are forgotten fast", "tracking/sheet_view", "Final = (0.0022, 0.001)", "Final = (0.022, 0.01)"),
-    _sheet("sides may be of any length", "tracking/sheet_view", "((0.04, 0.07), 2.0)", "((0.4, 0.7), 20.0)"),
+    _sheet("sides may be of any length", "tracking/corner_matching", "((0.04, 0.07), 2.0)", "((0.4, 0.7), 20.0)"),
     _sheet("the table is not seen", "tracking/sheet_view", "_THROUGH: Final = 0.02", "_THROUGH: Final = 2.0"),
     _sheet(
         "depth has no slope at a border",
         "point_cloud/local_depth",
-        "if sloped and known >= _ENOUGH:",
-        "if False:",
+        "if not sloped or known < _ENOUGH:",
+        "if True:",
         "tests/point_cloud/test_median_depth.py",
     ),
+    _sheet("what lies off its form is not doubted", "tracking/sheet_view", "_DOUBTED: Final = (0.3, 1.0)",
+           "_DOUBTED: Final = (3.0, 10.0)", _VIEW),
+    _sheet("what bends is doubted", "tracking/sheet_view", "_LOCAL: Final = 2.5", "_LOCAL: Final = 0.5", _VIEW),
+    _sheet("a dent is learnt", "tracking/sheet_view", "max(far[p], 1e-9), 1.0) ** 4", "max(far[p], 1e-9), 1.0) ** 0",
+           _VIEW),
+    _sheet("uneven gaps are visible", "geometry/lattice", "_UNEVEN: Final = 0.09", "_UNEVEN: Final = 0.9", _LATTICE),
+    _sheet("noise is uneven", "geometry/lattice", "_OFTEN: Final = 3.0", "_OFTEN: Final = 0.3", _LATTICE),
+    _sheet("any outline may be hidden", "tracking/hidden_outline", "_ALMOST: Final = 0.4", "_ALMOST: Final = -9.0",
+           _OUTLINE),
+    _sheet("an outline is spread over the image", "configurations/contour", "if form.space is None else form.space",
+           "if True else form.space", _SPACED),
     _sheet("lost values stay their neighbours'", "geometry/topology", "_SWEEPS: Final = 60", "_SWEEPS: Final = 0",
-           "tests/geometry/test_lattice.py"),
+           _LATTICE),
 )  # fmt: skip
