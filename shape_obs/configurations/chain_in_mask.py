@@ -22,7 +22,7 @@ from shape_obs.geometry.topology import undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.rope_tip import extend_chain, rims_of, without_ends
 from shape_obs.point_cloud.chain_length import lift_chain
-from shape_obs.point_cloud.lifting import gather_lifted_cells, strand_gap
+from shape_obs.point_cloud.strands import gather_lifted_cells, strand_gap
 from shape_obs.tracking.occluders import HIDDEN, chain_evidence
 from shape_obs.tracking.rope_match import Found, RopeBelief, match_to_rope
 from shape_obs.tracking.validation import sample_spread

@@ -232,7 +232,7 @@ class Contour(Configuration, kind="contour"):
 
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
         """Return points with equal chords around, from the form's first point; in space along the form there."""
-        there = form.points if metric is form else metric.points if form.space is None else form.space
+        there = metric.points if self.spacing == "px" or form.space is None else form.space
         places = _points_around(form.points, form.arc, there, self.n)
         return Points(places, np.zeros(self.n, bool))
 

@@ -16,9 +16,9 @@ from shape_obs.frame import DEPTH_TYPE, MILLIMETRE, DepthImages, Frame
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.topology import Grid
 from shape_obs.image.connected_runs import near_mask
-from shape_obs.point_cloud.chain_length import strand_under
-from shape_obs.point_cloud.lifting import form_depth, lift_form, strand_gap
+from shape_obs.point_cloud.lifting import form_depth, lift_form
 from shape_obs.point_cloud.local_depth import MAX_REACH, MIN_SHARE, median_depth
+from shape_obs.point_cloud.strands import strand_gap, strand_under
 from shape_obs.shape import Shape
 from shape_obs.tracking.belief import error_on_sheet, expected_error
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
@@ -112,7 +112,7 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     metric, under, in_pieces, measured = form, None, False, False
     if isinstance(form, FittedCurve):
         in_pieces = bool(form.interpolated[shown(form) if any(form.hints.hidden) else slice(None)].any())
-        measured = form.metres is not None
+        measured = form.metres is not None or form.space is not None
     uneven = spec.spacing == "m" and not measured
     if depth is not None and camera is not None and (uneven or in_pieces):
         under = form_depth(form, depth, region, width)
@@ -137,8 +137,10 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         z[unknown] = np.nan
         valid &= ~unknown
     if relief is None and not valid.all():
-        if valid.any():
-            z = spec.layout.interpolate(z[:, None], valid)[:, 0]
+        # What is in doubt on a sheet still has its own depth; next to a curve it may be that of what lies over it.
+        known = valid if isinstance(form, FittedCurve) else np.isfinite(z)
+        if known.any():
+            z = spec.layout.interpolate(z[:, None], known)[:, 0]
         points3d = _lift(points, z, camera.intrinsics, spec.radius).astype(np.float32)
         valid &= np.isfinite(points3d).all(axis=1)  # the lens may have no ray there
     return pixels, points3d, visible, valid

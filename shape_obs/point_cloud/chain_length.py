@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
+from shape_obs.frame import DEPTH_TYPE, DepthImages
 from shape_obs.geometry.polyline import arc_length
-from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.point_cloud.lifting import COMPARED, SMEARED, STEP, nearest_expected
-from shape_obs.point_cloud.local_depth import MAX_REACH, MIN_SHARE, median, room, strand_depth
+from shape_obs.point_cloud.local_depth import MAX_REACH, median, room
+from shape_obs.point_cloud.strands import strand_depth
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
@@ -238,36 +238,3 @@ def smooth_depth(values: Array, along: Array, rays: Array, variance: float) -> A
                 total -= after[p] * z[p + 2]
             z[p] = total / main[p]
     return z
-
-
-@compiled
-def strand_under(
-    depth: DepthImages, mask: Mask, at: tuple[int, int], points: Array, reach: int, expected: Array, slack: float
-) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Return whether the depth around points of a strand is known, and whether most of it is another's in front.
-
-    Args:
-        depth: The frame's, see ``frame.depth_images``.
-        mask: ``(h, w)`` uint8, C-contiguous.
-        at: Image column and row of its first pixel.
-        points: ``(N, 2)`` image pixels.
-        reach: How far around a point is looked, pixels.
-        expected: ``(N,)`` depth of the strand, metres.
-        slack: By which share another strand is nearer, at least.
-    """
-    (millimetres, metric), (height, width) = depth, mask.shape
-    seen, under = np.zeros(len(points), np.bool_), np.zeros(len(points), np.bool_)
-    for n in range(len(points)):
-        column, row = nearest_pixel(points[n, 0]) - at[0], nearest_pixel(points[n, 1]) - at[1]
-        inside = known = nearer = 0
-        for v in range(max(row - reach, 0), min(row + reach + 1, height)):
-            for u in range(max(column - reach, 0), min(column + reach + 1, width)):
-                if mask[v, u] == 0:
-                    continue
-                y, x = v + at[1], u + at[0]
-                z = millimetres[y, x] * MILLIMETRE if len(millimetres) > 0 else float(metric[y, x])
-                inside += 1
-                known += 0 < z < FARTHEST
-                nearer += 0 < z < expected[n] * (1 - slack)
-        seen[n], under[n] = known >= max(MIN_SHARE * inside, 1), 2 * nearer > known
-    return seen, under

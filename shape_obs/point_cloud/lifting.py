@@ -1,8 +1,7 @@
-"""From pixels to metres: robust local depth under each point, and cells of pixels at one depth."""
+"""From pixels to metres: robust local depth under each point of a form."""
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 from typing import Any, Final
 
@@ -11,7 +10,7 @@ import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST, MILLIMETRE, DepthImages, readable_depth
+from shape_obs.frame import readable_depth
 from shape_obs.geometry.curve import FittedCurve, FittedForm
 from shape_obs.geometry.lattice import FittedLattice
 from shape_obs.image.region import Region
@@ -22,9 +21,6 @@ Indices = npt.NDArray[np.int64]
 
 SMEARED: Final = 2.5  # widths next to a hidden piece, in which depth may be that of what hides it
 COMPARED: Final = 6.0  # widths within which the rope's own depth is looked for
-_MOVED: Final = 0.13  # of its depth, by which a rope may come nearer or go away beyond what was predicted
-_FEW: Final = 3.0  # times as many pixels as a strand behind has in a square: then it is none
-_APART: Final = (2.0, 0.02)  # widths, and of the depth: strands that lie so far apart are not taken for each other
 STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much within a few widths
 
 
@@ -144,139 +140,3 @@ def nearest_expected(arc: Array, metres: Array, at: float) -> float:
         spread += (arc[k] - middle) ** 2
         slope += (arc[k] - middle) * (metres[k] - mean)
     return min(level, mean + slope / spread * (at - middle)) if spread > 0 else level
-
-
-@compiled("(f8, f8)")
-def strand_gap(width: float, focal: float) -> float:
-    """Return by which share of its depth a strand of a rope lies apart from another.
-
-    Args:
-        width: Of the rope, pixels.
-        focal: Focal length, pixels.
-    """
-    return max(_APART[0] * width / focal, _APART[1])
-
-
-@compiled
-def gather_lifted_cells(
-    runs: Indices, edge: int, depth: DepthImages, focal: float, width: float, expected: Array
-) -> tuple[Array, Array]:
-    """Gather the pixels of ``(R, 3)`` runs into squares, those of two strands at unlike depths apart.
-
-    Args:
-        runs: Of a mask; at least one.
-        edge: Of the squares, pixels.
-        depth: The frame's, see ``frame.depth_images``.
-        focal: Focal length, pixels.
-        width: Of the rope, pixels.
-        expected: ``(K, 3)`` pixels and relief where the rope should be: what lies far from all of it in depth is not
-            the rope's, and a square without depth takes the relief of the nearest of them.
-
-    Returns:
-        ``(M, 3)`` centroids, pixels and relief; ``(M,)`` counts.
-    """
-    (millimetres, metric), low, high = depth, np.inf, -np.inf
-    for k in range(len(expected)):
-        low, high = min(low, expected[k, 2]), max(high, expected[k, 2])
-    low, high = math.exp(low / focal - _MOVED), min(math.exp(high / focal + _MOVED), FARTHEST)
-    left, right, most = runs[0, 1], runs[0, 2], 0
-    for at in range(len(runs)):
-        left, right = min(left, runs[at, 1]), max(right, runs[at, 2])
-        most += (runs[at, 2] - runs[at, 1]) // edge + 2
-    top, left = runs[0, 0] // edge, left // edge
-    across = (right - 1) // edge - left + 1
-    places = np.full((runs[-1, 0] // edge - top + 1) * across, -1, np.int32)
-    # Of each square: pixels, sums of columns and rows, pixels with depth, sum of their depth, the least and the most.
-    sums, held, behind, apart = np.empty((2 * most, 7)), 0, math.exp(strand_gap(width, focal)), False
-    for at in range(len(runs)):
-        row, column, base = runs[at, 0], runs[at, 1], (runs[at, 0] // edge - top) * across - left
-        cell = column // edge
-        while column < runs[at, 2]:
-            into, stop = places[base + cell], min((cell + 1) * edge, runs[at, 2])
-            if into < 0:
-                _clear(sums[held])
-                places[base + cell] = into = held
-                held += 1
-            near, far, known, total = sums[into, 5], sums[into, 6], 0.0, 0.0
-            for k in range(column, stop):
-                metres = millimetres[row, k] * MILLIMETRE if len(millimetres) > 0 else float(metric[row, k])
-                if low < metres < high:
-                    near, far, known, total = min(near, metres), max(far, metres), known + 1, total + metres
-            sums[into, 5], sums[into, 6], apart = near, far, apart or far > behind * near
-            _add(sums[into], row, column, stop, known, total)
-            column, cell = stop, cell + 1
-    if apart:
-        held = _part_strands(runs, edge, depth, (low, high), behind, top, left, across, places, sums, held)
-    points, weight, at = np.empty((held, 3)), np.empty(held), 0
-    for into in range(held):
-        count = sums[into, 0]
-        if count == 0:
-            continue
-        u, v = sums[into, 1] / count, sums[into, 2] / count
-        points[at, 0], points[at, 1], weight[at] = u, v, count
-        if sums[into, 3] > 0:
-            points[at, 2] = focal * math.log(sums[into, 4] / sums[into, 3])
-        else:
-            points[at, 2] = expected[_nearest_in_image(u, v, expected), 2]
-        at += 1
-    return points[:at], weight[:at]
-
-
-@compiled
-def _clear(sums: Array) -> None:
-    for k in range(7):
-        sums[k] = 0.0
-    sums[5] = np.inf
-
-
-@compiled
-def _add(sums: Array, row: int, start: int, stop: int, known: float, metres: float) -> None:
-    """Add pixels of one row to a square's sums, and the depth of those where it is known."""
-    count = float(stop - start)
-    sums[0], sums[1], sums[2] = sums[0] + count, sums[1] + count * (start + stop - 1) / 2, sums[2] + count * row
-    sums[3], sums[4] = sums[3] + known, sums[4] + metres
-
-
-@compiled
-def _part_strands(
-    runs: Indices, edge: int, depth: DepthImages, limits: tuple[float, float], behind: float,
-    top: int, left: int, across: int, places: npt.NDArray[np.int32], sums: Array, held: int,
-) -> int:  # fmt: skip
-    """Give the strand behind another in a square sums of its own; return how many there are then."""
-    (millimetres, metric), count, other = depth, held, np.full(held, -1, np.int64)
-    for into in range(held):
-        if sums[into, 6] > behind * sums[into, 5]:
-            near = sums[into, 5]
-            other[into] = count
-            _clear(sums[count])
-            _clear(sums[into])
-            sums[into, 5], count = near, count + 1
-    for at in range(len(runs)):
-        row, base = runs[at, 0], (runs[at, 0] // edge - top) * across - left
-        for column in range(runs[at, 1], runs[at, 2]):
-            into = places[base + column // edge]
-            if other[into] >= 0:
-                metres = millimetres[row, column] * MILLIMETRE if len(millimetres) > 0 else float(metric[row, column])
-                known = limits[0] < metres < limits[1]
-                far = known and metres > behind * sums[into, 5]
-                _add(
-                    sums[other[into] if far else into], row, column, column + 1, 1.0 if known else 0.0,
-                    metres if known else 0.0,
-                )  # fmt: skip
-    for into in range(held):
-        if other[into] >= 0 and _FEW * sums[other[into], 0] < sums[into, 0]:  # the table next to the rope
-            for k in range(3):
-                sums[into, k] += sums[other[into], k]
-                sums[other[into], k] = 0.0
-    return count
-
-
-@compiled
-def _nearest_in_image(u: float, v: float, nodes: Array) -> int:
-    """Return which of ``(K, 3)`` nodes lies nearest to a pixel in the image."""
-    best, least = 0, np.inf
-    for k in range(len(nodes)):
-        square = (nodes[k, 0] - u) ** 2 + (nodes[k, 1] - v) ** 2
-        if square < least:
-            best, least = k, square
-    return best

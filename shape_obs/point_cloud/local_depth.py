@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST, MILLIMETRE, DepthImages
+from shape_obs.frame import FARTHEST
 from shape_obs.image.connected_runs import nearest_pixel
 
 Array = npt.NDArray[np.float64]
@@ -78,63 +78,6 @@ def median_depth(
             for k in range(known):
                 places[n, 0] += x[k] / known
                 places[n, 1] += y[k] / known
-    return out, places
-
-
-@compiled
-def strand_depth(
-    depth: DepthImages,
-    mask: Mask,
-    at: tuple[int, int],
-    points: Array,
-    reach: int,
-    expected: Array,
-    slack: float,
-) -> tuple[Array, Array]:
-    """Return the median depth of the mask around each point, of what lies where it is expected, and its mean place.
-
-    From a reach of four pixels on, every second pixel is read, as on a chessboard. Depth is NaN where nothing is
-    known; where nothing is expected, also where less than a quarter of the pixels have depth.
-
-    Args:
-        depth: The frame's, see ``frame.depth_images``.
-        mask: ``(h, w)`` uint8, C-contiguous.
-        at: Image column and row of its first pixel.
-        points: ``(P, 2)`` image pixels.
-        reach: How far around a point is looked, pixels.
-        expected: ``(P,)`` metres, or ``(0,)``.
-        slack: By which share a depth may differ from that.
-
-    Returns:
-        ``(P,)`` metres; ``(P, 2)`` image pixels.
-    """
-    (millimetres, metres), step = depth, 2 if reach >= SPARSE else 1
-    whole = len(millimetres) > 0
-    unit = MILLIMETRE if whole else 1.0
-    height, width = mask.shape
-    near = room((2 * reach + 1) ** 2)
-    out, places = np.empty(len(points)), np.empty_like(points)
-    for n in range(len(points)):
-        low, high, share = 0.0, FARTHEST / unit, MIN_SHARE
-        if len(expected) > 0:
-            low, high, share = expected[n] * (1 - slack) / unit, expected[n] * (1 + slack) / unit, 0.0
-        column, row = nearest_pixel(points[n, 0]) - at[0], nearest_pixel(points[n, 1]) - at[1]
-        known, inside, x, y = 0, 0, 0, 0
-        for v in range(max(row - reach, 0), min(row + reach + 1, height)):
-            first = column - reach + (v - row + reach & 1) * (step - 1)
-            while first < 0:
-                first += step
-            for u in range(first, min(column + reach + 1, width), step):
-                if mask[v, u] != 0:
-                    inside += 1
-                    z = np.float32(millimetres[v + at[1], u + at[0]]) if whole else metres[v + at[1], u + at[0]]
-                    near[known] = z
-                    if low < z < high:
-                        x, y, known = x + u, y + v, known + 1
-        out[n] = np.nan
-        if known >= max(share * inside, 1):
-            out[n] = median(near, known) * unit
-            places[n, 0], places[n, 1] = at[0] + x / known, at[1] + y / known
     return out, places
 
 

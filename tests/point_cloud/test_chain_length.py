@@ -8,7 +8,7 @@ import pytest
 from shape_obs import Intrinsics
 from shape_obs.frame import depth_images
 from shape_obs.point_cloud.chain_length import lift_chain
-from shape_obs.point_cloud.lifting import strand_gap
+from shape_obs.point_cloud.strands import strand_gap
 
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 COUNT = 60

@@ -65,7 +65,7 @@ ROPES: tuple[Mutant, ...] = (
     ),
     _rope(
         "strands are not parted in a square",
-        "point_cloud/lifting",
+        "point_cloud/strands",
         "far = known and metres > behind * sums[into, 5]",
         "far = False",
         "tests/point_cloud/test_lifting.py",
@@ -80,7 +80,7 @@ ROPES: tuple[Mutant, ...] = (
     ),
     _rope(
         "depth of another strand is its own",
-        "point_cloud/local_depth",
+        "point_cloud/strands",
         "low, high, share = expected[n] * (1 - slack) / unit, expected[n] * (1 + slack) / unit, 0.0",
         "share = 0.0",
         _SPACE,
