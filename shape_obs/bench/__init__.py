@@ -8,19 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from itertools import starmap
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar, get_args
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, TypeVar, get_args
 
 if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
     from shape_obs.configurations.base import Configuration
     from shape_obs.detector import ShapeDetector
     from shape_obs.shape import Detection, Shape
 
 S = TypeVar("S")
 T = TypeVar("T")
-Mask = npt.NDArray[np.uint8]
+Mask: TypeAlias = "npt.NDArray[np.uint8]"
 Clock = Literal["wall", "thread"]
 Env = Literal["Cable", "Ring", "Cloth", "Hanging"]
 ENVS: Final[tuple[Env, ...]] = get_args(Env)
@@ -78,6 +78,8 @@ def at_rest(spec: Configuration, masks: Iterable[Mask]) -> tuple[list[Shape], np
     Returns:
         The shape in each mask, and the squared distances of its points from their mean positions, (frames, N) pixels.
     """
+    import numpy as np
+
     from shape_obs.detector import ShapeDetector
 
     detector = ShapeDetector([spec])

@@ -21,11 +21,12 @@ def test_points_have_equal_gaps_where_the_form_was_measured():
     flat = np.stack([300 + 100 * np.cos(around), 200 + 40 * np.sin(around)], axis=1)
     tilted = np.stack([np.cos(around), np.sin(around), np.zeros(400)], axis=1) / 4
     elsewhere = tilted * (1, 0.2, 1)
-    places = Contour(n=16).resample(curve(flat, tilted), curve(elsewhere)).places
+    spec = Contour(n=16, spacing="m")
+    places = spec.resample(curve(flat, tilted), curve(elsewhere)).places
     back = (places - (300, 200)) / (100, 40)
     gaps = np.linalg.norm(np.roll(back, -1, axis=0) - back, axis=1)
     assert np.ptp(gaps) / gaps.mean() < 0.01
-    assert np.allclose(Contour(n=16).resample(curve(flat), curve(elsewhere)).places[0], places[0])
+    assert np.allclose(spec.resample(curve(flat), curve(elsewhere)).places[0], places[0])
 
 
 def test_a_steep_outline_in_a_small_image_keeps_its_index():

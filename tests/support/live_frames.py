@@ -127,6 +127,10 @@ def main(kind: str) -> None:
             for mask in scene:
                 depth: Any = rng.integers(695, 705, mask.shape, np.uint16)
                 ok += detector.detect_mask(mask, *([depth, CAMERA] if in_space else [])).shapes[0].ok
+        if in_space:  # what has depth here and there only is not measured in space
+            detector.reset()
+            sparse = np.where(rng.random(masks[0][0].shape) < 0.05, 700, 0).astype(np.uint16)
+            detector.detect_mask(masks[0][0], sparse, CAMERA)
     for mask in masks[0][:5]:
         kmeans.detect_mask(mask, np.full(mask.shape, 700, np.uint16), CAMERA)
     detector = detectors[0]

@@ -55,7 +55,7 @@ SHAPES: tuple[Mutant, ...] = (
     _points("a point without depth is valid", "visible[n] and math.isfinite(z[n])", "visible[n]"),
     _points("a point without a ray is valid", "valid[n] and math.isfinite(found[n, d])", "valid[n]",
             _DEGENERATE),
-    _points("holes take no neighbour's depth", "        if valid.any():\n", "        if False:\n"),
+    _points("holes take no neighbour's depth", "        if known.any():\n", "        if False:\n"),
     _points("depth next to what hides a piece is the points'",
             "        valid &= ~unknown\n", "",
             _OCCLUDERS, _LIFTING),

@@ -53,8 +53,8 @@ SHEETS: tuple[Mutant, ...] = (
     _sheet("noise is uneven", "geometry/lattice", "_OFTEN: Final = 3.0", "_OFTEN: Final = 0.3", _LATTICE),
     _sheet("any outline may be hidden", "tracking/hidden_outline", "_ALMOST: Final = 0.4", "_ALMOST: Final = -9.0",
            _OUTLINE),
-    _sheet("an outline is spread over the image", "configurations/contour", "if form.space is None else form.space",
-           "if True else form.space", _SPACED),
+    _sheet("an outline is spread over the image", "configurations/contour", "or form.space is None else form.space",
+           "or True else form.space", _SPACED),
     _sheet("lost values stay their neighbours'", "geometry/topology", "_SWEEPS: Final = 60", "_SWEEPS: Final = 0",
            _LATTICE),
 )  # fmt: skip
