@@ -34,6 +34,7 @@ _NO_ROPE: Final = RopeBelief(*np.zeros(13).tolist()), Length(), np.zeros((2, 2))
 _WHOLE: Final = 0.03  # of a length in metres, by which the curve of a whole rope may be too long or too short
 _RIVAL: Final = 0.08  # of the length: if so much more may be hidden at the other end, nothing is known of either
 _TURN: Final = 0.06  # of the length, at most: so much next to what lies behind the rope is off by up to 2 gaps of 20
+_LEVELLING: Final = 0.1  # of the relief of what is hidden, lost in a frame: it is as deep as what is seen next to it
 _NEXT_TO: Final = 0.25  # of the visible piece, next to a hidden end, whose scale that end has
 
 
@@ -138,6 +139,8 @@ def _filled(
         # What is left over at the far end is spread along the piece, so that it meets both ends.
         piece = piece - piece[0] + points[first]
         piece += np.linspace(0, 1, len(piece))[:, None] * (points[last] - piece[-1])
+        if rope.lifted:
+            piece[:, -1] += _LEVELLING * (np.linspace(piece[0, -1], piece[-1, -1], len(piece)) - piece[:, -1])
         points = np.concatenate([points[:first], piece, points[last + 1 :]])
     drawn = form.relaid(points, form.interpolated)
     if form.metres is None:
@@ -167,11 +170,13 @@ def _completed(rope: PredictedRope, form: FittedCurve, found: Match) -> FittedCu
     if ends[0] == FREE:
         before = _folded(points, at, at[0])[::-1]
     else:
-        before = _hidden_piece(rope, 0, at[0], points[: reach + 1], at[: reach + 1], length)[::-1]
+        before = _hidden_piece(rope, 0, at[0], points[: reach + 1], at[: reach + 1], length, ends[0] == HIDDEN)[::-1]
     if ends[1] == FREE:
         behind = _folded(points[::-1], at[-1] - at[::-1], length - at[-1])
     else:
-        behind = _hidden_piece(rope, 1, length - at[-1], points[: -reach - 2 : -1], at[: -reach - 2 : -1], length)
+        behind = _hidden_piece(
+            rope, 1, length - at[-1], points[: -reach - 2 : -1], at[: -reach - 2 : -1], length, ends[1] == HIDDEN
+        )
     hidden_before = np.linspace(0, at[0], len(before) + 1)[:-1]
     hidden_behind = np.linspace(at[-1], length, len(behind) + 1)[1:]
     along = np.concatenate([hidden_before, at, hidden_behind])
@@ -194,7 +199,9 @@ def _completed(rope: PredictedRope, form: FittedCurve, found: Match) -> FittedCu
     return replace(whole, metres=along, pixels=pixels)
 
 
-def _hidden_piece(rope: PredictedRope, end: int, hidden: float, seen: Array, stations: Array, length: float) -> Array:
+def _hidden_piece(
+    rope: PredictedRope, end: int, hidden: float, seen: Array, stations: Array, length: float, over: bool
+) -> Array:
     """Return a hidden end of the rope from its joint with the visible piece outwards, without the joint.
 
     It is bent as predicted, but goes straight on if it was folded back onto the rope before: of that, nothing is known.
@@ -206,6 +213,7 @@ def _hidden_piece(rope: PredictedRope, end: int, hidden: float, seen: Array, sta
         seen: ``(P, D)`` the visible piece from the joint inwards.
         stations: ``(P,)`` of these points.
         length: Of the rope.
+        over: Whether something lies over it: then its depth is not known from where it was predicted.
     """
     if hidden <= 1e-9 * length:
         return np.zeros((0, seen.shape[1]))
@@ -217,6 +225,8 @@ def _hidden_piece(rope: PredictedRope, end: int, hidden: float, seen: Array, sta
         share = np.linspace(hidden, 0, count) / length
         piece = rope.at(1 - share if end else share)
         piece = piece - piece[0]
+        if rope.lifted and over:
+            piece[:, 2] *= 1 - _LEVELLING
     piece = piece * (scale * hidden / max(float(arc_length(np.ascontiguousarray(piece))[-1]), 1e-9))
     return piece[1:] + seen[0]
 

@@ -82,11 +82,13 @@ class PredictedRope:
         nodes: ``(K, D)``.
         points: ``(K + 2, D)`` the nodes, and the tips in front of and behind them.
         share: ``(K + 2,)`` where the points lie along the rope, 0...1.
+        lifted: Whether the last coordinate is their relief.
     """
 
     def __init__(self, prediction: Prediction, form: FittedCurve | None = None) -> None:
         nodes, self.hidden, self.folded = prediction.nodes, prediction.hints.hidden, prediction.hints.folded
-        if prediction.relief is not None and (form is None or form.relief is not None):
+        self.lifted = prediction.relief is not None and (form is None or form.relief is not None)
+        if prediction.relief is not None and self.lifted:
             nodes = np.concatenate([nodes, prediction.relief[:, None]], axis=1)
         self.nodes = np.ascontiguousarray(nodes)
         self.points, self.share = from_tip_to_tip(self.nodes)

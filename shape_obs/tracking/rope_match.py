@@ -201,7 +201,8 @@ def match_to_rope(
         hidden = max(placed.head / length - beyond, 0.0), max(placed.tail / length - beyond, 0.0)
         long_ago = belief.stale > 0 or belief.lapse**2 > _LONG_AGO
         bridge = along[gap[1]] - along[gap[0]]
-        adrift = slid(belief.adrift, rope, ends, hidden, _SLIDES * bridge / length, placed.apart, long_ago)
+        bridged, precise = _SLIDES * bridge / length, belief.resolution
+        adrift = slid(belief.adrift, rope, ends, hidden, bridged, placed.apart, precise, long_ago)
         rival = 0.0 if bridge > 0 or belief.adrift > 0 or belief.lapse**2 > _LONG_AGO else placed.rival
         bent, apart = placed.bent, placed.apart
     else:
