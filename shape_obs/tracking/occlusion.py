@@ -30,7 +30,7 @@ _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this m
 _LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
 _NOTHING: Final = np.zeros(0)
 _UNKNOWN_TIPS: Final = np.zeros((0, 2, 2))
-_NO_ROPE: Final = RopeBelief(*np.zeros(13).tolist()), Length(), np.zeros((2, 2)), _NOTHING, _UNKNOWN_TIPS
+_NO_ROPE: Final = RopeBelief(*np.zeros(14).tolist()), Length(), np.zeros((2, 2)), _NOTHING, _UNKNOWN_TIPS
 _WHOLE: Final = 0.03  # of a length in metres, by which the curve of a whole rope may be too long or too short
 _RIVAL: Final = 0.08  # of the length: if so much more may be hidden at the other end, nothing is known of either
 _TURN: Final = 0.06  # of the length, at most: so much next to what lies behind the rope is off by up to 2 gaps of 20
@@ -45,7 +45,7 @@ def known_rope(prediction: Prediction | None, width: float) -> tuple[RopeBelief,
     hints = prediction.hints
     belief = RopeBelief(
         *hints.hidden, *hints.residuals, *hints.cut, hints.adrift, float(width), float(prediction.resolution),
-        float(prediction.lapse), float(prediction.stale), *hints.credit,
+        float(prediction.lapse), float(prediction.stale), *hints.credit, prediction.motion,
     )  # fmt: skip
     relief = _NOTHING if prediction.relief is None else prediction.relief
     return belief, hints.length, prediction.nodes, relief, _UNKNOWN_TIPS if hints.tips is None else hints.tips

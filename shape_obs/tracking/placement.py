@@ -24,7 +24,7 @@ Ends = tuple[int, int]
 PROBES: Final = np.linspace(0, 1, 32)  # of a visible piece, at which it is compared with the prediction
 INDEPENDENT: Final = (4.0, 1.0)  # of the probes: neighbours err alike, and a rope that is elsewhere is so as a whole
 NOISE: Final = 0.15  # in resolutions: how far off a curve lies that was predicted perfectly
-_AT_REST: Final = 0.35  # in resolutions: a rope that is less far from its prediction has not moved unforeseen
+_AT_REST: Final = 0.35  # in resolutions: a rope at rest is not farther from its prediction
 TRUST: Final = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
 _SHARES: Final = 8  # of what is missing, that may be hidden at an end
 # What it costs, in squared standard deviations, to take an end for hidden: one of which nothing is known, one that
@@ -155,21 +155,32 @@ def settled(residuals: tuple[float, float], bent: float, apart: float) -> tuple[
     )
 
 
-@compiled("(f8, f8[:,::1], UniTuple(i8, 2), UniTuple(f8, 2), f8, f8, f8, b1)")
+@compiled("(f8, f8, f8)")
+def beyond_rest(apart: float, motion: float, resolution: float) -> float:
+    """Return how far a curve lies from its prediction, RMS, beyond what a rope at rest may.
+
+    Args:
+        apart: Mean square distance.
+        motion: How far it is expected to have moved, RMS: a rope that moves is not at rest.
+        resolution: Of the observation.
+    """
+    return math.sqrt(max(apart - max((_AT_REST * resolution) ** 2 - motion**2, 0.0), 0.0))
+
+
+@compiled("(f8, f8[:,::1], UniTuple(i8, 2), UniTuple(f8, 2), f8, f8, b1)")
 def slid(
     adrift: float,
     rope: Array,
     ends: Ends,
     hidden: tuple[float, float],
     bridged: float,
-    apart: float,
-    resolution: float,
+    strayed: float,
     long_ago: bool,
 ) -> float:
     """Return by which share of its length a rope may have slid along itself while no end of it was seen.
 
-    It looks then as if it lay where it was put last; the unforeseen motion adds up, where it is more than noise.
-    After a while out of sight it may be any piece. Only an end that is free, or all of the rope, shows where it is.
+    It looks then as if it lay where it was put last; the unforeseen motion adds up. After a while out of sight it
+    may be any piece. Only an end that is free, or all of the rope, shows where it is.
 
     Args:
         adrift: The share before this frame.
@@ -177,8 +188,7 @@ def slid(
         ends: What is known about its ends.
         hidden: Share of its length that is hidden there, beyond what noise explains.
         bridged: By how much of its length it may have slid into a gap that something leaves in it.
-        apart: Mean square distance from the prediction.
-        resolution: Of the observation.
+        strayed: How far it lies from its prediction, RMS, see ``beyond_rest``.
         long_ago: Whether it was out of sight for so long that it may have slid anywhere.
     """
     loose = 0
@@ -187,8 +197,7 @@ def slid(
     sliding = loose == 2 or (loose == 1 and bridged > 0)
     if FREE in ends and not sliding:
         return 0.0
-    moved = math.sqrt(max(apart - (_AT_REST * resolution) ** 2, 0.0)) if sliding else 0.0
-    now = 1.0 if long_ago else moved / arc_length(rope)[-1]
+    now = 1.0 if long_ago else (strayed / arc_length(rope)[-1] if sliding else 0.0)
     return min(adrift + now, max(hidden) + (bridged if HIDDEN in ends else 0.0))
 
 

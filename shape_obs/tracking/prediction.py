@@ -115,6 +115,7 @@ class Prediction(NamedTuple):
         stale: Whether the shape was lost for so long that its numbering begins again.
         relief: ``(K,)`` depth at the nodes in an image, see ``FittedCurve.relief``; None without depth.
         lapse: How long ago the object was seen last, in intervals of the track, at least 1.
+        motion: How far the nodes are expected to have moved, RMS.
     """
 
     nodes: Array
@@ -127,6 +128,7 @@ class Prediction(NamedTuple):
     stale: bool = False
     relief: Array | None = None
     lapse: float = 1.0
+    motion: float = 0.0
 
     @property
     def reference(self) -> Array:
@@ -142,14 +144,15 @@ def predict(track: Track | None, observed: Observed, stamp: float, stale: bool =
     if track is None:
         return None
     ahead = min(max(stamp - track.stamp, 0.0), track.interval)
-    nodes = track.nodes + _VELOCITY_SHARE * ahead * track.velocity
+    step = _VELOCITY_SHARE * ahead * track.velocity
+    nodes, motion = track.nodes + step, math.sqrt(np.vdot(step, step) / len(step))
     steady = abs(observed.area - track.area) <= _STEADY * track.area
     relief = track.relief
     if relief is not None and track.climb is not None:
         relief = relief + _VELOCITY_SHARE * ahead * track.climb
     known = track.size, track.topology, track.hints, observed.resolution, track.width
     lapse = (stamp - track.stamp) / track.interval if track.interval > 0 else 1.0
-    return Prediction(nodes, *known, steady, stale, relief, max(lapse, 1.0))
+    return Prediction(nodes, *known, steady, stale, relief, max(lapse, 1.0), motion)
 
 
 def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -> Track:

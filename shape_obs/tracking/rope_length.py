@@ -17,6 +17,7 @@ _WIDEST: Final = 0.2
 _BEYOND: Final = 4.0  # standard deviations, beyond which noise explains nothing
 # By which share of a difference a length follows a measurement, and of itself if noise cannot explain the difference.
 _LEARNING: Final = (0.05, 0.001)
+_SHORTER: Final = (1.5, 2.0)  # standard deviations in pixels and in metres, by which a length is learnt to be shorter
 _FORGETTING: Final = 0.05
 _CHANGED: Final = 30  # frames in a row in which a rope with free tips is shorter than it was: it has changed
 
@@ -72,13 +73,13 @@ def learn_length(known: Length, size: float, metres: float, in_sight: bool, unbr
     if not whole:
         return known
     change = size / known.pixels - 1
-    # What looks shorter may be hidden in part; only what comes back to its length has been seen at an angle.
-    spread = _varied(known.spread, max(change, -1.5 * known.spread), _SPREAD[0])
+    # What looks shorter may be hidden in part: only what comes back to its length was seen at an angle, or in noise.
+    spread = _varied(known.spread, max(change, -_SHORTER[0] * known.spread), _SPREAD[0])
     follow = min(max((spread / 0.04) ** 2, _LEARNING[0]), 1.0)
     pixels, frames = known.pixels * (1 + follow * change), known.frames + 1
     if metres == 0 or known.metres == 0:
         return Length(pixels, metres if metres > 0 else known.metres, spread, known.spread_metres, frames, 0.0)
-    off = metres / known.metres - 1
+    off = max(metres / known.metres - 1, -_SHORTER[1] * known.spread_metres)
     gain = max(_LEARNING[0], 1 / frames) if abs(off) < _BEYOND * _SPREAD[1] else 0.0
     step = gain * off if gain > 0 else min(max(off, -_LEARNING[1]), _LEARNING[1])
     varied = min(_varied(known.spread_metres, off, _SPREAD[0]), _SPREAD[1])

@@ -16,7 +16,16 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import Length, local_stretch, with_relief
 from shape_obs.geometry.polyline import interpolate
 from shape_obs.tracking.occluders import FREE, HIDDEN, TIP_LEARNING, UNKNOWN, blended_tips, likelier_cut
-from shape_obs.tracking.placement import PROBES, Placed, disagreement, from_tip_to_tip, place, settled, slid
+from shape_obs.tracking.placement import (
+    PROBES,
+    Placed,
+    beyond_rest,
+    disagreement,
+    from_tip_to_tip,
+    place,
+    settled,
+    slid,
+)
 from shape_obs.tracking.rope_length import learn_length, shorten_length
 
 Array = npt.NDArray[np.float64]
@@ -57,6 +66,7 @@ class RopeBelief(NamedTuple):
         stale: 1 if it was lost for long, else 0.
         credit_head: For how many frames its start is taken for hidden though nothing is seen to hide it.
         credit_tail: The same of its end.
+        motion: How far it is expected to have moved, RMS.
     """
 
     head: float
@@ -72,6 +82,7 @@ class RopeBelief(NamedTuple):
     stale: float
     credit_head: float
     credit_tail: float
+    motion: float
 
 
 class Match(NamedTuple):
@@ -201,8 +212,8 @@ def match_to_rope(
         hidden = max(placed.head / length - beyond, 0.0), max(placed.tail / length - beyond, 0.0)
         long_ago = belief.stale > 0 or belief.lapse**2 > _LONG_AGO
         bridge = along[gap[1]] - along[gap[0]]
-        bridged, precise = _SLIDES * bridge / length, belief.resolution
-        adrift = slid(belief.adrift, rope, ends, hidden, bridged, placed.apart, precise, long_ago)
+        strayed = beyond_rest(placed.apart, belief.motion, belief.resolution)
+        adrift = slid(belief.adrift, rope, ends, hidden, _SLIDES * bridge / length, strayed, long_ago)
         rival = 0.0 if bridge > 0 or belief.adrift > 0 or belief.lapse**2 > _LONG_AGO else placed.rival
         bent, apart = placed.bent, placed.apart
     else:

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, ShapeDetector
+from shape_obs.bench.motion_claims import track
 from shape_obs.bench.rope_claims import ropes_under_hands
+from shape_obs.bench.synthetic.hidden_ropes import hidden_ropes
 from shape_obs.bench.synthetic.images import hidden_rope
 
 
@@ -55,3 +57,12 @@ def test_the_hidden_end_is_not_stretched_over_the_rest():
             assert shape.visible[:14].all()
             assert shape.ok
             assert 0.6 < shape.quality < 0.85
+
+
+def test_what_lies_under_a_bar_for_long_is_no_deeper_than_what_is_seen_next_to_it():
+    """Else it would take up less of the image, and the visible points would lie too close together."""
+    rng = np.random.default_rng([521, 2, 3])
+    scenes = list(hidden_ropes(rng, "bar", 1.0, 3.0, share=float(rng.uniform(0.15, 0.45))))
+    row = track(scenes, depth=True)
+    assert row["slips"] <= 2, row
+    assert row["frames"] > 250

@@ -11,7 +11,7 @@ from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
 from shape_obs.geometry.topology import Chain
 from shape_obs.tracking.occluders import FREE, HIDDEN, UNKNOWN, Tips
 from shape_obs.tracking.occlusion import match_chain
-from shape_obs.tracking.placement import place, settled, slid
+from shape_obs.tracking.placement import beyond_rest, place, settled, slid
 from shape_obs.tracking.predicted_rope import PredictedRope, oriented
 from shape_obs.tracking.prediction import Prediction
 
@@ -121,11 +121,12 @@ class TestSliding:
     def adrift(ends: tuple[int, int], apart: float, gap: float = 0.0, *, long_ago: bool = False) -> float:
         share = 0.0
         for _ in range(10):
-            share = slid(share, axis(), ends, (0.2, 0.2), gap, apart, long_ago)
+            share = slid(share, axis(), ends, (0.2, 0.2), gap, beyond_rest(apart, 0.0, 1.0), long_ago)
         return share
 
     def test_the_unforeseen_motion_adds_up(self):
         assert self.adrift((1, 1), 0.0) == 0
+        assert self.adrift((1, 1), 0.1) == 0  # as far off as a rope at rest is
         assert self.adrift((1, 1), 4.0) == pytest.approx(10 * 2 / 300, rel=0.1)
 
     def test_it_is_bounded_by_what_is_hidden(self):

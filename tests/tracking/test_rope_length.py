@@ -14,9 +14,10 @@ from shape_obs.tracking.rope_length import learnt, shortened
 KNOWN = Length(pixels=300.0, metres=0.6, frames=20.0)
 
 
-def seen(pixels: float) -> FittedCurve:
+def seen(pixels: float, metres: float | None = None) -> FittedCurve:
     points = np.stack([np.linspace(100, 100 + pixels, 64), np.full(64, 240.0)], axis=1)
-    return FittedCurve.through(points, np.zeros(64, bool))
+    form = FittedCurve.through(points, np.zeros(64, bool))
+    return form if metres is None else replace(form, metres=np.linspace(0, metres, 64))
 
 
 def test_a_rope_of_which_less_is_seen_has_neither_shrunk_nor_varied():
@@ -25,6 +26,14 @@ def test_a_rope_of_which_less_is_seen_has_neither_shrunk_nor_varied():
         known = learnt(known, seen(270.0), (UNKNOWN, UNKNOWN))
     assert known.pixels > 285
     assert known.spread < 0.02
+
+
+def test_a_slow_shadow_over_an_end_is_no_noise_in_metres():
+    known = KNOWN._replace(spread_metres=0.002)
+    for hidden in np.linspace(0, 0.03, 12):
+        known = learnt(known, seen(300 * (1 - hidden), 0.6 * (1 - hidden)), (FREE, FREE))
+    assert known.metres > 0.995 * KNOWN.metres
+    assert known.spread_metres < 0.005
 
 
 def test_a_rope_that_comes_back_to_its_length_is_seen_at_an_angle():

@@ -248,6 +248,27 @@ ROPES: tuple[Mutant, ...] = (
         _PREDICTED,
     ),
     _rope(
+        "a slow shadow makes a rope shorter in metres",
+        "tracking/rope_length",
+        "_SHORTER: Final = (1.5, 2.0)",
+        "_SHORTER: Final = (1.5, 20.0)",
+        "tests/tracking/test_rope_length.py",
+    ),
+    _rope(
+        "a rope at rest drifts",
+        "tracking/placement",
+        "_AT_REST: Final = 0.35",
+        "_AT_REST: Final = 0.035",
+        _PREDICTED,
+    ),
+    _rope(
+        "what is hidden keeps its relief",
+        "tracking/occlusion",
+        "_LEVELLING: Final = 0.1",
+        "_LEVELLING: Final = 0.0",
+        "tests/tracking/test_occlusion.py",
+    ),
+    _rope(
         "a bridged gap makes a rope longer",
         "tracking/rope_length",
         "known.frames == 0 and (unbroken or known.pixels == 0):",
