@@ -6,7 +6,7 @@
 
 Each fault is put into a copy of the package in a temporary folder, never into the working tree, and the test files
 named with it run there. The exit code is 1 if a mutant survives without an explanation, 2 if nothing can be concluded.
-The lists are in ``tests/mutation``; ``tests/project/test_mutants.py`` checks that every one still applies.
+The lists are in ``tests/support/mutation``; ``tests/project/test_mutants.py`` checks that every one still applies.
 """
 
 from __future__ import annotations

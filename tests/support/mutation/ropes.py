@@ -21,8 +21,8 @@ ROPES: tuple[Mutant, ...] = (
     _rope(
         "its place in depth is not compared",
         "tracking/predicted_rope",
-        "if prediction.relief is not None and (form",
-        "if False and (form",
+        "self.lifted = prediction.relief is not None and (form",
+        "self.lifted = False and (form",
         _SPACE,
         _CLAIMS,
     ),
@@ -35,8 +35,8 @@ ROPES: tuple[Mutant, ...] = (
     _rope(
         "predictions never grow old",
         "tracking/prediction",
-        "relief, max(lapse, 1.0))",
-        "relief, 1.0)",
+        "relief, max(lapse, 1.0), motion)",
+        "relief, 1.0, motion)",
         _PREDICTION,
     ),
     _rope(
@@ -160,7 +160,7 @@ ROPES: tuple[Mutant, ...] = (
     _rope(
         "what looks shorter varies",
         "tracking/rope_length",
-        "max(change, -1.5 * known.spread)",
+        "max(change, -_SHORTER[0] * known.spread)",
         "change",
         "tests/tracking/test_rope_length.py",
     ),

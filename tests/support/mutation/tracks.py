@@ -35,7 +35,7 @@ TRACKS: tuple[Mutant, ...] = (
     _track("prediction runs on without limit", "min(max(stamp - track.stamp, 0.0), track.interval)",
            "max(stamp - track.stamp, 0.0)"),
     _track("all of the last step", "_VELOCITY_SHARE: Final = 0.8", "_VELOCITY_SHARE: Final = 1.0"),
-    _track("motion is reversed", "track.nodes + _VELOCITY_SHARE", "track.nodes - _VELOCITY_SHARE"),
+    _track("motion is reversed", "track.nodes + step", "track.nodes - step"),
     _track("no motion is expected", "velocity = (nodes - track.nodes) / interval", "pass"),
     _track("velocity of stamps that stand still", "interval > _LEAST_INTERVAL:", "interval > 0:"),
     _mutant("tracking", "a length may jump", "configurations/centerline",
