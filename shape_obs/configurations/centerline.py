@@ -115,9 +115,10 @@ class Centerline(Configuration, kind="centerline"):
         reason = _rejection_reason(observed, width)
         if reason:
             return Fit(reason=reason)
-        if prediction is None:
-            found = self._fit_initial(observed, None, scene)
-        else:
+        found = Fit()
+        if prediction is None or prediction.stale:  # nodes that are long out of date pull the chain away
+            found = self._fit_initial(observed, prediction, scene)
+        if prediction is not None and (found.form is None or (found.reason and not found.form.ambiguity)):
             sigmas = _SIGMAS_STEADY if prediction.steady else _SIGMAS_AREA_CHANGED
             start = visible_nodes(prediction) if any(prediction.hints.hidden) else prediction
             found = self._refine(observed, start.nodes, start.relief, sigmas, width, MAX_HIDDEN, prediction, scene)

@@ -66,3 +66,12 @@ def test_what_lies_under_a_bar_for_long_is_no_deeper_than_what_is_seen_next_to_i
     row = track(scenes, depth=True)
     assert row["slips"] <= 2, row
     assert row["frames"] > 250
+
+
+def test_a_rope_that_comes_back_in_part_after_a_long_loss_is_not_what_it_was_before():
+    """Its nodes are long out of date, and nothing shows which end a hand still covers."""
+    rng = np.random.default_rng([20, 2, 3])
+    scenes = list(hidden_ropes(rng, "hand", 1.0, 3.0, share=float(rng.uniform(0.15, 0.45))))
+    row = track(scenes, depth=False)
+    assert row["slips"] <= 2, row
+    assert row["frames"] > 250

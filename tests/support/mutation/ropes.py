@@ -255,6 +255,13 @@ ROPES: tuple[Mutant, ...] = (
         "tests/tracking/test_rope_length.py",
     ),
     _rope(
+        "nodes are never out of date",
+        "configurations/centerline",
+        "if prediction is None or prediction.stale:",
+        "if prediction is None:",
+        "tests/tracking/test_occlusion.py",
+    ),
+    _rope(
         "a rope at rest drifts",
         "tracking/placement",
         "_AT_REST: Final = 0.35",
