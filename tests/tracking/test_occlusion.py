@@ -59,19 +59,17 @@ def test_the_hidden_end_is_not_stretched_over_the_rest():
             assert 0.6 < shape.quality < 0.85
 
 
-def test_what_lies_under_a_bar_for_long_is_no_deeper_than_what_is_seen_next_to_it():
-    """Else it would take up less of the image, and the visible points would lie too close together."""
-    rng = np.random.default_rng([521, 2, 3])
-    scenes = list(hidden_ropes(rng, "bar", 1.0, 3.0, share=float(rng.uniform(0.15, 0.45))))
-    row = track(scenes, depth=True)
-    assert row["slips"] <= 2, row
-    assert row["frames"] > 250
-
-
-def test_a_rope_that_comes_back_in_part_after_a_long_loss_is_not_what_it_was_before():
-    """Its nodes are long out of date, and nothing shows which end a hand still covers."""
-    rng = np.random.default_rng([20, 2, 3])
-    scenes = list(hidden_ropes(rng, "hand", 1.0, 3.0, share=float(rng.uniform(0.15, 0.45))))
-    row = track(scenes, depth=False)
+@pytest.mark.parametrize(
+    ("seed", "cover", "depth"),
+    [
+        # Under a bar for long: were it deeper than what is seen, the visible points would lie too close together.
+        (521, "bar", True),
+        # Back in part after a long loss: its nodes are out of date, and nothing shows which end a hand still covers.
+        (20, "hand", False),
+    ],
+)
+def test_what_was_hidden_for_long_moves_no_visible_point(seed, cover, depth):
+    rng = np.random.default_rng([seed, 2, 3])
+    row = track(hidden_ropes(rng, cover, 1.0, 3.0, share=float(rng.uniform(0.15, 0.45))), depth=depth)
     assert row["slips"] <= 2, row
     assert row["frames"] > 250
