@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from shape_obs.bench.parts import Parts
 from shape_obs.bench.synthetic.sheets import Sheet
 from shape_obs.bench.table import methods
 from shape_obs.bench.table.frames import CONFIGURATIONS, OF, scenes
@@ -21,7 +20,7 @@ from shape_obs.bench.table.methods import METHODS, Runner
 from shape_obs.bench.table.report import markdown
 from shape_obs.bench.table.run import Done, Plan, run
 from shape_obs.bench.table.summary import PAPER, rankings, results
-from shape_obs.bench.tables import Row
+from shape_obs.bench.tables import Parts, Row
 from shape_obs.cli import main
 from shape_obs.clustering.kmeans import KMeans
 

@@ -13,10 +13,9 @@ from scipy.stats import DegenerateDataWarning, binomtest, bootstrap
 
 from shape_obs import __version__
 from shape_obs.bench import run_tasks
-from shape_obs.bench.parts import Parts
 from shape_obs.bench.servo.episode import REACHED, STEPS, Found, episodes
 from shape_obs.bench.servo.settings import Disturbance, Setting
-from shape_obs.bench.tables import Row, as_csv, as_markdown, grouped, median
+from shape_obs.bench.tables import Parts, Row, as_csv, as_markdown, grouped, median
 from shape_obs.utils.files import write_text
 
 _CHUNK: Final = 5  # episodes for which a world is made

@@ -14,10 +14,9 @@ import numpy.typing as npt
 from shape_obs import __version__
 from shape_obs.bench import Clock, run_tasks
 from shape_obs.bench.interleaved_timing import package_version
-from shape_obs.bench.parts import Parts
 from shape_obs.bench.table.frames import CONFIGURATIONS, OF, Name, Scene, Tracing, missing, scenes, traced
 from shape_obs.bench.table.methods import METHODS, Method, measured
-from shape_obs.bench.tables import Row
+from shape_obs.bench.tables import Parts, Row
 from shape_obs.utils.threads import one_thread
 
 EXACT: Final = 50  # frames of each configuration whose silhouette counts all pixels
