@@ -139,6 +139,7 @@ def _filled(
         # What is left over at the far end is spread along the piece, so that it meets both ends.
         piece = piece - piece[0] + points[first]
         piece += np.linspace(0, 1, len(piece))[:, None] * (points[last] - piece[-1])
+        piece = _drawn_tight(piece, (stations[last] - stations[first]) * _seen_scale(form, points))
         if rope.lifted:
             piece[:, -1] += _LEVELLING * (np.linspace(piece[0, -1], piece[-1, -1], len(piece)) - piece[:, -1])
         points = np.concatenate([points[:first], piece, points[last + 1 :]])
@@ -146,7 +147,7 @@ def _filled(
     if form.metres is None:
         return replace(drawn, pixels=stations)
     more = stations[last] - stations[first]
-    pixels = widened(drawn.arc, gap, more * _seen_scale(form) - (drawn.arc[last] - drawn.arc[first]))
+    pixels = widened(drawn.arc, gap, more * _seen_scale(form, form.points) - (drawn.arc[last] - drawn.arc[first]))
     return replace(drawn, metres=stations, pixels=pixels)
 
 
@@ -253,8 +254,20 @@ def _folded(points: Array, stations: Array, length: float) -> Array:
     return interpolate(np.ascontiguousarray(points), np.ascontiguousarray(along), at)
 
 
-def _seen_scale(form: FittedCurve) -> float:
-    """Return the pixels in a unit of a curve's stations, where it is visible."""
-    seen = ~form.interpolated
+def _drawn_tight(piece: Array, length: float) -> Array:
+    """Return a piece of a rope, pulled towards its chord until it is no longer than it can be.
+
+    What is predicted of a piece that stays out of sight comes from what was put there before, and would grow without it.
+    """
+    line = np.linspace(piece[0], piece[-1], len(piece))
+    size, chord = float(arc_length(np.ascontiguousarray(piece))[-1]), float(np.linalg.norm(piece[-1] - piece[0]))
+    if size <= max(length, chord):
+        return piece
+    return line + ((max(length, chord) ** 2 - chord**2) / (size**2 - chord**2)) ** 0.5 * (piece - line)
+
+
+def _seen_scale(form: FittedCurve, points: Array) -> float:
+    """Return how long a curve through points is for each unit of its stations, where it is visible."""
+    seen, arc = ~form.interpolated, arc_length(np.ascontiguousarray(points))
     seen = seen[1:] & seen[:-1]
-    return float(np.diff(form.arc)[seen].sum()) / max(float(np.diff(form.stations)[seen].sum()), 1e-9)
+    return float(np.diff(arc)[seen].sum()) / max(float(np.diff(form.stations)[seen].sum()), 1e-9)

@@ -38,7 +38,8 @@ def test_hidden_points_are_flagged(under_hands):
 
 
 def test_a_hand_over_the_middle_keeps_both_ends_on_their_material():
-    results = list(ropes_under_hands(seeds=(50, 51), speeds=(10,), shares=(0.1,), places=("middle",)))
+    # What is put into the gap for 108 frames comes from what was put there before.
+    results = list(ropes_under_hands(seeds=(1, 2), speeds=(4,), shares=(0.25,), places=("middle",)))
     assert [(r.slips, r.lost) for r in results] == [(0, 0)] * 4
 
 

@@ -276,6 +276,13 @@ ROPES: tuple[Mutant, ...] = (
         "tests/tracking/test_occlusion.py",
     ),
     _rope(
+        "what is hidden of the middle grows",
+        "tracking/occlusion",
+        "    if size <= max(length, chord):\n        return piece\n",
+        "    if size > 0:\n        return piece\n",
+        "tests/tracking/test_occlusion.py",
+    ),
+    _rope(
         "a bridged gap makes a rope longer",
         "tracking/rope_length",
         "known.frames == 0 and (unbroken or known.pixels == 0):",
