@@ -20,7 +20,7 @@ from shape_obs.configurations.chain_in_mask import (
 from shape_obs.geometry.curve import FittedCurve, Length, TrackHints, local_stretch
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate
-from shape_obs.geometry.topology import Chain, shrinkage, undo_shrinkage
+from shape_obs.geometry.topology import Chain, from_tip_to_tip, shrinkage, undo_shrinkage
 from shape_obs.image.outline_tracing import fill_holes
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
@@ -31,7 +31,7 @@ from shape_obs.initialization.skeleton import thinned, trace_skeleton
 from shape_obs.point_cloud.lifting import nearest_expected
 from shape_obs.tracking.occluders import Tips
 from shape_obs.tracking.occlusion import is_whole, known_rope, match_chain, shown, surprise
-from shape_obs.tracking.placement import from_tip_to_tip, widened
+from shape_obs.tracking.placement import widened
 from shape_obs.tracking.predicted_rope import visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.rope_length import learn_length, learnt

@@ -213,3 +213,19 @@ def undo_shrinkage(nodes: Array, share: float, closed: bool) -> Array:
             bend = nodes[(at + 1) % size, d] - 2 * nodes[at, d] + nodes[at - 1, d]
             out[k, d] = nodes[k, d] - by * bend
     return out
+
+
+@compiled("(f8[:,::1],)")
+def from_tip_to_tip(nodes: Array) -> tuple[Array, Array]:
+    """Return nodes at the centres of equal pieces with the tips, ``(K + 2, D)``, and where they lie, 0...1."""
+    count, size = nodes.shape
+    points, share = np.empty((count + 2, size)), np.empty(count + 2)
+    for d in range(size):
+        points[0, d] = 1.5 * nodes[0, d] - 0.5 * nodes[1, d]
+        points[count + 1, d] = 1.5 * nodes[count - 1, d] - 0.5 * nodes[count - 2, d]
+        for k in range(count):
+            points[k + 1, d] = nodes[k, d]
+    for k in range(count):
+        share[k + 1] = (k + 0.5) / count
+    share[0], share[count + 1] = 0.0, 1.0
+    return points, share

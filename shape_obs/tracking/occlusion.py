@@ -257,7 +257,7 @@ def _folded(points: Array, stations: Array, length: float) -> Array:
 def _drawn_tight(piece: Array, length: float) -> Array:
     """Return a piece of a rope, pulled towards its chord until it is no longer than it can be.
 
-    What is predicted of a piece that stays out of sight comes from what was put there before, and would grow without it.
+    What is predicted of a piece that stays out of sight comes from what was put there before: else it would grow.
     """
     line = np.linspace(piece[0], piece[-1], len(piece))
     size, chord = float(arc_length(np.ascontiguousarray(piece))[-1]), float(np.linalg.norm(piece[-1] - piece[0]))

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.rotation import covariance_of, largest_trace
-from shape_obs.tracking.occluders import FREE, HIDDEN, UNKNOWN
+from shape_obs.tracking.occluders import FREE, HIDDEN
 
 Array = npt.NDArray[np.float64]
 Ends = tuple[int, int]
@@ -27,6 +27,9 @@ NOISE: Final = 0.15  # in resolutions: how far off a curve lies that was predict
 _AT_REST: Final = 0.35  # in resolutions: a rope at rest is not farther from its prediction
 TRUST: Final = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
 _SHARES: Final = 8  # of what is missing, that may be hidden at an end
+_FINER: Final = 3  # times, that the best share is looked for with steps of half the size
+_WAYS: Final = np.array([[1.0, -1.0], [-1.0, 1.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+_NEARER: Final = 0.9  # of a surprise: nothing costs less than infinitely little
 # What it costs, in squared standard deviations, to take an end for hidden: one of which nothing is known, one that
 # something hides, and a free one, which is then folded back or points at the camera. And by which share of the length
 # it changes from frame to frame.
@@ -98,51 +101,101 @@ def place(
         lapse: How much farther from its prediction the rope may be than after one interval, squared.
         gap: The last point before a gap and the first after it; the same without one.
     """
-    last, steps = stations[-1], _SHARES
-    length, bridge = missing + last, stations[gap[1]] - stations[gap[0]]
+    steps, piece, bridge = _SHARES, missing / _SHARES, stations[gap[1]] - stations[gap[0]]
+    length, loose = missing + stations[-1], noise + _BRIDGE * bridge
     # What is missing is hidden where something hides it.
     least = steps if bridge == 0 and HIDDEN in ends and missing > _NOISY * noise else 0
     bent, apart = np.full((steps + 1, steps + 1), np.inf), np.full((steps + 1, steps + 1), np.inf)
-    nearest_bent, nearest_apart, found = np.inf, np.inf, np.empty((0, 0))
+    found = _probes(points, stations, gap, 0.0)
     for hidden in range(least, steps + 1):
-        if bridge > 0 or hidden == least:
-            moved = widened(stations, gap, missing * (steps - hidden) / steps) if bridge > 0 else stations
-            found = interpolate(points, moved, PROBES * moved[-1])
+        if bridge > 0:
+            found = _probes(points, stations, gap, missing - hidden * piece)
         for a in range(hidden + 1):
-            b, scale = hidden - a, missing / length / steps
-            bent[a, b], apart[a, b] = disagreement(rope, share, found, a * scale, b * scale)
-            nearest_bent, nearest_apart = min(nearest_bent, bent[a, b]), min(nearest_apart, apart[a, b])
-    # The cheapest as what hides an end explains it, and as the prediction alone does: costs and shares at both ends.
-    best, first, second, floor = np.inf, 0, 0, (NOISE * resolution) ** 2
-    likeliest, other_first, other_second = np.inf, 0, 0
-    for a in range(steps + 1):
-        for b in range(steps + 1 - a):
-            if bent[a, b] == np.inf:
+            first, second = a * piece / length, (hidden - a) * piece / length
+            bent[a, hidden - a], apart[a, hidden - a] = disagreement(rope, share, found, first, second)
+    floor, nearest = (NOISE * resolution) ** 2, (bent.min(), apart.min())
+    usual = max(lapse * residuals[0], floor), max(lapse * residuals[1], floor)
+    # The cheapest as what hides an end explains it, and as the prediction alone does.
+    best, likeliest, a, b, other_a, other_b = np.inf, np.inf, 0, 0, 0, 0
+    for first in range(steps + 1):
+        for second in range(steps + 1 - first):
+            if bent[first, second] == np.inf:
                 continue
-            cost, dearer = (missing * (steps - a - b) / steps / (noise + _BRIDGE * bridge)) ** 2, 0.0
-            for end in range(2):
-                # What is hidden changes little from frame to frame; a free end is hidden in no frame for longer.
-                share_now, known = (b if end else a) * missing / length / steps, ends[end]
-                was = 0.0 if known == FREE else before[end]
-                change = TRUST * math.log1p(((share_now - was) / _INERTIA[known]) ** 2 / TRUST)
-                if share_now > 0:
-                    price = _COST[known] if was <= 0 else 0.0
-                    price += 0.0 if HIDDEN in ends else 2 * (max(cut) - cut[end])
-                    cost += price
-                    if known == FREE and HIDDEN in ends:  # a hairpin closes in the image from one frame to the next
-                        dearer += _FOLDED - price
-                        change = 0.0
-                cost += change
-            off = bent[a, b] - nearest_bent, apart[a, b] - nearest_apart
-            for k in range(2):
-                cost += TRUST * math.log1p(INDEPENDENT[k] * off[k] / max(lapse * residuals[k], floor) / TRUST)
+            cost, dearer = _cost(first * piece, second * piece, missing, length, loose, ends, cut, before)
+            cost += _surprise(bent[first, second] - nearest[0], apart[first, second] - nearest[1], usual)
             if cost + dearer < best:
-                best, first, second = cost + dearer, a, b
+                best, a, b = cost + dearer, first, second
             if cost < likeliest:
-                likeliest, other_first, other_second = cost, a, b
-    head, tail = first * missing / steps, second * missing / steps
-    rival = max(abs(first - other_first), abs(second - other_second)) * missing / steps / length
-    return Placed(head, tail, missing - head - tail, bent[first, second], apart[first, second], rival)
+                likeliest, other_a, other_b = cost, first, second
+    head, tail, off = a * piece, b * piece, (bent[a, b], apart[a, b])
+    both = ends[0] == ends[1] if HIDDEN in ends else min(cut) > 0
+    if both and missing > _NOISY * noise:
+        # Where both ends are out of sight, what each of them loses from one frame to the next is less than a share.
+        for n in range(_FINER):
+            step, centre = piece / 2 ** (n + 1), (head, tail)
+            for way in range(2 if least else 6):
+                first, second = centre[0] + step * _WAYS[way, 0], centre[1] + step * _WAYS[way, 1]
+                if min(first, second) < 0 or first + second > missing * (1 + 1e-9):
+                    continue
+                found = _probes(points, stations, gap, missing - first - second)
+                now = disagreement(rope, share, found, first / length, second / length)
+                cost, dearer = _cost(first, second, missing, length, loose, ends, cut, before)
+                cost += dearer + _surprise(now[0] - nearest[0], now[1] - nearest[1], usual)
+                if cost < best:
+                    best, head, tail, off = cost, first, second, now
+    rival = max(abs(a - other_a), abs(b - other_b)) * piece / length
+    return Placed(head, tail, missing - head - tail, off[0], off[1], rival)
+
+
+@compiled
+def _probes(points: Array, stations: Array, gap: tuple[int, int], between: float) -> Array:
+    """Return ``(32, D)`` points at equal steps along what is seen of a rope, in which a gap is longer."""
+    moved = widened(stations, gap, between) if gap[1] > gap[0] else stations
+    return interpolate(points, moved, PROBES * moved[-1])
+
+
+@compiled
+def _surprise(bent: float, apart: float, usual: tuple[float, float]) -> float:
+    """Return what it costs that a piece lies farther from its prediction than another one, in squared deviations."""
+    cost = 0.0
+    for off, known, count in ((bent, usual[0], INDEPENDENT[0]), (apart, usual[1], INDEPENDENT[1])):
+        cost += TRUST * math.log1p(max(count * off / known / TRUST, -_NEARER))
+    return cost
+
+
+@compiled
+def _cost(
+    head: float,
+    tail: float,
+    missing: float,
+    length: float,
+    loose: float,
+    ends: Ends,
+    cut: tuple[float, float],
+    before: tuple[float, float],
+) -> tuple[float, float]:
+    """Return what it costs to take lengths at both ends for hidden, and how much more if one end is free.
+
+    What is hidden changes little from frame to frame; a free end is hidden in no frame for longer.
+    """
+    cost, dearer = ((missing - head - tail) / loose) ** 2, 0.0
+    if head > 0 and tail > 0 and HIDDEN not in ends:  # one end explains what is missing, though none looks cut
+        cost += 2 * max(-max(cut), 0.0)
+    for end in range(2):
+        share, known = (tail if end else head) / length, ends[end]
+        was = 0.0 if known == FREE else before[end]
+        change = TRUST * math.log1p(((share - was) / _INERTIA[known]) ** 2 / TRUST)
+        if share > 0:
+            price = _COST[known] if was <= 0 else 0.0
+            price += 0.0 if HIDDEN in ends else 2 * (max(cut) - cut[end])
+            cost += price
+            if known == FREE and HIDDEN in ends:  # a hairpin closes in the image from one frame to the next
+                dearer += _FOLDED - price
+                change = 0.0
+        elif HIDDEN not in ends:
+            cost += 2 * max(cut[end], 0.0)
+        cost += change
+    return cost, dearer
 
 
 @compiled("(UniTuple(f8, 2), f8, f8)")
@@ -191,11 +244,12 @@ def slid(
         strayed: How far it lies from its prediction, RMS, see ``beyond_rest``.
         long_ago: Whether it was out of sight for so long that it may have slid anywhere.
     """
-    loose = 0
+    loose, anchored = 0, False
     for end in range(2):
-        loose += ends[end] == HIDDEN or (ends[end] == UNKNOWN and hidden[end] > 0)
+        loose += ends[end] == HIDDEN or hidden[end] > 0
+        anchored |= ends[end] == FREE and hidden[end] <= 0
     sliding = loose == 2 or (loose == 1 and bridged > 0)
-    if FREE in ends and not sliding:
+    if anchored and not sliding:
         return 0.0
     now = 1.0 if long_ago else (strayed / arc_length(rope)[-1] if sliding else 0.0)
     return min(adrift + now, max(hidden) + (bridged if HIDDEN in ends else 0.0))
@@ -237,19 +291,3 @@ def widened(stations: Array, gap: tuple[int, int], more: float) -> Array:
     for p in range(gap[0] + 1, len(out)):
         out[p] += more * min((p - gap[0]) / (gap[1] - gap[0]), 1.0)
     return out
-
-
-@compiled("(f8[:,::1],)")
-def from_tip_to_tip(nodes: Array) -> tuple[Array, Array]:
-    """Return nodes at the centres of equal pieces with the tips, ``(K + 2, D)``, and where they lie, 0...1."""
-    count, size = nodes.shape
-    points, share = np.empty((count + 2, size)), np.empty(count + 2)
-    for d in range(size):
-        points[0, d] = 1.5 * nodes[0, d] - 0.5 * nodes[1, d]
-        points[count + 1, d] = 1.5 * nodes[count - 1, d] - 0.5 * nodes[count - 2, d]
-        for k in range(count):
-            points[k + 1, d] = nodes[k, d]
-    for k in range(count):
-        share[k + 1] = (k + 0.5) / count
-    share[0], share[count + 1] = 0.0, 1.0
-    return points, share

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve, Length
 from shape_obs.geometry.polyline import interpolate
-from shape_obs.tracking.placement import INDEPENDENT, NOISE, PROBES, TRUST, from_tip_to_tip
+from shape_obs.geometry.topology import from_tip_to_tip
+from shape_obs.tracking.placement import INDEPENDENT, NOISE, PROBES, TRUST
 from shape_obs.tracking.prediction import Prediction
 
 Array = npt.NDArray[np.float64]

@@ -15,13 +15,13 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import Length, local_stretch, with_relief
 from shape_obs.geometry.polyline import interpolate
+from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.occluders import FREE, HIDDEN, TIP_LEARNING, UNKNOWN, blended_tips, likelier_cut
 from shape_obs.tracking.placement import (
     PROBES,
     Placed,
     beyond_rest,
     disagreement,
-    from_tip_to_tip,
     place,
     settled,
     slid,
@@ -39,6 +39,7 @@ _BEYOND: Final = 4.0  # standard deviations, beyond which noise explains nothing
 _EVENLY: Final = 0.1  # the weight of a piece of a curve at a right angle to the view, in a length that is off
 _FADING: Final = 0.8  # how much of the last frame's evidence for cut tips is kept
 _CERTAIN: Final = 8.0  # the most that such evidence can weigh
+_OWN: Final = 6.0  # a logarithm: a tip that is so much likelier the rope's own than cut shows where the rope ends
 _DOUBTFUL: Final = 1.5  # standard deviations by which a rope is too short, and its tips may be cut
 _CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
 _BY_NOISE: Final = 1.0  # standard deviations of a length, which may seem hidden
@@ -213,7 +214,11 @@ def match_to_rope(
         long_ago = belief.stale > 0 or belief.lapse**2 > _LONG_AGO
         bridge = along[gap[1]] - along[gap[0]]
         strayed = beyond_rest(placed.apart, belief.motion, belief.resolution)
-        adrift = slid(belief.adrift, rope, ends, hidden, _SLIDES * bridge / length, strayed, long_ago)
+        shown = (
+            FREE if first == UNKNOWN and hidden[0] <= 0 and cut_head <= -_OWN else first,
+            FREE if second == UNKNOWN and hidden[1] <= 0 and cut_tail <= -_OWN else second,
+        )
+        adrift = slid(belief.adrift, rope, shown, hidden, _SLIDES * bridge / length, strayed, long_ago)
         rival = 0.0 if bridge > 0 or belief.adrift > 0 or belief.lapse**2 > _LONG_AGO else placed.rival
         bent, apart = placed.bent, placed.apart
     else:

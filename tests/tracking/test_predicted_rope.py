@@ -119,9 +119,9 @@ class TestSliding:
 
     @staticmethod
     def adrift(ends: tuple[int, int], apart: float, gap: float = 0.0, *, long_ago: bool = False) -> float:
-        share = 0.0
+        hidden, share = (0.2 * (ends[0] != FREE), 0.2 * (ends[1] != FREE)), 0.0
         for _ in range(10):
-            share = slid(share, axis(), ends, (0.2, 0.2), gap, beyond_rest(apart, 0.0, 1.0), long_ago)
+            share = slid(share, axis(), ends, hidden, gap, beyond_rest(apart, 0.0, 1.0), long_ago)
         return share
 
     def test_the_unforeseen_motion_adds_up(self):
@@ -134,6 +134,9 @@ class TestSliding:
 
     def test_a_free_end_shows_where_the_rope_is(self):
         assert self.adrift((1, 2), 400.0) == 0
+
+    def test_an_end_of_which_a_piece_is_missing_shows_nothing(self):
+        assert slid(0.1, axis(), (UNKNOWN, FREE), (0.0, 0.1), 0.0, 0.0, False) == pytest.approx(0.1)
 
     def test_what_lies_behind_a_gap_may_have_slid_into_it(self):
         assert self.adrift((HIDDEN, FREE), 400.0, 0.05) == pytest.approx(0.25)
