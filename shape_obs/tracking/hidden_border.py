@@ -18,7 +18,7 @@ from shape_obs.frame import FARTHEST, MILLIMETRE, readable_depth
 from shape_obs.geometry.coons import RIM, SIDE, folded_piece, stretched, unfold
 from shape_obs.geometry.polyline import arc_length, interpolate, laid_over
 from shape_obs.image.connected_runs import nearest_pixel
-from shape_obs.point_cloud.local_depth import MIN_SHARE, SPARSE, bridged, gather_depth, middle_depth, room
+from shape_obs.point_cloud.local_depth import SPARSE, bridged, gather_depth, middle_depth, room
 
 if TYPE_CHECKING:
     from shape_obs.camera import Intrinsics
@@ -49,6 +49,7 @@ _AT_EDGE: Final = 0.8  # pixels
 _REACHES: Final = 8.0  # depth along an outline is read within this share of the object's width
 _LEAST_REACH: Final = 2
 _MOST_REACH: Final = 5
+_MIN_KNOWN: Final = 0.5  # of the pixels around a point of an outline: a plane through fewer goes astray next to a hole
 _OUTWARDS: Final = 7  # pixels beyond an outline: a camera has no depth next to an edge
 _NO_SHORTS: Final = np.zeros((0, 0), np.uint16)
 _NO_SINGLES: Final = np.zeros((0, 0), np.float32)
@@ -249,7 +250,7 @@ def _read(
     for k in range(len(out)):
         u, v = rim[k * every, 0], rim[k * every, 1]
         inside, known = gather_depth(depth, unit, mask, left, top, u, v, reach, step, near, x, y)
-        out[k] = middle_depth(near, x, y, w, spare, known, max(MIN_SHARE * inside, 1), True) * unit
+        out[k] = middle_depth(near, x, y, w, spare, known, max(_MIN_KNOWN * inside, 1), True) * unit
 
 
 @compiled

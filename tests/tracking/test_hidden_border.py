@@ -11,6 +11,7 @@ from shape_obs.bench.contour_claims import seen_outline
 from shape_obs.bench.scores import tally_visible
 from shape_obs.bench.surface_claims import seen_points
 from shape_obs.bench.synthetic.flat_objects import View, cloth, in_space, ring, under_hand
+from shape_obs.bench.synthetic.images import CAMERA, tilted_sheet
 from shape_obs.geometry.topology import Grid
 from shape_obs.tracking.validation import FOLDED, validate_gaps
 
@@ -135,3 +136,13 @@ def test_a_sheet_that_is_pushed_together_in_full_view_is_shorter_and_not_hidden(
         assert not shape.reason
         assert shape.valid.all()
         np.testing.assert_allclose(shape.pixels[[0, 7, 31, 24]], corners, atol=3)
+
+
+@pytest.mark.parametrize("seed", [13, 14, 37, 39, 43])
+def test_a_hole_in_the_depth_at_a_border_bends_no_sheet(seed):
+    sheet = tilted_sheet(np.random.default_rng(seed))
+    detector = ShapeDetector([Surface(rows=4, cols=8, ends="tips", spacing="m")])
+    shape = detector.detect_mask(sheet.mask, sheet.depth, CAMERA).shapes[0]
+    assert shape.ok, shape.reason
+    away = np.linalg.norm(shape.points3d - sheet.lattice(4, 8), axis=1)
+    assert np.median(away) < 0.004

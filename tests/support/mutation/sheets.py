@@ -44,6 +44,8 @@ SHEETS: tuple[Mutant, ...] = (
         "if True:",
         "tests/point_cloud/test_median_depth.py",
     ),
+    _sheet("a plane reaches over a hole", "tracking/hidden_border", "_MIN_KNOWN: Final = 0.5",
+           "_MIN_KNOWN: Final = 0.2"),
     _sheet("what lies off its form is not doubted", "tracking/sheet_view", "_DOUBTED: Final = (0.3, 1.0)",
            "_DOUBTED: Final = (3.0, 10.0)", _VIEW),
     _sheet("what bends is doubted", "tracking/sheet_view", "_LOCAL: Final = 2.5", "_LOCAL: Final = 0.5", _VIEW),
