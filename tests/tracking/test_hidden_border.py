@@ -144,5 +144,6 @@ def test_a_hole_in_the_depth_at_a_border_bends_no_sheet(seed):
     detector = ShapeDetector([Surface(rows=4, cols=8, ends="tips", spacing="m")])
     shape = detector.detect_mask(sheet.mask, sheet.depth, CAMERA).shapes[0]
     assert shape.ok, shape.reason
+    assert shape.points3d is not None
     away = np.linalg.norm(shape.points3d - sheet.lattice(4, 8), axis=1)
     assert np.median(away) < 0.004
