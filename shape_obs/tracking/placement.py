@@ -28,8 +28,9 @@ _AT_REST: Final = 0.35  # in resolutions: a rope at rest is not farther from its
 TRUST: Final = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
 _SHARES: Final = 8  # of what is missing, that may be hidden at an end
 _FINER: Final = 3  # times, that the best share is looked for with steps of half the size
+# Steps of what is hidden at the start and at the end; the first two keep their sum.
 _WAYS: Final = np.array([[1.0, -1.0], [-1.0, 1.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-_NEARER: Final = 0.9  # of a surprise: nothing costs less than infinitely little
+_NEARER: Final = 0.9  # a surprise of -1 has no logarithm
 # What it costs, in squared standard deviations, to take an end for hidden: one of which nothing is known, one that
 # something hides, and a free one, which is then folded back or points at the camera. And by which share of the length
 # it changes from frame to frame.
