@@ -232,7 +232,8 @@ def match_to_rope(
             own = blended_tips(shapes, own, max(TIP_LEARNING, 1 / (known.frames + 1)))
         known = learn_length(known, arc[last], size, HIDDEN not in ends, unbroken)
     else:
-        free = first == FREE and second == FREE and missing > _BEYOND * noise
+        # A gap may be bridged too straight: then the rope is not shorter than it was.
+        free = first == FREE and second == FREE and unbroken and missing > _BEYOND * noise
         known = shorten_length(known, arc[last], size, free)
     stations = evened(metres, arc, length) if metric and hidden_length <= 0 else along
     stretch = (length - hidden_length) / max(along[last] + placed.between * (gap[1] > gap[0]), 1e-9)

@@ -95,6 +95,13 @@ def test_an_end_that_leaves_while_a_bar_lies_over_the_middle_makes_no_gap_longer
     assert row.slips <= 2, row
 
 
+def test_a_gap_under_a_slow_bar_makes_no_rope_shorter():
+    """Both tips are free for hundreds of frames, and the way under the bar is bridged straight."""
+    row = passed(200, "bar", 0.5, 0.0, depth=True)
+    assert row.slips == 0, row
+    assert row.frames > 900
+
+
 def test_a_tip_that_looks_like_the_ropes_own_shows_where_the_rope_lies():
     """Nothing of it was in sight for a while, and it was still refused when only one end was out of sight."""
     row = passed(102, "bar", 1.0, 0.0, depth=False)
