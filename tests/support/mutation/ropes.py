@@ -20,7 +20,7 @@ def _rope(name: str, module: str, old: str, new: str, *tests: str) -> Mutant:
 ROPES: tuple[Mutant, ...] = (
     _rope("its place in depth is not compared", "tracking/predicted_rope",
           "self.lifted = prediction.relief is not None and (form", "self.lifted = False and (form", _SPACE, _CLAIMS),
-    _rope("what was folded back tells its direction", "tracking/predicted_rope",
+    _rope("what was folded back shows its direction", "tracking/predicted_rope",
           "seen = (at >= head) & (at <= 1 - tail)", "seen = np.ones(len(at), bool)"),
     _rope("predictions never grow old", "tracking/prediction", "relief, max(lapse, 1.0), motion)",
           "relief, 1.0, motion)", _PREDICTION),
