@@ -22,7 +22,7 @@ from shape_obs.geometry.topology import undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.rope_tip import extend_chain, rims_of, without_ends
 from shape_obs.point_cloud.chain_length import lift_chain
-from shape_obs.point_cloud.strands import gather_lifted_cells, strand_gap
+from shape_obs.point_cloud.strands import gather_lifted_cells, level_rims, strand_gap
 from shape_obs.tracking.occluders import HIDDEN, chain_evidence
 from shape_obs.tracking.rope_match import Found, RopeBelief, match_to_rope
 from shape_obs.tracking.validation import sample_spread
@@ -82,7 +82,11 @@ def fit_chain_in_mask(
         points, weight = gather_lifted_cells(runs, cell, depth, focal, width, start)
     else:
         points, weight = gather_cells(runs, cell)
-    nodes = undo_shrinkage(batch_epochs(points, weight, start, (1, len(start)), False, sigmas), pull, False)
+    line = 1, len(start)
+    nodes = batch_epochs(points, weight, start, line, False, sigmas[:1])
+    if len(relief) > 0:
+        level_rims(points, nodes, width)
+    nodes = undo_shrinkage(batch_epochs(points, weight, nodes, line, False, sigmas[1:]), pull, False)
     flat = extend_chain(_in_image(nodes), mask, at[0], at[1], width)
     lifted = catmull_rom(flat if nodes.shape[1] == 2 else _with_relief(flat, nodes), 4, False)
     curve = _in_image(lifted)
