@@ -167,7 +167,7 @@ class Centerline(Configuration, kind="centerline"):
         axis = medial_axis(observed)
         if axis.ambiguity:
             return Fit(reason=axis.ambiguity)
-        count = int(np.clip(round(observed.length / (_NODE_SPACING * observed.width)), *_NODES))
+        count = int(np.clip(round(observed.length / (_NODE_SPACING * max(observed.width, 3.0))), *_NODES))
         start = nodes_along(axis.points, axis.arc, _NOTHING, _NOTHING, _NOTHING, count)[0]
         off = axis.unsupported_fraction if prediction is None else MAX_HIDDEN
         return self._refine(observed, start, None, _SIGMAS_INITIAL, observed.width, off, prediction, scene)

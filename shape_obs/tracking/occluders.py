@@ -34,6 +34,7 @@ TIP_LEARNING: Final = 0.05  # how fast the shape of a tip is learnt
 _REACH: Final = (1.5, 8.0)  # widths and pixels around a tip in which what hides it must be
 _SPARSE: Final = 12.0  # pixels: from this reach on every second row and column is looked at
 _BORDER: Final = (0.5, 2.0)  # widths and pixels from the border, within which a rope is cut off by it
+_AT_BORDER: Final = 2  # rows or columns at a border: what leaves the image there covers some of them
 _NEARER: Final = 0.008  # metres: what is nearer than the rope by this much, and its slope, lies over it
 _LEVEL: Final = 0.004  # metres: what goes on at the rope's own depth, within this, is the rope
 _TOUCHING: Final = 0.06  # of the pixels ahead: that many are nearer where something hides the rope
@@ -196,6 +197,19 @@ def tip_shape(tip: Array, ahead: Array, width: float, mask: Mask, at: tuple[int,
 
 
 @compiled
+def _reaches_border(tip: Array, width: float, mask: Mask, at: tuple[int, int], edge: tuple[int, int, int, int]) -> bool:
+    """Return whether the mask within a width of a tip reaches the border of what is searched."""
+    column, row, steps = nearest_pixel(tip[0]) - at[0], nearest_pixel(tip[1]) - at[1], math.ceil(width)
+    left, top = edge[0] - at[0] + _AT_BORDER, edge[1] - at[1] + _AT_BORDER
+    right, bottom = left + edge[2] - 2 * _AT_BORDER, top + edge[3] - 2 * _AT_BORDER
+    for v in range(max(row - steps, 0), min(row + steps + 1, mask.shape[0])):
+        for u in range(max(column - steps, 0), min(column + steps + 1, mask.shape[1])):
+            if mask[v, u] != 0 and (u < left or v < top or u >= right or v >= bottom):
+                return True
+    return False
+
+
+@compiled
 def tip_evidence(
     tip: Array,
     ahead: Array,
@@ -230,7 +244,7 @@ def tip_evidence(
         or tip[1] < edge[1] + near
         or tip[0] > edge[0] + edge[2] - 1 - near
         or tip[1] > edge[1] + edge[3] - 1 - near
-    ):
+    ) and _reaches_border(tip, width, mask, at, edge):
         return HIDDEN
     (millimetres, metric), reach = depth, max(_REACH[0] * width, _REACH[1])
     whole, step = len(millimetres) > 0, 2 if reach >= _SPARSE else 1
