@@ -36,7 +36,7 @@ from shape_obs.tracking.predicted_rope import visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.rope_length import learn_length, learnt
 from shape_obs.tracking.rope_match import evened, match_to_rope
-from shape_obs.tracking.validation import MAX_HIDDEN, sample_spread, validate_ribbon
+from shape_obs.tracking.validation import MAX_HIDDEN, doubt_in_space, sample_spread, validate_ribbon
 
 if TYPE_CHECKING:
     from shape_obs.point_cloud.cloud import Cloud
@@ -59,20 +59,13 @@ _MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
 _MORE: Final = 2.5  # times as many pixels as the rope: it does not come so much nearer from one frame to the next
-_MIN_STRETCH: Final = 0.957  # a curve that became longer by more follows something else; a pulled band does not
+_MIN_STRETCH: Final = 0.974  # a curve that became longer by more follows something else; a pulled band does not
 _MIN_SEEN: Final = 0.3  # of a rope's length: what has to be in sight to report it, and below, to follow it
 _MIN_IN_PIECES: Final = 0.45  # around a gap of a tenth of it: a piece behind a long gap may be anywhere
 _GAP: Final = 0.1
 _MIN_BETWEEN: Final = 0.6  # while both ends are hidden
 _ADRIFT: Final = 0.02  # of its length: by so much a rope may have slid along itself unseen
 _MIN_FOLLOWED: Final = 0.15
-# With depth: how much longer the free tip may be in space than in the image, or another piece by this share of it, so
-# that the length in sight shows how much lies beyond a hidden end; and by how many measuring errors a rope with free
-# ends may be too short. Chosen from 4,800 frames of swung ropes and 7,900 under shadows, exact depth and a D455's.
-_ASLANT: Final = 2.7
-_ELSEWHERE: Final = 0.45
-_SHORTER: Final = 1.4
-_SHORT: Final = 2.5  # standard deviations of its length, at least: a far rope with noise varies more
 _END_ON: Final = 4.0  # a rope is this much longer in space than in the image: its points cannot be told apart there
 _NOTHING: Final = np.zeros(0)
 _EVERYWHERE: Final = Window(-(1 << 30), -(1 << 30), 1 << 31, 1 << 31)
@@ -145,7 +138,9 @@ class Centerline(Configuration, kind="centerline"):
         if not reason and steep > _END_ON:
             reason, follow = f"it is seen end-on, {steep:.2g} times as long as in the image (at most {_END_ON})", False
         if not reason and curve.metres is not None:
-            reason = _doubt_in_space(curve)
+            reason = doubt_in_space(curve)
+        elif not reason and self.spacing == "m" and prediction is not None and prediction.hints.length.metres > 0:
+            reason = "the depth shows too little of the rope to measure its length"
         return found._replace(
             form=curve, nodes=nodes, topology=topology, size=size, width=seen_width, reason=reason, follow=follow,
             relief=None if curve.relief is None else relief, length=curve.hints.length.metres or found.length,
@@ -216,8 +211,8 @@ class Centerline(Configuration, kind="centerline"):
             curve = match_chain(curve, prediction, tips, found)  # an end under a hand is put back here
         reason, quality = validate_ribbon(curve, observed.noun, expected_off, square, width, area)
         stretch = max(curve.hints.stretch, 1e-9)
-        grown = curve.metres is not None and curve.hints.measured * _MIN_STRETCH > measured > 0
-        if not reason and grown and stretch < _MIN_STRETCH:
+        grown = curve.metres is not None and curve.metres[-1] / stretch * _MIN_STRETCH > measured > 0
+        if not reason and grown and stretch < _MIN_STRETCH and not any(curve.hints.hidden):
             reason = f"the curve is {1 / stretch - 1:.0%} longer than the rope"
         if curve.ambiguity and not _begins_again(curve, prediction):
             reason = reason or curve.ambiguity
@@ -262,20 +257,6 @@ def _rejection_reason(observed: Observed, width: float) -> str:
     length = observed.area / width if observed.dimension == 2 else observed.length
     if length < _MIN_ASPECT * width:
         return f"the {observed.noun} is {length:.4g} x {width:.4g} {observed.unit}: too stout for a rope"
-    return ""
-
-
-def _doubt_in_space(curve: FittedCurve) -> str:
-    """Return why the points of a rope may lie elsewhere along a curve that was found in space; empty if they do not."""
-    hints = curve.hints
-    if hints.stretch > 1 + max(_SHORTER * hints.slack, _SHORT * hints.length.spread_metres):
-        return f"the curve is {1 - 1 / hints.stretch:.1%} shorter than the rope, and nothing is seen to hide an end"
-    if hints.covered[0] == hints.covered[1]:
-        return ""
-    steep = curve.steepness(curve.width / 2)
-    aslant = max(float(steep[0 if hints.covered[1] else -1]), _ELSEWHERE * float(steep.max()))
-    if aslant > _ASLANT:
-        return f"an end is hidden, and the rope is {aslant:.2g} times as long as it looks (at most {_ASLANT})"
     return ""
 
 
