@@ -54,7 +54,7 @@ def extend_chain(nodes: Array, mask: Mask, left: int, top: int, width: float) ->
     Returns:
         ``(K', 2)`` pixels; the first and the last point lie on the tips.
     """
-    thick, width = width, max(width, _THINNEST)
+    thin, width = width < _THINNEST, max(width, _THINNEST)
     on = near_mask(mask, left, top, nodes, 1)
     first, last = 0, len(nodes) - 1
     while first < last and not on[first]:
@@ -63,8 +63,8 @@ def extend_chain(nodes: Array, mask: Mask, left: int, top: int, width: float) ->
         last -= 1
     if last - first < 2:  # fewer than three nodes on the mask give no direction: all are kept
         first, last = 0, len(nodes) - 1
-    head = _march(mask, left, top, nodes, first, 1, width, thick)
-    tail = _march(mask, left, top, nodes, last, -1, width, thick)
+    head = _march(mask, left, top, nodes, first, 1, width, thin)
+    tail = _march(mask, left, top, nodes, last, -1, width, thin)
     out, count = np.empty((len(head) + last - first + 1 + len(tail), 2)), 0
     for way, begin, stop, step in ((head, len(head) - 1, -1, -1), (nodes, first, last + 1, 1), (tail, 0, len(tail), 1)):
         for p in range(begin, stop, step):
@@ -74,7 +74,7 @@ def extend_chain(nodes: Array, mask: Mask, left: int, top: int, width: float) ->
 
 
 @compiled
-def _march(mask: Mask, left: int, top: int, nodes: Array, end: int, inwards: int, width: float, thick: float) -> Array:
+def _march(mask: Mask, left: int, top: int, nodes: Array, end: int, inwards: int, width: float, thin: bool) -> Array:
     """Return the way from the end of a chain along its strand to the tip: ``(S, 2)``; the next node is ``inwards``."""
     next_u, next_v = nodes[end + inwards, 0], nodes[end + inwards, 1]
     hx, hy = nodes[end, 0] - next_u, nodes[end, 1] - next_v
@@ -85,8 +85,7 @@ def _march(mask: Mask, left: int, top: int, nodes: Array, end: int, inwards: int
     edge = int(2 * (REACH * width + 2)) + 4
     seen = np.empty((edge * edge, 4))
     path, steps, rest = np.empty((MAX_STEPS + 1, 2)), 0, 0.0
-    breadth = max(width / 4, 0.5) if thick >= _THINNEST else 1.5
-    across = 2 * breadth if thick >= _THINNEST else thick
+    breadth = max(width / 4, 0.5)
     for _ in range(MAX_STEPS):
         count = _strand(mask, u, v, hx, hy, width, seen)
         inside, farthest, beyond = 0, 0.0, False
@@ -95,7 +94,9 @@ def _march(mask: Mask, left: int, top: int, nodes: Array, end: int, inwards: int
             if abs(seen[p, 3]) <= breadth:
                 inside += 1
                 farthest = max(farthest, seen[p, 2])
-        rest = min(inside / across, farthest + 0.5) + (0.107 * thick if thick < _THINNEST else 0.0) if count else 0.0
+        rest = farthest + 0.5 if count else 0.0
+        if not thin:
+            rest = min(inside / (2 * breadth), rest)
         if beyond:
             low, high = STEP_FROM * width, STEP_TO * width
         elif rest > LAST_REST * width:
