@@ -49,6 +49,7 @@ Mask = npt.NDArray[np.bool_]
 # corners. N is sampled from the curve afterwards, so it does not matter here.
 _NODE_SPACING: Final = 1.4
 _NODES: Final = (6, 128)
+_THINNEST: Final = 3.0  # pixels: nodes as near to each other as a thinner rope is wide follow its staircase
 # Width of the map's neighbourhood in each epoch, node units. If a part of the rope was hidden in the last frame, what
 # comes back has no node near it.
 _SIGMAS_INITIAL: Final = (0.8, 0.4, 0.4)
@@ -59,7 +60,7 @@ _MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
 _MORE: Final = 2.5  # times as many pixels as the rope: it does not come so much nearer from one frame to the next
-_MIN_STRETCH: Final = 0.974  # a curve that became longer by more follows something else; a pulled band does not
+_MIN_STRETCH: Final = 0.957  # a curve that became longer by more follows something else; a pulled band does not
 _MIN_SEEN: Final = 0.3  # of a rope's length: what has to be in sight to report it, and below, to follow it
 _MIN_IN_PIECES: Final = 0.45  # around a gap of a tenth of it: a piece behind a long gap may be anywhere
 _GAP: Final = 0.1
@@ -162,7 +163,8 @@ class Centerline(Configuration, kind="centerline"):
         axis = medial_axis(observed)
         if axis.ambiguity:
             return Fit(reason=axis.ambiguity)
-        count = int(np.clip(round(observed.length / (_NODE_SPACING * max(observed.width, 3.0))), *_NODES))
+        width = max(observed.width, _THINNEST if observed.dimension == 2 else 0.0)
+        count = int(np.clip(round(observed.length / (_NODE_SPACING * width)), *_NODES))
         start = nodes_along(axis.points, axis.arc, _NOTHING, _NOTHING, _NOTHING, count)[0]
         off = axis.unsupported_fraction if prediction is None else MAX_HIDDEN
         return self._refine(observed, start, None, _SIGMAS_INITIAL, observed.width, off, prediction, scene)

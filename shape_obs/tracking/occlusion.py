@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Ends = tuple[int, int]
 
-_GROWTH: Final = 1.02  # by so much a rope may come out, or be pulled longer, in a frame
+_GROWTH: Final = 1.045  # by so much a rope may come out, or be pulled longer, in a frame
 _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
 _LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
 _NOTHING: Final = np.zeros(0)
@@ -34,7 +34,7 @@ _UNKNOWN_TIPS: Final = np.zeros((0, 2, 2))
 _NO_ROPE: Final = RopeBelief(*np.zeros(14).tolist()), Length(), np.zeros((2, 2)), _NOTHING, _UNKNOWN_TIPS
 _WHOLE: Final = 0.03  # of a length in metres, by which the curve of a whole rope may be too long or too short
 _RIVAL: Final = 0.08  # of the length: if so much more may be hidden at the other end, nothing is known of either
-_TURN: Final = 0.08  # of the length, at most: so much next to what lies behind the rope is off by up to 2 gaps of 20
+_TURN: Final = 0.06  # of the length, at most: so much next to what lies behind the rope is off by up to 2 gaps of 20
 _LEVELLING: Final = 0.1  # of the relief of what is hidden, lost in a frame: it is as deep as what is seen next to it
 _NEXT_TO: Final = 0.25  # of the visible piece, next to a hidden end, whose scale that end has
 

@@ -45,11 +45,10 @@ _OF_NOISE: Final = 0.8
 # another piece by this share of it, so that the length in sight shows how much lies beyond the hidden end.
 _ASLANT: Final = 2.7
 _ELSEWHERE: Final = 0.45
-# If nothing hides an end: by which share of its length a rope may lie behind itself; how much may be missing while both
-# ends point at the camera; and how steep a piece may be: where strands lie one behind the other, it may join them.
-_BEHIND: Final = 0.3
+# If nothing hides an end: how much of its length may be missing while both ends point at the camera; how steep a piece
+# may be while a tip does not look like the rope's own: where strands lie one behind the other, it may join them.
 _POINTING: Final = 0.016
-_STEEPEST: Final = 6.5
+_STEEPEST: Final = 6.0
 # By how many measuring errors a rope may be too short, and standard deviations of its length, at least. All are chosen
 # from 40,000 frames of swung ropes and 7,900 under shadows, exact depth and a D455's.
 _SHORTER: Final = 1.4
@@ -133,11 +132,9 @@ def doubt_in_space(curve: FittedCurve) -> str:
             return f"an end is hidden, and the rope is {aslant:.2g} times as long as it looks (at most {_ASLANT})"
     if any(hints.covered):
         return ""
-    if missing > _BEHIND:
-        return f"{missing:.0%} of the rope is out of sight, and nothing is seen to hide it"
     if missing > _POINTING and not any(hints.folded):
         return f"both ends point at the camera, and {missing:.1%} of the rope is missing at one of them"
-    if steep.max() > _STEEPEST:
+    if steep.max() > _STEEPEST and max(hints.cut) > 0:
         return f"a piece is seen end-on, {steep.max():.2g} times as long as it looks (at most {_STEEPEST})"
     return ""
 
