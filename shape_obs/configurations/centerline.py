@@ -213,8 +213,8 @@ class Centerline(Configuration, kind="centerline"):
             curve = match_chain(curve, prediction, tips, found)  # an end under a hand is put back here
         reason, quality = validate_ribbon(curve, observed.noun, expected_off, square, width, area)
         stretch = max(curve.hints.stretch, 1e-9)
-        grown = curve.metres is not None and curve.metres[-1] / stretch * _MIN_STRETCH > measured > 0
-        if not reason and grown and stretch < _MIN_STRETCH and not any(curve.hints.hidden):
+        grown = curve.metres is not None and curve.hints.measured * _MIN_STRETCH > measured > 0
+        if not reason and grown and stretch < _MIN_STRETCH:
             reason = f"the curve is {1 / stretch - 1:.0%} longer than the rope"
         if curve.ambiguity and not _begins_again(curve, prediction):
             reason = reason or curve.ambiguity

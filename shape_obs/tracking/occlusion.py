@@ -26,7 +26,6 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Ends = tuple[int, int]
 
-_GROWTH: Final = 1.045  # by so much a rope may come out, or be pulled longer, in a frame
 _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
 _LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
 _NOTHING: Final = np.zeros(0)
@@ -74,9 +73,7 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips, match: Fo
     if found.length <= 0:
         length = learnt(before.length, form, (found.first, found.last))
         return replace(form, hints=TrackHints(length=length, tips=tips.remembered()))
-    measured = before.measured
-    if found.head + found.tail <= LEAST * found.length:
-        measured = min(found.measured, _GROWTH * measured) if measured > 0 else found.measured
+    measured = before.measured if found.head + found.tail > LEAST * found.length else found.measured
     if found.rival > _RIVAL:
         form = replace(form, ambiguity="it is in doubt which end of the rope is out of sight")
     gap = found.gap_start, found.gap_stop

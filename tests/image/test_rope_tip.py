@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from shape_obs.bench.synthetic.ropes import draw_rope
 from shape_obs.image.rope_tip import extend_chain
 
 SIZE, FINE = 400, 4  # pixels; cv2 draws at a fraction 1 / 2**FINE of a pixel
@@ -76,3 +77,18 @@ def test_another_rope_nearby_is_not_followed(gap):
     nodes = np.stack([np.arange(60.0, 181.0, 10), np.full(13, 104.5)], axis=1) + (LEFT, TOP)
     chain = extended(nodes, mask, 10.0)
     np.testing.assert_allclose(chain[[0, -1]] - (LEFT, TOP), [(49.5, 104.5), (199.5, 104.5)], atol=1.0)
+
+
+@pytest.mark.parametrize("width", [1.2, 1.5])
+def test_the_tips_of_a_thin_rope_lie_where_it_ends(width):
+    off = []
+    for turn in np.arange(0, 6.28, 0.13):
+        heading = turn + np.linspace(-0.2, 0.2, 201)
+        axis = np.cumsum(np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0) / 2
+        drawn = draw_rope(axis - axis.mean(axis=0) + 80, width, size=(160, 160))
+        chain = extend_chain(np.ascontiguousarray(axis[20:-20:8] - axis.mean(axis=0) + 80), drawn.mask, 0, 0, width)
+        for tip, end, inner in ((chain[0], drawn.curve[0], 9), (chain[-1], drawn.curve[-1], -10)):
+            ahead = end - drawn.curve[inner]
+            off.append((tip - end) @ ahead / np.linalg.norm(ahead))
+    assert abs(np.mean(off)) < 0.2
+    assert np.std(off) < 0.5

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -118,3 +119,32 @@ def test_a_loop_that_crosses_itself_only_in_the_image_keeps_its_order():
         assert not (shape.visible & hidden).any()
         under += int(hidden.sum())
     assert under > 5
+
+
+def test_the_depth_of_what_lies_behind_a_rope_that_its_rims_have_does_not_make_it_longer():
+    detector, rng = None, np.random.default_rng(3)
+    for step in range(12):
+        axis = curve([(x, 0.3 * x, 0.4 * x) for x in (-0.25, 0.25)]) + (0.01 * step, 0.012 * step, 0.0)
+        seen = see(axis, 0.006, CAMERA, 1.5)
+        rim, depth = (seen.mask > 0) & (cv2.erode(seen.mask, np.ones((3, 3), np.uint8)) == 0), seen.depth.copy()
+        depth[rim] += rng.uniform(0, 0.06, np.count_nonzero(rim)).astype(np.float32)
+        if detector is None:
+            u, v = seen.pixels[0].tolist()
+            detector = ShapeDetector([Centerline(n=N, ends="tips", anchor=(u, v), spacing="m")])
+        shape = detector.detect_mask(seen.mask, depth, CAMERA).shapes[0]
+        assert shape.ok
+        assert shape.length == pytest.approx(0.5, abs=0.014)
+
+
+def test_an_end_next_to_the_border_is_not_cut_off_by_it():
+    def next_to_border(length: float) -> np.ndarray:
+        return curve([(-0.25, 0, 0), (0.25, 0.02, 0)], length)
+
+    end = (CAMERA.width - 1 - 3) / CAMERA.fx - CAMERA.cx / CAMERA.fx  # 3 pixels, of a rope that is 5 wide
+    ropes = []
+    for length in (*[0.5] * 5, *[0.492] * 3):
+        axis = next_to_border(length)
+        ropes.append(axis + (end * axis[-1, 2] - axis[-1, 0], 0, 0))
+    for shape, _ in tracked(ropes):
+        assert shape.ok
+        assert shape.visible.all()
