@@ -123,10 +123,11 @@ def validate_ribbon(
 
 def doubt_in_space(curve: FittedCurve) -> str:
     """Return why the points of a rope may lie elsewhere along a curve that was found in space; empty if they do not."""
-    hints, steep, missing = curve.hints, curve.steepness(curve.width / 2), sum(curve.hints.hidden)
+    hints, missing = curve.hints, sum(curve.hints.hidden)
     if hints.stretch > 1 + max(_SHORTER * hints.slack, _SHORT * hints.length.spread_metres):
         return f"the curve is {1 - 1 / hints.stretch:.1%} shorter than the rope, and nothing is seen to hide an end"
     if hints.covered[0] != hints.covered[1]:
+        steep = curve.steepness(curve.width / 2)
         aslant = max(float(steep[0 if hints.covered[1] else -1]), _ELSEWHERE * float(steep.max()))
         if aslant > _ASLANT:
             return f"an end is hidden, and the rope is {aslant:.2g} times as long as it looks (at most {_ASLANT})"
@@ -134,8 +135,9 @@ def doubt_in_space(curve: FittedCurve) -> str:
         return ""
     if missing > _POINTING and not any(hints.folded):
         return f"both ends point at the camera, and {missing:.1%} of the rope is missing at one of them"
-    if steep.max() > _STEEPEST and max(hints.cut) > 0:
-        return f"a piece is seen end-on, {steep.max():.2g} times as long as it looks (at most {_STEEPEST})"
+    steepest = float(curve.steepness(curve.width / 2).max()) if max(hints.cut) > 0 else 1.0
+    if steepest > _STEEPEST:
+        return f"a piece is seen end-on, {steepest:.2g} times as long as it looks (at most {_STEEPEST})"
     return ""
 
 
