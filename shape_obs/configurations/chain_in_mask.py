@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import viewing_rays
-from shape_obs.clustering.som import batch_epochs
+from shape_obs.clustering.som import batch_epochs, best_matching_units
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, DepthImages
 from shape_obs.geometry.curve import Length, local_stretch, nearest_along, with_relief
@@ -22,7 +22,7 @@ from shape_obs.geometry.topology import undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.rope_tip import extend_chain, rims_of, without_ends
 from shape_obs.point_cloud.chain_length import lift_chain
-from shape_obs.point_cloud.strands import gather_lifted_cells, level_rims, strand_gap
+from shape_obs.point_cloud.strands import gather_lifted_cells, strand_gap
 from shape_obs.tracking.occluders import HIDDEN, chain_evidence
 from shape_obs.tracking.rope_match import Found, RopeBelief, match_to_rope
 from shape_obs.tracking.validation import sample_spread
@@ -36,6 +36,7 @@ Drawn = tuple[Array, Array, Flags, Array, Array, float, tuple[int, int], Array]
 _LEAST_DEPTH: Final = 0.3  # of a curve's points: with less its length in metres is not measured
 _LONG: Final = 3.0  # widths: of a shorter curve the ends have no direction of their own
 _NEAR: Final = 0.04  # of its length: so near to a piece that is seen end-on points are off
+_OFF: Final = 0.7  # widths: a sample farther from the axis, in space, has the depth of what lies behind the rope too
 _LEAST_RIM: Final = 0.5  # pixels, cut off an end that is seen at an angle
 
 
@@ -85,7 +86,7 @@ def fit_chain_in_mask(
     line = 1, len(start)
     nodes = batch_epochs(points, weight, start, line, False, sigmas[:1])
     if len(relief) > 0:
-        level_rims(points, nodes, width)
+        _level_rims(points, nodes, width)
     nodes = undo_shrinkage(batch_epochs(points, weight, nodes, line, False, sigmas[1:]), pull, False)
     flat = extend_chain(_in_image(nodes), mask, at[0], at[1], width)
     lifted = catmull_rom(flat if nodes.shape[1] == 2 else _with_relief(flat, nodes), 4, False)
@@ -147,6 +148,45 @@ def track_chain_in_mask(
     curve, arc, off, metres, deep, _, ends, shapes = drawn
     found = match_to_rope(curve, arc, off, metres, deep, ends, shapes, belief, known, nodes, node_relief, own, False)
     return drawn, found
+
+
+@compiled
+def _level_rims(points: Array, nodes: Array, width: float) -> None:
+    """Give each sample that lies off a rope's axis the relief that the axis has next to it in the image.
+
+    At its rims a rope's depth is mixed with that of what lies behind it. A few such samples are far from all others,
+    and a map of a narrow neighbourhood sends a node to them: it folds.
+
+    Args:
+        points: ``(M, 3)`` pixels and relief; the relief is changed in place.
+        nodes: ``(K, 3)`` along the axis.
+        width: Of the rope, pixels.
+    """
+    unit, last = best_matching_units(points, nodes), len(nodes) - 1
+    for m in range(len(points)):
+        k, nearest = int(unit[m]), np.inf
+        for i in range(max(k - 1, 0), min(k + 1, last)):
+            nearest = min(nearest, _off_segment(points[m], nodes[i], nodes[i + 1], 3)[0])
+        if nearest <= (_OFF * width) ** 2:
+            continue
+        nearest = np.inf
+        for i in range(max(k - 2, 0), min(k + 2, last)):
+            square, t = _off_segment(points[m], nodes[i], nodes[i + 1], 2)
+            if square < nearest:
+                nearest, points[m, 2] = square, nodes[i, 2] + t * (nodes[i + 1, 2] - nodes[i, 2])
+
+
+@compiled
+def _off_segment(point: Array, start: Array, stop: Array, size: int) -> tuple[float, float]:
+    """Return the squared distance of a point from a segment, and where on it, 0...1, by their first coordinates."""
+    along = square = off = 0.0
+    for d in range(size):
+        along += (point[d] - start[d]) * (stop[d] - start[d])
+        square += (stop[d] - start[d]) ** 2
+    t = min(max(along / max(square, 1e-9), 0.0), 1.0)
+    for d in range(size):
+        off += (point[d] - start[d] - t * (stop[d] - start[d])) ** 2
+    return off, t
 
 
 @compiled

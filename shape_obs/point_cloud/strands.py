@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.clustering.som import best_matching_units
 from shape_obs.compiled import compiled
 from shape_obs.frame import FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.image.connected_runs import nearest_pixel
@@ -21,7 +20,6 @@ Mask = npt.NDArray[np.uint8]
 _MOVED: Final = 0.13  # of its depth, by which a rope may come nearer or go away beyond what was predicted
 _FEW: Final = 3.0  # times as many pixels as a strand behind has in a square: then it is none
 _APART: Final = (2.0, 0.02)  # widths, and of the depth: strands that lie so far apart are not taken for each other
-_OFF: Final = 0.7  # widths: a sample farther from a rope's axis, in space, has the depth of what lies behind it too
 
 
 @compiled("(f8, f8)")
@@ -248,42 +246,3 @@ def _nearest_in_image(u: float, v: float, nodes: Array) -> int:
         if square < least:
             best, least = k, square
     return best
-
-
-@compiled
-def level_rims(points: Array, nodes: Array, width: float) -> None:
-    """Give each sample that lies off a rope's axis the relief that the axis has next to it in the image.
-
-    At its rims a rope's depth is mixed with that of what lies behind it. A few such samples are far from all others,
-    and a map of a narrow neighbourhood sends a node to them: it folds.
-
-    Args:
-        points: ``(M, 3)`` pixels and relief; the relief is changed in place.
-        nodes: ``(K, 3)`` along the axis.
-        width: Of the rope, pixels.
-    """
-    unit, last = best_matching_units(points, nodes), len(nodes) - 1
-    for m in range(len(points)):
-        k, nearest = int(unit[m]), np.inf
-        for i in range(max(k - 1, 0), min(k + 1, last)):
-            nearest = min(nearest, _off_segment(points[m], nodes[i], nodes[i + 1], 3)[0])
-        if nearest <= (_OFF * width) ** 2:
-            continue
-        nearest = np.inf
-        for i in range(max(k - 2, 0), min(k + 2, last)):
-            square, t = _off_segment(points[m], nodes[i], nodes[i + 1], 2)
-            if square < nearest:
-                nearest, points[m, 2] = square, nodes[i, 2] + t * (nodes[i + 1, 2] - nodes[i, 2])
-
-
-@compiled
-def _off_segment(point: Array, start: Array, stop: Array, size: int) -> tuple[float, float]:
-    """Return the squared distance of a point from a segment, and where on it, 0...1, by their first coordinates."""
-    along = square = off = 0.0
-    for d in range(size):
-        along += (point[d] - start[d]) * (stop[d] - start[d])
-        square += (stop[d] - start[d]) ** 2
-    t = min(max(along / max(square, 1e-9), 0.0), 1.0)
-    for d in range(size):
-        off += (point[d] - start[d] - t * (stop[d] - start[d])) ** 2
-    return off, t

@@ -79,7 +79,7 @@ ROPES: tuple[Mutant, ...] = (
           "_STEEPEST: Final = 60.0", _CLAIMS),
     _rope("both ends may point at the camera", "tracking/validation", "_POINTING: Final = 0.016",
           "_POINTING: Final = 0.16", _CLAIMS),
-    _rope("rims fold its curve", "configurations/chain_in_mask", "        level_rims(points, nodes, width)\n",
+    _rope("rims fold its curve", "configurations/chain_in_mask", "        _level_rims(points, nodes, width)\n",
           "        pass\n"),
     _rope("a border cuts what does not touch it", "tracking/occluders",
           "_reaches_border(tip, width, mask, at, edge):", "True:"),
