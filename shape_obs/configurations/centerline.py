@@ -140,12 +140,17 @@ class Centerline(Configuration, kind="centerline"):
             reason, follow = f"it is seen end-on, {steep:.2g} times as long as in the image (at most {_END_ON})", False
         if not reason and curve.metres is not None:
             reason = doubt_in_space(curve)
-        elif not reason and self.spacing == "m" and prediction is not None and prediction.hints.length.metres > 0:
+        elif not reason and self._lost_its_length(observed, prediction):
             reason = "the depth shows too little of the rope to measure its length"
         return found._replace(
             form=curve, nodes=nodes, topology=topology, size=size, width=seen_width, reason=reason, follow=follow,
             relief=None if curve.relief is None else relief, length=curve.hints.length.metres or found.length,
         )  # fmt: skip
+
+    def _lost_its_length(self, observed: Observed, prediction: Prediction | None) -> bool:
+        """Return whether a rope in an image, whose points lie at equal steps in space, is no longer measured there."""
+        known = prediction is not None and prediction.hints.length.metres > 0
+        return known and observed.dimension == 2 and self.spacing == "m"
 
     def _reason_of(self, curve: FittedCurve, seen: float) -> str:
         """Return why a matched curve may be wrong, or shows too little of the rope; empty if it does not."""

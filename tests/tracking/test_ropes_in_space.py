@@ -148,3 +148,15 @@ def test_an_end_next_to_the_border_is_not_cut_off_by_it():
     for shape, _ in tracked(ropes):
         assert shape.ok
         assert shape.visible.all()
+
+
+def test_a_rope_that_comes_too_near_for_depth_is_refused_if_its_steps_are_metres_and_a_cloud_is_not():
+    axis = curve([(-0.25, 0, 0), (0.25, 0.05, 0.1)])
+    seen = see(axis, 0.006, CAMERA, 1.5)
+    detector = ShapeDetector([Centerline(n=N, ends="tips", spacing="m")])
+    depths = seen.depth, seen.depth, np.where(seen.mask > 0, 0, seen.depth), seen.depth
+    reasons = [detector.detect_mask(seen.mask, depth, CAMERA).shapes[0].reason for depth in depths]
+    assert ["too little" in reason for reason in reasons] == [False, False, True, False]
+    cloud = np.repeat(axis, 4, axis=0) + np.random.default_rng(1).normal(0, 0.002, (4 * len(axis), 3))
+    detector = ShapeDetector([Centerline(n=N, ends="tips", spacing="m", length=0.5)])
+    assert [detector.detect_cloud(cloud).shapes[0].reason for _ in range(3)] == ["", "", ""]

@@ -79,6 +79,8 @@ ROPES: tuple[Mutant, ...] = (
           "_STEEPEST: Final = 60.0", _CLAIMS),
     _rope("both ends may point at the camera", "tracking/validation", "_POINTING: Final = 0.016",
           "_POINTING: Final = 0.16", _CLAIMS),
+    _rope("a cloud has lost its length", "configurations/centerline", "known and observed.dimension == 2 and",
+          "known and"),
     _rope("rims fold its curve", "configurations/chain_in_mask", "        _level_rims(points, nodes, width)\n",
           "        pass\n"),
     _rope("a border cuts what does not touch it", "tracking/occluders",
