@@ -33,6 +33,7 @@ from shape_obs.tracking.hidden_outline import (
     laid_along,
     may_be_hidden,
     nearest_places,
+    sticks_out,
     turns_around,
 )  # fmt: skip
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
@@ -151,14 +152,10 @@ class Contour(Configuration, kind="contour"):
         if in_space and space is None:  # numbered by its place in the image, if all of it is seen
             found, nodes = match_outline(curve, prediction._replace(hints=TrackHints()))
             return replace(found, hints=TrackHints(reference=known)), nodes, np.inf if cut.any() else miss
-        own, laid = space if in_space else None, known
+        own, laid, reference = space if in_space else None, known, None
         found, nodes = curve, prediction.nodes
         if not cut.any() and own is None:
             found, nodes = match_outline(curve, prediction)
-        elif own is not None and not cut.any():
-            points, there, arc, nodes, reference, _ = follow_outline(curve.points, own, prediction.reference, nodes)
-            found = FittedCurve(points, np.zeros(len(points), bool), arc, True, space=there)
-            found = replace(found, hints=TrackHints(reference=reference))
         if laid is not None and own is None and not cut.any():
             cut, laid = hidden_pieces(curve, nodes, laid, prediction.nodes)
         if cut.any() and laid is not None:
@@ -169,8 +166,14 @@ class Contour(Configuration, kind="contour"):
             completed, begin = whole
             camera, there = scene.intrinsics, completed.points
             pixels = there if own is None or camera is None else camera.project(there)
-            curve = FittedCurve.through(pixels, np.zeros(len(pixels), bool), True)
-            return *_begun_at(curve, there, begin, len(nodes), known), miss
+            if own is None or sticks_out(pixels[completed.interpolated], curve.points):
+                curve = FittedCurve.through(pixels, np.zeros(len(pixels), bool), True)
+                return *_begun_at(curve, there, begin, len(nodes), known), miss
+            reference = known  # what lies next to it may hide a little of it
+        if own is not None:
+            points, there, arc, nodes, blended, _ = follow_outline(curve.points, own, prediction.reference, nodes)
+            found = FittedCurve(points, np.zeros(len(points), bool), arc, True, space=there)
+            found = replace(found, hints=TrackHints(reference=blended if reference is None else reference))
         if own is None and space is not None:
             near = int(np.argmin(((curve.points - nodes[0]) ** 2).sum(axis=1)))
             found, nodes = _begun_at(

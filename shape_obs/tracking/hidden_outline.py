@@ -251,5 +251,14 @@ def complete_outline(
     return FittedCurve.through(points, flags, True), float(-best)
 
 
+def sticks_out(hidden: Array, outline: Array) -> bool:
+    """Return whether a hidden part ``(L, 2)`` lies beyond the outline ``(P, 2)`` of what is seen, both in pixels.
+
+    What only touches an object hides nothing of it: its outline is then its own everywhere.
+    """
+    _, far, inside = nearest_places(_closed(outline), np.ascontiguousarray(hidden))
+    return bool((far > _WITHIN[0])[~inside].any())
+
+
 def _closed(points: Array) -> Array:
     return np.ascontiguousarray(np.concatenate([points, points[:1]]))
