@@ -125,14 +125,14 @@ class Contour(Configuration, kind="contour"):
             return None
         if covered or width < _MIN_WIDTH * SAMPLED or known is None or (known.shape[1] == 3) != (len(space) > 0):
             return None
-        curve, space, arc, nodes, known, doubtful = follow_outline(curve, space, known, nodes)
+        curve, space, arc, nodes, known, turning, doubtful = follow_outline(curve, space, known, nodes)
         reason, quality = validate_outline(region, miss)
         size = arc.item(len(arc) - 1)
         if doubtful or reason or abs(size / prediction.size - 1) > MAX_SIZE_CHANGE:
             return None
         form = FittedCurve(
             curve, np.zeros(len(curve), bool), arc, True, space=space if len(space) else None,
-            hints=TrackHints(reference=known),
+            hints=TrackHints(reference=known, turning=turning),
         )  # fmt: skip
         return Fit(form, quality, "", nodes, prediction.topology, size, width, region, width)
 
@@ -171,9 +171,10 @@ class Contour(Configuration, kind="contour"):
                 return *_begun_at(curve, there, begin, len(nodes), known), miss
             reference = known  # what lies next to it may hide a little of it
         if own is not None:
-            points, there, arc, nodes, blended, _ = follow_outline(curve.points, own, prediction.reference, nodes)
+            points, there, arc, nodes, new, turning, _ = follow_outline(curve.points, own, prediction.reference, nodes)
             found = FittedCurve(points, np.zeros(len(points), bool), arc, True, space=there)
-            found = replace(found, hints=TrackHints(reference=blended if reference is None else reference))
+            reference = new if reference is None else reference
+            found = replace(found, hints=TrackHints(reference=reference, turning=turning))
         if own is None and space is not None:
             near = int(np.argmin(((curve.points - nodes[0]) ** 2).sum(axis=1)))
             found, nodes = _begun_at(

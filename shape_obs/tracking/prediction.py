@@ -170,7 +170,7 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
     interval = 0.0 if track is None else stamp - track.stamp
     velocity, climb = np.zeros_like(nodes), None
     if track is not None and interval > _LEAST_INTERVAL:
-        velocity = (nodes - track.nodes) / interval
+        velocity = without_turning(nodes, (nodes - track.nodes) / interval, 1 - form.hints.turning)
         if found.relief is not None and track.relief is not None:
             climb = (found.relief - track.relief) / interval
     size, area = found.size, 0 if form.interpolated.any() else observed.area
@@ -179,6 +179,21 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
         nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area, found.track_id,
         found.relief, climb,
     )  # fmt: skip
+
+
+@compiled("(f8[:,::1], f8[:,::1], f8)")
+def without_turning(nodes: Array, velocity: Array, share: float) -> Array:
+    """Return velocities ``(K, D)`` of the nodes of a closed curve less a share of their common motion along it."""
+    count, moved, square = len(nodes), 0.0, 0.0
+    if share <= 0:
+        return velocity
+    along = np.empty_like(nodes)
+    for k in range(count):
+        for d in range(nodes.shape[1]):
+            along[k, d] = nodes[(k + 1) % count, d] - nodes[k - 1, d]
+            moved += along[k, d] * velocity[k, d]
+            square += along[k, d] ** 2
+    return velocity - share * moved / max(square, 1e-18) * along
 
 
 class Reach:

@@ -22,7 +22,7 @@ from shape_obs.geometry.outline import wave_table, waves
 from shape_obs.geometry.polyline import arc_length, closed, even_around
 from shape_obs.tracking.hidden_outline import may_be_hidden
 from shape_obs.tracking.prediction import Prediction
-from shape_obs.tracking.registration_in_space import blend_space, index_shift_space
+from shape_obs.tracking.registration_in_space import blend_space, index_shift_space, place_weight
 
 Array = npt.NDArray[np.float64]
 
@@ -33,9 +33,6 @@ _MOST_FORGOTTEN: Final = 0.003  # of the radius, in a frame: what a hand hides l
 # How much the place and direction of an outline weigh against its shape, whose match is worth 1. A square fits itself
 # four ways, a towel two: the way that turns least is chosen.
 _TURNING: Final = 0.05
-# Within a fit, place decides only where the shape cannot, as on a circle: a weight that shrinks as the shape's
-# own contrast grows beyond it, since what is predicted of a turning outline lags behind.
-_FLAT: Final = 3e-4
 # Waves around the outline that are compared: more cost time and change nothing, and on a noisy circle they mislead.
 _HARMONICS: Final = 12
 # Shifts at which a peak is looked for, ten to the shortest wave, and half-widths of the parabolas through it, in turns.
@@ -52,19 +49,19 @@ def match_outline(curve: FittedCurve, prediction: Prediction) -> tuple[FittedCur
     """
     reference, count = prediction.reference, len(prediction.nodes)
     if curve.points.shape[1] == 2:
-        points, arc, nodes, reference = renumber_outline(curve.points, reference, prediction.nodes)
+        points, arc, nodes, reference, turning = renumber_outline(curve.points, reference, prediction.nodes)
         turned = FittedCurve(points, np.zeros(len(points), bool), arc, True)
     else:
         nodes = curve.even(count)
-        shift = index_shift_space(reference, prediction.nodes, nodes, nodes)
+        shift, turning = index_shift_space(reference, prediction.nodes, nodes, nodes, prediction.resolution)
         turned = curve.starting_at(shift * curve.size / count)
         nodes = turned.even(count)
         reference = blend_space(reference, nodes)
-    return replace(turned, hints=TrackHints(reference=reference)), nodes
+    return replace(turned, hints=TrackHints(reference=reference, turning=turning)), nodes
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8[:,::1])")
-def renumber_outline(points: Array, reference: Array, predicted: Array) -> tuple[Array, Array, Array, Array]:
+def renumber_outline(points: Array, reference: Array, predicted: Array) -> tuple[Array, Array, Array, Array, float]:
     """Renumber an outline in the plane from where it began before.
 
     Args:
@@ -74,17 +71,18 @@ def renumber_outline(points: Array, reference: Array, predicted: Array) -> tuple
 
     Returns:
         ``(P', 2)`` the same outline from there on, P' = P or P + 1; ``(P' + 1,)`` its arc length, the last entry the
-        whole; ``(K, 2)`` equidistant places on it; ``(K, 2)`` the reference laid over them and moved towards them.
+        whole; ``(K, 2)`` equidistant places on it; ``(K, 2)`` the reference laid over them and moved towards them; how
+        far its turning can be believed, 0...1.
     """
     count, around = len(predicted), closed(points)
     arc = arc_length(around)
     gap = arc[-1] / count
-    start = index_shift(reference, predicted, even_around(around, arc, 0.0, count)) * gap
-    turned = _from(points, arc, start)
+    shift, turning = index_shift(reference, predicted, even_around(around, arc, 0.0, count))
+    turned = _from(points, arc, shift * gap)
     around = closed(turned)
     arc = arc_length(around)
     nodes = even_around(around, arc, 0.0, count)
-    return turned, arc, nodes, blend(reference, nodes)
+    return turned, arc, nodes, blend(reference, nodes), turning
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8, i8)")
@@ -112,7 +110,7 @@ def begin_outline(points: Array, space: Array, start: float, count: int) -> tupl
 @compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
 def follow_outline(
     points: Array, space: Array, reference: Array, predicted: Array
-) -> tuple[Array, Array, Array, Array, Array, bool]:
+) -> tuple[Array, Array, Array, Array, Array, float, bool]:
     """Renumber an outline in an image from where it began before, by its form in space if that is known.
 
     Args:
@@ -123,19 +121,19 @@ def follow_outline(
 
     Returns:
         The points from there on ``(P', 2)``; in metres ``(P', 3)``, or ``(0, 3)``; arc length in pixels ``(P' + 1,)``;
-        nodes ``(K, 2)``; the reference ``(K, D)`` as it is known now; whether something may hide a part, by the
-        outline in the image alone.
+        nodes ``(K, 2)``; the reference ``(K, D)`` as it is known now; how far its turning can be believed, 0...1;
+        whether something may hide a part, by the outline in the image alone.
     """
     count = len(predicted)
     if reference.shape[1] == 2:
-        turned, arc, nodes, known = renumber_outline(points, reference, predicted)
-        return turned, np.empty((0, 3)), arc, nodes, known, may_be_hidden(nodes, reference)
+        turned, arc, nodes, known, turning = renumber_outline(points, reference, predicted)
+        return turned, np.empty((0, 3)), arc, nodes, known, turning, may_be_hidden(nodes, reference)
     around, lifted = closed(points), closed(space)
     metres = arc_length(lifted)
     found, seen = even_around(lifted, metres, 0.0, count), even_around(around, metres, 0.0, count)
-    start = index_shift_space(reference, predicted, found, seen) * (metres[-1] / count)
-    turned, there, arc, nodes, places = begin_outline(points, space, start, count)
-    return turned, there, arc, nodes, blend_space(reference, places), False
+    shift, turning = index_shift_space(reference, predicted, found, seen, 1.0)
+    turned, there, arc, nodes, places = begin_outline(points, space, shift * (metres[-1] / count), count)
+    return turned, there, arc, nodes, blend_space(reference, places), turning, False
 
 
 @compiled
@@ -164,7 +162,7 @@ def _from(points: Array, arc: Array, start: float) -> Array:
 
 
 @compiled
-def index_shift(reference: Array, predicted: Array, found: Array) -> float:
+def index_shift(reference: Array, predicted: Array, found: Array) -> tuple[float, float]:
     """Return by how many places the numbering has moved: node k of the past is now at ``found[k + shift]``.
 
     Args:
@@ -173,7 +171,7 @@ def index_shift(reference: Array, predicted: Array, found: Array) -> float:
         found: ``(K, 2)`` equidistant around the outline that was found, in the same direction.
 
     Returns:
-        Places; fractions of a place too.
+        Places; fractions of a place too. And how far a turning can be believed, 0...1.
     """
     cos, sin = wave_table(len(found), _HARMONICS)
     seen = waves(found, cos, sin)
@@ -192,7 +190,7 @@ def index_shift(reference: Array, predicted: Array, found: Array) -> float:
         match = turned[s] + _TURNING * still[s]
         if match > best:
             at, best = s, match
-    flat = _FLAT / (1 + (most - least) / _FLAT)
+    flat, turning = place_weight(predicted, most - least, 1.0)
     for s in range(_SHIFTS):
         score[s] = turned[s] + flat * still[s]
     while max(score[at - 1], score[(at + 1) % _SHIFTS]) > score[at]:
@@ -204,7 +202,7 @@ def index_shift(reference: Array, predicted: Array, found: Array) -> float:
         bend = low - 2 * middle + high
         if bend < 0:
             turns += width * min(max((low - high) / (2 * bend), -1.0), 1.0)
-    return turns * len(found)
+    return turns * len(found), turning
 
 
 @compiled

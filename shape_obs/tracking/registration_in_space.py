@@ -20,7 +20,9 @@ Array = npt.NDArray[np.float64]
 _FORGETTING: Final = 0.05  # by which share what is known follows what is found, in a frame
 # As in the plane: what the place weighs against the form to choose a peak, and where the form says nothing.
 _TURNING: Final = 0.05
-_FLAT: Final = 3e-4
+_FLAT: Final = (3e-4, 1.0)  # for what changes its form; squares of what is resolved, for noise
+# Contrast of the forms of circles in square pixels, by their staircase: 2.8e-5 at a radius of 24, 1.3e-6 at 96.
+_ROUND: Final = 0.06
 _HARMONICS: Final = 12
 _SHIFTS: Final = 128
 _PEAKS: Final = (0.5 / 128, 0.1 / 128)
@@ -29,7 +31,6 @@ _STEPS: Final = 5
 _COMPARED: Final = 48  # of the nodes, at least
 _BENT: Final = 2.0  # median distances: what lies farther off has bent
 _FARTHEST: Final = 1 / 24  # of the outline
-_STAY: Final = 0.01  # how much staying weighs against moving
 # Cosines and sines of the waves at each of the shifts that are looked at: ``(128, 2, 12)``.
 _ANGLES = 2 * np.pi * np.outer(np.arange(_SHIFTS) / _SHIFTS, np.arange(1, _HARMONICS + 1))
 _GRID: Final = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
@@ -50,11 +51,17 @@ def blend_space(reference: Array, found: Array) -> Array:
     return out
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
-def index_shift_space(reference: Array, predicted: Array, found: Array, seen: Array) -> float:
-    """Return what ``index_shift`` returns, by forms in space ``(K, 3)`` and places, expected and seen, ``(K, D)``."""
+@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8)")
+def index_shift_space(
+    reference: Array, predicted: Array, found: Array, seen: Array, resolution: float
+) -> tuple[float, float]:
+    """Return what ``index_shift`` returns, by forms in space ``(K, 3)`` and places, expected and seen, ``(K, D)``.
+
+    The resolution is that of the places.
+    """
     cos, sin = wave_table(len(found), _HARMONICS)
-    shape = _cross_spectrum(waves(reference, cos, sin), waves(found, cos, sin))
+    before, after = waves(reference, cos, sin), waves(found, cos, sin)
+    shape = _cross_spectrum(before, after)
     place = _traced(_cross_spectrum(waves(predicted, cos, sin), waves(seen, cos, sin)))
     still, turned, expected = np.empty(_SHIFTS), np.full(_SHIFTS, -np.inf), 0
     for s in range(_SHIFTS):
@@ -74,43 +81,89 @@ def index_shift_space(reference: Array, predicted: Array, found: Array, seen: Ar
             least, most = min(least, turned[s]), max(most, turned[s])
         if turned[s] + _TURNING * still[s] > match:
             at, match = s, turned[s] + _TURNING * still[s]
-    flat = _FLAT / (1 + (most - least) / _FLAT)
+    flat, turning = place_weight(predicted, most - least, resolution)
     score = turned + flat * still
     while max(score[at - 1], score[(at + 1) % _SHIFTS]) > score[at]:
         at = (at - 1 if score[at - 1] >= score[(at + 1) % _SHIFTS] else at + 1) % _SHIFTS
     turns = at / _SHIFTS
     for width in _PEAKS:
-        before, here, after = _wave(turns - width), _wave(turns), _wave(turns + width)
-        low = _turned(shape, before) + flat * _stayed(place, before)
+        behind, here, ahead = _wave(turns - width), _wave(turns), _wave(turns + width)
+        low = _turned(shape, behind) + flat * _stayed(place, behind)
         middle = _turned(shape, here) + flat * _stayed(place, here)
-        high = _turned(shape, after) + flat * _stayed(place, after)
+        high = _turned(shape, ahead) + flat * _stayed(place, ahead)
         bend = low - 2 * middle + high
         if bend < 0:
             turns += width * min(max((low - high) / (2 * bend), -1.0), 1.0)
-    return _without_bends(reference, found, turns * len(found))
+    stay = _peak(place, expected) * len(found)
+    return _without_bends(before, after, cos, sin, turns * len(found), stay, flat), turning
 
 
 @compiled
-def _without_bends(reference: Array, found: Array, shift: float) -> float:
+def place_weight(predicted: Array, contrast: float, resolution: float) -> tuple[float, float]:
+    """Return how much the place of an outline weighs against its form, and how far its turning can be believed.
+
+    The form of a round outline does not say how it has turned: the noise of its pixels does.
+
+    Args:
+        predicted: ``(K, D)`` where it is expected.
+        contrast: By how much the match of the forms, 1 for a perfect one, differs between the best and the worst shift.
+        resolution: In the unit of the places.
+
+    Returns:
+        The weight, relative to a match of 1; 0...1.
+    """
+    square = 0.0
+    for d in range(predicted.shape[1]):
+        square += np.var(predicted[:, d])
+    small = resolution**2 / max(square, 1e-18)
+    flat, noise = _FLAT[0] + _FLAT[1] * small, _ROUND * small
+    return flat / (1 + contrast / flat), contrast / (contrast + noise)
+
+
+@compiled
+def _peak(place: Array, at: int) -> float:
+    """Return the shift at which places match best, in turns, next to one of those that are looked at."""
+    turns, step = at / _SHIFTS, 1 / _SHIFTS
+    low, middle, high = _stayed(place, _wave(turns - step)), _stayed(place, _wave(turns)), _stayed(place, _wave(turns + step))
+    bend = low - 2 * middle + high
+    return turns + (step * min(max((low - high) / (2 * bend), -1.0), 1.0) if bend < 0 else 0.0)
+
+
+@compiled
+def _without_bends(
+    reference: Array, found: Array, cos: Array, sin: Array, shift: float, stay: float, flat: float
+) -> float:
     """Refine a shift by those parts of an outline that have moved rigidly; the others count for little.
 
     Where a part of an outline bends out of the plane, the best rigid motion of the whole is off by up to half a gap of
     32 points. Gauss-Newton steps in the shift, the rotation and the translation, with weights that fall with the
     distance (D. Geman, D. E. McClure, "Statistical methods for tomographic image reconstruction", 1987), go over to
-    the part that has not bent.
+    the part that has not bent. Outlines are compared by their waves: between noisy nodes a line is smoother than at
+    them, which would draw the shift there.
+
+    Args:
+        reference: ``(6, H)`` the waves of the outline as it was.
+        found: ``(6, H)`` the same now.
+        cos: ``(H, K)``, see ``wave_table``.
+        sin: The same.
+        shift: To refine, places.
+        stay: Where the place of the outline is expected, the same.
+        flat: How much that weighs.
     """
-    count = len(found)
+    count = cos.shape[1]
     low, high, every = shift - _FARTHEST * count, shift + _FARTHEST * count, max(count // _COMPARED, 1)
-    some = reference[::every]
-    weight, places, ahead = np.ones(len(some)), np.empty_like(some), np.empty_like(some)
-    off, far = np.empty_like(some), np.empty(len(some))
+    some = _drawn(reference, cos, sin, every)
+    weight, moved, ahead, off = np.ones(len(some)), np.empty_like(found), np.empty_like(found), np.empty_like(some)
+    far = np.empty(len(some))
     for _ in range(_STEPS):
-        for n in range(len(some)):
-            at = (n * every + shift) % count
-            before = min(int(at), count - 1)
+        for h in range(found.shape[1]):
+            turn = 2 * math.pi * (h + 1) / count
+            along, across = math.cos(turn * shift), math.sin(turn * shift)
             for d in range(3):
-                ahead[n, d] = found[(before + 1) % count, d] - found[before, d]
-                places[n, d] = found[before, d] + (at - before) * ahead[n, d]
+                a, b = found[2 * d, h], found[2 * d + 1, h]
+                moved[2 * d, h], moved[2 * d + 1, h] = a * along + b * across, b * along - a * across
+                ahead[2 * d, h], ahead[2 * d + 1, h] = turn * moved[2 * d + 1, h], -turn * moved[2 * d, h]
+        places, speed = _drawn(moved, cos, sin, every), _drawn(ahead, cos, sin, every)
         laid, middle = _laid(some, places, weight)
         for n in range(len(some)):
             square = 0.0
@@ -124,17 +177,31 @@ def _without_bends(reference: Array, found: Array, shift: float) -> float:
             weight[n] = 1 / (1 + (far[n] / reach) ** 2) ** 2
             for d in range(3):  # how the residual moves with the shift, a rotation and a translation
                 e, f = (d + 1) % 3, (d + 2) % 3
-                moves = ((0, ahead[n, d]), (1 + e, -laid[n, f]), (1 + f, laid[n, e]), (4 + d, -1.0))
+                moves = ((0, speed[n, d]), (1 + e, -laid[n, f]), (1 + f, laid[n, e]), (4 + d, -1.0))
                 for i, by in moves:
                     slope[i] += weight[n] * by * off[n, d]
                     for j, other in moves:
                         normal[i, j] += weight[n] * by * other
-        normal[0, 0] *= 1 + _STAY  # on a circle a shift is a rotation
+        away = (shift - stay + count / 2) % count - count / 2
+        slope[0] += flat * normal[0, 0] * away  # on a circle a shift is a rotation
+        normal[0, 0] *= 1 + flat
         for i in range(7):
             normal[i, i] += 1e-12
         step = -np.linalg.solve(normal, slope)[0]
         shift = min(max(shift + min(max(step, -1.0), 1.0), low), high)
     return shift
+
+
+@compiled(reassociate=True)
+def _drawn(spectrum: Array, cos: Array, sin: Array, every: int) -> Array:
+    """Return places ``(N, 3)`` around a closed curve, given by its waves ``(6, H)``, at each so many of the nodes."""
+    count, out = cos.shape[1], np.zeros((-(-cos.shape[1] // every), 3))
+    for d in range(3):
+        for h in range(spectrum.shape[1]):
+            a, b = 2 / count * spectrum[2 * d, h], 2 / count * spectrum[2 * d + 1, h]
+            for n in range(len(out)):
+                out[n, d] += a * cos[h, n * every] + b * sin[h, n * every]
+    return out
 
 
 @compiled
