@@ -178,6 +178,19 @@ def waves(points: Array, cos: Array, sin: Array) -> Array:
     return out
 
 
+@compiled
+def unround(spectrum: Array) -> float:
+    """Return which share of an outline's waves ``(2 D, H)`` is not a circle's, 0...1."""
+    ahead = across = both = total = 0.0
+    for d in range(len(spectrum) // 2):
+        a, b = spectrum[2 * d, 0], spectrum[2 * d + 1, 0]
+        ahead, across, both = ahead + a * a, across + b * b, both + a * b
+        for h in range(spectrum.shape[1]):
+            total += spectrum[2 * d, h] ** 2 + spectrum[2 * d + 1, h] ** 2
+    circle = (ahead + across) / 2 + math.sqrt(max(ahead * across - both * both, 0.0))
+    return max(1 - circle / max(total, 1e-18), 0.0)
+
+
 @compiled("(f8[:,::1],)")
 def pairs(points: Array) -> Array:
     """Return the mean of each two points, the last alone if they are odd: ``(P, D)`` -> ``(ceil(P / 2), D)``."""

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, TrackHints
-from shape_obs.geometry.outline import wave_table, waves
+from shape_obs.geometry.outline import unround, wave_table, waves
 from shape_obs.geometry.polyline import arc_length, closed, even_around
 from shape_obs.tracking.hidden_outline import may_be_hidden
 from shape_obs.tracking.prediction import Prediction
@@ -174,23 +174,21 @@ def index_shift(reference: Array, predicted: Array, found: Array) -> tuple[float
         Places; fractions of a place too. And how far a turning can be believed, 0...1.
     """
     cos, sin = wave_table(len(found), _HARMONICS)
-    seen = waves(found, cos, sin)
-    shape, place = _spectrum(waves(reference, cos, sin), seen), _spectrum(waves(predicted, cos, sin), seen)
+    known, seen = waves(reference, cos, sin), waves(found, cos, sin)
+    shape, place = _spectrum(known, seen), _spectrum(waves(predicted, cos, sin), seen)
     real, imaginary, still = np.zeros(_SHIFTS), np.zeros(_SHIFTS), np.zeros(_SHIFTS)
     for h in range(_HARMONICS):
         for s in range(_SHIFTS):
             real[s] += shape[0, h] * _COS[h, s] + shape[1, h] * _SIN[h, s]
             imaginary[s] += shape[2, h] * _COS[h, s] + shape[3, h] * _SIN[h, s]
             still[s] += place[0, h] * _COS[h, s] + place[1, h] * _SIN[h, s]
-    turned, score, least, most = np.empty(_SHIFTS), np.empty(_SHIFTS), np.inf, 0.0
-    at, best = 0, -np.inf
+    turned, score, at, best = np.empty(_SHIFTS), np.empty(_SHIFTS), 0, -np.inf
     for s in range(_SHIFTS):
         turned[s] = math.sqrt(real[s] * real[s] + imaginary[s] * imaginary[s])
-        least, most = min(least, turned[s]), max(most, turned[s])
         match = turned[s] + _TURNING * still[s]
         if match > best:
             at, best = s, match
-    flat, turning = place_weight(predicted, most - least, 1.0)
+    flat, turning = place_weight(predicted, min(unround(known), unround(seen)), 1.0)
     for s in range(_SHIFTS):
         score[s] = turned[s] + flat * still[s]
     while max(score[at - 1], score[(at + 1) % _SHIFTS]) > score[at]:

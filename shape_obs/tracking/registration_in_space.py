@@ -12,17 +12,18 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.outline import wave_table, waves
+from shape_obs.geometry.outline import unround, wave_table, waves
 from shape_obs.geometry.rotation import best_rotation, covariance_of, largest_trace
 
 Array = npt.NDArray[np.float64]
 
 _FORGETTING: Final = 0.05  # by which share what is known follows what is found, in a frame
-# As in the plane: what the place weighs against the form to choose a peak, and where the form says nothing.
-_TURNING: Final = 0.05
-_FLAT: Final = (3e-4, 1.0)  # for what changes its form; squares of what is resolved, for noise
-# Contrast of the forms of circles in square pixels, by their staircase: 2.8e-5 at a radius of 24, 1.3e-6 at 96.
-_ROUND: Final = 0.06
+_TURNING: Final = 0.05  # as in the plane
+# How much the place of an outline weighs where its form says nothing, relative to a match of 1: at any size, since an
+# object may change its form, and in squares of what is resolved, for noise. It shrinks as the outline is less round,
+# since what is predicted of a turning outline lags behind.
+_FLAT: Final = (3e-4, 1.0)
+_ROUND: Final = 0.06  # what the staircase of pixels makes of a circle, in square pixels
 _HARMONICS: Final = 12
 _SHIFTS: Final = 128
 _PEAKS: Final = (0.5 / 128, 0.1 / 128)
@@ -75,13 +76,11 @@ def index_shift_space(
         first, count = 0, _SHIFTS
         for s in range(_SHIFTS):
             turned[s] = _turned(shape, _GRID[s])
-    least, most, at, match = np.inf, -np.inf, 0, -np.inf
+    at, match = 0, -np.inf
     for s in range(_SHIFTS):
-        if turned[s] > -np.inf:
-            least, most = min(least, turned[s]), max(most, turned[s])
         if turned[s] + _TURNING * still[s] > match:
             at, match = s, turned[s] + _TURNING * still[s]
-    flat, turning = place_weight(predicted, most - least, resolution)
+    flat, turning = place_weight(predicted, min(unround(before), unround(after)), resolution)
     score = turned + flat * still
     while max(score[at - 1], score[(at + 1) % _SHIFTS]) > score[at]:
         at = (at - 1 if score[at - 1] >= score[(at + 1) % _SHIFTS] else at + 1) % _SHIFTS
@@ -102,11 +101,11 @@ def index_shift_space(
 def place_weight(predicted: Array, contrast: float, resolution: float) -> tuple[float, float]:
     """Return how much the place of an outline weighs against its form, and how far its turning can be believed.
 
-    The form of a round outline does not say how it has turned: the noise of its pixels does.
+    The form of a round outline does not say how it has turned: the noise of its pixels does, and would turn it by gaps.
 
     Args:
         predicted: ``(K, D)`` where it is expected.
-        contrast: By how much the match of the forms, 1 for a perfect one, differs between the best and the worst shift.
+        contrast: How far the outline is from a circle, see ``unround``.
         resolution: In the unit of the places.
 
     Returns:
@@ -123,10 +122,10 @@ def place_weight(predicted: Array, contrast: float, resolution: float) -> tuple[
 @compiled
 def _peak(place: Array, at: int) -> float:
     """Return the shift at which places match best, in turns, next to one of those that are looked at."""
-    turns, step = at / _SHIFTS, 1 / _SHIFTS
-    low, middle, high = _stayed(place, _wave(turns - step)), _stayed(place, _wave(turns)), _stayed(place, _wave(turns + step))
+    low, middle = _stayed(place, _GRID[at - 1]), _stayed(place, _GRID[at])
+    high = _stayed(place, _GRID[(at + 1) % _SHIFTS])
     bend = low - 2 * middle + high
-    return turns + (step * min(max((low - high) / (2 * bend), -1.0), 1.0) if bend < 0 else 0.0)
+    return (at + (min(max((low - high) / (2 * bend), -1.0), 1.0) if bend < 0 else 0.0)) / _SHIFTS
 
 
 @compiled
@@ -152,7 +151,8 @@ def _without_bends(
     """
     count = cos.shape[1]
     low, high, every = shift - _FARTHEST * count, shift + _FARTHEST * count, max(count // _COMPARED, 1)
-    some = _drawn(reference, cos, sin, every)
+    cos, sin = cos[:, ::every] * (2 / count), sin[:, ::every] * (2 / count)
+    some = _drawn(reference, cos, sin)
     weight, moved, ahead, off = np.ones(len(some)), np.empty_like(found), np.empty_like(found), np.empty_like(some)
     far = np.empty(len(some))
     for _ in range(_STEPS):
@@ -163,7 +163,7 @@ def _without_bends(
                 a, b = found[2 * d, h], found[2 * d + 1, h]
                 moved[2 * d, h], moved[2 * d + 1, h] = a * along + b * across, b * along - a * across
                 ahead[2 * d, h], ahead[2 * d + 1, h] = turn * moved[2 * d + 1, h], -turn * moved[2 * d, h]
-        places, speed = _drawn(moved, cos, sin, every), _drawn(ahead, cos, sin, every)
+        places, speed = _drawn(moved, cos, sin), _drawn(ahead, cos, sin)
         laid, middle = _laid(some, places, weight)
         for n in range(len(some)):
             square = 0.0
@@ -193,14 +193,17 @@ def _without_bends(
 
 
 @compiled(reassociate=True)
-def _drawn(spectrum: Array, cos: Array, sin: Array, every: int) -> Array:
-    """Return places ``(N, 3)`` around a closed curve, given by its waves ``(6, H)``, at each so many of the nodes."""
-    count, out = cos.shape[1], np.zeros((-(-cos.shape[1] // every), 3))
+def _drawn(spectrum: Array, cos: Array, sin: Array) -> Array:
+    """Return places ``(N, 3)`` around a closed curve by its waves ``(6, H)``, at those of the tables ``(H, N)``."""
+    out, row = np.empty((cos.shape[1], 3)), np.empty(cos.shape[1])
     for d in range(3):
-        for h in range(spectrum.shape[1]):
-            a, b = 2 / count * spectrum[2 * d, h], 2 / count * spectrum[2 * d + 1, h]
-            for n in range(len(out)):
-                out[n, d] += a * cos[h, n * every] + b * sin[h, n * every]
+        row[:] = 0.0
+        for h in range(len(cos)):
+            a, b = spectrum[2 * d, h], spectrum[2 * d + 1, h]
+            for n in range(len(row)):
+                row[n] += a * cos[h, n] + b * sin[h, n]
+        for n in range(len(row)):
+            out[n, d] = row[n]
     return out
 
 

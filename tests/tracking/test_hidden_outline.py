@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
-from shape_obs import Contour, ShapeDetector
+from shape_obs import Contour, Intrinsics, ShapeDetector
 from shape_obs.bench.contour_claims import MOTIONS, seen_outline
 from shape_obs.bench.scores import tally_visible
 from shape_obs.bench.synthetic.blobs import moving_blob
@@ -111,3 +112,23 @@ def test_an_outline_is_laid_along_what_is_seen_of_it():
     laid = laid_along(closed(seen), moved)
     assert nearest_on(closed(wavy(300)), laid)[1].max() < 1
     assert np.linalg.norm(laid - points, axis=1).max() < 3
+
+
+def test_what_only_touches_an_outline_hides_nothing():
+    camera = Intrinsics(160, 120, 110.0, 110.0, 80.0, 60.0)
+    free, touched = (ShapeDetector(Contour(spacing="m")) for _ in range(2))
+    around = 2 * np.pi * np.arange(400) / 400
+    away = 25 * (1 + 0.12 * np.cos(3 * around + 0.4) + 0.06 * np.cos(2 * around + 1))
+    for frame in range(70):
+        wide = 0.1 * np.sin(np.pi * frame / 70) ** 2  # it changes its form
+        points = np.stack([away * np.cos(around) * (1 + wide), away * np.sin(around) * (1 - wide)], axis=1) + [82, 62]
+        mask = cv2.fillPoly(np.zeros((120, 160), np.uint8), [np.rint(16 * points).astype(int)], 255, shift=4)
+        depth = np.where(mask > 0, np.uint16(600), np.uint16(650))
+        expected = free.detect_mask(mask, depth, camera).shapes[0]
+        top, (v, u) = points[np.argmin(points[:, 1])], np.mgrid[:120, :160]
+        if frame >= 20:
+            depth[(abs(u - top[0]) < 5) & (v < top[1] + 6) & (mask == 0)] = 500
+        found = touched.detect_mask(mask, depth, camera).shapes[0]
+        assert found.visible.all()
+        gap = np.linalg.norm(np.diff(expected.pixels, axis=0), axis=1).mean()
+        assert np.linalg.norm(found.pixels - expected.pixels, axis=1).max() < 0.2 * gap

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shape_obs import Contour, ShapeDetector
+from shape_obs import Contour, Intrinsics, ShapeDetector
 from shape_obs.bench.synthetic.blobs import draw_blob, random_blob
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, TrackHints
@@ -25,7 +27,7 @@ def one(mask: np.ndarray, detector: ShapeDetector | None = None) -> Any:
 @compiled("(f8[:,::1], f8[:,::1], f8[:,::1])")
 def shift_of(reference, predicted, found):
     """Call a function that is compiled for compiled callers only."""
-    return index_shift(reference, predicted, found)
+    return index_shift(reference, predicted, found)[0]
 
 
 @compiled("(f8[:,::1], f8[:,::1])")
@@ -52,9 +54,10 @@ class TestRegistration:
         points[:, :2] = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         if dimension == 3:
             points[:, 2] = 0.3 * np.cos(2 * angle + rng.uniform(0, 6)) + 0.2 * np.sin(3 * angle)
+        points *= 100
         rotation = np.eye(dimension)
         rotation[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
-        moved = points @ rotation.T + rng.uniform(-3, 3, dimension)
+        moved = points @ rotation.T + rng.uniform(-300, 300, dimension)
         before, after = (FittedCurve.through(p, np.zeros(800, bool), closed=True) for p in (points, moved))
         at = np.arange(64) / 64
         nodes, found = before.at(at * before.size), after.starting_at(-share * after.size)
@@ -85,6 +88,24 @@ class TestRegistration:
         for slipped in (0.0, 3.25, 60.0):
             turned = np.stack([np.cos(angle - slipped * np.pi / 32), np.sin(angle - slipped * np.pi / 32)], axis=1)
             assert abs((shift_of(circle, circle, turned) - slipped + 32) % 64 - 32) < 1e-3
+
+    @pytest.mark.parametrize("spacing", ["px", "m"])
+    def test_a_small_circle_does_not_turn_by_the_noise_of_its_pixels(self, spacing):
+        camera = Intrinsics(160, 120, 110.0, 110.0, 80.0, 60.0)
+        angle, ends = 2 * np.pi * np.arange(400) / 400, []
+        for seed in range(4):
+            rng, detector = np.random.default_rng(seed), ShapeDetector([Contour(spacing=spacing)])
+            middle, radius, moved, start = rng.uniform(60, 80, 2), rng.uniform(20, 28), rng.uniform(-0.2, 0.2, 2), None
+            for frame in range(90):
+                circle = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1) + middle + frame * moved
+                mask = cv2.fillPoly(np.zeros((120, 160), np.uint8), [np.rint(16 * circle).astype(int)], 255, shift=4)
+                depth = np.where(mask > 0, np.uint16(600), np.uint16(650))
+                seen: dict[str, Any] = {"depth": depth, "camera": camera} if spacing == "m" else {}
+                shape = detector.detect_mask(mask, **seen).shapes[0]
+                away = (shape.pixels - middle - frame * moved) @ (1, 1j)
+                start = away if start is None else start
+                ends.append(np.angle(np.vdot(start, away)) * 32 / 2 / np.pi)
+        assert np.abs(ends).max() < 0.8
 
     def test_a_blend_lies_over_what_was_found(self):
         rng = np.random.default_rng(0)

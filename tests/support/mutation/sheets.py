@@ -6,6 +6,7 @@ from .mutant import Mutant
 
 _BORDER = "tests/tracking/test_hidden_border.py"
 _OUTLINE = "tests/tracking/test_hidden_outline.py"
+_TURNS = "tests/tracking/test_registration.py"
 _VIEW = "tests/tracking/test_sheet_view.py"
 _LATTICE = "tests/geometry/test_lattice.py"
 _SPACED = "tests/configurations/test_contour_in_space.py"
@@ -34,6 +35,11 @@ SHEETS: tuple[Mutant, ...] = (
     _sheet("what lies far off counts", "tracking/hidden_outline", "_STRAY: Final = 2.0", "_STRAY: Final = 200.0",
            _OUTLINE),
     _sheet("all that bends counts", "tracking/registration_in_space", "_BENT: Final = 2.0", "_BENT: Final = 2e3"),
+    _sheet("what touches hides", "tracking/hidden_outline", "bool((far > _WITHIN[0])", "bool((far > -1.0)", _OUTLINE),
+    _sheet("noise turns a circle", "tracking/registration_in_space", "_FLAT: Final = (3e-4, 1.0)",
+           "_FLAT: Final = (3e-4, 0.0)", _TURNS),
+    _sheet("the noise of a turning goes on", "tracking/registration_in_space", "_ROUND: Final = 0.06",
+           "_ROUND: Final = 0.0", _TURNS),
     _sheet("sides are forgotten fast", "tracking/sheet_view", "Final = (0.0022, 0.001)", "Final = (0.022, 0.01)"),
     _sheet("sides may be of any length", "tracking/corner_matching", "((0.04, 0.07), 2.0)", "((0.4, 0.7), 20.0)"),
     _sheet("the table is not seen", "tracking/sheet_view", "_THROUGH: Final = 0.02", "_THROUGH: Final = 2.0"),
