@@ -32,6 +32,9 @@ MOTIONS: Final[dict[str, dict[str, Any]]] = {
     "40 px a frame": {"speed": 40},
     "deforming": {"turn": 0.03, "swell": 0.4},
     "hole": {"hole": True},
+    "circle": {"turn": 0.0, "bumps": 0.0, "speed": 0.2},
+    "circle, 160 x 120": {"turn": 0.0, "bumps": 0.0, "speed": 0.2, "radius": 25.0, "size": (120, 160)},
+    "nearly round, 160 x 120": {"bumps": 0.03, "radius": 25.0, "size": (120, 160)},
 }
 VIEWS: Final = (View(), View(height=120))
 _FINE: Final = 64  # places on the true outline to a gap

@@ -36,7 +36,7 @@ from shape_obs.tracking.hidden_outline import (
     sticks_out,
     turns_around,
 )  # fmt: skip
-from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
+from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction, with_turning
 from shape_obs.tracking.registration import begin_outline, follow_outline, match_outline, renumber_outline
 from shape_obs.tracking.registration_in_space import blend_space, index_shift_space
 from shape_obs.tracking.validation import outline_miss, validate_outline
@@ -249,7 +249,7 @@ class Contour(Configuration, kind="contour"):
         """The compiled functions that a fit may call."""
         masks = see_outline, follow_outline, fit_ring_in_mask, enclosed_by, rim_depth, _points_around, renumber_outline
         masks += begin_outline, may_be_hidden, turns_around, laid_along, nearest_places, trace_hole, material_outline
-        masks += index_shift_space, blend_space
+        masks += index_shift_space, blend_space, with_turning
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds
 

@@ -62,7 +62,7 @@ class TrackHints(NamedTuple):
             to hide them.
         reference: ``(K, D)`` nodes of the past that a closed curve was numbered by, or the points of a lattice in
             space; else None.
-        turning: How far the turning of a closed curve can be believed, 0...1; its nodes turn on so much of it.
+        turning: How far the turning of a closed curve can be believed, 0...1; None if it has not been compared.
         sides: ``(4,)`` the lengths of a sheet's sides as they are remembered, metres where the reference is in space;
             else None.
     """
@@ -80,7 +80,7 @@ class TrackHints(NamedTuple):
     length: Length = Length()
     credit: tuple[float, float] = (0.0, 0.0)
     reference: Array | None = None
-    turning: float = 1.0
+    turning: float | None = None
     sides: Array | None = None
 
 

@@ -170,7 +170,9 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
     interval = 0.0 if track is None else stamp - track.stamp
     velocity, climb = np.zeros_like(nodes), None
     if track is not None and interval > _LEAST_INTERVAL:
-        velocity = without_turning(nodes, (nodes - track.nodes) / interval, 1 - form.hints.turning)
+        velocity = (nodes - track.nodes) / interval
+        if form.hints.turning is not None:
+            velocity = with_turning(nodes, velocity, form.hints.turning / _VELOCITY_SHARE)
         if found.relief is not None and track.relief is not None:
             climb = (found.relief - track.relief) / interval
     size, area = found.size, 0 if form.interpolated.any() else observed.area
@@ -182,18 +184,16 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8)")
-def without_turning(nodes: Array, velocity: Array, share: float) -> Array:
-    """Return velocities ``(K, D)`` of the nodes of a closed curve less a share of their common motion along it."""
+def with_turning(nodes: Array, velocity: Array, share: float) -> Array:
+    """Return velocities ``(K, D)`` of the nodes of a closed curve with a share of their common motion along it."""
     count, moved, square = len(nodes), 0.0, 0.0
-    if share <= 0:
-        return velocity
     along = np.empty_like(nodes)
     for k in range(count):
         for d in range(nodes.shape[1]):
             along[k, d] = nodes[(k + 1) % count, d] - nodes[k - 1, d]
             moved += along[k, d] * velocity[k, d]
             square += along[k, d] ** 2
-    return velocity - share * moved / max(square, 1e-18) * along
+    return velocity + (share - 1) * moved / max(square, 1e-18) * along
 
 
 class Reach:

@@ -116,7 +116,7 @@ def place_weight(predicted: Array, contrast: float, resolution: float) -> tuple[
         square += np.var(predicted[:, d])
     small = resolution**2 / max(square, 1e-18)
     flat, noise = _FLAT[0] + _FLAT[1] * small, _ROUND * small
-    return flat / (1 + contrast / flat), contrast / (contrast + noise)
+    return flat / (1 + contrast / flat), 1 / (1 + (noise / max(contrast, 1e-9 * noise)) ** 2)
 
 
 @compiled

@@ -67,6 +67,11 @@ class TestClaims:
             assert result.worst_slip <= 0.1
             assert result.mean_distance <= 0.15
 
+    def test_nor_does_a_small_round_one_move_along_itself(self):
+        some = {name: MOTIONS[name] for name in ("circle, 160 x 120", "nearly round, 160 x 120")}
+        for result in turning_blobs(some, seeds=(0, 1)):
+            assert (result.disordered, result.slips, result.not_ok) == (0, 0, 0), result
+
     @needs_garments
     @pytest.mark.parametrize("which", [0, 45, 100], ids=["towel", "tshirt", "shorts"])
     def test_a_turning_garment_keeps_its_index(self, which):

@@ -88,6 +88,8 @@ def moving_blob(
     swell: float = 0.0,
     bumps: float = 0.15,
     hole: bool = False,
+    radius: float = 100.0,
+    size: tuple[int, int] = SIZE,
     frames: int = 180,
 ) -> Iterator[Blob]:
     """Draw a blob that turns, wanders and deforms; point i of its outline is the same material point in every frame.
@@ -95,23 +97,25 @@ def moving_blob(
     Args:
         rng: Draws the shape.
         turn: Radians per frame, clockwise as seen.
-        speed: Pixels per frame, along a circle about the middle of the image.
+        speed: Pixels per frame, along a circle of the same radius about the middle of the image.
         swell: Share by which its waves grow and shrink, each with a period of 60 to 120 frames.
         bumps: Size of the waves relative to the radius; 0 is a circle.
         hole: Whether the blob has a hole of another shape.
+        radius: In pixels.
+        size: Of the image, rows and columns.
         frames: Number of frames.
     """
-    middle, radius = np.array([SIZE[1], SIZE[0]]) / 2, 100.0
+    middle = np.array([size[1], size[0]]) / 2
     waves, inner = _waves(rng, bumps), _waves(rng, bumps)
     pace, begin = 2 * np.pi / rng.uniform(60, 120, 3), rng.uniform(0, 2 * np.pi, 3)
-    around = 100.0 if speed else 0.0
+    around = radius if speed else 0.0
     for i in range(frames):
         at = i * speed / max(around, 1e-9)
         centre = middle + around * np.array([np.cos(at), np.sin(at)])
         swollen = np.stack([1 + swell * np.sin(pace * i + begin), np.ones(3)], axis=1)
         outline = radius * _radial(waves * swollen) @ rotation(i * turn).T + centre
         inside = 0.45 * radius * _radial(inner * swollen) @ rotation(i * turn).T + centre if hole else None
-        yield draw_blob(outline, inside, kind="moving")
+        yield draw_blob(outline, inside, kind="moving", size=size)
 
 
 def _inside(outline: Array, size: tuple[int, int]) -> npt.NDArray[np.bool_]:

@@ -36,7 +36,7 @@ TRACKS: tuple[Mutant, ...] = (
            "max(stamp - track.stamp, 0.0)"),
     _track("all of the last step", "_VELOCITY_SHARE: Final = 0.8", "_VELOCITY_SHARE: Final = 1.0"),
     _track("motion is reversed", "track.nodes + step", "track.nodes - step"),
-    _track("no motion is expected", "(nodes - track.nodes) / interval, 1", "0 * nodes, 1"),
+    _track("no motion is expected", "velocity = (nodes - track.nodes) / interval", "pass"),
     _track("velocity of stamps that stand still", "interval > _LEAST_INTERVAL:", "interval > 0:"),
     _mutant("tracking", "a length may jump", "configurations/centerline",
             "if off > MAX_SIZE_CHANGE:", "if False:", _PREDICTION),
