@@ -14,6 +14,7 @@ from shape_obs.camera import Intrinsics
 from shape_obs.frame import DepthImages, depth_images
 from shape_obs.geometry.observed import Observed, Samples
 from shape_obs.geometry.topology import Topology
+from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.spec import Spec
@@ -25,6 +26,8 @@ Lift = Literal["points", "cloud"]
 Ends = Literal["centers", "tips"]
 Anchor = str | tuple[float, float] | tuple[float, float, float] | None
 Array = npt.NDArray[np.float64]
+Own = tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int, int, int]
+Around = tuple[DepthImages, tuple[int, int, int, int], tuple[float, float, float, float]]
 
 
 class Scene(NamedTuple):
@@ -41,6 +44,19 @@ class Scene(NamedTuple):
     depth: npt.NDArray[Any] | None = None
     intrinsics: Intrinsics | None = None
     images: DepthImages = depth_images(None)
+
+    def around(self, region: Region) -> tuple[Own, Around]:
+        """Return what compiled stages take of a mask, and of the rest of the frame.
+
+        Returns:
+            Mask, runs, pieces, left, top; depth, the window of what is searched, the pinhole: zeros without a camera or
+            for one that is none.
+        """
+        (left, top, *_), camera, lens = region.window, self.intrinsics, (0.0, 0.0, 0.0, 0.0)
+        if camera is not None and camera.model == "pinhole":
+            lens = camera.fx, camera.fy, camera.cx, camera.cy
+        x, y, wide, high = self.edge or region.window
+        return (region.mask, region.runs, region.pieces, left, top), (self.images, (x, y, wide, high), lens)
 
 
 class Points(NamedTuple):

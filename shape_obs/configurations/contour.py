@@ -26,7 +26,7 @@ from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_ro
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
-from shape_obs.tracking.hidden_border import look_around, rim_depth, what_is_seen
+from shape_obs.tracking.hidden_border import look_around, rim_depth
 from shape_obs.tracking.hidden_outline import (
     complete_outline,
     hidden_pieces,
@@ -119,7 +119,7 @@ class Contour(Configuration, kind="contour"):
     def _follow(self, region: Region, prediction: Prediction, scene: Scene) -> Fit | None:
         """Fit the outline of a region that looks as it did; None if that is to be looked at more closely."""
         nodes, known = prediction.nodes, prediction.hints.reference
-        own, around = what_is_seen(region, scene)
+        own, around = scene.around(region)
         curve, space, covered, miss, width, enclosed = see_outline(*own, *around, nodes[0], len(nodes))
         if self.ring and 1 - region.areas[0] / max(enclosed, 1.0) < _HOLLOW:
             return None
@@ -186,7 +186,7 @@ class Contour(Configuration, kind="contour"):
         """Return an outline ``(P, 2)`` in metres, None without depth, and where something lies over it, ``(P,)``."""
         if not isinstance(region, Region) or self.hole is not None:
             return None, np.zeros(len(points), bool)
-        return look_around(region, points, scene.depth, scene.intrinsics, scene.edge)
+        return look_around(region, points, scene.images, scene.intrinsics, scene.edge)
 
     def _run_som(self, observed: Observed, start: Array, topology: Topology) -> tuple[FittedCurve, float]:
         """Run the self-organising map on the outline from its place nearest to ``start``; return curve and miss."""

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from shape_obs.clustering.som import run_ring_som
 from shape_obs.compiled import compiled
+from shape_obs.frame import DEPTH_TYPE, DepthImages
 from shape_obs.geometry.coons import FINE, RIM, border_of, coons_patch, side_lengths
 from shape_obs.geometry.lattice import assess_lattice, lattice_gauges, sample_lattice
 from shape_obs.geometry.outline import SAMPLED, enclosed_by, material_outline, pairs
@@ -17,7 +18,7 @@ from shape_obs.image.connected_runs import near_mask
 from shape_obs.image.outline_tracing import trace_largest
 from shape_obs.initialization.corners import nearest_corners, rim_of
 from shape_obs.tracking.corner_matching import FITS, assign_corners, compare_sheet, known_slack, match_corners
-from shape_obs.tracking.hidden_border import Edges, Lens, Shorts, Singles, rim_depth, what_is_seen
+from shape_obs.tracking.hidden_border import Edges, Lens, rim_depth
 from shape_obs.tracking.sheet_view import SheetView, doubtful_places, learn_sheet
 from shape_obs.tracking.validation import ring_miss
 
@@ -67,12 +68,9 @@ def fit_ring_in_mask(traced: Array, hole: bool, start: Array, count: int) -> tup
     return curve, ring_miss(samples, unit, curve, PIECES) / SAMPLED
 
 
-@compiled(
-    "(u1[:,::1], i8[:,::1], i8, i8, i8, Array(u2, 2, 'C', readonly=True), Array(f4, 2, 'C', readonly=True), f8, "
-    "UniTuple(i8, 4), UniTuple(f8, 4), f8[::1], i8)"
-)
+@compiled("(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4), f8[::1], i8)")
 def see_outline(
-    mask: Mask, runs: Indices, pieces: int, left: int, top: int, shorts: Shorts, singles: Singles, unit: float,
+    mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages,
     edge: Edges, camera: Lens, start: Array, count: int,
 ) -> tuple[Array, Array, bool, float, float, float]:  # fmt: skip
     """Fit a ring to the outline of the largest piece of a mask, and put it in space, all in one call.
@@ -83,9 +81,7 @@ def see_outline(
         pieces: How many components there are.
         left: Image column.
         top: Image row.
-        shorts: As ``rim_depth`` takes it, and the next three.
-        singles: Depth.
-        unit: Metres.
+        depth: As ``rim_depth`` takes it, and the next.
         edge: Of what is searched.
         camera: Focal lengths and principal point of a pinhole, pixels.
         start: As ``fit_ring_in_mask`` takes it.
@@ -100,16 +96,13 @@ def see_outline(
     if len(traced) <= SAMPLED * (MIN_SAMPLES - 1):
         return np.empty((0, 2)), np.empty((0, 3)), False, 0.0, 0.0, 0.0
     curve, miss = fit_ring_in_mask(traced, False, start, count)
-    z, cut = rim_depth(shorts, singles, unit, edge, mask, left, top, curve, width)
+    z, cut = rim_depth(depth, edge, mask, left, top, curve, width)
     return curve, lifted(curve, z, camera), bool(cut.any()), miss, width, enclosed_by(traced)
 
 
-@compiled(
-    "(u1[:,::1], i8[:,::1], i8, i8, i8, Array(u2, 2, 'C', readonly=True), Array(f4, 2, 'C', readonly=True), f8, "
-    "UniTuple(i8, 4), UniTuple(f8, 4))"
-)
+@compiled("(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4))")
 def see_sheet(
-    mask: Mask, runs: Indices, pieces: int, left: int, top: int, shorts: Shorts, singles: Singles, unit: float,
+    mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages,
     edge: Edges, camera: Lens,
 ) -> tuple[Array, Array, Indices, float, float, Array, Array, Flags, float]:  # fmt: skip
     """Return the outline of the largest piece of a mask as the rim of a sheet, and put it in space.
@@ -120,9 +113,7 @@ def see_sheet(
         pieces: Components.
         left: Image column.
         top: Image row.
-        shorts: Depth.
-        singles: Depth.
-        unit: Metres.
+        depth: The frame's.
         edge: Of what is searched.
         camera: A pinhole.
 
@@ -135,13 +126,13 @@ def see_sheet(
         nothing = np.empty(0)
         return np.empty((0, 2)), nothing, np.empty(0, np.int64), 0.0, 0.0, np.empty((0, 3)), nothing, nothing > 0, width
     rim, turn, candidates, step, grain = rim_of(material_outline(traced, False)[1])
-    z, cut = rim_depth(shorts, singles, unit, edge, mask, left, top, rim, width)
+    z, cut = rim_depth(depth, edge, mask, left, top, rim, width)
     return rim, turn, candidates, step, grain, lifted(rim, z, camera), z, cut, width
 
 
 def view_sheet(region: Region, scene: Scene) -> SheetView:
     """Return the outline of a region as the rim of a sheet, in space if the frame has depth along it."""
-    own, around = what_is_seen(region, scene)
+    own, around = scene.around(region)
     rim, turn, candidates, step, grain, space, z, cut, width = see_sheet(*own, *around)
     camera = scene.intrinsics
     if camera is not None and camera.model != "pinhole" and len(z) and np.isfinite(z).all():

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST, MILLIMETRE, readable_depth
+from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.geometry.coons import RIM, SIDE, folded_piece, stretched, unfold
 from shape_obs.geometry.polyline import arc_length, interpolate, laid_over
 from shape_obs.image.connected_runs import nearest_pixel
@@ -22,19 +22,14 @@ from shape_obs.point_cloud.local_depth import SPARSE, bridged, gather_depth, mid
 
 if TYPE_CHECKING:
     from shape_obs.camera import Intrinsics
-    from shape_obs.configurations.base import Scene
     from shape_obs.image.region import Region
     from shape_obs.image.roi import Window
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
-Shorts = npt.NDArray[np.uint16]
-Singles = npt.NDArray[np.float32]
 Edges = tuple[int, int, int, int]
 Lens = tuple[float, float, float, float]
-Own = tuple[npt.NDArray[np.uint8], Indices, int, int, int]
-Around = tuple[Shorts, Singles, float, Edges, Lens]
 Pair = tuple[float, float]
 
 # A border is followed from a visible corner while it lies within so many pixels, in addition to a share of the way, of
@@ -51,9 +46,6 @@ _LEAST_REACH: Final = 2
 _MOST_REACH: Final = 5
 _MIN_KNOWN: Final = 0.5  # of the pixels around a point of an outline: a plane through fewer goes astray next to a hole
 _OUTWARDS: Final = 7  # pixels beyond an outline: a camera has no depth next to an edge
-_NO_SHORTS: Final = np.zeros((0, 0), np.uint16)
-_NO_SINGLES: Final = np.zeros((0, 0), np.float32)
-_NO_SHORTS.flags.writeable = _NO_SINGLES.flags.writeable = False
 _NEARER: Final = 0.008  # metres: what is nearer by more lies over the object
 
 
@@ -133,69 +125,34 @@ def complete_border(
 
 
 def look_around(
-    region: Region, points: Array, depth: npt.NDArray[Any] | None, intrinsics: Intrinsics | None, edge: Window | None
+    region: Region, points: Array, depth: DepthImages, intrinsics: Intrinsics | None, edge: Window | None
 ) -> tuple[Array | None, Mask]:
     """Return an outline ``(P, 2)`` in space, ``(P, 3)`` or None without depth, and where it is not the object's own.
 
     Args:
         region: The mask.
         points: ``(P, 2)`` pixels, clockwise as seen.
-        depth: ``(H, W)``; None if there is none.
+        depth: The frame's, see ``frame.depth_images``; both empty without depth or a camera.
         intrinsics: The projection; None if there is none.
         edge: The part of the image that is searched; None for the region's window.
     """
-    seen = both_depths(None if intrinsics is None else depth)
     at = region.window.left, region.window.top
     searched = cast("Edges", tuple(edge or region.window))
-    z, cut = rim_depth(*seen, searched, region.mask, *at, points, region.width)
+    z, cut = rim_depth(depth, searched, region.mask, *at, points, region.width)
     if intrinsics is None or np.isnan(z[0]):
         return None, cut
     lifted = intrinsics.deproject(points, z)
     return (lifted if np.isfinite(lifted).all() else None), cut
 
 
-def what_is_seen(region: Region, scene: Scene) -> tuple[Own, Around]:
-    """Return what compiled stages take of a mask, and of the rest of the frame.
-
-    Returns:
-        Mask, runs, pieces, left, top; depth of two types, of which one is empty, its unit, the window of what is
-        searched; the pinhole, zeros without a camera or for one that is none.
-    """
-    camera, (left, top) = scene.intrinsics, region.window[:2]
-    depth = both_depths(None if camera is None else scene.depth)
-    lens, searched = (0.0, 0.0, 0.0, 0.0), tuple(scene.edge or region.window)
-    if camera is not None and camera.model == "pinhole":
-        lens = camera.fx, camera.fy, camera.cx, camera.cy
-    return (region.mask, region.runs, region.pieces, left, top), (*depth, cast("Edges", searched), lens)
-
-
-def both_depths(depth: npt.NDArray[Any] | None) -> tuple[Shorts, Singles, float]:
-    """Return depth as ``rim_depth`` takes it: of two types, of which one is empty, and its unit in metres."""
-    if depth is None:
-        return _NO_SHORTS, _NO_SINGLES, 1.0
-    if depth.dtype.char not in "Hf" or not depth.flags.c_contiguous:
-        depth, _ = readable_depth(depth)
-    readable = depth.view()
-    readable.flags.writeable = False
-    if readable.dtype.char == "H":
-        return readable, _NO_SINGLES, MILLIMETRE
-    return _NO_SHORTS, readable, 1.0
-
-
-@compiled(
-    "(Array(u2, 2, 'C', readonly=True), Array(f4, 2, 'C', readonly=True), f8, UniTuple(i8, 4), u1[:,::1], i8, i8, "
-    "f8[:,::1], f8)"
-)
+@compiled("(" + DEPTH_TYPE + ", UniTuple(i8, 4), u1[:,::1], i8, i8, f8[:,::1], f8)")
 def rim_depth(
-    shorts: Shorts, singles: Singles, unit: float, edge: Edges, mask: npt.NDArray[np.uint8], left: int, top: int,
-    rim: Array, width: float,
+    depth: DepthImages, edge: Edges, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, width: float
 ) -> tuple[Array, Mask]:  # fmt: skip
     """Return the depth along an outline, and where the object may go on beyond it.
 
     Args:
-        shorts: ``(H, W)`` depth as ``median_depth`` takes it; ``(0, 0)`` if there is none of this type.
-        singles: The same.
-        unit: Metres in a unit of depth.
+        depth: The frame's, see ``frame.depth_images``; both empty without depth or a camera.
         edge: Left, top, width, height of what is searched: an outline that reaches its edge may be cut there.
         mask: ``(h, w)`` uint8, C-contiguous.
         left: Image column of its first pixel.
@@ -208,7 +165,8 @@ def rim_depth(
         something nearer that lies over the object, or of what is searched.
     """
     every = max(len(rim) // _WINDOWS, 1)
-    count, known = -(-len(rim) // every), shorts.size > 0 or singles.size > 0
+    (millimetres, metres), count = depth, -(-len(rim) // every)
+    known = millimetres.size > 0 or metres.size > 0
     z, cut, flags = np.full(len(rim), np.nan), np.zeros(len(rim), np.bool_), np.zeros(count, np.bool_)
     for k in range(count):
         u, v = rim[k * every, 0], rim[k * every, 1]
@@ -217,15 +175,15 @@ def rim_depth(
     if known:
         reach = int(min(max(round(width / _REACHES), _LEAST_REACH), _MOST_REACH))
         under = np.empty(count)
-        if shorts.size > 0:
-            _read(shorts, unit, mask, left, top, rim, every, reach, under)
+        if millimetres.size > 0:
+            _read(millimetres, MILLIMETRE, mask, left, top, rim, every, reach, under)
         else:
-            _read(singles, unit, mask, left, top, rim, every, reach, under)
+            _read(metres, 1.0, mask, left, top, rim, every, reach, under)
         if bridged(under):
-            if shorts.size > 0:
-                _look_over(shorts, unit, mask, left, top, rim, every, under, flags)
+            if millimetres.size > 0:
+                _look_over(millimetres, MILLIMETRE, mask, left, top, rim, every, under, flags)
             else:
-                _look_over(singles, unit, mask, left, top, rim, every, under, flags)
+                _look_over(metres, 1.0, mask, left, top, rim, every, under, flags)
             for k in range(count):
                 near, far = 1 / under[k], 1 / under[(k + 1) % count]
                 steps = min(every, len(rim) - k * every)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST, readable_depth
+from shape_obs.frame import FARTHEST, depth_images, readable_depth
 from shape_obs.geometry.coons import RIM, SIDE, TURN_REACH, border_of, side_lengths
 from shape_obs.geometry.curve import TrackHints
 from shape_obs.geometry.polyline import arc_length
@@ -112,7 +112,7 @@ class SheetView:
         inwards = np.stack([-along[:, 1], along[:, 0]], axis=1)
         inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
         inner = self.rim + _INNER * self.region.width * inwards
-        lifted = look_around(self.region, np.ascontiguousarray(inner), depth, self.camera, None)[0]
+        lifted = look_around(self.region, np.ascontiguousarray(inner), depth_images(depth), self.camera, None)[0]
         if lifted is None:
             return np.zeros(len(self.rim))
         before = self.space - np.roll(self.space, TURN_REACH, axis=0)
