@@ -253,6 +253,19 @@ class TestCommand:
             assert np.ptp(picture) > 150
         assert not list(tmp_path.rglob(".*")), "no temporary file is left"
 
+    def test_the_hanging_rope_is_seen_from_where_the_view_says(self, tmp_path, capsys):
+        found = {}
+        for view in ("side", "above"):
+            code, out, _ = command(
+                capsys, "--envs", "Hanging", "--view", view, "--goals", 1, "--steps", 2, "--laws", "rls", "--sources",
+                "camera", "--difficulties", "near", "--features", "points2d", "--no-figures", "--json",
+                "--out", tmp_path / view,
+            )  # fmt: skip
+            assert code == 0
+            (found[view],) = json.loads(out)["summary"]
+            assert found[view]["view"] == view
+        assert found["side"]["seen_mm"] != found["above"]["seen_mm"]
+
     @pytest.mark.parametrize(
         ("arguments", "message"),
         [
@@ -264,6 +277,7 @@ class TestCommand:
             (("--invalid", "1"), "expected a share of the points"),
             (("--envs", "Ring", "--features", "bezier"), "there are no bezier of Ring"),
             (("--blackout", "199", "9"), "end after --steps"),
+            (("--view", "above"), "only Hanging has views"),
         ],
     )
     def test_mistakes_are_reported_before_anything_runs(self, arguments, message, tmp_path, capsys):

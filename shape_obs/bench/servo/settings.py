@@ -98,6 +98,7 @@ class Setting(NamedTuple):
         disturbance: The disturbance of the images.
         renderer: The simulator's renderer.
         pca: The file for ``"pca"``.
+        view: Where the camera of the hanging rope stands; None for the environment's default.
     """
 
     env: Env
@@ -109,6 +110,7 @@ class Setting(NamedTuple):
     disturbance: Disturbance = Disturbance()
     renderer: str = "auto"
     pca: str | None = None
+    view: str | None = None
 
     @property
     def pixels(self) -> tuple[int, int]:
@@ -124,6 +126,8 @@ class Setting(NamedTuple):
             parts.append(f"invalid{self.disturbance.invalid:g}")
         if self.disturbance.blackout is not None:
             parts.append("blackout{}x{}".format(*self.disturbance.blackout))
+        if self.view is not None:
+            parts.append(self.view)
         return "-".join(parts)
 
 

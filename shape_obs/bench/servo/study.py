@@ -155,7 +155,8 @@ def paired_rows(found: Found) -> list[Row]:
 def _named(setting: Setting) -> Row:
     wrong = setting.disturbance
     blackout = "" if wrong.blackout is None else "{}+{}".format(*wrong.blackout)
-    return Row({name: getattr(setting, name) for name in _NAMED}, invalid=wrong.invalid, blackout=blackout)
+    named = {name: getattr(setting, name) for name in _NAMED}
+    return Row(named, view=setting.view or "", invalid=wrong.invalid, blackout=blackout)
 
 
 def _summary(some: Sequence[Row]) -> Row:

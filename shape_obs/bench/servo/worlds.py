@@ -198,6 +198,7 @@ class World:
             raise ValueError(f"there are no features {setting.features!r} of {setting.env}.")
         is_true, wrong = setting.source == "truth", setting.disturbance
         options = {"camera": setting.pixels, "renderer": setting.renderer, "difficulty": setting.difficulty}
+        options |= {} if setting.view is None else {"view": setting.view}
         env = Witness(make_env(setting.env, {**options, "render_observation": not is_true}))
         self._disturbed = Disturbed(Unseen(env, setting.pixels) if is_true else D455Noise(env), wrong)
         self._observing = ShapeObservation(self._disturbed)

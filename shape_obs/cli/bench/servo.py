@@ -45,6 +45,8 @@ class Servo:
     """Steps of an episode."""
     seed: int = 0
     """Seed of the first goal; the seeds of the others follow."""
+    view: Literal["side", "above"] | None = None
+    """Where the camera of the hanging rope stands."""
     invalid: float = 0.0
     """Share of the camera's points that are lost, drawn again in every frame."""
     blackout: tuple[int, int] | None = None
@@ -99,6 +101,8 @@ def _settings(args: Servo) -> list[Setting]:
         raise FileNotFoundError(f"{args.pca}: no such file")
     if args.paired and not {"camera", "truth"} <= set(args.sources):
         raise ValueError(f"--paired: needs --sources camera truth, got {' '.join(args.sources)}.")
+    if args.view is not None and set(args.envs) != {"Hanging"}:
+        raise ValueError(f"--view: only Hanging has views, got --envs {' '.join(args.envs)}.")
     wrong = Disturbance(args.invalid, args.blackout)
     wrong.check()
     if wrong.blackout is not None and sum(wrong.blackout) > args.steps:
@@ -111,6 +115,7 @@ def _settings(args: Servo) -> list[Setting]:
     found = combinations(
         args.envs, args.features, args.laws, args.difficulties, args.sources, args.sizes, wrong, args.renderer, pca
     )
+    found = [each._replace(view=args.view) for each in found]
     settings, without = list(dict.fromkeys(found)), ", ".join(missing(args.envs, args.features))
     if without and not args.json:
         print(f"there are no {without}: left out")
