@@ -84,17 +84,18 @@ def test_after_max_age_the_papers_rule_numbers_again(case):
 def test_order_by_the_image_numbers_every_frame_by_the_papers_rule(case):
     frames, spec, _ = case
     detector = ShapeDetector([spec], order="image")
-    jumps, off = 0, []
+    jumps = 0
     before = None
     for index, frame in enumerate(frames()):
         shape = detector.detect_mask(frame.mask).shapes[0]
         if index % 6 == 0:
             fresh = ShapeDetector([spec]).detect_mask(frame.mask).shapes[0]
-            off.append(np.linalg.norm(shape.pixels - fresh.pixels, axis=1).max())
+            off = np.linalg.norm(shape.pixels - fresh.pixels, axis=1).max()
+            # An outline that runs along the rule's diagonal has many points of the least u + v: noise chooses one.
+            tied = spec.kind == "contour" and abs((shape.pixels[0] - fresh.pixels[0]).sum()) < 0.5
+            assert off < (16 if tied else 8), index
         jumps += before is not None and np.linalg.norm(shape.pixels[0] - before) > 60
         before = shape.pixels[0]
-    assert np.median(off) < 3
-    assert max(off) < 16  # where an outline runs along the rule's diagonal, its least u + v is a matter of noise
     assert jumps >= 1  # point 0 leaves its material somewhere on the way round
 
 
