@@ -152,7 +152,7 @@ class Contour(Configuration, kind="contour"):
         if in_space and space is None:  # numbered by its place in the image, if all of it is seen
             found, nodes = match_outline(curve, prediction._replace(hints=TrackHints()))
             return replace(found, hints=TrackHints(reference=known)), nodes, np.inf if cut.any() else miss
-        own, laid, reference = space if in_space else None, known, None
+        own, laid = space if in_space else None, known
         found, nodes = curve, prediction.nodes
         if not cut.any() and own is None:
             found, nodes = match_outline(curve, prediction)
@@ -169,11 +169,10 @@ class Contour(Configuration, kind="contour"):
             if own is None or sticks_out(pixels[completed.interpolated], curve.points):
                 curve = FittedCurve.through(pixels, np.zeros(len(pixels), bool), True)
                 return *_begun_at(curve, there, begin, len(nodes), known), miss
-            reference = known  # what lies next to it may hide a little of it
         if own is not None:
             points, there, arc, nodes, new, turning, _ = follow_outline(curve.points, own, prediction.reference, nodes)
             found = FittedCurve(points, np.zeros(len(points), bool), arc, True, space=there)
-            reference = new if reference is None else reference
+            reference = known if cut.any() else new  # what touches it may hide a little of it
             found = replace(found, hints=TrackHints(reference=reference, turning=turning))
         if own is None and space is not None:
             near = int(np.argmin(((curve.points - nodes[0]) ** 2).sum(axis=1)))
