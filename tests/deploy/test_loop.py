@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from urllib.request import urlopen
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from cell_parts import HEIGHT, ROPE, WIDTH, ListRobot, RopeSource
-from deploy_parts import Always, cell
+from deploy_parts import PATIENT, Always, cell
 
 from shape_obs import ShapeGoal, ShapeObservation
 from shape_obs.deploy import DryRobot, Gate, Limits, Script, Still, Sway, deploy
@@ -18,7 +19,7 @@ from shape_obs.robot import ActionSpec
 
 def test_a_run_moves_the_robot_and_ends_by_stopping_parking_and_disconnecting():
     env, robot, _ = cell()
-    report = deploy(env, Always(), steps=5)
+    report = deploy(env, Always(), PATIENT, steps=5)
     assert report.steps == report.acted == 5
     assert report.held == 0
     assert not report.failed
@@ -62,19 +63,25 @@ def test_the_gate_lets_only_through_what_is_known_to_be_good(info, cause):
 
 def test_nothing_is_done_on_a_lost_shape_and_the_run_ends_when_it_stays_lost():
     env, robot, source = cell()
-    sent = []
+    begun: list[float] = []
 
     def darken():
         source.dark = True
-        sent.append(robot.calls.count("send"))
         return np.array([1.0, 0.0])
 
-    report = deploy(env, Always({3: darken}), Limits(hold=0.15), steps=100)
+    report = deploy(
+        env,
+        Always({3: darken}),
+        replace(PATIENT, hold=0.15),
+        steps=100,
+        on_step=lambda step: begun.append(time.monotonic()),
+    )
     assert report.failed
     assert "no shape in the present frame" in report.ended
     assert report.acted == 4  # the action of step 3 was decided on a good image
     assert report.reasons == {"shape lost": report.held}
-    assert 5 <= report.held <= 9
+    assert begun[-1] - begun[3] >= 0.15 - env.unwrapped.rate.dt
+    assert report.held <= 9  # 0.15 s at 50 Hz, and the steps around them
     assert robot.calls.count("send") == 4
 
 
@@ -92,7 +99,7 @@ def test_it_goes_on_when_the_shape_comes_back_in_time():
         if moment.step == 8:
             source.dark = False
 
-    report = deploy(env, Always({3: darken}), Limits(hold=1.0), steps=20, on_step=on_step)
+    report = deploy(env, Always({3: darken}), replace(PATIENT, hold=9.0), steps=20, on_step=on_step)
     assert not report.failed
     assert "hold" in shown
     assert shown[-1] == "act"
@@ -116,10 +123,10 @@ def test_an_action_that_took_too_long_is_not_sent():
     env, robot, _ = cell()
 
     def ponder():
-        time.sleep(0.15)
+        time.sleep(0.7)
         return np.array([1.0, 0.0])
 
-    report = deploy(env, Always({2: ponder}), Limits(max_age=0.1), steps=6)
+    report = deploy(env, Always({2: ponder}), Limits(max_age=0.5), steps=6)
     assert (report.acted, report.reasons) == (5, {"image old": 1})
     assert robot.calls.count("send") == 5
 
@@ -195,7 +202,7 @@ def test_steps_that_are_longer_than_a_motion_may_be_are_warned_of():
 
 def test_the_watchdog_leaves_a_loop_alone_that_goes_round():
     env, *_ = cell()
-    report = deploy(env, Always(), Limits(watchdog=0.5), steps=40)  # 0.8 s
+    report = deploy(env, Always(), Limits(watchdog=0.5, max_age=9.0), steps=40)  # 0.8 s
     assert (report.ended, report.acted) == ("time limit reached", 40)
 
 
@@ -225,7 +232,7 @@ def test_a_dry_run_moves_nothing():
     robot = ListRobot()
     dry = DryRobot(robot)
     env, *_ = cell(dry, RopeSource(robot))
-    report = deploy(env, Always(), steps=4)
+    report = deploy(env, Always(), PATIENT, steps=4)
     assert report.acted == dry.sent == 4
     assert robot.command == pytest.approx([0, 0])
     assert not {"send", "reset", "park"} & set(robot.calls)

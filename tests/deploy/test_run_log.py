@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from deploy_parts import Always, cell
+from deploy_parts import PATIENT, Always, cell
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,7 +20,7 @@ from shape_obs.deploy.run_log import Tally
 
 def test_the_log_has_every_step_and_names_what_ran(tmp_path):
     env, *_ = cell()
-    report = deploy(env, Sway(period=20), steps=6, log=RunLog(tmp_path / "run", {"controller": "Sway"}))
+    report = deploy(env, Sway(period=20), PATIENT, steps=6, log=RunLog(tmp_path / "run", {"controller": "Sway"}))
     rows = [json.loads(line) for line in (tmp_path / "run" / "steps.jsonl").read_text().splitlines()]
     assert [row["step"] for row in rows] == list(range(6))
     assert all(len(row["shapes"][0]["points3d"]) == 10 for row in rows)
@@ -41,7 +41,7 @@ def test_steps_of_a_run_that_dies_are_on_disk(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        deploy(env, Always({4: die}), steps=10, log=RunLog(tmp_path / "run", {}))
+        deploy(env, Always({4: die}), PATIENT, steps=10, log=RunLog(tmp_path / "run", {}))
     assert len((tmp_path / "run" / "steps.jsonl").read_text().splitlines()) == 4
 
 
@@ -67,15 +67,15 @@ def test_a_disk_that_stalls_delays_neither_the_steps_nor_the_stop(tmp_path):
     stops: list[float] = []
     stop = robot.stop
     robot.stop = lambda: (stop(), stops.append(time.monotonic()))  # type: ignore[method-assign]
-    log = StallingLog(tmp_path / "run", {}, seconds=0.2)
+    log = StallingLog(tmp_path / "run", {}, seconds=0.5)
     moments = []
-    report = deploy(env, Always(), steps=8, log=log, on_step=lambda moment: moments.append(time.monotonic()))
-    assert np.diff(moments).max() < 0.15
+    report = deploy(env, Always(), steps=5, log=log, on_step=lambda moment: moments.append(time.monotonic()))
+    assert np.diff(moments).max() < 0.4
     written = dict(log.done)["report.json"]
-    assert stops[0] - moments[-1] < 0.15
-    assert written - stops[0] > 1.0  # eight steps and the report
-    assert json.loads((tmp_path / "run" / "report.json").read_text())["steps"] == report.steps == 8
-    assert len((tmp_path / "run" / "steps.jsonl").read_text().splitlines()) == 8
+    assert stops[0] - moments[-1] < 0.4
+    assert written - stops[0] > 1.0  # five steps and the report
+    assert json.loads((tmp_path / "run" / "report.json").read_text())["steps"] == report.steps == 5
+    assert len((tmp_path / "run" / "steps.jsonl").read_text().splitlines()) == 5
 
 
 def test_a_log_that_cannot_be_written_ends_the_run_and_stops_the_robot(tmp_path):
@@ -104,7 +104,7 @@ def test_an_exception_is_in_the_report_of_the_log(tmp_path):
         raise ZeroDivisionError("a mistake")
 
     with pytest.raises(ZeroDivisionError):
-        deploy(env, Always({2: fail}), steps=10, log=RunLog(tmp_path / "run", {}))
+        deploy(env, Always({2: fail}), PATIENT, steps=10, log=RunLog(tmp_path / "run", {}))
     report = json.loads((tmp_path / "run" / "report.json").read_text())
     assert (report["ended"], report["failed"], report["steps"]) == ("ZeroDivisionError: a mistake", True, 2)
 

@@ -8,7 +8,7 @@ import threading
 
 import numpy as np
 import pytest
-from deploy_parts import Always, cell
+from deploy_parts import PATIENT, Always, cell
 
 from shape_obs.deploy import Interrupted, RunLog, deploy, supervised
 
@@ -28,7 +28,7 @@ def test_a_signal_stops_parks_reports_and_is_raised(name, tmp_path):
     handler = signal.getsignal(getattr(signal, name))
     env, robot, _ = cell()
     with pytest.raises(Interrupted, match=f"interrupted by {name}") as caught:
-        deploy(env, Always({3: raising(name)}), steps=10, log=RunLog(tmp_path / "run", {}))
+        deploy(env, Always({3: raising(name)}), PATIENT, steps=10, log=RunLog(tmp_path / "run", {}))
     assert caught.value.signum == getattr(signal, name)
     assert (caught.value.report.steps, caught.value.report.failed) == (3, False)
     assert json.loads((tmp_path / "run" / "report.json").read_text())["ended"] == f"interrupted by {name}"
@@ -113,7 +113,7 @@ def test_signals_that_are_ignored_stay_ignored():
     previous = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
     try:
         env, *_ = cell()
-        assert deploy(env, Always({1: raising("SIGHUP")}), steps=4).acted == 4
+        assert deploy(env, Always({1: raising("SIGHUP")}), PATIENT, steps=4).acted == 4
     except Interrupted:
         pytest.fail("an ignored signal ended the run")
     finally:
@@ -123,7 +123,7 @@ def test_signals_that_are_ignored_stay_ignored():
 def test_outside_the_main_thread_it_runs_without_signals():
     env, *_ = cell()
     reports = []
-    thread = threading.Thread(target=lambda: reports.append(deploy(env, Always(), steps=3)))
+    thread = threading.Thread(target=lambda: reports.append(deploy(env, Always(), PATIENT, steps=3)))
     thread.start()
     thread.join()
     assert reports[0].acted == 3

@@ -9,6 +9,9 @@ import numpy as np
 from cell_parts import HEIGHT, ROPE, WIDTH, ListRobot, RopeSource
 
 from shape_obs import ShapeObservation
+from shape_obs.deploy import Limits
+
+PATIENT = Limits(max_age=9.0, watchdog=9.0)  # no delay of a busy machine holds an action back
 
 
 def cell(robot=None, source=None, rate=50.0, **options) -> Any:

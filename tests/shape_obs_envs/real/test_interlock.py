@@ -176,13 +176,13 @@ def test_a_motion_that_the_loop_withheld_counts_as_held_and_the_controller_hears
 
         def act(self, observation):
             self.step += 1
-            robot.slow_state = 0.15 * (self.step == 3)
+            robot.slow_state = 0.7 * (self.step == 3)
             return np.ones(2)
 
         def withheld(self):
             withheld.append(self.step)
 
-    report = deploy(env, Slow(), Limits(max_age=0.12), steps=6)
+    report = deploy(env, Slow(), Limits(max_age=0.5), steps=6)
     assert withheld == [3]
     assert (report.acted, report.held, report.reasons) == (5, 1, {"image old": 1})
 
