@@ -191,7 +191,8 @@ def _cost(
             price += 0.0 if HIDDEN in ends else 2 * (max(cut) - cut[end])
             cost += price
             if known == FREE and HIDDEN in ends:  # a hairpin closes in the image from one frame to the next
-                dearer += _FOLDED - price
+                likelier = 2 * max(cut[end] - cut[1 - end], 0.0)
+                cost, dearer = cost - likelier, dearer + likelier + _FOLDED - price
                 change = 0.0
         elif HIDDEN not in ends:
             cost += 2 * max(cut[end], 0.0)

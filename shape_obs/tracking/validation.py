@@ -42,8 +42,10 @@ _MAX_UNEVEN: Final = 0.40
 _MAX_UNEQUAL: Final = 0.03
 _OF_NOISE: Final = 0.8
 # Of a rope in space, if something hides one end: how much longer the other tip may be in space than in the image, or
-# another piece by this share of it, so that the length in sight shows how much lies beyond the hidden end.
+# another piece by this share of it, so that the length in sight shows how much lies beyond the hidden end; less if that
+# tip looks cut rather than the hidden end does.
 _ASLANT: Final = 2.7
+_ASLANT_CUT: Final = 1.5
 _ELSEWHERE: Final = 0.45
 # If nothing hides an end: how much of its length may be missing while both ends point at the camera; how steep a piece
 # may be while a tip does not look like the rope's own: where strands lie one behind the other, it may join them.
@@ -127,10 +129,11 @@ def doubt_in_space(curve: FittedCurve) -> str:
     if hints.stretch > 1 + max(_SHORTER * hints.slack, _SHORT * hints.length.spread_metres):
         return f"the curve is {1 - 1 / hints.stretch:.1%} shorter than the rope, and nothing is seen to hide an end"
     if hints.covered[0] != hints.covered[1]:
-        steep = curve.steepness(curve.width / 2)
-        aslant = max(float(steep[0 if hints.covered[1] else -1]), _ELSEWHERE * float(steep.max()))
-        if aslant > _ASLANT:
-            return f"an end is hidden, and the rope is {aslant:.2g} times as long as it looks (at most {_ASLANT})"
+        steep, other = curve.steepness(curve.width / 2), 0 if hints.covered[1] else 1
+        aslant = max(float(steep[-other]), _ELSEWHERE * float(steep.max()))
+        most = _ASLANT_CUT if hints.cut[other] > hints.cut[1 - other] else _ASLANT
+        if aslant > most:
+            return f"an end is hidden, and the rope is {aslant:.2g} times as long as it looks (at most {most})"
     if any(hints.covered):
         return ""
     if missing > _POINTING and not any(hints.folded):
