@@ -162,10 +162,7 @@ def _completed(rope: PredictedRope, form: FittedCurve, found: Match) -> FittedCu
     metric = form.metres is not None
     if head + tail <= 0:
         return replace(form, metres=stations) if metric else replace(form, pixels=stations)
-    first, last = (
-        rope.askew if hidden > _LONG * length and end != FREE else 0.0
-        for hidden, end in zip((head, tail), ends, strict=True)
-    )
+    first, last = (rope.askew if hidden > _LONG * length else 0.0 for hidden in (head, tail))
     inner = (form.arc >= first) & (form.arc <= form.size - last)
     if np.count_nonzero(inner) < 2:
         inner = np.ones(len(inner), bool)

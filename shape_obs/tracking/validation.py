@@ -45,7 +45,7 @@ _OF_NOISE: Final = 0.8
 # another piece by this share of it, so that the length in sight shows how much lies beyond the hidden end; less if that
 # tip looks cut rather than the hidden end does.
 _ASLANT: Final = 2.7
-_ASLANT_CUT: Final = 1.5
+_ASLANT_CUT: Final = 2.0
 _ELSEWHERE: Final = 0.45
 # If nothing hides an end: how much of its length may be missing while both ends point at the camera; how steep a piece
 # may be while a tip does not look like the rope's own: where strands lie one behind the other, it may join them.
