@@ -27,15 +27,7 @@ from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
 from shape_obs.tracking.hidden_border import look_around, rim_depth
-from shape_obs.tracking.hidden_outline import (
-    complete_outline,
-    hidden_pieces,
-    laid_along,
-    may_be_hidden,
-    nearest_places,
-    sticks_out,
-    turns_around,
-)  # fmt: skip
+from shape_obs.tracking.hidden_outline import complete_outline, hidden_pieces, nearest_places, sticks_out
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction, with_turning
 from shape_obs.tracking.registration import begin_outline, follow_outline, match_outline, renumber_outline
 from shape_obs.tracking.registration_in_space import blend_space, index_shift_space
@@ -157,7 +149,7 @@ class Contour(Configuration, kind="contour"):
         if not cut.any() and own is None:
             found, nodes = match_outline(curve, prediction)
         if laid is not None and own is None and not cut.any():
-            cut, laid = hidden_pieces(curve, nodes, laid, prediction.nodes)
+            cut, laid = hidden_pieces(curve.points, curve.arc, nodes, laid, prediction.nodes)
         if cut.any() and laid is not None:
             lifted = curve if own is None else FittedCurve.through(own, np.zeros(len(own), bool), True)
             whole = complete_outline(curve, lifted, cut, laid, prediction.nodes)
@@ -247,7 +239,7 @@ class Contour(Configuration, kind="contour"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         masks = see_outline, follow_outline, fit_ring_in_mask, enclosed_by, rim_depth, _points_around, renumber_outline
-        masks += begin_outline, may_be_hidden, turns_around, laid_along, nearest_places, trace_hole, material_outline
+        masks += begin_outline, hidden_pieces, nearest_places, trace_hole, material_outline
         masks += index_shift_space, blend_space, with_turning
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds

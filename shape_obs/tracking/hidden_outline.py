@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.polyline import arc_length, interpolate, laid_over
+from shape_obs.geometry.polyline import arc_length, closed, even_around, interpolate, laid_over
 from shape_obs.geometry.rotation import laid_flat, similarity
 
 Array = npt.NDArray[np.float64]
@@ -37,41 +37,52 @@ _STARTS: Final = 128  # at which the piece may begin, before these are refined
 _PLACE: Final = 0.005  # how much a place weighs against the form
 
 
-def hidden_pieces(curve: FittedCurve, nodes: Array, known: Array, expected: Array) -> tuple[Mask, Array]:
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1])")
+def hidden_pieces(points: Array, arc: Array, nodes: Array, known: Array, expected: Array) -> tuple[Mask, Array]:
     """Return where an outline is not the object's own, ``(P,)``, and the known outline where it lies now, ``(L, 2)``.
 
     Args:
-        curve: ``(P, 2)`` pixels, closed, clockwise as seen.
+        points: ``(P, 2)`` pixels, the outline, clockwise as seen.
+        arc: ``(P + 1,)`` its arc length, the last entry the whole.
         nodes: ``(K, 2)`` pixels, equally spaced around it from where it begins if all of it is the object's own.
         known: ``(K, 2)`` pixels, equally spaced around the outline as it was, wherever it lay.
         expected: ``(K, 2)`` pixels, the same nodes where they are expected.
     """
-    cut = np.zeros(len(curve.points), bool)
-    laid, scale = laid_over(known, nodes, known, scaled=True)
+    cut, everywhere, square = np.zeros(len(points), np.bool_), np.ones(len(known), np.bool_), 0.0
+    laying = similarity(known, nodes, everywhere)
     if not may_be_hidden(nodes, known):
-        return cut, laid
-    most = _WITHIN[0] + _WITHIN[1] * scale * float(np.sqrt(((known - known.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    count = max(len(known), _LEAST_NODES)
-    laid = laid_over(known, expected, known, scaled=True)[0]
-    at = np.arange(count, dtype=np.float64) * (len(known) / count)
-    laid = laid_along(_closed(curve.points), interpolate(_closed(laid), np.arange(len(known) + 1.0), at))
-    own, nodes = _closed(laid), curve.even(count)
-    place, far, inside = nearest_places(own, nodes)
+        return cut, laid_flat(known, laying)
+    for k in range(len(known)):
+        square += (known[k, 0] - laying[1].real) ** 2 + (known[k, 1] - laying[1].imag) ** 2
+    most = _WITHIN[0] + _WITHIN[1] * abs(laying[0]) * math.sqrt(square / len(known))
+    count, around = max(len(known), _LEAST_NODES), closed(points)
+    at = np.arange(count) * (len(known) / count)
+    laid = closed(laid_flat(known, similarity(known, expected, everywhere)))
+    laid = laid_along(around, interpolate(laid, np.arange(len(laid)) * 1.0, at))
+    places = even_around(around, arc, 0.0, count)
+    at, far, inside = nearest_places(closed(laid), places)
     off = inside & (far > most)
     if not off.any() or off.all():
         return cut, laid
-    before = turns_around(np.ascontiguousarray(laid))
-    more = turns_around(nodes) - interpolate(_closed(before[:, None]), np.arange(count + 1.0), place)[:, 0]
-    begins, ends = np.flatnonzero(off & ~np.roll(off, 1)), np.flatnonzero(off & ~np.roll(off, -1))
-    if ends[0] < begins[0]:
-        ends = np.roll(ends, -1)
-    for begin, end in zip(begins, ends, strict=True):
-        around, after = begin - np.arange(-1, _BESIDE + 1), end + np.arange(-1, _BESIDE + 1)
-        first, last = (near[int(np.argmax(more[near % count]))] for near in (around, after))
+    before, more = turns_around(laid), turns_around(places)
+    for k in range(count):
+        i = int(at[k])
+        more[k] -= before[i] + (at[k] - i) * (before[(i + 1) % count] - before[i])
+    for begin in range(count):
+        if not off[begin] or off[begin - 1]:
+            continue
+        end = begin
+        while off[(end + 1) % count]:
+            end += 1
+        first, last = begin, end
+        for step in range(-1, _BESIDE + 1):
+            first = begin - step if more[(begin - step) % count] > more[first % count] else first
+            last = end + step if more[(end + step) % count] > more[last % count] else last
         if min(more[first % count], more[last % count]) > _TURN:  # else the object has changed its form
             first, last = min(first, begin), max(last, end)
-            way = (last - first) % count / count * curve.size
-            cut |= (curve.arc[:-1] - first / count * curve.size) % curve.size <= way
+            way = (last - first) % count / count * arc[-1]
+            for p in range(len(points)):
+                cut[p] |= (arc[p] - first / count * arc[-1]) % arc[-1] <= way
     return cut, laid
 
 
@@ -164,21 +175,27 @@ def nearest_places(line: Array, points: Array) -> tuple[Array, Array, Mask]:
         ``(N,)`` the place, as an index into the line that need not be whole; ``(N,)`` the distance; ``(N,)`` bool.
     """
     place, far, inside = np.empty(len(points)), np.empty(len(points)), np.empty(len(points), np.bool_)
-    longest = 0.0
-    for i in range(len(line) - 1):
+    longest, best, pieces = 0.0, 0, len(line) - 1
+    for i in range(pieces):
         longest = max(longest, math.hypot(line[i + 1, 0] - line[i, 0], line[i + 1, 1] - line[i, 1]))
     for n in range(len(points)):
-        least, best, share, limit = np.inf, 0, 0.0, np.inf
-        for i in range(len(line) - 1):
+        # The piece that was nearest to the point before is near this one: most others are farther away by many pieces.
+        i, least, share, reach = best, np.inf, 0.0, np.inf
+        for visit in range(pieces + 1):
             u, v = points[n, 0] - line[i, 0], points[n, 1] - line[i, 1]
-            if u * u + v * v > limit:  # all of this piece is farther away
-                continue
-            x, y = line[i + 1, 0] - line[i, 0], line[i + 1, 1] - line[i, 1]
-            along = min(max((u * x + v * y) / max(x * x + y * y, 1e-300), 0.0), 1.0)
-            square = (u - along * x) ** 2 + (v - along * y) ** 2
-            if square < least:
-                least, best, share = square, i, along
-                limit = (math.sqrt(least) + longest) ** 2
+            off = math.sqrt(u * u + v * v)
+            if off > reach:
+                i += max(int((off - reach) / longest), 1)
+            else:
+                x, y = line[i + 1, 0] - line[i, 0], line[i + 1, 1] - line[i, 1]
+                along = min(max((u * x + v * y) / max(x * x + y * y, 1e-300), 0.0), 1.0)
+                square = (u - along * x) ** 2 + (v - along * y) ** 2
+                if square < least:
+                    least, best, share = square, i, along
+                    reach = math.sqrt(least) + longest
+                i = i + 1 if visit > 0 else 0
+            if i >= pieces:
+                break
         place[n], far[n] = best + min(share, 1 - 1e-9), math.sqrt(least)
         x, y = line[best + 1, 0] - line[best, 0], line[best + 1, 1] - line[best, 1]
         inside[n] = x * (points[n, 1] - line[best, 1]) - y * (points[n, 0] - line[best, 0]) > 0

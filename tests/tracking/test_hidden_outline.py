@@ -73,7 +73,7 @@ def test_what_lies_within_the_known_outline_between_two_turns_is_not_its_own(dep
     line = np.concatenate([polygon[:first], keep, polygon[np.flatnonzero(hidden)[-1] + 1 :]])
     curve = FittedCurve.through(np.ascontiguousarray(line), np.zeros(len(line), bool), True)
     curve = FittedCurve.through(curve.even(320), np.zeros(320, bool), True)
-    cut, laid = hidden_pieces(curve, curve.even(80), known, known + [1.5, -1.0])
+    cut, laid = hidden_pieces(curve.points, curve.arc, curve.even(80), known, known + [1.5, -1.0])
     assert nearest_on(closed(polygon), laid)[1].max() < 0.6
     true = nearest_on(closed(polygon), curve.points)[1] > 3
     assert cut[true].mean() > 0.8
@@ -89,7 +89,7 @@ def test_a_dent_without_turns_is_a_change_of_form():
     dent = 12 * np.exp(-(((around - np.pi / 2) / 0.5) ** 2))[:, None]
     points = wavy(320) - dent * np.stack([np.cos(around), np.sin(around)], axis=1)
     curve = FittedCurve.through(points, np.zeros(320, bool), True)
-    assert not hidden_pieces(curve, curve.even(80), known, known)[0].any()
+    assert not hidden_pieces(curve.points, curve.arc, curve.even(80), known, known)[0].any()
 
 
 def test_the_nearest_places_are_the_nearest():
