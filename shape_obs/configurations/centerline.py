@@ -32,7 +32,7 @@ from shape_obs.point_cloud.lifting import nearest_expected
 from shape_obs.tracking.occluders import Tips
 from shape_obs.tracking.occlusion import is_whole, known_rope, match_chain, shown, surprise
 from shape_obs.tracking.placement import widened
-from shape_obs.tracking.predicted_rope import visible_nodes
+from shape_obs.tracking.predicted_rope import least_doubt, visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.rope_length import learn_length, learnt
 from shape_obs.tracking.rope_match import evened, match_to_rope
@@ -133,7 +133,7 @@ class Centerline(Configuration, kind="centerline"):
         assert found.nodes is not None
         count = len(found.nodes if prediction is None else prediction.nodes)
         nodes, relief, steep = nodes_along(curve.points, curve.arc, *_measures(curve), count)
-        size, hidden = float(curve.arc[-1]), curve.unsupported_fraction if curve.interpolated.any() else 0.0
+        size, hidden = float(curve.arc[-1]), curve.unsupported_fraction
         seen_width = max(observed.area / max(size * (1 - hidden), 1e-9), 1.0) if observed.dimension == 2 else 0.0
         reason, follow = self._reason_of(curve, 1 - hidden), 1 - hidden >= _MIN_FOLLOWED
         if not reason and steep > _END_ON:
@@ -250,7 +250,7 @@ class Centerline(Configuration, kind="centerline"):
         """The compiled functions that a fit may call."""
         masks = track_chain_in_mask, match_to_rope, points_along, nodes_along
         masks += closest_sides, sharp_bends, unexplained_share, evened, local_stretch, widened
-        masks += from_tip_to_tip, learn_length, nearest_expected
+        masks += from_tip_to_tip, learn_length, least_doubt, nearest_expected
         axes = fill_holes, thinned, trace_skeleton, cheapest_order
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + axes + clouds

@@ -56,9 +56,9 @@ def hidden_pieces(points: Array, arc: Array, nodes: Array, known: Array, expecte
         square += (known[k, 0] - laying[1].real) ** 2 + (known[k, 1] - laying[1].imag) ** 2
     most = _WITHIN[0] + _WITHIN[1] * abs(laying[0]) * math.sqrt(square / len(known))
     count, around = max(len(known), _LEAST_NODES), closed(points)
-    at = np.arange(count) * (len(known) / count)
+    at = np.arange(count, dtype=np.float64) * (len(known) / count)
     laid = closed(laid_flat(known, similarity(known, expected, everywhere)))
-    laid = laid_along(around, interpolate(laid, np.arange(len(laid)) * 1.0, at))
+    laid = laid_along(around, interpolate(laid, np.arange(len(laid), dtype=np.float64), at))
     places = even_around(around, arc, 0.0, count)
     at, far, inside = nearest_places(closed(laid), places)
     off = inside & (far > most)

@@ -81,8 +81,7 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips, match: Fo
         rope = PredictedRope(prediction, form)
         form = _filled(rope, form, gap, found.head, found.between, found.length)
         form = _completed(rope, form, found)
-    elif metric:
-        form = replace(form, metres=stations)
+        stations = form.metres
     ends = found.first, found.last
     hints = TrackHints(
         (found.head / found.length, found.tail / found.length), (ends[0] == HIDDEN, ends[1] == HIDDEN),
@@ -90,7 +89,7 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips, match: Fo
         (found.bent, found.apart), (found.cut_head, found.cut_tail), own if len(own) else None, length,
         credit=(found.credit_head, found.credit_tail),
     )  # fmt: skip
-    return replace(form, hints=hints)
+    return replace(form, hints=hints, metres=stations if metric else None)
 
 
 def _seen(form: FittedCurve) -> tuple[Array, Array, Mask, Array, Array]:

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, Length
 from shape_obs.geometry.polyline import interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
@@ -34,8 +35,8 @@ def oriented(form: FittedCurve, rope: PredictedRope, length: Length) -> tuple[Fi
         return form, False
     whole = length.metres if form.metres is not None else length.pixels
     seen = min(float(form.stations[-1]) / whole, 1.0) if whole > 0 else 1.0
-    firsts, back = np.linspace(0, 1 - seen, _PLACES), form.reversed()
-    off, off_back = (min(rope.doubt(rope.along(curve), first, seen) for first in firsts) for curve in (form, back))
+    back = form.reversed()
+    off, off_back = (rope.doubt(curve, seen) for curve in (form, back))
     if abs(off - off_back) < _SURE:
         form, back = (replace(curve, ambiguity="it is in doubt where the rope begins") for curve in (form, back))
     return (back, True) if off_back < off else (form, False)
@@ -105,27 +106,50 @@ class PredictedRope:
         """Return ``(P, D)`` the points of a curve, in the coordinates of the rope."""
         return form.lifted if self.nodes.shape[1] > form.points.shape[1] else form.points
 
-    def along(self, form: FittedCurve) -> Array:
-        """Return ``(32, D)`` points at equal steps along a curve."""
-        return interpolate(self.points_of(form), form.stations, PROBES * form.stations[-1])
-
-    def doubt(self, found: Array, first: float, share: float) -> float:
-        """Return how unlikely ``(32, D)`` points along a curve are a piece of the rope, in squared standard deviations.
+    def doubt(self, form: FittedCurve, share: float) -> float:
+        """Return how unlikely a curve is the piece of the rope, that long, which it resembles most.
 
         Args:
-            found: The points.
-            first: Where the piece begins, as a share of the rope's length.
-            share: How long it is. What was folded back cannot be compared with it.
+            form: The curve.
+            share: Of the rope's length.
         """
-        at = first + share * PROBES
+        found = interpolate(self.points_of(form), form.stations, PROBES * form.stations[-1])
         head, tail = (hidden * folded for hidden, folded in zip(self.hidden, self.folded, strict=True))
-        seen = (at >= head) & (at <= 1 - tail)
-        doubt = _UNSEEN * (1 - float(seen.mean()))
-        if not seen.any():
-            return doubt
-        away = (self.at(at) - found)[seen]
-        shift, least = away.mean(axis=0), (NOISE * self.resolution) ** 2
-        off = float(np.mean(np.sum((away - shift) ** 2, axis=1))), float(np.sum(shift**2))
-        for now, usual, count in zip(off, self.residuals, INDEPENDENT, strict=True):
-            doubt += TRUST * math.log1p(count * now / max(self.lapse * usual, least) / TRUST)
-        return doubt
+        floor = (NOISE * self.resolution) ** 2
+        usual = max(self.lapse * self.residuals[0], floor), max(self.lapse * self.residuals[1], floor)
+        return least_doubt(self.points, self.share, found, share, (head, tail), usual)
+
+
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8, UniTuple(f8, 2), UniTuple(f8, 2))")
+def least_doubt(
+    points: Array, share: Array, found: Array, size: float, folded: tuple[float, float], usual: tuple[float, float]
+) -> float:
+    """Return how unlikely a curve is a piece of a rope, the likeliest of seven, in squared standard deviations.
+
+    Args:
+        points: ``(K, D)`` of the rope.
+        share: ``(K,)`` where they lie along it, 0...1.
+        found: ``(32, D)`` at equal steps along the curve.
+        size: Share of the rope that the curve is long.
+        folded: Shares at both ends of the rope that were folded back: with them nothing can be compared.
+        usual: Mean square distances of curves from their predictions: after a shift, and as they are.
+    """
+    probes, least = len(found), np.inf
+    for place in range(_PLACES):
+        at = place / (_PLACES - 1) * (1 - size) + size * PROBES
+        expected, known, square, shift = interpolate(points, share, at), 0, 0.0, np.zeros(points.shape[1])
+        for n in range(probes):
+            if folded[0] <= at[n] <= 1 - folded[1]:
+                known += 1
+                for d in range(len(shift)):
+                    shift[d] += expected[n, d] - found[n, d]
+                    square += (expected[n, d] - found[n, d]) ** 2
+        doubt = _UNSEEN * (1 - known / probes)
+        if known > 0:
+            apart = np.sum(shift**2) / known**2
+            for off, known_off, count in (
+                (square / known - apart, usual[0], INDEPENDENT[0]), (apart, usual[1], INDEPENDENT[1])
+            ):  # fmt: skip
+                doubt += TRUST * math.log1p(count * max(off, 0.0) / known_off / TRUST)
+        least = min(least, doubt)
+    return least

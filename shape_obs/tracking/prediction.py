@@ -168,14 +168,15 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
     if track is not None and track.width and width:
         width = track.width * (1 + _believed(width / track.width - 1))
     interval = 0.0 if track is None else stamp - track.stamp
-    velocity, climb = np.zeros_like(nodes), None
-    if track is not None and interval > _LEAST_INTERVAL:
-        velocity = (nodes - track.nodes) / interval
+    if track is None or interval <= _LEAST_INTERVAL:
+        velocity, climb = np.zeros_like(nodes), None
+    else:
+        velocity, climb = (nodes - track.nodes) / interval, None
         if form.hints.turning is not None:
             velocity = with_turning(nodes, velocity, form.hints.turning / _VELOCITY_SHARE)
         if found.relief is not None and track.relief is not None:
             climb = (found.relief - track.relief) / interval
-    size, area = found.size, 0 if form.interpolated.any() else observed.area
+    size, area = found.size, observed.area if form.whole else 0
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
     return Track(
         nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area, found.track_id,

@@ -67,10 +67,7 @@ def test_a_rope_that_comes_back_across_its_place_may_run_either_way():
 
 def test_a_direction_is_less_sure_the_longer_a_rope_was_gone():
     found = curve(40.0)
-    doubts = [
-        PredictedRope(predicted(lapse)).doubt(found.at(np.linspace(0, found.size, 32)), 0.0, 1.0)
-        for lapse in (1.0, 4.0, 16.0, 64.0)
-    ]
+    doubts = [PredictedRope(predicted(lapse)).doubt(found, 1.0) for lapse in (1.0, 4.0, 16.0, 64.0)]
     assert doubts == sorted(doubts, reverse=True)
     assert doubts[0] > doubts[-1] + 10
 
@@ -78,18 +75,16 @@ def test_a_direction_is_less_sure_the_longer_a_rope_was_gone():
 def test_a_direction_is_surer_where_predictions_have_held():
     found = curve(15.0)
     held, failed = (PredictedRope(predicted(residuals=(known, known))) for known in (0.05, 50.0))
-    at = found.at(np.linspace(0, found.size, 32))
-    assert held.doubt(at, 0.0, 1.0) > failed.doubt(at, 0.0, 1.0) + 5
+    assert held.doubt(found, 1.0) > failed.doubt(found, 1.0) + 5
 
 
 def test_what_was_folded_back_is_not_compared():
     """The predicted end lies on the rope; the curve goes straight on."""
     back = predicted()
     back.nodes[NODES // 2 :] = back.nodes[: NODES // 2][::-1]
-    at = curve().at(np.linspace(0, curve().size, 32))
-    compared = PredictedRope(back).doubt(at, 0.0, 1.0)
+    compared = PredictedRope(back).doubt(curve(), 1.0)
     folded = back._replace(hints=back.hints._replace(hidden=(0.0, 0.5), folded=(False, True)))
-    assert PredictedRope(folded).doubt(at, 0.0, 1.0) < compared - 10
+    assert PredictedRope(folded).doubt(curve(), 1.0) < compared - 10
 
 
 def test_the_distance_from_predictions_is_learnt_and_outliers_hardly():
