@@ -35,7 +35,7 @@ from shape_obs.tracking.placement import widened
 from shape_obs.tracking.predicted_rope import least_doubt, visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.rope_length import learn_length, learnt
-from shape_obs.tracking.rope_match import evened, match_to_rope
+from shape_obs.tracking.rope_match import ADRIFT, evened, match_to_rope
 from shape_obs.tracking.validation import MAX_HIDDEN, doubt_in_space, sample_spread, validate_ribbon
 
 if TYPE_CHECKING:
@@ -65,7 +65,6 @@ _MIN_SEEN: Final = 0.3  # of a rope's length: what has to be in sight to report 
 _MIN_IN_PIECES: Final = 0.45  # around a gap of a tenth of it: a piece behind a long gap may be anywhere
 _GAP: Final = 0.1
 _MIN_BETWEEN: Final = 0.6  # while both ends are hidden
-_ADRIFT: Final = 0.02  # of its length: by so much a rope may have slid along itself unseen
 _MIN_FOLLOWED: Final = 0.15
 _END_ON: Final = 4.0  # a rope is this much longer in space than in the image: its points cannot be told apart there
 _NOTHING: Final = np.zeros(0)
@@ -159,7 +158,7 @@ class Centerline(Configuration, kind="centerline"):
             return f"{seen:.0%} of the rope is in sight (at least {least:.0%})"
         if seen < _MIN_BETWEEN and all(curve.hints.covered):
             return f"both ends are hidden, and {seen:.0%} of the rope is in sight (at least {_MIN_BETWEEN:.0%})"
-        if curve.hints.adrift > _ADRIFT:
+        if curve.hints.adrift > ADRIFT:
             return f"a piece without an end in sight may have slid by {curve.hints.adrift:.1%} of the rope's length"
         return ""
 

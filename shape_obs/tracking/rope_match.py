@@ -47,6 +47,8 @@ _SLIDES: Final = 0.1  # of a bridged gap: by so much what lies behind it may hav
 _CREDIT: Final = 3.0  # frames, for which an end is taken for hidden after something was seen to hide it
 _STILL: Final = 0.5  # of what was hidden: an end is only taken for hidden if so much is missing
 _LONG_AGO: Final = 25.0  # squared intervals of a track, after which a rope may have slid anywhere
+_BENT: Final = 0.25  # of the squared distance by which a rope has slid: how far off the form of a piece is then
+ADRIFT: Final = 0.02  # of its length: by so much a rope may have slid along itself unseen
 LEAST: Final = 0.002  # of a length in pixels: less cannot be seen to be missing
 
 
@@ -205,8 +207,12 @@ def match_to_rope(
     noise = spread * length + grain * resolution
     placed, residuals, adrift, rival = Placed(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (belief.bent, belief.apart), 0.0, 0.0
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
+        usual, tips = residuals, (min(cut_head, cut_tail), max(cut_head, cut_tail))
+        if belief.adrift > ADRIFT and tips[0] <= -_OWN and tips[1] > 0:  # then the prediction may be of other pieces
+            away = (belief.adrift * length) ** 2
+            usual = max(residuals[0], _BENT * away), max(residuals[1], away)
         placed = place(
-            rope, share, found, along, ends, (cut_head, cut_tail), (belief.head, belief.tail), residuals, missing,
+            rope, share, found, along, ends, (cut_head, cut_tail), (belief.head, belief.tail), usual, missing,
             noise, belief.resolution, belief.lapse**2, gap,
         )  # fmt: skip
         beyond = _BY_NOISE * noise / length
