@@ -41,8 +41,15 @@ def test_a_swung_rope_keeps_its_points():
 
 def test_hairpins_and_tips_that_point_at_the_camera_are_not_wrong_in_silence():
     found = list(swinging_rope_tracks([0, 104], frames=122, rates=[33], walls=[True]))
-    assert [row.slips <= most for row, most in zip(found, (3, 0), strict=True)] == [True, True]
-    assert sum(row.off for row in found) <= 3
+    assert [row.slips <= most for row, most in zip(found, (1, 0), strict=True)] == [True, True]
+    assert sum(row.off for row in found) <= 1
+
+
+def test_a_tip_that_points_at_the_camera_is_not_taken_for_whole_because_something_hides_the_other():
+    """The border covers one end, and the other looks cut: what is missing may be there."""
+    (found,) = swinging_rope_tracks([2], frames=180, rates=[33], walls=[False])
+    assert (found.slips, found.off) == (0, 0)
+    assert found.ok >= 0.9 * found.due
 
 
 @pytest.mark.parametrize(("seed", "most"), [(105, 1), (135, 0)])

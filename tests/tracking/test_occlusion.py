@@ -106,3 +106,10 @@ def test_a_tip_that_looks_like_the_ropes_own_shows_where_the_rope_lies():
     """Nothing of it was in sight for a while, and it was still refused when only one end was out of sight."""
     row = passed(102, "bar", 1.0, 0.0, depth=False)
     assert (row.slips, row.ok) == (0, row.due), row
+
+
+def test_a_rope_that_came_back_in_a_wrong_place_is_put_right_by_its_own_tip():
+    """It was out of sight for a while, and what came back first had no end: it was put 2 gaps from its place."""
+    row = passed(6, "bar", 1.0, 0.0, depth=False)
+    assert row.slips == 0, row
+    assert row.ok >= 0.95 * row.due, row
