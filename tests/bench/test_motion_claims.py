@@ -47,9 +47,11 @@ def test_hairpins_and_tips_that_point_at_the_camera_are_not_wrong_in_silence():
 
 def test_a_tip_that_points_at_the_camera_is_not_taken_for_whole_because_something_hides_the_other():
     """The border covers one end, and the other looks cut: what is missing may be there."""
-    (found,) = swinging_rope_tracks([2], frames=180, rates=[33], walls=[False])
-    assert (found.slips, found.off) == (0, 0)
-    assert found.ok >= 0.9 * found.due
+    (exact,) = swinging_rope_tracks([2], frames=180, rates=[33], walls=[False])
+    (measured,) = swinging_rope_tracks([0], rates=[33], walls=[False], noises=[True])
+    assert (exact.slips, exact.off) == (0, 0)
+    assert exact.ok >= 0.9 * exact.due
+    assert measured.slips <= 3
 
 
 @pytest.mark.parametrize(("seed", "most"), [(105, 1), (135, 0)])

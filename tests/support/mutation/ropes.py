@@ -76,6 +76,8 @@ ROPES: tuple[Mutant, ...] = (
     _rope("a tip may point at the camera while an end is hidden", "tracking/validation", "_ASLANT: Final = 2.7",
           "_ASLANT: Final = 99.0", _CLAIMS),
     _rope("a tip that looks cut is not in doubt", "tracking/placement", "likelier = 2 *", "likelier = 0 *", _CLAIMS),
+    _rope("a tip that looks cut may point at the camera", "tracking/validation", "_ASLANT_CUT: Final = 2.0",
+          "_ASLANT_CUT: Final = 2.7", _CLAIMS),
     _rope("strands that are joined are not noticed", "tracking/validation", "_STEEPEST: Final = 6.0",
           "_STEEPEST: Final = 60.0", _CLAIMS),
     _rope("both ends may point at the camera", "tracking/validation", "_POINTING: Final = 0.016",
