@@ -132,7 +132,7 @@ class Centerline(Configuration, kind="centerline"):
         assert found.nodes is not None
         count = len(found.nodes if prediction is None else prediction.nodes)
         nodes, relief, steep = nodes_along(curve.points, curve.arc, *_measures(curve), count)
-        size, hidden = float(curve.arc[-1]), curve.unsupported_fraction
+        size, hidden = float(curve.arc[-1]), curve.unsupported_fraction if curve.interpolated.any() else 0.0
         seen_width = max(observed.area / max(size * (1 - hidden), 1e-9), 1.0) if observed.dimension == 2 else 0.0
         reason, follow = self._reason_of(curve, 1 - hidden), 1 - hidden >= _MIN_FOLLOWED
         if not reason and steep > _END_ON:

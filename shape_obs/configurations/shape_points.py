@@ -111,7 +111,7 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
     form, depth, camera, width = found.form, frame.depth, frame.camera, found.object_width
     metric, under, in_pieces, measured = form, None, False, False
     if isinstance(form, FittedCurve):
-        in_pieces = not form.whole and bool(form.interpolated[shown(form)].any())
+        in_pieces = bool(form.interpolated[shown(form) if any(form.hints.hidden) else slice(None)].any())
         measured = form.metres is not None or form.space is not None
     uneven = spec.spacing == "m" and not measured
     if depth is not None and camera is not None and (uneven or in_pieces):

@@ -176,7 +176,7 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
             velocity = with_turning(nodes, velocity, form.hints.turning / _VELOCITY_SHARE)
         if found.relief is not None and track.relief is not None:
             climb = (found.relief - track.relief) / interval
-    size, area = found.size, observed.area if form.whole else 0
+    size, area = found.size, 0 if form.interpolated.any() else observed.area
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
     return Track(
         nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area, found.track_id,
