@@ -168,10 +168,9 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
     if track is not None and track.width and width:
         width = track.width * (1 + _believed(width / track.width - 1))
     interval = 0.0 if track is None else stamp - track.stamp
-    if track is None or interval <= _LEAST_INTERVAL:
-        velocity, climb = np.zeros_like(nodes), None
-    else:
-        velocity, climb = (nodes - track.nodes) / interval, None
+    velocity, climb = np.zeros_like(nodes), None
+    if track is not None and interval > _LEAST_INTERVAL:
+        velocity = (nodes - track.nodes) / interval
         if form.hints.turning is not None:
             velocity = with_turning(nodes, velocity, form.hints.turning / _VELOCITY_SHARE)
         if found.relief is not None and track.relief is not None:

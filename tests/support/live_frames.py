@@ -118,6 +118,8 @@ def main(kind: str) -> None:
     detectors = [ShapeDetector([spec], BLUE) for spec in specs]
     kmeans = ShapeDetector([make()], BLUE, clustering="kmeans")
     masks = {"centerline": centerline_masks, "contour": contour_masks, "surface": surface_masks}[kind]()
+    ring_under_hand = under_hand(np.random.default_rng(1), ring(np.random.default_rng(1), True), View(), "side", 16.0)
+    in_depth = list(ring_under_hand) if kind == "contour" else []
     called, late = watch()
     rng, ok = np.random.default_rng(0), 0
     for spec, detector in zip(specs, detectors, strict=True):
@@ -131,6 +133,10 @@ def main(kind: str) -> None:
             detector.reset()
             sparse = np.where(rng.random(masks[0][0].shape) < 0.05, 700, 0).astype(np.uint16)
             detector.detect_mask(masks[0][0], sparse, CAMERA)
+        if spec.spacing == "m":
+            detector.reset()
+            for scene in in_depth:
+                ok += detector.detect_mask(scene.mask, scene.depth, View().intrinsics).shapes[0].ok
     for mask in masks[0][:5]:
         kmeans.detect_mask(mask, np.full(mask.shape, 700, np.uint16), CAMERA)
     detector = detectors[0]
