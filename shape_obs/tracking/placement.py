@@ -52,8 +52,8 @@ class Placed(NamedTuple):
         between: By how much a gap in it is longer than it is bridged.
         bent: Mean square distance from the prediction after the best rigid motion.
         apart: The same as it is.
-        rival: By which share of the length more would be hidden elsewhere if the prediction alone decided whether a
-            free end is folded back.
+        rival: By which share of the length more would be hidden elsewhere if the prediction and what the tips look
+            like alone decided whether a free end is folded back.
     """
 
     head: float
@@ -116,7 +116,7 @@ def place(
             bent[a, hidden - a], apart[a, hidden - a] = disagreement(rope, share, found, first, second)
     floor, nearest = (NOISE * resolution) ** 2, (bent.min(), apart.min())
     usual = max(lapse * residuals[0], floor), max(lapse * residuals[1], floor)
-    # The cheapest as what hides an end explains it, and as the prediction alone does.
+    # The cheapest as what hides an end explains it, and as the prediction and the tips alone do.
     best, likeliest, a, b, other_a, other_b = np.inf, np.inf, 0, 0, 0, 0
     for first in range(steps + 1):
         for second in range(steps + 1 - first):

@@ -207,12 +207,12 @@ def match_to_rope(
     noise = spread * length + grain * resolution
     placed, residuals, adrift, rival = Placed(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (belief.bent, belief.apart), 0.0, 0.0
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
-        usual, tips = residuals, (min(cut_head, cut_tail), max(cut_head, cut_tail))
-        if belief.adrift > ADRIFT and tips[0] <= -_OWN and tips[1] > 0:  # then the prediction may be of other pieces
+        usual, cut = residuals, (cut_head, cut_tail)
+        if belief.adrift > ADRIFT and min(cut) <= -_OWN and max(cut) > 0:  # the prediction may be of other pieces
             away = (belief.adrift * length) ** 2
             usual = max(residuals[0], _BENT * away), max(residuals[1], away)
         placed = place(
-            rope, share, found, along, ends, (cut_head, cut_tail), (belief.head, belief.tail), usual, missing,
+            rope, share, found, along, ends, cut, (belief.head, belief.tail), usual, missing,
             noise, belief.resolution, belief.lapse**2, gap,
         )  # fmt: skip
         beyond = _BY_NOISE * noise / length
