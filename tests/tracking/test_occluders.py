@@ -7,6 +7,9 @@ import pytest
 
 from shape_obs import Centerline, Intrinsics, ShapeDetector
 from shape_obs.bench.synthetic.ropes import draw_rope
+from shape_obs.frame import depth_images
+from shape_obs.geometry.polyline import arc_length
+from shape_obs.tracking.occluders import FREE, HIDDEN, chain_evidence
 
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 TABLE, ROPE, HAND = 0.6, 0.585, 0.5
@@ -153,3 +156,89 @@ def test_the_depth_of_a_hand_next_to_it_is_not_the_ropes(smear):
     away = np.linalg.norm(shape.points3d - whole.points3d, axis=1)
     assert away[valid].max() < 0.3 * gap
     assert np.abs(shape.points3d[valid, 2] - ROPE).max() < 0.005
+
+
+class TestEvidence:
+    """What a single frame shows at a tip; the rope is 10 px wide, lies 15 mm above the table, and is seen up to 160."""
+
+    LINE = np.stack([np.linspace(60, 240, 361), np.full(361, 120.0)], axis=1)
+    VISIBLE = LINE[:201]
+
+    @staticmethod
+    def covers(curve: np.ndarray) -> np.ndarray:
+        return draw_rope(curve, 10.0, size=(240, 320)).mask > 0
+
+    def scene(self, rope: np.ndarray = VISIBLE) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mask of the visible piece, and the depth of a rope on a table."""
+        return self.covers(self.VISIBLE), np.where(self.covers(rope), ROPE, TABLE)
+
+    @staticmethod
+    def evidence(mask: np.ndarray, depth: np.ndarray, curve: np.ndarray = VISIBLE) -> int:
+        """Return what is known of the last point of a curve."""
+        curve = np.ascontiguousarray(curve)
+        known, _ = chain_evidence(
+            curve, arc_length(curve), np.full(len(curve), ROPE), 10.0, depth_images(depth.astype(np.float32)),
+            mask.astype(np.uint8), (0, 0), (0, 0, 320, 240),
+        )  # fmt: skip
+        return known[1]
+
+    def test_what_lies_over_the_way_ahead_hides_the_tip(self):
+        """A hand that touches it, a flat one 25 mm above, and a stick that covers a tenth of what is ahead."""
+        mask, bare = self.scene()
+        assert self.evidence(mask, bare) == FREE
+        for first, last, z in ((162, 320, HAND), (162, 320, ROPE - 0.025), (164, 166, HAND)):
+            depth = bare.copy()
+            depth[:, first:last] = z
+            assert self.evidence(mask, depth) == HIDDEN
+
+    def test_what_is_far_ahead_or_hardly_nearer_than_the_rope_hides_nothing(self):
+        """A hand 2.5 widths away, and a bump of the table 4 mm above the rope, as errors of depth make it."""
+        mask, bare = self.scene()
+        for first, z in ((185, HAND), (162, ROPE - 0.004)):
+            depth = bare.copy()
+            depth[:, first:] = z
+            assert self.evidence(mask, depth) == FREE
+
+    def test_a_surface_that_goes_on_under_a_shadow_hides_the_tip(self):
+        """Depth is that of the rope within its noise, 1.5 mm, and behind it on both sides."""
+        mask, depth = self.scene(self.LINE)
+        depth += np.random.default_rng(0).normal(0, 0.0015, depth.shape)
+        assert self.evidence(mask, depth) == HIDDEN
+
+    def test_a_tape_that_is_no_higher_than_the_table_ends_where_it_is_seen_to(self):
+        mask, _ = self.scene()
+        assert self.evidence(mask, np.full(mask.shape, ROPE)) == FREE
+
+    def test_a_shadow_that_falls_askew_turns_the_visible_tip_and_not_the_rope(self):
+        """What is fitted follows the longer side of the cut: its last 12 px turn by 40 degrees."""
+        mask, depth = self.scene(self.LINE)
+        curve = self.VISIBLE.copy()
+        curve[-24:, 1] += np.tan(np.radians(40)) * (curve[-24:, 0] - curve[-24, 0])
+        assert self.evidence(mask, depth, curve) == HIDDEN
+
+    def test_a_rope_goes_on_under_a_shadow_in_the_direction_that_it_has_next_to_it(self):
+        """It turns by 69 degrees 40 px before."""
+        angle = np.linspace(0, 1.2, 100)
+        bend = np.stack([120 + 20 * np.sin(angle), 140 - 20 * np.cos(angle)], axis=1)
+        on = bend[-1] + np.arange(0.5, 70.5, 0.5)[:, None] * [np.cos(1.2), np.sin(1.2)]
+        whole = np.concatenate([self.LINE[:120], bend, on])
+        seen = whole[:270]
+        assert self.evidence(self.covers(seen), np.where(self.covers(whole), ROPE, TABLE), seen) == HIDDEN
+
+    @pytest.mark.parametrize(("first", "known"), [(2.0, HIDDEN), (8.0, FREE)])
+    def test_the_border_hides_a_rope_that_reaches_it(self, first, known):
+        """The curve ends up to half a width before the mask does."""
+        whole = np.stack([np.linspace(160, first if known == FREE else -20, 361), np.full(361, 120.0)], axis=1)
+        mask = self.covers(whole)
+        seen = whole[whole[:, 0] >= first]
+        assert self.evidence(mask, np.where(mask, ROPE, TABLE), seen) == known
+
+    @pytest.mark.parametrize("aside", [3.0, 6.0])
+    def test_the_border_hides_no_tip_that_ends_before_it(self, aside):
+        """One points at it and ends 3 px before it; the side of another grazes it, 6 px from its axis."""
+        if aside == 3:
+            curve = np.stack([np.linspace(160, 3, 361), np.full(361, 120.0)], axis=1)
+        else:
+            curve = np.stack([np.linspace(60, 160, 201), np.full(201, 6.0)], axis=1)
+        mask = self.covers(curve)
+        assert self.evidence(mask, np.where(mask, ROPE, TABLE), curve) == FREE
