@@ -1,0 +1,83 @@
+"""Which piece of a known rope a visible curve is: what is missing by noise, what is hidden, and what may have slid."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
+from shape_obs.geometry.polyline import arc_length
+from shape_obs.geometry.topology import Chain
+from shape_obs.tracking.occluders import FREE, HIDDEN, UNKNOWN, Tips
+from shape_obs.tracking.occlusion import match_chain
+from shape_obs.tracking.predicted_rope import PredictedRope
+from shape_obs.tracking.prediction import Prediction
+
+NODES = 16
+
+
+def known(spread: float, *, stale: bool = False, **hints: object) -> Prediction:
+    """Return a rope of about 320 pixels, bent at one end, whose length varies by a share from frame to frame."""
+    at = (np.arange(NODES) + 0.5) / NODES - 0.5
+    nodes = 320 * np.stack([at, 0.3 * np.clip(at - 0.2, 0, None)], axis=1) + (320, 240)
+    rope = Prediction(nodes, 320.0, Chain(NODES), TrackHints(), 1.0, 8.0, True, stale=stale)
+    length = Length(pixels=float(arc_length(PredictedRope(rope).points)[-1]), frames=10.0, spread=spread)
+    return rope._replace(hints=TrackHints(length=length)._replace(**hints))
+
+
+def matched(rope: Prediction, piece: tuple[float, float], ends: tuple[int, int], gap=(1.0, 1.0)) -> TrackHints:
+    """Return what is known after a frame that shows a piece of the rope where it is predicted, with a gap in it."""
+    at = np.linspace(*piece, 64)
+    curve = FittedCurve.through(PredictedRope(rope).at(at), (at > gap[0]) & (at < gap[1]))
+    return match_chain(curve, rope, Tips(ends, None, 8.0)).hints
+
+
+def test_an_end_that_was_a_little_hidden_stays_so_and_the_rope_becomes_no_shorter():
+    rope = known(0.003, hidden=(0.0, 0.015))
+    found = matched(rope, (0.0, 0.985), (UNKNOWN, UNKNOWN))
+    assert found.hidden == (0.0, pytest.approx(0.015, abs=0.005))
+    assert found.length.pixels == rope.hints.length.pixels
+
+
+@pytest.mark.parametrize(("cut", "learnt"), [(0.5, False), (-3.0, True)])
+def test_a_rope_that_is_too_short_by_two_deviations_is_learnt_only_if_no_tip_looks_cut(cut, learnt):
+    rope = known(0.01, cut=(-3.0, cut))
+    found = matched(rope, (0.0, 0.98), (FREE, FREE))
+    assert found.hidden == (0.0, 0.0)
+    assert (found.length.pixels < rope.hints.length.pixels) == learnt
+
+
+def test_a_rope_that_may_have_slid_is_put_right_by_its_own_tip_though_the_predicted_form_lies_elsewhere():
+    """It is a hook, and has slid by 15 % of its length: what is seen looks like another piece of the prediction."""
+    corners = np.array([[0.0, 0], [100, 0], [100, 90], [320, 90]])
+    arc = arc_length(corners)
+    at = (np.arange(32) + 0.5) / 32 * arc[-1]
+    nodes = np.stack([np.interp(at, arc, corners[:, k]) for k in range(2)], axis=1) + 150
+    rope = Prediction(nodes, 410.0, Chain(32), TrackHints(), 1.0, 8.0, True)
+    length = Length(pixels=float(arc_length(PredictedRope(rope).points)[-1]), frames=10.0)
+    hints = TrackHints(length=length, hidden=(0.15, 0.15), cut=(-10.0, 4.0), adrift=0.15)
+    found = matched(rope._replace(hints=hints), (0.15, 0.85), (UNKNOWN, UNKNOWN))
+    assert found.hidden == (0.0, pytest.approx(0.3, abs=0.03))
+    assert found.adrift == 0.0
+
+
+class TestOutOfSightForLong:
+    """A rope that comes back without an end in sight may be any piece."""
+
+    @pytest.mark.parametrize("visible", [0.7, 0.5])
+    def test_it_may_have_slid_by_all_that_is_hidden_but_for_noise(self, visible):
+        rope = known(0.05, stale=True, hidden=(0.0, 1 - visible))
+        found = matched(rope, (0.0, visible), (UNKNOWN, UNKNOWN))
+        assert found.hidden == (0.0, pytest.approx(1 - visible, abs=0.03))
+        assert found.adrift == pytest.approx(1 - visible - 0.05, abs=0.03)  # less a deviation of its length
+
+    def test_it_has_not_slid_if_what_is_missing_may_be_noise(self):
+        found = matched(known(0.05, stale=True, hidden=(0.0, 0.05)), (0.0, 0.95), (UNKNOWN, UNKNOWN))
+        assert found.hidden[1] > 0.03
+        assert found.adrift == 0.0
+
+    def test_only_a_small_part_of_a_gap_lets_it_slide(self):
+        """The rest of a bridged gap holds the piece that was there before."""
+        rope = known(0.003, stale=True, hidden=(0.2, 0.0))
+        found = matched(rope, (0.2, 1.0), (HIDDEN, FREE), gap=(0.5, 0.7))
+        assert found.hidden[0] + 0.005 < found.adrift < found.hidden[0] + 0.1
