@@ -78,6 +78,34 @@ def test_a_direction_is_surer_where_predictions_have_held():
     assert held.doubt(found, 1.0) > failed.doubt(found, 1.0) + 5
 
 
+def straight(**hints: object) -> Prediction:
+    """Return a straight rope of 320 pixels in row 240."""
+    nodes = np.stack([100 + 320 * (np.arange(NODES) + 0.5) / NODES, np.full(NODES, 240.0)], axis=1)
+    length = Length(pixels=320.0, frames=10.0)
+    return Prediction(nodes, 320.0, Chain(NODES), TrackHints(length=length)._replace(**hints), 1.0, 8.0, True)
+
+
+def test_a_tenth_of_a_pixel_is_noise_and_three_are_not_though_predictions_have_always_held():
+    rope = PredictedRope(straight(residuals=(0.0, 0.0)))
+    doubts = []
+    for shift in (0.1, 3.0):
+        points = rope.at(np.linspace(0, 1, 64)) + (0.0, shift)
+        doubts.append(rope.doubt(FittedCurve.through(points, np.zeros(64, bool)), 1.0))
+    assert doubts[0] < 1  # a standard deviation
+    assert doubts[1] > 9
+
+
+@pytest.mark.parametrize("turn", [20.0, 40.0, 60.0])
+def test_what_turns_with_the_cut_next_to_a_hand_is_put_straight(turn):
+    """The hand cuts a rope of 8 px askew, and the curve's last 4 px follow the longer side; 30 % are under the hand."""
+    rope = straight(hidden=(0.0, 0.3))
+    points = PredictedRope(rope).at(np.linspace(0, 0.7, 113))
+    points[-3:, 1] += np.tan(np.radians(turn)) * (points[-3:, 0] - points[-3, 0])
+    form = FittedCurve.through(points, np.zeros(113, bool))
+    found = match_chain(form, rope, Tips((FREE, HIDDEN), None, 8.0))
+    assert np.abs(found.points[:, 1] - 240).max() < 0.25
+
+
 def test_what_was_folded_back_is_not_compared():
     """The predicted end lies on the rope; the curve goes straight on."""
     back = predicted()

@@ -10,6 +10,7 @@ from shape_obs.geometry.polyline import arc_length
 from shape_obs.geometry.topology import Chain
 from shape_obs.tracking.occluders import FREE, HIDDEN, UNKNOWN, Tips
 from shape_obs.tracking.occlusion import match_chain
+from shape_obs.tracking.placement import place
 from shape_obs.tracking.predicted_rope import PredictedRope
 from shape_obs.tracking.prediction import Prediction
 
@@ -59,6 +60,40 @@ def test_a_rope_that_may_have_slid_is_put_right_by_its_own_tip_though_the_predic
     found = matched(rope._replace(hints=hints), (0.15, 0.85), (UNKNOWN, UNKNOWN))
     assert found.hidden == (0.0, pytest.approx(0.3, abs=0.03))
     assert found.adrift == 0.0
+
+
+@pytest.mark.parametrize(("spread", "hidden"), [(0.05, 0.0), (0.02, 0.1)])
+def test_next_to_a_hand_a_length_that_is_short_beyond_noise_is_hidden_under_it(spread, hidden):
+    """Last frame's rope was seen at the same angle, 10 % too short, which is 2 deviations of its length, or 5."""
+    nodes = np.stack([100 + 288 * (np.arange(NODES) + 0.5) / NODES, np.full(NODES, 240.0)], axis=1)
+    hints = TrackHints(length=Length(pixels=320.0, frames=10.0, spread=spread))
+    rope = Prediction(nodes, 320.0, Chain(NODES), hints, 1.0, 8.0, True)
+    assert matched(rope, (0.0, 1.0), (HIDDEN, FREE)).hidden == (pytest.approx(hidden, abs=1e-6), 0.0)
+
+
+@pytest.mark.parametrize("short", [0.03, 0.05, 0.08])
+def test_what_a_bridged_gap_is_too_straight_by_is_not_hidden_at_an_end(short):
+    """The rope is bent where something lies over it; predictions are too poor to show where its ends are."""
+    rope = known(0.003, residuals=(300.0, 300.0))
+    points = PredictedRope(rope).at(np.linspace(0, 1, 101))
+    first, last = 40, 60
+    shift = short * rope.hints.length.pixels * np.array([1.0, 0.0])
+    points[last:] -= shift
+    points[first : last + 1] = np.linspace(points[first], points[last], last - first + 1)
+    curve = FittedCurve.through(points, (np.arange(101) > first) & (np.arange(101) < last))
+    assert match_chain(curve, rope, Tips((UNKNOWN, UNKNOWN), None, 8.0)).hints.hidden == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("head", "tail"), [(0.13, 0.3), (0.33, 0.22), (0.24, 0.24)])
+def test_both_ends_are_hidden_by_what_the_prediction_says_within_a_hundredth(head, tail):
+    rope = PredictedRope(known(0.003))
+    points = np.ascontiguousarray(rope.at(np.linspace(head, 1 - tail, 64)))
+    whole, arc = float(arc_length(rope.points)[-1]), arc_length(points)
+    found = place(
+        rope.points, rope.share, points, arc, (HIDDEN, HIDDEN), (0.0, 0.0), (head, tail), (0.05, 0.05),
+        whole - arc[-1], 1.0, 1.0, 1.0, (0, 0),
+    )  # fmt: skip
+    assert (found.head / whole, found.tail / whole) == pytest.approx((head, tail), abs=0.01)
 
 
 class TestOutOfSightForLong:
