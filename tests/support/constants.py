@@ -24,6 +24,7 @@ _SLOW = (
     "tests/bench/test_rope_claims.py",
 )
 _ROPES = (
+    "tests/tracking/test_rope_match.py",
     "tests/tracking/test_rope_length.py",
     "tests/tracking/test_occluders.py",
     "tests/tracking/test_predicted_rope.py",

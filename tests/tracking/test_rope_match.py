@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -9,7 +12,7 @@ from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.geometry.topology import Chain
 from shape_obs.tracking.occluders import FREE, HIDDEN, UNKNOWN, Tips
-from shape_obs.tracking.occlusion import match_chain
+from shape_obs.tracking.occlusion import is_whole, match_chain
 from shape_obs.tracking.placement import place
 from shape_obs.tracking.predicted_rope import PredictedRope
 from shape_obs.tracking.prediction import Prediction
@@ -94,6 +97,46 @@ def test_both_ends_are_hidden_by_what_the_prediction_says_within_a_hundredth(hea
         whole - arc[-1], 1.0, 1.0, 1.0, (0, 0),
     )  # fmt: skip
     assert (found.head / whole, found.tail / whole) == pytest.approx((head, tail), abs=0.01)
+
+
+def test_a_bridged_gap_is_bent_as_predicted():
+    """The rope's bend lies in the gap, and the straight way misses it by 4 px."""
+    rope = known(0.003)
+    true = PredictedRope(rope).at(np.linspace(0, 1, 101))
+    seen, first, last = true.copy(), 60, 80
+    seen[first : last + 1] = np.linspace(true[first], true[last], last - first + 1)
+    curve = FittedCurve.through(seen, (np.arange(101) > first) & (np.arange(101) < last))
+    found = match_chain(curve, rope, Tips((FREE, FREE), None, 8.0)).points
+    fine = np.concatenate([np.linspace(*pair, 20) for pair in pairwise(found)])
+    away = np.linalg.norm(true[:, None] - fine, axis=2).min(axis=1)
+    assert np.linalg.norm(seen - true, axis=1).max() > 3
+    assert away.max() < 0.5
+
+
+def test_a_hidden_end_has_the_scale_of_what_is_next_to_it():
+    """A rope of 0.5 m is steep in its first third, 400 px to a metre, and flat in the rest, 1000 px to a metre."""
+    metres = np.linspace(0, 0.5, 321)
+    column = 100 + np.interp(metres, [0, 0.175, 0.5], [0, 70, 395])
+    row = np.full(321, 240.0)
+    nodes = np.stack([np.interp((np.arange(NODES) + 0.5) / NODES / 2, metres, column), row[:NODES]], axis=1)
+    length = Length(pixels=395.0, metres=0.5, frames=10.0)
+    rope = Prediction(nodes, 395.0, Chain(NODES), TrackHints(hidden=(0.0, 0.3), length=length), 1.0, 8.0, True)
+    seen = np.stack([column[:225], row[:225]], axis=1)
+    curve = FittedCurve(seen, np.zeros(225, bool), arc_length(seen), False, metres[:225], None, None, 8.0)
+    found = match_chain(curve, rope, Tips((FREE, HIDDEN), None, 8.0))
+    assert found.hints.hidden == (0.0, pytest.approx(0.3, abs=0.005))
+    assert found.points[-1] == pytest.approx((495.0, 240.0), abs=3)
+
+
+@pytest.mark.parametrize(
+    ("stretch", "hidden", "whole"), [(1.01, 0.0, True), (0.99, 0.0, True), (1.1, 0.0, False), (1.01, 0.1, False)]
+)
+def test_a_rope_is_whole_if_it_is_as_long_in_space_as_it_is_known_to_be(stretch, hidden, whole):
+    """Lengths in space are off by some 1 % (``Length.spread_metres`` is at most 1.2 %)."""
+    points = np.stack([np.linspace(0, 300, 64), np.zeros(64)], axis=1)
+    form = replace(FittedCurve.through(points, np.zeros(64, bool)), hints=TrackHints((0.0, hidden), stretch=stretch))
+    assert is_whole(replace(form, metres=np.linspace(0, 0.5, 64))) == whole
+    assert not is_whole(form)
 
 
 class TestOutOfSightForLong:
