@@ -11,7 +11,19 @@ from scipy.spatial.transform import Rotation
 
 from shape_obs import ShapeDetector, Surface
 from shape_obs.bench.synthetic.sheets import Sheet, moving_sheet
-from shape_obs.tracking.corner_matching import STRAYED, match_corners
+from shape_obs.compiled import compiled
+from shape_obs.geometry.coons import SIDE, side_lengths
+from shape_obs.tracking.corner_matching import (
+    FITS,
+    LONGER,
+    MOVED,
+    SHORTER,
+    STRAYED,
+    assign_corners,
+    compare_sheet,
+    known_slack,
+    match_corners,
+)
 from shape_obs.tracking.validation import validate_sheet
 
 
@@ -77,3 +89,104 @@ def test_the_corner_that_strays_is_that_of_least_squares(seed, quarters, corner)
     assert match_corners(QUAD, np.roll(found, quarters, axis=0)) == expected
     flat = (np.pad(points, ((0, 0), (0, 1))) for points in (QUAD, np.roll(found, quarters, axis=0)))
     assert match_corners(*flat) == expected
+
+
+class TestAssignment:
+    """Which of the places where an outline turns are the corners of ``QUAD``, whose half diagonal is 109 px."""
+
+    SIDES = np.linalg.norm(np.roll(QUAD, -1, axis=0) - QUAD, axis=1)
+    ALONG = np.concatenate([[0.0], np.cumsum(SIDES)])
+
+    def assigned(self, places: np.ndarray, along: np.ndarray | None = None) -> list[int]:
+        """Return the chosen places; ``along`` is their arc length and the whole one, if not straight."""
+        if along is None:
+            around = np.concatenate([places, places[:1]])
+            along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(around, axis=0), axis=1))])
+        slack, places = known_slack(self.SIDES, False, 1.0), np.ascontiguousarray(places)
+        found, _ = assign_corners(QUAD, places, along[:-1].copy(), float(along[-1]), self.SIDES, slack, 0.035)
+        return found.tolist()
+
+    def test_a_sheet_that_moves_by_a_third_of_itself_keeps_its_corners(self):
+        assert self.assigned(QUAD + (30.0, 20.0)) == [0, 1, 2, 3]
+
+    def test_corners_that_are_found_two_pixels_off_are_no_hand(self):
+        assert self.assigned(QUAD + 2 * np.array([[1, 0], [0, 1], [1, 0], [0, -1]])) == [0, 1, 2, 3]
+
+    @pytest.mark.parametrize("cut", [10.0, 15.0, 25.0])
+    def test_a_hand_over_a_corner_makes_two_that_are_not_the_sheets(self, cut):
+        places = np.concatenate([QUAD[:2], QUAD[2] - [(0, cut), (cut, 0)], QUAD[3:]])
+        assert self.assigned(places) == [0, 1, -1, 4]
+
+    def test_a_side_with_something_over_its_middle_is_longer_and_has_its_corners(self):
+        assert self.assigned(QUAD, self.ALONG + 40 * (np.arange(5) > 0)) == [0, 1, 2, 3]
+
+    def test_wrinkles_that_lie_nearer_to_where_corners_were_are_not_the_corners(self):
+        """Each corner has moved by (20, 12), and two more places follow it on the next side."""
+        on = (np.roll(QUAD, -1, axis=0) - QUAD) / self.SIDES[:, None]
+        places = (QUAD + (20, 12))[:, None] + np.array([0.0, 8.0, 16.0])[:, None] * on[:, None]
+        assert self.assigned(places.reshape(-1, 2)) == [0, 3, 6, 9]
+
+    @pytest.mark.parametrize(("shift", "turn", "scale"), [(55.0, 0.0, 1.0), (0.0, 0.5, 1.0), (0.0, 0.0, 1.25)])
+    def test_corners_in_their_place_are_the_sheets_though_others_elsewhere_have_its_exact_form(
+        self, shift, turn, scale
+    ):
+        """The right ones are 2 px off each: that is likelier than to move, turn or grow so much in a frame."""
+        right = QUAD + 1.5 * np.array([[1, -1], [1, 1], [-1, -1], [1, 1]])
+        rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+        other = scale * (QUAD - QUAD.mean(axis=0)) @ rotation + QUAD.mean(axis=0) + (shift, 0.0)
+        places = np.stack([right, other], axis=1).reshape(-1, 2)
+        along = (self.ALONG[:, None] + [0.0, 20.0]).ravel()[:-1]
+        assert self.assigned(places, along) == [0, 2, 4, 6]
+
+
+@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], b1, b1)")
+def compared(border, known, sides, slack, metric, buckled):
+    """Call a function that is compiled for compiled callers only."""
+    return compare_sheet(border, known, sides, slack, metric, buckled)
+
+
+class TestComparison:
+    """A sheet of 200 x 100 pixels, or millimetres, whose whole border is compared with what is known of it."""
+
+    @staticmethod
+    def border() -> np.ndarray:
+        corners = np.array([[0.0, 0], [200, 0], [200, 100], [0, 100]])
+        share = np.arange(SIDE)[:, None] / SIDE
+        return np.concatenate([corners[k] + share * (corners[(k + 1) % 4] - corners[k]) for k in range(4)])
+
+    def verdict(self, border: np.ndarray, *, metric: bool = False, buckled: bool = False) -> int:
+        known = self.border()
+        if metric:
+            known, border = (np.pad(points / 1000, ((0, 0), (0, 1))) for points in (known, border))
+        sides = side_lengths(known)
+        slack = known_slack(sides, metric, 0.001 if metric else 1.0)
+        return compared(np.ascontiguousarray(border), known, sides, slack, metric, buckled)[0]
+
+    def test_a_sheet_that_bends_or_is_sheared_has_no_part_hidden(self):
+        bent, sheared = self.border(), self.border()
+        bent[:, 1] += 20 * np.sin(bent[:, 0] / 200 * np.pi)
+        sheared[:, 0] += 0.2 * sheared[:, 1]
+        assert [self.verdict(border) for border in (self.border(), bent, sheared)] == [FITS] * 3
+
+    @pytest.mark.parametrize("cut", [20.0, 30.0, 45.0])
+    def test_a_hand_over_a_corner_makes_a_side_shorter(self, cut):
+        border = self.border()
+        over = np.maximum(cut - (300 - border.sum(axis=1)), 0) / 2
+        assert self.verdict(border - over[:, None]) == SHORTER
+
+    @pytest.mark.parametrize("depth", [8.0, 10.0, 14.0])
+    def test_a_dent_in_a_side_is_no_border_of_the_sheet(self, depth):
+        """It makes the side hardly longer."""
+        border = self.border()
+        upper = border[:, 1] == 0
+        border[upper, 1] += np.maximum(depth - np.abs(border[upper, 0] - 100) / 2.6, 0)
+        assert self.verdict(border) == MOVED
+
+    @pytest.mark.parametrize(
+        ("share", "buckled", "verdict"), [(0.9, True, FITS), (0.9, False, SHORTER), (0.5, True, SHORTER)]
+    )
+    def test_a_side_in_space_may_be_a_little_shorter_only_if_it_may_have_buckled(self, share, buckled, verdict):
+        assert self.verdict(self.border() * (share, 1.0), metric=True, buckled=buckled) == verdict
+
+    def test_a_side_in_space_may_not_be_longer(self):
+        assert self.verdict(self.border() * (1.1, 1.0), metric=True, buckled=True) == LONGER

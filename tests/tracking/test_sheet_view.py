@@ -63,3 +63,10 @@ def test_a_dent_is_learnt_slower_than_a_bend():
     dent, bend = gained
     assert dent < 0.02
     assert bend > 0.02
+
+
+@pytest.mark.parametrize(("nearer", "learnt"), [(1.02, 1.02), (0.98, 0.98), (1.3, 1.03)])
+def test_a_sheet_that_comes_nearer_grows_by_three_percent_in_a_frame_at_most(nearer, learnt):
+    """Without depth all sides grow together; in a frame of 30 a second none comes nearer by more."""
+    _, sides = learn_sheet(as_points(flat()), as_points(flat() * nearer), SIDES)
+    assert sides == pytest.approx(learnt * SIDES, rel=0.003)
