@@ -13,7 +13,7 @@ from shape_obs.bench.synthetic.blobs import moving_blob
 from shape_obs.bench.synthetic.flat_objects import View, ring, under_hand
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import nearest_on
-from shape_obs.tracking.hidden_outline import hidden_pieces, laid_along, nearest_places
+from shape_obs.tracking.hidden_outline import complete_outline, hidden_pieces, laid_along, nearest_places
 
 VIEW, SMALL = View(), View(height=120)
 
@@ -78,6 +78,49 @@ def test_what_lies_within_the_known_outline_between_two_turns_is_not_its_own(dep
     true = nearest_on(closed(polygon), curve.points)[1] > 3
     assert cut[true].mean() > 0.8
     assert cut.sum() <= true.sum() + 50
+
+
+def even(shape: np.ndarray, count: int) -> np.ndarray:
+    return FittedCurve.through(shape, np.zeros(len(shape), bool), True).even(count)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.35, 0.5, 0.57])
+def test_a_hidden_piece_is_put_back_where_it_is(share):
+    """The known outline lies elsewhere, turned, and is expected 2 px from its place; a hand has a straight edge, whose
+    round corners draw the outline in by up to 3 px over three points next to it."""
+    true, base, last = even(wavy(320), 320), even(wavy(800), 80), 60 + int(320 * share)
+    seen, cut = true.copy(), (np.arange(320) >= 60) & (np.arange(320) <= last)
+    seen[60 : last + 1] = np.linspace(true[60], true[last], last - 59)
+    for step, inwards in enumerate((3.0, 2.0, 1.0), 1):
+        for at in (60 - step, last + step):
+            seen[at] += inwards * (c := [300, 240] - seen[at]) / np.linalg.norm(c)
+    curve = FittedCurve.through(seen, np.zeros(320, bool), True)
+    known = (base - [300, 240]) @ [[np.cos(0.2), np.sin(0.2)], [-np.sin(0.2), np.cos(0.2)]] + [310, 230]
+    found = complete_outline(curve, curve, cut, known, base + [1.5, -1.0])
+    assert found is not None
+    assert nearest_on(closed(true), found[0].points)[1].max() < 0.5
+    assert np.linalg.norm(found[0].at([found[1]])[0] - base[0]) < 1
+
+
+def test_a_narrow_mark_shows_how_a_round_outline_that_is_hidden_in_part_has_turned():
+    """It is expected 24 px off, along the outline; the mark leaves less than a tenth of that."""
+    around = 2 * np.pi * np.arange(800) / 800
+    away = 120 * (1 + 0.3 * np.exp(-(((around - 4.4) / 0.1) ** 2)))
+    disc = np.stack([300 + away * np.cos(around), 240 + away * np.sin(around)], axis=1)
+    true, base = even(disc, 320), even(disc, 80)
+    seen, cut = true.copy(), (np.arange(320) >= 20) & (np.arange(320) <= 100)
+    seen[20:101] = np.linspace(true[20], true[100], 81)
+    curve = FittedCurve.through(seen, np.zeros(320, bool), True)
+    turned = (base - [300, 240]) @ [[np.cos(0.2), np.sin(0.2)], [-np.sin(0.2), np.cos(0.2)]] + [300, 240]
+    found = complete_outline(curve, curve, cut, base, turned)
+    assert found is not None
+    assert np.linalg.norm(found[0].at([found[1]])[0] - base[0]) < 2.4
+
+
+def test_an_outline_of_which_a_third_is_in_sight_is_not_put_back():
+    true, base = even(wavy(320), 320), even(wavy(800), 80)
+    curve = FittedCurve.through(true, np.zeros(320, bool), True)
+    assert complete_outline(curve, curve, np.arange(320) < 213, base, base) is None
 
 
 def _inside(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
