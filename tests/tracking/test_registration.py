@@ -17,7 +17,7 @@ from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.topology import Ring
 from shape_obs.tracking.prediction import Prediction
 from shape_obs.tracking.registration import blend, index_shift, match_outline, renumber_outline
-from shape_obs.tracking.registration_in_space import blend_space
+from shape_obs.tracking.registration_in_space import blend_space, index_shift_space
 
 
 def one(mask: np.ndarray, detector: ShapeDetector | None = None) -> Any:
@@ -115,3 +115,82 @@ class TestRegistration:
             rotation[0] *= np.linalg.det(rotation)
             found = reference @ rotation.T + np.arange(1, dimension + 1)
             np.testing.assert_allclose(laid_over(reference, found), found, atol=1e-9)
+
+
+def outline(*waves: tuple[int, float, float], radius: float = 100.0) -> np.ndarray:
+    """Return an outline in the plane z = 0, (1600, 3), whose radius has waves of (number, amplitude, phase)."""
+    angle = 2 * np.pi * np.arange(1600) / 1600
+    away = radius + sum(amplitude * np.cos(k * angle + phase) for k, amplitude, phase in waves)
+    return np.stack([away * np.cos(angle), away * np.sin(angle), 0 * angle], axis=1)
+
+
+def even(points: np.ndarray, start: float = 0.0) -> np.ndarray:
+    """Return 64 equidistant nodes from a share of the outline on."""
+    curve = FittedCurve.through(np.ascontiguousarray(points), np.zeros(len(points), bool), closed=True)
+    return curve.starting_at(start * curve.size).even(64)
+
+
+def turned(points: np.ndarray, angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return points @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+
+
+def astray(reference: np.ndarray, found: np.ndarray, in_space: bool, start: float = 0.1) -> float:
+    """Return by how many of 64 places the numbering is off; ``found`` begins at a share of its outline."""
+    known, now = even(reference), even(found, start)
+    if in_space:
+        shift = index_shift_space(known, known, now, now, 1.0)[0]
+    else:
+        known, now = (np.ascontiguousarray(points[:, :2]) for points in (known, now))
+        shift = shift_of(known, known, now)
+    return float((shift + 64 * start + 32) % 64 - 32)
+
+
+class TestFarTurns:
+    """What fits almost as well after less of a turn is preferred, and what fits far better is found anywhere."""
+
+    @pytest.mark.parametrize("in_space", [False, True])
+    def test_an_outline_with_weak_marks_turns_as_little_as_it_can(self, in_space):
+        """It is almost the same after half a turn, and 54 degrees back are likelier than 126 ahead."""
+        shape = outline((2, 20, 0.4), (3, 9, 0), (5, 4, 2))
+        assert abs(astray(shape, turned(shape, 2.2), in_space)) == pytest.approx(32, abs=0.3)
+
+    @pytest.mark.parametrize("angle", [1.2, 2.2, 2.8])
+    def test_an_outline_with_strong_marks_in_space_is_found_after_any_turn(self, angle):
+        shape = outline((2, 10, 0.4), (3, 10, 0), (1, 20, 1))
+        around = 2 * np.pi * np.arange(1600) / 1600
+        shape[:, 2] = 60 * np.cos(2 * around) + 40 * np.sin(3 * around)
+        assert astray(shape, turned(shape, angle), True) == pytest.approx(0, abs=0.1)
+
+    def test_a_part_that_is_folded_up_by_75_degrees_leaves_the_numbering_of_the_rest(self):
+        """A fifth of it bends out of the plane, by which the best rigid motion of the whole is off by a gap."""
+        flat = outline((2, 20, 0.4), (3, 9, 0), (5, 4, 2))
+        folded, over = flat.copy(), flat[:, 0] > 50
+        folded[over, 0] = 50 + (flat[over, 0] - 50) * np.cos(np.radians(75))
+        folded[over, 2] = (flat[over, 0] - 50) * np.sin(np.radians(75))
+        assert astray(flat, folded, True, 0.3 / 64) == pytest.approx(0, abs=0.25)
+
+
+class TestLearning:
+    """A dent over 5 of 64 nodes of an outline 100 px in radius."""
+
+    @staticmethod
+    def followed(depth: float, frames: int, in_space: bool) -> float:
+        """Return by which share of a dent the known outline has followed it after some frames."""
+        true = even(outline((2, 20, 0.4), (3, 9, 0)))
+        if not in_space:
+            true = np.ascontiguousarray(true[:, :2])
+        now, known = true.copy(), true
+        now[10:15] *= 1 - depth / 100
+        for _ in range(frames):
+            known = (blend_space if in_space else blended)(known, now)
+        return float(np.linalg.norm(known[12] - true[12]) / np.linalg.norm(now[12] - true[12]))
+
+    @pytest.mark.parametrize("in_space", [False, True])
+    def test_a_small_change_of_form_is_followed_in_two_seconds_and_not_at_once(self, in_space):
+        assert self.followed(3.0, 1, in_space) < 0.3
+        assert self.followed(3.0, 60, in_space) > 0.8
+
+    def test_what_a_hand_hides_is_not_forgotten_in_half_a_second(self):
+        """Without depth nothing but the known outline shows that it is a hand, and no change of form."""
+        assert self.followed(60.0, 15, False) < 0.4
