@@ -12,7 +12,9 @@ from shape_obs.bench.scores import tally_visible
 from shape_obs.bench.surface_claims import seen_points
 from shape_obs.bench.synthetic.flat_objects import View, cloth, in_space, ring, under_hand
 from shape_obs.bench.synthetic.images import CAMERA, tilted_sheet
+from shape_obs.frame import depth_images
 from shape_obs.geometry.topology import Grid
+from shape_obs.tracking.hidden_border import rim_depth
 from shape_obs.tracking.validation import FOLDED, validate_gaps
 
 VIEW = View()
@@ -147,3 +149,64 @@ def test_a_hole_in_the_depth_at_a_border_bends_no_sheet(seed):
     assert shape.points3d is not None
     away = np.linalg.norm(shape.points3d - sheet.lattice(4, 8), axis=1)
     assert np.median(away) < 0.004
+
+
+class TestDepthAlongAnOutline:
+    """A disc of 60 px, 20 mm above a table at 0.6 m; a hand may come over it from above."""
+
+    @staticmethod
+    def disc(centre: float = 160.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return its outline, clockwise, 400 points; its mask, and the frame's depth."""
+        around, (v, u) = 2 * np.pi * np.arange(400) / 400, np.mgrid[:240, :320]
+        outline = np.stack([centre + 60 * np.cos(around), 120 + 60 * np.sin(around)], axis=1)
+        mask = ((u - centre) ** 2 + (v - 120) ** 2 <= 3600).astype(np.uint8)
+        return outline, mask, np.where(mask > 0, 0.58, 0.6)
+
+    @staticmethod
+    def read(outline: np.ndarray, mask: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        images = depth_images(depth.astype(np.float32))
+        return rim_depth(images, (0, 0, 320, 240), mask, 0, 0, np.ascontiguousarray(outline), 100.0)
+
+    def under_a_hand(self, z: float, wide: int, gap: int) -> np.ndarray:
+        """Return where the visible outline is taken for the hand's, of those points where it is."""
+        outline, mask, depth = self.disc()
+        over = np.zeros(mask.shape, bool)
+        over[:100, 160 - wide : 160 + wide] = True
+        mask[over], depth[over] = 0, z
+        depth[(cv2.dilate(mask, np.ones((2 * gap + 1, 2 * gap + 1))) > 0) & (mask == 0)] = 0.0
+        border = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0][0][::-1, 0].astype(float)
+        at = np.linspace(0, len(border), 400, endpoint=False)
+        outline = np.stack([np.interp(at, np.arange(len(border)), column) for column in border.T], axis=1)
+        cut = self.read(outline, mask, depth)[1]
+        its = (np.abs(outline[:, 0] - 160) < wide + 1.5) & (outline[:, 1] < 102)
+        assert not cut[(np.abs(outline[:, 0] - 160) > wide + 8) | (outline[:, 1] > 110)].any()
+        return cut[its]
+
+    @pytest.mark.parametrize("gap", [0, 3])
+    @pytest.mark.parametrize(("z", "wide"), [(0.5, 20), (0.555, 20), (0.5, 4)])
+    def test_an_outline_under_a_hand_is_the_hands(self, z, wide, gap):
+        """Also under a flat one, 25 mm above, and a finger of 8 px; next to an edge a camera may have no depth."""
+        assert self.under_a_hand(z, wide, gap).mean() > 0.8
+
+    def test_what_lies_four_millimetres_higher_hides_nothing(self):
+        assert not self.under_a_hand(0.576, 20, 0).any()
+
+    @pytest.mark.parametrize(("centre", "cut"), [(60.0, True), (62.0, False)])
+    def test_an_outline_is_cut_by_the_border_only_where_it_touches_it(self, centre, cut):
+        assert self.read(*self.disc(centre))[1].any() == cut
+
+    def test_depth_along_an_outline_has_half_the_noise_of_a_pixel(self):
+        outline, mask, depth = self.disc()
+        noise = np.random.default_rng(0).normal(0, 0.002, depth.shape)
+        z, cut = self.read(outline, mask, depth + noise)
+        assert not cut.any()
+        assert np.sqrt(np.mean((z - 0.58) ** 2)) < 0.001
+
+    def test_depth_along_the_outline_of_a_bowl_is_that_at_its_rim(self):
+        """It is 200 px wide and 100 mm deep: a tenth of what its depth changes in a pixel."""
+        around, (v, u) = 2 * np.pi * np.arange(400) / 400, np.mgrid[:240, :320]
+        square = (u - 160.0) ** 2 + (v - 120.0) ** 2
+        mask, depth = (square <= 1e4).astype(np.uint8), np.where(square <= 1e4, 0.6 - 1e-5 * square, 0.6)
+        outline = np.stack([160 + 100 * np.cos(around), 120 + 100 * np.sin(around)], axis=1)
+        z, _ = rim_depth(depth_images(depth.astype(np.float32)), (0, 0, 320, 240), mask, 0, 0, outline, 200.0)
+        assert np.abs(z - 0.5).max() < 0.0002
