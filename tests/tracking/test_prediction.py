@@ -11,11 +11,12 @@ import pytest
 from shape_obs import Centerline, GrayRange, ShapeDetector, ShapeLostError
 from shape_obs.configurations import centerline
 from shape_obs.configurations.base import Scene
+from shape_obs.frame import depth_images
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.topology import Chain
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
-from shape_obs.tracking.prediction import Fit, Prediction, Track, advance, predict
+from shape_obs.tracking.prediction import Fit, Prediction, Track, advance, predict, typical_motion
 from shape_obs.tracking.search_window import predict_search_window
 
 NODES = np.stack([np.linspace(10, 90, 9), np.full(9, 50.0)], axis=1)
@@ -84,6 +85,20 @@ class TestPrediction:
         prediction = predicted(track, 0.1, resolution=0.7)
         assert (prediction.size, prediction.width, prediction.resolution) == (100.0, 8.0, 0.7)
         assert prediction.hints.hidden == (3.0, 0.0)
+
+
+class TestMotion:
+    @pytest.mark.parametrize("aside", [0.0, 5.0, 40.0])
+    def test_the_motion_of_a_rope_is_how_far_it_lies_from_its_track_to_half_a_gap(self, aside):
+        """A rope of 300 px, in depth of 0.7 m, whose track has other nodes, from the other end: gaps of 6 and 5 px."""
+        nodes, before = (
+            np.stack([np.linspace(10, 310, count), np.full(count, row)], axis=1)
+            for count, row in ((50, 60.0), (61, 60.0 + aside))
+        )
+        before = np.ascontiguousarray(before[::-1])
+        moved, away = typical_motion(nodes, before, depth_images(np.full((120, 320), 0.7, np.float32)))
+        assert moved == pytest.approx(aside, abs=3)
+        assert away == pytest.approx(0.7)
 
 
 class TestWidth:
