@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -12,14 +10,13 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
 from shape_obs import Centerline, Contour, ShapeDetector
-from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
+from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.lattice import FittedLattice, assess_lattice
 from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.tracking.validation import (
     FitQuality,
-    doubt_in_space,
     outline_miss,
     ring_miss,
     sample_spread,
@@ -237,32 +234,6 @@ class TestSheet:
 
     def test_quality_falls_with_kinks(self, observed):
         assert judged_sheet(self.lattice(observed), 45.0).quality < 0.75
-
-
-class TestRopeInSpace:
-    """A rope of 240 px whose length in sight shows how much of it is hidden only where it is measured well."""
-
-    @staticmethod
-    def rope(steepest: float, **hints: object) -> FittedCurve:
-        """Return a rope of which the middle third is so many times as long in space as in the image."""
-        points = np.stack([np.linspace(20, 260, 241), np.full(241, 60.0)], axis=1)
-        climb = np.where(np.abs(np.arange(240) - 120) < 40, (steepest**2 - 1) ** 0.5, 0.0)
-        relief = np.concatenate([[0.0], np.cumsum(climb)])
-        length = Length(pixels=240.0, metres=0.5, spread_metres=0.01)
-        curve = FittedCurve(points, np.zeros(241, bool), np.arange(241.0), False, None, None, relief, 8.0)
-        return replace(curve, hints=TrackHints(length=length)._replace(**hints))
-
-    @pytest.mark.parametrize(("steepest", "refused"), [(1.0, False), (4.0, False), (8.0, True)])
-    def test_next_to_a_hidden_end_a_piece_that_is_seen_end_on_is_doubted(self, steepest, refused):
-        reason = doubt_in_space(self.rope(steepest, covered=(False, True)))
-        assert reason.startswith("an end is hidden, and the rope is") == refused
-        assert bool(reason) == refused
-        assert not doubt_in_space(self.rope(steepest, covered=(True, True)))
-
-    @pytest.mark.parametrize(("short", "refused"), [(0.01, False), (0.02, False), (0.04, True)])
-    def test_a_curve_that_is_too_short_by_four_deviations_of_its_length_is_refused(self, short, refused):
-        reason = doubt_in_space(self.rope(1.0, stretch=1 + short))
-        assert ("shorter than the rope, and nothing is seen to hide an end" in reason) == refused
 
 
 @pytest.mark.parametrize("off", [0.0, 0.5, 3.0])
