@@ -128,6 +128,41 @@ def test_a_hidden_end_has_the_scale_of_what_is_next_to_it():
     assert found.points[-1] == pytest.approx((495.0, 240.0), abs=3)
 
 
+def flat_rope(hidden: float, metres: float = 0.0, relief: np.ndarray | None = None) -> Prediction:
+    """Return a straight rope of 400 pixels of which the end was hidden."""
+    nodes = np.stack([100 + 400 * (np.arange(NODES) + 0.5) / NODES, np.full(NODES, 240.0)], axis=1)
+    hints = TrackHints(hidden=(0.0, hidden), length=Length(pixels=400.0, metres=metres, frames=10.0))
+    return Prediction(nodes, 400.0, Chain(NODES), hints, 1.0, 8.0, True, relief=relief)
+
+
+@pytest.mark.parametrize("hidden", [0.1, 0.2, 0.3])
+def test_next_to_what_lies_behind_the_rope_a_twentieth_of_it_is_not_visible_either(hidden):
+    """Where it turns round or towards the camera a part of the turn is not seen; next to a hand there is no turn."""
+    rope = flat_rope(hidden, metres=0.5)
+    points = PredictedRope(rope).at(np.linspace(0, 1 - hidden, 225))
+    metres = np.linspace(0, 0.5 * (1 - hidden), 225)
+    curve = FittedCurve(points, np.zeros(225, bool), arc_length(points), False, metres, None, None, 8.0)
+    for end, more in ((UNKNOWN, 0.05), (HIDDEN, 0.0)):
+        found = match_chain(curve, rope, Tips((FREE, end), None, 8.0))
+        share = found.stations / found.stations[-1]
+        assert 1 - share[found.interpolated].min() == pytest.approx(hidden + more, abs=0.03)
+
+
+def test_a_hidden_end_comes_to_lie_as_deep_as_what_is_seen_next_to_it():
+    """It was 40 px deeper; after a frame most of that is kept, and after 40 frames a twentieth at most."""
+    hidden, at, depths = 0.3, (np.arange(NODES) + 0.5) / NODES, []
+    relief = 40 * np.maximum(at - (1 - hidden), 0) / hidden
+    points = PredictedRope(flat_rope(hidden)).at(np.linspace(0, 1 - hidden, 225))
+    curve = FittedCurve(points, np.zeros(225, bool), arc_length(points), False, None, None, np.zeros(225), 8.0)
+    for _ in range(40):
+        found = match_chain(curve, flat_rope(hidden, relief=relief), Tips((FREE, HIDDEN), None, 8.0))
+        assert found.relief is not None
+        relief = np.interp(at, found.stations / found.stations[-1], found.relief)
+        depths.append(float(relief[-1]))
+    assert depths[0] > 20
+    assert depths[-1] < 2
+
+
 @pytest.mark.parametrize(
     ("stretch", "hidden", "whole"), [(1.01, 0.0, True), (0.99, 0.0, True), (1.1, 0.0, False), (1.01, 0.1, False)]
 )
@@ -141,6 +176,11 @@ def test_a_rope_is_whole_if_it_is_as_long_in_space_as_it_is_known_to_be(stretch,
 
 class TestOutOfSightForLong:
     """A rope that comes back without an end in sight may be any piece."""
+
+    @pytest.mark.parametrize(("lapse", "slid"), [(2.0, 0.0), (10.0, 0.3)])
+    def test_it_may_be_any_piece_after_ten_intervals_and_is_the_same_after_two(self, lapse, slid):
+        rope = known(0.003, hidden=(0.0, 0.3))._replace(lapse=lapse)
+        assert matched(rope, (0.0, 0.7), (UNKNOWN, UNKNOWN)).adrift == pytest.approx(slid, abs=0.02)
 
     @pytest.mark.parametrize("visible", [0.7, 0.5])
     def test_it_may_have_slid_by_all_that_is_hidden_but_for_noise(self, visible):
