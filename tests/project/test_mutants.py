@@ -7,7 +7,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from constants import TRACKING, constant_mutants, constants, scaled, stages
+from constants import EXPLAINED, TRACKING, constant_mutants, constants, scaled, stages
 from mutants import ROOT, mutated
 from mutation import MUTANTS, Mutant
 
@@ -51,6 +51,10 @@ def test_each_constant_of_the_tracking_is_replaced_by_another_value(path: Path):
         assert changed == {other: value for other, value in values.items() if other != name}
         assert [test for test in mutant.tests if not (ROOT / test).is_file()] == []
         assert sorted(sum(stages(mutant.tests), ())) == sorted(mutant.tests)
+
+
+def test_what_is_explained_is_a_constant():
+    assert {pair[0].name.split()[0] for pair in CONSTANTS} >= set(EXPLAINED)
 
 
 def test_a_constant_is_a_number_or_a_tuple_of_numbers():

@@ -73,6 +73,15 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "validation": (*_EVERY_SHAPE, "tests/bench/test_worst_case_claims.py", _SLOW[2]),
 }
 
+# Constants that no test can notice, and why.
+EXPLAINED: dict[str, str] = {
+    "missing._LARGEST_STEP": "it keeps digits for later steps; ten times as much leaves enough",
+    "missing._LEAST_STEP": "what two stamps that differ by no time may differ by",
+    "occluders._SPARSE": "it only saves time: every second row and column show the same",
+    "prediction._LEAST_INTERVAL": "what two stamps that differ by no time may differ by",
+    "sheet_view._SOME": "it only saves time: the median of fewer points is nearly the same",
+}
+
 
 def constants(text: str) -> Iterator[tuple[str, str, Any]]:
     """Yield the numeric constants at the top of a module.

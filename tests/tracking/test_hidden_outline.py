@@ -157,6 +157,15 @@ def test_an_outline_is_laid_along_what_is_seen_of_it():
     assert np.linalg.norm(laid - points, axis=1).max() < 3
 
 
+def test_an_outline_is_laid_along_the_rest_while_a_hand_comes_over_it():
+    """A fifth lies 8 px inside, so that a quarter of that is left at most; it was expected 5 px from its place."""
+    seen = wavy(300)
+    inwards = [300.0, 240.0] - seen[60:120]
+    seen[60:120] += 8 * inwards / np.linalg.norm(inwards, axis=1, keepdims=True)
+    laid = laid_along(closed(seen), 1.02 * (wavy(80) - [300, 240]) + [304, 237])
+    assert nearest_on(closed(wavy(300)), laid)[1].max() < 2
+
+
 def test_what_only_touches_an_outline_hides_nothing():
     camera = Intrinsics(160, 120, 110.0, 110.0, 80.0, 60.0)
     free, touched = (ShapeDetector(Contour(spacing="m")) for _ in range(2))
