@@ -210,3 +210,16 @@ class TestDepthAlongAnOutline:
         outline = np.stack([160 + 100 * np.cos(around), 120 + 100 * np.sin(around)], axis=1)
         z, _ = rim_depth(depth_images(depth.astype(np.float32)), (0, 0, 320, 240), mask, 0, 0, outline, 200.0)
         assert np.abs(z - 0.5).max() < 0.0002
+
+    def test_depth_along_a_narrow_outline_follows_its_slope(self):
+        """A ribbon of 120 x 10 px, aslant by 5 mm in a pixel across it: a fiftieth of that."""
+        corners, share = np.array([(100.0, 115), (220, 115), (220, 125), (100, 125)]), np.arange(100)[:, None] / 100
+        outline = np.concatenate(
+            [a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+        )
+        v, u = np.mgrid[:240, :320]
+        mask = ((abs(u - 160) <= 60) & (abs(v - 120) <= 5)).astype(np.uint8)
+        depth = np.where(mask > 0, 0.6 + 0.005 * (v - 120) + 0.0015 * (u - 160), 0.9)
+        z, _ = rim_depth(depth_images(depth.astype(np.float32)), (0, 0, 320, 240), mask, 0, 0, outline, 10.0)
+        true = 0.6 + 0.005 * (outline[:, 1] - 120) + 0.0015 * (outline[:, 0] - 160)
+        assert np.sqrt(np.mean((z - true) ** 2)) < 0.0001
