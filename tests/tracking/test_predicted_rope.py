@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, Intrinsics, Shape, ShapeDetector
+from shape_obs.bench.synthetic.ropes import draw_rope
 from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
+from shape_obs.geometry.polyline import resample
 from shape_obs.geometry.topology import Chain
 from shape_obs.tracking.occluders import FREE, HIDDEN, UNKNOWN, Tips
 from shape_obs.tracking.occlusion import match_chain
@@ -104,6 +106,24 @@ def test_what_turns_with_the_cut_next_to_a_hand_is_put_straight(turn):
     form = FittedCurve.through(points, np.zeros(113, bool))
     found = match_chain(form, rope, Tips((FREE, HIDDEN), None, 8.0))
     assert np.abs(found.points[:, 1] - 240).max() < 0.25
+
+
+def test_a_rope_of_which_little_more_than_a_third_is_in_sight_is_followed():
+    """It is bent, 16 widths long, and moves aside while something comes over it from its end."""
+    detector = ShapeDetector([Centerline(n=20, ends="tips", anchor=(60.0, 120.0))])
+    column, seen = np.linspace(60, 220, 400), 0
+    for frame in range(60):
+        row = 120 + 10 * np.sin((column - 60) / 25) + 6 * np.sin(frame / 5)
+        rope = draw_rope(np.stack([column, row], axis=1), 10.0, size=(240, 320))
+        mask = rope.mask.copy()
+        mask[:, max(240 - 3 * max(frame - 10, 0), 118) :] = 0
+        shape = detector.detect_mask(mask).shapes[0]
+        assert not shape.reason, frame
+        true = resample(rope.curve, 20)
+        away = np.linalg.norm(shape.pixels - true, axis=1)
+        assert away[shape.visible].max() < 3  # of gaps of 9 px
+        seen = shape.visible.sum()
+    assert seen >= 6
 
 
 def test_what_was_folded_back_is_not_compared():
