@@ -126,6 +126,22 @@ def test_an_image_edge_is_no_reason_to_look_again(monkeypatch):
     assert len(looked) == 4
 
 
+def test_a_rope_that_begins_to_move_is_found_in_its_window(monkeypatch):
+    """It rests for three frames and moves by 5 px in the next: no frame is searched twice."""
+    looked = []
+    original = search_window.find_region
+
+    def look(*given):
+        looked.append(given)
+        return original(*given)
+
+    monkeypatch.setattr(search_window, "find_region", look)
+    detector, mask = ShapeDetector(), rope()
+    for moved in (mask, mask, mask, shifted(mask, 5, 0)):
+        assert detector.detect_mask(moved).ok
+    assert len(looked) == 4
+
+
 def test_an_empty_frame_and_back():
     detector, mask = ShapeDetector(), rope()
     before = detector.detect_mask(mask).shapes[0].points2d
