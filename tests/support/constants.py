@@ -150,6 +150,7 @@ def _mutant(path: Path, name: str, statement: str, value: Any, factor: float) ->
         f"\n{statement}",
         f"\n{begin} {scaled(value, factor)!r}",
         tests_of(path.stem),
+        EXPLAINED.get(f"{path.stem}.{name}", ""),
     )
 
 
