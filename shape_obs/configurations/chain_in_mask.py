@@ -164,7 +164,11 @@ def _level_rims(points: Array, nodes: Array, width: float) -> None:
     """
     unit, last = best_matching_units(points, nodes), len(nodes) - 1
     for m in range(len(points)):
-        k, nearest = int(unit[m]), np.inf
+        k, nearest = int(unit[m]), 0.0
+        for d in range(3):
+            nearest += (points[m, d] - nodes[k, d]) ** 2
+        if nearest <= (_OFF * width) ** 2:
+            continue
         for i in range(max(k - 1, 0), min(k + 1, last)):
             nearest = min(nearest, _off_segment(points[m], nodes[i], nodes[i + 1], 3)[0])
         if nearest <= (_OFF * width) ** 2:

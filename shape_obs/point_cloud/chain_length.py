@@ -91,8 +91,14 @@ def lift_chain(
 @compiled
 def _astray(z: Array, bridged: npt.NDArray[np.bool_], p: int, near: Array) -> bool:
     """Return whether a depth lies off the median of its neighbours', by more than their own slope explains."""
+    begin, stop, off = max(p - _COMPANY, 0), min(p + _COMPANY + 1, len(z)), 0.0
+    for q in range(begin, stop):
+        if not bridged[q] and z[q] > 0:
+            off = max(off, abs(z[q] - z[p]))
+    if off <= _ASTRAY:  # then it is as near to their median, which takes longer to find
+        return False
     first, last, count = p, p, 0
-    for q in range(max(p - _COMPANY, 0), min(p + _COMPANY + 1, len(z))):
+    for q in range(begin, stop):
         if not bridged[q] and z[q] > 0:
             first, last, at = min(first, q), q, count
             while at > 0 and near[at - 1] > z[q]:
@@ -140,7 +146,8 @@ def _step(points: Array) -> float:
     """Return the mean distance of neighbours."""
     total = 0.0
     for p in range(1, len(points)):
-        total += math.hypot(points[p, 0] - points[p - 1, 0], points[p, 1] - points[p - 1, 1])
+        x, y = points[p, 0] - points[p - 1, 0], points[p, 1] - points[p - 1, 1]
+        total += math.sqrt(x * x + y * y)
     return max(total / (len(points) - 1), 1e-9)
 
 
@@ -149,7 +156,7 @@ def _ahead(points: Array, p: int, place: Array) -> float:
     """Return how far a place lies ahead of a point along a curve."""
     before, after = max(p - 1, 0), min(p + 1, len(points) - 1)
     x, y = points[after, 0] - points[before, 0], points[after, 1] - points[before, 1]
-    return (x * (place[0] - points[p, 0]) + y * (place[1] - points[p, 1])) / max(math.hypot(x, y), 1e-9)
+    return (x * (place[0] - points[p, 0]) + y * (place[1] - points[p, 1])) / max(math.sqrt(x * x + y * y), 1e-9)
 
 
 @compiled
@@ -196,10 +203,12 @@ def smooth_depth(values: Array, along: Array, rays: Array, variance: float) -> A
     """
     size = len(values)
     z, step = np.full(size, float(np.nanmean(values))), np.empty(size - 1)
+    turned = np.empty(size - 1)  # squared, from one ray to the next
+    for p in range(size - 1):
+        turned[p] = (rays[p + 1, 0] - rays[p, 0]) ** 2 + (rays[p + 1, 1] - rays[p, 1]) ** 2
     for _ in range(_ROUNDS):
         for p in range(size - 1):
-            away = z[p] * math.hypot(rays[p + 1, 0] - rays[p, 0], rays[p + 1, 1] - rays[p, 1])
-            step[p] = max(math.hypot(away, z[p + 1] - z[p]), 1e-6)
+            step[p] = max(math.sqrt(z[p] * z[p] * turned[p] + (z[p + 1] - z[p]) ** 2), 1e-6)
         main, next_, after, right = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
         for p in range(size):
             if values[p] > 0:

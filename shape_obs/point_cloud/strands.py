@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 
+_U = np.uint64  # unsigned indices are not checked for being negative
 _MOVED: Final = 0.13  # of its depth, by which a rope may come nearer or go away beyond what was predicted
 _FEW: Final = 3.0  # times as many pixels as a strand behind has in a square: then it is none
 _APART: Final = (2.0, 0.02)  # widths, and of the depth: strands that lie so far apart are not taken for each other
@@ -60,10 +61,19 @@ def strand_depth(
     Returns:
         ``(P,)`` metres; ``(P, 2)`` image pixels.
     """
-    (millimetres, metres), step = depth, 2 if reach >= SPARSE else 1
-    whole = len(millimetres) > 0
-    unit = MILLIMETRE if whole else 1.0
-    height, width = mask.shape
+    millimetres, metres = depth
+    if len(millimetres) > 0:
+        return _strand_depth(millimetres, MILLIMETRE, mask, at, points, reach, expected, slack)
+    return _strand_depth(metres, 1.0, mask, at, points, reach, expected, slack)
+
+
+@compiled
+def _strand_depth(
+    image: npt.NDArray[Any], unit: float, mask: Mask, at: tuple[int, int], points: Array, reach: int, expected: Array,
+    slack: float,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return ``strand_depth`` of an image of depth in a unit, metres."""
+    (height, width), step = mask.shape, 2 if reach >= SPARSE else 1
     near = room((2 * reach + 1) ** 2)
     out, places = np.empty(len(points)), np.empty_like(points)
     for n in range(len(points)):
@@ -73,16 +83,15 @@ def strand_depth(
         column, row = nearest_pixel(points[n, 0]) - at[0], nearest_pixel(points[n, 1]) - at[1]
         known, inside, x, y = 0, 0, 0, 0
         for v in range(max(row - reach, 0), min(row + reach + 1, height)):
-            first = column - reach + (v - row + reach & 1) * (step - 1)
+            first, before = column - reach + (v - row + reach & 1) * (step - 1), known
             while first < 0:
                 first += step
-            for u in range(first, min(column + reach + 1, width), step):
-                if mask[v, u] != 0:
-                    inside += 1
-                    z = np.float32(millimetres[v + at[1], u + at[0]]) if whole else metres[v + at[1], u + at[0]]
-                    near[known] = z
-                    if low < z < high:
-                        x, y, known = x + u, y + v, known + 1
+            for u in range(first, min(column + reach + 1, width), step):  # what is not wanted is overwritten
+                on, z = mask[_U(v), _U(u)] != 0, np.float32(image[_U(v + at[1]), _U(u + at[0])])
+                near[_U(known)] = z
+                wanted = on and low < z and z < high
+                inside, x, known = inside + on, x + (u if wanted else 0), known + wanted
+            y += v * (known - before)
         out[n] = np.nan
         if known >= max(share * inside, 1):
             out[n] = median(near, known) * unit
