@@ -20,7 +20,8 @@ from shape_obs.compiled import compile_now
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.anchors import Anchors, anchor_pixel, anchor_point
 from shape_obs.configurations.base import Configuration, Scene
-from shape_obs.configurations.shape_points import lift_points, shape_of
+from shape_obs.configurations.points_in_image import lift_points
+from shape_obs.configurations.shape_points import shape_of
 from shape_obs.frame import Frame, check_mask
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.find_region import prepare
@@ -30,7 +31,7 @@ from shape_obs.point_cloud.local_depth import median_depth
 from shape_obs.shape import Detection, Shape
 from shape_obs.tracking.belief import point_errors
 from shape_obs.tracking.missing import Clock, lost_shape
-from shape_obs.tracking.prediction import Fit, Reach, Track, advance, predict, typical_motion
+from shape_obs.tracking.prediction import Fit, Reach, Track, advance, extrapolated, predict, rates, typical_motion
 from shape_obs.tracking.search_window import RegionSearch
 from shape_obs.utils.threads import use_no_threads_in_forked_children
 
@@ -87,7 +88,7 @@ class ShapeDetector:
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
         functions = [*prepare(spec.segmentation for spec in self.shapes), lift_points, median_depth, viewing_rays]
         functions += (function for spec in self.shapes for function in spec.compiled_functions)
-        compile_now([*functions, point_errors, typical_motion])
+        compile_now([*functions, point_errors, typical_motion, extrapolated, rates])
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it
         self.reset()
@@ -219,7 +220,7 @@ class ShapeDetector:
     def _find(self, spec: Configuration, search: RegionSearch, anchors: Anchors, moment: _Moment) -> Fit:
         """Find one shape in an image: near where the track expects it, and if that fails everywhere."""
         frame, camera = moment.frame, moment.frame.camera if moment.in_3d else None
-        scene = Scene(search.whole)
+        scene = Scene(search.whole, diagonal=math.hypot(*moment.size))
         if camera is not None:
             scene = scene._replace(depth=frame.depth, intrinsics=camera.intrinsics, images=frame.images)
         while True:
@@ -261,7 +262,7 @@ class ShapeDetector:
         if not found.reason:
             if spec.order == "image":
                 seen = observed.seen(found.form.points, target)
-                found = found._replace(form=spec.apply_index_order(found.form, seen, target))
+                found = found._replace(form=spec.apply_index_order(found.form, seen, target), parts=None)
             if isinstance(self.config.clustering, Clusterer):
                 from shape_obs.configurations.cluster_assignment import assign_centres  # the map needs none
 

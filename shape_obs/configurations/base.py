@@ -38,12 +38,14 @@ class Scene(NamedTuple):
         depth: ``(H, W)``, None if there is none: it shows what lies over the object.
         intrinsics: Of the camera, None if there is none.
         images: The depth as compiled code reads it; both empty if there is none.
+        diagonal: Of the image, pixels.
     """
 
     edge: Window | None = None
     depth: npt.NDArray[Any] | None = None
     intrinsics: Intrinsics | None = None
     images: DepthImages = depth_images(None)
+    diagonal: float = 0.0
 
     def around(self, region: Region) -> tuple[Own, Around]:
         """Return what compiled stages take of a mask, and of the rest of the frame.

@@ -12,11 +12,7 @@ import numpy.typing as npt
 
 from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
-from shape_obs.configurations.chain_in_mask import (
-    nodes_along,
-    points_along,
-    track_chain_in_mask,
-)
+from shape_obs.configurations.chain_points import Asked, follow_chain_in_mask, nodes_along, points_along
 from shape_obs.geometry.curve import FittedCurve, Length, TrackHints, local_stretch
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate
@@ -29,6 +25,7 @@ from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import thinned, trace_skeleton
 from shape_obs.point_cloud.lifting import nearest_expected
+from shape_obs.tracking.belief import edges_of, error_model
 from shape_obs.tracking.occluders import Tips
 from shape_obs.tracking.occlusion import is_whole, known_rope, match_chain, shown, surprise
 from shape_obs.tracking.placement import widened
@@ -126,13 +123,14 @@ class Centerline(Configuration, kind="centerline"):
         if found.reason:
             return found
         curve: FittedCurve = found.form
+        laid = found.parts
         if _begins_again(curve, prediction):
-            curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
+            curve, laid = self.apply_index_order(curve, observed.seen(curve.points, target), target), None
         topology = found.topology if prediction is None else prediction.topology
         assert found.nodes is not None
         count = len(found.nodes if prediction is None else prediction.nodes)
-        nodes, relief, steep = nodes_along(curve.points, curve.arc, *_measures(curve), count)
-        size, hidden = float(curve.arc[-1]), curve.unsupported_fraction if curve.interpolated.any() else 0.0
+        nodes, relief, steep, *parts = laid or nodes_along(curve.points, curve.arc, *_measures(curve), count)
+        size, hidden = float(curve.arc[-1]), curve.unsupported_fraction
         seen_width = max(observed.area / max(size * (1 - hidden), 1e-9), 1.0) if observed.dimension == 2 else 0.0
         reason, follow = self._reason_of(curve, 1 - hidden), 1 - hidden >= _MIN_FOLLOWED
         if not reason and steep > _END_ON:
@@ -144,6 +142,7 @@ class Centerline(Configuration, kind="centerline"):
         return found._replace(
             form=curve, nodes=nodes, topology=topology, size=size, width=seen_width, reason=reason, follow=follow,
             relief=None if curve.relief is None else relief, length=curve.hints.length.metres or found.length,
+            parts=tuple(parts) or None,
         )  # fmt: skip
 
     def _lost_its_length(self, observed: Observed, prediction: Prediction | None) -> bool:
@@ -185,7 +184,7 @@ class Centerline(Configuration, kind="centerline"):
         scene: Scene,
     ) -> Fit:
         """Run the self-organising map from a start, finish the curve, match it to the track, validate it."""
-        topology, found = Chain(len(start)), None
+        topology, found, laid = Chain(len(start)), None, None
         if isinstance(observed, Region):
             cell = max(int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1)  # thin ropes keep it
             camera = scene.intrinsics
@@ -194,7 +193,10 @@ class Centerline(Configuration, kind="centerline"):
                 _NOTHING if relief is None or camera is None else relief, *_epochs(sigmas), cell, width, scene.images,
                 _NOTHING if camera is None else camera.lens, (scene.edge or _EVERYWHERE)[:4],
             )  # fmt: skip
-            drawn, found = track_chain_in_mask(*seen, *known_rope(prediction, width))
+            asked = Asked(self.n, self.ends == "tips", self.spacing == "m", self.radius)
+            model = error_model(self.layout, 1.0, True, camera is not None, camera, scene.diagonal)
+            edges, _ = edges_of(self.layout)
+            drawn, found, laid = follow_chain_in_mask(*seen, *known_rope(prediction, width), asked, edges, model)
             points, arc, off, metres, deep, spread, ends, shapes = drawn
             lifted = (metres, None, deep) if len(metres) else (None, None, None)
             curve, tips = FittedCurve(points, off, arc, False, *lifted, width), Tips(ends, shapes, width)
@@ -222,7 +224,8 @@ class Centerline(Configuration, kind="centerline"):
             reason = f"the curve is {1 / stretch - 1:.0%} longer than the rope"
         if curve.ambiguity and not _begins_again(curve, prediction):
             reason = reason or curve.ambiguity
-        return Fit(curve, quality, reason, start, topology, observed=observed, object_width=width)
+        parts = laid if laid is not None and len(laid[0]) else None
+        return Fit(curve, quality, reason, start, topology, observed=observed, object_width=width, parts=parts)
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
         """Return the curve with point 0 at the end nearest the target, else nearest the top left."""
@@ -247,7 +250,7 @@ class Centerline(Configuration, kind="centerline"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = track_chain_in_mask, match_to_rope, points_along, nodes_along
+        masks = follow_chain_in_mask, match_to_rope, points_along, nodes_along
         masks += closest_sides, sharp_bends, unexplained_share, evened, local_stretch, widened
         masks += from_tip_to_tip, learn_length, least_doubt, nearest_expected
         axes = fill_holes, thinned, trace_skeleton, cheapest_order

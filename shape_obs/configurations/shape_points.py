@@ -9,16 +9,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
-from shape_obs.camera import Intrinsics, viewing_rays
-from shape_obs.compiled import compiled
+from shape_obs.camera import Intrinsics
 from shape_obs.configurations.base import Configuration, Points
-from shape_obs.frame import DEPTH_TYPE, MILLIMETRE, DepthImages, Frame
+from shape_obs.configurations.points_in_image import lift_points
+from shape_obs.frame import Frame
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.topology import Grid
-from shape_obs.image.connected_runs import near_mask
 from shape_obs.point_cloud.lifting import form_depth, lift_form
-from shape_obs.point_cloud.local_depth import MAX_REACH, MIN_SHARE, median_depth
-from shape_obs.point_cloud.strands import strand_gap, strand_under
 from shape_obs.shape import Shape
 from shape_obs.tracking.belief import error_on_sheet, expected_error
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
@@ -35,10 +32,6 @@ Mask = npt.NDArray[np.bool_]
 
 # What is fitted to the visible half of a round rope lies this share of a radius in front of its axis.
 _HALF_ROUND: Final = np.pi / 4
-# Where a rope is this much longer in space than in the image, a pixel holds so much of it that its depth is no point's.
-_END_ON: Final = 2.4
-_END_ON_IF_THIN: Final = 2.0  # the same of a rope thinner than 6 px, of which a pixel holds more
-_THIN: Final = 6.0
 _NOTHING: Final = np.zeros(0)
 _SMOOTH: Final = 3.0  # points of the fine curve, over which its direction is taken
 
@@ -56,17 +49,22 @@ def shape_of(
         policy: What becomes of points without depth.
         diagonal: Of the image, pixels: the bound of ``sigma`` in pixels.
     """
-    parts = _points_in_image if found.observed.dimension == 2 else _points_in_cloud
-    points2d, points3d, visible, valid = parts(spec, found, frame)
     camera = None if frame.camera is None else frame.camera.intrinsics
-    sigma = expected_error(
-        points2d, points3d, visible, valid, spec.layout, size=found.size, resolution=found.observed.resolution,
-        in_image=found.observed.dimension == 2, camera=camera, diagonal=diagonal,
-    )  # fmt: skip
-    reason = _doubt(spec, found, points2d, points3d, valid, camera)
-    if points3d is not None and not valid.all():
+    if found.parts is not None and found.centres is None:
+        points2d, points3d, visible, valid, sigma = found.parts
+        points3d = points3d if len(points3d) else None
+    else:
+        in_image = found.observed.dimension == 2
+        points2d, points3d, visible, valid = (_points_in_image if in_image else _points_in_cloud)(spec, found, frame)
+        sigma = expected_error(
+            points2d, points3d, visible, valid, spec.layout, size=found.size, resolution=found.observed.resolution,
+            in_image=in_image, camera=camera, diagonal=diagonal,
+        )  # fmt: skip
+    known = np.count_nonzero(valid)
+    reason = _doubt(spec, found, points2d, points3d, valid if known else None, camera)
+    if points3d is not None and known < len(valid):
         points3d = fill_invalid(points3d, valid, None if last is None else last.points3d, policy)
-    quality = found.quality * (np.count_nonzero(valid) / len(valid))
+    quality = found.quality * (known / len(valid))
     length = found.size if found.length is None and _is_metric_curve(found) else found.length
     return Shape(
         spec.name, points2d, points3d, visible, valid, spec.layout, quality=quality, sigma=sigma, length=length,
@@ -79,15 +77,15 @@ def _doubt(
     found: Fit,
     points2d: npt.NDArray[np.float32] | None,
     points3d: npt.NDArray[np.float32] | None,
-    valid: Mask,
+    valid: Mask | None,
     camera: Intrinsics | None,
 ) -> str:
     """Return why points cannot be right though their form was found; empty if they can."""
-    if points2d is not None and not np.isfinite(points2d).all():
+    if points2d is not None and not math.isfinite(np.vdot(points2d, points2d)):
         return "it runs out of the camera's sight"
     if points3d is None:
         return ""
-    if not valid.any():
+    if valid is None:
         return "no point has depth under it"
     equal = spec.spacing == "m" and found.observed.dimension == 2 and found.centres is None
     if camera is None or not equal or not isinstance(spec.layout, Grid):
@@ -136,7 +134,7 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         unknown = np.isnan(under)[_nearest(points, form.points) if at is None else at]
         z[unknown] = np.nan
         valid &= ~unknown
-    if relief is None and not valid.all():
+    if relief is None and np.count_nonzero(valid) < len(valid):
         # What is in doubt on a sheet still has its own depth; next to a curve it may be that of what lies over it.
         known = valid if isinstance(form, FittedCurve) else np.isfinite(z)
         if known.any():
@@ -144,62 +142,6 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         points3d = _lift(points, z, camera.intrinsics, spec.radius).astype(np.float32)
         valid &= np.isfinite(points3d).all(axis=1)  # the lens may have no ray there
     return pixels, points3d, visible, valid
-
-
-@compiled("(f8[:,::1], b1[::1], f8[::1], f8[::1], " + DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), f8, f8[::1], f8, b1)")
-def lift_points(
-    points: Array, interpolated: Mask, relief: Array, steep: Array, depth: DepthImages, mask: npt.NDArray[np.uint8],
-    at: tuple[int, int], width: float, lens: Array, radius: float, rope: bool,
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], Array, Mask, Mask]:  # fmt: skip
-    """Put points in an image in space, and say which are seen and measured.
-
-    Args:
-        points: ``(N, 2)`` pixels.
-        interpolated: ``(N,)`` whether the form is interpolated there.
-        relief: ``(N,)`` of the form, see ``FittedCurve.relief``; ``(0,)`` takes the median depth around each point.
-        steep: ``(N,)`` how much longer the form is there in space than in the image; ``(0,)`` without relief.
-        depth: The frame's, see ``frame.depth_images``.
-        mask: ``(h, w)`` uint8, C-contiguous.
-        at: Image column and row of its first pixel.
-        width: Of the object, pixels; depth is looked for within a quarter of it.
-        lens: The projection, see ``Intrinsics.lens``.
-        radius: Metres from the surface to the axis along the viewing ray; 0 stays on the surface.
-        rope: Whether the object is too narrow for its depth to slope across it.
-
-    Returns:
-        ``(N, 2)`` pixels; ``(N, 3)`` metres, camera frame, NaN where unknown; ``(N,)`` depth, metres; ``(N,)`` whether
-        the mask has a pixel there and nothing lies over it; ``(N,)`` whether it is also measured.
-    """
-    count, reach = len(points), min(max(int(np.rint(width / 4)), 1), MAX_REACH)
-    pixels, found = np.empty((count, 2), np.float32), np.empty((count, 3), np.float32)
-    visible, valid, rays = (
-        near_mask(mask, at[0], at[1], points, 1),
-        np.empty(count, np.bool_),
-        viewing_rays(points, lens),
-    )
-    z = np.empty(count)
-    if len(relief) > 0:
-        for n in range(count):
-            z[n] = math.exp(relief[n] / lens[0])
-        known, under = strand_under(depth, mask, at, points, reach, z, strand_gap(width, lens[0]))
-        for n in range(count):
-            visible[n] = visible[n] and not interpolated[n] and not under[n]
-            valid[n] = visible[n] and known[n] and steep[n] < (_END_ON if width >= _THIN else _END_ON_IF_THIN)
-    else:
-        if len(depth[0]) > 0:
-            z, _ = median_depth(depth[0], MILLIMETRE, mask, at[0], at[1], points, reach, MIN_SHARE, not rope)
-        else:
-            z, _ = median_depth(depth[1], 1.0, mask, at[0], at[1], points, reach, MIN_SHARE, not rope)
-        for n in range(count):
-            visible[n] = visible[n] and not interpolated[n]
-            valid[n] = visible[n] and math.isfinite(z[n])
-    for n in range(count):
-        pixels[n, 0], pixels[n, 1] = points[n, 0], points[n, 1]
-        length = math.sqrt(rays[n, 0] ** 2 + rays[n, 1] ** 2 + 1)
-        for d in range(3):
-            found[n, d] = rays[n, d] * (z[n] + radius / length)
-            valid[n] = valid[n] and math.isfinite(found[n, d])
-    return pixels, found, z, visible, valid
 
 
 def _lift(points: Array, z: Array, intrinsics: Intrinsics, radius: float) -> Array:

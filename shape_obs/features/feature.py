@@ -178,10 +178,11 @@ class FeatureVector:
         for shape, context in zip(shapes, contexts, strict=True):
             for feature in self.features:
                 computed.append(feature.compute(shape, context))  # noqa: PERF401 - a comprehension is one more call
-        values = np.concatenate(computed).astype(np.float32)
-        known = np.isfinite(values)
-        if not known.all():
-            values = np.where(known, values, self._centre)
+        values = np.concatenate(computed, dtype=np.float32)
+        clipped = np.minimum(np.maximum(values, self.low), self.high)
+        if np.count_nonzero(clipped == values) == len(values):  # all are known, and within their bounds
+            return clipped
+        values = np.where(np.isfinite(values), values, self._centre)
         clipped = np.minimum(np.maximum(values, self.low), self.high)
         if not self._warned and (np.abs(clipped - values) > self._margin).any():
             self._warned = True

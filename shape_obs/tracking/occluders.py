@@ -182,7 +182,8 @@ def tip_shape(tip: Array, ahead: Array, width: float, mask: Mask, at: tuple[int,
         How full the last square of the rope is (1 for a straight end, 0.89 for a round one), and how askew the end is:
         the tangent of its angle to a straight one.
     """
-    column, row, steps = nearest_pixel(tip[0]) - at[0], nearest_pixel(tip[1]) - at[1], math.ceil(math.hypot(1.0, 0.8) * width)
+    column, row = nearest_pixel(tip[0]) - at[0], nearest_pixel(tip[1]) - at[1]
+    steps = math.ceil(math.hypot(1.0, 0.8) * width)
     x0, y0 = tip[0] - at[0], tip[1] - at[1]
     count, moment = 0, 0.0
     for v in range(max(row - steps, 0), min(row + steps + 1, mask.shape[0])):

@@ -25,6 +25,7 @@ _WIDTH_NOISE: Final = 0.03
 _ASKED: Final = 64  # nodes of a form and of the track that are compared
 _STEADY: Final = 0.003  # of its area, by which an object that is seen as a whole changes from frame to frame
 _LEAST_INTERVAL: Final = 1e-6  # seconds; stamps that are closer give no velocity
+_NOTHING: Final = np.zeros(0)
 
 
 class Fit(NamedTuple):
@@ -46,6 +47,7 @@ class Fit(NamedTuple):
         new: Whether the numbering begins anew, though there was a track: the object is another one.
         track_id: The number of the track that the form belongs to.
         relief: ``(K,)`` depth at the nodes of a chain in an image, see ``FittedCurve.relief``; None without depth.
+        parts: The shape's points on the form, as ``seen_points`` returns them, if the fit has laid them already.
     """
 
     form: Any = None
@@ -63,6 +65,7 @@ class Fit(NamedTuple):
     new: bool = False
     track_id: int = 0
     relief: Array | None = None
+    parts: tuple[Any, ...] | None = None
 
 
 class Track(NamedTuple):
@@ -143,16 +146,16 @@ def predict(track: Track | None, observed: Observed, stamp: float, stale: bool =
     """
     if track is None:
         return None
-    ahead = min(max(stamp - track.stamp, 0.0), track.interval)
-    step = _VELOCITY_SHARE * ahead * track.velocity
-    nodes, motion = track.nodes + step, math.sqrt(np.vdot(step, step) / len(step))
+    since, relief, climb = stamp - track.stamp, track.relief, track.climb
+    flat = relief is None or climb is None
+    nodes, deep, motion = extrapolated(
+        track.nodes, track.velocity, _NOTHING if flat else relief, _NOTHING if flat else climb,
+        _VELOCITY_SHARE * min(max(since, 0.0), track.interval),
+    )  # fmt: skip
     steady = abs(observed.area - track.area) <= _STEADY * track.area
-    relief = track.relief
-    if relief is not None and track.climb is not None:
-        relief = relief + _VELOCITY_SHARE * ahead * track.climb
     known = track.size, track.topology, track.hints, observed.resolution, track.width
-    lapse = (stamp - track.stamp) / track.interval if track.interval > 0 else 1.0
-    return Prediction(nodes, *known, steady, stale, relief, max(lapse, 1.0), motion)
+    lapse = since / track.interval if track.interval > 0 else 1.0
+    return Prediction(nodes, *known, steady, stale, relief if flat else deep, max(lapse, 1.0), motion)
 
 
 def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -> Track:
@@ -167,20 +170,44 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
     assert topology is not None
     if track is not None and track.width and width:
         width = track.width * (1 + _believed(width / track.width - 1))
-    interval = 0.0 if track is None else stamp - track.stamp
-    velocity, climb = np.zeros_like(nodes), None
+    interval, climb = 0.0 if track is None else stamp - track.stamp, None
     if track is not None and interval > _LEAST_INTERVAL:
-        velocity = (nodes - track.nodes) / interval
+        flat = found.relief is None or track.relief is None
+        velocity, changed = rates(
+            nodes, track.nodes, _NOTHING if flat else found.relief, _NOTHING if flat else track.relief, interval
+        )
+        climb = None if flat else changed
         if form.hints.turning is not None:
             velocity = with_turning(nodes, velocity, form.hints.turning / _VELOCITY_SHARE)
-        if found.relief is not None and track.relief is not None:
-            climb = (found.relief - track.relief) / interval
-    size, area = found.size, 0 if form.interpolated.any() else observed.area
+    else:
+        velocity = np.zeros_like(nodes)
+    size, area = found.size, observed.area if form.whole else 0
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
     return Track(
         nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area, found.track_id,
         found.relief, climb,
     )  # fmt: skip
+
+
+@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8)")
+def extrapolated(
+    nodes: Array, velocity: Array, relief: Array, climb: Array, ahead: float
+) -> tuple[Array, Array, float]:
+    """Return nodes ``(K, D)`` and relief ``(K,)`` or ``(0,)`` some seconds ahead, and how far the nodes move, RMS."""
+    moved, deep, square = np.empty_like(nodes), np.empty_like(relief), 0.0
+    for k in range(len(nodes)):
+        for d in range(nodes.shape[1]):
+            step = ahead * velocity[k, d]
+            moved[k, d], square = nodes[k, d] + step, square + step * step
+    for k in range(len(relief)):
+        deep[k] = relief[k] + ahead * climb[k]
+    return moved, deep, math.sqrt(square / len(nodes))
+
+
+@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8)")
+def rates(nodes: Array, before: Array, relief: Array, relief_before: Array, seconds: float) -> tuple[Array, Array]:
+    """Return how fast nodes ``(K, D)`` and their relief ``(K,)`` or ``(0,)`` have changed, units a second."""
+    return (nodes - before) / seconds, (relief - relief_before) / seconds
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8)")

@@ -105,7 +105,7 @@ def validate_ribbon(
         width: Of the object; for a mask its area over the length that is seen.
         area: Of a mask, pixels; 0 for a cloud.
     """
-    unsupported = curve.unsupported_fraction if curve.interpolated.any() else 0.0
+    unsupported = curve.unsupported_fraction
     hidden = min(unsupported, expected_off)
     off = unsupported - hidden
     if off > _MAX_OFF:

@@ -25,7 +25,7 @@ from shape_obs.bench.synthetic.sheets import moving_sheet, random_sheet
 from shape_obs.bench.synthetic.tangles import crossing_rope, cut_rope
 from shape_obs.camera import viewing_rays
 from shape_obs.compiled import decorator
-from shape_obs.configurations.shape_points import lift_points
+from shape_obs.configurations.points_in_image import lift_points
 from shape_obs.image.find_region import prepare
 from shape_obs.point_cloud.local_depth import median_depth
 from shape_obs.tracking.belief import point_errors

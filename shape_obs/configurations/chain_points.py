@@ -1,0 +1,188 @@
+"""A rope in a mask, from its pixels to its points: all that a tracked frame needs, in one compiled call."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.compiled import compiled
+from shape_obs.configurations.chain_in_mask import Drawn, fit_chain_in_mask
+from shape_obs.configurations.points_in_image import seen_points
+from shape_obs.frame import DEPTH_TYPE, DepthImages
+from shape_obs.geometry.curve import Length, local_stretch, nearest_along, with_relief
+from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, equal_chords, even_points, interpolate
+from shape_obs.tracking.belief import ErrorModel
+from shape_obs.tracking.rope_match import Found, RopeBelief, match_to_rope
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.uint8]
+Flags = npt.NDArray[np.bool_]
+
+_NEAR: Final = 0.04  # of its length: so near to a piece that is seen end-on points are off
+
+
+class Asked(NamedTuple):
+    """What is asked of a rope's points, as compiled code takes it.
+
+    Args:
+        n: How many points.
+        tips: Whether the first and the last lie at the ends.
+        in_metres: Whether gaps are to be equal in space.
+        radius: Metres from the surface to the axis.
+    """
+
+    n: int
+    tips: bool
+    in_metres: bool
+    radius: float
+
+
+#: Nodes, relief and steepness of ``nodes_along``; pixels, metres, visible, valid and errors of ``seen_points``.
+Laid = tuple[Array, Array, float, Floats, Floats, Flags, Flags, Floats]
+
+
+@compiled(
+    "(i8[:,::1], u1[:,::1], UniTuple(i8, 2), f8[:,::1], f8[::1], f8[::1], f8, i8, f8, " + DEPTH_TYPE + ", f8[::1], "
+    "UniTuple(i8, 4), RopeBelief, Length, f8[:,::1], f8[::1], f8[:,:,::1], Asked, i8[:,::1], ErrorModel)"
+)
+def follow_chain_in_mask(
+    runs: Indices,
+    mask: Mask,
+    at: tuple[int, int],
+    start: Array,
+    relief: Array,
+    sigmas: Array,
+    pull: float,
+    cell: int,
+    width: float,
+    depth: DepthImages,
+    lens: Array,
+    edge: tuple[int, int, int, int],
+    belief: RopeBelief,
+    known: Length,
+    nodes: Array,
+    node_relief: Array,
+    own: Array,
+    asked: Asked,
+    edges: Indices,
+    model: ErrorModel,
+) -> tuple[Drawn, Found, Laid]:
+    """Fit the curve of a rope in a mask, find out which piece of the rope it is, and lay points on a whole one.
+
+    Returns:
+        What ``fit_chain_in_mask`` and ``match_to_rope`` return, where the arguments are described too; nothing is
+        matched to a rope of unknown length. What ``_lay_points`` returns, all empty if a part of the rope is hidden or
+        bridged: then the curve is completed first.
+    """
+    drawn = fit_chain_in_mask(runs, mask, at, start, relief, sigmas, pull, cell, width, depth, lens, edge)
+    curve, arc, off, metres, deep, _, ends, shapes = drawn
+    found = match_to_rope(curve, arc, off, metres, deep, ends, shapes, belief, known, nodes, node_relief, own, False)
+    match, stations, _, _ = found
+    measured = len(deep) > 0 or len(lens) == 0
+    if match.clear and match.length > 0 and match.head + match.tail <= 0 and measured and not off.any():
+        metres = stations if len(metres) > 0 else metres
+        laid = _lay_points(curve, arc, metres, deep, off, len(nodes), asked, mask, at, width, depth, lens, edges, model)
+        return drawn, found, laid
+    return drawn, found, (curve[:0], arc[:0], 0.0, *_nothing_seen())
+
+
+@compiled
+def _lay_points(
+    curve: Array, arc: Array, metres: Array, relief: Array, flags: Flags, nodes: int, asked: Asked, mask: Mask,
+    at: tuple[int, int], width: float, depth: DepthImages, lens: Array, edges: Indices, model: ErrorModel,
+) -> Laid:  # fmt: skip
+    """Return the nodes of a rope that is seen as a whole, see ``nodes_along``, and its points, see ``seen_points``."""
+    none = arc[:0]
+    track = nodes_along(curve, arc, metres, none, relief, nodes)
+    points, interpolated, _, deep, steep = points_along(
+        curve, arc, curve, arc, metres, none, relief, flags, asked.n, asked.tips, asked.in_metres, width / 2
+    )
+    known = asked.n if len(relief) > 0 else 0
+    seen = seen_points(
+        points, interpolated, deep[:known], steep[:known], depth, mask, at, width, lens, asked.radius, True, edges, 0,
+        arc[-1], model,
+    )  # fmt: skip
+    return track[0], track[1], track[2], seen[0], seen[1], seen[2], seen[3], seen[4]
+
+
+@compiled
+def _nothing_seen() -> tuple[Floats, Floats, Flags, Flags, Floats]:
+    """Return what ``seen_points`` returns of no points."""
+    pixels, flags = np.empty((0, 2), np.float32), np.empty(0, np.bool_)
+    return pixels, np.empty((0, 3), np.float32), flags, flags, np.empty(0, np.float32)
+
+
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], f8[::1], f8[::1], b1[::1], i8, b1, b1, f8)")
+def points_along(
+    points: Array, arc: Array, metric: Array, metric_arc: Array, metres: Array, pixels: Array, relief: Array,
+    flags: Flags, count: int, tips: bool, in_metres: bool, reach: float,
+) -> tuple[Array, Flags, Indices, Array, Array]:  # fmt: skip
+    """Spread points along a curve: with equal steps of a measure along it, else with equal chords.
+
+    Args:
+        points: ``(P, D)``.
+        arc: ``(P,)`` its arc length.
+        metric: ``(P, D')`` the same curve in the space in which chords are to be equal.
+        metric_arc: ``(P,)`` arc length there.
+        metres: ``(P,)`` arc length in metres; ``(0,)`` if it is not known.
+        pixels: ``(P,)`` arc length in the image of a curve with hidden pieces; ``(0,)`` for equal chords.
+        relief: ``(P,)`` see ``FittedCurve.relief``, or ``(0,)``.
+        flags: ``(P,)`` what is interpolated.
+        count: How many points, N.
+        tips: Whether the first and the last lie at the ends; else all lie at the centres of N equal pieces.
+        in_metres: Whether the steps are equal in metres, if these are known.
+        reach: To either side of a place, within which it is measured how steep the curve is, in units of ``arc``.
+
+    Returns:
+        ``(N, D)`` the points; ``(N,)`` whether they are interpolated; ``(N,)`` which of the curve's points is nearest
+        along it; ``(N,)`` their relief; ``(N,)`` how much longer the curve is near there in space than in the image.
+    """
+    last, at, along = len(arc) - 1, np.empty(count), metres if in_metres and len(metres) > 0 else pixels
+    if len(along) > 0:
+        for n in range(count):
+            at[n] = (n / (count - 1) if tips else (n + 0.5) / count) * along[last]
+        at = interpolate(arc.reshape(-1, 1), along, at).reshape(count)
+        places, nearest = interpolate(points, arc, at), nearest_along(arc, at)
+    else:
+        margin = 0.0 if tips else metric_arc[last] / (2 * count)
+        places, at = equal_chords(points, arc, metric, metric_arc, count, margin, MAX_SHIFT)
+        nearest = nearest_along(metric_arc, at)
+        at = interpolate(arc.reshape(-1, 1), metric_arc, at).reshape(count)
+    interpolated, deep, steep = np.empty(count, np.bool_), np.empty(count), np.ones(count)
+    for n in range(count):
+        interpolated[n] = flags[nearest[n]]
+    if len(relief) > 0:
+        deep = interpolate(relief.reshape(-1, 1), arc, at).reshape(count)
+        stretched, along = local_stretch(arc, with_relief(points, relief), reach), metres if len(metres) > 0 else arc
+        for n in range(count):
+            for p in range(last + 1):
+                if abs(along[p] - along[nearest[n]]) <= _NEAR * along[last]:
+                    steep[n] = max(steep[n], stretched[p])
+    return places, interpolated, nearest, deep, steep
+
+
+@compiled("(f8[:,::1], f8[::1], f8[::1], f8[::1], f8[::1], i8)")
+def nodes_along(
+    points: Array, arc: Array, metres: Array, pixels: Array, relief: Array, count: int
+) -> tuple[Array, Array, float]:
+    """Return the middles of equal pieces of a curve, their relief, and how long it is in space over the image.
+
+    Args:
+        points: ``(P, D)``.
+        arc: ``(P,)`` its arc length.
+        metres: ``(P,)`` the measure in which the pieces are equal, if it is known, else ``(0,)``.
+        pixels: ``(P,)`` the measure otherwise; ``(0,)`` for ``arc``.
+        relief: ``(P,)`` see ``FittedCurve.relief``; ``(0,)`` without, then its nodes' is empty and the ratio 1.
+        count: How many pieces.
+    """
+    along = metres if len(metres) > 0 else pixels if len(pixels) > 0 else arc
+    nodes = even_points(points, along, count, True)
+    if len(relief) == 0:
+        return nodes, relief, 1.0
+    longer = arc_length(with_relief(points, relief))[-1]
+    deep = even_points(relief.reshape(-1, 1), along, count, True).reshape(count)
+    return nodes, deep, longer / max(arc[-1], 1e-9)
