@@ -18,6 +18,7 @@ from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.spec import Spec
+from shape_obs.tracking.belief import ErrorModel, edges_of, error_model
 from shape_obs.tracking.prediction import Fit, Prediction
 
 Order = Literal["tracked", "image"]
@@ -27,7 +28,12 @@ Ends = Literal["centers", "tips"]
 Anchor = str | tuple[float, float] | tuple[float, float, float] | None
 Array = npt.NDArray[np.float64]
 Own = tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int, int, int]
+Where = tuple[
+    DepthImages, npt.NDArray[np.uint8], tuple[int, int], float, Array, float, npt.NDArray[np.int64], int, ErrorModel
+]
 Around = tuple[DepthImages, tuple[int, int, int, int], tuple[float, float, float, float]]
+
+_NO_LENS = np.zeros(0)
 
 
 class Scene(NamedTuple):
@@ -59,6 +65,11 @@ class Scene(NamedTuple):
             lens = camera.fx, camera.fy, camera.cx, camera.cy
         x, y, wide, high = self.edge or region.window
         return (region.mask, region.runs, region.pieces, left, top), (self.images, (x, y, wide, high), lens)
+
+    @property
+    def lens(self) -> Array:
+        """The projection of the camera, see ``Intrinsics.lens``; ``(0,)`` without one."""
+        return _NO_LENS if self.intrinsics is None else self.intrinsics.lens
 
 
 class Points(NamedTuple):
@@ -140,6 +151,19 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
         else:
             return
         raise ValueError(f"shape {self.name!r}: {asked} needs depth and a camera; give both, or {instead}.")
+
+    def where(self, region: Region, width: float, scene: Scene) -> Where:
+        """Return what ``seen_points`` takes of an object in an image: of the frame, the object and its points.
+
+        Args:
+            region: Its mask.
+            width: Of the object, pixels.
+            scene: Depth and camera.
+        """
+        camera, (edges, across) = scene.intrinsics, edges_of(self.layout)
+        model = error_model(self.layout, region.resolution, True, camera is not None, camera, scene.diagonal)
+        image = scene.images, region.mask, region.window[:2], width, scene.lens
+        return *image, self.radius, edges, across, model
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:

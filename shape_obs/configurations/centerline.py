@@ -25,7 +25,6 @@ from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import thinned, trace_skeleton
 from shape_obs.point_cloud.lifting import nearest_expected
-from shape_obs.tracking.belief import edges_of, error_model
 from shape_obs.tracking.occluders import Tips
 from shape_obs.tracking.occlusion import is_whole, known_rope, match_chain, shown, surprise
 from shape_obs.tracking.placement import widened
@@ -123,13 +122,14 @@ class Centerline(Configuration, kind="centerline"):
         if found.reason:
             return found
         curve: FittedCurve = found.form
-        laid = found.parts
         if _begins_again(curve, prediction):
-            curve, laid = self.apply_index_order(curve, observed.seen(curve.points, target), target), None
+            curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
+            found = found._replace(laid=None)
         topology = found.topology if prediction is None else prediction.topology
         assert found.nodes is not None
         count = len(found.nodes if prediction is None else prediction.nodes)
-        nodes, relief, steep, *parts = laid or nodes_along(curve.points, curve.arc, *_measures(curve), count)
+        along = found.laid and found.laid[0]
+        nodes, relief, steep = along or nodes_along(curve.points, curve.arc, *_measures(curve), count)
         size, hidden = float(curve.arc[-1]), curve.unsupported_fraction
         seen_width = max(observed.area / max(size * (1 - hidden), 1e-9), 1.0) if observed.dimension == 2 else 0.0
         reason, follow = self._reason_of(curve, 1 - hidden), 1 - hidden >= _MIN_FOLLOWED
@@ -142,7 +142,6 @@ class Centerline(Configuration, kind="centerline"):
         return found._replace(
             form=curve, nodes=nodes, topology=topology, size=size, width=seen_width, reason=reason, follow=follow,
             relief=None if curve.relief is None else relief, length=curve.hints.length.metres or found.length,
-            parts=tuple(parts) or None,
         )  # fmt: skip
 
     def _lost_its_length(self, observed: Observed, prediction: Prediction | None) -> bool:
@@ -187,16 +186,12 @@ class Centerline(Configuration, kind="centerline"):
         topology, found, laid = Chain(len(start)), None, None
         if isinstance(observed, Region):
             cell = max(int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1)  # thin ropes keep it
-            camera = scene.intrinsics
-            seen = (
-                observed.runs, observed.mask, observed.window[:2], start,
-                _NOTHING if relief is None or camera is None else relief, *_epochs(sigmas), cell, width, scene.images,
-                _NOTHING if camera is None else camera.lens, (scene.edge or _EVERYWHERE)[:4],
+            deep = _NOTHING if relief is None or scene.intrinsics is None else relief
+            drawn, found, laid = follow_chain_in_mask(
+                observed.runs, start, deep, *_epochs(sigmas), cell, (scene.edge or _EVERYWHERE)[:4],
+                *known_rope(prediction, width), Asked(self.n, self.ends == "tips", self.spacing == "m"),
+                *self.where(observed, width, scene),
             )  # fmt: skip
-            asked = Asked(self.n, self.ends == "tips", self.spacing == "m", self.radius)
-            model = error_model(self.layout, 1.0, True, camera is not None, camera, scene.diagonal)
-            edges, _ = edges_of(self.layout)
-            drawn, found, laid = follow_chain_in_mask(*seen, *known_rope(prediction, width), asked, edges, model)
             points, arc, off, metres, deep, spread, ends, shapes = drawn
             lifted = (metres, None, deep) if len(metres) else (None, None, None)
             curve, tips = FittedCurve(points, off, arc, False, *lifted, width), Tips(ends, shapes, width)
@@ -224,8 +219,8 @@ class Centerline(Configuration, kind="centerline"):
             reason = f"the curve is {1 / stretch - 1:.0%} longer than the rope"
         if curve.ambiguity and not _begins_again(curve, prediction):
             reason = reason or curve.ambiguity
-        parts = laid if laid is not None and len(laid[0]) else None
-        return Fit(curve, quality, reason, start, topology, observed=observed, object_width=width, parts=parts)
+        laid = laid if laid is not None and len(laid[0][0]) else None
+        return Fit(curve, quality, reason, start, topology, observed=observed, object_width=width, laid=laid)
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
         """Return the curve with point 0 at the end nearest the target, else nearest the top left."""

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.configurations.chain_in_mask import Drawn, fit_chain_in_mask
-from shape_obs.configurations.points_in_image import seen_points
-from shape_obs.frame import DEPTH_TYPE, DepthImages
+from shape_obs.configurations.points_in_image import WHERE_TYPES, Seen, nothing_seen, seen_points
+from shape_obs.frame import DepthImages
 from shape_obs.geometry.curve import Length, local_stretch, nearest_along, with_relief
 from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, equal_chords, even_points, interpolate
 from shape_obs.tracking.belief import ErrorModel
@@ -18,7 +18,6 @@ from shape_obs.tracking.rope_match import Found, RopeBelief, match_to_rope
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
 
@@ -32,88 +31,52 @@ class Asked(NamedTuple):
         n: How many points.
         tips: Whether the first and the last lie at the ends.
         in_metres: Whether gaps are to be equal in space.
-        radius: Metres from the surface to the axis.
     """
 
     n: int
     tips: bool
     in_metres: bool
-    radius: float
 
 
-#: Nodes, relief and steepness of ``nodes_along``; pixels, metres, visible, valid and errors of ``seen_points``.
-Laid = tuple[Array, Array, float, Floats, Floats, Flags, Flags, Floats]
+#: What ``nodes_along`` and ``seen_points`` return.
+Laid = tuple[tuple[Array, Array, float], Seen]
 
 
 @compiled(
-    "(i8[:,::1], u1[:,::1], UniTuple(i8, 2), f8[:,::1], f8[::1], f8[::1], f8, i8, f8, " + DEPTH_TYPE + ", f8[::1], "
-    "UniTuple(i8, 4), RopeBelief, Length, f8[:,::1], f8[::1], f8[:,:,::1], Asked, i8[:,::1], ErrorModel)"
+    "(i8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, i8, UniTuple(i8, 4), RopeBelief, Length, f8[:,::1], f8[::1], "
+    "f8[:,:,::1], Asked, " + WHERE_TYPES + ")"
 )
 def follow_chain_in_mask(
-    runs: Indices,
-    mask: Mask,
-    at: tuple[int, int],
-    start: Array,
-    relief: Array,
-    sigmas: Array,
-    pull: float,
-    cell: int,
-    width: float,
-    depth: DepthImages,
-    lens: Array,
-    edge: tuple[int, int, int, int],
-    belief: RopeBelief,
-    known: Length,
-    nodes: Array,
-    node_relief: Array,
-    own: Array,
-    asked: Asked,
-    edges: Indices,
-    model: ErrorModel,
-) -> tuple[Drawn, Found, Laid]:
+    runs: Indices, start: Array, relief: Array, sigmas: Array, pull: float, cell: int,
+    edge: tuple[int, int, int, int], belief: RopeBelief, known: Length, nodes: Array, node_relief: Array, own: Array,
+    asked: Asked, depth: DepthImages, mask: Mask, at: tuple[int, int], width: float, lens: Array, radius: float,
+    edges: Indices, across: int, model: ErrorModel,
+) -> tuple[Drawn, Found, Laid]:  # fmt: skip
     """Fit the curve of a rope in a mask, find out which piece of the rope it is, and lay points on a whole one.
 
     Returns:
         What ``fit_chain_in_mask`` and ``match_to_rope`` return, where the arguments are described too; nothing is
-        matched to a rope of unknown length. What ``_lay_points`` returns, all empty if a part of the rope is hidden or
-        bridged: then the curve is completed first.
+        matched to a rope of unknown length. What ``nodes_along`` and ``seen_points`` return, empty if a part of the
+        rope is hidden or bridged: then its curve is completed first.
     """
     drawn = fit_chain_in_mask(runs, mask, at, start, relief, sigmas, pull, cell, width, depth, lens, edge)
     curve, arc, off, metres, deep, _, ends, shapes = drawn
     found = match_to_rope(curve, arc, off, metres, deep, ends, shapes, belief, known, nodes, node_relief, own, False)
-    match, stations, _, _ = found
-    measured = len(deep) > 0 or len(lens) == 0
-    if match.clear and match.length > 0 and match.head + match.tail <= 0 and measured and not off.any():
-        metres = stations if len(metres) > 0 else metres
-        laid = _lay_points(curve, arc, metres, deep, off, len(nodes), asked, mask, at, width, depth, lens, edges, model)
-        return drawn, found, laid
-    return drawn, found, (curve[:0], arc[:0], 0.0, *_nothing_seen())
-
-
-@compiled
-def _lay_points(
-    curve: Array, arc: Array, metres: Array, relief: Array, flags: Flags, nodes: int, asked: Asked, mask: Mask,
-    at: tuple[int, int], width: float, depth: DepthImages, lens: Array, edges: Indices, model: ErrorModel,
-) -> Laid:  # fmt: skip
-    """Return the nodes of a rope that is seen as a whole, see ``nodes_along``, and its points, see ``seen_points``."""
-    none = arc[:0]
-    track = nodes_along(curve, arc, metres, none, relief, nodes)
-    points, interpolated, _, deep, steep = points_along(
-        curve, arc, curve, arc, metres, none, relief, flags, asked.n, asked.tips, asked.in_metres, width / 2
+    (match, stations, _, _), none = found, arc[:0]
+    hidden = not match.clear or match.length <= 0 or match.head + match.tail > 0 or off.any()
+    if hidden or (len(lens) > 0 and len(deep) == 0):
+        return drawn, found, ((curve[:0], none, 0.0), nothing_seen())
+    stations = stations if len(metres) > 0 else none
+    track = nodes_along(curve, arc, stations, none, deep, len(nodes))
+    points, bridged, _, under, steep = points_along(
+        curve, arc, curve, arc, stations, none, deep, off, asked.n, asked.tips, asked.in_metres, width / 2
     )
-    known = asked.n if len(relief) > 0 else 0
+    if len(deep) == 0:
+        under, steep = none, none
     seen = seen_points(
-        points, interpolated, deep[:known], steep[:known], depth, mask, at, width, lens, asked.radius, True, edges, 0,
-        arc[-1], model,
-    )  # fmt: skip
-    return track[0], track[1], track[2], seen[0], seen[1], seen[2], seen[3], seen[4]
-
-
-@compiled
-def _nothing_seen() -> tuple[Floats, Floats, Flags, Flags, Floats]:
-    """Return what ``seen_points`` returns of no points."""
-    pixels, flags = np.empty((0, 2), np.float32), np.empty(0, np.bool_)
-    return pixels, np.empty((0, 3), np.float32), flags, flags, np.empty(0, np.float32)
+        points, bridged, under, steep, True, arc[-1], depth, mask, at, width, lens, radius, edges, across, model
+    )
+    return drawn, found, (track, seen)
 
 
 @compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], f8[::1], f8[::1], b1[::1], i8, b1, b1, f8)")

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.clustering.som import batch_epochs, run_som
-from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Points, Scene
 from shape_obs.configurations.flat_in_mask import (
     MIN_SAMPLES,
@@ -19,10 +18,11 @@ from shape_obs.configurations.flat_in_mask import (
     fit_ring_in_mask,
     see_outline,
 )
+from shape_obs.configurations.flat_points import points_around, ring_points
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.observed import Observed, Samples
 from shape_obs.geometry.outline import SAMPLED, clockwise, enclosed_by, material_outline
-from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, closed, equal_chords, interpolate
+from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
@@ -126,7 +126,11 @@ class Contour(Configuration, kind="contour"):
             curve, np.zeros(len(curve), bool), arc, True, space=space if len(space) else None,
             hints=TrackHints(reference=known, turning=turning),
         )  # fmt: skip
-        return Fit(form, quality, "", nodes, prediction.topology, size, width, region, width)
+        laid = None
+        if self.spacing == "px" or len(space) or scene.intrinsics is None:
+            metric = space if self.spacing == "m" and len(space) else curve
+            laid = None, ring_points(curve, arc, metric, self.n, *self.where(region, width, scene))
+        return Fit(form, quality, "", nodes, prediction.topology, size, width, region, width, laid=laid)
 
     def _track(
         self, observed: Observed, start: Array, prediction: Prediction, scene: Scene
@@ -228,7 +232,7 @@ class Contour(Configuration, kind="contour"):
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
         """Return points with equal chords around, from the form's first point; in space along the form there."""
         there = metric.points if self.spacing == "px" or form.space is None else form.space
-        places = _points_around(form.points, form.arc, there, self.n)
+        places = points_around(form.points, form.arc, there, self.n)
         return Points(places, np.zeros(self.n, bool))
 
     def clusterer_samples(self, observed: Observed) -> Samples:
@@ -238,19 +242,11 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = see_outline, follow_outline, fit_ring_in_mask, enclosed_by, rim_depth, _points_around, renumber_outline
-        masks += begin_outline, hidden_pieces, nearest_places, trace_hole, material_outline
+        masks = see_outline, follow_outline, fit_ring_in_mask, enclosed_by, rim_depth, points_around, renumber_outline
+        masks += ring_points, begin_outline, hidden_pieces, nearest_places, trace_hole, material_outline
         masks += index_shift_space, blend_space, with_turning
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds
-
-
-@compiled("(f8[:,::1], f8[::1], f8[:,::1], i8)")
-def _points_around(points: Array, arc: Array, metric: Array, count: int) -> Array:
-    """Return ``count`` points of a closed curve with equal chords in a metric, from its first point."""
-    around = closed(metric)
-    places, _ = equal_chords(closed(points), arc, around, arc_length(around), count + 1, 0.0, MAX_SHIFT_AROUND)
-    return places[:count]
 
 
 def _least(values: Array, form: FittedCurve) -> float:

@@ -21,6 +21,10 @@ Indices = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
 Mask = npt.NDArray[np.uint8]
+#: Pixels, metres, visible, valid and errors of ``seen_points``.
+Seen = tuple[Floats, Floats, Flags, Flags, Floats]
+#: The types of ``Configuration.where``, the last arguments of what lays points on a form.
+WHERE_TYPES: Final = DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), f8, f8[::1], f8, i8[:,::1], i8, ErrorModel"
 
 # Where a rope is this much longer in space than in the image, a pixel holds so much of it that its depth is no point's.
 _END_ON: Final = 2.4
@@ -86,27 +90,27 @@ def lift_points(
 
 @compiled
 def seen_points(
-    points: Array, interpolated: Flags, relief: Array, steep: Array, depth: DepthImages, mask: Mask,
-    at: tuple[int, int], width: float, lens: Array, radius: float, rope: bool, edges: Indices, across: int,
-    size: float, model: ErrorModel,
-) -> tuple[Floats, Floats, Flags, Flags, Floats]:  # fmt: skip
+    points: Array, interpolated: Flags, relief: Array, steep: Array, rope: bool, size: float, depth: DepthImages,
+    mask: Mask, at: tuple[int, int], width: float, lens: Array, radius: float, edges: Indices, across: int,
+    model: ErrorModel,
+) -> Seen:  # fmt: skip
     """Return all that a shape holds of points in an image, see ``Shape``.
 
     Args:
-        points: As ``lift_points`` takes them, and the next ten; an empty ``lens`` stays in the image.
+        points: As ``lift_points`` takes them, and the next four.
         interpolated: Flags.
         relief: Pixels.
         steep: Ratios.
-        depth: The frame's.
+        rope: Whether it is one.
+        size: Of the form.
+        depth: As ``lift_points`` takes it, and the next five; with an empty ``lens`` points stay in the image.
         mask: Of the object.
         at: Its place.
         width: Pixels.
         lens: The projection.
         radius: Metres.
-        rope: Whether it is one.
-        edges: As ``point_errors`` takes them, and the next three.
+        edges: As ``point_errors`` takes them, and the next two.
         across: Edges.
-        size: Of the form.
         model: What errors are made of.
 
     Returns:
@@ -118,8 +122,13 @@ def seen_points(
             points, interpolated, relief, steep, depth, mask, at, width, lens, radius, rope
         )
         return pixels, places, visible, valid, point_errors(places, pixels, visible, valid, edges, across, size, model)
-    pixels, visible = points.astype(np.float32), near_mask(mask, at[0], at[1], points, 1)
-    for n in range(len(points)):
-        visible[n] = visible[n] and not interpolated[n]
+    pixels, visible = points.astype(np.float32), near_mask(mask, at[0], at[1], points, 1) & ~interpolated
     errors = point_errors(pixels, pixels[:0], visible, visible, edges, across, size, model)
     return pixels, np.empty((0, 3), np.float32), visible, visible.copy(), errors
+
+
+@compiled
+def nothing_seen() -> Seen:
+    """Return what ``seen_points`` returns of no points."""
+    pixels, flags = np.empty((0, 2), np.float32), np.empty(0, np.bool_)
+    return pixels, np.empty((0, 3), np.float32), flags, flags, np.empty(0, np.float32)

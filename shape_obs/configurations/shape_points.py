@@ -50,8 +50,9 @@ def shape_of(
         diagonal: Of the image, pixels: the bound of ``sigma`` in pixels.
     """
     camera = None if frame.camera is None else frame.camera.intrinsics
-    if found.parts is not None and found.centres is None:
-        points2d, points3d, visible, valid, sigma = found.parts
+    seen = found.laid[1] if found.laid is not None and found.centres is None else ()
+    if seen and len(seen[0]):
+        points2d, points3d, visible, valid, sigma = seen
         points3d = points3d if len(points3d) else None
     else:
         in_image = found.observed.dimension == 2

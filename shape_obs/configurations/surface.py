@@ -9,9 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import map_coordinates
 
-from shape_obs.clustering.som import batch_epochs, run_som
+from shape_obs.clustering.som import batch_epochs
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
 from shape_obs.configurations.flat_in_mask import (
     NO_CORNERS,
@@ -23,9 +22,18 @@ from shape_obs.configurations.flat_in_mask import (
     lay_sheet,
     view_sheet,
 )
+from shape_obs.configurations.flat_points import sheet_points
+from shape_obs.configurations.sheet_map import moved_inside
 from shape_obs.geometry.coons import FINE, SIDE, beneath_fold, blend_sides, border_of, side_lengths
 from shape_obs.geometry.curve import TrackHints
-from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice, uneven_places
+from shape_obs.geometry.lattice import (
+    FittedLattice,
+    assess_lattice,
+    flattened,
+    lattice_gauges,
+    sample_lattice,
+    uneven_places,
+)
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.topology import Grid, fill_lattice, undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells
@@ -39,11 +47,8 @@ from shape_obs.tracking.validation import MAX_HIDDEN, FitQuality, validate_sheet
 Array = npt.NDArray[np.float64]
 
 _GRID: Final = Grid(FINE, FINE)  # the nodes that are kept from frame to frame, for any lattice that is sampled
-_MAP: Final = Grid(8, 8)  # the nodes of the self-organising map
 _MIN_SIDE: Final = 6.0  # in units of the resolution: what is narrower has no two sides that can be distinguished
 _MAX_ASPECT: Final = 8.0  # length over width; what is longer is a ribbon, whose corners are its ends
-_CELL: Final = 8  # pixels
-_SIGMA: Final = 0.5  # width of the map's neighbourhood, node units
 _MAX_CUT: Final = 0.03  # of the outline
 _NEAREST: Final = np.empty(0, np.int64)  # the corners nearest to the predicted ones
 _NO_NODES, _NO_SIDES = np.empty((0, 2)), np.zeros(4)
@@ -103,7 +108,7 @@ class Surface(Configuration, kind="surface"):
         if view is None:
             found = self._fit_in_cloud(observed, prediction)
         elif prediction is None:
-            found = self._fit_whole(view, None, view.best_corners())
+            found = self._fit_whole(view, None, view.best_corners(), scene)
         else:
             found = self._track(view, prediction, scene)
         if found.reason or prediction is not None:
@@ -115,19 +120,20 @@ class Surface(Configuration, kind="surface"):
         """Fit a sheet in an image: as a whole if nothing hides its border, else with its border put back."""
         whole, covered = Fit(reason=_COVERED), view.cut.any()
         if not covered:
-            whole = self._fit_whole(view, prediction, _NEAREST)
+            whole = self._fit_whole(view, prediction, _NEAREST, scene)
         if not whole.reason:
             return whole
         found = self._fit_hidden(view, prediction, scene)
         if found.reason and not covered:
-            found = self._fit_whole(view, prediction, view.best_corners())
+            found = self._fit_whole(view, prediction, view.best_corners(), scene)
         if found.reason and view.camera is not None and view.cut.mean() < _BARELY_CUT:
-            found = self._fit_whole(view, prediction, _NEAREST, buckled=True)
+            found = self._fit_whole(view, prediction, _NEAREST, scene, buckled=True)
         return found if not found.reason or whole.reason == _COVERED else whole
 
     def _fit_whole(
-        self, view: SheetView, prediction: Prediction | None, corners: Indices | None, *, buckled: bool = False
-    ) -> Fit:
+        self, view: SheetView, prediction: Prediction | None, corners: Indices | None, scene: Scene, *,
+        buckled: bool = False,
+    ) -> Fit:  # fmt: skip
         """Lay the patch between four corners that are all seen, and compare it with what is known of the sheet."""
         if corners is None:
             few = f"the outline has {len(view.candidates)} corners, a sheet has four"
@@ -156,10 +162,15 @@ class Surface(Configuration, kind="surface"):
         if hints.reference is None or hints.reference.shape[1] <= patch.shape[1]:  # else this frame has lost its depth
             hints = TrackHints(reference=known, sides=sides)
         if not metric and patch.shape[1] == 3:
-            measures = assess_lattice(_flattened(patch).reshape(FINE, FINE, 2))
+            measures = assess_lattice(flattened(patch).reshape(FINE, FINE, 2))
         corner = (0, 0.0) if metric and not buckled else (number, stray)  # in space the lengths of the sides say more
         verdict = validate_sheet(off, measures, Region.noun, math.degrees(kink), corner, self.freedom)
-        return self._finish(view, lattice, (down, right), hints, verdict, hidden)
+        found = self._finish(view, lattice, (down, right), hints, verdict, hidden)
+        uneven = self.epochs or (self.spacing == "m" and scene.intrinsics is not None) or not found.form.whole
+        if prediction is None or found.reason or uneven:
+            return found
+        asked = lattice, down, right, self.rows, self.cols, self.ends != "tips"
+        return found._replace(laid=(None, sheet_points(*asked, *self.where(view.region, view.width, scene))))
 
     def _fit_hidden(self, view: SheetView, prediction: Prediction, scene: Scene) -> Fit:
         """Lay the patch between sides of which a part is hidden and put back."""
@@ -195,7 +206,7 @@ class Surface(Configuration, kind="surface"):
         """Return the fit of a lattice of ``(625, 2)`` pixels, its inside moved with the map if that is asked for."""
         form = FittedLattice(lattice, hidden, gauges, FINE, hints=hints)
         if self.epochs:
-            form = form.with_points(form.points + self._moved_inside(form, view.region))
+            form = form.with_points(form.points + moved_inside(form, view.region, self.epochs))
         size, width = float(form.gauges[0][-1] + form.gauges[1][-1]), view.width
         return Fit(form, verdict.quality, verdict.reason, form.points, _GRID, size, width, view.region, width)
 
@@ -215,7 +226,7 @@ class Surface(Configuration, kind="surface"):
         flat, kink = rim.patch(corners)
         form = FittedLattice.over(cloud.to_space(flat), np.zeros(len(flat), bool), FINE)
         if self.epochs:
-            form = form.with_points(form.points + self._moved_inside(form, cloud))
+            form = form.with_points(form.points + moved_inside(form, cloud, self.epochs))
         stray = (0, 0.0)
         if prediction is not None:
             quarters, corner, share = match_corners(_corners(prediction.nodes), form.corners)
@@ -245,19 +256,6 @@ class Surface(Configuration, kind="surface"):
             return f"the outline of the {observed.noun} has no extent"
         return ""
 
-    def _moved_inside(self, form: FittedLattice, observed: Observed) -> Array:
-        """Return how the self-organising map moves the points of a patch: ``(P, D)``, nothing at its border."""
-        start = form.evenly(_MAP.rows, _MAP.cols, centers=True)
-        nodes = run_som(observed.gather(_CELL), start, _MAP, self.epochs * (_SIGMA,))
-        moved = np.pad(_MAP.lattice(nodes - start), ((1, 1), (1, 1), (0, 0)))
-        at = []
-        for count, gauge in zip((_MAP.rows, _MAP.cols), form.gauges, strict=True):
-            middles = np.interp((np.arange(count) + 0.5) / count * gauge[-1], gauge, np.arange(FINE))
-            knots = np.concatenate([[0.0], middles, [FINE - 1.0]])
-            at.append(np.interp(np.arange(FINE), knots, np.arange(count + 2)))
-        fine = np.stack(np.meshgrid(*at, indexing="ij")).reshape(2, -1)
-        return np.stack([map_coordinates(moved[..., d], fine, order=1) for d in range(moved.shape[2])], axis=1)
-
     def apply_index_order(self, form: FittedLattice, seen: Array, target: Array | None) -> FittedLattice:
         """Return the lattice with its first corner nearest the target; else rows run right and columns down."""
         if target is not None:
@@ -286,15 +284,9 @@ class Surface(Configuration, kind="surface"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
-        return SHEET_FUNCTIONS + (uneven_places, blend_sides, fill_lattice) + maps
+        return SHEET_FUNCTIONS + (sheet_points, uneven_places, blend_sides, fill_lattice) + maps
 
 
 def _corners(nodes: Array) -> Array:
     """Return ``(4, D)`` the corners of a lattice of 25 rows and columns, clockwise."""
     return np.ascontiguousarray(nodes[[0, FINE - 1, FINE * FINE - 1, FINE * (FINE - 1)]])
-
-
-def _flattened(points: Array) -> Array:
-    """Return ``(P, 2)`` points in space in the plane along which they spread most."""
-    away = points - points.mean(axis=0)
-    return np.ascontiguousarray(away @ np.linalg.eigh(away.T @ away)[1][:, 1:])

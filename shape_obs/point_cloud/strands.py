@@ -94,7 +94,7 @@ def _strand_depth(
             y += v * (known - before)
         out[n] = np.nan
         if known >= max(share * inside, 1):
-            out[n] = median(near, known) * unit
+            out[n] = median(near, int(known)) * unit
             places[n, 0], places[n, 1] = at[0] + x / known, at[1] + y / known
     return out, places
 

@@ -47,7 +47,7 @@ class Fit(NamedTuple):
         new: Whether the numbering begins anew, though there was a track: the object is another one.
         track_id: The number of the track that the form belongs to.
         relief: ``(K,)`` depth at the nodes of a chain in an image, see ``FittedCurve.relief``; None without depth.
-        parts: The shape's points on the form, as ``seen_points`` returns them, if the fit has laid them already.
+        laid: The track's nodes on the form, and the shape's points as ``seen_points`` returns them, if they are laid.
     """
 
     form: Any = None
@@ -65,7 +65,7 @@ class Fit(NamedTuple):
     new: bool = False
     track_id: int = 0
     relief: Array | None = None
-    parts: tuple[Any, ...] | None = None
+    laid: tuple[Any, tuple[Any, ...]] | None = None
 
 
 class Track(NamedTuple):
@@ -147,15 +147,13 @@ def predict(track: Track | None, observed: Observed, stamp: float, stale: bool =
     if track is None:
         return None
     since, relief, climb = stamp - track.stamp, track.relief, track.climb
-    flat = relief is None or climb is None
-    nodes, deep, motion = extrapolated(
-        track.nodes, track.velocity, _NOTHING if flat else relief, _NOTHING if flat else climb,
-        _VELOCITY_SHARE * min(max(since, 0.0), track.interval),
-    )  # fmt: skip
+    rising = (_NOTHING, _NOTHING) if relief is None or climb is None else (relief, climb)
+    ahead = _VELOCITY_SHARE * min(max(since, 0.0), track.interval)
+    nodes, deep, motion = extrapolated(track.nodes, track.velocity, *rising, ahead)
     steady = abs(observed.area - track.area) <= _STEADY * track.area
     known = track.size, track.topology, track.hints, observed.resolution, track.width
     lapse = since / track.interval if track.interval > 0 else 1.0
-    return Prediction(nodes, *known, steady, stale, relief if flat else deep, max(lapse, 1.0), motion)
+    return Prediction(nodes, *known, steady, stale, relief if climb is None else deep, max(lapse, 1.0), motion)
 
 
 def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -> Track:
@@ -172,11 +170,10 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
         width = track.width * (1 + _believed(width / track.width - 1))
     interval, climb = 0.0 if track is None else stamp - track.stamp, None
     if track is not None and interval > _LEAST_INTERVAL:
-        flat = found.relief is None or track.relief is None
-        velocity, changed = rates(
-            nodes, track.nodes, _NOTHING if flat else found.relief, _NOTHING if flat else track.relief, interval
-        )
-        climb = None if flat else changed
+        now, before = found.relief, track.relief
+        relief = (_NOTHING, _NOTHING) if now is None or before is None else (now, before)
+        velocity, changed = rates(nodes, track.nodes, *relief, interval)
+        climb = changed if len(changed) else None
         if form.hints.turning is not None:
             velocity = with_turning(nodes, velocity, form.hints.turning / _VELOCITY_SHARE)
     else:

@@ -1,0 +1,59 @@
+"""Points on the outline of a flat object and on a sheet in an image, with all that a shape holds of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.compiled import compiled
+from shape_obs.configurations.points_in_image import WHERE_TYPES, Seen, nothing_seen, seen_points
+from shape_obs.frame import DepthImages
+from shape_obs.geometry.lattice import sample_lattice
+from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, closed, equal_chords
+from shape_obs.tracking.belief import ErrorModel
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.uint8]
+
+
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], i8)")
+def points_around(points: Array, arc: Array, metric: Array, count: int) -> Array:
+    """Return ``count`` points of a closed curve with equal chords in a metric, from its first point."""
+    around = closed(metric)
+    places, _ = equal_chords(closed(points), arc, around, arc_length(around), count + 1, 0.0, MAX_SHIFT_AROUND)
+    return places[:count]
+
+
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], i8, " + WHERE_TYPES + ")")
+def ring_points(
+    points: Array, arc: Array, metric: Array, count: int, depth: DepthImages, mask: Mask, at: tuple[int, int],
+    width: float, lens: Array, radius: float, edges: Indices, across: int, model: ErrorModel,
+) -> Seen:  # fmt: skip
+    """Run ``points_around`` and ``seen_points`` on an outline; return none if depth is missing at some points."""
+    places = points_around(points, arc, metric, count)
+    return _if_all_measured(places, arc[-1], depth, mask, at, width, lens, radius, edges, across, model)
+
+
+@compiled("(f8[:,::1], f8[::1], f8[::1], i8, i8, b1, " + WHERE_TYPES + ")")
+def sheet_points(
+    lattice: Array, down: Array, right: Array, rows: int, cols: int, centers: bool, depth: DepthImages, mask: Mask,
+    at: tuple[int, int], width: float, lens: Array, radius: float, edges: Indices, across: int, model: ErrorModel,
+) -> Seen:  # fmt: skip
+    """Run ``sample_lattice`` and ``seen_points`` on a sheet; return none if depth is missing at some points."""
+    fine = lattice.reshape(len(down), len(right), 2)
+    places, size = sample_lattice(fine, down, right, rows, cols, centers), down[-1] + right[-1]
+    return _if_all_measured(places, size, depth, mask, at, width, lens, radius, edges, across, model)
+
+
+@compiled
+def _if_all_measured(
+    places: Array, size: float, depth: DepthImages, mask: Mask, at: tuple[int, int], width: float, lens: Array,
+    radius: float, edges: Indices, across: int, model: ErrorModel,
+) -> Seen:  # fmt: skip
+    """Return ``seen_points`` of points whose depth is their own; none if some have none: theirs is filled in."""
+    bridged, none = np.zeros(len(places), np.bool_), np.empty(0)
+    seen = seen_points(
+        places, bridged, none, none, False, size, depth, mask, at, width, lens, radius, edges, across, model
+    )
+    return seen if len(lens) == 0 or seen[3].all() else nothing_seen()
