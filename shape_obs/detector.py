@@ -29,7 +29,7 @@ from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.point_cloud.local_depth import median_depth
 from shape_obs.shape import Detection, Shape
-from shape_obs.tracking.belief import point_errors
+from shape_obs.tracking.belief import point_errors, stereo_noise
 from shape_obs.tracking.missing import Clock, lost_shape
 from shape_obs.tracking.prediction import Fit, Reach, Track, advance, extrapolated, predict, rates, typical_motion
 from shape_obs.tracking.search_window import RegionSearch
@@ -88,7 +88,7 @@ class ShapeDetector:
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
         functions = [*prepare(spec.segmentation for spec in self.shapes), lift_points, median_depth, viewing_rays]
         functions += (function for spec in self.shapes for function in spec.compiled_functions)
-        compile_now([*functions, point_errors, typical_motion, extrapolated, rates])
+        compile_now([*functions, point_errors, stereo_noise, typical_motion, extrapolated, rates])
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it
         self.reset()

@@ -18,7 +18,7 @@ from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.spec import Spec
-from shape_obs.tracking.belief import ErrorModel, edges_of, error_model
+from shape_obs.tracking.belief import Shares, known_layout
 from shape_obs.tracking.prediction import Fit, Prediction
 
 Order = Literal["tracked", "image"]
@@ -29,7 +29,17 @@ Anchor = str | tuple[float, float] | tuple[float, float, float] | None
 Array = npt.NDArray[np.float64]
 Own = tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int, int, int]
 Where = tuple[
-    DepthImages, npt.NDArray[np.uint8], tuple[int, int], float, Array, float, npt.NDArray[np.int64], int, ErrorModel
+    DepthImages,
+    npt.NDArray[np.uint8],
+    tuple[int, int],
+    float,
+    Array,
+    float,
+    npt.NDArray[np.int64],
+    int,
+    Shares,
+    int,
+    float,
 ]
 Around = tuple[DepthImages, tuple[int, int, int, int], tuple[float, float, float, float]]
 
@@ -65,11 +75,6 @@ class Scene(NamedTuple):
             lens = camera.fx, camera.fy, camera.cx, camera.cy
         x, y, wide, high = self.edge or region.window
         return (region.mask, region.runs, region.pieces, left, top), (self.images, (x, y, wide, high), lens)
-
-    @property
-    def lens(self) -> Array:
-        """The projection of the camera, see ``Intrinsics.lens``; ``(0,)`` without one."""
-        return _NO_LENS if self.intrinsics is None else self.intrinsics.lens
 
 
 class Points(NamedTuple):
@@ -160,10 +165,10 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
             width: Of the object, pixels.
             scene: Depth and camera.
         """
-        camera, (edges, across) = scene.intrinsics, edges_of(self.layout)
-        model = error_model(self.layout, region.resolution, True, camera is not None, camera, scene.diagonal)
-        image = scene.images, region.mask, region.window[:2], width, scene.lens
-        return *image, self.radius, edges, across, model
+        camera = scene.intrinsics
+        lens, columns = (_NO_LENS, 0) if camera is None else (camera.lens, camera.width)
+        image = scene.images, region.mask, region.window[:2], width, lens
+        return *image, self.radius, *known_layout(self.layout), columns, scene.diagonal
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:

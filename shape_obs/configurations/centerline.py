@@ -130,7 +130,7 @@ class Centerline(Configuration, kind="centerline"):
         count = len(found.nodes if prediction is None else prediction.nodes)
         along = found.laid and found.laid[0]
         nodes, relief, steep = along or nodes_along(curve.points, curve.arc, *_measures(curve), count)
-        size, hidden = float(curve.arc[-1]), curve.unsupported_fraction
+        size, hidden = float(curve.arc[-1]), curve.unsupported_fraction if found.laid is None else 0.0
         seen_width = max(observed.area / max(size * (1 - hidden), 1e-9), 1.0) if observed.dimension == 2 else 0.0
         reason, follow = self._reason_of(curve, 1 - hidden), 1 - hidden >= _MIN_FOLLOWED
         if not reason and steep > _END_ON:

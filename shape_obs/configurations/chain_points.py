@@ -13,7 +13,7 @@ from shape_obs.configurations.points_in_image import WHERE_TYPES, Seen, nothing_
 from shape_obs.frame import DepthImages
 from shape_obs.geometry.curve import Length, local_stretch, nearest_along, with_relief
 from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, equal_chords, even_points, interpolate
-from shape_obs.tracking.belief import ErrorModel
+from shape_obs.tracking.belief import Shares
 from shape_obs.tracking.rope_match import Found, RopeBelief, match_to_rope
 
 Array = npt.NDArray[np.float64]
@@ -50,7 +50,7 @@ def follow_chain_in_mask(
     runs: Indices, start: Array, relief: Array, sigmas: Array, pull: float, cell: int,
     edge: tuple[int, int, int, int], belief: RopeBelief, known: Length, nodes: Array, node_relief: Array, own: Array,
     asked: Asked, depth: DepthImages, mask: Mask, at: tuple[int, int], width: float, lens: Array, radius: float,
-    edges: Indices, across: int, model: ErrorModel,
+    edges: Indices, across: int, shares: Shares, columns: int, diagonal: float,
 ) -> tuple[Drawn, Found, Laid]:  # fmt: skip
     """Fit the curve of a rope in a mask, find out which piece of the rope it is, and lay points on a whole one.
 
@@ -74,8 +74,9 @@ def follow_chain_in_mask(
     if len(deep) == 0:
         under, steep = none, none
     seen = seen_points(
-        points, bridged, under, steep, True, arc[-1], depth, mask, at, width, lens, radius, edges, across, model
-    )
+        points, bridged, under, steep, True, arc[-1], depth, mask, at, width, lens, radius, edges, across, shares,
+        columns, diagonal,
+    )  # fmt: skip
     return drawn, found, (track, seen)
 
 

@@ -14,7 +14,7 @@ from shape_obs.frame import DEPTH_TYPE, MILLIMETRE, DepthImages
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.point_cloud.local_depth import MAX_REACH, MIN_SHARE, median_depth
 from shape_obs.point_cloud.strands import strand_gap, strand_under
-from shape_obs.tracking.belief import ErrorModel, point_errors
+from shape_obs.tracking.belief import MAX_SIGMA, Shares, point_errors, stereo_noise
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -24,7 +24,7 @@ Mask = npt.NDArray[np.uint8]
 #: Pixels, metres, visible, valid and errors of ``seen_points``.
 Seen = tuple[Floats, Floats, Flags, Flags, Floats]
 #: The types of ``Configuration.where``, the last arguments of what lays points on a form.
-WHERE_TYPES: Final = DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), f8, f8[::1], f8, i8[:,::1], i8, ErrorModel"
+WHERE_TYPES: Final = DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), f8, f8[::1], f8, i8[:,::1], i8, Shares, i8, f8"
 
 # Where a rope is this much longer in space than in the image, a pixel holds so much of it that its depth is no point's.
 _END_ON: Final = 2.4
@@ -92,7 +92,7 @@ def lift_points(
 def seen_points(
     points: Array, interpolated: Flags, relief: Array, steep: Array, rope: bool, size: float, depth: DepthImages,
     mask: Mask, at: tuple[int, int], width: float, lens: Array, radius: float, edges: Indices, across: int,
-    model: ErrorModel,
+    shares: Shares, columns: int, diagonal: float,
 ) -> Seen:  # fmt: skip
     """Return all that a shape holds of points in an image, see ``Shape``.
 
@@ -109,21 +109,29 @@ def seen_points(
         width: Pixels.
         lens: The projection.
         radius: Metres.
-        edges: As ``point_errors`` takes them, and the next two.
+        edges: See ``known_layout``, and the next two.
         across: Edges.
-        model: What errors are made of.
+        shares: What errors are made of.
+        columns: Of the image.
+        diagonal: Of the image, pixels: the bound of errors in pixels.
 
     Returns:
         ``(N, 2)`` pixels; ``(N, 3)`` metres, ``(0, 3)`` without depth; ``(N,)`` visible; ``(N,)`` valid; ``(N,)`` the
         expected errors.
     """
+    residual = math.hypot(shares.resolution, shares.size * size)
     if len(lens) > 0:
         pixels, places, _, visible, valid = lift_points(
             points, interpolated, relief, steep, depth, mask, at, width, lens, radius, rope
         )
-        return pixels, places, visible, valid, point_errors(places, pixels, visible, valid, edges, across, size, model)
+        focal = (lens[0] + lens[1]) / 2
+        errors = point_errors(
+            places, pixels, visible, valid, edges, across, residual, shares.aslant, focal,
+            shares.depth * stereo_noise(focal, columns), MAX_SIGMA,
+        )  # fmt: skip
+        return pixels, places, visible, valid, errors
     pixels, visible = points.astype(np.float32), near_mask(mask, at[0], at[1], points, 1) & ~interpolated
-    errors = point_errors(pixels, pixels[:0], visible, visible, edges, across, size, model)
+    errors = point_errors(pixels, pixels[:0], visible, visible, edges, across, residual, 0.0, 0.0, 0.0, diagonal)
     return pixels, np.empty((0, 3), np.float32), visible, visible.copy(), errors
 
 

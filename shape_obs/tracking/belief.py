@@ -64,39 +64,6 @@ _NATIVE: Final = 640  # columns; an image with fewer is one of this width that w
 _NO_PIXELS: Final = np.zeros((0, 2), np.float32)
 
 
-class ErrorModel(NamedTuple):
-    """What the errors of one object's points are made of, as compiled code takes it.
-
-    Args:
-        resolution: Of the observation, its share, in the unit of the form.
-        size: Share of the form's size.
-        aslant: Share of the object's length, see ``Shares``.
-        focal: Pixels; 0 without depth or a camera.
-        noise: Metres at a depth of one metre.
-        bound: The greatest error that is reported, in the unit of the points.
-    """
-
-    resolution: float
-    size: float
-    aslant: float
-    focal: float
-    noise: float
-    bound: float
-
-
-def error_model(
-    layout: Topology, resolution: float, in_image: bool, in_space: bool, camera: Intrinsics | None, diagonal: float
-) -> ErrorModel:
-    """Return the error model of an object, see ``expected_error``; ``in_space`` if its points are."""
-    shares = _SHARES.get(type(layout), _IN_CLOUDS) if in_image else _IN_CLOUDS
-    focal = noise = 0.0
-    if in_space and camera is not None:
-        focal = (camera.fx + camera.fy) / 2
-        noise = shares.depth * stereo_noise(focal, camera.width)
-    bound = MAX_SIGMA if in_space else diagonal
-    return ErrorModel(shares.resolution * resolution, shares.size, shares.aslant, focal, noise, bound)
-
-
 def expected_error(
     points2d: Points | None,
     points3d: Points | None,
@@ -134,11 +101,18 @@ def expected_error(
         ``(N,)`` float32, metres or, without ``points3d``, pixels; finite, at most the bound, which also stands where a
         point is not a number.
     """
+    shares = _SHARES.get(type(layout), _IN_CLOUDS) if in_image else _IN_CLOUDS
     places = points2d if points3d is None else points3d
     assert places is not None
-    model = error_model(layout, resolution, in_image, points3d is not None, camera, diagonal)
-    pixels = points2d if in_image and model.focal and points2d is not None else _NO_PIXELS
-    return point_errors(places, pixels, visible, valid, *edges_of(layout), size, model)
+    residual = math.hypot(shares.resolution * resolution, shares.size * size)
+    focal = noise = 0.0
+    if points3d is not None and camera is not None:
+        focal = (camera.fx + camera.fy) / 2
+        noise = shares.depth * stereo_noise(focal, camera.width)
+    edges, across, _ = known_layout(layout)
+    pixels = points2d if in_image and focal and points2d is not None else _NO_PIXELS
+    bound = diagonal if points3d is None else MAX_SIGMA
+    return point_errors(places, pixels, visible, valid, edges, across, residual, shares.aslant, focal, noise, bound)
 
 
 def error_on_sheet(z: float, camera: Intrinsics) -> float:
@@ -148,13 +122,13 @@ def error_on_sheet(z: float, camera: Intrinsics) -> float:
 
 
 @lru_cache(maxsize=64)
-def edges_of(layout: Topology) -> tuple[npt.NDArray[np.int64], int]:
-    """Return the pairs of neighbours, and how many of them, which come first, run along the rows of a lattice."""
+def known_layout(layout: Topology) -> tuple[npt.NDArray[np.int64], int, Shares]:
+    """Return ``(E, 2)`` neighbours, how many lie along the rows of a lattice, and what errors in images are made of."""
     across = layout.rows * (layout.cols - 1) if isinstance(layout, Grid) else 0
-    return np.ascontiguousarray(layout.edges(), dtype=np.int64), across
+    return np.ascontiguousarray(layout.edges(), dtype=np.int64), across, _SHARES.get(type(layout), _IN_CLOUDS)
 
 
-@compiled("(f4[:,::1], f4[:,::1], b1[::1], b1[::1], i8[:,::1], i8, f8, ErrorModel)")
+@compiled("(f4[:,::1], f4[:,::1], b1[::1], b1[::1], i8[:,::1], i8, f8, f8, f8, f8, f8)")
 def point_errors(
     places: Points,
     pixels: Points,
@@ -162,22 +136,27 @@ def point_errors(
     valid: Mask,
     edges: npt.NDArray[np.int64],
     across: int,
-    form_size: float,
-    model: ErrorModel,
+    residual: float,
+    aslant: float,
+    focal: float,
+    noise: float,
+    bound: float,
 ) -> npt.NDArray[np.float32]:
     """Return the RMS errors of ``expected_error``.
 
     Args:
         places: ``(N, D)``.
-        pixels: ``(N, 2)``; ``(0, 2)`` if the form is in the unit of the places.
+        pixels: ``(N, 2)``; ``(0, 2)`` if ``residual`` is in the unit of the places.
         visible: ``(N,)``.
         valid: ``(N,)``.
         edges: ``(E, 2)`` pairs of neighbours.
         across: How many of them lie along the rows of a lattice; 0 for other layouts.
-        form_size: Of the form that was fitted, see ``FittedForm.size``.
-        model: What the errors are made of.
+        residual: RMS error per axis of the fitted form, pixels or the unit of the places.
+        aslant: See ``Shares``.
+        focal: Focal length, pixels; 0 without depth and a camera.
+        noise: Standard deviation of depth at one metre, metres.
+        bound: Largest value.
     """
-    focal, residual = model.focal, math.hypot(model.resolution, model.size * form_size)
     count, size = len(edges), len(places)
     gaps, out = np.empty(count), np.empty(size, np.float32)
     for e in range(count):
@@ -210,13 +189,13 @@ def point_errors(
             )
         hidden = _HIDDEN_SHARE * unseen[k]
         if focal > 0:
-            deep = model.noise * places[k, 2] ** 2
+            deep = noise * places[k, 2] ** 2
             square = rough**2 * (1 + stretch**2) + 2 * hidden**2 + deep**2 + (_HIDDEN_SHARE * unmeasured[k]) ** 2
-            square += (model.aslant * gaps.sum() * (1 - 1 / stretch)) ** 2
+            square += (aslant * gaps.sum() * (1 - 1 / stretch)) ** 2
             error = math.sqrt(square / 3)
         else:
             error = math.hypot(rough, hidden)
-        out[k] = error if error < model.bound else model.bound
+        out[k] = error if error < bound else bound
     return out
 
 
@@ -231,6 +210,7 @@ def aged(sigma: npt.NDArray[np.float32], age: float, bound: float) -> npt.NDArra
     return _bounded(np.hypot(sigma.astype(np.float64), _DRIFT * bound * age), bound)
 
 
+@compiled("(f8, i8)")
 def stereo_noise(focal: float, columns: int) -> float:
     """Return the standard deviation of a pixel's depth at one metre, in metres, of a D455; it grows with the square.
 

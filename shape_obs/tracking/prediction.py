@@ -178,7 +178,7 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
             velocity = with_turning(nodes, velocity, form.hints.turning / _VELOCITY_SHARE)
     else:
         velocity = np.zeros_like(nodes)
-    size, area = found.size, observed.area if form.whole else 0
+    size, area = found.size, 0 if np.count_nonzero(form.interpolated) else observed.area
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
     return Track(
         nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area, found.track_id,

@@ -105,7 +105,7 @@ def validate_ribbon(
         width: Of the object; for a mask its area over the length that is seen.
         area: Of a mask, pixels; 0 for a cloud.
     """
-    unsupported = curve.unsupported_fraction
+    unsupported = curve.unsupported_fraction if np.count_nonzero(curve.interpolated) else 0.0
     hidden = min(unsupported, expected_off)
     off = unsupported - hidden
     if off > _MAX_OFF:
