@@ -19,6 +19,7 @@ Mask = npt.NDArray[np.uint8]
 _FAR_OFF: Final = 2.0**30  # pixels; no image reaches there, and integers hold it
 _U = np.uint64
 _TOPS = np.uint64(0x8080808080808080)  # the highest bit of each byte
+_WHICH = np.uint64(0x0001020304050607)  # times 256^k, its highest byte is k
 
 # A mask, its runs, the areas of its components, their box, and its runs along columns: see ``find_components``.
 Components = tuple[Mask, Indices, Indices, tuple[int, int, int, int], int]
@@ -98,8 +99,13 @@ def _runs(mask: Mask, left: int, top: int) -> Indices:
                 wide[row, column] = mask[row, column]
         mask = wide
     words = mask.reshape(height * across * 8).view(np.uint64)
-    found, count = np.empty((height * (4 * across + 1), 3), np.int64), 0
+    most, count = 4 * across + 1, 0  # runs in a row
+    found = np.empty((2 * height + most, 3), np.int64)
     for row in range(height):
+        if count + most > len(found):
+            more = np.empty((2 * len(found) + most, 3), np.int64)
+            more[:count] = found[:count]
+            found = more
         inside, at, last = _U(0), row * across, (row + 1) * across
         while at < last:
             word = words[at]
@@ -112,15 +118,15 @@ def _runs(mask: Mask, left: int, top: int) -> Indices:
             edges = on ^ ((on << _U(8)) | inside)  # where a run begins, and behind its end
             column = left + (at - 1 - row * across) * 8
             while edges:
-                if edges & _U(0x80):
-                    inside ^= _U(0x80)
-                    if inside:
-                        found[count, 0], found[count, 1] = row + top, column
-                    else:
-                        found[count, 2] = column
-                        count += 1
-                edges >>= _U(8)
-                column += 1
+                lowest = edges & (~edges + _U(1))
+                edges ^= lowest
+                place = column + np.int64(((lowest >> _U(7)) * _WHICH) >> _U(56))
+                inside ^= _U(0x80)
+                if inside:
+                    found[count, 0], found[count, 1] = row + top, place
+                else:
+                    found[count, 2] = place
+                    count += 1
         if inside:
             found[count, 2] = left + 8 * across
             count += 1
@@ -193,13 +199,15 @@ def gather_cells(runs: Indices, size: int) -> tuple[Array, Array]:
     if len(runs) == 0:
         return np.empty((0, 2)), np.empty(0)
     top, bottom = runs[0, 0] // size, runs[-1, 0] // size
-    left, right = runs[0, 1], runs[0, 2]
+    left, right, most, share = runs[0, 1], runs[0, 2], 0, 1 / size  # divisions are slow
     for at in range(len(runs)):
         left, right = min(left, runs[at, 1]), max(right, runs[at, 2])
+        most += int((runs[at, 2] - runs[at, 1]) * share) + 2
     left, right = left // size, (right - 1) // size
     across = right - left + 1
-    sums = np.zeros(((bottom - top + 1) * across, 3), np.int64)
-    share, base, below = 1 / size, -across - left, top * size  # divisions are slow
+    places = np.full((bottom - top + 1) * across, -1, np.int32)  # of the squares that hold pixels
+    sums, held = np.empty((min(most, len(places)), 3), np.int64), 0
+    base, below = -across - left, top * size
     for at in range(len(runs)):
         row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
         while row >= below:
@@ -208,22 +216,21 @@ def gather_cells(runs: Indices, size: int) -> tuple[Array, Array]:
         cell = base + int((start + 0.5) * share)
         while start < stop:
             end = min((cell - base + 1) * size, stop)
-            count = end - start
-            sums[cell, 0] += count
-            sums[cell, 1] += (start + end - 1) * count  # twice the sum of the columns
-            sums[cell, 2] += row * count
+            count, into = end - start, places[cell]
+            if into < 0:
+                places[cell] = into = held
+                sums[into, 0] = sums[into, 1] = sums[into, 2] = 0
+                held += 1
+            sums[into, 0] += count
+            sums[into, 1] += (start + end - 1) * count  # twice the sum of the columns
+            sums[into, 2] += row * count
             start = end
             cell += 1
-    held = 0
-    for cell in range(len(sums)):
-        held += sums[cell, 0] > 0
-    points, weight = np.empty((held, 2)), np.empty(held)
-    at = 0
-    for cell in range(len(sums)):
-        count = sums[cell, 0]
-        if count > 0:
-            points[at, 0], points[at, 1] = sums[cell, 1] / (2 * count), sums[cell, 2] / count
-            weight[at] = count
+    points, weight, at = np.empty((held, 2)), np.empty(held), 0
+    for cell in range(len(places)):
+        if places[cell] >= 0:
+            count, columns, rows = sums[places[cell], 0], sums[places[cell], 1], sums[places[cell], 2]
+            points[at, 0], points[at, 1], weight[at] = columns / (2 * count), rows / count, count
             at += 1
     return points, weight
 
