@@ -38,7 +38,7 @@ Indices = npt.NDArray[np.int64]
 # An empty bin pulls its node nowhere: each node keeps a trace of weight where it stands.
 _TRACE: Final = 1e-3
 _RING_REACH: Final = 2  # nodes to either side among which a sample of an outline looks for its best-matching unit
-_FAR: Final = 8.9  # widths of a Gaussian, beyond which it counts as zero
+_FAR: Final = 6.0  # widths of a Gaussian, beyond which it counts as zero: there it is 1e-8
 _HALF: Final = np.float32(0.5)
 
 

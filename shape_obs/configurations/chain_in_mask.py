@@ -82,10 +82,11 @@ def fit_chain_in_mask(
     else:
         points, weight = gather_cells(runs, cell)
     line = 1, len(start)
-    nodes = batch_epochs(points, weight, start, line, False, sigmas[:1])
+    nodes = start
     if len(relief) > 0:
+        nodes, sigmas = batch_epochs(points, weight, start, line, False, sigmas[:1]), sigmas[1:]
         _level_rims(points, nodes, width)
-    nodes = undo_shrinkage(batch_epochs(points, weight, nodes, line, False, sigmas[1:]), pull, False)
+    nodes = undo_shrinkage(batch_epochs(points, weight, nodes, line, False, sigmas), pull, False)
     flat = extend_chain(_in_image(nodes), mask, at[0], at[1], width)
     lifted = catmull_rom(flat if nodes.shape[1] == 2 else _with_relief(flat, nodes), 4, False)
     curve = _in_image(lifted)
