@@ -14,24 +14,21 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import CameraModel, Intrinsics, as_camera_model, viewing_rays
+from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
 from shape_obs.clustering.base import Clusterer
 from shape_obs.compiled import compile_now
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.anchors import Anchors, anchor_pixel, anchor_point
 from shape_obs.configurations.base import Configuration, Scene
-from shape_obs.configurations.points_in_image import lift_points
-from shape_obs.configurations.shape_points import shape_of
+from shape_obs.configurations.shape_points import SHAPE_FUNCTIONS, shape_of
 from shape_obs.frame import Frame, check_mask
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.find_region import prepare
 from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
-from shape_obs.point_cloud.local_depth import median_depth
 from shape_obs.shape import Detection, Shape
-from shape_obs.tracking.belief import point_errors, stereo_noise
 from shape_obs.tracking.missing import Clock, lost_shape
-from shape_obs.tracking.prediction import Fit, Reach, Track, advance, extrapolated, predict, rates, typical_motion
+from shape_obs.tracking.prediction import TRACK_FUNCTIONS, Fit, Reach, Track, advance, predict
 from shape_obs.tracking.search_window import RegionSearch
 from shape_obs.utils.threads import use_no_threads_in_forked_children
 
@@ -86,9 +83,9 @@ class ShapeDetector:
         self.config = DetectorConfig.from_dict(options)
         self.shapes = self.config.resolved()
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
-        functions = [*prepare(spec.segmentation for spec in self.shapes), lift_points, median_depth, viewing_rays]
+        functions = [*prepare(spec.segmentation for spec in self.shapes), *SHAPE_FUNCTIONS, *TRACK_FUNCTIONS]
         functions += (function for spec in self.shapes for function in spec.compiled_functions)
-        compile_now([*functions, point_errors, stereo_noise, typical_motion, extrapolated, rates])
+        compile_now(functions)
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it
         self.reset()

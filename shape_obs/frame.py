@@ -18,6 +18,8 @@ FARTHEST: Final = 1e6  # metres; what lies beyond is garbage, and would overflow
 DepthImages = tuple[npt.NDArray[np.uint16], npt.NDArray[np.float32]]
 #: The type of ``DepthImages`` as compiled functions declare it.
 DEPTH_TYPE: Final = "Tuple((Array(u2, 2, 'C', readonly=True), Array(f4, 2, 'C', readonly=True)))"
+# Types as NumPy holds them, which compare several times as fast as their classes.
+_BYTE, _WORD, _FLAG, _SINGLE = np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.bool_), np.dtype(np.float32)
 _NO_DEPTH: Final = np.zeros((0, 0), np.float32)
 _NO_MILLIMETRES: Final = np.zeros((0, 0), np.uint16)
 _NO_DEPTH.flags.writeable = _NO_MILLIMETRES.flags.writeable = False
@@ -100,7 +102,7 @@ def readable_depth(depth: npt.NDArray[Any] | None) -> tuple[npt.NDArray[Any], fl
     if depth.flags.writeable:
         stored = _as_stored(depth).view()
         stored.flags.writeable = False
-    return stored, MILLIMETRE if stored.dtype == np.uint16 else 1.0
+    return stored, MILLIMETRE if stored.dtype == _WORD else 1.0
 
 
 def depth_images(depth: npt.NDArray[Any] | None) -> DepthImages:
@@ -110,12 +112,12 @@ def depth_images(depth: npt.NDArray[Any] | None) -> DepthImages:
         depth: ``(H, W)`` as a frame holds it; None gives two that are empty.
     """
     stored, _ = readable_depth(depth)
-    return (stored, _NO_DEPTH) if stored.dtype == np.uint16 else (_NO_MILLIMETRES, stored)
+    return (stored, _NO_DEPTH) if stored.dtype == _WORD else (_NO_MILLIMETRES, stored)
 
 
 def _as_stored(depth: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return depth as uint16 or float32, C-contiguous; itself if it is."""
-    if depth.dtype != np.uint16 and depth.dtype != np.float32:
+    if depth.dtype != _WORD and depth.dtype != _SINGLE:
         with np.errstate(over="ignore"):  # what overflows becomes infinite, which is no depth
             depth = depth.astype(np.float32)
     return np.ascontiguousarray(depth)
@@ -139,7 +141,7 @@ def check_mask(mask: npt.NDArray[Any], frame: Frame) -> npt.NDArray[np.uint8]:
         TypeError: A wrong array type or dtype.
         ValueError: A wrong shape, or another size than depth or camera.
     """
-    if not isinstance(mask, np.ndarray) or mask.dtype not in (np.dtype(bool), np.dtype(np.uint8)):
+    if not isinstance(mask, np.ndarray) or mask.dtype not in (_FLAG, _BYTE):
         raise TypeError(f"mask: expected a numpy array of bool or uint8, got {_describe(mask)}.")
     if mask.ndim != 2 or mask.size == 0:
         raise ValueError(f"mask: expected shape (H, W), got {mask.shape}.")
@@ -151,7 +153,7 @@ def check_mask(mask: npt.NDArray[Any], frame: Frame) -> npt.NDArray[np.uint8]:
 
 
 def _check_rgb(rgb: Any) -> None:
-    if not isinstance(rgb, np.ndarray) or rgb.dtype != np.uint8:
+    if not isinstance(rgb, np.ndarray) or rgb.dtype != _BYTE:
         raise TypeError(
             f"rgb: expected a numpy array of uint8 (0...255), got {_describe(rgb)}; scale floats in 0...1 by 255."
         )
@@ -160,7 +162,7 @@ def _check_rgb(rgb: Any) -> None:
 
 
 def _check_depth(depth: Any) -> npt.NDArray[Any]:
-    if not isinstance(depth, np.ndarray) or not (depth.dtype == np.uint16 or np.issubdtype(depth.dtype, np.floating)):
+    if not isinstance(depth, np.ndarray) or not (depth.dtype == _WORD or np.issubdtype(depth.dtype, np.floating)):
         raise TypeError(f"depth: expected uint16 millimetres or floating metres, got {_describe(depth)}.")
     if depth.ndim == 3 and depth.shape[2] == 1:
         depth = depth[:, :, 0]

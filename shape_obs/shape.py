@@ -12,9 +12,10 @@ import numpy.typing as npt
 from shape_obs.geometry.topology import Topology
 from shape_obs.spec import did_you_mean
 
+# Types as NumPy holds them, which compare several times as fast as their classes.
+_FLOAT, _FLAG = np.dtype(np.float32), np.dtype(np.bool_)
 _ARRAYS: Final = (
-    ("points2d", np.float32), ("points3d", np.float32), ("visible", np.bool_), ("valid", np.bool_),
-    ("sigma", np.float32),
+    ("points2d", _FLOAT), ("points3d", _FLOAT), ("visible", _FLAG), ("valid", _FLAG), ("sigma", _FLOAT),
 )  # fmt: skip
 
 

@@ -28,7 +28,7 @@ from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
 from shape_obs.tracking.hidden_border import look_around, rim_depth
 from shape_obs.tracking.hidden_outline import complete_outline, hidden_pieces, nearest_places, sticks_out
-from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction, with_turning
+from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.registration import begin_outline, follow_outline, match_outline, renumber_outline
 from shape_obs.tracking.registration_in_space import blend_space, index_shift_space
 from shape_obs.tracking.validation import outline_miss, validate_outline
@@ -243,7 +243,7 @@ class Contour(Configuration, kind="contour"):
         """The compiled functions that a fit may call."""
         masks = see_outline, follow_outline, fit_ring_in_mask, enclosed_by, rim_depth, points_around, renumber_outline
         masks += follow_ring, begin_outline, hidden_pieces, nearest_places, trace_hole, material_outline
-        masks += index_shift_space, blend_space, with_turning
+        masks += index_shift_space, blend_space
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds
 

@@ -9,15 +9,16 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
-from shape_obs.camera import Intrinsics
+from shape_obs.camera import Intrinsics, viewing_rays
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.configurations.points_in_image import lift_points
 from shape_obs.frame import Frame
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.topology import Grid
 from shape_obs.point_cloud.lifting import form_depth, lift_form
+from shape_obs.point_cloud.local_depth import median_depth
 from shape_obs.shape import Shape
-from shape_obs.tracking.belief import error_on_sheet, expected_error
+from shape_obs.tracking.belief import error_on_sheet, expected_error, point_errors, stereo_noise
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
 from shape_obs.tracking.occlusion import shown
 from shape_obs.tracking.prediction import Fit
@@ -196,3 +197,6 @@ def _inwards(curve: FittedCurve) -> Array:
     square = np.maximum(np.sum(tangent**2, axis=1, keepdims=True), 1e-18)
     across = points - tangent * (np.sum(points * tangent, axis=1, keepdims=True) / square)
     return across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+
+
+SHAPE_FUNCTIONS: Final = lift_points, median_depth, viewing_rays, point_errors, stereo_noise

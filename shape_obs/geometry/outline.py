@@ -203,3 +203,16 @@ def pairs(points: Array) -> Array:
         for d in range(dimension):
             out[size // 2, d] = points[size - 1, d]
     return out
+
+
+@compiled
+def with_turning(nodes: Array, velocity: Array, share: float) -> Array:
+    """Return velocities ``(K, D)`` of the nodes of a closed curve with a share of their common motion along it."""
+    count, moved, square = len(nodes), 0.0, 0.0
+    along = np.empty_like(nodes)
+    for k in range(count):
+        for d in range(nodes.shape[1]):
+            along[k, d] = nodes[(k + 1) % count, d] - nodes[k - 1, d]
+            moved += along[k, d] * velocity[k, d]
+            square += along[k, d] ** 2
+    return velocity + (share - 1) * moved / max(square, 1e-18) * along

@@ -12,6 +12,7 @@ from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.geometry.curve import FittedForm, TrackHints
 from shape_obs.geometry.observed import Observed
+from shape_obs.geometry.outline import with_turning
 from shape_obs.geometry.topology import Topology
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.image.roi import Window
@@ -163,26 +164,24 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
     follow noise, or cells of another edge would gather the pixels from one frame to the next.
     """
     form: FittedForm = found.form
-    nodes, topology, width, box = found.nodes, found.topology, found.width, observed.box
+    nodes, topology, width, box, climb = found.nodes, found.topology, found.width, observed.box, None
     assert nodes is not None
     assert topology is not None
     if track is not None and track.width and width:
         width = track.width * (1 + _believed(width / track.width - 1))
-    interval, climb = 0.0 if track is None else stamp - track.stamp, None
+    interval = 0.0 if track is None else stamp - track.stamp
     if track is not None and interval > _LEAST_INTERVAL:
-        now, before = found.relief, track.relief
-        relief = (_NOTHING, _NOTHING) if now is None or before is None else (now, before)
-        velocity, changed = rates(nodes, track.nodes, *relief, interval)
+        relief = (_NOTHING, _NOTHING) if found.relief is None or track.relief is None else (found.relief, track.relief)
+        turning = 1.0 if form.hints.turning is None else form.hints.turning / _VELOCITY_SHARE
+        velocity, changed = rates(nodes, track.nodes, *relief, interval, turning)
         climb = changed if len(changed) else None
-        if form.hints.turning is not None:
-            velocity = with_turning(nodes, velocity, form.hints.turning / _VELOCITY_SHARE)
     else:
         velocity = np.zeros_like(nodes)
-    size, area = found.size, 0 if np.count_nonzero(form.interpolated) else observed.area
+    area = 0 if np.count_nonzero(form.interpolated) else observed.area
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
     return Track(
-        nodes, velocity, max(interval, 0.0), size, stamp, topology, form.hints, width, box, drift, area, found.track_id,
-        found.relief, climb,
+        nodes, velocity, max(interval, 0.0), found.size, stamp, topology, form.hints, width, box, drift, area,
+        found.track_id, found.relief, climb,
     )  # fmt: skip
 
 
@@ -191,33 +190,20 @@ def extrapolated(
     nodes: Array, velocity: Array, relief: Array, climb: Array, ahead: float
 ) -> tuple[Array, Array, float]:
     """Return nodes ``(K, D)`` and relief ``(K,)`` or ``(0,)`` some seconds ahead, and how far the nodes move, RMS."""
-    moved, deep, square = np.empty_like(nodes), np.empty_like(relief), 0.0
-    for k in range(len(nodes)):
-        for d in range(nodes.shape[1]):
-            step = ahead * velocity[k, d]
-            moved[k, d], square = nodes[k, d] + step, square + step * step
-    for k in range(len(relief)):
-        deep[k] = relief[k] + ahead * climb[k]
-    return moved, deep, math.sqrt(square / len(nodes))
+    step = ahead * velocity
+    return nodes + step, relief + ahead * climb, math.sqrt((step * step).sum() / len(nodes))
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8)")
-def rates(nodes: Array, before: Array, relief: Array, relief_before: Array, seconds: float) -> tuple[Array, Array]:
-    """Return how fast nodes ``(K, D)`` and their relief ``(K,)`` or ``(0,)`` have changed, units a second."""
-    return (nodes - before) / seconds, (relief - relief_before) / seconds
+@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8)")
+def rates(
+    nodes: Array, before: Array, relief: Array, relief_before: Array, seconds: float, turning: float
+) -> tuple[Array, Array]:
+    """Return how fast nodes ``(K, D)`` and their relief ``(K,)`` or ``(0,)`` have changed, units a second.
 
-
-@compiled("(f8[:,::1], f8[:,::1], f8)")
-def with_turning(nodes: Array, velocity: Array, share: float) -> Array:
-    """Return velocities ``(K, D)`` of the nodes of a closed curve with a share of their common motion along it."""
-    count, moved, square = len(nodes), 0.0, 0.0
-    along = np.empty_like(nodes)
-    for k in range(count):
-        for d in range(nodes.shape[1]):
-            along[k, d] = nodes[(k + 1) % count, d] - nodes[k - 1, d]
-            moved += along[k, d] * velocity[k, d]
-            square += along[k, d] ** 2
-    return velocity + (share - 1) * moved / max(square, 1e-18) * along
+    Of their common motion along a closed curve the share ``turning`` is believed.
+    """
+    velocity, climb = (nodes - before) / seconds, (relief - relief_before) / seconds
+    return (velocity if turning == 1 else with_turning(nodes, velocity, turning)), climb
 
 
 class Reach:
@@ -309,3 +295,6 @@ def _drift(before: Window, after: Window) -> int:
     """Return by how much the edges of a box have moved, at most, pixels."""
     (a, b, c, d), (e, f, g, h) = before, after
     return max(abs(a - e), abs(b - f), abs(a + c - e - g), abs(b + d - f - h))
+
+
+TRACK_FUNCTIONS: Final = extrapolated, rates, typical_motion

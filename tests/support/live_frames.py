@@ -23,13 +23,10 @@ from shape_obs.bench.synthetic.images import hidden_rope, photographed
 from shape_obs.bench.synthetic.ropes import moving_rope, random_rope
 from shape_obs.bench.synthetic.sheets import moving_sheet, random_sheet
 from shape_obs.bench.synthetic.tangles import crossing_rope, cut_rope
-from shape_obs.camera import viewing_rays
 from shape_obs.compiled import decorator
-from shape_obs.configurations.points_in_image import lift_points
+from shape_obs.configurations.shape_points import SHAPE_FUNCTIONS
 from shape_obs.image.find_region import prepare
-from shape_obs.point_cloud.local_depth import median_depth
-from shape_obs.tracking.belief import point_errors
-from shape_obs.tracking.prediction import typical_motion
+from shape_obs.tracking.prediction import TRACK_FUNCTIONS
 
 BLUE = HSVRange(low=(100, 80, 25), high=(130, 255, 255))
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
@@ -158,7 +155,7 @@ def main(kind: str) -> None:
         ok += kind == "surface" and detectors[2].detect_cloud(cloud).shapes[0].ok
     rules = [spec.segmentation for spec in detector.shapes]
     fits = {function for one in detectors for function in one.shapes[0].compiled_functions}
-    listed = [*prepare(rules), lift_points, median_depth, viewing_rays, point_errors, typical_motion, *fits]
+    listed = [*prepare(rules), *SHAPE_FUNCTIONS, *TRACK_FUNCTIONS, *fits]
     names = sorted(function.__name__ for function in listed)
     print(json.dumps({"called": sorted(called), "listed": names, "late": sorted(late), "ok": int(ok)}))
 

@@ -20,7 +20,7 @@ def _lift(name: str, module: str, old: str, new: str, *tests: str, equivalent: s
 
 
 def _points(name: str, old: str, new: str, *tests: str) -> Mutant:
-    return _lift(name, "configurations/shape_points", old, new, *tests)
+    return _lift(name, "configurations/points_in_image", old, new, *tests)
 
 
 SHAPES: tuple[Mutant, ...] = (
@@ -47,7 +47,10 @@ SHAPES: tuple[Mutant, ...] = (
     _valid("a side may wind", "    elif winding > _MAX_WINDING:", "    elif False:"),
     _valid("cells may vary", "    elif uneven > _MAX_UNEVEN:", "    elif False:"),
     _valid("quality of a sheet ignores kinks", "* (1 - bent) *", "*"),
-    _points("an interpolated point is visible", "region.carries(points) & ~interpolated", "region.carries(points)"),
+    _points("an interpolated point is visible", "near_mask(mask, at[0], at[1], points, 1) & ~interpolated",
+            "near_mask(mask, at[0], at[1], points, 1)"),
+    _lift("an interpolated point without depth is visible", "configurations/shape_points",
+          "region.carries(points) & ~interpolated", "region.carries(points)"),
     _points("an interpolated point over depth is visible",
             "            visible[n] = visible[n] and not interpolated[n]\n            valid",
             "            valid"),
@@ -55,10 +58,10 @@ SHAPES: tuple[Mutant, ...] = (
     _points("a point without depth is valid", "visible[n] and math.isfinite(z[n])", "visible[n]"),
     _points("a point without a ray is valid", "valid[n] and math.isfinite(found[n, d])", "valid[n]",
             _DEGENERATE),
-    _points("holes take no neighbour's depth", "        if known.any():\n", "        if False:\n"),
-    _points("depth next to what hides a piece is the points'",
-            "        valid &= ~unknown\n", "",
-            _OCCLUDERS, _LIFTING),
+    _lift("holes take no neighbour's depth", "configurations/shape_points", "        if known.any():\n",
+          "        if False:\n"),
+    _lift("depth next to what hides a piece is the points'", "configurations/shape_points",
+          "        valid &= ~unknown\n", "", _OCCLUDERS, _LIFTING),
     _points("one pixel gives the depth of a point", "min(max(int(np.rint(width / 4)), 1), MAX_REACH)", "0"),
     _points("the axis lies along z", "radius / length", "radius"),
     _points("the surface is the axis", "(z[n] + radius / length)", "z[n]"),
