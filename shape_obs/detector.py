@@ -217,9 +217,10 @@ class ShapeDetector:
     def _find(self, spec: Configuration, search: RegionSearch, anchors: Anchors, moment: _Moment) -> Fit:
         """Find one shape in an image: near where the track expects it, and if that fails everywhere."""
         frame, camera = moment.frame, moment.frame.camera if moment.in_3d else None
-        scene = Scene(search.whole, diagonal=math.hypot(*moment.size))
+        diagonal = math.hypot(*moment.size)
+        scene = Scene(search.whole, diagonal=diagonal)
         if camera is not None:
-            scene = scene._replace(depth=frame.depth, intrinsics=camera.intrinsics, images=frame.images)
+            scene = Scene(search.whole, frame.depth, camera.intrinsics, frame.images, diagonal)
         while True:
             now, timings = time.perf_counter(), moment.timings
             observed: Observed = search.region(spec.segmentation)  # image -> region

@@ -89,7 +89,10 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips, match: Fo
         (found.bent, found.apart), (found.cut_head, found.cut_tail), own if len(own) else None, length,
         credit=(found.credit_head, found.credit_tail),
     )  # fmt: skip
-    return replace(form, hints=hints, metres=stations if metric else None)
+    return FittedCurve(
+        form.points, form.interpolated, form.arc, False, stations if metric else None, form.pixels, form.relief,
+        form.width, form.space, hints=hints, ambiguity=form.ambiguity,
+    )  # fmt: skip
 
 
 def _seen(form: FittedCurve) -> tuple[Array, Array, Mask, Array, Array]:

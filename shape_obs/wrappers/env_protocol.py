@@ -1,7 +1,7 @@
 """Attributes that an env may publish for ``ShapeObservation``. All of them are optional.
 
 ``camera_model``: a ``CameraModel`` (or bare ``Intrinsics``); read again at each reset, since poses may be randomised.
-``anchors``: a mapping of names to base-frame points (x, y, z) or pixels (u, v); read in each frame.
+``anchors``: a mapping of names to base-frame points (x, y, z) or pixels (u, v); read in each frame that needs one.
 ``goal_layout``: the layout of the points of a goal, ``{"kind": "centerline"}``, ``{"kind": "contour"}`` or
 ``{"kind": "surface", "rows": 5, "cols": 7}``; default: the layout of the first shape.
 ``shape_obs_defaults``: a mapping of wrapper arguments, used unless the user passes others.
@@ -11,7 +11,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import Any, Final
 
 import gymnasium as gym
@@ -45,6 +46,26 @@ def publisher(env: gym.Env[Any, Any], name: str) -> gym.Env[Any, Any] | None:
             return None
         env = env.env
     return env
+
+
+class PublishedAnchors(Mapping[str, Sequence[float]]):
+    """The anchors of an env in one frame, read when one is asked for: an env may compute them from its state."""
+
+    def __init__(self, source: gym.Env[Any, Any] | None) -> None:
+        self._source = source
+
+    @cached_property
+    def _read(self) -> Mapping[str, Sequence[float]]:
+        return getattr(self._source, "anchors", {})
+
+    def __getitem__(self, name: str) -> Sequence[float]:
+        return self._read[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._read)
+
+    def __len__(self) -> int:
+        return len(self._read)
 
 
 def camera_model(env: gym.Env[Any, Any]) -> CameraModel | None:

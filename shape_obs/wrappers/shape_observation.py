@@ -149,8 +149,9 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
     def contexts(self) -> list[FeatureContext]:
         """The context of each shape in the last observation: camera, image size and anchors."""
         if self._contexts is None:
-            points = [env_protocol.base_point(spec, self._anchors) for spec in self.detector.shapes]
-            self._contexts = [replace(self._context, anchor=point, anchors=self._anchors) for point in points]
+            anchors = dict(self._anchors)
+            points = [env_protocol.base_point(spec, anchors) for spec in self.detector.shapes]
+            self._contexts = [replace(self._context, anchor=point, anchors=anchors) for point in points]
         return self._contexts
 
     def _begin(self, context: FeatureContext) -> None:
@@ -165,7 +166,7 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         """Detect the shapes of a frame, add them to ``info`` and return the wrapped observation."""
         rgb, depth = self._images.read(observation)
         camera, stamp = self._context.camera, info.get("stamp", self._time)
-        self._anchors, self._contexts = getattr(self._anchor_source, "anchors", {}), None
+        self._anchors, self._contexts = env_protocol.PublishedAnchors(self._anchor_source), None
         self.detection = detection = self.detector.detect(rgb, depth, camera, stamp=stamp, anchors=self._anchors)
         _add_info(info, detection.shapes)
         contexts = self.contexts if self._vector.anchored else self._unanchored
@@ -268,10 +269,10 @@ def _add_info(info: dict[str, Any], shapes: Sequence[Shape]) -> None:
     """Add the scalars that describe the shapes to ``info``."""
     ok, age = True, 0.0
     for shape in shapes:
-        ok, age = ok and shape.ok, max(age, shape.age)
-        info[f"shape/{shape.name}/ok"] = bool(shape.ok)
-        info[f"shape/{shape.name}/valid_fraction"] = int(np.count_nonzero(shape.valid)) / shape.valid.size
-        info[f"shape/{shape.name}/quality"] = float(shape.quality)
-        info[f"shape/{shape.name}/sigma"] = float(shape.sigma.max())
-        info[f"shape/{shape.name}/track_id"] = shape.track_id
+        ok, age, name = ok and shape.ok, max(age, shape.age), f"shape/{shape.name}/"
+        info[name + "ok"] = bool(shape.ok)
+        info[name + "valid_fraction"] = int(np.count_nonzero(shape.valid)) / len(shape.valid)
+        info[name + "quality"] = float(shape.quality)
+        info[name + "sigma"] = max(shape.sigma.tolist())
+        info[name + "track_id"] = shape.track_id
     info["shape/ok"], info["shape/age"] = bool(ok), float(age)
