@@ -255,8 +255,8 @@ def compare_sheet(
     if not metric:
         laid, far = laid_flat(known, similarity(known, border, np.ones(len(known), np.bool_))), 0.0
         for p in range(4 * SIDE):
-            far = max(far, math.hypot(border[p, 0] - laid[p, 0], border[p, 1] - laid[p, 1]))
-        if far > _DENTED[1] + _DENTED[0] * sides.mean():
+            far = max(far, (border[p, 0] - laid[p, 0]) ** 2 + (border[p, 1] - laid[p, 1]) ** 2)
+        if math.sqrt(far) > _DENTED[1] + _DENTED[0] * sides.mean():
             return MOVED, 0
     return FITS, 0
 

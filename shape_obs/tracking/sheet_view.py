@@ -213,12 +213,10 @@ def learn_sheet(known: Array, patch: Array, sides: Array) -> tuple[Array, Array]
     if metric:
         return patch, learnt
     laid = laid_flat(known, similarity(known, patch, np.ones(len(known), np.bool_)))
-    far, most = np.empty(len(patch)), _STRETCH[1] * learnt.mean()
-    for p in range(len(patch)):
-        far[p] = math.hypot(patch[p, 0] - laid[p, 0], patch[p, 1] - laid[p, 1])
+    far, most = _apart(patch, laid), _STRETCH[1] * learnt.mean()
     limit = max(_LOCAL * np.median(far[::_SOME]), _STEADY)
     for p in range(len(patch)):
-        share = _FORGETTING * min(limit / max(far[p], 1e-9), 1.0) ** 4
+        share = _FORGETTING * ((limit / far[p]) ** 4 if far[p] > limit else 1.0)
         for d in range(2):
             laid[p, d] += min(max(share * (patch[p, d] - laid[p, d]), -most), most)
     return laid, learnt
@@ -235,11 +233,9 @@ def doubtful_places(known: Array, patch: Array, gap: float) -> npt.NDArray[np.bo
         patch: ``(625, 2)`` as it lies.
         gap: Between two points that are asked for, pixels.
     """
-    far, near, out = np.empty(len(patch)), np.ones(len(patch), np.bool_), np.zeros(len(patch), np.bool_)
+    near, out = np.ones(len(patch), np.bool_), np.zeros(len(patch), np.bool_)
     for last in (False, True):
-        laid = laid_flat(known, similarity(known, patch, near))
-        for p in range(len(patch)):
-            far[p] = math.hypot(patch[p, 0] - laid[p, 0], patch[p, 1] - laid[p, 1])
+        far = _apart(patch, laid_flat(known, similarity(known, patch, near)))
         if not last and far.max() <= max(_DOUBTED[0] * gap, _DOUBTED[1]):
             break
         own = _LOCAL * np.median(far[::_SOME])
@@ -247,6 +243,16 @@ def doubtful_places(known: Array, patch: Array, gap: float) -> npt.NDArray[np.bo
         for p in range(len(patch)):
             near[p], out[p] = far[p] <= limit, far[p] > limit
     return out
+
+
+@compiled
+def _apart(points: Array, others: Array) -> Array:
+    """Return ``(P,)`` the distances of ``(P, 2)`` points from as many others."""
+    far = np.empty(len(points))
+    for p in range(len(points)):
+        x, y = points[p, 0] - others[p, 0], points[p, 1] - others[p, 1]
+        far[p] = math.sqrt(x * x + y * y)  # several times as fast as ``hypot``
+    return far
 
 
 def _closed(points: Array) -> Array:
