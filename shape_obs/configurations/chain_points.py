@@ -68,14 +68,14 @@ def follow_chain_in_mask(
         return drawn, found, ((curve[:0], none, 0.0), nothing_seen())
     stations = stations if len(metres) > 0 else none
     track = nodes_along(curve, arc, stations, none, deep, len(nodes))
-    points, bridged, _, under, steep = points_along(
+    points, _, _, under, steep = points_along(
         curve, arc, curve, arc, stations, none, deep, off, asked.n, asked.tips, asked.in_metres, width / 2
     )
     if len(deep) == 0:
         under, steep = none, none
     seen = seen_points(
-        points, bridged, under, steep, True, arc[-1], depth, mask, at, width, lens, radius, edges, across, shares,
-        columns, diagonal,
+        points, under, steep, True, arc[-1], depth, mask, at, width, lens, radius, edges, across, shares, columns,
+        diagonal,
     )  # fmt: skip
     return drawn, found, (track, seen)
 

@@ -67,9 +67,9 @@ def _if_all_measured(
     radius: float, edges: Indices, across: int, shares: Shares, columns: int, diagonal: float,
 ) -> Seen:  # fmt: skip
     """Return ``seen_points`` of points whose depth is their own; none if some have none: theirs is filled in."""
-    bridged, none = np.zeros(len(places), np.bool_), np.empty(0)
+    none = np.empty(0)
     seen = seen_points(
-        places, bridged, none, none, False, size, depth, mask, at, width, lens, radius, edges, across, shares, columns,
+        places, none, none, False, size, depth, mask, at, width, lens, radius, edges, across, shares, columns,
         diagonal,
     )  # fmt: skip
     return seen if len(lens) == 0 or seen[3].all() else nothing_seen()

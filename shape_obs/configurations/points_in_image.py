@@ -90,15 +90,14 @@ def lift_points(
 
 @compiled
 def seen_points(
-    points: Array, interpolated: Flags, relief: Array, steep: Array, rope: bool, size: float, depth: DepthImages,
-    mask: Mask, at: tuple[int, int], width: float, lens: Array, radius: float, edges: Indices, across: int,
-    shares: Shares, columns: int, diagonal: float,
+    points: Array, relief: Array, steep: Array, rope: bool, size: float, depth: DepthImages, mask: Mask,
+    at: tuple[int, int], width: float, lens: Array, radius: float, edges: Indices, across: int, shares: Shares,
+    columns: int, diagonal: float,
 ) -> Seen:  # fmt: skip
-    """Return all that a shape holds of points in an image, see ``Shape``.
+    """Return all that a shape holds of points on a form in an image that is seen as a whole, see ``Shape``.
 
     Args:
-        points: As ``lift_points`` takes them, and the next four.
-        interpolated: Flags.
+        points: As ``lift_points`` takes them, and the next three.
         relief: Pixels.
         steep: Ratios.
         rope: Whether it is one.
@@ -122,7 +121,7 @@ def seen_points(
     residual = math.hypot(shares.resolution, shares.size * size)
     if len(lens) > 0:
         pixels, places, _, visible, valid = lift_points(
-            points, interpolated, relief, steep, depth, mask, at, width, lens, radius, rope
+            points, np.zeros(len(points), np.bool_), relief, steep, depth, mask, at, width, lens, radius, rope
         )
         focal = (lens[0] + lens[1]) / 2
         errors = point_errors(
@@ -130,7 +129,7 @@ def seen_points(
             shares.depth * stereo_noise(focal, columns), MAX_SIGMA,
         )  # fmt: skip
         return pixels, places, visible, valid, errors
-    pixels, visible = points.astype(np.float32), near_mask(mask, at[0], at[1], points, 1) & ~interpolated
+    pixels, visible = points.astype(np.float32), near_mask(mask, at[0], at[1], points, 1)
     errors = point_errors(pixels, pixels[:0], visible, visible, edges, across, residual, 0.0, 0.0, 0.0, diagonal)
     return pixels, np.empty((0, 3), np.float32), visible, visible.copy(), errors
 

@@ -47,8 +47,6 @@ SHAPES: tuple[Mutant, ...] = (
     _valid("a side may wind", "    elif winding > _MAX_WINDING:", "    elif False:"),
     _valid("cells may vary", "    elif uneven > _MAX_UNEVEN:", "    elif False:"),
     _valid("quality of a sheet ignores kinks", "* (1 - bent) *", "*"),
-    _points("an interpolated point is visible", "near_mask(mask, at[0], at[1], points, 1) & ~interpolated",
-            "near_mask(mask, at[0], at[1], points, 1)"),
     _lift("an interpolated point without depth is visible", "configurations/shape_points",
           "region.carries(points) & ~interpolated", "region.carries(points)"),
     _points("an interpolated point over depth is visible",
