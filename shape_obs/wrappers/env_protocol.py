@@ -12,7 +12,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
 from typing import Any, Final
 
 import gymnasium as gym
@@ -49,12 +48,12 @@ def publisher(env: gym.Env[Any, Any], name: str) -> gym.Env[Any, Any] | None:
 
 
 class PublishedAnchors(Mapping[str, Sequence[float]]):
-    """The anchors of an env in one frame, read when one is asked for: an env may compute them from its state."""
+    """The anchors of an env as they are now, read whenever one is asked for: an env may compute them from its state."""
 
     def __init__(self, source: gym.Env[Any, Any] | None) -> None:
         self._source = source
 
-    @cached_property
+    @property
     def _read(self) -> Mapping[str, Sequence[float]]:
         return getattr(self._source, "anchors", {})
 

@@ -158,15 +158,14 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         """Start an episode with a camera, and find the wrapper or env that publishes the anchors."""
         self._context = context
         self._unanchored = len(self.detector.shapes) * [context]
-        self._anchors: Mapping[str, Sequence[float]] = {}
-        self._anchor_source = env_protocol.publisher(self.env, "anchors")
+        self._anchors = env_protocol.PublishedAnchors(env_protocol.publisher(self.env, "anchors"))
         self._contexts: list[FeatureContext] | None = self._unanchored
 
     def _observe(self, observation: Any, info: dict[str, Any]) -> Any:
         """Detect the shapes of a frame, add them to ``info`` and return the wrapped observation."""
         rgb, depth = self._images.read(observation)
         camera, stamp = self._context.camera, info.get("stamp", self._time)
-        self._anchors, self._contexts = env_protocol.PublishedAnchors(self._anchor_source), None
+        self._contexts = None
         self.detection = detection = self.detector.detect(rgb, depth, camera, stamp=stamp, anchors=self._anchors)
         _add_info(info, detection.shapes)
         contexts = self.contexts if self._vector.anchored else self._unanchored
