@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -92,6 +94,20 @@ def test_what_turns_up_elsewhere_does_not_disturb():
     np.testing.assert_allclose(after.points2d, before, atol=0.1)
 
 
+@pytest.fixture
+def looked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """Return the list of all searches for a region, which grows with each one."""
+    looks: list[tuple[Any, ...]] = []
+    original = search_window.find_region
+
+    def look(*given: Any) -> Any:
+        looks.append(given)
+        return original(*given)
+
+    monkeypatch.setattr(search_window, "find_region", look)
+    return looks
+
+
 def test_what_was_hidden_at_first_is_seen_before_long():
     """The hidden half of a rope is not tracked, and lies outside the search window."""
     whole = np.zeros((480, 640), np.uint8)
@@ -108,16 +124,8 @@ def test_what_was_hidden_at_first_is_seen_before_long():
     assert detector.detect_mask(back).shapes[0].points2d[-1, 0] > 590
 
 
-def test_an_image_edge_is_no_reason_to_look_again(monkeypatch):
+def test_an_image_edge_is_no_reason_to_look_again(looked):
     """A rope at the image's edge stays tracked in its window, since nothing lies beyond the edge."""
-    looked = []
-    original = search_window.find_region
-
-    def look(*given):
-        looked.append(given)
-        return original(*given)
-
-    monkeypatch.setattr(search_window, "find_region", look)
     mask = np.zeros((480, 640), np.uint8)
     mask[200:212, :200] = 255
     detector = ShapeDetector()
@@ -126,16 +134,8 @@ def test_an_image_edge_is_no_reason_to_look_again(monkeypatch):
     assert len(looked) == 4
 
 
-def test_a_rope_that_begins_to_move_is_found_in_its_window(monkeypatch):
+def test_a_rope_that_begins_to_move_is_found_in_its_window(looked):
     """It rests for three frames and moves by 5 px in the next: no frame is searched twice."""
-    looked = []
-    original = search_window.find_region
-
-    def look(*given):
-        looked.append(given)
-        return original(*given)
-
-    monkeypatch.setattr(search_window, "find_region", look)
     detector, mask = ShapeDetector(), rope()
     for moved in (mask, mask, mask, shifted(mask, 5, 0)):
         assert detector.detect_mask(moved).ok
