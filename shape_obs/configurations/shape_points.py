@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -83,7 +82,7 @@ def _doubt(
     camera: Intrinsics | None,
 ) -> str:
     """Return why points cannot be right though their form was found; empty if they can."""
-    if points2d is not None and not math.isfinite(np.vdot(points2d, points2d)):
+    if points2d is not None and np.count_nonzero(np.isfinite(points2d)) < points2d.size:
         return "it runs out of the camera's sight"
     if points3d is None:
         return ""
