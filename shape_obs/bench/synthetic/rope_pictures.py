@@ -165,7 +165,7 @@ def segmented(
         # A border that is ``soft`` wide moves by a pixel for so much of a change of the threshold.
         if soft < 0.7:
             share = cv2.GaussianBlur(share, (0, 0), 0.7)
-        noise = cv2.GaussianBlur(rng.normal(0, 1, share.shape).astype(np.float32), (0, 0), 0.9)
+        noise = cv2.GaussianBlur(rng.normal(0, 1, share.shape).astype(np.float32), (0, 0), 1.4)
         share = share + 0.4 * ragged / np.hypot(max(soft, 0.7), 0.3) * noise / noise.std()
         # No irregularity reaches the axis, or leaves the border far behind.
         core = cv2.distanceTransform((surface.owner >= 0).astype(np.uint8), cv2.DIST_L2, 5)[::_FINER, ::_FINER]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,8 @@ import numpy.typing as npt
 from shape_obs.bench.synthetic.rope_layouts import Table, lay_ropes
 from shape_obs.bench.synthetic.rope_pictures import lift, picture, relief, segmented
 from shape_obs.bench.synthetic.ropes import SIZE, Curve
+
+_WIDTHS: Final = 8  # tried thicknesses until the generator gives up
 
 
 class Crossing(NamedTuple):
@@ -93,9 +95,14 @@ def several_ropes(
         holes: Number of small holes in the mask of the ropes; None for a mixture.
         same_colour: Whether all ropes have one colour.
     """
-    thick = float(rng.uniform(4, 14)) if width is None else width
-    table = Table(size, thick, leaving, touching, smallest_angle, narrowest)
-    curves, found, touch = lay_ropes(rng, count, crossings, table)
+    for _ in range(_WIDTHS):
+        thick = float(rng.uniform(4, 14)) if width is None else width
+        laid = lay_ropes(rng, count, crossings, Table(size, thick, leaving, touching, smallest_angle, narrowest))
+        if laid is not None:
+            break
+    else:
+        raise RuntimeError(f"no {count} ropes with {crossings} crossings found that fit {size[1]} x {size[0]} pixels.")
+    curves, found, touch = laid
     widths = tuple(thick * float(np.clip(rng.normal(1, 0.02), 0.95, 1.05)) for _ in curves)
     above = rng.integers(2, size=len(found)).astype(bool).tolist()
     lifts = []
@@ -117,7 +124,7 @@ def several_ropes(
             surface,
             rng,
             soft=soft if soft is not None else rng.uniform(0.4, 1.2) * dirty[0],
-            ragged=ragged if ragged is not None else rng.uniform(0.2, 0.8) * dirty[1],
+            ragged=ragged if ragged is not None else rng.uniform(0.15, 0.6) * dirty[1],
             specks=specks if specks is not None else int(rng.integers(1, 25) * dirty[2]),
             holes=holes if holes is not None else int(rng.integers(1, 8) * dirty[3]),
             width=thick,
