@@ -19,6 +19,7 @@ _GROWTH: Final = 60  # proposed pieces by which an axis grows
 _REACH: Final = 250.0  # length of such a piece in pixels
 _LONGEST: Final = 900  # pixels
 _SHORTEST: Final = 250
+_ROOM: Final = 30.0  # mean distance from the image's border in pixels
 _BEYOND: Final = 3.0  # length of a rope that is kept outside the image, in widths
 
 Laid = tuple[Curve, list[Meeting], Meeting | None]
@@ -93,7 +94,7 @@ def _next(
             curve = anywhere(rng, flat, table)
         if curve is None:
             continue
-        start, end = _seen_part(curve, table, leaves=leaves)
+        start, end = _seen_part(curve, table, 0.0 if leaves else float(rng.exponential(_ROOM)), leaves=leaves)
         if touch is not None:
             touch = touch._replace(a=touch.a - start)
         laid = _cut(rng, curve[start:end], there, touch, aim, table)
@@ -145,9 +146,12 @@ def _arc_through(rng: np.random.Generator, curve: Curve, targets: Curve, width: 
     return curve[-1] + from_heading(heading + np.cumsum(bend))
 
 
-def _seen_part(curve: Curve, table: Table, *, leaves: bool) -> tuple[int, int]:
-    """Return start and end of the longest part of a curve inside the image, or a little beyond if it may leave it."""
-    margin = table.width + 4
+def _seen_part(curve: Curve, table: Table, room: float, *, leaves: bool) -> tuple[int, int]:
+    """Return start and end of the longest part of a curve inside the image, or a little beyond if it may leave it.
+
+    Otherwise it stays ``room`` pixels and its own thickness away from the border.
+    """
+    margin = table.width + 4 + room
     deep = depth(curve, table)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], deep >= margin, [0]])))
     if len(edges) == 0:
