@@ -12,9 +12,10 @@ import numpy.typing as npt
 
 from shape_obs.bench.synthetic.rope_motions import Motion, Script, script_of
 from shape_obs.bench.synthetic.rope_pictures import picture, relief
-from shape_obs.bench.synthetic.ropes import SIZE, Array, Curve, draw_rope
+from shape_obs.bench.synthetic.ropes import SIZE, Array, Curve, blank, covered, subpixel
 
 _FINE: Final = 600  # steps of a script in which its speed is measured
+_STRETCH: Final = 12  # points of a rope that are drawn as one polygon
 _RAMP: Final = 8  # frames in which a movement starts and ends
 _MOVE: Final = (20, 50)  # frames of a movement
 _REVERSED: Final = 0.15  # probability that a movement goes back where the last ones came from
@@ -79,7 +80,7 @@ def moving_ropes(
     order, seed = rng.permutation(count), int(rng.integers(2**31))
     for index, time in enumerate(_times(rng, script, frames, min(fastest, _CALM) if hands else fastest, kind)):
         curves = script(time)
-        mask = np.maximum.reduce([draw_rope(curve, thick, size=size).mask for curve in curves])
+        mask = _drawn(curves, thick, size)
         hand = np.zeros(size, bool) if cover is None else cover(index)
         rgb = None
         if pictures:
@@ -89,6 +90,19 @@ def moving_ropes(
             rgb[hand] = (205, 160, 135)
         visible = tuple(_is_seen(curve, hand) for curve in curves)
         yield Moment(curves, (thick,) * count, visible, np.where(hand, np.uint8(0), mask), hand, rgb)
+
+
+def _drawn(curves: tuple[Curve, ...], width: float, size: tuple[int, int]) -> npt.NDArray[np.uint8]:
+    """Return the mask of ropes with flat tips."""
+    canvas = blank(size)
+    for curve in curves:
+        along = np.gradient(curve, axis=0)
+        normal = np.stack([-along[:, 1], along[:, 0]], axis=1) * width / 2
+        left, right = subpixel(curve + normal), subpixel(curve - normal)
+        for start in range(0, len(curve) - 1, _STRETCH):
+            part = slice(start, start + _STRETCH + 1)
+            cv2.fillPoly(canvas, [np.concatenate([left[part], right[part][::-1]])], 255, shift=8)
+    return covered(canvas)
 
 
 def _is_seen(curve: Curve, hand: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
@@ -125,24 +139,25 @@ def _hand(
     """Return what a hand covers in each frame: it comes from the border, visits ropes one by one, and goes."""
     angle = rng.uniform(0, 2 * np.pi)
     outside = np.array(size[::-1]) / 2 + 0.7 * np.hypot(*size) * np.array([np.cos(angle), np.sin(angle)])
-    stops: list[tuple[Array, Array]] = []
-    for k in rng.permutation(len(curves)):
-        low, high = curves[k].min(axis=0), curves[k].max(axis=0)
-        # Half of the visits hide the whole rope, if it is not too long.
-        if rng.random() < 0.5:
-            stops.append(((low + high) / 2, np.clip((high - low) * 0.7 + 10, 45, 190)))
-        else:
-            stops.append((curves[k][int(rng.integers(len(curves[k])))], rng.uniform(40, 90, 2)))
-    path = [np.concatenate([outside, stops[0][1]])] * 12
-    for stop in [*stops, (outside, stops[-1][1])]:
-        start, end = path[-1], np.concatenate(stop)
-        steps = max(int(np.linalg.norm(end[:2] - start[:2]) / rng.uniform(*speeds)), 1)
-        path += [*(start + np.arange(1, steps + 1)[:, None] / steps * (end - start))]
-        path += [end] * int(rng.integers(3, 15))
+    path = [np.array([*outside, 60.0, 60.0])] * 12
+    while len(path) < frames:
+        stops: list[tuple[Array, Array]] = []
+        for k in rng.permutation(len(curves)):
+            low, high = curves[k].min(axis=0), curves[k].max(axis=0)
+            # Half of the visits hide the whole rope, if it is not too long.
+            if rng.random() < 0.5:
+                stops.append(((low + high) / 2, np.clip((high - low) * 0.7 + 10, 45, 190)))
+            else:
+                stops.append((curves[k][int(rng.integers(len(curves[k])))], rng.uniform(40, 90, 2)))
+        for stop in [*stops, (outside, stops[-1][1])]:
+            start, end = path[-1], np.concatenate(stop)
+            steps = max(int(np.linalg.norm(end[:2] - start[:2]) / rng.uniform(*speeds)), 1)
+            path += [*(start + np.arange(1, steps + 1)[:, None] / steps * (end - start))]
+            path += [end] * int(rng.integers(3, 15))
 
     def cover(frame: int) -> npt.NDArray[np.bool_]:
         canvas = np.zeros(size, np.uint8)
-        u, v, *axes = (round(float(x)) for x in path[min(frame, len(path) - 1)])
+        u, v, *axes = (round(float(x)) for x in path[frame])
         cv2.ellipse(canvas, (u, v), axes, 0, 0, 360, 1, -1)
         cv2.line(canvas, (u, v), [round(float(x)) for x in outside], 1, min(axes))
         return canvas > 0
