@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import dijkstra
 from shape_obs.bench.synthetic.rope_clearance import intersections
 from shape_obs.bench.synthetic.rope_pictures import lift, relief
 from shape_obs.bench.synthetic.rope_scores import judge, seen_axis, steps_off
-from shape_obs.bench.synthetic.several_ropes import several_ropes
+from shape_obs.bench.synthetic.several_ropes import noisy_depth, several_ropes
 
 SIZES = ((480, 640), (672, 896))
 KINDS = [(2, 0, 0), (2, 2, 1), (2, 5, 0), (3, 1, 1), (3, 5, 0), (5, 0, 1), (5, 3, 0), (5, 6, 1)]
@@ -89,6 +89,17 @@ def test_the_upper_strand_is_drawn_on_top():
             upper = crossing.first if crossing.first_above else crossing.second
             reach = max(round(0.5 * scene.widths[upper]), 1)
             assert (top.owner[v - reach : v + reach + 1, u - reach : u + reach + 1] == upper).mean() > 0.95
+
+
+def test_depth_shows_which_strand_is_above(scenes):
+    for scene in scenes:
+        depth = noisy_depth(scene, np.random.default_rng(0))
+        assert abs(np.median(depth) - 0.6) < 0.001
+        for crossing in scene.crossings:
+            u, v = np.round(crossing.place).astype(int)
+            width = 0.6 / 386 * max(scene.widths[crossing.first], scene.widths[crossing.second])
+            # Two ropes lie over each other there.
+            assert 0.6 - 2.3 * width < np.median(depth[v - 1 : v + 2, u - 1 : u + 2]) < 0.6 - 1.1 * width
 
 
 def test_touching_ropes_are_one_piece():

@@ -123,8 +123,9 @@ def picture(
         rng: Draws the table's texture, the light's fall and the noise.
     """
     rows, columns = surface.height.shape
-    ground = _texture(rng, (rows, columns)) * table
-    scene = np.where(surface.owner[..., None] >= 0, colours[surface.owner] * surface.shade[..., None], ground)
+    scene = _texture(rng, (rows, columns)) * table.astype(np.float32)
+    on = surface.owner >= 0
+    scene[on] = colours.astype(np.float32)[surface.owner[on]] * surface.shade[on, None]
     # Contact shadow next to what is higher, and the shadow that it casts away from the light.
     nearby = cv2.GaussianBlur(surface.height, (0, 0), 0.35 * width * _FINER)
     dark = np.clip((nearby - surface.height) / width, 0, 1) * 1.1
@@ -132,8 +133,8 @@ def picture(
     matrix = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], dtype=np.float64)
     cast = cv2.warpAffine(surface.height, matrix, (columns, rows)) - surface.height - 0.5 * width
     cast = cv2.GaussianBlur(np.clip(cast / width, 0, 0.6).astype(np.float32), (0, 0), 0.2 * width * _FINER)
-    scene = scene * (1 - np.clip(dark + 0.7 * cast, 0, 0.75))[..., None]
-    small = cv2.resize(scene.astype(np.float32), (columns // _FINER, rows // _FINER), interpolation=cv2.INTER_AREA)
+    scene *= (1 - np.clip(dark + 0.7 * cast, 0, 0.75)).astype(np.float32)[..., None]
+    small = cv2.resize(scene, (columns // _FINER, rows // _FINER), interpolation=cv2.INTER_AREA)
     small = cv2.GaussianBlur(small, (0, 0), rng.uniform(0.4, 0.8))
     slope = rng.uniform(-0.12, 0.12, 2)
     height, wide = small.shape[:2]
@@ -180,11 +181,11 @@ def segmented(
     return mask
 
 
-def _texture(rng: np.random.Generator, size: tuple[int, int]) -> Array:
+def _texture(rng: np.random.Generator, size: tuple[int, int]) -> npt.NDArray[np.float32]:
     """Return the brightness of a table about 1, ``(H, W, 1)``: blotches, sometimes grain in one direction."""
     coarse = rng.normal(0, 1, (size[0] // 64 + 2, size[1] // 64 + 2)).astype(np.float32)
     field = 0.03 * cv2.resize(coarse, size[::-1], interpolation=cv2.INTER_CUBIC)
     if rng.integers(2):
         grain = rng.normal(0, 1, (size[0] // 4, size[1] // 160 + 2)).astype(np.float32)
         field = field + 0.035 * cv2.resize(grain, size[::-1], interpolation=cv2.INTER_LINEAR)
-    return 1 + field[..., None].astype(np.float64)
+    return 1 + field[..., None].astype(np.float32)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -13,6 +14,10 @@ from shape_obs.bench.synthetic.rope_pictures import lift, picture, relief, segme
 from shape_obs.bench.synthetic.ropes import SIZE, Curve
 
 _WIDTHS: Final = 8  # tried thicknesses until the generator gives up
+# Of a D455: error of the disparity and blur of the matching window in pixels, distance of its cameras in metres.
+_DISPARITY: Final = 0.08
+_WINDOW: Final = 1.0
+_BASELINE: Final = 0.095
 
 
 class Crossing(NamedTuple):
@@ -48,6 +53,8 @@ class RopeScene:
         mask: ``(H, W)`` uint8, 0 or 255.
         rgb: ``(H, W, 3)`` uint8.
         crossings: Those inside the image.
+        height: Height of the visible surface over the table, ``(H, W)`` float32, in pixels like the widths; a rope that
+            lies on the table is as high as it is wide.
     """
 
     curves: tuple[Curve, ...]
@@ -55,6 +62,7 @@ class RopeScene:
     mask: npt.NDArray[np.uint8]
     rgb: npt.NDArray[np.uint8]
     crossings: tuple[Crossing, ...]
+    height: npt.NDArray[np.float32]
 
 
 def several_ropes(
@@ -134,7 +142,28 @@ def several_ropes(
             Crossing(m.i, _arc(curves[m.i], m.a), m.j, _arc(curves[m.j], m.b), m.place, up, m.angle)
             for m, up in zip(found, above, strict=True)
         ),
+        np.asarray(cv2.resize(surface.height, size[::-1], interpolation=cv2.INTER_AREA), np.float32),
     )
+
+
+def noisy_depth(
+    scene: RopeScene, rng: np.random.Generator, distance: float = 0.6, focal: float = 386.0
+) -> npt.NDArray[np.float32]:
+    """Return the depth image of a scene seen from straight above with the noise of a D455, ``(H, W)`` metres.
+
+    The noise is an error of the disparity that neighbouring pixels share. Stereo matching smooths depth over a window,
+    so a rope's sides slope down to the table over some pixels.
+
+    Args:
+        scene: The scene.
+        rng: Draws the noise.
+        distance: From the camera to the table, in metres.
+        focal: Focal length in pixels; a rope is ``width * distance / focal`` thick.
+    """
+    depth = distance - cv2.GaussianBlur(scene.height, (0, 0), _WINDOW).astype(np.float64) * distance / focal
+    noise = cv2.GaussianBlur(rng.normal(size=depth.shape), (0, 0), 1.0)
+    sigma = depth**2 * _DISPARITY / (focal * _BASELINE)
+    return (depth + sigma * noise / noise.std()).astype(np.float32)
 
 
 def _arc(curve: Curve, index: float) -> float:
