@@ -207,7 +207,8 @@ def _cut(
         fine &= (
             (start <= max(touch.a - touch.reach, 0)) & ((start == 0) | (touch.a > 0)) & (touch.a + touch.reach < end)
         )
-    best = np.argsort(-many, kind="stable")
+    # Most crossings first; then, half of the time, the longest.
+    best = np.lexsort(((start - end) * int(rng.integers(2)), -many))
     for k in best[fine[best]][:4]:
         part, at = curve[start[k] : end[k]], int(start[k])
         own = [m for m, counts in zip(met, inside, strict=True) if counts[k]]

@@ -80,7 +80,9 @@ def across(rng: np.random.Generator, flat: Curve, curves: Sequence[Curve], table
     if min(len(under), len(flat)) <= 2 * edge + 2:
         return None
     a, b = int(rng.integers(edge, len(flat) - edge)), int(rng.integers(edge, len(under) - edge))
-    angle = rng.uniform(table.smallest_angle, np.pi - table.smallest_angle) * rng.choice([-1, 1])
+    # Acute angles find less room; they are proposed more often.
+    angle = table.smallest_angle + (np.pi / 2 - table.smallest_angle) * rng.random() ** 2
+    angle = angle * rng.choice([-1, 1]) + np.pi * rng.integers(2)
     return _moved(flat, a, under[b], _heading(under, b) + angle)
 
 
