@@ -22,6 +22,7 @@ _SPREAD: Final = 3.0  # pixels between junction pixels of one cluster
 # In widths of the ropes:
 _SPUR: Final = 1.0  # the longest branch from a junction to a free end that is pruned
 _MERGED: Final = 3.0  # the longest branch between two junctions of three arms that are one crossing
+_STEM: Final = 9.0  # the same if the other arms go on within 60 degrees of its direction, at both ends
 _LOOK: Final = 2.5  # length of the arms whose bending is compared
 _SHORTEST: Final = 4.0  # the shortest rope
 _KERNEL: Final = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.float32)
@@ -143,9 +144,9 @@ def _merged(branches: list[_Branch], width: float) -> list[_Branch]:
             branch
             for branch in branches
             if min(branch.nodes) >= 0
-            and len(branch.pixels) < _MERGED * width
-            and (branch.nodes[0] != branch.nodes[1])
+            and branch.nodes[0] != branch.nodes[1]
             and all(len(arms[node]) == 3 for node in branch.nodes)
+            and (len(branch.pixels) < _MERGED * width or _is_stem(branch, arms, width))
         ]
         if not short:
             return branches
@@ -153,6 +154,23 @@ def _merged(branches: list[_Branch], width: float) -> list[_Branch]:
         branches = [branch for branch in branches if branch is not gone]
         for branch in branches:
             branch.nodes = [gone.nodes[0] if node == gone.nodes[1] else node for node in branch.nodes]
+
+
+def _is_stem(branch: _Branch, arms: dict[int, list[tuple[_Branch, int]]], width: float) -> bool:
+    """Return whether two strands run together along a branch: they come from behind it, and go on ahead."""
+    if len(branch.pixels) > _STEM * width:
+        return False
+    reach = max(round(_LOOK * width), 4)
+    for end, node in enumerate(branch.nodes):
+        ahead = branch.pixels[-1 if end else 0] - branch.pixels[0 if end else -1]
+        for other, start in arms[node]:
+            if other is branch:
+                continue
+            way = (other.pixels if start == 0 else other.pixels[::-1])[:reach]
+            along = way[-1] - way[0]
+            if along @ ahead < 0.5 * np.linalg.norm(along) * np.linalg.norm(ahead):
+                return False
+    return True
 
 
 def _traversed(branches: list[_Branch], width: float) -> list[Array]:

@@ -15,7 +15,7 @@ def test_the_peer_finds_nearly_all_ropes_in_clean_masks(count, crossings):
     right = []
     for seed in range(8):
         rng = np.random.default_rng([seed, count, crossings])
-        scene = several_ropes(rng, count, crossings, soft=0.6, ragged=0, specks=0, holes=0)
+        scene = several_ropes(rng, count, crossings, soft=0.6, ragged=0, specks=0, holes=0, smallest_angle=0.8)
         right += judge(peer_ropes(scene.mask), scene).right
     assert np.mean(right) >= 0.9
 
