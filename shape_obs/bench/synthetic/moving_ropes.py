@@ -139,14 +139,16 @@ def _hand(
     """Return what a hand covers in each frame: it comes from the border, visits ropes one by one, and goes."""
     angle = rng.uniform(0, 2 * np.pi)
     outside = np.array(size[::-1]) / 2 + 0.7 * np.hypot(*size) * np.array([np.cos(angle), np.sin(angle)])
+    smallest = int(np.argmin([np.ptp(curve, axis=0).max() for curve in curves]))
     path = [np.array([*outside, 60.0, 60.0])] * 12
     while len(path) < frames:
         stops: list[tuple[Array, Array]] = []
-        for k in rng.permutation(len(curves)):
+        # The first visit hides the smallest rope, if that is possible, and half of the others hide theirs.
+        others = rng.permutation([k for k in range(len(curves)) if k != smallest])
+        for k in (smallest, *others.tolist()):
             low, high = curves[k].min(axis=0), curves[k].max(axis=0)
-            # Half of the visits hide the whole rope, if it is not too long.
-            if rng.random() < 0.5:
-                stops.append(((low + high) / 2, np.clip((high - low) * 0.7 + 10, 45, 190)))
+            if k == smallest or rng.random() < 0.5:
+                stops.append(((low + high) / 2, np.clip((high - low) * 0.7 + 10, 45, 220)))
             else:
                 stops.append((curves[k][int(rng.integers(len(curves[k])))], rng.uniform(40, 90, 2)))
         for stop in [*stops, (outside, stops[-1][1])]:
