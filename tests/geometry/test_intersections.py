@@ -1,0 +1,127 @@
+"""Crossings of polylines against exact arithmetic, and at vertices, tips and touching strands."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shape_obs.geometry.intersections import find_crossings
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def brute_force(curves):
+    """Crossings of pieces that are no neighbours, with exact fractions: (curve, piece, curve, piece, handedness)."""
+    pieces = [
+        (k, p, [[Fraction(float(x)) for x in point] for point in line[p : p + 2]])
+        for k, line in enumerate(curves)
+        for p in range(len(line) - 1)
+    ]
+    found = []
+    for n, (k, p, (a, b)) in enumerate(pieces):
+        for m, q, (c, d) in pieces[n + 1 :]:
+            if k == m and q <= p + 1:
+                continue
+
+            def side(one, other, point):
+                return (other[0] - one[0]) * (point[1] - one[1]) - (other[1] - one[1]) * (point[0] - one[0])
+
+            if side(a, b, c) * side(a, b, d) < 0 and side(c, d, a) * side(c, d, b) < 0:
+                found.append((k, p, m, q, 1 if side(a, b, d) > 0 else -1))
+    return sorted(found)
+
+
+def piece(curve, share):
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+    return int(np.searchsorted(arc, share * arc[-1])) - 1
+
+
+@given(SEEDS, st.lists(st.integers(0, 40), min_size=0, max_size=4), st.booleans())
+def test_all_crossings_are_found(seed, sizes, walking):
+    rng = np.random.default_rng(seed)
+    curves = [rng.normal(0, 30, (size, 2)) for size in sizes]
+    if walking:  # short pieces, as along a rope
+        curves = [np.cumsum(curve, axis=0) for curve in curves]
+    found = find_crossings(curves)
+    got = []
+    for crossing in found:
+        (i, j), (first, second) = map(int, crossing.slots), crossing.arcs
+        got.append((i, piece(curves[i], first), j, piece(curves[j], second), crossing.handedness))
+        for k, share in ((i, first), (j, second)):
+            p = piece(curves[k], share)
+            arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curves[k], axis=0), axis=1))])
+            on = (share * arc[-1] - arc[p]) / (arc[p + 1] - arc[p])
+            there = curves[k][p] + on * (curves[k][p + 1] - curves[k][p])
+            np.testing.assert_allclose(crossing.pixel, there, atol=1e-3)
+    assert sorted(got) == brute_force(curves)
+    assert [(c.slots[0], c.arcs[0]) for c in found] == sorted((c.slots[0], c.arcs[0]) for c in found)
+
+
+@given(SEEDS, st.integers(2, 12))
+def test_walks_on_a_grid_cross_as_often_as_when_moved_off_it(seed, size):
+    """Vertices lie on vertices and pieces on pieces: odd and even are those of a line that passes between them."""
+    rng = np.random.default_rng(seed)
+    walk = np.cumsum(rng.integers(-3, 4, (size, 2)), axis=0).astype(float)
+    across = np.array([[-100.0, 0.5], [100.0, 0.5]])
+    through = np.array([[-100.0, 0.0], [100.0, 0.0]])
+    ends = walk[[0, -1], 1]
+    between, on = ([c for c in find_crossings([walk, line]) if c.slots == ("0", "1")] for line in (across, through))
+    assert len(between) % 2 == ((ends[0] > 0.5) != (ends[1] > 0.5))
+    if (ends != 0).all():
+        assert len(on) % 2 == (ends[0] * ends[1] < 0)
+
+
+LINE = [[0.0, 0], [10, 0]]
+
+
+@pytest.mark.parametrize(
+    ("other", "count"),
+    [
+        ([[5, -5], [5, 0], [5, 5]], 1),  # its vertex on the line
+        ([[2, 5], [2, 0], [3, 5]], 0),  # touches from one side
+        ([[2, -5], [2, 0], [3, -5]], 0),
+        ([[7, 3], [7, 0]], 0),  # its tip on the line
+        ([[10, 3], [10, 0], [10, -3]], 0),  # over the tip of the line
+        ([[2, 3], [3, 0], [5, 0], [6, -3]], 1),  # runs along it, then leaves on the other side
+        ([[2, 3], [3, 0], [3, 0], [3, 0], [4, -3]], 1),  # a vertex three times
+        ([[1, 1]], 0),
+        ([[1, 1], [1, 1]], 0),
+        (np.zeros((0, 2)), 0),
+    ],
+)
+def test_touching_is_not_crossing(other, count):
+    middle = [[0.0, 0], [5, 0], [10, 0]]
+    for line in (LINE, middle):
+        assert len(find_crossings([line, other])) == len(find_crossings([other, line])) == count
+
+
+def test_a_vertex_on_a_vertex_is_found_once():
+    cross = [[5.0, -5], [5, 0], [5, 5]], [[0.0, 0], [5, 0], [10, 0]]
+    (found,) = find_crossings(cross, ["a", "b"])
+    assert found.slots == ("a", "b")
+    np.testing.assert_allclose(found.arcs, 0.5, atol=1e-6)
+    np.testing.assert_allclose(found.pixel, (5, 0), atol=1e-6)
+    assert found.above is None
+    # ``a`` runs down; ``b`` runs to the right, which is from the right of ``a`` to its left.
+    assert found.handedness == -1
+    assert find_crossings(cross[::-1])[0].handedness == 1
+
+
+def test_a_loop_crosses_itself_once_and_a_ring_does_not():
+    loop = np.array([[0.0, 0], [10, 0], [10, 10], [5, 10], [5, -5]])
+    (found,) = find_crossings([loop])
+    np.testing.assert_allclose(found.arcs, (5 / 40, 35 / 40), atol=1e-6)
+    ring = np.array([[0.0, 0], [10, 0], [10, 10], [0, 0]])
+    assert find_crossings([ring]) == ()
+
+
+def test_bad_curves_are_refused():
+    assert find_crossings([]) == ()
+    with pytest.raises(ValueError, match="'b' must be finite"):
+        find_crossings([LINE, [[0.0, np.nan]]], ["a", "b"])
+    with pytest.raises(ValueError, match="names: expected 1"):
+        find_crossings([LINE], ["a", "b"])
