@@ -12,7 +12,7 @@ import numpy.typing as npt
 from shape_obs.bench.synthetic.ropes import SIZE, Curve
 from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.intersections import find_crossings
-from shape_obs.geometry.polyline import resample
+from shape_obs.geometry.polyline import arc_length, interpolate
 
 Array = npt.NDArray[np.float64]
 
@@ -149,12 +149,15 @@ def height_at(curve: Curve, heights: Array, share: float) -> float:
 
 
 def is_clear(rope: Array, crossings: Sequence[Crossing]) -> bool:
-    """Return whether no two crossings of a rope, ``(P, 3)``, lie so near each other that points could mistake them."""
+    """Return whether the crossings of a rope, ``(P, 3)``, lie apart, and their strands one above the other."""
     places = np.array([crossing.pixel for crossing in crossings]).reshape(-1, 2)
     distance = np.linalg.norm(places[:, None] - places[None], axis=2)[np.triu_indices(len(places), 1)]
     curve, heights = rope[:, :2], rope[:, 2]
+    shares = sorted(share for crossing in crossings for share in crossing.arcs)
+    steps = np.diff([0.0, *shares, 1.0]) * np.linalg.norm(np.diff(curve, axis=0), axis=1).sum()
     gaps = [abs(height_at(curve, heights, c.arcs[0]) - height_at(curve, heights, c.arcs[1])) for c in crossings]
-    return min(distance, default=np.inf) > _APART and min(gaps, default=np.inf) > _CLEARANCE * np.ptp(heights)
+    clear = min(*steps, *distance) > _APART
+    return clear and min(gaps, default=np.inf) > _CLEARANCE * np.ptp(heights)
 
 
 def _with_tails(rope: Array, rng: np.random.Generator) -> Array:
@@ -173,10 +176,11 @@ def _with_tails(rope: Array, rng: np.random.Generator) -> Array:
 
 
 def _placed(rope: Array, rng: np.random.Generator) -> Array:
-    """Return a rope moved and scaled into the image, with points at equal steps."""
+    """Return a rope moved and scaled into the image, with points at equal steps in the image."""
     room = np.array(SIZE[::-1]) - 2.0 * _MARGIN
     extent = np.ptp(rope[:, :2], axis=0)
     rope = rope * (room / extent).min()
     rope[:, :2] += _MARGIN - rope[:, :2].min(axis=0)
     rope[:, :2] += rng.uniform(size=2) * (room - np.ptp(rope[:, :2], axis=0))
-    return resample(rope, _POINTS)
+    arc = arc_length(np.ascontiguousarray(rope[:, :2]))
+    return interpolate(np.ascontiguousarray(rope), arc, np.linspace(0.0, arc[-1], _POINTS))

@@ -24,10 +24,9 @@ def reduced_code(crossings: Sequence[Crossing], name: str) -> tuple[Visit, ...]:
     tried undo all crossings. Crossings of which the upper strand is unknown are only untwisted, or crossed by moves
     that are possible whichever is above.
     """
-    letters = {
-        at: visit for at, visit in zip(_rope(crossings, name).strands[0], gauss_code(crossings, name), strict=True)
-    }
-    return tuple(letters[at] for at in reduced(_rope(crossings, name)).strands[0])
+    rope = _rope(crossings, name)
+    letters = dict(zip(rope.strands[0], gauss_code(crossings, name), strict=True))
+    return tuple(letters[at] for at in reduced(rope).strands[0])
 
 
 def is_knotted(crossings: Sequence[Crossing], name: str) -> bool | None:

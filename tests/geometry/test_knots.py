@@ -1,0 +1,259 @@
+"""Knotted and unknotted ropes against invariants that are computed from the curve in space."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from knot_oracles import bracket, closed_above, crossings_in_space, determinant
+
+from shape_obs.bench.synthetic.knots import KNOTS, UNKNOTS, DrawnKnot, drawn_knot, with_heights
+from shape_obs.geometry.crossings import Crossing, format_code, gauss_code, gauss_codes
+from shape_obs.geometry.intersections import find_crossings
+from shape_obs.geometry.knots import are_hooked, is_knotted, lifts_off, reduced_code
+from shape_obs.geometry.knots.closure import is_planar, with_arc
+from shape_obs.geometry.knots.diagram import ABOVE, BELOW, Diagram, reduced
+from shape_obs.geometry.knots.polynomial import CIRCLE, jones_polynomial, product
+
+# Jones polynomials by exponents of t, up to a mirror image: V. F. R. Jones, "Hecke Algebra Representations of Braid
+# Groups", 1987; those of the composite knots are products. Determinants: KnotInfo.
+JONES = {
+    "trefoil": {1: 1, 3: 1, 4: -1},
+    "figure eight": {-2: 1, -1: -1, 0: 1, 1: -1, 2: 1},
+    "5_1": {2: 1, 4: 1, 5: -1, 6: 1, 7: -1},
+    "5_2": {1: 1, 2: -1, 3: 2, 4: -1, 5: 1, 6: -1},
+    "8_19": {3: 1, 5: 1, 8: -1},
+}
+JONES["granny"] = product(JONES["trefoil"], JONES["trefoil"])
+JONES["square"] = product(JONES["trefoil"], {-p: x for p, x in JONES["trefoil"].items()})
+DETERMINANT = {"trefoil": 3, "figure eight": 5, "5_1": 5, "5_2": 7, "6_2": 11, "6_3": 13, "8_19": 3}
+DETERMINANT |= {"granny": 9, "square": 9} | dict.fromkeys(UNKNOTS, 1)
+NAMES = [*KNOTS, *UNKNOTS]
+COUNT = 100
+# An unknot: the rows that each column of a grid spans, above all rows. The moves remove 6 of 18 crossings.
+HARD = [10, 4, 3, 10, 2, 8, 5, 0, 4, 9, 1, 6, 7, 2, 9, 5, 6, 3, 0, 7, 8, 1]
+
+
+@cache
+def drawn(k: int) -> tuple[DrawnKnot, tuple[Crossing, ...]]:
+    knot = drawn_knot(np.random.default_rng(k), NAMES[k % len(NAMES)])
+    found = find_crossings([knot.curve], ["rope"])
+    return knot, with_heights(found, [knot.curve], [knot.heights], ["rope"])
+
+
+def seen(*curves, names="ab"):
+    """Crossings of curves (P, 3)."""
+    names = list(names[: len(curves)])
+    flat = [np.asarray(c, float)[:, :2] for c in curves]
+    return with_heights(find_crossings(flat, names), flat, [np.asarray(c, float)[:, 2] for c in curves], names)
+
+
+def in_space(knot):
+    return np.column_stack([knot.curve, knot.heights])
+
+
+def diagram(crossings, name="rope"):
+    return Diagram.of(crossings, (name,), (ABOVE,))
+
+
+def jones(crossings, name="rope"):
+    return jones_polynomial(with_arc(diagram(crossings, name), 0))
+
+
+@pytest.mark.parametrize("k", range(COUNT))
+def test_drawn_knots(k):
+    """Codes, knottedness and the determinant of each are those of the curve in space."""
+    knot, crossings = drawn(k)
+    rope = in_space(knot)
+    true = crossings_in_space([rope], closed=False)
+    ends = sorted((end, side, n) for n, c in enumerate(true) for side, end in (("U", c.under), ("O", c.over)))
+    number: dict[int, int] = {}
+    letters = [f"{side}{number.setdefault(n, len(number) + 1)}{'-+'[true[n].sign > 0]}" for _, side, n in ends]
+    assert format_code(gauss_code(crossings, "rope")) == " ".join(letters)
+    assert is_planar(diagram(crossings))
+    assert is_knotted(crossings, "rope") is knot.knotted
+    assert determinant([closed_above(rope)]) == DETERMINANT[knot.name]
+    if not reduced_code(crossings, "rope"):
+        assert not knot.knotted
+
+
+@pytest.mark.parametrize("k", range(0, COUNT, 5))
+def test_moves_and_the_arc_leave_the_polynomial(k):
+    knot, crossings = drawn(k)
+    whole = jones(crossings)
+    assert jones_polynomial(with_arc(reduced(diagram(crossings)), 0)) == whole
+    in_t = JONES.get(knot.name, {0: 1} if not knot.knotted else None)
+    if in_t is not None:
+        one, other = (product({sign * 4 * p: x for p, x in in_t.items()}, CIRCLE) for sign in (1, -1))
+        assert whole in (one, other)
+
+
+def test_the_polynomial_is_the_sum_over_all_smoothings():
+    compared = 0
+    for k in range(0, COUNT, 2):
+        knot, crossings = drawn(k)
+        closed = closed_above(in_space(knot))
+        if len(crossings_in_space([closed], closed=True)) <= 9:
+            assert jones(crossings) == bracket([closed])
+            compared += 1
+    assert compared >= 10
+
+
+def test_a_right_handed_trefoil():
+    t = np.linspace(0.02, 2 * np.pi - 0.02, 300)
+    radius = 2 + np.cos(3 * t)
+    rope = np.stack([radius * np.cos(2 * t), radius * np.sin(2 * t), np.sin(3 * t)], axis=1)
+    crossings = seen(rope)
+    assert format_code(gauss_code(crossings, "a")) == "O1+ U2+ O3+ U1+ O2+ U3+"
+    # The first passage lies over the rope, so that the end is drawn back.
+    assert format_code(reduced_code(crossings, "a")) == "U2+ O3+ O2+ U3+"
+    assert is_knotted(crossings, "a") is True
+    assert jones(crossings, "a") == product({-4 * p: x for p, x in JONES["trefoil"].items()}, CIRCLE)
+    mirror = seen(rope * [1, 1, -1])
+    assert format_code(gauss_code(mirror, "a")) == "U1- O2- U3- O1- U2- O3-"
+    assert is_knotted(mirror, "a") is is_knotted(seen(rope[::-1]), "a") is True
+
+
+def test_an_end_on_the_rope_is_free_and_an_end_under_it_is_not():
+    """An overhand knot of which one end has just passed the last strand."""
+    t = np.linspace(0.02, 2 * np.pi - 0.02, 300)
+    radius = 2 + np.cos(3 * t)
+    rope = np.stack([radius * np.cos(2 * t), radius * np.sin(2 * t), np.sin(3 * t)], axis=1)
+    last = max(c.arcs[1] for c in seen(rope))
+    short = rope[: int(300 * (last - 0.01))]  # the last passage is under: cut before it
+    assert is_knotted(seen(short), "a") is False
+    assert is_knotted(seen(rope), "a") is True
+
+
+def test_moves_do_not_undo_a_hard_unknot_but_the_polynomial_shows_it():
+    rope, tall = on_a_grid(HARD)
+    crossings = [c._replace(above=0 if tall(c.arcs[0]) else 1) for c in find_crossings([rope], ["rope"])]
+    assert (len(crossings), len(reduced_code(crossings, "rope")) // 2) == (18, 12)
+    assert is_knotted(crossings, "rope") is False
+    assert jones(crossings) == CIRCLE
+
+
+def on_a_grid(rows):
+    """The curve around a grid diagram, cut open in its first column, and whether a share of it lies in a column."""
+    spans = np.reshape(rows, (-1, 2)).tolist()
+    column, row, points = 0, spans[0][0], []
+    while not points or (column, row) != (0, spans[0][0]):
+        other = sum(spans[column]) - row
+        points += [(column, row), (column, other)]
+        row, column = other, next(k for k, span in enumerate(spans) if other in span and k != column)
+    line = np.array(points, float)
+    middle = (line[0] + line[-1]) / 2
+    line = 20 * np.concatenate([[middle + (line[0] - middle) / 1000], line, [middle + (line[-1] - middle) / 1000]])
+    step = np.abs(np.diff(line, axis=0))
+    arc = np.cumsum(step.sum(axis=1))
+    return line, lambda share: step[np.searchsorted(arc, share * arc[-1]), 1] > 0
+
+
+def test_unknown_crossings_matter_only_where_the_answer_depends_on_them():
+    t = np.linspace(0.02, 2 * np.pi - 0.02, 300)
+    radius = 2 + np.cos(3 * t)
+    trefoil = seen(np.stack([radius * np.cos(2 * t), radius * np.sin(2 * t), np.sin(3 * t)], axis=1))
+    for k in range(3):  # with one crossing changed a trefoil is no knot
+        some = [c._replace(above=None) if n == k else c for n, c in enumerate(trefoil)]
+        assert is_knotted(some, "a") is None
+        assert "?" in format_code(gauss_code(some, "a"))
+    loop = [c._replace(above=None) for c in seen([[0, 0, 0], [10, 0, 0], [10, 10, 1], [5, 10, 1], [5, -5, 1]])]
+    assert is_knotted(loop, "a") is False
+    assert reduced_code(loop, "a") == ()
+    # A granny with one trefoil known is knotted, whatever the other is.
+    knot = drawn_knot(np.random.default_rng(5), "granny", swirls=0)
+    found = find_crossings([knot.curve], ["a"])
+    known = with_heights(found, [knot.curve], [knot.heights], ["a"])
+    answers = {
+        is_knotted([c._replace(above=None) if n == k else c for n, c in enumerate(known)], "a")
+        for k in range(len(known))
+    }
+    assert answers == {True}
+    assert is_knotted(found, "a") is None  # all unknown
+
+
+def test_missing_crossings_are_noticed_where_no_curve_has_the_others():
+    assert is_knotted([], "a") is False
+    planar = []
+    for k in range(0, COUNT, 4):
+        _, crossings = drawn(k)
+        for n in range(len(crossings)):
+            some = crossings[:n] + crossings[n + 1 :]
+            planar.append(is_planar(diagram(some)))
+            assert planar[-1] or is_knotted(some, "rope") is None
+    assert np.mean(planar) < 0.4
+
+
+U_LEFT = [[-50, -10, 0], [0, -10, 0], [15, 0, 0], [0, 10, 0], [-50, 10, 0]]
+U_RIGHT = [[60, -9, 1], [10, -9, 1], [-5, 0, 0.5], [10, 9, -1], [60, 9, -1]]
+LINE = [[-50, 0, 0], [50, 0, 0]]
+WAVE = [[-40, -20, 1], [-20, 20, 1], [20, -20, -1], [40, 20, -1]]
+
+
+def test_ropes_that_hook_each_other():
+    clasp = seen(U_LEFT, U_RIGHT)
+    assert len(clasp) == 2
+    assert are_hooked(clasp, "a", "b") is are_hooked(clasp, "b", "a") is True
+    # Both strands of one above those of the other.
+    flat = [[u, v, 5] for u, v, _ in U_RIGHT]
+    assert lifts_off(seen(U_LEFT, flat), "b", "a") is True
+    assert lifts_off(seen(U_LEFT, flat), "a", "b") is True  # it is drawn from under both strands
+    assert are_hooked(seen(U_LEFT, flat), "a", "b") is False
+
+
+def test_a_rope_across_another_comes_off_it_and_one_below_does_not():
+    across = seen(LINE, [[0, -30, 1], [0, 30, 1]])
+    assert (lifts_off(across, "b", "a"), lifts_off(across, "a", "b")) == (True, False)
+    assert are_hooked(across, "a", "b") is False
+    unknown = [c._replace(above=None) for c in across]
+    assert lifts_off(unknown, "b", "a") is None
+    assert are_hooked(unknown, "a", "b") is None
+    assert lifts_off([], "a", "b") is True
+    woven = seen(LINE, WAVE)
+    assert len(woven) == 3
+    assert are_hooked(woven, "a", "b") in (True, False)
+
+
+def test_lifting_agrees_with_linking_in_space():
+    rng = np.random.default_rng(2)
+    t = np.linspace(0, 1, 120)
+    answers, by_polynomial = [], 0
+    for _ in range(60):
+        count, ropes = int(rng.integers(3, 6)), []
+        for _ in range(2):
+            rope = np.zeros((120, 3))
+            for k in range(1, count + 1):
+                size, phase = rng.normal(0, 60 / k**0.7, (1, 3)), rng.uniform(0, 6, (1, 3))
+                rope += size * np.cos(k * np.pi * 1.5 * t[:, None] + phase)
+            ropes.append(rope)
+        crossings = seen(*ropes)
+        answer = lifts_off(crossings, "a", "b")
+        answers.append(answer)
+        loops = [closed_above(ropes[0]), closed_above(ropes[1] * [1, 1, -1]) * [1, 1, -1]]
+        found = crossings_in_space(loops, closed=True)
+        linking = sum(c.sign for c in found if c.over[0] != c.under[0]) // 2
+        if linking != 0 or determinant(loops) != 0:
+            assert answer is False
+        by_polynomial += answer is False and linking == 0
+        both = Diagram.of(crossings, ("a", "b"), (ABOVE, BELOW))
+        link = with_arc(with_arc(both, 0), 1)
+        if link.count <= 18:
+            assert jones_polynomial(link) == jones_polynomial(with_arc(with_arc(reduced(both), 0), 1))
+        if len(found) <= 10:
+            assert jones_polynomial(link) == bracket(loops)
+    assert min(answers.count(True), answers.count(False)) >= 10
+    assert answers.count(None) <= 2
+    assert by_polynomial >= 1
+
+
+def test_the_polynomial_needs_closed_and_known_strands():
+    open_one = diagram(drawn(0)[1])
+    with pytest.raises(ValueError, match="closed strands"):
+        jones_polynomial(open_one)
+
+
+def test_codes_of_two_ropes_number_each_crossing_once():
+    clasp = seen(U_LEFT, U_RIGHT)
+    codes = gauss_codes(clasp, ["a", "b"])
+    assert [format_code(codes[name]) for name in "ab"] == ["U1+ O2+", "O1+ U2+"]

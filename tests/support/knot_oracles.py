@@ -1,0 +1,140 @@
+"""Knots from closed polygons in space, by brute force: crossings, the Alexander determinant, the Kauffman bracket."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+_PRIME = 2**61 - 1
+
+
+class Cross(NamedTuple):
+    """Curves and positions, in pieces and shares of a piece, of the upper and the lower strand; the crossing's sign."""
+
+    over: tuple[int, float]
+    under: tuple[int, float]
+    sign: int
+
+
+def crossings_in_space(curves: Sequence[Array], closed: bool) -> list[Cross]:
+    """Return all crossings of curves (P, 3) as seen from above, in pixels with v down."""
+    starts = [np.concatenate([c, c[:1]]) if closed else c for c in curves]
+    found = []
+    for (k, one), (m, other) in itertools.combinations_with_replacement(enumerate(starts), 2):
+        step, far = np.diff(one, axis=0), np.diff(other, axis=0)
+        offset = other[None, :-1] - one[:-1, None]
+        area = step[:, None, 0] * far[None, :, 1] - step[:, None, 1] * far[None, :, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = (offset[..., 0] * far[None, :, 1] - offset[..., 1] * far[None, :, 0]) / area
+            t = (offset[..., 0] * step[:, None, 1] - offset[..., 1] * step[:, None, 0]) / area
+        hit = (np.abs(area) > 1e-9) & (s >= 0) & (s < 1) & (t >= 0) & (t < 1)
+        if k == m:
+            hit &= np.triu(np.ones(hit.shape, bool), 2)
+            hit[0, -1] &= not closed
+        for i, j in np.argwhere(hit):
+            z = one[i, 2] + s[i, j] * step[i, 2], other[j, 2] + t[i, j] * far[j, 2]
+            first, second = (k, float(i + s[i, j])), (m, float(j + t[i, j]))
+            hand = 1 if area[i, j] > 0 else -1
+            found.append(Cross(first, second, -hand) if z[0] > z[1] else Cross(second, first, hand))
+    return found
+
+
+def closed_above(rope: Array) -> Array:
+    """Return an open rope closed far above everything: (P, 3)."""
+    top = np.ptp(rope[:, 2]) + rope[:, 2].max() + 10.0
+    lift = np.array([1.0, 1.0, 0.0])
+    return np.concatenate([rope, [rope[-1] * lift + [0.01, 0.02, top], rope[0] * lift + [0.01, 0.01, top]]])
+
+
+def determinant(curves: Sequence[Array], t: int = -1) -> int:
+    """Return the Alexander polynomial at t up to a unit, modulo a prime; at -1 the determinant as it is.
+
+    That of curves that can be pulled apart is 0. From Wirtinger's relations at the crossings: J. W. Alexander,
+    "Topological Invariants of Knots and Links", 1928.
+    """
+    crossings = crossings_in_space(curves, closed=True)
+    cuts = sorted(c.under for c in crossings)
+    if any(all(k != own for k, _ in cuts) for own in range(len(curves))):
+        return 0 if len(curves) > 1 else 1
+
+    def arc(at: tuple[int, float]) -> int:
+        own = [n for n, cut in enumerate(cuts) if cut[0] == at[0]]
+        before = [n for n in own if cuts[n][1] < at[1]]
+        return before[-1] if before else own[-1]
+
+    rows = []
+    for c in crossings:
+        row = [0] * len(cuts)
+        leaving, arriving = cuts.index(c.under), arc(c.under)
+        row[arc(c.over)] += 1 - t
+        row[arriving if c.sign > 0 else leaving] += t
+        row[leaving if c.sign > 0 else arriving] -= 1
+        rows.append(row)
+    value = _determinant([row[1:] for row in rows[1:]])
+    return min(value, _PRIME - value)
+
+
+def bracket(curves: Sequence[Array]) -> dict[int, int]:
+    """Return the Jones polynomial in A, times -A^2 - A^-2, as the sum over all smoothings."""
+    crossings = crossings_in_space(curves, closed=True)
+    corners = []
+    order = sorted(end for c in crossings for end in (c.over, c.under))
+
+    def edges(at: tuple[int, float]) -> tuple[int, int]:
+        own = [n for n, end in enumerate(order) if end[0] == at[0]]
+        n = order.index(at)
+        return own[own.index(n) - 1], n  # the edge before the passage has the number of the passage before
+
+    for c in crossings:
+        (arrives, leaves), (below, beyond) = edges(c.over), edges(c.under)
+        joins = ((arrives, beyond), (below, leaves)), ((arrives, below), (beyond, leaves))
+        corners.append(joins if c.sign > 0 else joins[::-1])
+    sums: dict[int, int] = {}
+    free = sum(all(k != end[0] for end in order) for k in range(len(curves)))
+    for choice in itertools.product((0, 1), repeat=len(corners)):
+        parent = list(range(len(order)))
+
+        def find(n: int, parent: list[int] = parent) -> int:
+            while parent[n] != n:
+                n = parent[n]
+            return n
+
+        for corner, side in zip(corners, choice, strict=True):
+            for one, other in corner[side]:
+                parent[find(one)] = find(other)
+        loops = sum(parent[n] == n for n in range(len(order))) + free
+        for k in range(loops + 1):  # (-A^2 - A^-2) ** loops
+            power = len(corners) - 2 * sum(choice) + 2 * loops - 4 * k
+            sums[power] = sums.get(power, 0) + (-1) ** loops * _choose(loops, k)
+    writhe = sum(c.sign for c in crossings)
+    return {p - 3 * writhe: (-1) ** writhe * x for p, x in sums.items() if x}
+
+
+def _choose(n: int, k: int) -> int:
+    result = 1
+    for i in range(k):
+        result = result * (n - i) // (i + 1)
+    return result
+
+
+def _determinant(rows: list[list[int]]) -> int:
+    value, rows = 1, [[x % _PRIME for x in row] for row in rows]
+    for n in range(len(rows)):
+        pivot = next((r for r in range(n, len(rows)) if rows[r][n]), None)
+        if pivot is None:
+            return 0
+        if pivot != n:
+            rows[n], rows[pivot], value = rows[pivot], rows[n], -value
+        value = value * rows[n][n] % _PRIME
+        inverse = pow(rows[n][n], -1, _PRIME)
+        for r in range(n + 1, len(rows)):
+            factor = rows[r][n] * inverse % _PRIME
+            if factor:
+                rows[r] = [(x - factor * y) % _PRIME for x, y in zip(rows[r], rows[n], strict=True)]
+    return value % _PRIME
