@@ -27,13 +27,9 @@ def test_the_sign_is_that_of_the_right_hand():
 
 def test_the_sign_does_not_depend_on_the_order_of_the_strands_or_on_both_directions():
     for crossing in SCENE:
-        swapped = Crossing(
-            crossing.slots[::-1],
-            crossing.arcs[::-1],
-            crossing.pixel,
-            None if crossing.above is None else 1 - crossing.above,
-            -crossing.handedness,
-        )
+        (slot, other), (arc, beyond) = crossing.slots, crossing.arcs
+        above = None if crossing.above is None else 1 - crossing.above
+        swapped = Crossing((other, slot), (beyond, arc), crossing.pixel, above, -crossing.handedness)
         assert swapped.sign == crossing.sign
 
 
@@ -47,7 +43,7 @@ def test_the_codes_of_several_ropes():
     codes = gauss_codes(SCENE, ["a", "b", "c"])
     assert {name: format_code(code) for name, code in codes.items()} == {
         "a": "U1+ O2+ O1+ ?3? U4-",
-        "b": "?3? U5- O2+",
+        "b": "?3? U5- U2+",
         "c": "O5- O4-",
     }
     assert {name: format_code(code) for name, code in gauss_codes(SCENE, ["c", "b"]).items()} == {
