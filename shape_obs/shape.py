@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.topology import Topology
 from shape_obs.spec import did_you_mean
 
@@ -56,6 +57,7 @@ class Shape:
         track_id: The number of the track that the points belong to; 0 if there is none.
         new: Whether this is the first frame in which the shape was found under its ``track_id``.
         length: Of the object, hidden pieces included, as far as the track remembers it, in metres; None if unknown.
+        crossings: All places where the shape lies over or under itself or another one.
     """
 
     name: str
@@ -72,6 +74,7 @@ class Shape:
     track_id: int = 0
     new: bool = False
     length: float | None = None
+    crossings: tuple[Crossing, ...] = ()
 
     def __post_init__(self) -> None:
         fields = vars(self)

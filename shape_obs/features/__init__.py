@@ -1,5 +1,6 @@
 """Features: numbers computed from a shape, with units, a frame and finite bounds."""
 
+from shape_obs.features.crossings import Crossings
 from shape_obs.features.curvature import Curvature, Tangents, TurningAngles
 from shape_obs.features.distribution import PointDistribution
 from shape_obs.features.feature import Block, Feature, FeatureContext, FeatureVector, read_features
@@ -17,6 +18,7 @@ __all__ = [
     "Block",
     "Centroid",
     "ContourMoments",
+    "Crossings",
     "Curvature",
     "EllipticFourier",
     "Feature",
