@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from shape_obs.geometry.crossings import Crossing, Visit, gauss_code
-from shape_obs.geometry.knots.closure import is_planar, with_arc
-from shape_obs.geometry.knots.diagram import ABOVE, BELOW, Diagram, reduced
-from shape_obs.geometry.knots.polynomial import CIRCLE, jones_polynomial, product
+from shape_obs.geometry.knot_diagram import ABOVE, BELOW, Diagram, is_planar, reduced, with_arc
+from shape_obs.geometry.knot_polynomial import CIRCLE, jones_polynomial, product
 
 # Up to so many crossings no knot but the unknot has its Jones polynomial: R. E. Tuzun and A. S. Sikora, "Verification
 # of the Jones Unknot Conjecture up to 24 Crossings", 2021.
@@ -35,7 +34,7 @@ def is_knotted(crossings: Sequence[Crossing], name: str) -> bool | None:
     Every open rope can be unknotted by its ends. What is meant here is the knot that is closed by an arc from end to
     end that passes above everything, the overpass closure of V. Turaev, "Knotoids", 2012: that of a rope whose ends two
     grippers take from above. An end that lies on the rope is free, therefore, while one that is tucked under the
-    rope's last strand is not. Where both ends lie outside the figure, every closure outside it is the same.
+    rope's last strand is not. Where both ends lie outside the figure, an arc around it gives the same knot.
 
     No is proven by moves that undo all crossings, or by a Jones polynomial of 1 in a closed diagram of up to 24
     crossings; yes by any other Jones polynomial.
@@ -45,9 +44,10 @@ def is_knotted(crossings: Sequence[Crossing], name: str) -> bool | None:
         name: Of the rope.
 
     Returns:
-        None if the answer depends on crossings of which the upper strand is unknown; if there are more than eight of
-        them after they were reduced; if crossings are missing, so that no curve has such a code; or if more than 32
-        (24 for a polynomial of 1) remain.
+        None if the answer depends on crossings of which the upper strand is unknown, or if there are more than eight of
+        them after the moves; if no curve has such a code, because crossings are missing (of drawn knots without one
+        crossing, a fifth have a code that another curve has, and are not noticed); or if more than 32 crossings (24
+        for a polynomial of 1) remain.
     """
     diagram = _rope(crossings, name)
     return _decided(diagram, _knotted) if is_planar(diagram) else None
@@ -64,7 +64,7 @@ def lifts_off(crossings: Sequence[Crossing], name: str, other: str) -> bool | No
     that is not the product of those of the two.
 
     Returns:
-        None as for ``is_knotted``, and if the polynomials do not tell either.
+        None as for ``is_knotted``, and if the moves leave crossings between both, but the polynomials do not differ.
     """
     diagram = Diagram.of(crossings, (name, other), (ABOVE, BELOW))
     return _decided(diagram, _apart) if is_planar(diagram) else None

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.geometry.knots.diagram import Diagram
+from shape_obs.geometry.knot_diagram import Diagram
 
 #: Coefficients by exponent.
 Polynomial = dict[int, int]
