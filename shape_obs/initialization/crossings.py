@@ -44,15 +44,17 @@ class Strands(NamedTuple):
     Args:
         curves: ``(P_i, 2)`` pixels each, at steps of about a pixel. Every branch is part of one of them, but the shared
             ones of two.
+        widths: Of each, pixels.
         inside: Whether the first and the last end of each lie on another strand, instead of freely.
-        rings: How many strands are closed; they are cut open somewhere.
-        doubts: Why they may be wrong, in words.
+        closed: Whether each is a ring; it is cut open somewhere.
+        doubts: Why each may be wrong, in words.
     """
 
     curves: tuple[Array, ...]
+    widths: tuple[float, ...]
     inside: tuple[tuple[bool, bool], ...]
-    rings: int
-    doubts: tuple[str, ...]
+    closed: tuple[bool, ...]
+    doubts: tuple[tuple[str, ...], ...]
 
 
 def untangle(skeleton: Skeleton) -> Strands:
@@ -81,12 +83,20 @@ def untangle(skeleton: Skeleton) -> Strands:
     partner = _partners(options, chosen)
     routes = _routes(zones.kept, partner)
     ways = {pair: path for overlap in overlaps.values() for pair, path in _ways(overlap)}
+    doubt_at, everywhere = dict(_doubts(options, chosen, overlaps)), (zones.doubt,) if zones.doubt else ()
+    passed = [{zones.of[i, end] for i, _ in route for end in (0, 1)} for route in routes]
     return Strands(
         curves=tuple(_curve(route, trimmed, partner, ways, width) for route in routes),
+        widths=tuple(_width(skeleton.branches, route) for route in routes),
         inside=tuple((route[0] not in free, (route[-1][0], 1 - route[-1][1]) not in free) for route in routes),
-        rings=sum(route[0] in partner for route in routes),
-        doubts=(*_doubts(options, chosen, overlaps), *((zones.doubt,) if zones.doubt else ())),
+        closed=tuple(route[0] in partner for route in routes),
+        doubts=tuple((*(doubt_at[zone] for zone in sorted(at & doubt_at.keys())), *everywhere) for at in passed),
     )
+
+
+def _width(branches: tuple[Branch, ...], route: list[Arm]) -> float:
+    """Return how wide a strand is, pixels: twice the median radius along its branches."""
+    return max(2 * float(np.median(np.concatenate([branches[i].radius for i, _ in route]))), 1.0)
 
 
 def _overlaps(
@@ -115,13 +125,14 @@ def _ways(overlap: Overlap) -> Iterator[tuple[tuple[Arm, Arm], Array]]:
         yield (last, first), path[::-1]
 
 
-def _doubts(options: Options, chosen: dict[int, int], overlaps: dict[int, Overlap]) -> Iterator[str]:
+def _doubts(options: Options, chosen: dict[int, int], overlaps: dict[int, Overlap]) -> Iterator[tuple[int, str]]:
+    """Return the zones whose strands may go on otherwise, and why."""
     for zone, row in options.items():
         if zone in overlaps:
             if overlaps[zone].doubt:
-                yield overlaps[zone].doubt
+                yield zone, overlaps[zone].doubt
         elif len(row) > 1 and row[1 if chosen[zone] == 0 else 0][0] - row[chosen[zone]][0] < _CLEAR:
-            yield "at a crossing, two ways to go on are about equally straight"
+            yield zone, "at a crossing, two ways to go on are about equally straight"
 
 
 def _smooth(branch: Branch, width: float) -> Branch:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.image.outline_tracing import SPECK, fill_holes
 from shape_obs.image.region import Component, Region
-from shape_obs.initialization.crossings import Strands, untangle
+from shape_obs.initialization.crossings import untangle
 from shape_obs.initialization.folding import fold_outline, unexplained_share
 from shape_obs.initialization.gaps import bridge
 from shape_obs.initialization.skeleton import skeleton_graph
@@ -47,33 +47,66 @@ def medial_axis(observed: Any) -> FittedCurve:
     return axis if region is observed else observed.lifted(axis)
 
 
-def _axis_of_mask(region: Region) -> FittedCurve:
-    """Return the axis of a rope in its mask.
+class Strand(NamedTuple):
+    """A piece of rope that goes on straight over all crossings, from where it begins to where it ends.
 
-    A simple ribbon is folded; what crosses itself is thinned to a skeleton, and its strands strung together; the pieces
-    of all components are joined end to end.
+    Args:
+        curve: ``(P, 2)`` pixels at even steps, in no particular direction.
+        width: Pixels.
+        inside: Whether its first and its last end lie on another strand, instead of freely.
+        closed: Whether it is a ring, cut open somewhere.
+        doubts: Why it may be wrong, in words.
+    """
+
+    curve: Array
+    width: float
+    inside: tuple[bool, bool] = (False, False)
+    closed: bool = False
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def length(self) -> float:
+        """The length, pixels."""
+        return float(arc_length(np.ascontiguousarray(self.curve))[-1])
+
+
+def find_strands(region: Region) -> tuple[list[Strand], str]:
+    """Return the strands of all components of a mask: simple ribbons are folded, the others thinned to a skeleton.
+
+    Args:
+        region: The mask.
+
+    Returns:
+        The strands, and why the mask shows no ropes; one of the two is empty.
     """
     folds = [(component, folded(component)) for component in region.components]
     ribbons = [component for component, curve in folds if curve is not None]
-    pieces = [curve for _, curve in folds if curve is not None]
-    if len(pieces) == len(folds) == 1:
-        return _axis(pieces[0])
-    largest, alone, doubts = region.components[0], len(folds) == 1, []
-    width = max((component.width for component in ribbons), default=0.0)
+    strands = [Strand(curve, component.width) for component, curve in folds if curve is not None]
+    if len(strands) == len(folds):
+        return strands, ""
     holes = int(np.count_nonzero(region.traced.holes[:, 3] >= SPECK))
     if holes > _MOST_HOLES:
-        return _axis(fold_outline(largest.outline, largest.width), doubt=f"the mask has {holes} holes: it is no rope")
-    if len(pieces) < len(folds):
-        skeleton = skeleton_graph(_without(region, ribbons), region.window[:2])
-        if skeleton.excess:
-            return _axis(fold_outline(largest.outline, largest.width), doubt=f"{skeleton.excess}: it is no rope")
-        strands = untangle(skeleton)
-        kept, width = _explained(strands), skeleton.width
-        pieces += [strands.curves[i] for i in kept]
-        doubts = _doubts(strands, kept, alone=alone)
-    if not pieces:
-        return _axis(fold_outline(largest.outline, largest.width), doubt="the mask has no axis")
-    joined = bridge(pieces, width)
+        return [], f"the mask has {holes} holes: it is no rope"
+    skeleton = skeleton_graph(_without(region, ribbons), region.window[:2])
+    if skeleton.excess:
+        return [], f"{skeleton.excess}: it is no rope"
+    for curve, width, *other in zip(*untangle(skeleton), strict=True):
+        strands.append(Strand(_even(curve, np.zeros(len(curve), bool), width)[0], width, *other))
+    return strands, "" if strands else "the mask has no axis"
+
+
+def _axis_of_mask(region: Region) -> FittedCurve:
+    """Return the axis of a rope in its mask: its strands joined end to end."""
+    strands, refusal = find_strands(region)
+    if refusal:
+        largest = region.components[0]
+        return _axis(fold_outline(largest.outline, largest.width), doubt=refusal)
+    kept = _explained(strands)
+    doubts = _doubts(strands, kept, alone=region.pieces == 1)
+    if len(kept) == 1:
+        return _axis(kept[0].curve, doubt="; ".join(dict.fromkeys(doubts)))
+    width = max(strand.width for strand in kept)
+    joined = bridge([strand.curve for strand in kept], width)
     if joined.rival < _RIVAL:
         doubts.append("the pieces could be joined in another order about as well")
     curve, bridged = _even(joined.curve, joined.bridged, width)
@@ -103,27 +136,25 @@ def _without(region: Region, ribbons: list[Component]) -> npt.NDArray[np.uint8]:
     return mask
 
 
-def _explained(strands: Strands) -> list[int]:
+def _explained(strands: list[Strand]) -> list[Strand]:
     """Return the strands that are the rope: without the short ones that end on another, a tenth of all at most."""
-    length = [float(arc_length(np.ascontiguousarray(curve))[-1]) for curve in strands.curves]
-    spare = _UNEXPLAINED * sum(length)
-    kept = list(range(len(length)))
-    for i in sorted(kept, key=lambda i: length[i]):
-        if any(strands.inside[i]) and len(kept) > 1 and length[i] <= spare:
-            spare -= length[i]
-            kept.remove(i)
+    spare, kept = _UNEXPLAINED * sum(strand.length for strand in strands), list(strands)
+    for strand in sorted(strands, key=lambda strand: strand.length):
+        if any(strand.inside) and len(kept) > 1 and strand.length <= spare:
+            spare -= strand.length
+            kept = [other for other in kept if other is not strand]
     return kept
 
 
-def _doubts(strands: Strands, kept: list[int], *, alone: bool) -> list[str]:
-    """Return why the strands of a skeleton may not be those of one rope; ``alone`` if there is nothing but them."""
-    doubts = list(strands.doubts)
-    if strands.rings:
+def _doubts(strands: list[Strand], kept: list[Strand], *, alone: bool) -> list[str]:
+    """Return why strands may not be those of one rope; ``alone`` if there is nothing but them."""
+    doubts = [doubt for strand in strands for doubt in strand.doubts]
+    if any(strand.closed for strand in strands):
         doubts.append("the mask holds a closed ring: where the rope begins is unknown")
-    ends = sum(not inside for i in kept for inside in strands.inside[i])
-    joints = sum(inside for i in kept for inside in strands.inside[i])
-    if len(kept) > 1 and (alone or joints):
-        doubts.append(f"the mask branches: {ends} free ends and {joints} that lie on another strand")
+    inside = [end for strand in kept for end in strand.inside]
+    if len(kept) > 1 and (alone or any(inside)):
+        free = len(inside) - sum(inside)
+        doubts.append(f"the mask branches: {free} free ends and {sum(inside)} that lie on another strand")
     return doubts
 
 
