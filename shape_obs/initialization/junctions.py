@@ -38,7 +38,7 @@ _PER_WIDTH: Final = (3.0, 0.2)
 # Radius over the width of one strand: 0.5 to 0.71 in the middle of a crossing, from acute to square; 0.9 to 1 of
 # strands side by side. Below the first they lie on top of each other, above the second they do not.
 _ONE: Final = 0.76
-_TWO: Final = 0.82
+_TWO: Final = 0.88
 # A waist of strands that cross at 25 degrees is two widths long, a little longer where they bend. Along a longer one
 # strands may change sides unseen.
 _LONGEST: Final = 4.0
@@ -165,7 +165,9 @@ def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, 
     """
     if float(branch.radius.min()) < _NECK * width or branch.length < _NODE * width:
         return None
-    side, doubt = _sides(branch, width)
+    side, doubt, clear = _sides(branch, width)
+    if not clear:
+        return None
     arc = arc_length(np.ascontiguousarray(branch.points))
     near, far = np.searchsorted(arc, (min(width, arc[-1]), max(arc[-1] - width, 0.0)))
     behind = np.mean([leads[arm].point for arm in starts], axis=0)
@@ -187,7 +189,7 @@ def _by_side(arms: list[Arm], leads: dict[Arm, Lead], middle: Array, ahead: Arra
     return sorted(arms, key=lambda arm: float((leads[arm].point - middle) @ (-ahead[1], ahead[0])))
 
 
-def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], str]:
+def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], str, bool]:
     """Return on which side a strand runs that begins on the right ``(1)``: ``(P,)`` 1 or -1.
 
     With it why the sides may be wrong, or nothing.
@@ -206,6 +208,4 @@ def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], str]:
             if arc[i] - arc[start] > _LONGEST * width:
                 doubt = f"strands lie on each other for {arc[i] - arc[start]:.0f} px: which comes out where is a guess"
             start = None
-    if _ONE <= relative.min() < _TWO:
-        doubt = f"strands touch for {arc[-1]:.0f} px: whether they cross is unknown"
-    return side, doubt
+    return side, doubt, not _ONE <= relative.min() < _TWO

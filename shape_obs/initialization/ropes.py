@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +10,7 @@ import numpy.typing as npt
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.region import Region
 from shape_obs.initialization.medial_axis import Strand, find_strands
+from shape_obs.initialization.objects import SceneObject
 
 Array = npt.NDArray[np.float64]
 
@@ -18,19 +19,7 @@ _STUB: Final = 4.0
 _SHORTEST: Final = 3.0
 
 
-class Rope(NamedTuple):
-    """A rope in a mask.
-
-    Args:
-        axis: From tip to tip, in no particular direction; its ``ambiguity`` says why it may be wrong.
-        width: Pixels.
-    """
-
-    axis: FittedCurve
-    width: float
-
-
-def find_ropes(region: Region) -> tuple[list[Rope], str]:
+def find_ropes(region: Region) -> tuple[list[SceneObject], str]:
     """Return the ropes of a mask, longest first, and why there are none.
 
     Args:
@@ -38,16 +27,16 @@ def find_ropes(region: Region) -> tuple[list[Rope], str]:
     """
     strands, refusal = find_strands(region)
     ropes = [_rope(strand) for strand in strands if not _is_stub(strand)]
-    return sorted(ropes, key=lambda rope: -rope.axis.size), refusal
+    return sorted(ropes, key=lambda rope: -rope.curve.size), refusal
 
 
 def _is_stub(strand: Strand) -> bool:
     return strand.length < (_STUB if any(strand.inside) else _SHORTEST) * strand.width
 
 
-def _rope(strand: Strand) -> Rope:
+def _rope(strand: Strand) -> SceneObject:
     doubts = list(strand.doubts)
     if strand.closed:
         doubts.append("it is a closed ring: where it begins is unknown")
     axis = FittedCurve.through(strand.curve, np.zeros(len(strand.curve), bool), ambiguity="; ".join(doubts))
-    return Rope(axis, strand.width)
+    return SceneObject(axis, strand.width)

@@ -28,6 +28,8 @@ _CELLS_ACROSS: Final = 20.0
 # A branch that ends freely within this many radii of where it leaves is a corner of the outline, not a strand: the
 # skeleton runs into a square corner for 1.4 radii.
 _SPUR: Final = 1.7
+# Blur of a mask before it is thinned, cells. Strands three cells apart stay apart, and four cells wide they stay.
+_SMOOTH: Final = 1.2
 # Holes no wider on average than this share of the thickest radius are noise, or the seam between strands side by side:
 # each would make a loop, and strands that part are recognised by their thickness as well.
 _SLIT: Final = 0.3
@@ -116,6 +118,7 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
     if cell > 1:
         grid = _coarse(grid[1:-1, 1:-1], cell)
         thickest = float(_radii(grid).max(initial=0.0))
+    grid = _smoothed(grid)
     holes = _fill_slits(grid, thickest)
     if holes > _MOST_BRANCHES:  # at least one branch for each
         return Skeleton((), 1.0, f"the mask has {holes} holes")
@@ -192,6 +195,14 @@ def _coarse(piece: Mask, cell: int) -> Mask:
     framed = np.pad(piece * np.uint8(255), ((cell, cell + -height % cell), (cell, cell + -width % cell)))
     size = (framed.shape[1] // cell, framed.shape[0] // cell)
     return (np.asarray(cv2.resize(framed, size, interpolation=cv2.INTER_AREA)) > 127).view(np.uint8)
+
+
+def _smoothed(grid: Mask) -> Mask:
+    """Return a framed mask without hairs and notches of its border, which would each become a branch."""
+    blurred = np.asarray(cv2.GaussianBlur(grid * np.uint8(255), (0, 0), _SMOOTH))
+    smooth = np.ascontiguousarray(blurred > 127).view(np.uint8)
+    smooth[[0, -1]] = smooth[:, [0, -1]] = 0
+    return smooth
 
 
 def _fill_slits(grid: Mask, thickest: float) -> int:

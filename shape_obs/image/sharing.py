@@ -1,0 +1,105 @@
+"""Share the pixels of one mask among the objects that it holds, each of which is known by a curve."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.compiled import compiled
+from shape_obs.image.connected_runs import nearest_pixel
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.uint8]
+Owners = npt.NDArray[np.uint32]
+
+MOST: int = 32  # objects in one mask: a bit each
+
+
+@compiled("(u1[:,::1], i8, i8, f8[:,::1], i8[::1], f8[::1], f8, f8)")
+def share_pixels(
+    mask: Mask, left: int, top: int, points: Array, stops: Indices, radius: Array, reach: float, slack: float
+) -> tuple[Owners, Indices]:
+    """Return which curves each pixel of a mask belongs to, as bits, and how many pixels each curve has alone.
+
+    A pixel belongs to the curve whose ribbon is nearest, and to every other one whose ribbon is hardly farther: where
+    curves cross, to both. What lies beyond the reach of all ribbons goes to the nearest pixels that belong to one, along
+    the mask.
+
+    Args:
+        mask: ``(h, w)`` uint8, 0 = background.
+        left: Image column of its first pixel.
+        top: Image row of its first pixel.
+        points: ``(P, 2)`` pixels of all curves, one after the other, closer than their radius.
+        stops: ``(K,)`` where each curve ends in ``points``; at most ``MOST`` of them.
+        radius: ``(K,)`` half the width of each ribbon, pixels.
+        reach: Pixels around a ribbon that it may claim.
+        slack: A second ribbon that is farther by so many pixels claims a pixel as well.
+
+    Returns:
+        ``(h, w)`` bits, 0 for the background and for pieces of the mask that no ribbon reaches; ``(K + 1,)`` pixels of
+        one curve alone, and those of none.
+    """
+    high, wide = mask.shape
+    least = np.full((high, wide), np.inf, np.float32)
+    owners = np.zeros((high, wide), np.uint32)
+    count = len(stops)
+    for turn in range(2):
+        for k in range(count):
+            bit = np.uint32(1 << k)
+            far = radius[k] + reach
+            for p in range(stops[k - 1] if k else 0, stops[k]):
+                u, v = points[p, 0] - left, points[p, 1] - top
+                first, last = max(nearest_pixel(v - far), 0), min(nearest_pixel(v + far) + 1, high)
+                start, stop = max(nearest_pixel(u - far), 0), min(nearest_pixel(u + far) + 1, wide)
+                for row in range(first, last):
+                    below = (row - v) * (row - v)
+                    for column in range(start, stop):
+                        if mask[row, column] == 0:
+                            continue
+                        square = below + (column - u) * (column - u)
+                        if square > far * far:
+                            continue
+                        excess = np.float32(max(np.sqrt(square) - radius[k], 0.0))
+                        if turn == 0:
+                            least[row, column] = min(least[row, column], excess)
+                        elif excess <= least[row, column] + slack:
+                            owners[row, column] |= bit
+    _spread(mask, owners)
+    alone = np.zeros(count + 1, np.int64)
+    for row in range(high):
+        for column in range(wide):
+            if mask[row, column]:
+                bits = owners[row, column]
+                if bits == 0:
+                    alone[count] += 1
+                elif bits & (bits - np.uint32(1)) == 0:
+                    for k in range(count):
+                        if bits == np.uint32(1 << k):
+                            alone[k] += 1
+    return owners, alone
+
+
+@compiled
+def _spread(mask: Mask, owners: Owners) -> None:
+    """Give the pixels of a mask that belong to none to the owners of the nearest ones, breadth first, in place."""
+    high, wide = mask.shape
+    waiting, count, at = np.empty(mask.size, np.int64), 0, 0
+    for row in range(high):
+        for column in range(wide):
+            if owners[row, column]:
+                for step in range(4):
+                    v, u = row + (step == 0) - (step == 1), column + (step == 2) - (step == 3)
+                    if 0 <= v < high and 0 <= u < wide and mask[v, u] and owners[v, u] == 0:
+                        waiting[count] = row * wide + column
+                        count += 1
+                        break
+    while at < count:
+        row, column = waiting[at] // wide, waiting[at] % wide
+        at += 1
+        for step in range(4):
+            v, u = row + (step == 0) - (step == 1), column + (step == 2) - (step == 3)
+            if 0 <= v < high and 0 <= u < wide and mask[v, u] and owners[v, u] == 0:
+                owners[v, u] = owners[row, column]
+                waiting[count] = v * wide + u
+                count += 1

@@ -1,0 +1,42 @@
+"""The objects of a mask that holds several: where each lies, before it is known which one it is."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.image.region import Region
+
+Array = npt.NDArray[np.float64]
+
+_OUTLINE: Final = 64  # points of an outline that are compared with a track
+
+
+class SceneObject(NamedTuple):
+    """One object of a mask.
+
+    Args:
+        curve: Its axis or its outline; why it may be wrong is its ``ambiguity``.
+        width: Of its ribbon, pixels; 0 for an object with an outline.
+    """
+
+    curve: FittedCurve
+    width: float = 0.0
+
+    @property
+    def starts(self) -> Array:
+        """``(S, 2)`` where point 0 may be: at either tip, or anywhere around an outline."""
+        points = self.curve.points
+        return points if self.curve.closed else points[[0, -1]]
+
+
+def find_components(region: Region) -> tuple[list[SceneObject], str]:
+    """Return each connected piece of a mask as an object, largest first, and why there is none."""
+    found = []
+    for component in region.components:
+        outline = FittedCurve.through(component.outline, np.zeros(len(component.outline), bool), True)
+        found.append(SceneObject(FittedCurve.through(outline.even(_OUTLINE), np.zeros(_OUTLINE, bool), True)))
+    return found, "" if found else "the mask is empty"
