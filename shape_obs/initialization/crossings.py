@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.initialization.gaps import Lead, bending, hermite, lead, unit
-from shape_obs.initialization.junctions import Arm, Overlap, Zones, find_zones, follow
+from shape_obs.initialization.junctions import Arm, Overlap, Zones, find_zones, follow, merge_nodes
 from shape_obs.initialization.skeleton import Branch, Skeleton
 
 Array = npt.NDArray[np.float64]
@@ -27,7 +27,7 @@ Options = dict[int, list[tuple[float, Pairing]]]  # of each zone: what a pairing
 _SMOOTHING: Final = 0.35
 # In widths: over how much of a branch its direction is taken; how much a free end is cut by, where the skeleton may
 # turn into a corner of the rope's end.
-_REACH: Final = 1.5
+_REACH: Final = 1.2
 _CUT: Final = 0.4
 # More branches than these in one zone are paired one by one: there are (n-1)!! pairings.
 _MOST_TRIED: Final = 8
@@ -66,7 +66,7 @@ def untangle(skeleton: Skeleton) -> Strands:
     Returns:
         As few strands as the free ends allow, bent as little as possible.
     """
-    width = skeleton.width
+    skeleton, width = merge_nodes(skeleton), skeleton.width
     branches = [_smooth(branch, width) for branch in skeleton.branches]
     zones = find_zones(skeleton)
     groups: dict[int, list[Arm]] = {}

@@ -13,6 +13,7 @@ such waist is a crossing.
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -44,6 +45,9 @@ _TWO: Final = 0.88
 _LONGEST: Final = 4.0
 # Nowhere are strands that cross thinner than one strand: a neck is where two touch in a few pixels, side by side.
 _NECK: Final = 0.42
+_OVERLAPPING: Final = 0.9  # of the radii of two nodes: a shorter branch lies between strands, not along one
+_BLOB: Final = 4.0
+_THICKER: Final = 0.52
 _NODE: Final = 0.5  # widths: a branch shorter than this is one node that thinning took apart
 # The skeleton strays from the axis by a pixel, and the radius drops: within so many widths the largest counts.
 _JITTER: Final = 0.2
@@ -63,6 +67,28 @@ class Zones(NamedTuple):
     shared: tuple[int, ...]
     of: dict[Arm, int]
     doubt: str
+
+
+def merge_nodes(skeleton: Skeleton) -> Skeleton:
+    """Make one node of those whose discs in the mask overlap; the branches between them are left out.
+
+    Three strands that cross in nearly one place are thinned to four nodes, with short branches between them that no
+    strand runs along.
+    """
+    degree = degrees(skeleton.branches)
+    inner = [branch for branch in skeleton.branches if _is_inner(branch, degree, skeleton.width)]
+    node = connected(max(degree, default=-1) + 1, np.array([branch.nodes for branch in inner], int).reshape(-1, 2))
+    kept = (branch for branch in skeleton.branches if not _is_inner(branch, degree, skeleton.width))
+    renamed = (replace(branch, nodes=(int(node[branch.nodes[0]]), int(node[branch.nodes[1]]))) for branch in kept)
+    return skeleton._replace(branches=tuple(renamed))
+
+
+def _is_inner(branch: Branch, degree: Counter[int], width: float) -> bool:
+    if min(degree[node] for node in branch.nodes) < 3 or branch.nodes[0] == branch.nodes[1]:
+        return False
+    if branch.length < _OVERLAPPING * float(branch.radius[0] + branch.radius[-1]):
+        return True
+    return branch.length < _BLOB * width and float(np.percentile(branch.radius, 20)) > _THICKER * width
 
 
 def find_zones(skeleton: Skeleton) -> Zones:
