@@ -9,26 +9,28 @@ import math
 import time
 from collections.abc import Iterable, Mapping
 from importlib import import_module
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
-from shape_obs.clustering.base import Clusterer
 from shape_obs.compiled import compile_now
 from shape_obs.config.detector_config import DetectorConfig
-from shape_obs.configurations.anchors import Anchors, anchor_pixel, anchor_point
+from shape_obs.configurations.anchors import Anchors
 from shape_obs.configurations.base import Configuration, Scene
-from shape_obs.configurations.shape_points import SHAPE_FUNCTIONS, shape_of
+from shape_obs.configurations.shape_points import SHAPE_FUNCTIONS
 from shape_obs.frame import Frame, check_mask
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.find_region import prepare
 from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
+from shape_obs.image.sharing import share_pixels
 from shape_obs.shape import Detection, Shape
-from shape_obs.tracking.missing import Clock, lost_shape
-from shape_obs.tracking.prediction import TRACK_FUNCTIONS, Fit, Reach, Track, advance, predict
+from shape_obs.slots import Slots
+from shape_obs.tracker import Moment, Tracker
+from shape_obs.tracking.missing import Clock
+from shape_obs.tracking.prediction import TRACK_FUNCTIONS, Fit
 from shape_obs.tracking.search_window import RegionSearch
 from shape_obs.utils.threads import use_no_threads_in_forked_children
 
@@ -38,16 +40,6 @@ ShapeLike = Configuration | Mapping[str, Any] | str
 _SEARCH_ALL: Final = 30  # frames, after which all of the image is searched: what was hidden may be back
 
 use_no_threads_in_forked_children()
-
-
-class _Moment(NamedTuple):
-    """A frame on its way: images, milliseconds by stage, whether points get pixels and metres, and (H, W) in pixels."""
-
-    frame: Frame
-    timings: dict[str, float]
-    in_2d: bool
-    in_3d: bool
-    size: tuple[int, int] = (0, 0)
 
 
 class ShapeDetector:
@@ -85,19 +77,18 @@ class ShapeDetector:
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
         functions = [*prepare(spec.segmentation for spec in self.shapes), *SHAPE_FUNCTIONS, *TRACK_FUNCTIONS]
         functions += (function for spec in self.shapes for function in spec.compiled_functions)
+        functions += [share_pixels] * any(spec.count is not None for spec in self.config.shapes)
         compile_now(functions)
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it
         self.reset()
 
     def reset(self) -> None:
-        """Forget the track: the next frame is a cold start."""
-        self._tracks: dict[str, Track] = {}
-        self._reach = Reach(self.config.max_speed)
-        self._gone: set[str] = set()  # lost for longer than ``max_age``
-        self._kinds: dict[str, tuple[type[Observed], tuple[int, int]]] = {}
-        self._track_ids: dict[str, int] = {}  # of the last track of each shape
-        self._last: dict[str, tuple[Shape, float]] = {}
+        """Forget the tracks: the next frame is a cold start."""
+        self._followed: list[Tracker | Slots] = [
+            Tracker(spec, self.config) if spec.count is None else Slots(spec, self.config)
+            for spec in self.config.filled()
+        ]
         self._clock = Clock(self.config.dt)
         self._roi_memory: Any = None  # what a region of interest that moves remembers
         self._frames = 0
@@ -180,12 +171,14 @@ class ShapeDetector:
         frame, cloud = Frame(None, None, as_camera_model(camera), stamp), read_cloud(points)
         now = _lap(timings := {}, "cloud", begin)
         self._clock.tick(frame.stamp)
-        moment, shapes = _Moment(frame, timings, in_2d=False, in_3d=True), []
-        for spec in self.shapes:
-            found = self._fit(spec, cloud, anchors, moment, Scene())
-            _lap(timings, "fit", now)
-            shapes.append(self._finish(spec, found, moment))
-            now = time.perf_counter()
+        moment, shapes = Moment(frame, self._clock, anchors, timings, in_2d=False, in_3d=True), []
+        for tracker in self._followed:
+            if isinstance(tracker, Slots):
+                raise ValueError(f"shape {tracker.spec.name!r}: a cloud is of one object; count= needs an image.")
+            found = tracker.fit(cloud, moment, Scene())
+            now = _lap(timings, "fit", now)
+            shapes.append(tracker.finish(found, moment))
+            now = _lap(timings, "lift", now)
         _lap(timings, "total", begin)
         return Detection(tuple(shapes), self._clock.stamp, timings, self._clock.warning)
 
@@ -203,93 +196,51 @@ class ShapeDetector:
             roi, self._roi_memory, reason = roi.place(frame.rgb, self._roi_memory)
             _lap(timings, "roi", now)
         self._frames += 1
-        tracks = self._tracks if self._frames % _SEARCH_ALL else {}
-        search = None if roi is None else RegionSearch(frame, mask, roi, self.shapes, tracks)
+        search = None
+        if roi is not None:
+            fresh = self._frames % _SEARCH_ALL == 0
+            trackers = [tracker for followed in self._followed for tracker in followed.trackers]
+            tracks = {each.spec.name: each.track for each in trackers if each.track is not None and not fresh}
+            search = RegionSearch(frame, mask, roi, self.shapes, tracks)
         self._clock.tick(frame.stamp)
         size = (frame.size or (0, 0)) if mask is None else (mask.shape[0], mask.shape[1])
-        moment, shapes = _Moment(frame, timings, in_2d=True, in_3d=with_depth, size=size), []
-        for spec in self.shapes:
-            found = Fit(reason=reason) if search is None else self._find(spec, search, anchors, moment)
-            shapes.append(self._finish(spec, found, moment))
+        moment, shapes = Moment(frame, self._clock, anchors, timings, in_2d=True, in_3d=with_depth, size=size), []
+        for followed in self._followed:
+            shapes += self._find(followed, search, reason, moment)
         _lap(timings, "total", begin)
-        return Detection(tuple(shapes), self._clock.stamp, timings, self._clock.warning)
+        more = {each.spec.name: each.more for each in self._followed if isinstance(each, Slots) and each.more}
+        return Detection(tuple(shapes), self._clock.stamp, timings, self._clock.warning, more)
 
-    def _find(self, spec: Configuration, search: RegionSearch, anchors: Anchors, moment: _Moment) -> Fit:
-        """Find one shape in an image: near where the track expects it, and if that fails everywhere."""
-        frame, camera = moment.frame, moment.frame.camera if moment.in_3d else None
-        diagonal = math.hypot(*moment.size)
+    def _find(self, followed: Tracker | Slots, search: RegionSearch | None, reason: str, moment: Moment) -> list[Shape]:
+        """Find a shape, or several in one mask: near where the tracks expect them, and if that fails everywhere."""
+        now, frame, timings, spec = time.perf_counter(), moment.frame, moment.timings, followed.spec
+        if search is None:
+            return [tracker.finish(Fit(reason=reason), moment) for tracker in followed.trackers]
+        diagonal, rule = math.hypot(*moment.size), spec.segmentation
         scene = Scene(search.whole, diagonal=diagonal)
-        if camera is not None:
-            scene = Scene(search.whole, frame.depth, camera.intrinsics, frame.images, diagonal)
+        if moment.in_3d and frame.camera is not None:
+            scene = Scene(search.whole, frame.depth, frame.camera.intrinsics, frame.images, diagonal)
         while True:
-            now, timings = time.perf_counter(), moment.timings
-            observed: Observed = search.region(spec.segmentation)  # image -> region
+            region = search.region(rule)  # image -> region
             now = _lap(timings, "segmentation" if search.mask is None else "region", now)
+            if isinstance(followed, Slots):
+                tries = followed.attempt(region, moment, scene)
+                now = _lap(timings, "fit", now)
+                if all(each is not None and each.is_found for each in tries) or not search.widen(rule):
+                    shapes = followed.accept(tries, moment, scene)
+                    break
+                continue
+            observed: Observed = region
             if spec.lift == "cloud":
-                observed = search.cloud(spec.segmentation)  # depth enters: region -> cloud
+                observed = search.cloud(rule)  # depth enters: region -> cloud
                 now = _lap(timings, "cloud", now)
-            found = self._fit(spec, observed, anchors, moment, scene)  # -> form, matched and validated
-            _lap(timings, "fit", now)
-            if not found.reason or found.follow or not search.widen(spec.segmentation):
-                return found
-
-    def _fit(self, spec: Configuration, observed: Observed, anchors: Anchors, moment: _Moment, scene: Scene) -> Fit:
-        """Fit a configuration to an object, from its track if there is one, and advance the track."""
-        kind = type(observed), moment.size
-        if self._kinds.setdefault(spec.name, kind) != kind:
-            self._tracks.pop(spec.name, None)  # pixels cannot be compared with metres, or those of another size
-            self._last.pop(spec.name, None)
-            self._kinds[spec.name] = kind
-        track, gone, target = self._tracks.get(spec.name), spec.name in self._gone, None
-        if spec.anchor is not None and (track is None or gone or spec.order == "image"):
-            target = (anchor_pixel if moment.in_2d else anchor_point)(spec, anchors, moment.frame.camera)
-        if observed.refusal:
-            return Fit(reason=observed.refusal)
-        prediction = predict(track, observed, self._clock.now, gone)
-        found = spec.fit(observed, prediction, target, scene)
-        if track is not None and prediction is not None and (not found.reason or found.follow):
-            view = scene.images, 0.0 if scene.intrinsics is None else scene.intrinsics.fx
-            if far := self._reach.exceeded(spec.name, track, found, self._clock.now, view, moment.size[1]):
-                found = spec.fit(observed, None, target, scene) if prediction.stale else Fit(reason=far)
-        if not found.reason or found.follow:
-            track = None if found.new or gone else track
-            self._gone.discard(spec.name)
-            number = self._track_ids.get(spec.name, 0) + 1 if track is None else track.track_id
-            found, self._track_ids[spec.name] = found._replace(track_id=number), number
-            self._tracks[spec.name] = advance(track, found, observed, self._clock.now)
-        if not found.reason:
-            if spec.order == "image":
-                seen = observed.seen(found.form.points, target)
-                found = found._replace(form=spec.apply_index_order(found.form, seen, target), laid=None)
-            if isinstance(self.config.clustering, Clusterer):
-                from shape_obs.configurations.cluster_assignment import assign_centres  # the map needs none
-
-                found = assign_centres(found, observed, spec, self.config.clustering)
-        return found
-
-    def _finish(self, spec: Configuration, found: Fit, moment: _Moment) -> Shape:
-        """Turn a form into ordered points, in space if there is depth; or apply the policy for a lost shape."""
-        now, clock = time.perf_counter(), self._clock
-        last, seen_at = self._last.get(spec.name, (None, 0.0))
-        shape, reason = None, found.reason
-        if not found.reason:  # depth enters: -> points
-            shape = shape_of(spec, found, moment.frame, last, self.config.on_invalid, math.hypot(*moment.size))
-            shape, reason = (None, shape.reason) if shape.reason else (shape, "")
-        if shape is not None:
-            self._last[spec.name] = (shape, clock.now)
-        else:
-            age = clock.now - seen_at
-            if last is not None and age > self.config.max_age and found.reason:  # else it is still tracked
-                self._gone.add(spec.name)
-                if not spec.resumes:
-                    self._tracks.pop(spec.name, None)
-            reason = f"{reason}; {clock.warning}" if clock.warning else reason
-            shape = lost_shape(
-                spec.name, spec.layout, reason=reason, in_2d=moment.in_2d, in_3d=moment.in_3d, last=last, age=age,
-                max_age=self.config.max_age, policy=self.config.on_missing, diagonal=math.hypot(*moment.size),
-            )  # fmt: skip
-        _lap(moment.timings, "lift", now)
-        return shape
+            found = followed.fit(observed, moment, scene)  # -> form, matched and validated
+            now = _lap(timings, "fit", now)
+            if not found.reason or found.follow or not search.widen(rule):
+                shapes = [followed.finish(found, moment)]
+                break
+        _lap(timings, "lift", now)
+        return shapes
 
 
 def _lap(timings: dict[str, float], stage: str, since: float) -> float:

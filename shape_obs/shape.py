@@ -139,17 +139,24 @@ class Detection:
             ``"region"`` of a mask given, ``"cloud"``, ``"fit"``, ``"lift"``.
         warning: What is wrong with the frame though its shapes may be found: a stamp that stands still or runs back.
             Empty if nothing is. The ``reason`` of a shape that was not found repeats it.
+        more: By name, how many objects were found beyond the ``count`` of a configuration; empty if there were none.
     """
 
     shapes: tuple[Shape, ...]
     stamp: float
     timings: Mapping[str, float] = field(default_factory=dict)
     warning: str = ""
+    more: Mapping[str, int] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Shape:
         for shape in self.shapes:
             if shape.name == name:
                 return shape
+        slots = [
+            shape.name for shape in self.shapes if shape.name[len(name) :].isdigit() and shape.name.startswith(name)
+        ]
+        if slots:
+            raise KeyError(f"{name!r} has a count; its slots are {', '.join(map(repr, slots))}.")
         raise KeyError(f"no shape named {name!r}{did_you_mean(name, [shape.name for shape in self.shapes])}")
 
     def __iter__(self) -> Iterator[Shape]:
@@ -169,6 +176,7 @@ class Detection:
             "ok": self.ok,
             "stamp": self.stamp,
             "warning": self.warning,
+            "more": dict(self.more),
             "shapes": [shape.to_dict() for shape in self.shapes],
             "timings_ms": {stage: round(time, 3) for stage, time in self.timings.items()},
         }

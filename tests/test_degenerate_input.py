@@ -70,7 +70,7 @@ def test_thin_masks_over_any_depth(name, lift):
         camera = Intrinsics(**{"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5, **lens})
         for depth in (rng.uniform(0, 3, mask.shape), np.full(mask.shape, 0.7), np.full(mask.shape, 1e-300)):
             for shape, spec in zip(detector.detect_mask(mask, depth, camera), specs, strict=True):
-                assert broken_contracts(shape, spec.count, in_2d=True, in_3d=True) == []
+                assert broken_contracts(shape, spec.layout.size, in_2d=True, in_3d=True) == []
         detector.reset()
 
 

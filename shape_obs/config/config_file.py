@@ -18,6 +18,7 @@ from shape_obs.config.detector_config import NO_BACKEND, DetectorConfig
 from shape_obs.spec import SpecError, did_you_mean, to_plain
 
 if TYPE_CHECKING:
+    from shape_obs.configurations.base import Configuration
     from shape_obs.features import Feature
 
 VERSION: Final = 1
@@ -106,12 +107,17 @@ def schema_hash(arguments: Mapping[str, Any]) -> str:
 def hashed_values(arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Return the JSON values from which ``schema_hash`` is computed."""
     detector, features = DetectorConfig.from_dict(detector_arguments(arguments)), _features(arguments)
-    shapes = [shape.to_dict() for shape in detector.resolved()]
     return {
-        "shapes": [{name: value for name, value in shape.items() if name not in SCENE_FIELDS} for shape in shapes],
+        "shapes": [_hashed_shape(shape) for shape in detector.filled()],
         "features": None if features is None else [feature.identity() for feature in features],
         "clustering": detector.clustering.to_dict(),
     }
+
+
+def _hashed_shape(shape: Configuration) -> dict[str, Any]:
+    """Return the values of a shape that are hashed; one without a count has the hash that it had before counts."""
+    values = {name: value for name, value in shape.to_dict().items() if name not in SCENE_FIELDS}
+    return values if shape.count is not None else {name: value for name, value in values.items() if name != "count"}
 
 
 def config_hash(arguments: Mapping[str, Any]) -> str:

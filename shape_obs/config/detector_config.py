@@ -81,7 +81,8 @@ class DetectorConfig(Spec):
         super().__post_init__()
         if not self.shapes:
             raise SpecError("shapes: expected at least one configuration, got none.")
-        twice = [name for name, count in Counter(shape.name for shape in self.shapes).items() if count > 1]
+        names = [slot.name for shape in self.shapes for slot in shape.slots()]
+        twice = [name for name, count in Counter(names).items() if count > 1]
         if twice:
             raise SpecError(f"shapes: two are named {twice[0]!r}; give each its own name=.")
         if not (0 <= self.max_age < math.inf and 0 < self.dt < math.inf):
@@ -100,7 +101,7 @@ class DetectorConfig(Spec):
                             f"{self.clustering.kind!r} has its own centres; give {name}={wanted!r}."
                         )
 
-    def resolved(self) -> tuple[Configuration, ...]:
+    def filled(self) -> tuple[Configuration, ...]:
         """Return the configurations with this detector's defaults filled in."""
         filled = []
         defaults = {"order": self.order, "segmentation": self.segmentation, "anchor": self.anchor, "ends": self.ends}
@@ -108,3 +109,7 @@ class DetectorConfig(Spec):
             open_ones = {name: value for name, value in defaults.items() if getattr(shape, name, value) is None}
             filled.append(replace(shape, **open_ones))
         return tuple(filled)
+
+    def resolved(self) -> tuple[Configuration, ...]:
+        """Return a configuration for each shape to find, the detector's defaults filled in: one for each slot."""
+        return tuple(slot for shape in self.filled() for slot in shape.slots())

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,8 @@ from shape_obs.geometry.topology import Topology
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
-from shape_obs.spec import Spec
+from shape_obs.initialization.objects import SceneObject, find_components
+from shape_obs.spec import Spec, did_you_mean
 from shape_obs.tracking.belief import Shares, known_layout
 from shape_obs.tracking.prediction import Fit, Prediction
 
@@ -25,7 +27,9 @@ Order = Literal["tracked", "image"]
 Spacing = Literal["px", "m"]
 Lift = Literal["points", "cloud"]
 Ends = Literal["centers", "tips"]
-Anchor = str | tuple[float, float] | tuple[float, float, float] | None
+Place = str | tuple[float, float] | tuple[float, float, float]
+Anchor = Place | Mapping[str, Place] | None
+Count = int | Literal["all"] | None
 Array = npt.NDArray[np.float64]
 Own = tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int, int, int]
 Where = tuple[
@@ -43,6 +47,7 @@ Where = tuple[
 ]
 Around = tuple[DepthImages, tuple[int, int, int, int], tuple[float, float, float, float]]
 
+MOST_SLOTS: Final = 16
 _NO_LENS = np.zeros(0)
 
 
@@ -104,8 +109,12 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
 
     Args:
         name: What the shape is called; default its kind.
+        count: How many such objects to find in one mask, each in a slot of its own: shapes ``name0``, ``name1``, ...
+            None finds one, called ``name``; ``"all"`` opens a slot for each that is found (a detector alone does that:
+            an observation has a fixed size).
         anchor: Where point 0 belongs: a pixel (u, v), a base-frame point (x, y, z) in metres, or a name that
-            ``detect(anchors={...})`` resolves; None leaves it to the image's top-left.
+            ``detect(anchors={...})`` resolves; None leaves it to the image's top-left. With a count, a mapping from the
+            names of slots to anchors ties slots to what lies there.
         order: Overrides the detector's.
         segmentation: Overrides the detector's.
         lift: ``"points"`` fits in the image and puts depth under the points found; ``"cloud"`` fits in space, to the
@@ -114,9 +123,11 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
         radius: Metres from the visible surface to the axis; 0 reports the surface.
     """
 
+    is_ribbon: ClassVar[bool] = False  # whether its nodes run along the middle of its mask
     resumes: ClassVar[bool] = False  # whether a fit can go on from a track after a loss longer than ``max_age``
 
     name: str = ""
+    count: Count = None
     anchor: Anchor = None
     order: Order | None = None
     segmentation: Segmentation | None = None
@@ -128,8 +139,33 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
         super().__post_init__()
         if not self.name:
             object.__setattr__(self, "name", self.kind)
-        if isinstance(self.anchor, tuple) and not np.all(np.isfinite(self.anchor)):
-            raise ValueError(f"{self.kind}: anchor must be finite, got {self.anchor}.")
+        if isinstance(self.count, int) and not 1 <= self.count <= MOST_SLOTS:
+            raise ValueError(f"{self.kind}: count must lie in 1...{MOST_SLOTS}, be 'all' or None, got {self.count}.")
+        anchors = self.anchor if isinstance(self.anchor, Mapping) else {self.name: self.anchor}
+        for anchor in anchors.values():
+            if isinstance(anchor, tuple) and not np.all(np.isfinite(anchor)):
+                raise ValueError(f"{self.kind}: anchor must be finite, got {anchor}.")
+        if isinstance(self.anchor, Mapping):
+            self._check_anchored(self.anchor)
+
+    def _check_anchored(self, anchor: Mapping[str, Place]) -> None:
+        if self.count is None:
+            raise ValueError(f"shape {self.name!r}: an anchor for each slot, {dict(anchor)}, needs count=.")
+        known = [f"{self.name}{k}" for k in range(MOST_SLOTS if self.count == "all" else self.count)]
+        for slot in anchor:
+            if slot not in known:
+                raise ValueError(f"shape {self.name!r}: anchor for unknown slot {slot!r}{did_you_mean(slot, known)}")
+
+    def slots(self) -> tuple[Configuration, ...]:
+        """Return a configuration for each object to find: itself without a count, else one for each slot."""
+        if self.count is None:
+            return (self,)
+        named, slots = self.anchor, []
+        for k in range(MOST_SLOTS if self.count == "all" else self.count):
+            slot = f"{self.name}{k}"
+            anchor = named.get(slot) if isinstance(named, Mapping) else named
+            slots.append(replace(self, name=slot, count=None, anchor=anchor))
+        return tuple(slots)
         if self.radius < 0 or not np.isfinite(self.radius):
             raise ValueError(f"{self.kind}: radius must be >= 0 metres, got {self.radius}.")
 
@@ -137,11 +173,6 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
     @abstractmethod
     def layout(self) -> Topology:
         """How the shape's points are connected."""
-
-    @property
-    def count(self) -> int:
-        """How many points the shape has, N."""
-        return self.layout.size
 
     def check_without_depth(self) -> None:
         """Raise an error if the shape needs what a frame without depth or camera does not have.
@@ -174,6 +205,10 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call, so that they are ready before the first frame."""
         return ()
+
+    def find_objects(self, region: Region) -> tuple[list[SceneObject], str]:
+        """Return the objects of a mask that holds several, largest first, and why there are none."""
+        return find_components(region)
 
     @abstractmethod
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:

@@ -23,6 +23,8 @@ from shape_obs.image.roi import Window
 from shape_obs.initialization.folding import closest_sides, sharp_bends, unexplained_share
 from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
+from shape_obs.initialization.objects import SceneObject
+from shape_obs.initialization.ropes import find_ropes
 from shape_obs.initialization.skeleton import thinned, trace_skeleton
 from shape_obs.point_cloud.lifting import nearest_expected
 from shape_obs.tracking.occluders import Tips
@@ -80,6 +82,7 @@ class Centerline(Configuration, kind="centerline"):
             to the scene: it is not hashed, and a policy takes a rope of another length.
     """
 
+    is_ribbon: ClassVar[bool] = True
     resumes: ClassVar[bool] = True
 
     n: int = 20
@@ -97,6 +100,10 @@ class Centerline(Configuration, kind="centerline"):
     def layout(self) -> Chain:
         """A chain of n points."""
         return Chain(self.n)
+
+    def find_objects(self, region: Region) -> tuple[list[SceneObject], str]:
+        """Return the ropes of a mask, longest first, and why there are none."""
+        return find_ropes(region)
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit a chain of nodes: from where the track expects it, else along an initial axis."""

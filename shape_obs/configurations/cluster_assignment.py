@@ -30,9 +30,9 @@ _SEED: Final = 0
 def assign_centres(found: Fit, observed: Observed, spec: Configuration, clusterer: Clusterer) -> Fit:
     """Return the fit with a clusterer's centres as its points; refused if there are fewer samples than points."""
     samples = spec.clusterer_samples(observed)
-    if len(samples) < spec.count:
+    if len(samples) < spec.layout.size:
         available = f"the {observed.noun} has {len(samples)} {observed.sample_unit} to cluster"
-        return Fit(reason=f"{available}, {spec.count} points need as many")
+        return Fit(reason=f"{available}, {spec.layout.size} points need as many")
     places = clusterer.centres(samples, spec.layout, _SEED).places
     return found._replace(centres=places[order(places, found.form, spec)])
 

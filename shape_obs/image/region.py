@@ -57,6 +57,7 @@ class Region:
         pieces: How many components there are.
         refusal: Why it is no object, in words: nothing is seen, or noise, which is left out; empty if it may be one.
         resolution: One pixel.
+        axis: Where its axis lies if it is a rope that was found among others; None if that is to be found.
     """
 
     window: Window
@@ -68,6 +69,7 @@ class Region:
     pieces: int
     refusal: str = ""
     resolution: float = 1.0
+    axis: FittedCurve | None = None
     unit: ClassVar[str] = "px"
     noun: ClassVar[str] = "mask"
     sample_unit: ClassVar[str] = "pixels"

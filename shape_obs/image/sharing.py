@@ -2,29 +2,41 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.image.connected_runs import nearest_pixel
+from shape_obs.image.find_region import find_region
+from shape_obs.image.region import Region
+from shape_obs.image.roi import Window
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 Owners = npt.NDArray[np.uint32]
 
-MOST: int = 32  # objects in one mask: a bit each
+MOST: Final = 32  # objects in one mask: a bit each
 
 
-@compiled("(u1[:,::1], i8, i8, f8[:,::1], i8[::1], f8[::1], f8, f8)")
+@compiled("(u1[:,::1], i8, i8, f8[:,::1], i8[::1], f8[::1], f8, f8, b1)")
 def share_pixels(
-    mask: Mask, left: int, top: int, points: Array, stops: Indices, radius: Array, reach: float, slack: float
-) -> tuple[Owners, Indices]:
-    """Return which curves each pixel of a mask belongs to, as bits, and how many pixels each curve has alone.
+    mask: Mask,
+    left: int,
+    top: int,
+    points: Array,
+    stops: Indices,
+    radius: Array,
+    reach: float,
+    slack: float,
+    spread: bool,
+) -> tuple[Owners, int]:
+    """Return which curves each pixel of a mask belongs to, as bits, and how many pixels belong to none.
 
     A pixel belongs to the curve whose ribbon is nearest, and to every other one whose ribbon is hardly farther: where
-    curves cross, to both. What lies beyond the reach of all ribbons goes to the nearest pixels that belong to one, along
-    the mask.
+    curves cross, to both.
 
     Args:
         mask: ``(h, w)`` uint8, 0 = background.
@@ -35,10 +47,10 @@ def share_pixels(
         radius: ``(K,)`` half the width of each ribbon, pixels.
         reach: Pixels around a ribbon that it may claim.
         slack: A second ribbon that is farther by so many pixels claims a pixel as well.
+        spread: Whether pixels beyond the reach of all ribbons go to the owners of the nearest ones along the mask.
 
     Returns:
-        ``(h, w)`` bits, 0 for the background and for pieces of the mask that no ribbon reaches; ``(K + 1,)`` pixels of
-        one curve alone, and those of none.
+        ``(h, w)`` bits, 0 for the background and for what belongs to none; how many pixels of the mask do.
     """
     high, wide = mask.shape
     least = np.full((high, wide), np.inf, np.float32)
@@ -65,19 +77,13 @@ def share_pixels(
                             least[row, column] = min(least[row, column], excess)
                         elif excess <= least[row, column] + slack:
                             owners[row, column] |= bit
-    _spread(mask, owners)
-    alone = np.zeros(count + 1, np.int64)
+    if spread:
+        _spread(mask, owners)
+    left_over = 0
     for row in range(high):
         for column in range(wide):
-            if mask[row, column]:
-                bits = owners[row, column]
-                if bits == 0:
-                    alone[count] += 1
-                elif bits & (bits - np.uint32(1)) == 0:
-                    for k in range(count):
-                        if bits == np.uint32(1 << k):
-                            alone[k] += 1
-    return owners, alone
+            left_over += mask[row, column] != 0 and owners[row, column] == 0
+    return owners, left_over
 
 
 @compiled
@@ -103,3 +109,24 @@ def _spread(mask: Mask, owners: Owners) -> None:
                 owners[v, u] = owners[row, column]
                 waiting[count] = v * wide + u
                 count += 1
+
+
+def part_of(region: Region, owners: Owners, index: int, min_area: int, min_share: float) -> Region:
+    """Return the pixels of a region that belong to one curve, as a region of its own.
+
+    Args:
+        region: Of all objects.
+        owners: ``(h, w)`` bits, see ``share_pixels``.
+        index: Of the curve.
+        min_area: Smaller pieces are dropped, pixels.
+        min_share: So are those smaller than this share of the largest.
+    """
+    own = (owners & np.uint32(1 << index)) != 0
+    rows, columns = np.flatnonzero(own.any(axis=1)), np.flatnonzero(own.any(axis=0))
+    left, top, wide, high = 0, 0, own.shape[1], own.shape[0]
+    if len(rows):  # a pixel of background around it, but for what the whole region's window cuts off
+        left, top = max(int(columns[0]) - 1, 0), max(int(rows[0]) - 1, 0)
+        wide, high = min(int(columns[-1]) + 2, wide) - left, min(int(rows[-1]) + 2, high) - top
+    window = Window(region.window.left + left, region.window.top + top, wide, high)
+    mask = np.ascontiguousarray(own[top : top + high, left : left + wide]).view(np.uint8)
+    return find_region(mask, window, min_area, min_share)

@@ -42,7 +42,7 @@ _ONE: Final = 0.76
 _TWO: Final = 0.88
 # A waist of strands that cross at 25 degrees is two widths long, a little longer where they bend. Along a longer one
 # strands may change sides unseen.
-_LONGEST: Final = 4.0
+_LONGEST: Final = 8.0
 # Nowhere are strands that cross thinner than one strand: a neck is where two touch in a few pixels, side by side.
 _NECK: Final = 0.42
 _OVERLAPPING: Final = 0.9  # of the radii of two nodes: a shorter branch lies between strands, not along one

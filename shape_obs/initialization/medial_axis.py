@@ -43,7 +43,7 @@ def medial_axis(observed: Any) -> FittedCurve:
     region = observed.parts[-1]
     if region.dimension == 3:
         return observed.axis()
-    axis = _axis_of_mask(region)
+    axis = region.axis or _axis_of_mask(region)
     return axis if region is observed else observed.lifted(axis)
 
 

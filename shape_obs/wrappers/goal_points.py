@@ -92,7 +92,7 @@ def shape_at(places: Array, spec: Configuration, intrinsics: Intrinsics | None) 
     """Return a shape with all points known: ``(N, 3)`` metres, camera frame, or ``(N, 2)`` pixels."""
     pixels = _pixels(places, intrinsics).astype(np.float32)
     points3d = places.astype(np.float32) if places.shape[1] == 3 else None
-    known = np.ones(spec.count, bool)
+    known = np.ones(spec.layout.size, bool)
     return Shape(spec.name, pixels, points3d, known, known.copy(), spec.layout)
 
 

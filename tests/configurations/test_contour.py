@@ -200,7 +200,7 @@ def test_bad_arguments_are_reported(arguments, message):
 
 def test_it_is_built_from_a_mapping():
     assert ShapeDetector([{"kind": "contour", "n": 12, "hole": 1}]).shapes[0].to_dict()["hole"] == 1
-    assert ShapeDetector("contour").shapes[0].count == 32
+    assert ShapeDetector("contour").shapes[0].layout.size == 32
 
 
 class TestClosedCurves:

@@ -110,7 +110,7 @@ class TestLattice:
         assert np.abs(asked - one(towel.mask).points2d).max() > 5
 
     def test_specs(self):
-        assert ShapeDetector(["surface"]).shapes[0].count == 32
+        assert ShapeDetector(["surface"]).shapes[0].layout.size == 32
         assert Surface.from_dict({"kind": "surface", "rows": 3, "cols": 5}).layout.size == 15
         with pytest.raises(ValueError, match=r"surface: rows and cols must lie in 2...100, got 1 and 8"):
             Surface(rows=1)

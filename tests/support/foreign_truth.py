@@ -93,7 +93,7 @@ def follow(
     camera = camera or env.get_wrapper_attr("camera_model")
     assert camera is not None
     pixels, metres, ok = [], [], []
-    n = env.detector.shapes[0].count
+    n = env.detector.shapes[0].layout.size
     _, info = env.reset(seed=0)
     for step in range(STEPS):
         _, _, _, _, info = env.step(act(step))

@@ -69,7 +69,7 @@ class Work:
     @property
     def n(self) -> int:
         """The number of points."""
-        return self.configuration.count
+        return self.configuration.layout.size
 
     @property
     def grid(self) -> tuple[int, int]:

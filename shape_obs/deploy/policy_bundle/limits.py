@@ -139,7 +139,7 @@ def check_configuration(arguments: Mapping[str, Any], what: str) -> None:
         config = DetectorConfig.from_dict({name: arguments[name] for name in given})
         features = read_features(arguments.get("features") or ())
     shapes = config.shapes
-    counts = [shape.count for shape in shapes]
+    counts = [shape.layout.size for shape in shapes]
     if len(shapes) > MOST_SHAPES or max(counts) > MOST_POINTS or sum(counts) > MOST_POINTS_TOGETHER:
         raise needs_trust(
             f"{what}: expected at most {MOST_SHAPES} shapes of {MOST_POINTS} points, {MOST_POINTS_TOGETHER} together, "
@@ -180,7 +180,7 @@ def _work(feature: Feature, shape: Configuration) -> float:
         getattr(feature, "degree", 0) + 1,
         getattr(feature, "coefficients", 0),
     )
-    points, functions = shape.count, max(own)
+    points, functions = shape.layout.size, max(own)
     functions = min(points, functions**2 if isinstance(shape.layout, Grid) else functions)
     return 10.0 * functions**3 + 5.0 * points * functions**2
 

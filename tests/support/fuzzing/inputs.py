@@ -172,7 +172,7 @@ def _run_detector(rng: np.random.Generator, log: _Log) -> int:
             detection, in_3d = _detect(rng, detector, scene, at, call)
             for shape, spec in zip(detection, detector.shapes, strict=True):
                 in_2d = in_3d is not None
-                for text in broken_contracts(shape, spec.count, in_2d=in_2d, in_3d=in_3d is not False):
+                for text in broken_contracts(shape, spec.layout.size, in_2d=in_2d, in_3d=in_3d is not False):
                     log.add(_CONTRACT, f"{text}: {shape.name}, {spec.kind}")
                 returned.append((shape, pickle.dumps(shape)))
     if any(pickle.dumps(shape) != before for shape, before in returned):

@@ -1,0 +1,86 @@
+"""Which of the objects in a mask is which: each is seated in the slot whose track or anchor it fits best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+from shape_obs.geometry.polyline import arc_length, interpolate
+from shape_obs.initialization.objects import SceneObject
+
+Array = npt.NDArray[np.float64]
+
+_COMPARED: Final = 48  # points of a curve
+# What is missing of a track counts less than what an object has more: a part of it may be hidden.
+_MISSING: Final = 0.3
+
+
+def seat_tracked(objects: Sequence[SceneObject], tracks: Sequence[Array | None], reach: float) -> list[int]:
+    """Return the object of each slot that has a track, -1 for the others: those that are nearest overall.
+
+    The assignment of H. W. Kuhn, "The Hungarian Method for the Assignment Problem", 1955.
+
+    Args:
+        objects: What was found in this frame.
+        tracks: ``(K, 2)`` pixels each, where the object of a slot should be; None for a slot without a track.
+        reach: Pixels: an object that lies farther from a track on average is another one.
+    """
+    seats, known = [-1] * len(tracks), [k for k, nodes in enumerate(tracks) if nodes is not None]
+    if not known or not objects:
+        return seats
+    cost = np.array([[_apart(each.curve.points, tracks[k]) for each in objects] for k in known])
+    for row, at in zip(*linear_sum_assignment(np.minimum(cost, 10 * reach)), strict=True):
+        if cost[row, at] <= reach:
+            seats[known[row]] = int(at)
+    return seats
+
+
+def seat_others(
+    objects: Sequence[SceneObject], seats: Sequence[int], targets: Sequence[Array | None], free: Sequence[int]
+) -> list[int]:
+    """Return the object of each slot, after objects that no track has claimed took the free slots.
+
+    Objects go to the anchors that they are nearest to; the largest of the others to the other slots, in the order in
+    which they begin from the top left.
+
+    Args:
+        objects: Largest first.
+        seats: Those that are taken, see ``seat_tracked``.
+        targets: ``(2,)`` pixel of the anchor of each slot, or None.
+        free: Slots that may take an object.
+    """
+    taken, left = list(seats), [at for at in range(len(objects)) if at not in seats]
+    anchored = [k for k in free if targets[k] is not None]
+    if anchored and left:
+        cost = np.array([[_away(objects[at], targets[k]) for at in left] for k in anchored])
+        for row, column in zip(*linear_sum_assignment(cost), strict=True):
+            taken[anchored[row]] = left[column]
+    open_slots = [k for k in free if targets[k] is None]
+    largest = [at for at in left if at not in taken][: len(open_slots)]
+    corner = np.zeros(2)
+    for k, at in zip(open_slots, sorted(largest, key=lambda at: _away(objects[at], corner)), strict=False):
+        taken[k] = at
+    return taken
+
+
+def _away(found: SceneObject, target: Array | None) -> float:
+    """Return how far an object begins from a pixel."""
+    return float(np.linalg.norm(found.starts - target, axis=1).min())
+
+
+def _apart(curve: Array, nodes: Array | None) -> float:
+    """Return the mean distance of two curves, whatever their direction."""
+    assert nodes is not None
+    distance = cdist(_sampled(curve), _sampled(nodes))
+    return float(distance.min(axis=1).mean() + _MISSING * distance.min(axis=0).mean())
+
+
+def _sampled(curve: Array) -> Array:
+    curve = np.ascontiguousarray(curve)
+    arc = arc_length(curve)
+    return interpolate(curve, arc, np.linspace(0.0, arc[-1], _COMPARED))
