@@ -25,7 +25,8 @@ from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
-from shape_obs.initialization.skeleton import thinned, trace_skeleton
+from shape_obs.initialization.skeleton import trace_skeleton
+from shape_obs.initialization.thinning import thinned
 from shape_obs.point_cloud.lifting import nearest_expected
 from shape_obs.tracking.occluders import Tips
 from shape_obs.tracking.occlusion import is_whole, known_rope, match_chain, shown, surprise

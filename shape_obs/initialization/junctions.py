@@ -39,7 +39,7 @@ _PER_WIDTH: Final = (3.0, 0.2)
 # Radius over the width of one strand: 0.5 to 0.71 in the middle of a crossing, from acute to square; 0.9 to 1 of
 # strands side by side. Below the first they lie on top of each other, above the second they do not.
 _ONE: Final = 0.76
-_TWO: Final = 0.88
+_TWO: Final = 0.84
 # A waist of strands that cross at 25 degrees is two widths long, a little longer where they bend. Along a longer one
 # strands may change sides unseen.
 _LONGEST: Final = 8.0
@@ -88,7 +88,8 @@ def _is_inner(branch: Branch, degree: Counter[int], width: float) -> bool:
         return False
     if branch.length < _OVERLAPPING * float(branch.radius[0] + branch.radius[-1]):
         return True
-    return branch.length < _BLOB * width and float(np.percentile(branch.radius, 20)) > _THICKER * width
+    typical = float(np.percentile(branch.radius, 20)) / width
+    return branch.length < _BLOB * width and _THICKER < typical < _ONE
 
 
 def find_zones(skeleton: Skeleton) -> Zones:

@@ -1,7 +1,4 @@
-"""The skeleton of a mask as a graph: strands thinned to curves, and the places where they meet.
-
-Thinning after Guo and Hall, "Parallel Thinning with Two-Subiteration Algorithms", 1989.
-"""
+"""The skeleton of a mask as a graph: strands thinned to curves, and the places where they meet."""
 
 from __future__ import annotations
 
@@ -18,6 +15,7 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.image.connected_runs import find_components, find_root
 from shape_obs.image.outline_tracing import fill_holes, trace_components
+from shape_obs.initialization.thinning import smoothed, thinned
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
@@ -28,8 +26,6 @@ _CELLS_ACROSS: Final = 20.0
 # A branch that ends freely within this many radii of where it leaves is a corner of the outline, not a strand: the
 # skeleton runs into a square corner for 1.4 radii.
 _SPUR: Final = 1.7
-# Blur of a mask before it is thinned, cells. Strands three cells apart stay apart, and four cells wide they stay.
-_SMOOTH: Final = 1.2
 # Holes no wider on average than this share of the thickest radius are noise, or the seam between strands side by side:
 # each would make a loop, and strands that part are recognised by their thickness as well.
 _SLIT: Final = 0.3
@@ -37,19 +33,6 @@ _SLIT: Final = 0.3
 # A rope that crosses itself ten times has 31 branches. The time for pairing them, and for pruning, grows with the
 # square of their number.
 _MOST_BRANCHES, _MOST_PRUNED = 60, 300
-
-
-def _kept(half: int) -> Mask:
-    """Return ``(256,)`` 1 for neighbours (lowest bit above, then clockwise) that keep a pixel in half a pass."""
-    n, ne, e, se, s, sw, w, nw = (np.arange(256) >> np.arange(8)[:, None] & 1).astype(bool)
-    one, other = np.stack([ne | e, se | s, sw | w, nw | n]), np.stack([n | ne, e | se, s | sw, w | nw])
-    pieces = np.sum(one & ~np.stack([n, e, s, w]), axis=0)
-    count = np.minimum(one.sum(axis=0), other.sum(axis=0))
-    side = (s | sw | ~nw) & w if half == 0 else (n | ne | ~se) & e
-    return 1 - ((pieces == 1) & (count >= 2) & (count <= 3) & ~side).astype(np.uint8)
-
-
-_KEPT: Final = np.stack([_kept(0), _kept(1)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +101,7 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
     if cell > 1:
         grid = _coarse(grid[1:-1, 1:-1], cell)
         thickest = float(_radii(grid).max(initial=0.0))
-    grid = _smoothed(grid)
+    grid = smoothed(grid)
     holes = _fill_slits(grid, thickest)
     if holes > _MOST_BRANCHES:  # at least one branch for each
         return Skeleton((), 1.0, f"the mask has {holes} holes")
@@ -138,49 +121,6 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
     return Skeleton(tuple(branches), max(2 * typical, 1.0))
 
 
-@compiled("(u1[:,::1],)")
-def thinned(mask: Mask) -> Mask:
-    """Return a mask of 0 and 1 with a border of 0, thinned to curves one pixel wide: ``(h, w)`` uint8.
-
-    Only pixels whose neighbours have changed are looked at again, so that the time grows with the pixels, however
-    thick the mask is.
-    """
-    thin, across = mask.copy(), mask.shape[1]
-    is_set = thin.reshape(-1)
-    steps = (-across, 1 - across, 1, across + 1, across, across - 1, -1, -across - 1)
-    pixels = np.flatnonzero(is_set)
-    waiting, count = np.stack((pixels, pixels)), np.full(2, len(pixels))
-    is_waiting = np.zeros((2, len(is_set)), np.bool_)
-    for at in pixels:
-        is_waiting[0, at] = is_waiting[1, at] = True
-    gone, half = np.empty(len(pixels), np.int64), 0
-    while count[0] + count[1] > 0:
-        removed = 0
-        for i in range(count[half]):
-            at = waiting[half, i]
-            is_waiting[half, at] = False
-            if is_set[at]:
-                around = 0
-                for k in range(8):
-                    around |= is_set[at + steps[k]] << k
-                if not _KEPT[half, around]:
-                    gone[removed] = at
-                    removed += 1
-        count[half] = 0
-        for i in range(removed):
-            is_set[gone[i]] = 0
-        for i in range(removed):
-            for k in range(8):
-                other = gone[i] + steps[k]
-                for each in range(2):
-                    if is_set[other] and not is_waiting[each, other]:
-                        is_waiting[each, other] = True
-                        waiting[each, count[each]] = other
-                        count[each] += 1
-        half = 1 - half
-    return thin
-
-
 def _radii(piece: Mask) -> Array:
     """Return the distance from each cell of a framed mask, if it is one of the skeleton, to the outline, cells.
 
@@ -195,14 +135,6 @@ def _coarse(piece: Mask, cell: int) -> Mask:
     framed = np.pad(piece * np.uint8(255), ((cell, cell + -height % cell), (cell, cell + -width % cell)))
     size = (framed.shape[1] // cell, framed.shape[0] // cell)
     return (np.asarray(cv2.resize(framed, size, interpolation=cv2.INTER_AREA)) > 127).view(np.uint8)
-
-
-def _smoothed(grid: Mask) -> Mask:
-    """Return a framed mask without hairs and notches of its border, which would each become a branch."""
-    blurred = np.asarray(cv2.GaussianBlur(grid * np.uint8(255), (0, 0), _SMOOTH))
-    smooth = np.ascontiguousarray(blurred > 127).view(np.uint8)
-    smooth[[0, -1]] = smooth[:, [0, -1]] = 0
-    return smooth
 
 
 def _fill_slits(grid: Mask, thickest: float) -> int:

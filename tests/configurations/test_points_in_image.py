@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, Contour, Intrinsics, Shape, ShapeDetector, Surface
-from shape_obs import detector as way
+from shape_obs import tracker as way
 
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 SPECS = {
