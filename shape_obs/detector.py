@@ -21,8 +21,11 @@ from shape_obs.configurations.anchors import Anchors
 from shape_obs.configurations.base import Configuration, Scene
 from shape_obs.configurations.shape_points import SHAPE_FUNCTIONS
 from shape_obs.frame import Frame, check_mask
+from shape_obs.geometry.crossings import Crossing
+from shape_obs.geometry.intersections import crossing_table, find_crossings, joined
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.find_region import prepare
+from shape_obs.image.over_under import tell_layers, upper_strands
 from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.image.sharing import share_pixels
@@ -77,6 +80,7 @@ class ShapeDetector:
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
         functions = [*prepare(spec.segmentation for spec in self.shapes), *SHAPE_FUNCTIONS, *TRACK_FUNCTIONS]
         functions += (function for spec in self.shapes for function in spec.compiled_functions)
+        functions += [crossing_table, upper_strands] * any(spec.is_ribbon for spec in self.shapes)
         functions += [share_pixels] * any(spec.count is not None for spec in self.config.shapes)
         compile_now(functions)
         if any(spec.lift == "cloud" for spec in self.shapes):
@@ -207,9 +211,26 @@ class ShapeDetector:
         moment, shapes = Moment(frame, self._clock, anchors, timings, in_2d=True, in_3d=with_depth, size=size), []
         for followed in self._followed:
             shapes += self._find(followed, search, reason, moment)
+        shapes, crossings = self._cross(shapes, moment)
         _lap(timings, "total", begin)
         more = {each.spec.name: each.more for each in self._followed if isinstance(each, Slots) and each.more}
-        return Detection(tuple(shapes), self._clock.stamp, timings, self._clock.warning, more)
+        return Detection(tuple(shapes), self._clock.stamp, timings, self._clock.warning, more, crossings)
+
+    def _cross(self, shapes: list[Shape], moment: Moment) -> tuple[list[Shape], tuple[Crossing, ...]]:
+        """Find where ropes cross, and which one is above; return the shapes with their crossings, and all of them."""
+        followed = [tracker for each in self._followed for tracker in each.trackers if tracker.strand is not None]
+        curves = [tracker.strand[0] for tracker in followed if tracker.strand is not None]
+        if not curves or not len(crossing_table(*joined(curves))):
+            return shapes, ()
+        names = [tracker.spec.name for tracker in followed]
+        widths = [tracker.strand[1] for tracker in followed if tracker.strand is not None]
+        crossings = find_crossings(curves, names)
+        crossings = tell_layers(crossings, curves, names, widths, moment.frame.images, moment.frame.rgb)
+        for k, shape in enumerate(shapes):
+            own = tuple(each for each in crossings if shape.name in each.slots)
+            if own and shape.name in names:
+                shapes[k] = followed[names.index(shape.name)].cross(shape, own)
+        return shapes, crossings
 
     def _find(self, followed: Tracker | Slots, search: RegionSearch | None, reason: str, moment: Moment) -> list[Shape]:
         """Find a shape, or several in one mask: near where the tracks expect them, and if that fails everywhere."""

@@ -140,6 +140,7 @@ class Detection:
         warning: What is wrong with the frame though its shapes may be found: a stamp that stands still or runs back.
             Empty if nothing is. The ``reason`` of a shape that was not found repeats it.
         more: By name, how many objects were found beyond the ``count`` of a configuration; empty if there were none.
+        crossings: Where ropes lie over themselves and each other.
     """
 
     shapes: tuple[Shape, ...]
@@ -147,6 +148,7 @@ class Detection:
     timings: Mapping[str, float] = field(default_factory=dict)
     warning: str = ""
     more: Mapping[str, int] = field(default_factory=dict)
+    crossings: tuple[Crossing, ...] = ()
 
     def __getitem__(self, name: str) -> Shape:
         for shape in self.shapes:
@@ -177,6 +179,7 @@ class Detection:
             "stamp": self.stamp,
             "warning": self.warning,
             "more": dict(self.more),
+            "crossings": [each._asdict() for each in self.crossings],
             "shapes": [shape.to_dict() for shape in self.shapes],
             "timings_ms": {stage: round(time, 3) for stage, time in self.timings.items()},
         }

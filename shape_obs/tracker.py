@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from shape_obs.configurations.anchors import Anchors, anchor_pixel, anchor_point
 from shape_obs.configurations.base import Configuration, Scene
 from shape_obs.configurations.shape_points import shape_of
 from shape_obs.frame import Frame
+from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.observed import Observed
 from shape_obs.shape import Shape
 from shape_obs.tracking.missing import Clock, lost_shape
@@ -53,11 +55,14 @@ class Tracker:
 
     Attributes:
         track: Where the shape was last; None before it is found.
+        strand: Its curve in the image, ``(P, 2)`` pixels from point 0, and its width; None if it was not found in the
+            last frame, or is no ribbon.
     """
 
     def __init__(self, spec: Configuration, config: DetectorConfig) -> None:
         self.spec, self._config = spec, config
         self.track: Track | None = None
+        self.strand: tuple[Array, float] | None = None
         self._gone = False  # lost for longer than ``max_age``
         self._reach = Reach(config.max_speed)
         self._kind: tuple[type[Observed], tuple[int, int]] | None = None
@@ -132,6 +137,11 @@ class Tracker:
                 found = assign_centres(found, observed, spec, self._config.clustering)
         return found
 
+    def cross(self, shape: Shape, crossings: tuple[Crossing, ...]) -> Shape:
+        """Return the shape that was found with its crossings, which it keeps while it is held."""
+        self._last = replace(shape, crossings=crossings)
+        return self._last
+
     def is_held(self, moment: Moment) -> bool:
         """Return whether the shape was found at most ``max_age`` seconds ago."""
         return self._last is not None and moment.clock.now - self._seen_at <= self._config.max_age
@@ -139,11 +149,16 @@ class Tracker:
     def finish(self, found: Fit, moment: Moment) -> Shape:
         """Turn a form into ordered points, in space if there is depth; or apply the policy for a lost shape."""
         spec, config, clock, last = self.spec, self._config, moment.clock, self._last
+        self.strand = None
         diagonal = math.hypot(*moment.size)
         if not (reason := found.reason):  # depth enters: -> points
             shape = shape_of(spec, found, moment.frame, last, config.on_invalid, diagonal)
             if not (reason := shape.reason):
                 self._last, self._seen_at = shape, clock.now
+                if spec.is_ribbon and moment.in_2d:
+                    points = found.form.points[::2]  # every half a width, which is fine enough to cross
+                    points = points if points.shape[1] == 2 else shape.pixels.astype(np.float64)
+                    self.strand = np.ascontiguousarray(points), found.width
                 return shape
         age = clock.now - self._seen_at
         if last is not None and age > config.max_age and found.reason:  # else it is still tracked

@@ -45,13 +45,20 @@ def find_crossings(curves: Sequence[npt.ArrayLike], names: Sequence[str] | None 
             raise ValueError(f"curve {name!r} must be finite, of shape (P, 2), got shape {line.shape}.")
     if not lines:
         return ()
-    starts = np.zeros(len(lines) + 1, np.int64)
-    np.cumsum([len(line) for line in lines], out=starts[1:])
-    rows = crossing_table(np.ascontiguousarray(np.concatenate(lines)), starts).tolist()
+    rows = crossing_table(*joined(lines)).tolist()
     return tuple(
         Crossing((names[int(i)], names[int(j)]), (first, second), (u, v), None, int(hand))
         for i, first, j, second, u, v, hand in sorted(rows)
     )
+
+
+def joined(curves: Sequence[Array]) -> tuple[Array, Indices]:
+    """Return the points of all curves, one after the other, and where each begins, with the end."""
+    if len(curves) == 1:
+        return np.ascontiguousarray(curves[0]), np.array([0, len(curves[0])])
+    starts = np.zeros(len(curves) + 1, np.int64)
+    np.cumsum([len(curve) for curve in curves], out=starts[1:])
+    return np.ascontiguousarray(np.concatenate(curves)), starts
 
 
 @compiled("(f8[:,::1], i8[::1])")
