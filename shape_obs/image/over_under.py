@@ -1,4 +1,4 @@
-"""Which of two strands is above where they cross: from the depth along both, else from the edges that are seen."""
+"""Which of two strands is above where they cross: from the depth along both, else from their brightness."""
 
 from __future__ import annotations
 
@@ -25,10 +25,11 @@ _LONGEST: Final = 4.0  # widths: how far along a strand the other one covers it,
 # The lower strand's depth at the crossing must be farther than the upper one's by so much: metres, and standard errors.
 _LEAST_STEP: Final = 0.0015
 _SURE: Final = 3.0
-# Edges: pixels on either side of the border of a strand; how much stronger the edges of the upper strand must be than
-# those of the lower one where both ribbons overlap, as a share and in grey levels.
-_ACROSS: Final = 1.2
-_STRONGER: Final = 1.5
+# Brightness: lanes along a strand, out to so many widths from its axis; the upper strand must look within the crossing
+# as it does beyond, the lower one at least so much less, as a share and in grey levels.
+_LANES: Final = 5
+_LANE: Final = 0.36
+_LIKE: Final = 0.7
 _CONTRAST: Final = 3.0
 _NO_IMAGE: Final = np.zeros((0, 0, 3), np.uint8)
 
@@ -91,7 +92,7 @@ def upper_strands(
         if len(depth[0]) > 0 or len(depth[1]) > 0:
             out[c] = _by_depth(points, stops, who[c], at[c], widths, half, depth)
         if out[c] < 0 and len(rgb) > 0:
-            out[c] = _by_edges(who[c], at[c], widths, half, heading, rgb)
+            out[c] = _by_profile(points, stops, who[c], at[c], widths, half, rgb)
     return out
 
 
@@ -216,29 +217,63 @@ def _grey(rgb: Image, u: float, v: float) -> float:
 
 
 @compiled
-def _by_edges(who: Indices, at: Array, widths: Array, half: Array, heading: Array, rgb: Image) -> int:
-    """Return which strand is above by the edges within the crossing: those of the upper one go through."""
-    edge = np.zeros(2)
+def _by_profile(points: Array, stops: Indices, who: Indices, at: Array, widths: Array, half: Array, rgb: Image) -> int:
+    """Return which strand is above by the brightness across both: the upper one looks within the crossing as beyond."""
+    unlike = np.zeros(2)
     for s in range(2):
-        width, number = widths[who[s]], 0
-        normal_u, normal_v = -heading[s, 1], heading[s, 0]
-        for i in range(_SAMPLES):
-            along = (2 * (i + 0.5) / _SAMPLES - 1) * 0.6 * half[s]
-            for side in (-0.5, 0.5):
-                inside = outside = 0.0
-                u = at[2] + along * heading[s, 0] + side * width * normal_u
-                v = at[3] + along * heading[s, 1] + side * width * normal_v
-                away = abs((u - at[2]) * heading[1 - s, 1] - (v - at[3]) * heading[1 - s, 0])
-                if away > 0.5 * widths[who[1 - s]] - _ACROSS:
-                    continue  # the border of the other strand is near
-                sign = 1.0 if side > 0 else -1.0
-                inside = _grey(rgb, u - sign * _ACROSS * normal_u, v - sign * _ACROSS * normal_v)
-                outside = _grey(rgb, u + sign * _ACROSS * normal_u, v + sign * _ACROSS * normal_v)
-                edge[s] += abs(outside - inside)
-                number += 1
-        if number < 2:
+        k, other = who[s], who[1 - s]
+        curve, beyond = (
+            points[stops[k - 1] if k else 0 : stops[k]],
+            points[stops[other - 1] if other else 0 : stops[other]],
+        )
+        arc, across = _arc(curve), _arc(beyond)
+        here, there, width = at[s] * arc[-1], at[1 - s] * across[-1], widths[k]
+        number = 0
+        for j in range(_LANES):
+            lateral = (2 * j / (_LANES - 1) - 1) * _LANE * width
+            known, total = 0, 0.0
+            for i in range(2 * _SAMPLES):
+                side = 1.0 if i % 2 else -1.0
+                along = here + side * (half[s] + 0.25 * width + 1.0 + (i // 2) / _SAMPLES * width)
+                if 0 <= along <= arc[-1]:
+                    u, v = _beside(curve, arc, along, lateral, width)
+                    total += _grey(rgb, u, v)
+                    known += 1
+            if known < _SAMPLES // 2:
+                return -1
+            for i in range(_SAMPLES):
+                along = here + (2 * (i + 0.5) / _SAMPLES - 1) * half[s]
+                u, v = _beside(curve, arc, along, lateral, width)
+                if _away(beyond, across, there, u, v, 2 * half[1 - s] + widths[other]) < _LANE * widths[other]:
+                    unlike[s] += abs(_grey(rgb, u, v) - total / known)
+                    number += 1
+        if number < _LANES:
             return -1
-        edge[s] /= number
-    if max(edge[0], edge[1]) < _STRONGER * min(edge[0], edge[1]) or abs(edge[0] - edge[1]) < _CONTRAST:
+        unlike[s] /= number
+    low, high = min(unlike[0], unlike[1]), max(unlike[0], unlike[1])
+    if low > _LIKE * high or high - low < _CONTRAST:
         return -1
-    return 0 if edge[0] > edge[1] else 1
+    return 0 if unlike[0] < unlike[1] else 1
+
+
+@compiled
+def _beside(curve: Array, arc: Array, along: float, lateral: float, width: float) -> tuple[float, float]:
+    """Return the place to the side of a curve at an arc position."""
+    u, v = _place(curve, arc, along)
+    back_u, back_v = _place(curve, arc, along - 0.5 * width)
+    far_u, far_v = _place(curve, arc, along + 0.5 * width)
+    norm = max(np.hypot(far_u - back_u, far_v - back_v), 1e-9)
+    return u - lateral * (far_v - back_v) / norm, v + lateral * (far_u - back_u) / norm
+
+
+@compiled
+def _away(curve: Array, arc: Array, along: float, u: float, v: float, reach: float) -> float:
+    """Return how far a place is from the part of a curve around an arc position."""
+    least = np.inf
+    first, last = np.searchsorted(arc, along - reach), np.searchsorted(arc, along + reach)
+    for p in range(max(first, 1), min(last + 1, len(arc))):
+        du, dv = curve[p, 0] - curve[p - 1, 0], curve[p, 1] - curve[p - 1, 1]
+        share = ((u - curve[p - 1, 0]) * du + (v - curve[p - 1, 1]) * dv) / max(du * du + dv * dv, 1e-9)
+        share = min(max(share, 0.0), 1.0)
+        least = min(least, np.hypot(u - curve[p - 1, 0] - share * du, v - curve[p - 1, 1] - share * dv))
+    return least
