@@ -32,7 +32,7 @@ _CUT: Final = 0.4
 # More branches than these in one zone are paired one by one: there are (n-1)!! pairings.
 _MOST_TRIED: Final = 8
 # Squared radians by which the second best pairing must bend more for the best to be believed.
-_CLEAR: Final = 0.1
+_CLEAR: Final = 0.06
 _DENIED: Final = 5.0  # and what a pair bends more that the silhouette denies
 # In widths: along a shared branch longer than this each strand is followed on its side; a shorter one is leapt over.
 _FOLLOWED: Final = 2.0

@@ -91,7 +91,7 @@ def find_strands(region: Region) -> tuple[list[Strand], str]:
     if skeleton.excess:
         return [], f"{skeleton.excess}: it is no rope"
     for curve, width, *other in zip(*untangle(skeleton), strict=True):
-        strands.append(Strand(_even(curve, np.zeros(len(curve), bool), width)[0], width, *other))
+        strands.append(Strand(even(curve, np.zeros(len(curve), bool), width)[0], width, *other))
     return strands, "" if strands else "the mask has no axis"
 
 
@@ -109,7 +109,7 @@ def _axis_of_mask(region: Region) -> FittedCurve:
     joined = bridge([strand.curve for strand in kept], width)
     if joined.rival < _RIVAL:
         doubts.append("the pieces could be joined in another order about as well")
-    curve, bridged = _even(joined.curve, joined.bridged, width)
+    curve, bridged = even(joined.curve, joined.bridged, width)
     return _axis(curve, bridged & ~region.contains(curve), "; ".join(dict.fromkeys(doubts)))
 
 
@@ -158,7 +158,7 @@ def _doubts(strands: list[Strand], kept: list[Strand], *, alone: bool) -> list[s
     return doubts
 
 
-def _even(curve: Array, bridged: npt.NDArray[np.bool_], width: float) -> tuple[Array, npt.NDArray[np.bool_]]:
+def even(curve: Array, bridged: npt.NDArray[np.bool_], width: float) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Return the curve at even steps, and which of its points lie in gaps."""
     curve = np.ascontiguousarray(curve)
     arc = arc_length(curve)

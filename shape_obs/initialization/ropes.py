@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -9,14 +10,23 @@ import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.region import Region
-from shape_obs.initialization.medial_axis import Strand, find_strands
+from shape_obs.initialization.gaps import Lead, bending, bridge, lead
+from shape_obs.initialization.medial_axis import Strand, even, find_strands
 from shape_obs.initialization.objects import SceneObject
 
 Array = npt.NDArray[np.float64]
+End = tuple[int, int]  # a strand, and which of its ends
 
 # In widths: a shorter strand with an end on another one is a knob or noise, and a shorter one is no rope at all.
 _STUB: Final = 4.0
 _SHORTEST: Final = 3.0
+# A gap in the mask: how far apart two ends are at most, in widths (a curve ends up to a width before its rope); what
+# the way over it may bend, in rad^2; how much dearer the next best way on must be for either end.
+_GAP: Final = 4.5
+_BENT: Final = 0.3
+_RIVAL: Final = 2.0
+_STIFFNESS: Final = 12.0  # widths of a gap that a bend of 1 rad^2 is as dear as
+_REACH: Final = 1.5  # widths over which an end's direction is taken
 
 
 def find_ropes(region: Region) -> tuple[list[SceneObject], str]:
@@ -26,7 +36,8 @@ def find_ropes(region: Region) -> tuple[list[SceneObject], str]:
         region: The mask of any number of ropes that may lie over each other.
     """
     strands, refusal = find_strands(region)
-    ropes = [_rope(strand) for strand in strands if not _is_stub(strand)]
+    strands = [strand for strand in strands if not _is_stub(strand)]
+    ropes = [_rope(strand, region) for strand in _joined(strands)]
     return sorted(ropes, key=lambda rope: -rope.curve.size), refusal
 
 
@@ -34,9 +45,57 @@ def _is_stub(strand: Strand) -> bool:
     return strand.length < (_STUB if any(strand.inside) else _SHORTEST) * strand.width
 
 
-def _rope(strand: Strand) -> SceneObject:
+def _joined(strands: list[Strand]) -> list[Strand]:
+    """Join strands end to end, cheapest first, where no other end is about as good a continuation."""
+    ends = [(i, e) for i, strand in enumerate(strands) if not strand.closed for e in (0, 1) if not strand.inside[e]]
+    leads = {(i, e): lead(strands[i].curve[:: 1 - 2 * e], _REACH * strands[i].width) for i, e in ends}
+    price = {(a, b): _price(strands, a, b, leads) for a, b in combinations(ends, 2) if a[0] != b[0]}
+    price = {pair: cost for pair, cost in price.items() if cost < np.inf}
+    chains = {i: [(i, 0)] for i in range(len(strands))}  # by the strand it begins with: which end each is entered by
+    of = {i: i for i in chains}
+    for (a, b), cost in sorted(price.items(), key=lambda item: item[1]):
+        rivals = [other for pair, other in price.items() if pair != (a, b) and {a, b} & set(pair)]
+        if min(rivals, default=np.inf) < _RIVAL * cost or of[a[0]] == of[b[0]]:
+            continue
+        first, second = chains.pop(of[a[0]]), chains.pop(of[b[0]])
+        first = first if _last(first) == a else _turned(first)
+        second = second if second[0] == b else _turned(second)
+        chains[first[0][0]] = first + second
+        of |= {i: first[0][0] for i, _ in first + second}
+    return [
+        _chained([strands[i] for i, _ in chain]) if len(chain) > 1 else strands[chain[0][0]]
+        for chain in chains.values()
+    ]
+
+
+def _price(strands: list[Strand], a: End, b: End, leads: dict[End, Lead]) -> float:
+    """Return what it costs to join two ends, in widths of gap; inf for a gap that is too wide or too bent."""
+    width = max(strands[a[0]].width, strands[b[0]].width)
+    ends = [strands[i].curve[-e] for i, e in (a, b)]
+    gap, bend = float(np.linalg.norm(ends[1] - ends[0])) / width, bending(leads[a], leads[b])
+    return gap + _STIFFNESS * bend if gap < _GAP and bend < _BENT else np.inf
+
+
+def _last(chain: list[End]) -> End:
+    return chain[-1][0], 1 - chain[-1][1]
+
+
+def _turned(chain: list[End]) -> list[End]:
+    return [(i, 1 - e) for i, e in reversed(chain)]
+
+
+def _chained(pieces: list[Strand]) -> Strand:
+    """Return strands that follow each other as one."""
+    width = max(piece.width for piece in pieces)
+    joined = bridge([piece.curve for piece in pieces], width)
+    doubts = tuple(dict.fromkeys(doubt for piece in pieces for doubt in piece.doubts))
+    return Strand(even(joined.curve, joined.bridged, width)[0], width, doubts=doubts)
+
+
+def _rope(strand: Strand, region: Region) -> SceneObject:
     doubts = list(strand.doubts)
     if strand.closed:
         doubts.append("it is a closed ring: where it begins is unknown")
-    axis = FittedCurve.through(strand.curve, np.zeros(len(strand.curve), bool), ambiguity="; ".join(doubts))
+    hidden = ~region.carries(strand.curve)
+    axis = FittedCurve.through(strand.curve, hidden, ambiguity="; ".join(dict.fromkeys(doubts)))
     return SceneObject(axis, strand.width)
