@@ -22,7 +22,7 @@ _STUB: Final = 4.0
 _SHORTEST: Final = 3.0
 # A gap in the mask: how far apart two ends are at most, in widths (a curve ends up to a width before its rope); what
 # the way over it may bend, in rad^2; how much dearer the next best way on must be for either end.
-_GAP: Final = 4.5
+_GAP: Final = 3.0
 _BENT: Final = 0.3
 _RIVAL: Final = 2.0
 _STIFFNESS: Final = 12.0  # widths of a gap that a bend of 1 rad^2 is as dear as
