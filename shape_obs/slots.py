@@ -24,11 +24,11 @@ from shape_obs.tracking.seats import seat_others, seat_tracked
 Array = npt.NDArray[np.float64]
 
 # Where ribbons are expected, and where they were found.
-_EXPECTED, _FOUND = 0, 1
+_EXPECTED, _FOUND, _APART = 0, 1, 2
 # Pixels: what a ribbon claims around itself in a mask that holds others too, and how much farther a
 # second ribbon may be from a pixel that both claim.
-_REACH: Final = (6.0, 3.0)
-_SLACK: Final = (1.0, 0.5)
+_REACH: Final = (6.0, 3.0, 6.0)
+_SLACK: Final = (1.0, 0.5, -3.0)
 _RAGGED: Final = 0.75  # pixels that the border of a ribbon may stick out
 _UNEXPLAINED: Final = 4.0  # squares of a width: so many pixels that belong to no object may be one
 _FAR: Final = 0.1  # of the diagonal, in an interval: an object that is found farther from a track is another one
@@ -111,9 +111,16 @@ class Slots:
                 known.append(k)
                 curves.append(catmull_rom(at, 4, False))
                 widths.append(each.width or region.width)
-        if known:
-            for k, part in zip(known, _parts(region, curves, widths, self.spec.segmentation), strict=True):
-                tries[k] = self._try(k, part, moment, scene)
+        if not known:
+            return
+        owners, contested, _ = _owners(region, curves, widths, _APART)
+        for at in np.flatnonzero(contested):  # where ribbons meet, each is first fitted to what is its own for certain
+            again = self._try(known[at], self._part(region, owners, at), moment, scene)
+            if not again.found.reason:
+                curves[at] = again.found.form.points
+        owners, _, _ = _owners(region, curves, widths, _FOUND if contested.any() else _EXPECTED, spread=True)
+        for at, k in enumerate(known):
+            tries[k] = self._try(k, self._part(region, owners, at), moment, scene)
 
     def _looks_again(self, region: Region, tries: list[Attempt | None]) -> bool:
         """Return whether the mask shows something that no fit explains, and a slot is free for it."""
@@ -122,7 +129,7 @@ class Slots:
         if not forms or len(forms) == len(tries):
             return not forms
         widths = [found.object_width for found in forms]
-        left_over = _owners(region, [found.form.points for found in forms], widths, _FOUND, spread=False)[1]
+        left_over = _owners(region, [found.form.points for found in forms], widths, _FOUND)[2]
         return left_over > _UNEXPLAINED * float(np.median(widths)) ** 2 and self._wait <= 0
 
     def _search(
@@ -146,16 +153,23 @@ class Slots:
             self._wait = _PATIENCE
         shared = [at for at, each in enumerate(objects) if each.region is None]
         curves, widths = [objects[at].curve.points for at in shared], [objects[at].width for at in shared]
-        parts = dict(zip(shared, _parts(region, curves, widths, self.spec.segmentation, _FOUND), strict=True))
+        owners = _owners(region, curves, widths, _FOUND, spread=True)[0] if shared else None
         for k, at in enumerate(seats):
             earlier = tries[k]
             if earlier is not None and not earlier.found.reason:
                 continue
             if at >= 0:
-                part = objects[at].region or replace(parts[at], axis=objects[at].curve)
+                part = objects[at].region
+                if part is None:
+                    part = replace(self._part(region, owners, shared.index(at)), axis=objects[at].curve)
                 tries[k] = self._try(k, part, moment, scene)
             elif earlier is None and not objects:
                 tries[k] = Attempt(Fit(reason=reason), region, None)
+
+    def _part(self, region: Region, owners: Any, at: int) -> Region:
+        """Return the part of a mask that belongs to one ribbon."""
+        floor = self.spec.segmentation or Segmentation
+        return part_of(region, owners, at, floor.min_area, floor.min_share)
 
     def _try(self, k: int, part: Region, moment: Moment, scene: Scene) -> Attempt:
         """Fit one slot to its part of the mask."""
@@ -179,18 +193,9 @@ def _in_image(nodes: Array, scene: Scene) -> Array:
     return np.ascontiguousarray(scene.intrinsics.project(nodes))
 
 
-def _parts(
-    region: Region, curves: list[Array], widths: list[float], rule: Segmentation | None, when: int = _EXPECTED
-) -> list[Region]:
-    """Return the part of a mask that belongs to each ribbon."""
-    if not curves:
-        return []
-    owners, _ = _owners(region, curves, widths, when, spread=True)
-    floor = rule or Segmentation
-    return [part_of(region, owners, k, floor.min_area, floor.min_share) for k in range(len(curves))]
-
-
-def _owners(region: Region, curves: list[Array], widths: list[float], when: int, *, spread: bool) -> tuple[Any, int]:
+def _owners(
+    region: Region, curves: list[Array], widths: list[float], when: int, *, spread: bool = False
+) -> tuple[Any, Any, int]:
     """Share the pixels of a mask among ribbons."""
     radius = np.array(widths) / 2 + _RAGGED
     left, top, *_ = region.window

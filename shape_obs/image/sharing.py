@@ -32,11 +32,12 @@ def share_pixels(
     reach: float,
     slack: float,
     spread: bool,
-) -> tuple[Owners, int]:
-    """Return which curves each pixel of a mask belongs to, as bits, and how many pixels belong to none.
+) -> tuple[Owners, Indices, int]:
+    """Return which curves each pixel of a mask belongs to, as bits, and how much is contested.
 
     A pixel belongs to the curve whose ribbon is nearest, and to every other one whose ribbon is hardly farther: where
-    curves cross, to both.
+    curves cross, to both. With a negative slack it belongs to one alone, or to none where another ribbon is about as
+    near.
 
     Args:
         mask: ``(h, w)`` uint8, 0 = background.
@@ -46,44 +47,55 @@ def share_pixels(
         stops: ``(K,)`` where each curve ends in ``points``; at most ``MOST`` of them.
         radius: ``(K,)`` half the width of each ribbon, pixels.
         reach: Pixels around a ribbon that it may claim.
-        slack: A second ribbon that is farther by so many pixels claims a pixel as well.
+        slack: A second ribbon that is farther by so many pixels claims a pixel as well; if negative, one that is
+            farther by less than so many denies it.
         spread: Whether pixels beyond the reach of all ribbons go to the owners of the nearest ones along the mask.
 
     Returns:
-        ``(h, w)`` bits, 0 for the background and for what belongs to none; how many pixels of the mask do.
+        ``(h, w)`` bits, 0 for the background and for what belongs to none; ``(K,)`` how many pixels of each ribbon
+        another one reaches as well; how many pixels of the mask are beyond the reach of all.
     """
     high, wide = mask.shape
-    least = np.full((high, wide), np.inf, np.float32)
-    owners = np.zeros((high, wide), np.uint32)
-    count = len(stops)
-    for turn in range(2):
-        for k in range(count):
-            bit = np.uint32(1 << k)
-            far = radius[k] + reach
-            for p in range(stops[k - 1] if k else 0, stops[k]):
-                u, v = points[p, 0] - left, points[p, 1] - top
-                first, last = max(nearest_pixel(v - far), 0), min(nearest_pixel(v + far) + 1, high)
-                start, stop = max(nearest_pixel(u - far), 0), min(nearest_pixel(u + far) + 1, wide)
-                for row in range(first, last):
-                    below = (row - v) * (row - v)
-                    for column in range(start, stop):
-                        if mask[row, column] == 0:
-                            continue
-                        square = below + (column - u) * (column - u)
-                        if square > far * far:
-                            continue
-                        excess = np.float32(max(np.sqrt(square) - radius[k], 0.0))
-                        if turn == 0:
-                            least[row, column] = min(least[row, column], excess)
-                        elif excess <= least[row, column] + slack:
-                            owners[row, column] |= bit
-    if spread:
-        _spread(mask, owners)
-    left_over = 0
+    least, second = np.full((high, wide), np.inf, np.float32), np.full((high, wide), np.inf, np.float32)
+    nearest, owners = np.full((high, wide), -1, np.int8), np.zeros((high, wide), np.uint32)
+    for k in range(len(stops)):
+        far = radius[k] + reach
+        for p in range(stops[k - 1] if k else 0, stops[k]):
+            u, v = points[p, 0] - left, points[p, 1] - top
+            first, last = max(nearest_pixel(v - far), 0), min(nearest_pixel(v + far) + 1, high)
+            start, stop = max(nearest_pixel(u - far), 0), min(nearest_pixel(u + far) + 1, wide)
+            for row in range(first, last):
+                below = (row - v) * (row - v)
+                for column in range(start, stop):
+                    square = below + (column - u) * (column - u)
+                    if mask[row, column] == 0 or square > far * far:
+                        continue
+                    excess = np.float32(max(np.sqrt(square) - radius[k], 0.0))
+                    if slack >= 0 and excess <= slack:
+                        owners[row, column] |= np.uint32(1 << k)
+                    if nearest[row, column] == k:
+                        least[row, column] = min(least[row, column], excess)
+                    elif excess < least[row, column]:
+                        second[row, column], least[row, column] = least[row, column], excess
+                        nearest[row, column] = k
+                    else:
+                        second[row, column] = min(second[row, column], excess)
+    contested, beyond = np.zeros(len(stops), np.int64), 0
     for row in range(high):
         for column in range(wide):
-            left_over += mask[row, column] != 0 and owners[row, column] == 0
-    return owners, left_over
+            if mask[row, column] == 0:
+                continue
+            k = nearest[row, column]
+            if k < 0:
+                beyond += 1
+                continue
+            if second[row, column] < np.inf:
+                contested[k] += 1
+            if slack >= 0 or second[row, column] - least[row, column] >= -slack:
+                owners[row, column] |= np.uint32(1 << k)
+    if spread:
+        _spread(mask, owners)
+    return owners, contested, beyond
 
 
 @compiled
