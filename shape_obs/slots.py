@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import cycle
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -19,19 +20,21 @@ from shape_obs.image.sharing import part_of, share_pixels
 from shape_obs.shape import Shape
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.prediction import Fit, Prediction
+from shape_obs.tracking.scene_doubt import doubtful_area
 from shape_obs.tracking.seats import seat_others, seat_tracked
 
 Array = npt.NDArray[np.float64]
 
 # Where ribbons are expected, and where they were found.
-_EXPECTED, _FOUND, _APART = 0, 1, 2
+_EXPECTED, _FOUND, _APART, _CLOSE = 0, 1, 2, 3
 # Pixels: what a ribbon claims around itself in a mask that holds others too, and how much farther a
 # second ribbon may be from a pixel that both claim.
-_REACH: Final = (6.0, 3.0, 6.0)
-_SLACK: Final = (1.0, 0.5, -3.0)
+_REACH: Final = (6.0, 3.0, 6.0, 1.5)
+_SLACK: Final = (1.0, 0.5, -3.0, 0.5)
 _RAGGED: Final = 0.75  # pixels that the border of a ribbon may stick out
-_UNEXPLAINED: Final = 4.0  # squares of a width: so many pixels that belong to no object may be one
+_DOUBTFUL: Final = 1.0  # squares of a width: less may speak against fits that are right
 _FAR: Final = 0.1  # of the diagonal, in an interval: an object that is found farther from a track is another one
+_LAPSE: Final = 5.0  # intervals without an object after which it is expected no farther away
 _PATIENCE: Final = 10  # frames between two searches for objects that do not come
 _NOTHING: Final = "no other object was found in the mask"
 
@@ -64,7 +67,7 @@ class Slots:
     def __init__(self, spec: Configuration, config: DetectorConfig) -> None:
         self.spec, self.more = spec, 0
         self.trackers = [Tracker(slot, config) for slot in spec.slots()]
-        self._wait = 0
+        self._wait, self._doubt_before = 0, 0.0
 
     def attempt(self, region: Region, moment: Moment, scene: Scene) -> list[Attempt | None]:
         """Fit each slot to its part of a mask; None for a slot without one. The tracks stay as they are."""
@@ -74,10 +77,15 @@ class Slots:
         expected = [tracker.foresee(region, moment) for tracker in self.trackers]
         nodes = [None if each is None else _in_image(each.nodes, scene) for each in expected]
         tries: list[Attempt | None] = [None] * len(self.trackers)
+        doubt = np.inf
         if self.spec.is_ribbon:
             self._follow(region, expected, nodes, tries, moment, scene)
-        if self._looks_again(region, tries):
-            self._search(region, expected, nodes, targets, tries, moment, scene)
+            doubt = self._doubt(region, tries)
+        if doubt > 0 and self._looks_again(tries, doubt):
+            found = list(tries)
+            self._search(region, expected, nodes, targets, found, moment, scene)
+            if not self.spec.is_ribbon or self._doubt(region, found) < doubt:
+                return found
         return tries
 
     def accept(self, tries: list[Attempt | None], moment: Moment, scene: Scene) -> list[Shape]:
@@ -122,15 +130,30 @@ class Slots:
         for at, k in enumerate(known):
             tries[k] = self._try(k, self._part(region, owners, at), moment, scene)
 
-    def _looks_again(self, region: Region, tries: list[Attempt | None]) -> bool:
-        """Return whether the mask shows something that no fit explains, and a slot is free for it."""
-        forms = [each.found for each in tries if each is not None and not each.found.reason]
-        self._wait -= 1
-        if not forms or len(forms) == len(tries):
-            return not forms
+    def _doubt(self, region: Region, tries: list[Attempt | None]) -> float:
+        """Return what speaks against fits, in squares of a width: pixels of no rope, what was not seen, sharp turns.
+
+        A slot that was lost counts as much as its rope. What may well be, with a rope's ragged border, counts nothing.
+        """
+        forms = [each.found for each in tries if each is not None and each.found.form is not None and each.is_found]
+        if not forms:
+            return np.inf
         widths = [found.object_width for found in forms]
-        left_over = _owners(region, [found.form.points for found in forms], widths, _FOUND)[2]
-        return left_over > _UNEXPLAINED * float(np.median(widths)) ** 2 and self._wait <= 0
+        beyond = _owners(region, [found.form.points for found in forms], widths, _CLOSE)[2]
+        area = beyond + sum(doubtful_area(found.form, found.object_width) for found in forms)
+        lost = sum(
+            tracker.track.size / width
+            for tracker, each, width in zip(self.trackers, tries, cycle(widths), strict=False)
+            if tracker.track is not None and each is not None and not each.is_found
+        )
+        doubt = lost + area / float(np.median(widths)) ** 2
+        return doubt if doubt > _DOUBTFUL else 0.0
+
+    def _looks_again(self, tries: list[Attempt | None], doubt: float) -> bool:
+        """Return whether all objects are to be found again: not for long where that brought nothing lately."""
+        self._wait = 0 if abs(doubt - self._doubt_before) > _DOUBTFUL else self._wait - 1
+        self._doubt_before = doubt
+        return self._wait <= 0
 
     def _search(
         self,
@@ -145,26 +168,25 @@ class Slots:
         """Find all objects of the mask, and fit the slots that were not found to theirs."""
         objects, reason = self.spec.find_objects(region)
         lapse = max((each.lapse for each in expected if each is not None), default=1.0)
-        seats = seat_tracked(objects, nodes, _FAR * math.hypot(*moment.size) * lapse)
-        free = [k for k, each in enumerate(expected) if each is None or each.stale]
+        seats = seat_tracked(objects, nodes, _FAR * math.hypot(*moment.size) * min(lapse, _LAPSE))
+        free = sorted((k for k, each in enumerate(expected) if each is None or each.stale), key=self._was_used)
         seats = seat_others(objects, seats, targets, free)
         self.more = len(objects) - sum(at >= 0 for at in seats)
-        if all(seats[k] < 0 for k in free):
-            self._wait = _PATIENCE
+        self._wait = _PATIENCE
         shared = [at for at, each in enumerate(objects) if each.region is None]
         curves, widths = [objects[at].curve.points for at in shared], [objects[at].width for at in shared]
         owners = _owners(region, curves, widths, _FOUND, spread=True)[0] if shared else None
         for k, at in enumerate(seats):
-            earlier = tries[k]
-            if earlier is not None and not earlier.found.reason:
-                continue
             if at >= 0:
                 part = objects[at].region
                 if part is None:
                     part = replace(self._part(region, owners, shared.index(at)), axis=objects[at].curve)
                 tries[k] = self._try(k, part, moment, scene)
-            elif earlier is None and not objects:
+            elif tries[k] is None and not objects:
                 tries[k] = Attempt(Fit(reason=reason), region, None)
+
+    def _was_used(self, k: int) -> bool:
+        return self.trackers[k].track is not None
 
     def _part(self, region: Region, owners: Any, at: int) -> Region:
         """Return the part of a mask that belongs to one ribbon."""

@@ -52,7 +52,7 @@ def seat_others(
         objects: Largest first.
         seats: Those that are taken, see ``seat_tracked``.
         targets: ``(2,)`` pixel of the anchor of each slot, or None.
-        free: Slots that may take an object.
+        free: Slots that may take an object, the first ones rather than the last.
     """
     taken, left = list(seats), [at for at in range(len(objects)) if at not in seats]
     anchored = [k for k in free if targets[k] is not None]
