@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import cycle
+from itertools import combinations, cycle
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -20,19 +20,21 @@ from shape_obs.image.sharing import part_of, share_pixels
 from shape_obs.shape import Shape
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.prediction import Fit, Prediction
-from shape_obs.tracking.scene_doubt import doubtful_area
+from shape_obs.tracking.scene_doubt import changed_sides, doubtful_area
 from shape_obs.tracking.seats import seat_others, seat_tracked
 
 Array = npt.NDArray[np.float64]
 
 # Where ribbons are expected, and where they were found.
-_EXPECTED, _FOUND, _APART, _CLOSE = 0, 1, 2, 3
+_EXPECTED, _FOUND, _APART, _CLOSE, _WIDE = 0, 1, 2, 3, 4
 # Pixels: what a ribbon claims around itself in a mask that holds others too, and how much farther a
 # second ribbon may be from a pixel that both claim.
-_REACH: Final = (6.0, 3.0, 6.0, 1.5)
-_SLACK: Final = (1.0, 0.5, -3.0, 0.5)
+_REACH: Final = (6.0, 3.0, 6.0, 1.5, 16.0)
+_SLACK: Final = (1.0, 0.5, -3.0, 0.5, -3.0)
+_KNOB: Final = 2.0  # widths: what sticks out of a rope no farther belongs to it
 _RAGGED: Final = 0.75  # pixels that the border of a ribbon may stick out
 _DOUBTFUL: Final = 1.0  # squares of a width: less may speak against fits that are right
+_CHANGED_SIDES: Final = 1.0  # what it costs that two ropes change sides, in widths of RMS distance from the tracks
 _FAR: Final = 0.1  # of the diagonal, in an interval: an object that is found farther from a track is another one
 _LAPSE: Final = 5.0  # intervals without an object after which it is expected no farther away
 _PATIENCE: Final = 10  # frames between two searches for objects that do not come
@@ -50,6 +52,16 @@ class Attempt(NamedTuple):
     def is_found(self) -> bool:
         """Whether the object is seen, so that its track can follow it."""
         return not self.found.reason or self.found.follow
+
+
+class _Seen(NamedTuple):
+    """A frame: the mask of all slots, where each is expected, and where its nodes were last, ``(K, 2)`` pixels."""
+
+    region: Region
+    moment: Moment
+    scene: Scene
+    expected: list[Prediction | None]
+    last: list[Array | None]
 
 
 class Slots:
@@ -73,17 +85,26 @@ class Slots:
         """Fit each slot to its part of a mask; None for a slot without one. The tracks stay as they are."""
         if region.refusal:
             return [Attempt(Fit(reason=region.refusal), region, None)] * len(self.trackers)
-        targets = [tracker.target(moment) for tracker in self.trackers]
         expected = [tracker.foresee(region, moment) for tracker in self.trackers]
-        nodes = [None if each is None else _in_image(each.nodes, scene) for each in expected]
+        last = [None if tracker.track is None else _in_image(tracker.track.nodes, scene) for tracker in self.trackers]
+        seen = _Seen(region, moment, scene, expected, last)
         tries: list[Attempt | None] = [None] * len(self.trackers)
         doubt = np.inf
         if self.spec.is_ribbon:
-            self._follow(region, expected, nodes, tries, moment, scene)
+            ahead = [None if each is None else _in_image(each.nodes, scene) for each in expected]
+            tries, met = self._follow(seen, ahead, _APART)
             doubt = self._doubt(region, tries)
-        if doubt > 0 and self._looks_again(tries, doubt):
-            found = list(tries)
-            self._search(region, expected, nodes, targets, found, moment, scene)
+            if met and (doubt > 0 or self._price(seen, tries, 0.0) >= _CHANGED_SIDES):
+                # Ropes that run into each other stop; where they are expected, they may have changed places.
+                halfway = [
+                    None if at is None or to is None else (at + to) / 2 for at, to in zip(last, ahead, strict=True)
+                ]
+                ways = [tries, *(self._follow(seen, nodes, _WIDE)[0] for nodes in (last, halfway))]
+                doubts = [doubt, *(self._doubt(region, each) for each in ways[1:])]
+                best = int(np.argmin([self._price(seen, *each) for each in zip(ways, doubts, strict=True)]))
+                tries, doubt = ways[best], doubts[best]
+        if doubt > 0 and self._looks_again(doubt):
+            found = self._search(seen, tries)
             if not self.spec.is_ribbon or self._doubt(region, found) < doubt:
                 return found
         return tries
@@ -103,32 +124,42 @@ class Slots:
                 shapes.append(tracker.finish(found, moment))
         return shapes
 
-    def _follow(
-        self,
-        region: Region,
-        expected: list[Prediction | None],
-        nodes: list[Array | None],
-        tries: list[Attempt | None],
-        moment: Moment,
-        scene: Scene,
-    ) -> None:
-        """Fit the slots that have a track to the parts of the mask around their predictions."""
+    def _follow(self, seen: _Seen, nodes: list[Array | None], how: int) -> tuple[list[Attempt | None], bool]:
+        """Fit the slots that have a track to the parts of the mask around their nodes; return whether ribbons met."""
+        tries: list[Attempt | None] = [None] * len(self.trackers)
         known, curves, widths = [], [], []
-        for k, (each, at) in enumerate(zip(expected, nodes, strict=True)):
+        for k, (each, at) in enumerate(zip(seen.expected, nodes, strict=True)):
             if each is not None and at is not None and not each.stale:
                 known.append(k)
                 curves.append(catmull_rom(at, 4, False))
-                widths.append(each.width or region.width)
+                widths.append(each.width or seen.region.width)
         if not known:
-            return
-        owners, contested, _ = _owners(region, curves, widths, _APART)
+            return tries, False
+        owners, contested, _ = _owners(seen.region, curves, widths, how)
         for at in np.flatnonzero(contested):  # where ribbons meet, each is first fitted to what is its own for certain
-            again = self._try(known[at], self._part(region, owners, at), moment, scene)
+            again = self._try(known[at], self._part(seen.region, owners, at), seen)
             if not again.found.reason:
                 curves[at] = again.found.form.points
-        owners, _, _ = _owners(region, curves, widths, _FOUND if contested.any() else _EXPECTED, spread=True)
+        met = bool(contested.any())
+        owners, _, _ = _owners(seen.region, curves, widths, _FOUND if met else _EXPECTED, spread=_KNOB)
         for at, k in enumerate(known):
-            tries[k] = self._try(k, self._part(region, owners, at), moment, scene)
+            tries[k] = self._try(k, self._part(seen.region, owners, at), seen)
+        return tries, met
+
+    def _price(self, seen: _Seen, tries: list[Attempt | None], doubt: float) -> float:
+        """Return what speaks against fits, with how far they are from where the tracks go, and changes of sides."""
+        price, placed = doubt, []
+        for each, ahead, last in zip(tries, seen.expected, seen.last, strict=True):
+            if each is None or ahead is None or last is None or each.found.nodes is None or not each.is_found:
+                continue
+            width, nodes = max(each.found.object_width, 1.0), _in_image(each.found.nodes, seen.scene)
+            if nodes.shape == last.shape:
+                step = nodes - _in_image(ahead.nodes, seen.scene)
+                price += float(np.sqrt(np.mean(np.sum(step * step, axis=1)))) / width
+                placed.append((last, nodes, width))
+        for (before, after, width), (other_before, other_after, _) in combinations(placed, 2):
+            price += _CHANGED_SIDES * changed_sides(before, other_before, after, other_after, width)
+        return price
 
     def _doubt(self, region: Region, tries: list[Attempt | None]) -> float:
         """Return what speaks against fits, in squares of a width: pixels of no rope, what was not seen, sharp turns.
@@ -149,41 +180,35 @@ class Slots:
         doubt = lost + area / float(np.median(widths)) ** 2
         return doubt if doubt > _DOUBTFUL else 0.0
 
-    def _looks_again(self, tries: list[Attempt | None], doubt: float) -> bool:
+    def _looks_again(self, doubt: float) -> bool:
         """Return whether all objects are to be found again: not for long where that brought nothing lately."""
         self._wait = 0 if abs(doubt - self._doubt_before) > _DOUBTFUL else self._wait - 1
         self._doubt_before = doubt
         return self._wait <= 0
 
-    def _search(
-        self,
-        region: Region,
-        expected: list[Prediction | None],
-        nodes: list[Array | None],
-        targets: list[Array | None],
-        tries: list[Attempt | None],
-        moment: Moment,
-        scene: Scene,
-    ) -> None:
-        """Find all objects of the mask, and fit the slots that were not found to theirs."""
+    def _search(self, seen: _Seen, earlier: list[Attempt | None]) -> list[Attempt | None]:
+        """Find all objects of the mask, and fit each slot to its own."""
+        region, tries = seen.region, list(earlier)
         objects, reason = self.spec.find_objects(region)
-        lapse = max((each.lapse for each in expected if each is not None), default=1.0)
-        seats = seat_tracked(objects, nodes, _FAR * math.hypot(*moment.size) * min(lapse, _LAPSE))
-        free = sorted((k for k, each in enumerate(expected) if each is None or each.stale), key=self._was_used)
-        seats = seat_others(objects, seats, targets, free)
-        self.more = len(objects) - sum(at >= 0 for at in seats)
-        self._wait = _PATIENCE
+        lapse = max((each.lapse for each in seen.expected if each is not None), default=1.0)
+        ahead = [None if each is None else _in_image(each.nodes, seen.scene) for each in seen.expected]
+        seats = seat_tracked(objects, ahead, _FAR * math.hypot(*seen.moment.size) * min(lapse, _LAPSE))
+        free = [k for k, each in enumerate(seen.expected) if each is None or each.stale]
+        targets = [tracker.target(seen.moment) for tracker in self.trackers]
+        seats = seat_others(objects, seats, targets, sorted(free, key=self._was_used))
+        self.more, self._wait = len(objects) - sum(at >= 0 for at in seats), _PATIENCE
         shared = [at for at, each in enumerate(objects) if each.region is None]
         curves, widths = [objects[at].curve.points for at in shared], [objects[at].width for at in shared]
-        owners = _owners(region, curves, widths, _FOUND, spread=True)[0] if shared else None
+        owners = _owners(region, curves, widths, _FOUND, spread=_KNOB)[0] if shared else None
         for k, at in enumerate(seats):
             if at >= 0:
                 part = objects[at].region
                 if part is None:
                     part = replace(self._part(region, owners, shared.index(at)), axis=objects[at].curve)
-                tries[k] = self._try(k, part, moment, scene)
+                tries[k] = self._try(k, part, seen)
             elif tries[k] is None and not objects:
                 tries[k] = Attempt(Fit(reason=reason), region, None)
+        return tries
 
     def _was_used(self, k: int) -> bool:
         return self.trackers[k].track is not None
@@ -193,19 +218,19 @@ class Slots:
         floor = self.spec.segmentation or Segmentation
         return part_of(region, owners, at, floor.min_area, floor.min_share)
 
-    def _try(self, k: int, part: Region, moment: Moment, scene: Scene) -> Attempt:
+    def _try(self, k: int, part: Region, seen: _Seen) -> Attempt:
         """Fit one slot to its part of the mask."""
-        tracker, observed = self.trackers[k], part
+        tracker, observed, scene = self.trackers[k], part, seen.scene
         if self.spec.lift == "cloud":
             from shape_obs.point_cloud.deprojection import deproject  # most detectors see no clouds
 
             assert scene.depth is not None
             assert scene.intrinsics is not None
             observed = deproject(part, scene.depth, scene.intrinsics)
-        prediction = tracker.expect(observed, moment)
+        prediction = tracker.expect(observed, seen.moment)
         if part.refusal:
             return Attempt(Fit(reason=part.refusal), observed, prediction)
-        return Attempt(tracker.spec.fit(observed, prediction, tracker.target(moment), scene), observed, prediction)
+        return Attempt(tracker.spec.fit(observed, prediction, tracker.target(seen.moment), scene), observed, prediction)
 
 
 def _in_image(nodes: Array, scene: Scene) -> Array:
@@ -216,10 +241,12 @@ def _in_image(nodes: Array, scene: Scene) -> Array:
 
 
 def _owners(
-    region: Region, curves: list[Array], widths: list[float], when: int, *, spread: bool = False
+    region: Region, curves: list[Array], widths: list[float], when: int, *, spread: float = 0.0
 ) -> tuple[Any, Any, int]:
     """Share the pixels of a mask among ribbons."""
     radius = np.array(widths) / 2 + _RAGGED
     left, top, *_ = region.window
     points, stops = np.ascontiguousarray(np.concatenate(curves)), np.cumsum([len(curve) for curve in curves])
-    return share_pixels(region.mask, left, top, points, stops, radius, _REACH[when], _SLACK[when], spread)
+    return share_pixels(
+        region.mask, left, top, points, stops, radius, _REACH[when], _SLACK[when], round(spread * max(widths))
+    )

@@ -21,7 +21,7 @@ Owners = npt.NDArray[np.uint32]
 MOST: Final = 32  # objects in one mask: a bit each
 
 
-@compiled("(u1[:,::1], i8, i8, f8[:,::1], i8[::1], f8[::1], f8, f8, b1)")
+@compiled("(u1[:,::1], i8, i8, f8[:,::1], i8[::1], f8[::1], f8, f8, i8)")
 def share_pixels(
     mask: Mask,
     left: int,
@@ -31,7 +31,7 @@ def share_pixels(
     radius: Array,
     reach: float,
     slack: float,
-    spread: bool,
+    spread: int,
 ) -> tuple[Owners, Indices, int]:
     """Return which curves each pixel of a mask belongs to, as bits, and how much is contested.
 
@@ -49,7 +49,7 @@ def share_pixels(
         reach: Pixels around a ribbon that it may claim.
         slack: A second ribbon that is farther by so many pixels claims a pixel as well; if negative, one that is
             farther by less than so many denies it.
-        spread: Whether pixels beyond the reach of all ribbons go to the owners of the nearest ones along the mask.
+        spread: Pixels beyond the reach of all ribbons, at most so far along the mask, go to the owners of the nearest.
 
     Returns:
         ``(h, w)`` bits, 0 for the background and for what belongs to none; ``(K,)`` how many pixels of each ribbon
@@ -93,14 +93,13 @@ def share_pixels(
                 contested[k] += 1
             if slack >= 0 or second[row, column] - least[row, column] >= -slack:
                 owners[row, column] |= np.uint32(1 << k)
-    if spread:
-        _spread(mask, owners)
+    _spread(mask, owners, spread)
     return owners, contested, beyond
 
 
 @compiled
-def _spread(mask: Mask, owners: Owners) -> None:
-    """Give the pixels of a mask that belong to none to the owners of the nearest ones, breadth first, in place."""
+def _spread(mask: Mask, owners: Owners, steps: int) -> None:
+    """Give pixels of a mask that belong to none to the owners of the nearest, some steps along the mask, in place."""
     high, wide = mask.shape
     waiting, count, at = np.empty(mask.size, np.int64), 0, 0
     for row in range(high):
@@ -112,15 +111,17 @@ def _spread(mask: Mask, owners: Owners) -> None:
                         waiting[count] = row * wide + column
                         count += 1
                         break
-    while at < count:
-        row, column = waiting[at] // wide, waiting[at] % wide
-        at += 1
-        for step in range(4):
-            v, u = row + (step == 0) - (step == 1), column + (step == 2) - (step == 3)
-            if 0 <= v < high and 0 <= u < wide and mask[v, u] and owners[v, u] == 0:
-                owners[v, u] = owners[row, column]
-                waiting[count] = v * wide + u
-                count += 1
+    for _ in range(steps):
+        layer = count
+        while at < layer:
+            row, column = waiting[at] // wide, waiting[at] % wide
+            at += 1
+            for step in range(4):
+                v, u = row + (step == 0) - (step == 1), column + (step == 2) - (step == 3)
+                if 0 <= v < high and 0 <= u < wide and mask[v, u] and owners[v, u] == 0:
+                    owners[v, u] = owners[row, column]
+                    waiting[count] = v * wide + u
+                    count += 1
 
 
 def part_of(region: Region, owners: Owners, index: int, min_area: int, min_share: float) -> Region:

@@ -16,6 +16,12 @@ Array = npt.NDArray[np.float64]
 # A rope bends less than this between two chords of so many widths: in a circle of two widths they turn by 43 degrees.
 _CHORD: Final = 1.5
 _SHARP: Final = math.radians(75)
+# Ropes run along each other where they are nearer than so many widths, at so many nodes; they lie side by side, and not
+# over each other, where their middles are more than the last figure apart.
+_NEXT_TO: Final = 4.0
+_LEAST: Final = 3
+_MOST_OF: Final = 0.6
+_BESIDE: Final = 0.8
 _TURN: Final = 3.0  # squares of a width that a sharp turn counts as
 
 
@@ -56,3 +62,42 @@ def sharp_turns(points: Array, arc: Array, reach: float, angle: float) -> int:
             found += 1
             free = arc[p] + 2 * reach  # one turn is counted once
     return found
+
+
+def changed_sides(before: Array, other_before: Array, after: Array, other_after: Array, width: float) -> bool:
+    """Return whether a rope that ran along another one runs along its other side now, without lying over it.
+
+    Args:
+        before: ``(K, 2)`` pixels, the nodes of the rope in the last frame.
+        other_before: ``(J, 2)`` those of the other one.
+        after: ``(K, 2)`` the same nodes in this frame.
+        other_after: ``(J, 2)`` those of the other one.
+        width: Of the ropes, pixels.
+    """
+    was, now = side_distances(before, other_before), side_distances(after, other_after)
+    near = (np.abs(was) < _NEXT_TO * width) & (np.abs(now) < _NEXT_TO * width)
+    changed = near & (was * now < 0)
+    count = np.count_nonzero(near)
+    if count < _LEAST or np.count_nonzero(changed) < _MOST_OF * count:
+        return False
+    return bool(np.median(np.abs(now[changed])) > _BESIDE * width)
+
+
+@compiled("(f8[:,::1], f8[:,::1])")
+def side_distances(points: Array, curve: Array) -> Array:
+    """Return the distance of ``(N, 2)`` points from a polyline, negative on its left; inf beyond its ends."""
+    out = np.full(len(points), np.inf)
+    last = len(curve) - 2
+    for n in range(len(points)):
+        least = np.inf
+        for p in range(last + 1):
+            du, dv = curve[p + 1, 0] - curve[p, 0], curve[p + 1, 1] - curve[p, 1]
+            u, v = points[n, 0] - curve[p, 0], points[n, 1] - curve[p, 1]
+            share = (u * du + v * dv) / max(du * du + dv * dv, 1e-12)
+            inside = min(max(share, 0.0), 1.0)
+            away = np.hypot(u - inside * du, v - inside * dv)
+            if away < least:
+                least = away
+                beyond = (p == 0 and share < 0) or (p == last and share > 1)
+                out[n] = np.inf if beyond else away if du * v - dv * u > 0 else -away
+    return out
