@@ -21,7 +21,7 @@ from shape_obs.shape import Shape
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.prediction import Fit, Prediction
 from shape_obs.tracking.scene_doubt import changed_sides, doubtful_area
-from shape_obs.tracking.seats import seat_others, seat_tracked
+from shape_obs.tracking.seats import add_pieces, seat_others, seat_tracked
 
 Array = npt.NDArray[np.float64]
 
@@ -34,6 +34,7 @@ _SLACK: Final = (1.0, 0.5, -3.0, 0.5, -3.0)
 _KNOB: Final = 2.0  # widths: what sticks out of a rope no farther belongs to it
 _RAGGED: Final = 0.75  # pixels that the border of a ribbon may stick out
 _DOUBTFUL: Final = 1.0  # squares of a width: less may speak against fits that are right
+_PIECE: Final = 1.5  # widths: a piece of a rope that something cuts lies no farther from where the rope is expected
 _CHANGED_SIDES: Final = 1.0  # what it costs that two ropes change sides, in widths of RMS distance from the tracks
 _FAR: Final = 0.1  # of the diagonal, in an interval: an object that is found farther from a track is another one
 _LAPSE: Final = 5.0  # intervals without an object after which it is expected no farther away
@@ -107,6 +108,7 @@ class Slots:
             found = self._search(seen, tries)
             if not self.spec.is_ribbon or self._doubt(region, found) < doubt:
                 return found
+            self._wait = _PATIENCE
         return tries
 
     def accept(self, tries: list[Attempt | None], moment: Moment, scene: Scene) -> list[Shape]:
@@ -129,7 +131,7 @@ class Slots:
         tries: list[Attempt | None] = [None] * len(self.trackers)
         known, curves, widths = [], [], []
         for k, (each, at) in enumerate(zip(seen.expected, nodes, strict=True)):
-            if each is not None and at is not None and not each.stale:
+            if each is not None and at is not None:
                 known.append(k)
                 curves.append(catmull_rom(at, 4, False))
                 widths.append(each.width or seen.region.width)
@@ -137,13 +139,13 @@ class Slots:
             return tries, False
         owners, contested, _ = _owners(seen.region, curves, widths, how)
         for at in np.flatnonzero(contested):  # where ribbons meet, each is first fitted to what is its own for certain
-            again = self._try(known[at], self._part(seen.region, owners, at), seen)
+            again = self._try(known[at], self._part(seen.region, owners, [at]), seen)
             if not again.found.reason:
                 curves[at] = again.found.form.points
         met = bool(contested.any())
         owners, _, _ = _owners(seen.region, curves, widths, _FOUND if met else _EXPECTED, spread=_KNOB)
         for at, k in enumerate(known):
-            tries[k] = self._try(k, self._part(seen.region, owners, at), seen)
+            tries[k] = self._try(k, self._part(seen.region, owners, [at]), seen)
         return tries, met
 
     def _price(self, seen: _Seen, tries: list[Attempt | None], doubt: float) -> float:
@@ -196,15 +198,17 @@ class Slots:
         free = [k for k, each in enumerate(seen.expected) if each is None or each.stale]
         targets = [tracker.target(seen.moment) for tracker in self.trackers]
         seats = seat_others(objects, seats, targets, sorted(free, key=self._was_used))
-        self.more, self._wait = len(objects) - sum(at >= 0 for at in seats), _PATIENCE
+        self.more = len(objects) - sum(at >= 0 for at in seats)
         shared = [at for at, each in enumerate(objects) if each.region is None]
         curves, widths = [objects[at].curve.points for at in shared], [objects[at].width for at in shared]
         owners = _owners(region, curves, widths, _FOUND, spread=_KNOB)[0] if shared else None
-        for k, at in enumerate(seats):
-            if at >= 0:
-                part = objects[at].region
+        reach = _PIECE * float(np.median(widths)) if shared else 0.0
+        for k, pieces in enumerate(add_pieces(objects, seats, ahead, reach)):
+            if pieces:
+                part = objects[pieces[0]].region
                 if part is None:
-                    part = replace(self._part(region, owners, shared.index(at)), axis=objects[at].curve)
+                    part = self._part(region, owners, [shared.index(at) for at in pieces])
+                    part = part if len(pieces) > 1 else replace(part, axis=objects[pieces[0]].curve)
                 tries[k] = self._try(k, part, seen)
             elif tries[k] is None and not objects:
                 tries[k] = Attempt(Fit(reason=reason), region, None)
@@ -213,10 +217,10 @@ class Slots:
     def _was_used(self, k: int) -> bool:
         return self.trackers[k].track is not None
 
-    def _part(self, region: Region, owners: Any, at: int) -> Region:
-        """Return the part of a mask that belongs to one ribbon."""
+    def _part(self, region: Region, owners: Any, ribbons: list[int]) -> Region:
+        """Return the part of a mask that belongs to some of the ribbons."""
         floor = self.spec.segmentation or Segmentation
-        return part_of(region, owners, at, floor.min_area, floor.min_share)
+        return part_of(region, owners, ribbons, floor.min_area, floor.min_share)
 
     def _try(self, k: int, part: Region, seen: _Seen) -> Attempt:
         """Fit one slot to its part of the mask."""

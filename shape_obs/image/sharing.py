@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
@@ -124,17 +125,17 @@ def _spread(mask: Mask, owners: Owners, steps: int) -> None:
                     count += 1
 
 
-def part_of(region: Region, owners: Owners, index: int, min_area: int, min_share: float) -> Region:
-    """Return the pixels of a region that belong to one curve, as a region of its own.
+def part_of(region: Region, owners: Owners, curves: Iterable[int], min_area: int, min_share: float) -> Region:
+    """Return the pixels of a region that belong to some of the curves, as a region of its own.
 
     Args:
         region: Of all objects.
         owners: ``(h, w)`` bits, see ``share_pixels``.
-        index: Of the curve.
+        curves: Their indices.
         min_area: Smaller pieces are dropped, pixels.
         min_share: So are those smaller than this share of the largest.
     """
-    own = (owners & np.uint32(1 << index)) != 0
+    own = (owners & np.uint32(sum(1 << k for k in curves))) != 0
     rows, columns = np.flatnonzero(own.any(axis=1)), np.flatnonzero(own.any(axis=0))
     left, top, wide, high = 0, 0, own.shape[1], own.shape[0]
     if len(rows):  # a pixel of background around it, but for what the whole region's window cuts off

@@ -40,6 +40,30 @@ def seat_tracked(objects: Sequence[SceneObject], tracks: Sequence[Array | None],
     return seats
 
 
+def add_pieces(
+    objects: Sequence[SceneObject], seats: Sequence[int], tracks: Sequence[Array | None], reach: float
+) -> list[list[int]]:
+    """Return all objects of each slot: what is left over may be pieces of ropes that something cuts.
+
+    Args:
+        objects: What was found in this frame.
+        seats: The object of each slot, -1 for none.
+        tracks: ``(K, 2)`` pixels each, where the object of a slot should be; None for a slot without a track.
+        reach: Pixels: a piece lies on average at most so far from the track of its rope, and twice as far from others.
+    """
+    pieces = [[at] if at >= 0 else [] for at in seats]
+    known = [k for k, nodes in enumerate(tracks) if nodes is not None]
+    for at, found in enumerate(objects):
+        if at in seats or not known:
+            continue
+        away = [float(cdist(_sampled(found.curve.points), _sampled(tracks[k])).min(axis=1).mean()) for k in known]
+        order = np.argsort(away)
+        clear = len(order) == 1 or away[order[1]] > 2 * away[order[0]]
+        if away[order[0]] <= reach and clear:
+            pieces[known[order[0]]].append(at)
+    return pieces
+
+
 def seat_others(
     objects: Sequence[SceneObject], seats: Sequence[int], targets: Sequence[Array | None], free: Sequence[int]
 ) -> list[int]:
@@ -75,12 +99,12 @@ def _away(found: SceneObject, target: Array | None) -> float:
 
 def _apart(curve: Array, nodes: Array | None) -> float:
     """Return the mean distance of two curves, whatever their direction."""
-    assert nodes is not None
     distance = cdist(_sampled(curve), _sampled(nodes))
     return float(distance.min(axis=1).mean() + _MISSING * distance.min(axis=0).mean())
 
 
-def _sampled(curve: Array) -> Array:
+def _sampled(curve: Array | None) -> Array:
+    assert curve is not None
     curve = np.ascontiguousarray(curve)
     arc = arc_length(curve)
     return interpolate(curve, arc, np.linspace(0.0, arc[-1], _COMPARED))
