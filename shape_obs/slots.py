@@ -20,7 +20,7 @@ from shape_obs.image.sharing import part_of, share_pixels
 from shape_obs.shape import Shape
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.prediction import Fit, Prediction
-from shape_obs.tracking.scene_doubt import changed_sides, doubtful_area
+from shape_obs.tracking.scene_doubt import changed_sides, doubtful_area, taken_over
 from shape_obs.tracking.seats import add_pieces, seat_others, seat_tracked
 
 Array = npt.NDArray[np.float64]
@@ -35,6 +35,9 @@ _KNOB: Final = 2.0  # widths: what sticks out of a rope no farther belongs to it
 _RAGGED: Final = 0.75  # pixels that the border of a ribbon may stick out
 _DOUBTFUL: Final = 1.0  # squares of a width: less may speak against fits that are right
 _PIECE: Final = 1.5  # widths: a piece of a rope that something cuts lies no farther from where the rope is expected
+# Points of a rope are taken over where they lie so many widths nearer to another one; the share of them, at most.
+_OTHERS: Final = 2.0
+_TAKEN: Final = 0.15
 _CHANGED_SIDES: Final = 1.0  # what it costs that two ropes change sides, in widths of RMS distance from the tracks
 _FAR: Final = 0.1  # of the diagonal, in an interval: an object that is found farther from a track is another one
 _LAPSE: Final = 5.0  # intervals without an object after which it is expected no farther away
@@ -106,7 +109,9 @@ class Slots:
                 tries, doubt = ways[best], doubts[best]
         if doubt > 0 and self._looks_again(doubt):
             found = self._search(seen, tries)
-            if not self.spec.is_ribbon or self._doubt(region, found) < doubt:
+            if not self.spec.is_ribbon:
+                return found
+            if self._price(seen, found, self._doubt(region, found)) < self._price(seen, tries, doubt):
                 return found
             self._wait = _PATIENCE
         return tries
@@ -146,7 +151,21 @@ class Slots:
         owners, _, _ = _owners(seen.region, curves, widths, _FOUND if met else _EXPECTED, spread=_KNOB)
         for at, k in enumerate(known):
             tries[k] = self._try(k, self._part(seen.region, owners, [at]), seen)
-        return tries, met
+        return (self._kept_apart(seen, tries) if met else tries), met
+
+    def _kept_apart(self, seen: _Seen, tries: list[Attempt | None]) -> list[Attempt | None]:
+        """Refuse what was found where another rope is expected: its own may be hidden."""
+        ahead = [None if each is None else _in_image(each.nodes, seen.scene) for each in seen.expected]
+        kept = list(tries)
+        for k, each in enumerate(tries):
+            own = ahead[k]
+            if each is None or own is None or not each.is_found or each.found.form.points.shape[1] != 2:
+                continue
+            form, others = each.found.form, [at for j, at in enumerate(ahead) if at is not None and j != k]
+            seen_points = form.points[~form.interpolated]
+            if taken_over(seen_points, own, others, _OTHERS * each.found.object_width) > _TAKEN:
+                kept[k] = each._replace(found=Fit(reason="what was found lies where another rope was"))
+        return kept
 
     def _price(self, seen: _Seen, tries: list[Attempt | None], doubt: float) -> float:
         """Return what speaks against fits, with how far they are from where the tracks go, and changes of sides."""
@@ -212,7 +231,7 @@ class Slots:
                 tries[k] = self._try(k, part, seen)
             elif tries[k] is None and not objects:
                 tries[k] = Attempt(Fit(reason=reason), region, None)
-        return tries
+        return self._kept_apart(seen, tries) if self.spec.is_ribbon else tries
 
     def _was_used(self, k: int) -> bool:
         return self.trackers[k].track is not None

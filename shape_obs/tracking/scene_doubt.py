@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -62,6 +63,37 @@ def sharp_turns(points: Array, arc: Array, reach: float, angle: float) -> int:
             found += 1
             free = arc[p] + 2 * reach  # one turn is counted once
     return found
+
+
+def taken_over(points: Array, own: Array, others: Sequence[Array], margin: float) -> float:
+    """Return the share of a rope's points that lie where another rope is expected, and not where it is itself.
+
+    Args:
+        points: ``(P, 2)`` pixels, where the rope was seen.
+        own: ``(K, 2)`` pixels, where its nodes are expected.
+        others: ``(J, 2)`` each, where those of the other ropes are.
+        margin: Pixels: by so much another rope must be nearer.
+    """
+    if not others or not len(points):
+        return 0.0
+    away = nearest_distances(points, own)
+    least = np.min([nearest_distances(points, other) for other in others], axis=0)
+    return float(np.mean(away > least + margin))
+
+
+@compiled("(f8[:,::1], f8[:,::1])")
+def nearest_distances(points: Array, curve: Array) -> Array:
+    """Return the distance of ``(N, 2)`` points from a polyline of ``(K, 2)``: ``(N,)``."""
+    out = np.empty(len(points))
+    for n in range(len(points)):
+        least = np.inf
+        for p in range(len(curve) - 1):
+            du, dv = curve[p + 1, 0] - curve[p, 0], curve[p + 1, 1] - curve[p, 1]
+            u, v = points[n, 0] - curve[p, 0], points[n, 1] - curve[p, 1]
+            share = min(max((u * du + v * dv) / max(du * du + dv * dv, 1e-12), 0.0), 1.0)
+            least = min(least, (u - share * du) ** 2 + (v - share * dv) ** 2)
+        out[n] = np.sqrt(least)
+    return out
 
 
 def changed_sides(before: Array, other_before: Array, after: Array, other_after: Array, width: float) -> bool:
