@@ -20,8 +20,8 @@ from shape_obs.image.sharing import part_of, share_pixels
 from shape_obs.shape import Shape
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.prediction import Fit, Prediction
-from shape_obs.tracking.scene_doubt import changed_sides, doubtful_area, taken_over
-from shape_obs.tracking.seats import add_pieces, seat_others, seat_tracked
+from shape_obs.tracking.scene_doubt import changed_sides, doubtful_area, doubtful_turns, taken_over
+from shape_obs.tracking.seats import add_pieces, near_tracks, seat_others, seat_tracked
 
 Array = npt.NDArray[np.float64]
 
@@ -35,9 +35,12 @@ _KNOB: Final = 2.0  # widths: what sticks out of a rope no farther belongs to it
 _RAGGED: Final = 0.75  # pixels that the border of a ribbon may stick out
 _DOUBTFUL: Final = 1.0  # squares of a width: less may speak against fits that are right
 _PIECE: Final = 1.5  # widths: a piece of a rope that something cuts lies no farther from where the rope is expected
-# Points of a rope are taken over where they lie so many widths nearer to another one; the share of them, at most.
-_OTHERS: Final = 2.0
+# Points of a rope are taken over where they lie so many widths nearer to another one than to where it is expected; the
+# share of them, at most, if the other one is lost, and if it is found as well.
+_OTHERS: Final = 1.0
 _TAKEN: Final = 0.15
+_COVERED: Final = 0.5
+_KEPT: Final = 4.0  # widths: what lies on average so near to where a rope is expected is no new one
 _CHANGED_SIDES: Final = 1.0  # what it costs that two ropes change sides, in widths of RMS distance from the tracks
 _FAR: Final = 0.1  # of the diagonal, in an interval: an object that is found farther from a track is another one
 _LAPSE: Final = 5.0  # intervals without an object after which it is expected no farther away
@@ -154,17 +157,25 @@ class Slots:
         return (self._kept_apart(seen, tries) if met else tries), met
 
     def _kept_apart(self, seen: _Seen, tries: list[Attempt | None]) -> list[Attempt | None]:
-        """Refuse what was found where another rope is expected: its own may be hidden."""
+        """Refuse what was found where another rope is expected, or turns sharply: a rope's own part may be hidden."""
         ahead = [None if each is None else _in_image(each.nodes, seen.scene) for each in seen.expected]
         kept = list(tries)
         for k, each in enumerate(tries):
             own = ahead[k]
             if each is None or own is None or not each.is_found or each.found.form.points.shape[1] != 2:
                 continue
-            form, others = each.found.form, [at for j, at in enumerate(ahead) if at is not None and j != k]
-            seen_points = form.points[~form.interpolated]
-            if taken_over(seen_points, own, others, _OTHERS * each.found.object_width) > _TAKEN:
+            form, lost, found = each.found.form, [], []
+            for j, other in enumerate(tries):
+                if j != k and other is not None and other.is_found and other.found.form.points.shape[1] == 2:
+                    found.append(other.found.form.points)
+                elif j != k and (at := ahead[j]) is not None:
+                    lost.append(at)
+            seen_points, margin = form.points[~form.interpolated], _OTHERS * each.found.object_width
+            shares = taken_over(seen_points, own, lost, margin), taken_over(seen_points, own, found, margin)
+            if shares[0] > _TAKEN or shares[1] > _COVERED:
                 kept[k] = each._replace(found=Fit(reason="what was found lies where another rope was"))
+            elif doubtful_turns(form, each.found.object_width):
+                kept[k] = each._replace(found=Fit(reason="what was found turns sharply where ropes meet"))
         return kept
 
     def _price(self, seen: _Seen, tries: list[Attempt | None], doubt: float) -> float:
@@ -216,7 +227,10 @@ class Slots:
         seats = seat_tracked(objects, ahead, _FAR * math.hypot(*seen.moment.size) * min(lapse, _LAPSE))
         free = [k for k, each in enumerate(seen.expected) if each is None or each.stale]
         targets = [tracker.target(seen.moment) for tracker in self.trackers]
-        seats = seat_others(objects, seats, targets, sorted(free, key=self._was_used))
+        kept = (
+            near_tracks(objects, ahead, _KEPT * float(np.median([each.width for each in objects]))) if objects else ()
+        )
+        seats = seat_others(objects, seats, targets, sorted(free, key=self._was_used), kept)
         self.more = len(objects) - sum(at >= 0 for at in seats)
         shared = [at for at, each in enumerate(objects) if each.region is None]
         curves, widths = [objects[at].curve.points for at in shared], [objects[at].width for at in shared]

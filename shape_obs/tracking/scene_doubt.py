@@ -33,8 +33,13 @@ def doubtful_area(curve: FittedCurve, width: float) -> float:
         curve: In pixels.
         width: Of the rope, pixels.
     """
-    turns = sharp_turns(np.ascontiguousarray(curve.points), curve.arc, _CHORD * width, _SHARP)
-    return curve.unsupported_fraction * curve.size * width + turns * _TURN * width * width
+    turns = doubtful_turns(curve, width) * _TURN * width
+    return (curve.unsupported_fraction * curve.size + turns) * width
+
+
+def doubtful_turns(curve: FittedCurve, width: float) -> int:
+    """Return how often a rope turns more sharply than ropes do."""
+    return sharp_turns(np.ascontiguousarray(curve.points), curve.arc, _CHORD * width, _SHARP)
 
 
 @compiled("(f8[:,::1], f8[::1], f8, f8)")

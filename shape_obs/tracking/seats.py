@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Final
 
 import numpy as np
@@ -40,6 +40,16 @@ def seat_tracked(objects: Sequence[SceneObject], tracks: Sequence[Array | None],
     return seats
 
 
+def near_tracks(objects: Sequence[SceneObject], tracks: Sequence[Array | None], reach: float) -> set[int]:
+    """Return the objects that lie, on average, within some pixels of where the object of a slot should be."""
+    known = [_sampled(nodes) for nodes in tracks if nodes is not None]
+    return {
+        at
+        for at, found in enumerate(objects)
+        if any(cdist(_sampled(found.curve.points), nodes).min(axis=1).mean() <= reach for nodes in known)
+    }
+
+
 def add_pieces(
     objects: Sequence[SceneObject], seats: Sequence[int], tracks: Sequence[Array | None], reach: float
 ) -> list[list[int]]:
@@ -65,7 +75,11 @@ def add_pieces(
 
 
 def seat_others(
-    objects: Sequence[SceneObject], seats: Sequence[int], targets: Sequence[Array | None], free: Sequence[int]
+    objects: Sequence[SceneObject],
+    seats: Sequence[int],
+    targets: Sequence[Array | None],
+    free: Sequence[int],
+    kept: Collection[int],
 ) -> list[int]:
     """Return the object of each slot, after objects that no track has claimed took the free slots.
 
@@ -77,8 +91,9 @@ def seat_others(
         seats: Those that are taken, see ``seat_tracked``.
         targets: ``(2,)`` pixel of the anchor of each slot, or None.
         free: Slots that may take an object, the first ones rather than the last.
+        kept: Objects that lie where that of a slot is expected: no other slot may take them.
     """
-    taken, left = list(seats), [at for at in range(len(objects)) if at not in seats]
+    taken, left = list(seats), [at for at in range(len(objects)) if at not in seats and at not in kept]
     anchored = [k for k in free if targets[k] is not None]
     if anchored and left:
         cost = np.array([[_away(objects[at], targets[k]) for at in left] for k in anchored])
