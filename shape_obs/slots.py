@@ -222,9 +222,15 @@ class Slots:
         """Find all objects of the mask, and fit each slot to its own."""
         region, tries = seen.region, list(earlier)
         objects, reason = self.spec.find_objects(region)
-        lapse = max((each.lapse for each in seen.expected if each is not None), default=1.0)
         ahead = [None if each is None else _in_image(each.nodes, seen.scene) for each in seen.expected]
-        seats = seat_tracked(objects, ahead, _FAR * math.hypot(*seen.moment.size) * min(lapse, _LAPSE))
+        width = float(np.median([each.width for each in objects])) if objects else 0.0
+        far = _FAR * math.hypot(*seen.moment.size)
+        # What was lost for long may be anywhere, but so may be what has come instead.
+        reach = [
+            0.0 if each is None else _KEPT * width if each.stale else far * min(each.lapse, _LAPSE)
+            for each in seen.expected
+        ]
+        seats = seat_tracked(objects, ahead, reach)
         free = [k for k, each in enumerate(seen.expected) if each is None or each.stale]
         targets = [tracker.target(seen.moment) for tracker in self.trackers]
         kept = (

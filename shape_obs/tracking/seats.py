@@ -20,7 +20,7 @@ _COMPARED: Final = 48  # points of a curve
 _MISSING: Final = 0.3
 
 
-def seat_tracked(objects: Sequence[SceneObject], tracks: Sequence[Array | None], reach: float) -> list[int]:
+def seat_tracked(objects: Sequence[SceneObject], tracks: Sequence[Array | None], reach: Sequence[float]) -> list[int]:
     """Return the object of each slot that has a track, -1 for the others: those that are nearest overall.
 
     The assignment of H. W. Kuhn, "The Hungarian Method for the Assignment Problem", 1955.
@@ -28,14 +28,14 @@ def seat_tracked(objects: Sequence[SceneObject], tracks: Sequence[Array | None],
     Args:
         objects: What was found in this frame.
         tracks: ``(K, 2)`` pixels each, where the object of a slot should be; None for a slot without a track.
-        reach: Pixels: an object that lies farther from a track on average is another one.
+        reach: Pixels, for each slot: an object that lies farther from its track on average is another one.
     """
     seats, known = [-1] * len(tracks), [k for k, nodes in enumerate(tracks) if nodes is not None]
     if not known or not objects:
         return seats
     cost = np.array([[_apart(each.curve.points, tracks[k]) for each in objects] for k in known])
-    for row, at in zip(*linear_sum_assignment(np.minimum(cost, 10 * reach)), strict=True):
-        if cost[row, at] <= reach:
+    for row, at in zip(*linear_sum_assignment(np.minimum(cost, 10 * max(reach))), strict=True):
+        if cost[row, at] <= reach[known[row]]:
             seats[known[row]] = int(at)
     return seats
 

@@ -69,6 +69,8 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "rope_length": _ROPES,
     "rope_match": _ROPES,
     "search_window": _EVERY_SHAPE,
+    "scene_doubt": ("tests/test_slots.py",),
+    "seats": ("tests/test_slots.py",),
     "sheet_view": _SHEETS,
     "validation": (*_EVERY_SHAPE, "tests/bench/test_worst_case_claims.py", _SLOW[2]),
 }

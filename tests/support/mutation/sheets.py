@@ -29,7 +29,7 @@ SHEETS: tuple[Mutant, ...] = (
            _OUTLINE),
     _sheet("gaps may differ", "tracking/validation", "_MAX_UNEQUAL: Final = 0.03", "_MAX_UNEQUAL: Final = 0.3"),
     _sheet("gaps differ by noise", "tracking/validation", "_OF_NOISE: Final = 0.8", "_OF_NOISE: Final = 0.08"),
-    _sheet("a crumpled sheet is gone", "detector", "and found.reason:", "and True:"),
+    _sheet("a crumpled sheet is gone", "tracker", "and found.reason:", "and True:"),
     _sheet("turns are not seen", "tracking/hidden_outline", "_TURN: Final = 0.28", "_TURN: Final = 1.4", _OUTLINE),
     _sheet("a dent is not seen", "tracking/hidden_outline", "Final = (1.2, 0.01)", "Final = (12.0, 0.1)", _OUTLINE),
     _sheet("what lies far off counts", "tracking/hidden_outline", "_STRAY: Final = 2.0", "_STRAY: Final = 200.0",
