@@ -60,9 +60,14 @@ def share_pixels(
     least, second = np.full((high, wide), np.inf, np.float32), np.full((high, wide), np.inf, np.float32)
     nearest, owners = np.full((high, wide), -1, np.int8), np.zeros((high, wide), np.uint32)
     for k in range(len(stops)):
-        far = radius[k] + reach
-        for p in range(stops[k - 1] if k else 0, stops[k]):
+        far, begin, end = radius[k] + reach, stops[k - 1] if k else 0, stops[k]
+        for p in range(begin, end):
             u, v = points[p, 0] - left, points[p, 1] - top
+            # Near a tip: pixels beyond it are outside the ribbon, or it would grow along another one that it touches.
+            tip, inner = (begin, min(begin + 2, end - 1)) if p - begin < end - 1 - p else (end - 1, max(end - 3, begin))
+            tip_u, tip_v = points[tip, 0] - left, points[tip, 1] - top
+            out_u, out_v = points[tip, 0] - points[inner, 0], points[tip, 1] - points[inner, 1]
+            at_tip = np.hypot(u - tip_u, v - tip_v) <= radius[k]
             first, last = max(nearest_pixel(v - far), 0), min(nearest_pixel(v + far) + 1, high)
             start, stop = max(nearest_pixel(u - far), 0), min(nearest_pixel(u + far) + 1, wide)
             for row in range(first, last):
@@ -72,6 +77,8 @@ def share_pixels(
                     if mask[row, column] == 0 or square > far * far:
                         continue
                     excess = np.float32(max(np.sqrt(square) - radius[k], 0.0))
+                    if at_tip and (column - tip_u) * out_u + (row - tip_v) * out_v > 0:
+                        excess = np.float32(np.hypot(column - tip_u, row - tip_v))
                     if slack >= 0 and excess <= slack:
                         owners[row, column] |= np.uint32(1 << k)
                     if nearest[row, column] == k:
