@@ -20,7 +20,7 @@ from shape_obs.image.sharing import part_of, share_pixels
 from shape_obs.shape import Shape
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.prediction import Fit, Prediction
-from shape_obs.tracking.scene_doubt import changed_sides, doubtful_area, doubtful_turns, taken_over
+from shape_obs.tracking.scene_doubt import changed_sides, doubtful_area, doubtful_turns, more_bent, taken_over
 from shape_obs.tracking.seats import add_pieces, near_tracks, seat_others, seat_tracked
 
 Array = npt.NDArray[np.float64]
@@ -34,6 +34,7 @@ _SLACK: Final = (1.0, 0.5, -3.0, 0.5, -3.0)
 _KNOB: Final = 2.0  # widths: what sticks out of a rope no farther belongs to it
 _RAGGED: Final = 0.75  # pixels that the border of a ribbon may stick out
 _DOUBTFUL: Final = 1.0  # squares of a width: less may speak against fits that are right
+_BENDING: Final = 3.0  # squares of a width that a unit of bending energy counts as: a kink of 40 degrees has a third
 _PIECE: Final = 1.5  # widths: a piece of a rope that something cuts lies no farther from where the rope is expected
 # Points of a rope are taken over where they lie so many widths nearer to another one than to where it is expected; the
 # share of them, at most, if the other one is lost, and if it is found as well.
@@ -194,7 +195,7 @@ class Slots:
         return price
 
     def _doubt(self, region: Region, tries: list[Attempt | None]) -> float:
-        """Return what speaks against fits, in squares of a width: pixels of no rope, what was not seen, sharp turns.
+        """Return what speaks against fits, in squares of a width: pixels of no rope, what was not seen, new bends.
 
         A slot that was lost counts as much as its rope. What may well be, with a rope's ragged border, counts nothing.
         """
@@ -209,7 +210,11 @@ class Slots:
             for tracker, each, width in zip(self.trackers, tries, cycle(widths), strict=False)
             if tracker.track is not None and each is not None and not each.is_found
         )
-        doubt = lost + area / float(np.median(widths)) ** 2
+        bent = 0.0
+        for tracker, each in zip(self.trackers, tries, strict=True):
+            if each is not None and each.found.nodes is not None and tracker.track is not None and each.is_found:
+                bent += more_bent(each.found.nodes, tracker.track.nodes, each.found.object_width)
+        doubt = lost + _BENDING * bent + area / float(np.median(widths)) ** 2
         return doubt if doubt > _DOUBTFUL else 0.0
 
     def _looks_again(self, doubt: float) -> bool:

@@ -42,6 +42,36 @@ def doubtful_turns(curve: FittedCurve, width: float) -> int:
     return sharp_turns(np.ascontiguousarray(curve.points), curve.arc, _CHORD * width, _SHARP)
 
 
+def more_bent(nodes: Array, before: Array, width: float) -> float:
+    """Return by how much the bending energy of a rope has grown, times its width.
+
+    Where ropes part again and each goes on along the other one, both get a kink.
+
+    Args:
+        nodes: ``(K, D)`` of the rope in this frame.
+        before: ``(K, D)`` the same nodes in the last frame.
+        width: Of the rope, in their unit.
+    """
+    if len(nodes) != len(before) or width <= 0:
+        return 0.0
+    return max(bending_energy(nodes) - bending_energy(before), 0.0) * width
+
+
+@compiled("(f8[:,::1],)")
+def bending_energy(nodes: Array) -> float:
+    """Return the squared curvature of a polyline, integrated over its length."""
+    energy, dimension = 0.0, nodes.shape[1]
+    for k in range(1, len(nodes) - 1):
+        before = after = inner = 0.0
+        for d in range(dimension):
+            back, ahead = nodes[k, d] - nodes[k - 1, d], nodes[k + 1, d] - nodes[k, d]
+            before, after, inner = before + back * back, after + ahead * ahead, inner + back * ahead
+        length = (np.sqrt(before) + np.sqrt(after)) / 2
+        if before > 0 and after > 0:
+            energy += np.arccos(min(max(inner / np.sqrt(before * after), -1.0), 1.0)) ** 2 / length
+    return energy
+
+
 @compiled("(f8[:,::1], f8[::1], f8, f8)")
 def sharp_turns(points: Array, arc: Array, reach: float, angle: float) -> int:
     """Return how often a curve turns by more than an angle between two chords that meet.
