@@ -19,6 +19,7 @@ from shape_obs.image.segmentation import Segmentation
 from shape_obs.image.sharing import part_of, share_pixels
 from shape_obs.shape import Shape
 from shape_obs.tracker import Moment, Tracker
+from shape_obs.tracking.exchanges import exchange_gain
 from shape_obs.tracking.prediction import Fit, Prediction
 from shape_obs.tracking.scene_doubt import changed_sides, doubtful_area, doubtful_turns, more_bent, taken_over
 from shape_obs.tracking.seats import add_pieces, near_tracks, seat_others, seat_tracked
@@ -214,6 +215,8 @@ class Slots:
         for tracker, each in zip(self.trackers, tries, strict=True):
             if each is not None and each.found.nodes is not None and tracker.track is not None and each.is_found:
                 bent += more_bent(each.found.nodes, tracker.track.nodes, each.found.object_width)
+        for (first, width), (second, _) in combinations(zip([found.form for found in forms], widths, strict=True), 2):
+            bent += exchange_gain(first, second, width) if first.points.shape[1] == second.points.shape[1] == 2 else 0.0
         doubt = lost + _BENDING * bent + area / float(np.median(widths)) ** 2
         return doubt if doubt > _DOUBTFUL else 0.0
 

@@ -69,6 +69,7 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "rope_length": _ROPES,
     "rope_match": _ROPES,
     "search_window": _EVERY_SHAPE,
+    "exchanges": ("tests/test_slots.py",),
     "scene_doubt": ("tests/test_slots.py",),
     "seats": ("tests/test_slots.py",),
     "sheet_view": _SHEETS,
