@@ -23,6 +23,7 @@ _REACH: Final = 1.5
 _RAGGED: Final = 0.7
 # What the bending energy of a bridge costs, in widths of gap: a right angle over five widths as much as three widths.
 _STIFFNESS: Final = 6.0
+_WIDE: Final = 5.0  # widths: over a wider gap it is doubted that a rope turns back
 
 
 class Bridged(NamedTuple):
@@ -33,11 +34,13 @@ class Bridged(NamedTuple):
         bridged: ``(P,)`` bool, the points in the gaps.
         rival: Price of the best way to join the pieces that differs in a gap, over the price of this one; inf if there
             is no other.
+        bent: What the bridge over a wide gap bends at most, see ``bending``; 0 if no gap is wide.
     """
 
     curve: Array
     bridged: npt.NDArray[np.bool_]
     rival: float
+    bent: float = 0.0
 
 
 def bridge(pieces: list[Array], width: float) -> Bridged:
@@ -61,15 +64,18 @@ def bridge(pieces: list[Array], width: float) -> Bridged:
             without[out, into] = without[into, out] = np.inf
             rival = min(rival, cheapest_order(without)[0])
     run: list[Array] = []
+    bent = 0.0
     for place, entry in enumerate(order[::2]):
         piece = pieces[entry // 2][:: 1 - 2 * (entry % 2)]
         piece = _cut(piece, width, start=place > 0, end=place < len(pieces) - 1)
         if run:
+            if np.linalg.norm(piece[0] - run[-1][-1]) > _WIDE * width:
+                bent = max(bent, bending(lead(run[-1][::-1], _REACH * width), lead(piece, _REACH * width)))
             out, into = -lead(run[-1][::-1], width).heading, lead(piece, width).heading
             run.append(hermite(run[-1][-1], out, piece[0], into, width / 4))
         run.append(piece)
     is_gap = [np.full(len(part), i % 2 == 1) for i, part in enumerate(run)]
-    return Bridged(np.concatenate(run), np.concatenate(is_gap), rival / max(total, 1e-9))
+    return Bridged(np.concatenate(run), np.concatenate(is_gap), rival / max(total, 1e-9), bent)
 
 
 def _cut(piece: Array, width: float, *, start: bool = True, end: bool = True) -> Array:

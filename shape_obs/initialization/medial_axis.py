@@ -29,6 +29,7 @@ _UNEXPLAINED: Final = 0.1
 _MOST_HOLES: Final = 300  # narrow ones among them, which noise makes; the loops of a rope are far fewer
 # Another way to join the pieces that is dearer by this little is as likely.
 _RIVAL: Final = 1.15
+_TURNS_BACK: Final = 1.8  # rad^2, see ``bending``: an arc of 155 degrees over a wide gap
 
 
 def medial_axis(observed: Any) -> FittedCurve:
@@ -109,6 +110,8 @@ def _axis_of_mask(region: Region) -> FittedCurve:
     joined = bridge([strand.curve for strand in kept], width)
     if joined.rival < _RIVAL:
         doubts.append("the pieces could be joined in another order about as well")
+    if joined.bent > _TURNS_BACK:
+        doubts.append("it would have to turn back where it is hidden: these may be two ropes, which count=2 finds")
     curve, bridged = even(joined.curve, joined.bridged, width)
     return _axis(curve, bridged & ~region.contains(curve), "; ".join(dict.fromkeys(doubts)))
 
