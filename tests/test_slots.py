@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shape_obs import Centerline, Contour, HSVRange, Intrinsics, ShapeDetector, ShapeObservation, SpecError, Surface
+from shape_obs import Centerline, Contour, Intrinsics, ShapeDetector, ShapeObservation, SpecError, Surface
 from shape_obs.bench.synthetic.moving_ropes import moving_ropes
 from shape_obs.bench.synthetic.rope_scores import judge
-from shape_obs.bench.synthetic.several_ropes import noisy_depth, several_ropes
+from shape_obs.bench.synthetic.several_ropes import several_ropes
 from shape_obs.config.config_file import detector_arguments, load_config, save_config, schema_hash
 from shape_obs.geometry.intersections import find_crossings
 
@@ -148,45 +148,6 @@ def test_ropes_of_drawn_scenes_are_found(seed, count):
     detection = ShapeDetector([Centerline(n=120, count="all", ends="tips")]).detect_mask(scene.mask)
     verdict = judge([shape.pixels for shape in detection if shape.ok], scene)
     assert sum(verdict.right) >= count - 1
-
-
-def test_the_upper_strand_is_seen_in_the_picture_and_in_depth():
-    right = unknown = total = 0
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        scene = several_ropes(rng, 2, 3, width=9.0, ragged=0.0, holes=0, specks=0)
-        metres, camera = noisy_depth(scene, rng), Intrinsics(640, 480, 386.0, 386.0, 319.5, 239.5)
-        for rgb, depth in ((scene.rgb, None), (None, metres)):
-            detector = ShapeDetector([Centerline(n=20, count=2)], segmentation=HSVRange((0, 0, 0), (179, 255, 255)))
-            detection = detector._detect_in_image(*_framed(scene.mask, rgb, depth, camera))
-            for crossing in detection.crossings:
-                truth = min(scene.crossings, key=lambda each: float(np.hypot(*(each.place - crossing.pixel))))
-                if crossing.slots[0] == crossing.slots[1] or np.hypot(*(truth.place - crossing.pixel)) > 3:
-                    continue
-                total += 1
-                unknown += crossing.above is None
-                right += crossing.above is not None and _is_right(detection, crossing, truth, scene)
-    assert total >= 8
-    assert right + unknown == total
-    assert unknown <= 0.2 * total
-
-
-def _framed(mask, rgb, depth, camera):
-    import time
-
-    from shape_obs.camera import as_camera_model
-    from shape_obs.frame import Frame, check_mask
-
-    frame = Frame(rgb, depth, as_camera_model(camera) if depth is not None else None, None)
-    return frame, check_mask(mask, frame), None, time.perf_counter()
-
-
-def _is_right(detection, crossing, truth, scene):
-    upper = detection[crossing.slots[crossing.above]]
-    curve = scene.curves[truth.first if truth.first_above else truth.second]
-    other = scene.curves[truth.second if truth.first_above else truth.first]
-    away = [np.linalg.norm(upper.pixels[:, None] - each[None], axis=2).min(axis=1).mean() for each in (curve, other)]
-    return truth.first == truth.second or away[0] < away[1]
 
 
 def test_outlines_and_sheets_have_slots_too():
