@@ -16,7 +16,7 @@ from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import catmull_rom
 from shape_obs.image.region import Region
 from shape_obs.image.segmentation import Segmentation
-from shape_obs.image.sharing import part_of, share_pixels
+from shape_obs.image.sharing import CLOSE, EXPECTED, FOUND, WIDE, component_parts, part_of, share
 from shape_obs.shape import Shape
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.exchanges import exchange_gain
@@ -26,14 +26,6 @@ from shape_obs.tracking.seats import add_pieces, near_tracks, seat_others, seat_
 
 Array = npt.NDArray[np.float64]
 
-# Where ribbons are expected, and where they were found.
-_EXPECTED, _FOUND, _APART, _CLOSE, _WIDE = 0, 1, 2, 3, 4
-# Pixels: what a ribbon claims around itself in a mask that holds others too, and how much farther a
-# second ribbon may be from a pixel that both claim.
-_REACH: Final = (6.0, 3.0, 6.0, 1.5, 16.0)
-_SLACK: Final = (1.0, 0.5, -3.0, 0.5, -3.0)
-_KNOB: Final = 2.0  # widths: what sticks out of a rope no farther belongs to it
-_RAGGED: Final = 0.75  # pixels that the border of a ribbon may stick out
 _DOUBTFUL: Final = 1.0  # squares of a width: less may speak against fits that are right
 _BENDING: Final = 3.0  # squares of a width that a unit of bending energy counts as: a kink of 40 degrees has a third
 _PIECE: Final = 1.5  # widths: a piece of a rope that something cuts lies no farther from where the rope is expected
@@ -101,14 +93,14 @@ class Slots:
         doubt = np.inf
         if self.spec.is_ribbon:
             ahead = [None if each is None else _in_image(each.nodes, scene) for each in expected]
-            tries, met = self._follow(seen, ahead, _APART)
-            doubt = self._doubt(region, tries)
+            tries, met = self._follow(seen, ahead, EXPECTED)
+            doubt = self._doubt(region, tries, apart=not met)
             if met and (doubt > 0 or self._price(seen, tries, 0.0) >= _CHANGED_SIDES):
                 # Ropes that run into each other stop; where they are expected, they may have changed places.
                 halfway = [
                     None if at is None or to is None else (at + to) / 2 for at, to in zip(last, ahead, strict=True)
                 ]
-                ways = [tries, *(self._follow(seen, nodes, _WIDE)[0] for nodes in (last, halfway))]
+                ways = [tries, *(self._follow(seen, nodes, WIDE)[0] for nodes in (last, halfway))]
                 doubts = [doubt, *(self._doubt(region, each) for each in ways[1:])]
                 best = int(np.argmin([self._price(seen, *each) for each in zip(ways, doubts, strict=True)]))
                 tries, doubt = ways[best], doubts[best]
@@ -147,13 +139,18 @@ class Slots:
                 widths.append(each.width or seen.region.width)
         if not known:
             return tries, False
-        owners, contested, _ = _owners(seen.region, curves, widths, how)
+        floor = self.spec.segmentation or Segmentation
+        if apart := component_parts(seen.region, curves, floor.min_area, floor.min_share):
+            for k, part in zip(known, apart[0], strict=True):
+                tries[k] = self._try(k, part, seen)
+            return tries, False
+        owners, contested, _ = share(seen.region, curves, widths, how)
         for at in np.flatnonzero(contested):  # where ribbons meet, each is first fitted to what is its own for certain
             again = self._try(known[at], self._part(seen.region, owners, [at]), seen)
             if not again.found.reason:
                 curves[at] = again.found.form.points
         met = bool(contested.any())
-        owners, _, _ = _owners(seen.region, curves, widths, _FOUND if met else _EXPECTED, spread=_KNOB)
+        owners, _, _ = share(seen.region, curves, widths, FOUND)
         for at, k in enumerate(known):
             tries[k] = self._try(k, self._part(seen.region, owners, [at]), seen)
         return (self._kept_apart(seen, tries) if met else tries), met
@@ -195,7 +192,7 @@ class Slots:
             price += _CHANGED_SIDES * changed_sides(before, other_before, after, other_after, width)
         return price
 
-    def _doubt(self, region: Region, tries: list[Attempt | None]) -> float:
+    def _doubt(self, region: Region, tries: list[Attempt | None], *, apart: bool = False) -> float:
         """Return what speaks against fits, in squares of a width: pixels of no rope, what was not seen, new bends.
 
         A slot that was lost counts as much as its rope. What may well be, with a rope's ragged border, counts nothing.
@@ -204,7 +201,10 @@ class Slots:
         if not forms:
             return np.inf
         widths = [found.object_width for found in forms]
-        beyond = _owners(region, [found.form.points for found in forms], widths, _CLOSE)[2]
+        if apart:  # each has pieces of its own: what a curve leaves out of them its own fit has weighed
+            beyond = max(region.area - sum(each.observed.area for each in tries if each is not None), 0)
+        else:
+            beyond = share(region, [found.form.points for found in forms], widths, CLOSE)[2]
         area = beyond + sum(doubtful_area(found.form, found.object_width) for found in forms)
         lost = sum(
             tracker.track.size / width
@@ -215,8 +215,9 @@ class Slots:
         for tracker, each in zip(self.trackers, tries, strict=True):
             if each is not None and each.found.nodes is not None and tracker.track is not None and each.is_found:
                 bent += more_bent(each.found.nodes, tracker.track.nodes, each.found.object_width)
-        for (first, width), (second, _) in combinations(zip([found.form for found in forms], widths, strict=True), 2):
-            bent += exchange_gain(first, second, width) if first.points.shape[1] == second.points.shape[1] == 2 else 0.0
+        if not apart:
+            strands = [(found.form, found.object_width) for found in forms if found.form.points.shape[1] == 2]
+            bent += sum(exchange_gain(one, other, width) for (one, width), (other, _) in combinations(strands, 2))
         doubt = lost + _BENDING * bent + area / float(np.median(widths)) ** 2
         return doubt if doubt > _DOUBTFUL else 0.0
 
@@ -248,7 +249,7 @@ class Slots:
         self.more = len(objects) - sum(at >= 0 for at in seats)
         shared = [at for at, each in enumerate(objects) if each.region is None]
         curves, widths = [objects[at].curve.points for at in shared], [objects[at].width for at in shared]
-        owners = _owners(region, curves, widths, _FOUND, spread=_KNOB)[0] if shared else None
+        owners = share(region, curves, widths, FOUND)[0] if shared else None
         reach = _PIECE * float(np.median(widths)) if shared else 0.0
         for k, pieces in enumerate(add_pieces(objects, seats, ahead, reach)):
             if pieces:
@@ -289,15 +290,3 @@ def _in_image(nodes: Array, scene: Scene) -> Array:
     if nodes.shape[1] == 2 or scene.intrinsics is None:
         return nodes
     return np.ascontiguousarray(scene.intrinsics.project(nodes))
-
-
-def _owners(
-    region: Region, curves: list[Array], widths: list[float], when: int, *, spread: float = 0.0
-) -> tuple[Any, Any, int]:
-    """Share the pixels of a mask among ribbons."""
-    radius = np.array(widths) / 2 + _RAGGED
-    left, top, *_ = region.window
-    points, stops = np.ascontiguousarray(np.concatenate(curves)), np.cumsum([len(curve) for curve in curves])
-    return share_pixels(
-        region.mask, left, top, points, stops, radius, _REACH[when], _SLACK[when], round(spread * max(widths))
-    )

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Final
+from collections.abc import Iterable, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.image.connected_runs import nearest_pixel
+from shape_obs.image.connected_runs import label_runs, nearest_pixel
 from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
@@ -19,12 +19,77 @@ Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 Owners = npt.NDArray[np.uint32]
 
+_RAGGED: Final = 0.75  # pixels that the border of a ribbon may stick out
+_DENSE: Final = 0.16  # of the square of a radius: points of a curve that are closer make no difference
 MOST: Final = 32  # objects in one mask: a bit each
 
 
-@compiled("(u1[:,::1], i8, i8, f8[:,::1], i8[::1], f8[::1], f8, f8, i8)")
+@compiled("(i8[:,::1], f8[:,::1], i8[::1])")
+def split_components(runs: Indices, points: Array, stops: Indices) -> tuple[Indices, bool]:
+    """Return the curve that each run of a mask belongs to where every curve has connected pieces of its own.
+
+    Args:
+        runs: ``(R, 3)`` of the mask, see ``connected_runs``.
+        points: ``(P, 2)`` pixels of all curves, one after the other.
+        stops: ``(K,)`` where each curve ends in ``points``.
+
+    Returns:
+        ``(R,)`` the index of a curve, -1 for pieces that no curve passes; whether no piece is passed by two curves, and
+        each curve passes one with at least half of its points.
+    """
+    label, count = label_runs(runs)
+    owner = np.full(count, -1, np.int64)
+    for k in range(len(stops)):
+        first, met = stops[k - 1] if k else 0, 0
+        for p in range(first, stops[k]):
+            row, column = nearest_pixel(points[p, 1]), nearest_pixel(points[p, 0])
+            low, high = 0, len(runs)  # the first run that is behind the point
+            while low < high:
+                middle = (low + high) // 2
+                if runs[middle, 0] < row or (runs[middle, 0] == row and runs[middle, 1] <= column):
+                    low = middle + 1
+                else:
+                    high = middle
+            if low > 0 and runs[low - 1, 0] == row and column < runs[low - 1, 2]:
+                piece = label[low - 1]
+                if owner[piece] >= 0 and owner[piece] != k:
+                    return label, False
+                owner[piece] = k
+                met += 1
+        if 2 * met < stops[k] - first:
+            return label, False
+    for at in range(len(runs)):
+        label[at] = owner[label[at]]
+    return label, True
+
+
+@compiled("(i8[:,::1], i8[::1], i8)")
+def own_mask(runs: Indices, owner: Indices, curve: int) -> tuple[Mask, int, int, int]:
+    """Return the mask of the runs of one curve, with a pixel of background around it.
+
+    Returns:
+        ``(h, w)`` 0 and 1; the image column and row of its first pixel; how many pixels it has.
+    """
+    left, right, top, bottom, area = 1 << 30, 0, 1 << 30, 0, 0
+    for at in range(len(runs)):
+        if owner[at] == curve:
+            left, right = min(left, runs[at, 1]), max(right, runs[at, 2])
+            top, bottom = min(top, runs[at, 0]), max(bottom, runs[at, 0] + 1)
+            area += runs[at, 2] - runs[at, 1]
+    if area == 0:
+        return np.zeros((3, 3), np.uint8), 0, 0, 0
+    mask = np.zeros((bottom - top + 2, right - left + 2), np.uint8)
+    for at in range(len(runs)):
+        if owner[at] == curve:
+            for column in range(runs[at, 1] - left + 1, runs[at, 2] - left + 1):
+                mask[runs[at, 0] - top + 1, column] = 1
+    return mask, left - 1, top - 1, area
+
+
+@compiled("(u1[:,::1], i8[:,::1], i8, i8, f8[:,::1], i8[::1], f8[::1], f8, f8, i8)")
 def share_pixels(
     mask: Mask,
+    runs: Indices,
     left: int,
     top: int,
     points: Array,
@@ -42,6 +107,7 @@ def share_pixels(
 
     Args:
         mask: ``(h, w)`` uint8, 0 = background.
+        runs: ``(R, 3)`` its runs, image coordinates.
         left: Image column of its first pixel.
         top: Image row of its first pixel.
         points: ``(P, 2)`` pixels of all curves, one after the other, closer than their radius.
@@ -57,26 +123,36 @@ def share_pixels(
         another one reaches as well; how many pixels of the mask are beyond the reach of all.
     """
     high, wide = mask.shape
-    least, second = np.full((high, wide), np.inf, np.float32), np.full((high, wide), np.inf, np.float32)
-    nearest, owners = np.full((high, wide), -1, np.int8), np.zeros((high, wide), np.uint32)
+    least, second = np.empty((high, wide), np.float32), np.empty((high, wide), np.float32)
+    nearest, owners = np.empty((high, wide), np.int8), np.zeros((high, wide), np.uint32)
+    for at in range(len(runs)):
+        for column in range(runs[at, 1] - left, runs[at, 2] - left):
+            row = runs[at, 0] - top
+            least[row, column] = second[row, column] = np.inf
+            nearest[row, column] = -1
     for k in range(len(stops)):
         far, begin, end = radius[k] + reach, stops[k - 1] if k else 0, stops[k]
+        before = -1
         for p in range(begin, end):
+            if 0 <= before < p < end - 1:
+                du, dv = points[p, 0] - points[before, 0], points[p, 1] - points[before, 1]
+                if du * du + dv * dv < _DENSE * radius[k] * radius[k]:
+                    continue
+            before = p
             u, v = points[p, 0] - left, points[p, 1] - top
             # Near a tip: pixels beyond it are outside the ribbon, or it would grow along another one that it touches.
             tip, inner = (begin, min(begin + 2, end - 1)) if p - begin < end - 1 - p else (end - 1, max(end - 3, begin))
             tip_u, tip_v = points[tip, 0] - left, points[tip, 1] - top
             out_u, out_v = points[tip, 0] - points[inner, 0], points[tip, 1] - points[inner, 1]
             at_tip = np.hypot(u - tip_u, v - tip_v) <= radius[k]
-            first, last = max(nearest_pixel(v - far), 0), min(nearest_pixel(v + far) + 1, high)
-            start, stop = max(nearest_pixel(u - far), 0), min(nearest_pixel(u + far) + 1, wide)
-            for row in range(first, last):
+            for row in range(max(nearest_pixel(v - far), 0), min(nearest_pixel(v + far) + 1, high)):
                 below = (row - v) * (row - v)
-                for column in range(start, stop):
-                    square = below + (column - u) * (column - u)
-                    if mask[row, column] == 0 or square > far * far:
+                half = np.sqrt(max(far * far - below, 0.0))
+                for column in range(max(int(np.ceil(u - half)), 0), min(int(np.floor(u + half)) + 1, wide)):
+                    if mask[row, column] == 0:
                         continue
-                    excess = np.float32(max(np.sqrt(square) - radius[k], 0.0))
+                    square = below + (column - u) * (column - u)
+                    excess = np.float32(np.sqrt(square) - radius[k] if square > radius[k] * radius[k] else 0.0)
                     if at_tip and (column - tip_u) * out_u + (row - tip_v) * out_v > 0:
                         excess = np.float32(np.hypot(column - tip_u, row - tip_v))
                     if slack >= 0 and excess <= slack:
@@ -89,10 +165,9 @@ def share_pixels(
                     else:
                         second[row, column] = min(second[row, column], excess)
     contested, beyond = np.zeros(len(stops), np.int64), 0
-    for row in range(high):
-        for column in range(wide):
-            if mask[row, column] == 0:
-                continue
+    for at in range(len(runs)):
+        for column in range(runs[at, 1] - left, runs[at, 2] - left):
+            row = runs[at, 0] - top
             k = nearest[row, column]
             if k < 0:
                 beyond += 1
@@ -101,17 +176,19 @@ def share_pixels(
                 contested[k] += 1
             if slack >= 0 or second[row, column] - least[row, column] >= -slack:
                 owners[row, column] |= np.uint32(1 << k)
-    _spread(mask, owners, spread)
+    if spread > 0 and beyond > 0:
+        _spread(mask, runs, left, top, owners, spread)
     return owners, contested, beyond
 
 
 @compiled
-def _spread(mask: Mask, owners: Owners, steps: int) -> None:
+def _spread(mask: Mask, runs: Indices, left: int, top: int, owners: Owners, steps: int) -> None:
     """Give pixels of a mask that belong to none to the owners of the nearest, some steps along the mask, in place."""
     high, wide = mask.shape
     waiting, count, at = np.empty(mask.size, np.int64), 0, 0
-    for row in range(high):
-        for column in range(wide):
+    for run in range(len(runs)):
+        row = runs[run, 0] - top
+        for column in range(runs[run, 1] - left, runs[run, 2] - left):
             if owners[row, column]:
                 for step in range(4):
                     v, u = row + (step == 0) - (step == 1), column + (step == 2) - (step == 3)
@@ -130,6 +207,74 @@ def _spread(mask: Mask, owners: Owners, steps: int) -> None:
                     owners[v, u] = owners[row, column]
                     waiting[count] = v * wide + u
                     count += 1
+
+
+def component_parts(
+    region: Region, curves: Sequence[Array], min_area: int, min_share: float
+) -> tuple[list[Region], int] | None:
+    """Return the pieces of a region that belong to each curve, and how many pixels belong to none.
+
+    Args:
+        region: Of all objects.
+        curves: ``(P, 2)`` pixels each.
+        min_area: Smaller pieces are dropped, pixels.
+        min_share: So are those smaller than this share of the largest.
+
+    Returns:
+        None where a piece belongs to two curves, or it is not clear which pieces belong to one.
+    """
+    points, stops = np.ascontiguousarray(np.concatenate(curves)), np.cumsum([len(curve) for curve in curves])
+    owner, apart = split_components(region.runs, points, stops)
+    if not apart:
+        return None
+    parts, owned, (left, top, wide, high) = [], 0, region.window
+    for k in range(len(curves)):
+        mask, column, row, area = own_mask(region.runs, owner, k)
+        # What the whole region's window cuts off is cut off here.
+        near, above = max(left - column, 0), max(top - row, 0)
+        mask = mask[above : top + high - row, near : left + wide - column]
+        window = Window(column + near, row + above, mask.shape[1], mask.shape[0])
+        parts.append(find_region(mask, window, min_area, min_share))
+        owned += area
+    return parts, region.area - owned
+
+
+class Reach(NamedTuple):
+    """How far ribbons claim pixels.
+
+    Args:
+        reach: Pixels around a ribbon.
+        slack: See ``share_pixels``.
+        spread: Widths: what sticks out of a ribbon no farther along the mask belongs to it.
+    """
+
+    reach: float
+    slack: float
+    spread: float = 0.0
+
+
+#: Ribbons where they are expected, and where they may have moved far: what is theirs for certain.
+EXPECTED: Final = Reach(6.0, -3.0)
+WIDE: Final = Reach(16.0, -3.0)
+#: Ribbons where they were found, with all that is theirs; and with the ragged border alone.
+FOUND: Final = Reach(3.0, 0.5, 2.0)
+CLOSE: Final = Reach(1.5, 0.5)
+
+
+def share(region: Region, curves: Sequence[Array], widths: Sequence[float], how: Reach) -> tuple[Owners, Indices, int]:
+    """Share the pixels of a region among ribbons, see ``share_pixels``.
+
+    Args:
+        region: Of all objects.
+        curves: ``(P, 2)`` pixels each.
+        widths: Pixels.
+        how: How far the ribbons reach.
+    """
+    left, top, *_ = region.window
+    points, stops = np.ascontiguousarray(np.concatenate(curves)), np.cumsum([len(curve) for curve in curves])
+    radius, spread = np.array(widths) / 2 + _RAGGED, round(how.spread * max(widths))
+    image = region.mask, region.runs, left, top
+    return share_pixels(*image, points, stops, radius, how.reach, how.slack, spread)
 
 
 def part_of(region: Region, owners: Owners, curves: Iterable[int], min_area: int, min_share: float) -> Region:
@@ -151,3 +296,6 @@ def part_of(region: Region, owners: Owners, curves: Iterable[int], min_area: int
     window = Window(region.window.left + left, region.window.top + top, wide, high)
     mask = np.ascontiguousarray(own[top : top + high, left : left + wide]).view(np.uint8)
     return find_region(mask, window, min_area, min_share)
+
+
+SHARING_FUNCTIONS: Final = share_pixels, split_components, own_mask

@@ -21,7 +21,8 @@ def line(start, end, count=60):
 def shared(mask, curves, radius, reach, slack, spread=0, at=(0, 0)):
     stops = np.cumsum([len(curve) for curve in curves])
     points = np.ascontiguousarray(np.concatenate(curves), dtype=np.float64)
-    return share_pixels(mask, *at, points, stops, np.full(len(curves), float(radius)), reach, slack, spread)
+    runs = find_region(mask, Window(*at, mask.shape[1], mask.shape[0]), 0, 0.0).runs
+    return share_pixels(mask, runs, *at, points, stops, np.full(len(curves), float(radius)), reach, slack, spread)
 
 
 @settings(max_examples=40)
@@ -47,16 +48,19 @@ def test_pixels_go_to_the_nearest_ribbons(mask, ends, slack):
     for at in np.flatnonzero(clear):
         own = {k for k in range(3) if owners[rows[at], columns[at]] >> k & 1}
         order = np.sort(excess[at])
+        if abs(away[at] - radius - reach).min() < 0.1:
+            continue
         if order[0] == np.inf:
             assert own == set()
         elif slack >= 0:
-            assert {k for k in range(3) if excess[at, k] <= slack} <= own
-            assert any(excess[at, k] <= order[0] + 1e-4 for k in own)
-        elif order[1] - order[0] >= -slack + 1e-4:
+            assert {k for k in range(3) if excess[at, k] <= slack - 0.1} <= own
+            assert any(excess[at, k] <= order[0] + 0.1 for k in own)
+        elif order[1] - order[0] >= -slack + 0.1:
             assert own == {int(np.argmin(excess[at]))}
-        elif order[1] - order[0] < -slack - 1e-4:
+        elif order[1] - order[0] < -slack - 0.1:
             assert own == set()
-    assert beyond == np.count_nonzero((away > radius + reach).all(axis=1))
+    far = (away > radius + reach + 0.1).all(axis=1).sum(), (away > radius + reach - 0.1).all(axis=1).sum()
+    assert far[0] <= beyond <= far[1]
     assert (contested >= 0).all()
 
 
