@@ -95,7 +95,7 @@ class Slots:
             ahead = [None if each is None else _in_image(each.nodes, scene) for each in expected]
             tries, met = self._follow(seen, ahead, EXPECTED)
             doubt = self._doubt(region, tries, apart=not met)
-            if met and (doubt > 0 or self._price(seen, tries, 0.0) >= _CHANGED_SIDES):
+            if met and (doubt > 0 or self._changes(seen, tries)):
                 # Ropes that run into each other stop; where they are expected, they may have changed places.
                 halfway = [
                     None if at is None or to is None else (at + to) / 2 for at, to in zip(last, ahead, strict=True)
@@ -179,18 +179,24 @@ class Slots:
 
     def _price(self, seen: _Seen, tries: list[Attempt | None], doubt: float) -> float:
         """Return what speaks against fits, with how far they are from where the tracks go, and changes of sides."""
-        price, placed = doubt, []
-        for each, ahead, last in zip(tries, seen.expected, seen.last, strict=True):
-            if each is None or ahead is None or last is None or each.found.nodes is None or not each.is_found:
-                continue
-            width, nodes = max(each.found.object_width, 1.0), _in_image(each.found.nodes, seen.scene)
-            if nodes.shape == last.shape:
-                step = nodes - _in_image(ahead.nodes, seen.scene)
-                price += float(np.sqrt(np.mean(np.sum(step * step, axis=1)))) / width
-                placed.append((last, nodes, width))
-        for (before, after, width), (other_before, other_after, _) in combinations(placed, 2):
-            price += _CHANGED_SIDES * changed_sides(before, other_before, after, other_after, width)
+        price = doubt + _CHANGED_SIDES * self._changes(seen, tries)
+        for each, ahead in zip(tries, seen.expected, strict=True):
+            if each is not None and ahead is not None and each.is_found and each.found.nodes is not None:
+                step = _in_image(each.found.nodes, seen.scene) - _in_image(ahead.nodes, seen.scene)
+                price += float(np.sqrt(np.mean(np.sum(step * step, axis=1)))) / max(each.found.object_width, 1.0)
         return price
+
+    def _changes(self, seen: _Seen, tries: list[Attempt | None]) -> int:
+        """Return how many pairs of ropes have changed sides."""
+        placed = [
+            (last, _in_image(each.found.nodes, seen.scene), each.found.object_width)
+            for each, last in zip(tries, seen.last, strict=True)
+            if each is not None and last is not None and each.is_found and each.found.nodes is not None
+        ]
+        return sum(
+            changed_sides(before, other_before, after, other_after, width)
+            for (before, after, width), (other_before, other_after, _) in combinations(placed, 2)
+        )
 
     def _doubt(self, region: Region, tries: list[Attempt | None], *, apart: bool = False) -> float:
         """Return what speaks against fits, in squares of a width: pixels of no rope, what was not seen, new bends.

@@ -23,6 +23,7 @@ _NEXT_TO: Final = 4.0
 _LEAST: Final = 3
 _MOST_OF: Final = 0.6
 _BESIDE: Final = 0.8
+_TREMOR: Final = 0.1  # of the bending energy times the width, from frame to frame, where strands cross
 _TURN: Final = 3.0  # squares of a width that a sharp turn counts as
 
 
@@ -43,7 +44,7 @@ def doubtful_turns(curve: FittedCurve, width: float) -> int:
 
 
 def more_bent(nodes: Array, before: Array, width: float) -> float:
-    """Return by how much the bending energy of a rope has grown, times its width.
+    """Return by how much the bending energy of a rope, times its width, has grown more than noise explains.
 
     Where ropes part again and each goes on along the other one, both get a kink.
 
@@ -54,7 +55,7 @@ def more_bent(nodes: Array, before: Array, width: float) -> float:
     """
     if len(nodes) != len(before) or width <= 0:
         return 0.0
-    return max(bending_energy(nodes) - bending_energy(before), 0.0) * width
+    return max((bending_energy(nodes) - bending_energy(before)) * width - _TREMOR, 0.0)
 
 
 @compiled("(f8[:,::1],)")
