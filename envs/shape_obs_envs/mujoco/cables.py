@@ -26,15 +26,19 @@ Array = NDArray[np.float64]
 #: Number of points of a rope's goal.
 POINTS = 20
 _BLUE: Final = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
-_SPEC: Final = {"length": 0.5, "radius": 0.007, "links": 24, "stiffness": 0.03, "damping": 2e-3}
+_SPEC: Final = {"length": 0.5, "radius": 0.007, "links": 24, "stiffness": 0.05, "damping": 2e-3}
 #: Lowest and highest poses of the grippers: x, y in metres and yaw in radians. Gripper 0 stays below gripper 1.
-_LOW: Final = (-0.25, -0.17, -0.8), (-0.25, 0.02, -1.4)
-_HIGH: Final = (-0.12, -0.02, 1.4), (-0.12, 0.17, 0.8)
+_LOW: Final = (-0.25, -0.17, -0.6), (-0.25, 0.04, -1.2)
+_HIGH: Final = (-0.12, -0.04, 1.2), (-0.12, 0.17, 0.6)
 #: Lowest and highest positions (x, y) of the sockets at the ends 1 of ropes 0 and 1; they are crosswise to the grippers.
 _SOCKETS: Final = ((0.12, 0.0), (0.25, 0.17)), ((0.12, -0.17), (0.25, 0.0))
+#: Lowest and highest x of rope 2: the grippers do not come there.
+_MIDDLE: Final = -0.06, 0.11
 #: Mean heading of each rope from end 0 to end 1, and how far it varies, in radians. Rope 2 runs down in the image.
 _COURSES: Final = (0.42, 0.25), (-0.42, 0.25), (-math.pi / 2, 0.25)
-_DRAWS: Final = 5000
+#: How far the middle between the tips of a rope is from the origin at most, along x and y in metres.
+_SHIFT: Final = (0.03, 0.05), (0.03, 0.05), (0.08, 0.02)
+_DRAWS: Final = 2000
 
 
 class CablesEnv(ShapeGoalEnv, EzPickle):
@@ -189,45 +193,35 @@ class CablesEnv(ShapeGoalEnv, EzPickle):
         return self._ropes.end_poses()[: self._ropes.spec.grippers, 1]
 
     def _draw_start(self) -> Array:
-        rng, radius, ropes = self.np_random, self._ropes.spec.radius, self._ropes.ropes
+        ropes = self._ropes
         for _ in range(_DRAWS):
-            lines = np.stack([self._draw_line(rope) for rope in range(ropes)])
-            heights = stacked(lines, radius, rng) if self._suits(lines) else None
+            lines = np.stack([self._draw_line(rope) for rope in range(ropes.ropes)])
+            heights = stacked(lines, ropes.spec.radius, self.np_random)
             if heights is not None:
                 break
         else:
             raise RuntimeError(f"no start state in {_DRAWS} draws: the workspace is too small for the ropes")
-        self._ropes.place(np.concatenate([lines, heights[..., None]], axis=2))
-        poses = self._ropes.gripper_poses()
-        self._ropes.step_to(poses, poses, 8 * SUBSTEPS)
+        ropes.place(np.concatenate([lines, heights[..., None]], axis=2))
+        poses = ropes.gripper_poses()
+        ropes.step_to(poses, poses, 8 * SUBSTEPS)
         return poses
 
     def _draw_line(self, rope: int) -> Array:
-        """Draw the axis of a rope, a bow with some sway, ``(links + 1, 2)`` in metres from end 0 to end 1."""
+        """Draw the axis of a rope with its ends where they may be, ``(links + 1, 2)`` in metres from end 0 to end 1."""
         rng, spec = self.np_random, self._ropes.spec
         course, change = _COURSES[rope]
         s = (np.arange(spec.links) + 0.5) / spec.links
-        bow = rng.choice([-1.0, 1.0]) * rng.uniform(0.65, 1.0)
-        sway, turn = rng.uniform(-0.4, 0.4), course + change * rng.uniform(-1, 1)
-        headings = turn + bow * np.cos(np.pi * s) + sway * np.sin(2 * np.pi * s)
-        lengths = np.full((spec.links, 1), spec.link_length)
-        lengths[[0, -1]] += spec.radius
-        line = np.concatenate(
-            [[[0.0, 0.0]], np.cumsum(lengths * np.column_stack([np.cos(headings), np.sin(headings)]), 0)]
-        )
-        middle = rng.uniform(-1, 1, 2) * ((0.06, 0.02) if rope == 2 else (0.03, 0.05))
-        return line + middle - (line[0] + line[-1]) / 2
-
-    def _suits(self, lines: Array) -> bool:
-        """Return whether the ends of axes ``(K, links + 1, 2)`` lie where ends 0 and ends 1 may be."""
-        for rope, (low, high) in enumerate(_SOCKETS):
-            (x, y), (dx, dy) = lines[rope, 0], lines[rope, 1] - lines[rope, 0]
-            pose = np.array([x, y, math.atan2(dy, dx)])
-            if not (np.all(pose >= _LOW[rope]) and np.all(pose <= _HIGH[rope])):
-                return False
-            if not (np.all(lines[rope, -1] >= low) and np.all(lines[rope, -1] <= high)):
-                return False
-        return bool(np.abs(lines[..., 1]).max() < -self.REACH[0][1] - 0.02)
+        lengths = np.diff(self._ropes.arc)[:, None]
+        for _ in range(_DRAWS):
+            bow = rng.choice([-1.0, 1.0]) * rng.uniform(0.65, 1.0)
+            sway, turn = rng.uniform(-0.4, 0.4), course + change * rng.uniform(-1, 1)
+            headings = turn + bow * np.cos(np.pi * s) + sway * np.sin(2 * np.pi * s)
+            line = np.zeros((spec.links + 1, 2))
+            line[1:] = np.cumsum(lengths * np.column_stack([np.cos(headings), np.sin(headings)]), axis=0)
+            line += rng.uniform(-1, 1, 2) * _SHIFT[rope] - (line[0] + line[-1]) / 2
+            if _suits(rope, np.array([*line[0], headings[0]]), line):
+                return line
+        raise RuntimeError(f"no rope {rope} within the workspace in {_DRAWS} draws")
 
     def _draw_bend(self) -> Array:
         """Draw grippers that turn the ropes against their bows, nearer to the sockets: each rope gets an S bend."""
@@ -239,6 +233,16 @@ class CablesEnv(ShapeGoalEnv, EzPickle):
         poses[:, 2] = np.where(against, middle + part * (low[:, 2] - middle), middle + part * (high[:, 2] - middle))
         poses[:, 0] = self.np_random.uniform((low + high)[:, 0] / 2, high[:, 0])
         return self._workspace.clip(poses, self._target)
+
+
+def _suits(rope: int, pose: Array, line: Array) -> bool:
+    """Return whether an axis ``(links + 1, 2)`` that starts at ``pose`` lies where that of ``rope`` may be."""
+    tallest = bool(np.abs(line[:, 1]).max() < CablesEnv.REACH[1][1] - 0.02)
+    if rope == 2:
+        return tallest and bool(_MIDDLE[0] < line[:, 0].min() and line[:, 0].max() < _MIDDLE[1])
+    low, high = _SOCKETS[rope]
+    held = np.all(pose >= _LOW[rope]) and np.all(pose <= _HIGH[rope])
+    return bool(held and np.all(line[-1] >= low) and np.all(line[-1] <= high)) and tallest
 
 
 def _along(line: Array, place: float) -> Array:

@@ -17,6 +17,8 @@ _SLOPE: Final = 0.35
 _GAP: Final = 5e-4
 #: Sine of the smallest angle at which ropes are laid over each other.
 _SHARPEST: Final = 0.5
+#: Smallest distance of a crossing from the ends of both ropes, as a fraction of their length.
+_FREE: Final = 0.18
 _ROUNDS: Final = 40
 
 
@@ -102,7 +104,7 @@ def _reaches(one: Array, other: Array, radius: float) -> list[tuple[slice, slice
     for s, t in intersections(one, other):
         u, v = ways[0][int(s)], ways[1][int(t)]
         sine = abs(float(u[0] * v[1] - u[1] * v[0])) / float(np.linalg.norm(u) * np.linalg.norm(v))
-        if sine < _SHARPEST:
+        if sine < _SHARPEST or not _FREE < min(s, t) / len(ways[0]) < max(s, t) / len(ways[0]) < 1 - _FREE:
             return None
         half = 2 * radius / sine / float(np.linalg.norm(u))
         spans = [slice(max(int(p - half), 0), int(np.ceil(p + half)) + 1) for p in (s, t)]

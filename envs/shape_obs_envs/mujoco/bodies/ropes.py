@@ -33,9 +33,11 @@ from shape_obs_envs.mujoco.scene import mujoco
 
 Array = NDArray[np.float64]
 
-_OPTION: Final = '<option><flag contact="enable" gravity="enable"/></option>'
-_VERTICAL: Final = 0.004  # stiffness in N m / rad
-_ARMATURE: Final = 1e-5
+_OPTION: Final = (
+    '<option integrator="Euler" viscosity=".5" gravity="0 0 -40"><flag contact="enable" gravity="enable"/></option>'
+)
+_VERTICAL: Final = 0.02  # stiffness in N m / rad
+_ARMATURE: Final = 3e-5
 _TOUCH: Final = 'solref=".02 1" solimp=".9 .95 .001"'
 _HELD: Final = 'solref=".02 1" solimp=".95 .99 .001"'
 _APART: Final = 0.1  # between the ropes in the model's initial configuration, in metres
@@ -61,7 +63,7 @@ def _rope_bodies(spec: ChainSpec, rope: int, ropes: int) -> str:
     others = sum(1 << other for other in range(ropes) if other != rope)
     capsule = (
         f'type="capsule" fromto="0 0 0 {link} 0 0" size="{radius}" group="{OBJECT_GROUP}" rgba="{rgba}" '
-        f'contype="{1 << rope}" conaffinity="{others}" condim="3" friction=".3 0 0" {_TOUCH}'
+        f'contype="{1 << rope}" conaffinity="{others}" condim="3" friction=".1 0 0" {_TOUCH}'
     )
     foot = f'type="sphere" pos="{link} 0 0" size="{radius}" mass="0" group="3" rgba="0 0 0 0"'
     hinge = f'type="hinge" damping="{spec.damping}" armature="{_ARMATURE}"'
@@ -117,6 +119,7 @@ class Ropes(PlanarBody):
         nominal: Nominal size and material.
         spec: Size with the present radius.
         ropes: Number of ropes.
+        arc: Arc lengths ``(links + 1,)`` in metres from end 0 to each vertex.
     """
 
     def __init__(self, spec: ChainSpec, ropes: int, model: Any) -> None:
@@ -128,7 +131,7 @@ class Ropes(PlanarBody):
         holders = [[_holder(rope, spec.grippers), f"rope{rope}_socket"] for rope in range(ropes)]
         self._ends = np.array([[int(model.body(name).mocapid[0]) for name in row] for row in holders])
         self._end_bodies = np.array([[model.body(name).id for name in row] for row in holders])
-        self._arc = arc_lengths(spec)
+        self.arc = arc_lengths(spec)
         yaw = int(model.joint("rope0_yaw1").id)
         self._yaws = yaw + 2 * np.arange(ropes * (spec.links - 1))
 
@@ -191,14 +194,14 @@ class Ropes(PlanarBody):
     def points(self, fractions: Array) -> Array:
         """Return points ``(K, n, 3)`` of the axes at ``fractions`` ``(n,)`` of the arc length, in metres, world frame."""
         arc = np.clip(fractions, 0.0, 1.0) * self.spec.length
-        i = np.clip(np.searchsorted(self._arc, arc, side="right") - 1, 0, self.spec.links - 1)
-        t = ((arc - self._arc[i]) / (self._arc[i + 1] - self._arc[i]))[:, None]
+        i = np.clip(np.searchsorted(self.arc, arc, side="right") - 1, 0, self.spec.links - 1)
+        t = ((arc - self.arc[i]) / (self.arc[i + 1] - self.arc[i]))[:, None]
         vertices = self.vertices()
         return vertices[:, i] * (1 - t) + vertices[:, i + 1] * t
 
     def fractions(self, places: Array) -> Array:
         """Return fractions 0 ... 1 of the length for ``places`` in segments of ``vertices``."""
-        return np.interp(places, np.arange(len(self._arc)), self._arc) / self.spec.length
+        return np.interp(places, np.arange(len(self.arc)), self.arc) / self.spec.length
 
     def landmarks(self) -> Array:
         """Return points ``(20 K, 3)`` on the first and last tenth of each axis, in metres, world frame."""
@@ -231,7 +234,7 @@ class Ropes(PlanarBody):
         """Change their material; they must be placed again after that. Mass and inertia stay the same."""
         model, nominal = self.model, self.nominal
         self.spec = spec = replace(nominal, radius=nominal.radius * factors.thickness)
-        self._arc = arc_lengths(spec)
+        self.arc = arc_lengths(spec)
         radius, link, bodies, geoms = spec.radius, spec.link_length, self._bodies, self._geoms
         model.body_pos[bodies[:, 1:], 0], model.body_pos[bodies[:, 0], 0] = link, radius
         model.geom_size[geoms, :2] = radius, link / 2
