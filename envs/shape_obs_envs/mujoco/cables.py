@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from itertools import combinations_with_replacement
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import gymnasium as gym
 import numpy as np
@@ -18,7 +18,7 @@ from shape_obs_envs.mujoco.bodies.chain import ChainSpec
 from shape_obs_envs.mujoco.bodies.crossings import Crossing, intersections, self_intersections, stacked
 from shape_obs_envs.mujoco.bodies.ropes import Ropes, ropes_bodies, ropes_equality, ropes_sections
 from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv
-from shape_obs_envs.mujoco.goals import measured_space
+from shape_obs_envs.mujoco.goals import DIFFICULTIES, Difficulty, measured_space
 from shape_obs_envs.mujoco.tethers import TetheredWorkspace
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ _SPEC: Final = {"length": 0.5, "radius": 0.007, "links": 24, "stiffness": 0.05, 
 #: Lowest and highest poses of the grippers: x, y in metres and yaw in radians. Gripper 0 stays below gripper 1.
 _LOW: Final = (-0.25, -0.17, -0.6), (-0.25, 0.04, -1.2)
 _HIGH: Final = (-0.12, -0.04, 1.2), (-0.12, 0.17, 0.6)
-#: Lowest and highest positions (x, y) of the sockets at the ends 1 of ropes 0 and 1; they are crosswise to the grippers.
+#: Lowest and highest positions (x, y) of ends 1 of ropes 0 and 1, crosswise to the grippers, so that the ropes cross.
 _SOCKETS: Final = ((0.12, 0.0), (0.25, 0.17)), ((0.12, -0.17), (0.25, 0.0))
 #: Lowest and highest x of rope 2: the grippers do not come there.
 _MIDDLE: Final = -0.06, 0.11
@@ -56,6 +56,8 @@ class CablesEnv(ShapeGoalEnv, EzPickle):
 
     STEP = np.array([0.015, 0.015, 0.12])  # x, y in metres and yaw in radians
     REACH = ((-0.29, -0.25, 0.0), (0.29, 0.25, 0.06))
+    # Nearer than for one rope: only one end moves.
+    GOALS: ClassVar[Mapping[str, Difficulty]] = {**DIFFICULTIES, "far": DIFFICULTIES["far"]._replace(least=0.04)}
 
     def __init__(self, ropes: int = 3, grippers: int = 2, rope: int | str = 0, **options: Any) -> None:
         EzPickle.__init__(self, ropes, grippers, rope, **options)
@@ -82,7 +84,7 @@ class CablesEnv(ShapeGoalEnv, EzPickle):
 
     @property
     def anchors(self) -> Mapping[str, tuple[float, float, float]]:
-        """Where the grippers hold the ropes: name -> (x, y, z) in metres, base frame; gripper k holds end 0 of rope k."""
+        """Where gripper k holds end 0 of rope k: name -> (x, y, z) in metres, base frame."""
         tips = self._ropes.vertices()[: self._ropes.spec.grippers, 0].tolist()
         return {name: (x, y, z) for name, (x, y, z) in zip(GRIPPERS, tips, strict=False)}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import combinations
 from typing import Final, NamedTuple
 
@@ -58,11 +57,11 @@ def self_intersections(line: Array) -> Array:
     return places[np.floor(places[:, 1]) - np.floor(places[:, 0]) > 1.5]
 
 
-def stacked(lines: Sequence[Array], radius: float, rng: np.random.Generator) -> Array | None:
+def stacked(lines: Array, radius: float, rng: np.random.Generator) -> Array | None:
     """Draw which rope lies over which at each crossing, and return heights at which none meets another one.
 
     Args:
-        lines: Axes of the ropes seen from above, ``(N, 2)`` each, in metres.
+        lines: Axes of the ropes seen from above, ``(K, N, 2)`` in metres.
         radius: Radius of the ropes in metres.
         rng: Random generator.
 

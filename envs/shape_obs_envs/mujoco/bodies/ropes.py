@@ -6,15 +6,17 @@ on each other. The drag of a viscous medium models the friction of the table, as
 
 Values that hold from MuJoCo 3.3 to 4.0 are below. What each is for:
 
-- ``timestep=".01" integrator="implicitfast"``, the defaults of the scene. A motion of 15 mm in a step of 0.05 s moves a
-  strand by 3 mm between two solutions of the contacts, a fifth of its thickness: it cannot pass through another one.
-- Hinge ``armature="1e-5"``: links of 3 g would otherwise be so light that contacts push them deeper into each other.
-- Two stiffnesses. A rope that is stiff enough in the plane to take its shape from its ends (0.03 N m/rad) would bridge
-  a crossing in an arc of 0.2 m; with 0.004 N m/rad vertically it lies down within 5 cm.
-- Rope on rope: ``condim="3"``, friction 0.3, ``solref=".02 1" solimp=".9 .95 .001"``.
-- Rope on table: a sphere at each joint, ``condim="1"``, as explicit pairs. A capsule has two contacts with a plane; with
-  dry friction they are eight rows for each link, and a step takes twice as long.
-- Links of one rope have no contacts with each other: the limits of the grippers keep it from crossing itself.
+- ``timestep=".01"``: at 0.3 m/s a strand moves by 3 mm between two solutions of the contacts, a fifth of its thickness,
+  and cannot pass through another one. ``integrator="Euler"`` takes 0.6 times as long as ``implicitfast``; it is
+  explicit in the drag, which ``viscosity=".5"`` and hinge ``armature="3e-5"`` allow.
+- ``gravity="0 0 -30"``: with their own weight, ropes that are stiff enough to take their shape from their ends within a
+  second would cross each other in high arcs, and rise when they are compressed. Only the ropes have a weight.
+- Hinge stiffness 0.05 N m/rad in the plane and 0.02 vertically, so that a rope lies down next to a crossing. With 0.004
+  it buckles upwards, as a strip does that is bent in its plane. Damping 2e-3 N m s/rad.
+- Rope on rope: ``condim="3"``, friction 0.1, ``solref=".02 1" solimp=".9 .95 .001"``, one bit of ``contype`` for each
+  rope. Links of one rope have no contacts with each other: the limits of the grippers keep it from crossing itself.
+- Rope on table: a sphere at each joint, ``condim="1"``, as explicit pairs. A capsule has two contacts with a plane, and
+  dry friction makes eight rows of them for each link: a step takes half as long again.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ from shape_obs_envs.mujoco.scene import mujoco
 Array = NDArray[np.float64]
 
 _OPTION: Final = (
-    '<option integrator="Euler" viscosity=".5" gravity="0 0 -40"><flag contact="enable" gravity="enable"/></option>'
+    '<option integrator="Euler" viscosity=".5" gravity="0 0 -30"><flag contact="enable" gravity="enable"/></option>'
 )
 _VERTICAL: Final = 0.02  # stiffness in N m / rad
 _ARMATURE: Final = 3e-5
@@ -138,7 +140,7 @@ class Ropes(PlanarBody):
     # ---- poses
 
     def set_grippers(self, poses: Array) -> None:
-        """Move the grippers to ``poses`` ``(G, 3)``: x, y in metres and the rope's heading there, from end 0, in radians."""
+        """Move the grippers to ``poses`` ``(G, 3)``: x, y in metres and heading from end 0 to end 1 in radians."""
         self._set_ends(self._grippers, poses)
 
     def gripper_targets(self) -> Array:
@@ -152,7 +154,7 @@ class Ropes(PlanarBody):
         return self.end_poses()[: self.spec.grippers, 0]
 
     def end_poses(self) -> Array:
-        """Return the poses ``(K, 2, 3)`` of all tips, end 0 first: x, y in metres and heading in radians, world frame."""
+        """Return the poses ``(K, 2, 3)`` of all tips, end 0 first: x, y in metres and heading in radians."""
         along = -self.data.xmat[self._bodies[:, [-1, 0]]].reshape(-1, 2, 3, 3)[..., 0]
         heading = np.arctan2(along[..., 1], along[..., 0])
         return np.concatenate([self.vertices()[:, [0, -1], :2], heading[..., None]], axis=2)
@@ -192,7 +194,7 @@ class Ropes(PlanarBody):
         return np.concatenate([first, joints[:, 1:], last], axis=1)[:, ::-1]
 
     def points(self, fractions: Array) -> Array:
-        """Return points ``(K, n, 3)`` of the axes at ``fractions`` ``(n,)`` of the arc length, in metres, world frame."""
+        """Return points ``(K, n, 3)`` of the axes at ``fractions`` ``(n,)`` of their length, in metres, world frame."""
         arc = np.clip(fractions, 0.0, 1.0) * self.spec.length
         i = np.clip(np.searchsorted(self.arc, arc, side="right") - 1, 0, self.spec.links - 1)
         t = ((arc - self.arc[i]) / (self.arc[i + 1] - self.arc[i]))[:, None]
@@ -225,7 +227,7 @@ class Ropes(PlanarBody):
         return 0.0
 
     def set_colours(self, rgb: Sequence[float], tones: NDArray[Any]) -> None:
-        """Set the colour of all ropes to ``rgb``, 0 ... 1, times a factor in ``tones`` ``(K links, 1)`` for each link."""
+        """Set the colour of all ropes to ``rgb``, 0 ... 1, times a factor in ``tones`` for each link."""
         self.model.geom_rgba[self._geoms.ravel(), :3] = tones * rgb
         for rope, own in enumerate(tones[:, 0].reshape(self.ropes, -1)):
             set_tube_colours(self.model, rgb, own, f"rope{rope}_")
@@ -261,7 +263,7 @@ class Ropes(PlanarBody):
 def hinge_angles(ways: Array) -> Array:
     """Return pitch and yaw ``(links - 1, 2)`` in radians of the joints of a chain along unit vectors ``(links, 3)``.
 
-    The first link is level and cannot turn. Each joint turns the next link by its pitch about y, then by its yaw about z.
+    The first link is level and cannot turn. A joint turns the next link by its pitch about y, then by its yaw about z.
     """
     sine, cosine = ways[0, 1], ways[0, 0]
     frame = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
