@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations, product
 from typing import Any, Final
 
 import numpy as np
@@ -57,16 +58,12 @@ def ropes_bodies(spec: ChainSpec, ropes: int) -> str:
         spec: Size and material of each rope; the first ``spec.grippers`` ropes have grippers.
         ropes: Number of ropes.
     """
-    return "\n".join(_rope_bodies(spec, rope, ropes) for rope in range(ropes))
+    return "\n".join(_rope_bodies(spec, rope) for rope in range(ropes))
 
 
-def _rope_bodies(spec: ChainSpec, rope: int, ropes: int) -> str:
+def _rope_bodies(spec: ChainSpec, rope: int) -> str:
     link, radius, rgba = spec.link_length, spec.radius, " ".join(map(str, spec.rgba))
-    others = sum(1 << other for other in range(ropes) if other != rope)
-    capsule = (
-        f'type="capsule" fromto="0 0 0 {link} 0 0" size="{radius}" group="{OBJECT_GROUP}" rgba="{rgba}" '
-        f'contype="{1 << rope}" conaffinity="{others}" condim="3" friction=".1 0 0" {_TOUCH}'
-    )
+    capsule = f'type="capsule" fromto="0 0 0 {link} 0 0" size="{radius}" group="{OBJECT_GROUP}" rgba="{rgba}"'
     foot = f'type="sphere" pos="{link} 0 0" size="{radius}" mass="0" group="3" rgba="0 0 0 0"'
     hinge = f'type="hinge" damping="{spec.damping}" armature="{_ARMATURE}"'
     x, y = -spec.length / 2, _APART * rope
@@ -94,14 +91,18 @@ def ropes_equality(spec: ChainSpec, ropes: int) -> str:
 
 
 def ropes_sections(spec: ChainSpec, ropes: int) -> str:
-    """Return MJCF of the physics' options, the contacts with the table, and the skins that OpenGL draws."""
-    pairs = "".join(
-        f'<pair geom1="table" geom2="rope{rope}_foot{i}" condim="1" {_TOUCH}/>'
-        for rope in range(ropes)
-        for i in range(spec.links)
-    )
+    """Return MJCF of the physics' options, the contacts, and the skins that OpenGL draws."""
+    links = range(spec.links)
+    pairs = [
+        f'<pair geom1="table" geom2="rope{rope}_foot{i}" condim="1" {_TOUCH}/>' for rope in range(ropes) for i in links
+    ]
+    pairs += [
+        f'<pair geom1="rope{one}_link{i}" geom2="rope{other}_link{j}" condim="3" friction=".1 .1" {_TOUCH}/>'
+        for one, other in combinations(range(ropes), 2)
+        for i, j in product(links, links)
+    ]
     skins = (tube_skin(_tube(spec, rope), spec.links, spec.rgba, f"rope{rope}_") for rope in range(ropes))
-    return f"{_OPTION}<contact>{pairs}</contact>{''.join(skins)}"
+    return f"{_OPTION}<contact>{''.join(pairs)}</contact>{''.join(skins)}"
 
 
 def _tube(spec: ChainSpec, rope: int) -> Tube:
