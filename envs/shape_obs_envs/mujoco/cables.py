@@ -67,6 +67,8 @@ class CablesEnv(ShapeGoalEnv, EzPickle):
         spec = ChainSpec(grippers=held, **_SPEC)
         model = self._compile(ropes_bodies(spec, ropes), ropes_equality(spec, ropes), ropes_sections(spec, ropes))
         self._ropes = Ropes(spec, ropes, model)
+        if not isinstance(self.rope, str):
+            self._ropes.marked = (self.rope,)
         workspace = TetheredWorkspace(self._tethers, _LOW[:held], _HIGH[:held])
         low, high = workspace.bounds
         low, high = low - 0.05, high + 0.05  # the welds are slightly compliant

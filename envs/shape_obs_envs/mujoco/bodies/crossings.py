@@ -44,7 +44,8 @@ def intersections(one: Array, other: Array) -> Array:
     a, b = one[:-1, None], other[None, :-1]
     u, v, w = np.diff(one, axis=0)[:, None], np.diff(other, axis=0)[None], b - a
     area = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    area[np.abs(area) < 1e-9 * np.linalg.norm(u, axis=-1) * np.linalg.norm(v, axis=-1)] = np.nan  # parallel
+    with np.errstate(invalid="ignore"):
         s = (w[..., 0] * v[..., 1] - w[..., 1] * v[..., 0]) / area
         t = (w[..., 0] * u[..., 1] - w[..., 1] * u[..., 0]) / area
         i, j = np.nonzero((s >= 0) & (s < 1) & (t >= 0) & (t < 1))
@@ -66,8 +67,8 @@ def stacked(lines: Array, radius: float, rng: np.random.Generator) -> Array | No
         rng: Random generator.
 
     Returns:
-        Heights of the axes above the table, ``(K, N)`` in metres; None if ropes run side by side, cross at a small
-        angle, cross next to an end, or would have to be steeper than ropes are laid.
+        Heights of the axes above the table, ``(K, N)`` in metres; None if a rope crosses no other one, if ropes run
+        side by side, cross at a small angle or next to an end, or would have to be steeper than ropes are laid.
     """
     heights = np.full((len(lines), len(lines[0])), radius)
     lifts: list[tuple[int, slice, int, slice]] = []
@@ -78,6 +79,8 @@ def stacked(lines: Array, radius: float, rng: np.random.Generator) -> Array | No
         for first, second in found:
             over = rng.random() < 0.5
             lifts.append((one, first, other, second) if over else (other, second, one, first))
+    if len({above for above, *_ in lifts} | {below for _, _, below, _ in lifts}) < len(lines):
+        return None
     fall = _SLOPE * float(np.linalg.norm(lines[0][2] - lines[0][1]))
     for _ in range(_ROUNDS):
         before = heights.copy()

@@ -122,12 +122,14 @@ class Ropes(PlanarBody):
         nominal: Nominal size and material.
         spec: Size with the present radius.
         ropes: Number of ropes.
+        marked: Numbers of the ropes whose ends are landmarks.
         arc: Arc lengths ``(links + 1,)`` in metres from end 0 to each vertex.
     """
 
     def __init__(self, spec: ChainSpec, ropes: int, model: Any) -> None:
         super().__init__(model, GRIPPERS[: spec.grippers])
         self.nominal, self.spec, self.ropes = spec, spec, ropes
+        self.marked: Sequence[int] = range(ropes)
         names = [[f"rope{rope}_link{i}" for i in range(spec.links)] for rope in range(ropes)]
         self._bodies = np.array([[model.body(name).id for name in row] for row in names])
         self._geoms = np.array([[model.geom(name).id for name in row] for row in names])
@@ -207,8 +209,9 @@ class Ropes(PlanarBody):
         return np.interp(places, np.arange(len(self.arc)), self.arc) / self.spec.length
 
     def landmarks(self) -> Array:
-        """Return points ``(20 K, 3)`` on the first and last tenth of each axis, in metres, world frame."""
-        return self.points(np.concatenate([np.linspace(0.0, 0.1, 10), np.linspace(0.9, 1.0, 10)])).reshape(-1, 3)
+        """Return points ``(n, 3)`` on the first and last tenth of the ``marked`` axes, in metres, world frame."""
+        points = self.points(np.concatenate([np.linspace(0.0, 0.1, 10), np.linspace(0.9, 1.0, 10)]))
+        return points[list(self.marked)].reshape(-1, 3)
 
     # ---- appearance and material
 

@@ -57,7 +57,9 @@ def test_the_rule_of_colours_finds_the_object_and_nothing_else(name):
         sizes: dict[str, tuple[Any, ...]] = {"Cloth": (40, 80), "Cables": (300, "world", "tips", False, "all")}
         true = env.truth(*sizes.get(name, (300,)))  # type: ignore[attr-defined]
         away = np.sqrt(((found[:, None] - true) ** 2).sum(axis=2)).min(axis=1)
-        assert away.max() < {"Cable": 0.014, "Ring": 0.03, "Cloth": 0.012, "Hanging": 0.014, "Cables": 0.013}[name], seed
+        assert away.max() < {"Cable": 0.014, "Ring": 0.03, "Cloth": 0.012, "Hanging": 0.014, "Cables": 0.013}[name], (
+            seed
+        )
         pixels = np.rint(camera.project_from_base(true)).astype(int)
         around = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3)))
         assert around[pixels[:, 1], pixels[:, 0]].mean() > 0.97, seed
