@@ -16,7 +16,8 @@ from shape_obs_envs.arguments import count, one_of
 from shape_obs_envs.mujoco.bodies import GRIPPERS
 from shape_obs_envs.mujoco.bodies.chain import ChainSpec
 from shape_obs_envs.mujoco.bodies.crossings import Crossing, intersections, self_intersections, stacked
-from shape_obs_envs.mujoco.bodies.ropes import Ropes, ropes_bodies, ropes_equality, ropes_sections
+from shape_obs_envs.mujoco.bodies.ropes import Ropes
+from shape_obs_envs.mujoco.bodies.ropes_model import ropes_bodies, ropes_equality, ropes_sections
 from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv
 from shape_obs_envs.mujoco.goals import DIFFICULTIES, Difficulty, measured_space
 from shape_obs_envs.mujoco.tethers import TetheredWorkspace
@@ -184,6 +185,10 @@ class CablesEnv(ShapeGoalEnv, EzPickle):
         return out
 
     # ---- ShapeGoalEnv
+
+    def _move(self, action: Array) -> None:
+        target = self._workspace.clip(self._target + action.reshape(self._target.shape) * self.STEP, self._target)
+        self._target = self._ropes.pull_to(self._target, target, SUBSTEPS)
 
     def _goal_points(self) -> Array:
         return self.truth()
