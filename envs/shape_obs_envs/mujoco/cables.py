@@ -19,7 +19,7 @@ from shape_obs_envs.mujoco.bodies.crossings import Crossing, intersections, self
 from shape_obs_envs.mujoco.bodies.ropes import Ropes
 from shape_obs_envs.mujoco.bodies.ropes_model import ropes_bodies, ropes_equality, ropes_sections
 from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv
-from shape_obs_envs.mujoco.goals import DIFFICULTIES, Difficulty, measured_space
+from shape_obs_envs.mujoco.goals import DIFFICULTIES, Actions, Difficulty, measured_space
 from shape_obs_envs.mujoco.tethers import TetheredWorkspace
 
 Array = NDArray[np.float64]
@@ -231,6 +231,14 @@ class CablesEnv(ShapeGoalEnv, EzPickle):
             if _suits(rope, np.array([*line[0], headings[0]]), line):
                 return line
         raise RuntimeError(f"no rope {rope} within the workspace in {_DRAWS} draws")
+
+    def _draw_motion(self, vigour: float, bent: bool) -> Actions:
+        actions = super()._draw_motion(vigour, bent)
+        if not isinstance(self.rope, str):
+            # Only its own gripper moves: a goal into which another rope has pressed it is hardly found again.
+            others = np.arange(actions.shape[1]) // len(self.STEP) != self.rope
+            actions[:, others] = 0
+        return actions
 
     def _draw_bend(self) -> Array:
         """Draw grippers that turn the ropes against their bows, nearer to the sockets: each rope gets an S bend."""
