@@ -234,7 +234,9 @@ class CablesEnv(ShapeGoalEnv, EzPickle):
 
     def _draw_motion(self, vigour: float, bent: bool) -> Actions:
         actions = super()._draw_motion(vigour, bent)
-        if not isinstance(self.rope, str):
+        if isinstance(self.rope, str):  # stronger: the mean distance is also that of ropes which hardly move
+            actions = np.clip(2 * actions, -1, 1)
+        else:
             # Only its own gripper moves: a goal into which another rope has pressed it is hardly found again.
             others = np.arange(actions.shape[1]) // len(self.STEP) != self.rope
             actions[:, others] = 0

@@ -28,7 +28,7 @@ ENVS = {
     "hanging": ("ShapeObs/Hanging-v0", {}),
     "hanging from one gripper": ("ShapeObs/Hanging-v0", {"grippers": 1}),
     "cables": ("ShapeObs/Cables-v0", {}),
-    "two cables with a goal, one gripper": ("ShapeObs/Cables-v0", {"ropes": 2, "grippers": 1, "rope": "all"}),
+    "two cables with a goal": ("ShapeObs/Cables-v0", {"ropes": 2, "rope": "all"}),
 }
 
 
