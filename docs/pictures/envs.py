@@ -17,15 +17,18 @@ from shape_obs.utils.arrays import write_gif, write_image
 IMAGES = Path(__file__).parent.parent / "images"
 GOAL, FIRST, PAPER = (125, 35, 150), (20, 20, 20), 6
 ROWS, COLS = slice(75, 375), slice(120, 520)  # where things happen, of 640 x 480
+ALL_ROWS = slice(40, 430)  # of several ropes
 ENVS: dict[str, tuple[str, dict[str, Any]]] = {
     "cable": ("ShapeObs/Cable-v0", {}),
     "cable, one gripper": ("ShapeObs/Cable-v0", {"grippers": 1}),
+    "cables": ("ShapeObs/Cables-v0", {}),
     "ring": ("ShapeObs/Ring-v0", {}),
     "cloth": ("ShapeObs/Cloth-v0", {}),
     "hanging": ("ShapeObs/Hanging-v0", {}),
 }
 DIFFICULTIES = ("near", "middle", "far")
 IDLE = 8
+EPISODES = (("cable", "far"), ("cables", "middle"), ("ring", "far"), ("cloth", "middle"), ("hanging", "far"))
 
 
 def make(name: str, **options: Any) -> ShapeObservation:
@@ -50,19 +53,30 @@ def goal_lines(env: ShapeObservation) -> list[np.ndarray]:
 
 
 def frame(env: ShapeObservation, text: str) -> np.ndarray:
-    """The camera's picture with the goal and the points that were found, the first one ringed."""
+    """The camera's picture with the goal and the points that were found, or the true ones; the first one ringed."""
     canvas: Any = env.render()
     for line in goal_lines(env):
         draw_curve(canvas, line, GOAL, thickness=2)
-    if env.detection is not None:
+    inner: Any = env.unwrapped
+    several = hasattr(inner, "crossings")
+    if several:
+        pixels = inner.truth(frame="pixels")
+        draw_points(canvas, pixels, np.full(len(pixels), True))
+    elif env.detection is not None:
         shape = env.detection.shapes[0]
-        for point, valid in zip(np.rint(shape.pixels).astype(int).tolist(), shape.valid.tolist(), strict=True):
-            cv2.circle(canvas, point, 4, (255, 255, 255), -1, cv2.LINE_AA)
-            cv2.circle(canvas, point, 3, VALID if valid else HIDDEN, -1, cv2.LINE_AA)
-        cv2.circle(canvas, np.rint(shape.pixels[0]).astype(int).tolist(), 8, FIRST, 2, cv2.LINE_AA)
-    canvas = np.ascontiguousarray(canvas[ROWS, COLS])
+        draw_points(canvas, shape.pixels, shape.valid)
+    canvas = np.ascontiguousarray(canvas[ALL_ROWS if several else ROWS, COLS])
     draw_text(canvas, text, (10, 22))
     return canvas
+
+
+def draw_points(canvas: np.ndarray, pixels: np.ndarray, valid: np.ndarray) -> None:
+    """Draw points (N, 2) in pixels, in green where they are valid, the first one ringed."""
+    places = np.rint(pixels).astype(int).tolist()
+    for point, good in zip(places, valid.tolist(), strict=True):
+        cv2.circle(canvas, point, 4, (255, 255, 255), -1, cv2.LINE_AA)
+        cv2.circle(canvas, point, 3, VALID if good else HIDDEN, -1, cv2.LINE_AA)
+    cv2.circle(canvas, places[0], 8, FIRST, 2, cv2.LINE_AA)
 
 
 def episode(name: str, difficulty: str, seed: int) -> list[np.ndarray]:
@@ -97,7 +111,7 @@ def sheet() -> np.ndarray:
 def main() -> None:
     """Write them all."""
     write_image(IMAGES / "envs_sheet.jpg", sheet())
-    for name, difficulty in (("cable", "far"), ("ring", "far"), ("cloth", "middle"), ("hanging", "far")):
+    for name, difficulty in EPISODES:
         write_gif(IMAGES / f"env_{name}.gif", episode(name, difficulty, seed=2)[::2], 0.1)
 
 

@@ -23,6 +23,7 @@ _SHAPE = WrapperSpec("ShapeObservation", "shape_obs.wrappers.shape_observation:S
 # Strings, so that MuJoCo is imported only when an environment is made.
 _ENTRY_POINTS = {
     "Cable": "shape_obs_envs.mujoco.cable:CableEnv",
+    "Cables": "shape_obs_envs.mujoco.cables:CablesEnv",
     "Ring": "shape_obs_envs.mujoco.ring:RingEnv",
     "Cloth": "shape_obs_envs.mujoco.cloth:ClothEnv",
     "Hanging": "shape_obs_envs.mujoco.hanging:HangingEnv",

@@ -10,7 +10,9 @@ import numpy as np
 import shape_obs_envs  # noqa: F401
 from shape_obs_envs.mujoco.goal_env import ShapeGoalEnv
 
-ENVS = ("Cable", "Ring", "Cloth", "Hanging")
+#: Environments with one object, and all of them.
+SINGLE = ("Cable", "Ring", "Cloth", "Hanging")
+ENVS = (*SINGLE, "Cables")
 
 
 def make(name: str, randomize: Any = True, **options: Any) -> ShapeGoalEnv:

@@ -45,7 +45,8 @@ class SimulatedRobot:
     ``if __name__ == "__main__":``.
 
     Args:
-        env: "ShapeObs/Cable-v0", "ShapeObs/Ring-v0", "ShapeObs/Cloth-v0" or "ShapeObs/Hanging-v0".
+        env: Id of a simulated environment: "ShapeObs/Cable-v0", "ShapeObs/Cables-v0", "ShapeObs/Ring-v0",
+            "ShapeObs/Cloth-v0" or "ShapeObs/Hanging-v0".
         camera: The camera; None for a new ``SoftwareD455``.
         fps: Frames per second. A slow computer captures fewer; see ``pace``.
         seed: Seed of the first start and of the noise; later starts continue the sequence.

@@ -49,6 +49,7 @@ OWN_IDS: Final = {
         ("ShapeObs/Ring-v0", "ShapeObs/RingShape-v0", "ShapeObs/Cloth-v0", "ShapeObs/ClothShape-v0"), _SIMULATED
     ),
     **dict.fromkeys(("ShapeObs/Hanging-v0", "ShapeObs/HangingShape-v0"), (*_SIMULATED, "grippers", "view", "step")),
+    **dict.fromkeys(("ShapeObs/Cables-v0", "ShapeObs/CablesShape-v0"), (*_SIMULATED, "ropes", "grippers", "rope")),
     "ShapeObs/D455-v0": (
         "source", "rate", "size", "timeout", "settle", "max_age", "max_step", "workspace", "render_mode",
     ),

@@ -75,7 +75,7 @@ class FirstStart(NamedTuple):
 
 
 @simulated
-@pytest.mark.parametrize("name", ["Cable", "Ring", "Cloth", "Hanging"])
+@pytest.mark.parametrize("name", ["Cable", "Cables", "Ring", "Cloth", "Hanging"])
 def test_the_object_ages_and_follows_by_the_clock_whatever_its_timestep(name) -> None:
     from shape_obs_envs.robots.simulation_loop import RealtimeSimulation
 

@@ -66,9 +66,9 @@ def chain_bodies(spec: ChainSpec) -> str:
             f'group="{OBJECT_GROUP}" rgba="{rgba}"/>'
         )
         if i == 0:
-            parts.append(_jaws(spec, -spec.radius, -1))
+            parts.append(jaws(spec, -spec.radius, -1))
     if spec.grippers == 2:
-        parts.append(_jaws(spec, link + spec.radius, 1))
+        parts.append(jaws(spec, link + spec.radius, 1))
     parts.append("</body>" * spec.links)
     parts += [
         f'<body name="{name}" mocap="true" pos="{sign * spec.length / 2} 0 {spec.radius}"/>'
@@ -103,7 +103,7 @@ def chain_equality(spec: ChainSpec) -> str:
     )
 
 
-def _jaws(spec: ChainSpec, tip: float, sign: int) -> str:
+def jaws(spec: ChainSpec, tip: float, sign: int) -> str:
     """Return MJCF of the visible gripper: two fingers next to the tip and a palm beyond it, in the direction ``sign``.
 
     The geoms are on the end link, not on the mocap body, which is a few millimetres ahead because of the compliant
@@ -114,11 +114,11 @@ def _jaws(spec: ChainSpec, tip: float, sign: int) -> str:
     return "".join(
         f'<geom type="box" mass="0" rgba="{shade} {shade} {shade} 1" size="{" ".join(map(str, size))}" '
         f'pos="{" ".join(map(str, place))}"/>'
-        for shade, (size, place) in zip(shades, _jaw_boxes(spec.radius, tip, sign), strict=True)
+        for shade, (size, place) in zip(shades, jaw_boxes(spec.radius, tip, sign), strict=True)
     )
 
 
-def _jaw_boxes(r: float, tip: float, sign: int) -> Iterator[tuple[Sequence[float], Sequence[float]]]:
+def jaw_boxes(r: float, tip: float, sign: int) -> Iterator[tuple[Sequence[float], Sequence[float]]]:
     """Yield half sizes and places ``(3,)`` in metres of the two fingers and the palm for a rope of radius ``r``."""
     gap, thick, ahead, palm = 1.35 * r, 0.006, 0.018, 0.02
     behind = 0.35 * r + palm
@@ -145,7 +145,7 @@ class Rope(Body):
         self.nominal = self.spec = spec
         self._bodies = np.array([model.body(f"link{i}").id for i in range(spec.links)])
         self._geoms = np.array([model.geom(f"link{i}").id for i in range(spec.links)])
-        self._arc = _arc_lengths(spec)
+        self._arc = arc_lengths(spec)
 
     @property
     def _height(self) -> float:
@@ -193,7 +193,7 @@ class Rope(Body):
         """Set the size to factors of the nominal one; return the radius and the length of a link, in metres."""
         model, nominal = self.model, self.nominal
         self.spec = spec = replace(nominal, radius=nominal.radius * thickness, length=nominal.length * length)
-        self._arc = _arc_lengths(spec)
+        self._arc = arc_lengths(spec)
         radius, link = spec.radius, spec.link_length  # longer caps make the links shorter
         model.body_pos[self._bodies[1:], 0] = link
         model.geom_size[self._geoms, :2] = radius, link / 2
@@ -219,7 +219,7 @@ class Chain(Rope, PlanarBody):
         ends = [(0, -radius, -1), (-1, link + radius, 1)][: nominal.grippers]
         for weld, (end, tip, sign) in enumerate(ends):
             model.eq_data[weld, 3] = -tip  # position of the link relative to the gripper
-            for i, (size, place) in enumerate(_jaw_boxes(radius, tip, sign)):
+            for i, (size, place) in enumerate(jaw_boxes(radius, tip, sign)):
                 jaw = self._geoms[end] + 1 + i
                 model.geom_size[jaw], model.geom_pos[jaw] = size, place
                 model.geom_rbound[jaw] = np.linalg.norm(size)
@@ -250,7 +250,7 @@ class Chain(Rope, PlanarBody):
         return self.tip_poses()[: self.spec.grippers]
 
 
-def _arc_lengths(spec: ChainSpec) -> Array:
+def arc_lengths(spec: ChainSpec) -> Array:
     """Return the arc lengths ``(links + 1,)`` in metres from the first tip to each vertex of ``Chain.vertices``."""
     cuts = np.full(spec.links, spec.link_length)
     cuts[[0, -1]] += spec.radius

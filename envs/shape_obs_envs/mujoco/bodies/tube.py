@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: Name of the skin, of its texture and of its material.
+#: Name of the skin, of its texture and of its material, after the prefix of its rope.
 TUBE = "tube"
 _TEXELS = 512  # along the tube
 
@@ -78,14 +78,16 @@ class Tube(NamedTuple):
         return np.column_stack([starts, np.full(len(starts), self.origin[1]), np.full(len(starts), self.height)])
 
 
-def tube_skin(tube: Tube, links: int, rgba: Sequence[float]) -> str:
+def tube_skin(tube: Tube, links: int, rgba: Sequence[float], prefix: str = "") -> str:
     """Return MJCF of a skin over bodies named "link0", "link1", ...
 
     Args:
         tube: Form of the skin.
         links: Number of links; the texture covers them once.
         rgba: Colour.
+        prefix: Prefix of the names of the bodies, the skin, its texture and its material.
     """
+    name = prefix + TUBE
     k, stations, rings = len(tube.profile), tube.stations, tube.vertices
     ring, corner = np.meshgrid(np.arange(len(stations) - 1), np.arange(k), indexing="ij")
     a, b = ring * k + corner, ring * k + (corner + 1) % k
@@ -101,38 +103,40 @@ def tube_skin(tube: Tube, links: int, rgba: Sequence[float]) -> str:
         ids = np.concatenate([np.arange(i * k, (i + 1) * k) for i, _ in carried])
         weights = np.repeat([weight for _, weight in carried], k)
         bones.append(
-            f'<bone body="link{index}" bindpos="{_numbers(hinge)}" bindquat="1 0 0 0" vertid="{_numbers(ids)}" '
+            f'<bone body="{prefix}link{index}" bindpos="{_numbers(hinge)}" bindquat="1 0 0 0" vertid="{_numbers(ids)}" '
             f'vertweight="{_numbers(weights)}"/>'
         )
     return (
-        f'<asset><texture name="{TUBE}" type="2d" builtin="flat" rgb1="1 1 1" width="{_TEXELS}" height="1"/>'
-        f'<material name="{TUBE}" texture="{TUBE}" specular="0" shininess="0"/></asset>'
-        f'<deformable><skin name="{TUBE}" rgba="{_numbers(rgba)}" vertex="{_numbers(rings.ravel())}" '
+        f'<asset><texture name="{name}" type="2d" builtin="flat" rgb1="1 1 1" width="{_TEXELS}" height="1"/>'
+        f'<material name="{name}" texture="{name}" specular="0" shininess="0"/></asset>'
+        f'<deformable><skin name="{name}" rgba="{_numbers(rgba)}" vertex="{_numbers(rings.ravel())}" '
         f'texcoord="{_numbers(places.ravel())}" face="{_numbers(faces.ravel())}">{"".join(bones)}</skin></deformable>'
     )
 
 
-def reshape_tube(model: Any, tube: Tube) -> None:
+def reshape_tube(model: Any, tube: Tube, prefix: str = "") -> None:
     """Change the skin of a compiled model to the form of another tube over the same links."""
-    skin = model.skin(TUBE)
+    skin = model.skin(prefix + TUBE)
     start = int(model.skin_vertadr[skin.id])
     model.skin_vert[start : start + int(model.skin_vertnum[skin.id])] = tube.vertices.reshape(-1, 3)
     start = int(model.skin_boneadr[skin.id])
     model.skin_bonebindpos[start : start + int(model.skin_bonenum[skin.id])] = tube.hinges
 
 
-def set_tube_colours(model: Any, rgb: Sequence[float], tones: NDArray[Any]) -> None:
+def set_tube_colours(model: Any, rgb: Sequence[float], tones: NDArray[Any], prefix: str = "") -> None:
     """Set the colours of the skin of a compiled model.
 
     Args:
         model: The model.
         rgb: Colour, 0 ... 1.
         tones: Factor of the colour for each link, ``(links,)``, 0 ... 1.
+        prefix: Prefix of the name of the skin.
     """
+    name = prefix + TUBE
     link = (np.arange(_TEXELS) + 0.5) * len(tones) / _TEXELS
-    start, skin = int(model.texture(TUBE).adr[0]), model.skin(TUBE).id
+    start, skin = int(model.texture(name).adr[0]), model.skin(name).id
     model.tex_data[start : start + 3 * _TEXELS] = np.repeat(np.rint(255 * tones[link.astype(int)]), 3)
-    model.skin_rgba[skin, :3], model.skin_matid[skin] = rgb, model.material(TUBE).id
+    model.skin_rgba[skin, :3], model.skin_matid[skin] = rgb, model.material(name).id
 
 
 def _numbers(values: Sequence[float] | NDArray[np.generic]) -> str:

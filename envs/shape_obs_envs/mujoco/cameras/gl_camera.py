@@ -68,7 +68,7 @@ class GLCamera:
         for flag in _DISABLED_EFFECTS:
             self._scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
         self._option = mujoco.MjvOption()
-        if any(model.skin(i).name == TUBE for i in range(model.nskin)):
+        if any(model.skin(i).name.endswith(TUBE) for i in range(model.nskin)):
             self._option.geomgroup[OBJECT_GROUP] = 0
         self._view = mujoco.MjvCamera()
         self._view.type = mujoco.mjtCamera.mjCAMERA_FIXED

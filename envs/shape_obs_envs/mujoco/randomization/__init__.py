@@ -10,6 +10,7 @@ import numpy as np
 
 from shape_obs.spec import Spec, SpecError, did_you_mean
 from shape_obs_envs.mujoco.randomization.appearance import ObjectAppearance, TableAppearance, widened_rule
+from shape_obs_envs.mujoco.randomization.distractor_ropes import DistractorRopes
 from shape_obs_envs.mujoco.randomization.distractors import Distractors
 from shape_obs_envs.mujoco.randomization.factors import CameraPose, Factor, Light, Material, Scene
 from shape_obs_envs.mujoco.randomization.hand_occluder import Hand, HandVisit
@@ -117,6 +118,7 @@ class Randomizer:
         self._scene: Scene | None = None
         self._streams: dict[str, np.random.Generator] = {}
         self._visit: HandVisit | None = None
+        self._ropes: DistractorRopes | None = None
 
     # ---- when the model is written
 
@@ -135,6 +137,9 @@ class Randomizer:
     def bind(self, scene: Scene) -> None:
         """Set the scene to change."""
         self._scene = scene
+        ropes = self.spec.distractors.ropes if self.spec.distractors else 0
+        if ropes and DistractorRopes.suit(scene):
+            self._ropes = DistractorRopes(scene, ropes)
 
     # ---- at a reset
 
@@ -157,6 +162,8 @@ class Randomizer:
             return False
         for name in ("light", "table", "object", "camera", "distractors"):
             self._apply(name)
+        if self._ropes is not None:
+            self.drawn["distractors"]["ropes"] = self._ropes.draw(self._streams["distractors"])
         self._visit = None
         if self.spec.hand is not None and self._scene is not None:
             self.drawn["hand"], self._visit = self.spec.hand.apply(self._streams["hand"], self._scene)
@@ -167,7 +174,9 @@ class Randomizer:
     # ---- at a step
 
     def advance(self) -> None:
-        """Advance the hand by one step, after the physics."""
+        """Lay distractor ropes over the object and advance the hand by one step, after the physics."""
+        if self._ropes is not None:
+            self._ropes.advance()
         if self._visit is not None:
             self._visit.advance()
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from shape_obs_envs.mujoco.randomization.distractor_ropes import DistractorRopes
 from shape_obs_envs.mujoco.randomization.factors import Factor, Scene, choose, draw_other
-from shape_obs_envs.mujoco.scene import camera_model, mujoco
+from shape_obs_envs.mujoco.randomization.props import hide, prop_body, set_form, show
+from shape_obs_envs.mujoco.scene import camera_model
 
 Array = NDArray[np.float64]
 _NAME: Final = "distractor"
@@ -18,14 +19,6 @@ _KINDS: Final = ("box", "cylinder", "sphere", "capsule", "stick")
 _TRIES: Final = 40
 _GAP: Final = 0.015  # between a flat distractor and the object, in metres
 _LYING: Final = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)  # an upright cylinder laid along x
-#: Geom types, and their bounding radius as a function of their size.
-_GEOMS: Final[dict[str, Any]] = {
-    "box": (mujoco.mjtGeom.mjGEOM_BOX, lambda s: np.linalg.norm(s)),
-    "cylinder": (mujoco.mjtGeom.mjGEOM_CYLINDER, lambda s: np.hypot(s[0], s[1])),
-    "capsule": (mujoco.mjtGeom.mjGEOM_CAPSULE, lambda s: s[0] + s[1]),
-    "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, lambda s: s[0]),
-    "ellipsoid": (mujoco.mjtGeom.mjGEOM_ELLIPSOID, lambda s: np.max(s)),
-}
 
 
 @dataclass(frozen=True)
@@ -40,6 +33,8 @@ class Distractors(Factor):
         flat: Probability that a distractor is flat.
         size: Smallest and largest half length of a distractor in metres.
         height: Largest height of a tall distractor in metres.
+        ropes: Largest number of ropes of the object's colour, which lie over it; ignored unless the object is a single
+            rope on the table.
     """
 
     factor: ClassVar[str] = "distractors"
@@ -47,16 +42,17 @@ class Distractors(Factor):
     flat: float = 0.4
     size: tuple[float, float] = (0.012, 0.05)
     height: float = 0.05
+    ropes: int = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check(most=(0, 12), flat=(0, 1), height=(0.005, 0.1))
+        self._check(most=(0, 12), flat=(0, 1), height=(0.005, 0.1), ropes=(0, 4))
         if not 0.005 <= self.size[0] <= self.size[1] <= 0.1:
             raise ValueError(f"distractors.size: expected two sizes within 0.005 ... 0.1 m, got {self.size}.")
 
     def bodies(self) -> str:
         """Return MJCF of the largest number of distractors, invisible."""
-        return "".join(prop_body(f"{_NAME}{i}_", 1) for i in range(self.most))
+        return "".join(prop_body(f"{_NAME}{i}_", 1) for i in range(self.most)) + DistractorRopes.bodies(self.ropes)
 
     def apply(self, rng: np.random.Generator, scene: Scene) -> dict[str, Any]:
         """Draw the distractors and place them where there is room."""
@@ -129,37 +125,3 @@ def _spacing(points: Array) -> float:
     apart = np.linalg.norm(points[:, None] - points, axis=2)
     np.fill_diagonal(apart, np.inf)
     return float(apart.min(axis=1).max())
-
-
-# ---- geoms without physics, on mocap bodies, whose form and place change in the compiled model
-
-
-def prop_body(name: str, geoms: int, group: int = 0) -> str:
-    """Return MJCF of a body ``name`` with invisible geoms ``name0``, ``name1``, ... for ``set_form``."""
-    invisible = "".join(
-        f'<geom name="{name}{i}" type="sphere" size="0.01" mass="0.001" group="{group}" rgba="0 0 0 0"/>'
-        for i in range(geoms)
-    )
-    return f'<body name="{name}" mocap="true">{invisible}</body>'
-
-
-def set_form(
-    model: Any, geom: int, kind: str, size: Sequence[float], pos: Any = (0, 0, 0), quat: Any = (1, 0, 0, 0)
-) -> None:
-    """Set type, size (in metres, as in MJCF) and pose in its body of a geom."""
-    number, bound = _GEOMS[kind]
-    model.geom_type[geom], model.geom_rbound[geom] = int(number), bound(size)
-    model.geom_size[geom] = [*size, *(3 - len(size)) * [0.0]]
-    model.geom_pos[geom], model.geom_quat[geom] = pos, quat
-    # disable the compiler's shortcut, which ignores the pose of a geom whose frame was its body's
-    model.geom_sameframe[geom] = 0
-
-
-def show(model: Any, geoms: Any, rgb: Sequence[float]) -> None:
-    """Show geoms in a colour."""
-    model.geom_rgba[geoms] = [*rgb, 1.0]
-
-
-def hide(model: Any, geoms: Any) -> None:
-    """Hide geoms: neither camera draws what is fully transparent."""
-    model.geom_rgba[geoms, 3] = 0.0

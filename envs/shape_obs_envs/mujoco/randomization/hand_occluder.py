@@ -8,8 +8,8 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from shape_obs_envs.mujoco.randomization.distractors import hide, prop_body, set_form, show
 from shape_obs_envs.mujoco.randomization.factors import FAMILY, GREY, Colour, Factor, Scene, choose, hue_distance
+from shape_obs_envs.mujoco.randomization.props import hide, prop_body, set_form, show
 from shape_obs_envs.mujoco.scene import CAMERA, cast_rays, mujoco
 
 Array = NDArray[np.float64]

@@ -1,0 +1,294 @@
+"""The cables environment: its truth, its contacts, its goals and its images."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from simulator_gl import needs_gl
+
+import shape_obs_envs  # noqa: F401
+from shape_obs import ShapeGoal, ShapeObservation
+from shape_obs.bench.servo.worlds import TrueDetector, Unseen
+from shape_obs.servo import ShapeServo
+from shape_obs_envs.mujoco.bodies import MaterialFactors
+from shape_obs_envs.mujoco.bodies.crossings import intersections
+from shape_obs_envs.mujoco.cables import CablesEnv
+
+Array = np.ndarray[Any, Any]
+
+
+def make(**options: Any) -> CablesEnv:
+    env = gym.make("ShapeObs/Cables-v0", **{"camera": [84, 84], "renderer": "rays", **options})
+    return cast(CablesEnv, env.unwrapped)
+
+
+def start(env: CablesEnv, seed: int) -> dict[str, Any]:
+    """Reset without the search for a goal."""
+    return env.reset(seed=seed, options={"goal": env._goal})[0]
+
+
+def place(line: Array, at: float) -> Array:
+    """Return the point of a polyline at a place in segments from its start."""
+    i = int(at)
+    return line[i] + (at - i) * (line[i + 1] - line[i])
+
+
+def windings(env: CablesEnv) -> tuple[list[int], float]:
+    """Return for each two ropes the signed crossings with the first above, and with the second above.
+
+    Neither changes when ropes are bent, lifted or slid over each other, only when one passes through the other, or
+    slides over its end. The second value is the distance of the crossing that is nearest to an end, in links.
+    """
+    out, nearest = [], float("inf")
+    for one, other in combinations(env._ropes.vertices(), 2):
+        signs = [0, 0]
+        for s, t in intersections(one[:, :2], other[:, :2]):
+            u, v = one[int(s) + 1] - one[int(s)], other[int(t) + 1] - other[int(t)]
+            below = place(one, s)[2] < place(other, t)[2]
+            signs[int(below)] += int(np.sign(u[0] * v[1] - u[1] * v[0]))
+            nearest = min(nearest, s, t, len(one) - 1 - max(s, t))
+        out += signs
+    return out, nearest
+
+
+def drag(env: CablesEnv, seed: int, steps: int = 50) -> None:
+    """Check that no rope passes through another one or the table while grippers pull at full strength."""
+    rng, action = np.random.default_rng(seed), np.zeros(env.action_space.shape or ())
+    (before, nearest), ropes = windings(env), env._ropes
+    for step in range(steps):
+        if step % 6 == 0:
+            action = np.sign(rng.uniform(-1, 1, action.shape))
+        env._move(action)
+        contact = ropes.data.contact
+        assert contact.dist.min(initial=0.0) > -0.8 * ropes.spec.radius, "less than 0.4 of the thickness"
+        assert ropes.vertices()[..., 2].min() > 0.4 * ropes.spec.radius
+        assert ropes.vertices()[..., 2].max() < 0.06
+        assert np.abs(ropes.data.qvel).max() < 50
+        assert np.abs(ropes.gripper_poses()[:, :2] - env._target[:, :2]).max() < 0.02, "the grippers keep up"
+        after = windings(env)
+        assert after[0] == before or min(nearest, after[1]) < 1.5
+        before, nearest = after
+    assert np.isfinite(env.get_state()).all()
+    assert not any(warning.number for warning in ropes.data.warning)
+
+
+@pytest.fixture(scope="module")
+def env():
+    env = make()
+    yield env
+    env.close()
+
+
+# ---- the truth
+
+
+def test_truth_runs_from_end_to_end_of_every_rope(env):
+    start(env, 2)
+    for rope in range(3):
+        fine = env.truth(4001, rope=rope)
+        assert np.linalg.norm(np.diff(fine, axis=0), axis=1).sum() == pytest.approx(0.5, abs=1e-4)
+        assert np.allclose(env.truth(11, rope=rope), fine[::400])
+        assert np.allclose(env.truth(10, ends="centers", rope=rope), fine[200::400])
+        assert np.allclose(env.truth(9, rope="all").reshape(3, 9, 3)[rope], fine[::500])
+    assert list(env.anchors) == ["gripper0", "gripper1"]
+    for rope, name in enumerate(env.anchors):
+        assert np.allclose(env.anchors[name], env.truth(rope=rope)[0])
+        assert np.allclose(env._observe()["gripper"].reshape(2, 5)[rope, :3], env.anchors[name], atol=1e-6)
+    camera, local = env.camera_model, env.truth(15, frame="camera", rope=1)
+    assert np.allclose(camera.to_base(local), env.truth(15, rope=1))
+    assert np.allclose(camera.intrinsics.project(local), env.truth(15, frame="pixels", rope=1))
+    with pytest.raises(ValueError, match="rope: expected a whole number, from 0 to 2, got 3"):
+        env.truth(rope=3)
+
+
+@pytest.mark.parametrize(("rope", "points"), [(0, 20), (1, 20), ("all", 60)])
+def test_the_goal_is_that_of_the_named_rope_or_of_all(rope, points):
+    env = make(rope=rope, render_observation=False)
+    observation, info = env.reset(seed=1)
+    assert observation["desired_goal"].shape == (3 * points,)
+    assert np.array_equal(info["truth/points"], env.truth(rope=rope).astype(np.float32))
+    moved = np.linalg.norm((env._goal - observation["achieved_goal"]).reshape(-1, 3), axis=1)
+    assert moved.mean() > 0.02
+    assert env.shape_obs_defaults["shapes"][0]["anchor"] == ("gripper1" if rope == 1 else "gripper0")
+
+
+def test_with_one_gripper_the_other_ropes_are_in_sockets():
+    env = make(ropes=2, grippers=1, render_observation=False)
+    start(env, 3)
+    ends = env._ropes.end_poses()
+    assert list(env.anchors) == ["gripper0"]
+    for _ in range(10):
+        env._move(np.array([1.0, 0.5, -0.2]))
+    moved = np.linalg.norm(env._ropes.end_poses()[..., :2] - ends[..., :2], axis=2)
+    assert moved[0, 0] > 0.03
+    assert max(moved[0, 1], *moved[1]) < 2e-3
+
+
+# ---- how the ropes lie
+
+
+@pytest.mark.parametrize("ropes", [2, 3])
+def test_at_the_start_they_lie_over_each_other_and_on_the_table(ropes):
+    env = make(ropes=ropes, render_observation=False)
+    above = []
+    for seed in range(8):
+        start(env, seed)
+        vertices, radius = env._ropes.vertices(), env._ropes.spec.radius
+        assert vertices[..., 2].min() > 0.8 * radius
+        assert (np.abs(vertices[..., 2] - radius) < 1e-3).mean() > 0.3, "a third lies flat"
+        crossings = env.crossings()
+        assert len(crossings) >= ropes - 1
+        for crossing in crossings:
+            upper, lower = (
+                env._ropes.points(np.array([at]))[rope, 0]
+                for rope, at in ((crossing.above, crossing.above_at), (crossing.below, crossing.below_at))
+            )
+            assert upper[2] - lower[2] > 1.6 * radius
+            assert np.linalg.norm(upper[:2] - lower[:2]) < 6e-3  # seen obliquely
+        above += [crossing.above for crossing in crossings]
+    assert set(above) == set(range(ropes))
+
+
+def test_the_image_shows_the_upper_rope(env):
+    env = make(camera="d455")
+    for seed in range(3):
+        observation = start(env, seed)
+        for crossing in env.crossings():
+            u, v = np.rint(crossing.pixel).astype(int)
+            away, farther = (
+                env.camera_model.from_base(env._ropes.points(np.array([at]))[rope])[0, 2] - env._ropes.spec.radius
+                for rope, at in ((crossing.above, crossing.above_at), (crossing.below, crossing.below_at))
+            )
+            assert observation["depth"][v, u] / 1000 == pytest.approx(away, abs=2e-3)
+            assert farther - away > 0.01
+
+
+@pytest.mark.parametrize("ropes", [2, 3])
+def test_ropes_stay_above_or_below_when_they_are_dragged(ropes):
+    env = make(ropes=ropes, render_observation=False)
+    for seed in range(8):
+        start(env, seed)
+        drag(env, seed)
+
+
+@pytest.mark.parametrize(
+    "factors",
+    [
+        MaterialFactors(0.75, 0.5, 0.5, 1 / 1.6),
+        MaterialFactors(1.25, 2.0, 2.0, 1.6),
+        MaterialFactors(1.25, 0.5, 2.0, 0.7),
+    ],
+    ids=["limp and thin", "stiff and thick", "limp and thick"],
+)
+def test_every_material_is_stable(factors):
+    env = make(render_observation=False)
+    env._body.set_material(factors)
+    for seed in range(4):
+        start(env, seed)
+        drag(env, seed)
+
+
+def test_a_gripper_that_pulls_at_a_jammed_rope_stops():
+    """Without a limit of their force, grippers press jammed ropes halfway into each other and into the table."""
+    env = make(render_observation=False)
+    jammed = 0
+    for seed in (45, 12, 21):
+        start(env, seed)
+        drag(env, seed, 30)
+        for _ in range(15):
+            before = env._target.copy()
+            env._move(np.array([-1.0, -1, 0, -1, 1, 0]))
+            asked = env._workspace.clip(before + np.array([[-1.0, -1, 0], [-1, 1, 0]]) * env.STEP, before)
+            jammed += int(np.abs(env._target - asked).max() > 1e-3)
+            assert np.abs(env._ropes.gripper_poses()[:, :2] - env._target[:, :2]).max() < 0.02
+    assert jammed > 0
+
+
+def test_they_come_to_rest(env):
+    for seed in range(4):
+        start(env, seed)
+        rng = np.random.default_rng(seed)
+        for _ in range(4):
+            action = rng.uniform(-1, 1, 6)
+            for _ in range(5):
+                env._move(action)
+        for _ in range(40):
+            env._move(np.zeros(6))
+        before = env.truth(rope="all")
+        env._move(np.zeros(6))
+        assert np.linalg.norm(env.truth(rope="all") - before, axis=1).max() < 1e-3
+
+
+def test_a_dragged_rope_moves_those_that_it_lies_on():
+    """The middle of rope 2, whose ends do not move, follows what the others do."""
+    env = make(render_observation=False)
+    moved = []
+    for seed in range(4):
+        start(env, seed)
+        before = env.truth(rope=2)
+        for _ in range(25):
+            env._move(np.array([1.0, 0.5, 0.5, 1.0, -0.5, -0.5]))
+        moved.append(np.linalg.norm(env.truth(rope=2) - before, axis=1))
+    assert max(map(np.max, moved)) > 0.01
+    assert max(max(each[0], each[-1]) for each in moved) < 2e-3
+
+
+def test_a_state_is_taken_over_with_another_thickness(env):
+    start(env, 0)
+    state, goal = env.get_state(), env._goal
+    env._body.set_material(MaterialFactors(thickness=1.25))
+    env.reset(seed=1, options={"start": state, "goal": goal})
+    for _ in range(5):
+        env.step(np.zeros(6, np.float32))
+    assert np.abs(env._ropes.gripper_poses() - env._target).max() < 0.02
+    assert np.allclose(env._ropes.vertices()[:, [0, -1], 2], env._ropes.spec.radius, atol=1e-3)
+    env._body.set_material(MaterialFactors())
+
+
+# ---- images, arguments, servo
+
+
+@needs_gl
+def test_opengl_and_rays_draw_the_same():
+    one, two = (start(make(camera="d455", renderer=renderer), 3) for renderer in ("gl", "rays"))
+    apart = np.abs(one["rgb"].astype(int) - two["rgb"]).max(axis=2)
+    assert np.median(apart) <= 2
+    assert (apart > 20).mean() < 0.01, "outlines within a pixel"
+    depth = np.abs(one["depth"].astype(int) - two["depth"])
+    assert np.median(depth) <= 1
+    assert (depth > 5).mean() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"ropes": 4}, r"ropes: expected a whole number, from 2 to 3, got 4"),
+        ({"grippers": 3}, r"grippers: expected a whole number, from 1 to 2, got 3"),
+        ({"rope": 2}, r"rope: expected a whole number, from 0 to 1, got 2"),
+        ({"rope": 1, "grippers": 1}, r"rope: expected a whole number, from 0 to 0, got 1"),
+        ({"rope": "al"}, r"rope: expected one of 'all', got 'al'. Did you mean 'all'"),
+    ],
+)
+def test_bad_arguments_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        make(**options)
+
+
+def test_a_servo_brings_the_named_rope_to_its_goal():
+    world = gym.make("ShapeObs/Cables-v0", rope=1, render_observation=False, max_episode_steps=-1)
+    observing = ShapeObservation(Unseen(world, (160, 120)))
+    observing.detector = TrueDetector(world.get_wrapper_attr("truth"), **observing.detector.config.to_dict())
+    env = ShapeGoal(observing, features=[{"kind": "points3d", "frame": "base"}], threshold=0.01)
+    servo = ShapeServo("rls")
+    servo.attach(env)
+    observation, info = env.reset(seed=1)
+    for _ in range(100):
+        observation, _, _, _, info = env.step(servo.act(observation))
+    assert info["truth/mean_error"] < 0.01
