@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -74,10 +74,9 @@ def levels(scenes: int, seed: int = 0) -> list[Row]:
         high, wide = scene.mask.shape
         camera = Intrinsics(wide, high, _FOCAL, _FOCAL, (wide - 1) / 2, (high - 1) / 2)
         for given, rgb, metres in (("picture", True, None), ("depth", False, depth), ("both", True, depth)):
-            spec = Centerline(n=_N, count="all", ends="tips", segmentation=_Drawn(mask=_Mask(scene.mask)))
-            detector, lens = ShapeDetector([spec]), None if metres is None else camera
-            found = detector.detect(scene.rgb if rgb else None, metres, lens)
-            answers[given] += _answers(found, scene)
+            spec = Centerline(n=_N, count="all", ends="tips")
+            lens = None if metres is None else camera
+            answers[given] += _answers(detect_scene(scene, spec, metres, lens, picture=rgb), scene)
     return [
         Row(
             given=given,
@@ -87,6 +86,19 @@ def levels(scenes: int, seed: int = 0) -> list[Row]:
         )
         for given, some in answers.items()
     ]
+
+
+def detect_scene(
+    scene: RopeScene,
+    spec: Centerline,
+    depth: npt.NDArray[Any] | None = None,
+    camera: Intrinsics | None = None,
+    *,
+    picture: bool = True,
+) -> Detection:
+    """Detect ropes in a scene's own mask, with its picture, which no colour rule is asked about."""
+    detector = ShapeDetector([replace(spec, segmentation=_Drawn(mask=_Mask(scene.mask)))])
+    return detector.detect(scene.rgb if picture else None, depth, camera)
 
 
 def targets(cold: Sequence[Row], tracked: Sequence[Row], above: Sequence[Row]) -> Iterator[Row]:
