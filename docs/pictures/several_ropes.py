@@ -13,7 +13,9 @@ from shape_obs.bench.synthetic.several_ropes import several_ropes
 from shape_obs.drawing import draw_curve, draw_detection, draw_text, slot_colours
 
 N = 20
-FRAMES = (0, 60, 90, 150)
+FEW = 10  # points of the tracked ropes
+SEED, FRAMES = 0, (0, 45, 75, 120)
+CLOSE = (slice(480, 960), slice(500, 1140))  # of a picture twice as large
 
 
 def stages() -> np.ndarray:
@@ -29,19 +31,25 @@ def stages() -> np.ndarray:
         "1  one colour, one mask": scene.rgb,
         f"2  {len(detection)} slots": slots,
         f"3  {N} points each, {len(detection.crossings)} crossings": draw_detection(scene.rgb, detection),
+        "4  the upper strand is drawn over the lower one": draw_detection(scene.rgb, detection, scale=2)[CLOSE],
     }
-    return np.hstack([titled(panel, title) for title, panel in panels.items()])
+    return tiled([titled(panel, title) for title, panel in panels.items()])
 
 
 def tracked() -> np.ndarray:
     """Draw frames of a sequence in which ropes are moved across each other."""
-    detector = ShapeDetector([Centerline(n=N, name="rope", count=3, ends="tips")])
+    detector = ShapeDetector([Centerline(n=FEW, name="rope", count=3, ends="tips")])
     panels = []
-    for frame, moment in enumerate(moving_ropes(np.random.default_rng(4), pictures=True)):
+    for frame, moment in enumerate(moving_ropes(np.random.default_rng(SEED), pictures=True)):
         detection: Detection = detector.detect_mask(moment.mask)
         if frame in FRAMES and moment.rgb is not None:
             panels.append(titled(draw_detection(moment.rgb, detection), f"frame {frame}"))
-    return np.hstack(panels)
+    return tiled(panels)
+
+
+def tiled(panels: list[np.ndarray]) -> np.ndarray:
+    """Return four pictures in two rows."""
+    return np.vstack([np.hstack(panels[:2]), np.hstack(panels[2:])])
 
 
 def titled(picture: np.ndarray, title: str) -> np.ndarray:

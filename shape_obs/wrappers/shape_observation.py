@@ -97,6 +97,12 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
                 )
         own = {name: chosen.pop(name, None) for name in _OWN}
         self.detector = ShapeDetector(**chosen)
+        for shape in self.detector.config.shapes:
+            if shape.count == "all":
+                raise ValueError(
+                    f"shape {shape.name!r}: count='all' has no fixed number of slots, as an observation needs; give a "
+                    "number, or use ShapeDetector."
+                )
         self._images = Images.find(env.observation_space, own["rgb_key"], own["depth_key"])
         self._given_camera = _read_camera(own["camera"])
         camera = self._given_camera or env_protocol.camera_model(env)
