@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -9,6 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.topology import Grid, Ring, Topology
 from shape_obs.shape import Detection, Shape
 
@@ -21,6 +23,13 @@ VISIBLE: Final[Colour] = (255, 170, 0)
 HIDDEN: Final[Colour] = (230, 50, 50)
 _PAPER: Final[Colour] = (255, 255, 255)
 _INK: Final[Colour] = (20, 20, 20)
+# Lines of slots, far from the colours of points and from each other.
+SLOTS: Final[tuple[Colour, ...]] = (
+    (0, 90, 200), (215, 60, 180), (0, 190, 215), (245, 225, 50), (120, 50, 170), (140, 85, 30), (250, 250, 250),
+    (30, 30, 30),
+)  # fmt: skip
+_STEP: Final = 5  # of a slot's points one in so many has its number
+_HALF: Final = 12.0  # pixels: half the stroke of the upper strand of a crossing
 _ANTIALIASED: Final = cv2.LINE_AA
 _SHIFT: Final = 4
 
@@ -38,15 +47,30 @@ def draw_detection(
 
     Returns:
         (H*scale, W*scale, 3) uint8, RGB: green points are valid, orange ones on the mask but without depth, red ones
-        hidden or held; numbers run from 0 and the first point is ringed. Text says why a shape was not found, that its
-        numbering begins anew, and what is wrong with the stamp.
+        hidden or held; numbers run from 0 and the first point is ringed. Slots of one configuration have lines of their
+        own colours, their names at point 0, and a number at every fifth point. Where ropes cross, the upper one is
+        drawn over the lower one, which has a gap; a broken ring marks a crossing of which the upper strand is unknown.
+        Text says why a shape was not found, how many objects have no slot, that a numbering begins anew, and what is
+        wrong with the stamp.
     """
     picture = rgb.repeat(scale, axis=0).repeat(scale, axis=1)
     for curve, colour in under:
         draw_curve(picture, _enlarged(curve, scale), colour, thickness=2)
     lines = [detection.warning] if detection.warning else []
+    lines += [f"{name}: {more} more found than there are slots" for name, more in detection.more.items()]
+    slots = slot_colours(detection)
     for shape in detection:
-        draw_shape(picture, shape, scale=scale)
+        _draw_lines(picture, shape, scale, slots.get(shape.name))
+    for crossing in detection.crossings:
+        _draw_crossing(picture, crossing, detection, scale, slots)
+    for shape in detection:
+        _draw_points(picture, shape, scale, _STEP if shape.name in slots else 1)
+    for shape in detection:
+        if shape.name in slots and np.isfinite(shape.pixels[0]).all():
+            u, v = _enlarged(shape.pixels[:1], scale)[0].tolist()
+            width = cv2.getTextSize(shape.name, cv2.FONT_HERSHEY_SIMPLEX, 0.4, 1)[0][0]
+            place = min(max(round(u) - width // 2, 2), picture.shape[1] - width - 2), max(round(v) - 14, 12)
+            draw_text(picture, shape.name, place)
         if shape.reason:
             lines.append(f"{shape.name}: {shape.reason}")
         elif shape.new and shape.track_id > 1:
@@ -54,6 +78,16 @@ def draw_detection(
     for row, line in enumerate(lines):
         draw_text(picture, line, (8, 20 + 18 * row), HIDDEN)
     return picture
+
+
+def slot_colours(detection: Detection) -> dict[str, Colour]:
+    """Return the colour of each slot's lines, by its name: shapes whose names differ in a number at their end alone."""
+    stems: dict[str, list[str]] = {}
+    for shape in detection:
+        if match := re.fullmatch(r"(.*?)\d+", shape.name):
+            stems.setdefault(match[1], []).append(shape.name)
+    names = [name for some in stems.values() if len(some) > 1 for name in some]
+    return {name: SLOTS[k % len(SLOTS)] for k, name in enumerate(names)}
 
 
 def draw_shape(picture: Image, shape: Shape, *, scale: int = 1) -> None:
@@ -67,20 +101,57 @@ def draw_shape(picture: Image, shape: Shape, *, scale: int = 1) -> None:
     Raises:
         ValueError: The shape was found in a cloud: there is nothing to draw it over.
     """
+    _draw_lines(picture, shape, scale)
+    _draw_points(picture, shape, scale, 1)
+
+
+def _draw_lines(picture: Image, shape: Shape, scale: int, colour: Colour | None = None) -> None:
     points = _enlarged(shape.pixels, scale)
     known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=1))
     for first, second in shape.layout.edges():
         if known[first] and known[second]:
-            draw_curve(picture, points[[first, second]], _PAPER, thickness=1)
+            draw_curve(picture, points[[first, second]], colour or _PAPER, thickness=3 if colour else 1)
+
+
+def _draw_points(picture: Image, shape: Shape, scale: int, step: int) -> None:
+    """Draw the points of a shape, and the numbers of one in ``step``."""
+    points = _enlarged(shape.pixels, scale)
     numbers = points + _number_offsets(points, shape.layout)
-    for i in np.flatnonzero(known):
+    for i in np.flatnonzero(np.isfinite(points).all(axis=1)).tolist():
         colour = VALID if shape.valid[i] else VISIBLE if shape.visible[i] else HIDDEN
         centre = _fixed(points[i])
         cv2.circle(picture, centre, 5 << _SHIFT, _PAPER, -1, _ANTIALIASED, _SHIFT)
         cv2.circle(picture, centre, 4 << _SHIFT, colour, -1, _ANTIALIASED, _SHIFT)
         if i == 0:
             cv2.circle(picture, centre, 8 << _SHIFT, _INK, 1, _ANTIALIASED, _SHIFT)
-        _number(picture, str(i), numbers[i])
+        if i % step == 0 and (i > 0 or step == 1):
+            _number(picture, str(i), numbers[i])
+
+
+def _draw_crossing(
+    picture: Image, crossing: Crossing, detection: Detection, scale: int, slots: dict[str, Colour]
+) -> None:
+    """Draw the upper strand over the lower one, or a ring where it is unknown which one that is."""
+    centre = _enlarged(np.array(crossing.pixel), scale)
+    if crossing.above is None:
+        for start in (15, 195):
+            for colour, thickness in ((_PAPER, 4), (_INK, 2)):
+                axes = (10 << _SHIFT, 10 << _SHIFT)
+                cv2.ellipse(
+                    picture, _fixed(centre), axes, 0, start, start + 150, colour, thickness, _ANTIALIASED, _SHIFT
+                )
+        return
+    shape = detection[crossing.slots[crossing.above]]
+    points = _enlarged(shape.pixels, scale)
+    at = crossing.arcs[crossing.above] * (len(points) - 1)
+    first = min(max(int(at), 0), len(points) - 2)
+    along = points[first + 1] - points[first]
+    if not np.isfinite(along).all():
+        return
+    along *= _HALF / max(float(np.linalg.norm(along)), 1e-9)
+    colour = slots.get(shape.name)
+    draw_curve(picture, np.stack([centre - along, centre + along]), _PAPER if colour else _INK, thickness=11)
+    draw_curve(picture, np.stack([centre - 1.2 * along, centre + 1.2 * along]), colour or _PAPER, thickness=3)
 
 
 def draw_curve(picture: Image, points: Array, colour: Colour, *, thickness: int = 1) -> None:

@@ -262,7 +262,7 @@ def test_slots_are_blocks_of_an_observation():
     assert observation in env.observation_space
     assert [info[f"shape/centerline{k}/ok"] for k in range(3)] == [True, True, False]
     assert {block.shape for block in env.blocks} == {"centerline0", "centerline1", "centerline2"}
-    with pytest.raises(ValueError, match="count='all' has no fixed size"):
+    with pytest.raises(ValueError, match="count='all' has no fixed number of slots"):
         ShapeObservation(Table(), [Centerline(count="all")], rule)
 
 

@@ -96,7 +96,7 @@ def stages(spec: Configuration, mask: np.ndarray) -> np.ndarray:
         f"3  cold start: {COLD[spec.kind]}": with_form(pale, start),
         f"4  {MAP[spec.kind]}, {len(found.nodes)} nodes": with_nodes(pale, path, found.topology),
         "5  the form through the nodes": with_form(pale, found.form),
-        f"6  {spec.count} ordered points, quality {detection.shapes[0].quality:.2f}": draw_detection(
+        f"6  {spec.layout.size} ordered points, quality {detection.shapes[0].quality:.2f}": draw_detection(
             image, detection, scale=SCALE
         ),
     }

@@ -15,8 +15,8 @@ from shape_obs.bench.tables import Row
 
 Tables = Iterator[tuple[str, Iterable[Row]]]
 Group = Literal[
-    "ropes", "tangles", "hands", "motion", "belief", "noise", "outlines", "sheets", "clouds", "markers", "cable",
-    "envs", "camera", "deploy", "robustness", "time",
+    "ropes", "tangles", "several", "hands", "motion", "belief", "noise", "outlines", "sheets", "clouds", "markers",
+    "cable", "envs", "camera", "deploy", "robustness", "time",
 ]  # fmt: skip
 
 
@@ -64,6 +64,19 @@ def _tangles(effort: Effort) -> Tables:
 
     title = "ropes that cross themselves, are cut, or touch themselves, cold"
     yield title, tangled_ropes(effort.count(100), effort.seed)
+
+
+def _several(effort: Effort) -> Tables:
+    from shape_obs.bench import rope_identity_claims as identity
+    from shape_obs.bench import several_rope_claims as several
+
+    cold = list(several.cold_cells(effort.count(200), effort.seed))
+    yield "scenes of several ropes of one colour, cold", cold
+    tracked = identity.track_table(identity.rope_tracks(effort.seeds(60)))
+    yield "three ropes that move, tracked over 180 frames", tracked
+    above = several.levels(effort.count(200), effort.seed)
+    yield "which strand is above, ropes of 8 mm or more at 0.6 m", above
+    yield "several ropes: asked and seen", several.targets(cold, tracked, above)
 
 
 def _hands(effort: Effort) -> Tables:
@@ -226,7 +239,7 @@ def _time(effort: Effort) -> Tables:
 
 
 _FUNCTIONS: Final = (
-    _ropes, _tangles, _hands, _motion, _belief, _noise, _outlines, _sheets, _clouds, _markers, _cable, _envs, _camera,
-    _deploy, _robustness, _time,
+    _ropes, _tangles, _several, _hands, _motion, _belief, _noise, _outlines, _sheets, _clouds, _markers,
+    _cable, _envs, _camera, _deploy, _robustness, _time,
 )  # fmt: skip
 GROUPS: Final[dict[Group, Callable[[Effort], Tables]]] = dict(zip(get_args(Group), _FUNCTIONS, strict=True))

@@ -43,6 +43,8 @@ class Arguments:
     """Number of points; default: as in the config, or 20."""
     ends: str | None = None
     """'centers': points at the centres of equal pieces; 'tips': first and last point on the ends of the object."""
+    count: str | None = None
+    """How many objects of one colour to find, each in a slot of its own: a number, or 'all'."""
     out: Path = Path("overlays")
     """Folder for the pictures."""
     track: bool = False
@@ -126,13 +128,23 @@ def _detector_arguments(args: Arguments) -> dict[str, Any]:
         arguments = {"segmentation": propose_hsv(read_image(args.images[0]), _pixel(args.pick or ""))}
     if args.ends is not None:
         arguments["ends"] = args.ends
-    if args.n is not None:
+    changed = {"n": args.n, "count": _count(args.count)}
+    changed = {name: value for name, value in changed.items() if value is not None}
+    if changed:
         shapes = arguments.get("shapes", [{"kind": "centerline"}])
-        arguments["shapes"] = [{**Configuration.from_dict(shape).to_dict(), "n": args.n} for shape in shapes]
+        arguments["shapes"] = [{**Configuration.from_dict(shape).to_dict(), **changed} for shape in shapes]
     if args.pick is not None:
         save_config(args.save_config, arguments)
         print(f"wrote {args.save_config}: {arguments['segmentation'].to_dict()}", file=sys.stderr)
     return arguments
+
+
+def _count(text: str | None) -> int | str | None:
+    if text is None or text == "all":
+        return text
+    if not text.isdigit():
+        raise ValueError(f"--count: expected a number or 'all', got {text!r}.")
+    return int(text)
 
 
 def _pixel(text: str) -> tuple[float, float]:

@@ -139,6 +139,8 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
         super().__post_init__()
         if not self.name:
             object.__setattr__(self, "name", self.kind)
+        if self.radius < 0 or not np.isfinite(self.radius):
+            raise ValueError(f"{self.kind}: radius must be >= 0 metres, got {self.radius}.")
         if isinstance(self.count, int) and not 1 <= self.count <= MOST_SLOTS:
             raise ValueError(f"{self.kind}: count must lie in 1...{MOST_SLOTS}, be 'all' or None, got {self.count}.")
         anchors = self.anchor if isinstance(self.anchor, Mapping) else {self.name: self.anchor}
@@ -166,8 +168,6 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
             anchor = named.get(slot) if isinstance(named, Mapping) else named
             slots.append(replace(self, name=slot, count=None, anchor=anchor))
         return tuple(slots)
-        if self.radius < 0 or not np.isfinite(self.radius):
-            raise ValueError(f"{self.kind}: radius must be >= 0 metres, got {self.radius}.")
 
     @cached_property
     @abstractmethod

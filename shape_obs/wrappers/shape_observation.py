@@ -99,7 +99,10 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         self.detector = ShapeDetector(**chosen)
         for shape in self.detector.config.shapes:
             if shape.count == "all":
-                raise ValueError(f"shape {shape.name!r}: count='all' has no fixed size; give the number of slots.")
+                raise ValueError(
+                    f"shape {shape.name!r}: count='all' has no fixed number of slots, as an observation needs; give a "
+                    "number, or use ShapeDetector."
+                )
         self._images = Images.find(env.observation_space, own["rgb_key"], own["depth_key"])
         self._given_camera = _read_camera(own["camera"])
         camera = self._given_camera or env_protocol.camera_model(env)

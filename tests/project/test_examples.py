@@ -13,6 +13,7 @@ EXPECTED = {
     "wrap_your_env.py": "bend 0.8: the middle lies 13",
     "detect_photo.py": "ok: True",
     "three_shapes.py": "cloth: Grid(rows=4, cols=8), ok: True",
+    "several_ropes.py": "rope1: ok: True , knotted; U1- O2- U3- O1- U2- O3-",
     "point_cloud.py": "20 ordered points, gaps",
     "two_cameras.py": "camera 1: ok: True",
     "shape_goal.py": "end: is_success: True, the simulator says True",
