@@ -26,9 +26,10 @@ from shape_obs.geometry.intersections import crossing_table, find_crossings, joi
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.find_region import prepare
 from shape_obs.image.over_under import tell_layers, upper_strands
+from shape_obs.image.pieces import own_mask, split_components
 from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
-from shape_obs.image.sharing import SHARING_FUNCTIONS
+from shape_obs.image.sharing import share_pixels
 from shape_obs.shape import Detection, Shape
 from shape_obs.slots import Slots
 from shape_obs.tracker import Moment, Tracker
@@ -81,7 +82,9 @@ class ShapeDetector:
         functions = [*prepare(spec.segmentation for spec in self.shapes), *SHAPE_FUNCTIONS, *TRACK_FUNCTIONS]
         functions += (function for spec in self.shapes for function in spec.compiled_functions)
         functions += [crossing_table, upper_strands] * any(spec.is_ribbon for spec in self.shapes)
-        functions += [*SHARING_FUNCTIONS] * any(spec.count is not None for spec in self.config.shapes)
+        functions += [share_pixels, split_components, own_mask] * any(
+            spec.count is not None for spec in self.config.shapes
+        )
         compile_now(functions)
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it

@@ -14,9 +14,10 @@ from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.base import Configuration, Scene
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import catmull_rom
+from shape_obs.image.pieces import component_parts
 from shape_obs.image.region import Region
 from shape_obs.image.segmentation import Segmentation
-from shape_obs.image.sharing import CLOSE, EXPECTED, FOUND, WIDE, component_parts, part_of, share
+from shape_obs.image.sharing import CLOSE, EXPECTED, FOUND, WIDE, part_of, share
 from shape_obs.shape import Shape
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.exchanges import exchange_gain

@@ -110,7 +110,7 @@ def _axis_of_mask(region: Region) -> FittedCurve:
     joined = bridge([strand.curve for strand in kept], width)
     if joined.rival < _RIVAL:
         doubts.append("the pieces could be joined in another order about as well")
-    if joined.bent > _TURNS_BACK:
+    if region.pieces > 1 and joined.bent > _TURNS_BACK:
         doubts.append("it would have to turn back where it is hidden: these may be two ropes, which count=2 finds")
     curve, bridged = even(joined.curve, joined.bridged, width)
     return _axis(curve, bridged & ~region.contains(curve), "; ".join(dict.fromkeys(doubts)))

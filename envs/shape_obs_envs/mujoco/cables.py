@@ -107,12 +107,16 @@ class CablesEnv(ShapeGoalEnv, EzPickle):
         }
 
     def _shape(self) -> dict[str, Any]:
-        """Return the shape that the wrapper should find: one rope, in the gripper of the rope that has the goal."""
+        """Return the shapes that the wrapper should find: a slot for each rope, the one that has the goal first."""
+        held = self._ropes.spec.grippers
+        first = 0 if isinstance(self.rope, str) else self.rope
+        order = [first, *(k for k in range(held) if k != first)]
         return {
             "kind": "centerline",
             "name": "centerline",
             "n": POINTS,
-            "anchor": GRIPPERS[0 if isinstance(self.rope, str) else self.rope],
+            "count": self._ropes.ropes,
+            "anchor": {f"centerline{slot}": GRIPPERS[k] for slot, k in enumerate(order)},
             "ends": "tips",
             "spacing": "m",
             "radius": self._ropes.nominal.radius,
