@@ -52,6 +52,7 @@ _EVERY_SHAPE = (
     "tests/configurations/test_surface.py",
     "tests/test_degenerate_input.py",
 )
+_SEVERAL = ("tests/bench/test_several_rope_claims.py", "tests/cli/test_detect_several.py")
 # The test files that a constant of a file concerns, after the file's own tests; those that are fast come first.
 _TESTS: dict[str, tuple[str, ...]] = {
     "belief": (*_EVERY_SHAPE, "tests/bench/test_belief_claims.py"),
@@ -68,7 +69,9 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "registration_in_space": (*_OUTLINES, "tests/bench/test_contour_claims.py"),
     "rope_length": _ROPES,
     "rope_match": _ROPES,
+    "scene_doubt": _SEVERAL,
     "search_window": _EVERY_SHAPE,
+    "seats": _SEVERAL,
     "sheet_view": _SHEETS,
     "validation": (*_EVERY_SHAPE, "tests/bench/test_worst_case_claims.py", _SLOW[2]),
 }
