@@ -17,7 +17,7 @@ from shape_obs.geometry.polyline import catmull_rom
 from shape_obs.image.pieces import component_parts
 from shape_obs.image.region import Region
 from shape_obs.image.segmentation import Segmentation
-from shape_obs.image.sharing import CLOSE, EXPECTED, FOUND, WIDE, part_of, share
+from shape_obs.image.sharing import CLOSE, EXPECTED, FOUND, WIDE, Reach, part_of, share
 from shape_obs.shape import Shape
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.exchanges import exchange_gain
@@ -129,7 +129,7 @@ class Slots:
                 shapes.append(tracker.finish(found, moment))
         return shapes
 
-    def _follow(self, seen: _Seen, nodes: list[Array | None], how: int) -> tuple[list[Attempt | None], bool]:
+    def _follow(self, seen: _Seen, nodes: list[Array | None], how: Reach) -> tuple[list[Attempt | None], bool]:
         """Fit the slots that have a track to the parts of the mask around their nodes; return whether ribbons met."""
         tries: list[Attempt | None] = [None] * len(self.trackers)
         known, curves, widths = [], [], []
@@ -146,7 +146,7 @@ class Slots:
                 tries[k] = self._try(k, part, seen)
             return tries, False
         owners, contested, _ = share(seen.region, curves, widths, how)
-        for at in np.flatnonzero(contested):  # where ribbons meet, each is first fitted to what is its own for certain
+        for at in np.flatnonzero(contested).tolist():  # where ribbons meet, each is first fitted to what is its own for certain
             again = self._try(known[at], self._part(seen.region, owners, [at]), seen)
             if not again.found.reason:
                 curves[at] = again.found.form.points

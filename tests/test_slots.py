@@ -197,16 +197,16 @@ def test_slots_keep_their_ropes(kind):
 
 def test_a_rope_that_was_hidden_comes_back_to_its_slot_while_another_stays():
     detector = ShapeDetector([Centerline(n=10, count=2, ends="tips")], max_age=0.2)
-    for ropes in [(UP, DOWN)] * 3 + [(DOWN,)] * 10 + [(UP, DOWN)] * 3:
-        detection = detector.detect_mask(drawn(*ropes))
+    frames = [(UP, DOWN)] * 3 + [(DOWN,)] * 10 + [(UP, DOWN)] * 3
+    detection = [detector.detect_mask(drawn(*ropes)) for ropes in frames][-1]
     np.testing.assert_allclose(detection["centerline0"].points2d[0], UP[0], atol=5)
     np.testing.assert_allclose(detection["centerline1"].points2d[0], DOWN[0], atol=5)
 
 
 def test_a_rope_that_enters_takes_a_slot_that_was_never_used():
     detector = ShapeDetector([Centerline(n=10, count=3, ends="tips")], max_age=0.2)
-    for ropes in [(UP, DOWN)] * 3 + [(DOWN,)] * 12 + [(LEVEL, DOWN)] * 2 + [(UP, LEVEL, DOWN)] * 2:
-        detection = detector.detect_mask(drawn(*ropes))
+    frames = [(UP, DOWN)] * 3 + [(DOWN,)] * 12 + [(LEVEL, DOWN)] * 2 + [(UP, LEVEL, DOWN)] * 2
+    detection = [detector.detect_mask(drawn(*ropes)) for ropes in frames][-1]
     for name, rope in (("centerline0", UP), ("centerline1", DOWN), ("centerline2", LEVEL)):
         np.testing.assert_allclose(detection[name].points2d[0], rope[0], atol=5)
 
@@ -247,7 +247,7 @@ def test_slots_are_blocks_of_an_observation():
         action_space = gym.spaces.Discrete(1)
 
         def _seen(self):
-            return np.where(drawn(UP, DOWN)[..., None] > 0, np.uint8((20, 60, 220)), np.uint8(200))
+            return np.where(drawn(UP, DOWN)[..., None] > 0, np.array((20, 60, 220), np.uint8), np.uint8(200))
 
         def reset(self, *, seed=None, options=None):
             super().reset(seed=seed)

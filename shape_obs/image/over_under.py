@@ -81,10 +81,10 @@ def upper_strands(
     """
     out = np.full(len(who), -1, np.int64)
     for c in range(len(who)):
-        heading, bend = np.empty((2, 2)), np.empty(2)
+        heading = np.empty((2, 2))
         for s in range(2):
             curve = points[stops[who[c, s] - 1] if who[c, s] else 0 : stops[who[c, s]]]
-            bend[s] = _heading(curve, at[c, s], widths[who[c, s]], heading[s])
+            _heading(curve, at[c, s], float(widths[who[c, s]]), heading[s])
         sine = max(abs(heading[0, 0] * heading[1, 1] - heading[0, 1] * heading[1, 0]), 0.05)
         half = np.empty(2)  # how far along each strand the other one covers it
         for s in range(2):
@@ -116,15 +116,14 @@ def _arc(curve: Array) -> Array:
 
 
 @compiled
-def _heading(curve: Array, share: float, width: float, out: Array) -> float:
-    """Write the direction of a curve over a width to either side of a share of its length; return the length."""
+def _heading(curve: Array, share: float, width: float, out: Array) -> None:
+    """Write the direction of a curve, over a width to either side of a share of its length."""
     arc = _arc(curve)
     here = share * arc[-1]
     u, v = _place(curve, arc, max(here - width, 0.0))
     far_u, far_v = _place(curve, arc, min(here + width, arc[-1]))
     norm = max(np.hypot(far_u - u, far_v - v), 1e-9)
     out[0], out[1] = (far_u - u) / norm, (far_v - v) / norm
-    return arc[-1]
 
 
 @compiled

@@ -91,8 +91,9 @@ def find_strands(region: Region) -> tuple[list[Strand], str]:
     skeleton = skeleton_graph(_without(region, ribbons), region.window[:2])
     if skeleton.excess:
         return [], f"{skeleton.excess}: it is no rope"
-    for curve, width, *other in zip(*untangle(skeleton), strict=True):
-        strands.append(Strand(even(curve, np.zeros(len(curve), bool), width)[0], width, *other))
+    for curve, width, inside, closed, doubts in zip(*untangle(skeleton), strict=True):
+        evened = even(curve, np.zeros(len(curve), bool), width)[0]
+        strands.append(Strand(evened, width, inside, closed, doubts))
     return strands, "" if strands else "the mask has no axis"
 
 

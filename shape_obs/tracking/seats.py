@@ -109,6 +109,7 @@ def seat_others(
 
 def _away(found: SceneObject, target: Array | None) -> float:
     """Return how far an object begins from a pixel."""
+    assert target is not None
     return float(np.linalg.norm(found.starts - target, axis=1).min())
 
 

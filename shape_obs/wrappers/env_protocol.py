@@ -95,7 +95,7 @@ def has_goals(space: spaces.Space[Any]) -> bool:
 
 def base_point(shape: Configuration, named: Mapping[str, Sequence[float]]) -> tuple[float, float, float] | None:
     """Return the anchor of a shape as a point in the base frame; None if it has none there."""
-    anchor = named.get(shape.anchor) if isinstance(shape.anchor, str) else shape.anchor
+    anchor: Any = named.get(shape.anchor) if isinstance(shape.anchor, str) else shape.anchor
     return None if anchor is None or len(anchor) != 3 else (float(anchor[0]), float(anchor[1]), float(anchor[2]))
 
 

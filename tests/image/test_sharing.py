@@ -19,10 +19,11 @@ def line(start, end, count=60):
 
 
 def shared(mask, curves, radius, reach, slack, spread=0, at=(0, 0)):
+    left, top = at
     stops = np.cumsum([len(curve) for curve in curves])
     points = np.ascontiguousarray(np.concatenate(curves), dtype=np.float64)
-    runs = find_region(mask, Window(*at, mask.shape[1], mask.shape[0]), 0, 0.0).runs
-    return share_pixels(mask, runs, *at, points, stops, np.full(len(curves), float(radius)), reach, slack, spread)
+    runs = find_region(mask, Window(left, top, mask.shape[1], mask.shape[0]), 0, 0.0).runs
+    return share_pixels(mask, runs, left, top, points, stops, np.full(len(curves), float(radius)), reach, slack, spread)
 
 
 @settings(max_examples=40)

@@ -52,10 +52,12 @@ _EVERY_SHAPE = (
     "tests/configurations/test_surface.py",
     "tests/test_degenerate_input.py",
 )
+_SEVERAL = ("tests/test_slots.py", "tests/tracking/test_scene_doubt.py", "tests/bench/test_several_rope_claims.py", "tests/cli/test_detect_several.py")
 # The test files that a constant of a file concerns, after the file's own tests; those that are fast come first.
 _TESTS: dict[str, tuple[str, ...]] = {
     "belief": (*_EVERY_SHAPE, "tests/bench/test_belief_claims.py"),
     "corner_matching": _SHEETS,
+    "exchanges": _SEVERAL,
     "hidden_border": (*_SHEETS, *_OUTLINES),
     "hidden_outline": _OUTLINES,
     "missing": ("tests/test_degenerate_input.py",),
@@ -68,10 +70,9 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "registration_in_space": (*_OUTLINES, "tests/bench/test_contour_claims.py"),
     "rope_length": _ROPES,
     "rope_match": _ROPES,
+    "scene_doubt": _SEVERAL,
     "search_window": _EVERY_SHAPE,
-    "exchanges": ("tests/test_slots.py",),
-    "scene_doubt": ("tests/test_slots.py",),
-    "seats": ("tests/test_slots.py",),
+    "seats": _SEVERAL,
     "sheet_view": _SHEETS,
     "validation": (*_EVERY_SHAPE, "tests/bench/test_worst_case_claims.py", _SLOW[2]),
 }

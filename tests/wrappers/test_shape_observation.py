@@ -98,6 +98,7 @@ class TestArguments:
                 {"on_missing": "nan"},
                 "on_missing='nan' would put NaN into observations; choose another policy, or use ShapeDetector",
             ),
+            ({"shapes": [{"kind": "centerline", "count": "all"}]}, "count='all' has no fixed number of slots"),
             ({"on_invalid": "nan"}, "on_invalid='nan' would put NaN into observations"),
             ({"camera": {"intrinsics": INTRINSICS.to_dict(), "transform_camera_to_base": [[1, 2], [3, 4]]}}, "rigid"),
             ({"camera": {"widht": 3}}, "Intrinsics: unknown field 'widht'; did you mean 'width'"),
