@@ -146,7 +146,9 @@ class Slots:
                 tries[k] = self._try(k, part, seen)
             return tries, False
         owners, contested, _ = share(seen.region, curves, widths, how)
-        for at in np.flatnonzero(contested).tolist():  # where ribbons meet, each is first fitted to what is its own for certain
+        for at in np.flatnonzero(
+            contested
+        ).tolist():  # where ribbons meet, each is first fitted to what is its own for certain
             again = self._try(known[at], self._part(seen.region, owners, [at]), seen)
             if not again.found.reason:
                 curves[at] = again.found.form.points
@@ -252,7 +254,9 @@ class Slots:
         kept = (
             near_tracks(objects, ahead, _KEPT * float(np.median([each.width for each in objects]))) if objects else ()
         )
-        seats = seat_others(objects, seats, targets, sorted(free, key=self._was_used), kept)
+        seats = seat_others(
+            objects, seats, targets, sorted(free, key=lambda k: self.trackers[k].track is not None), kept
+        )
         self.more = len(objects) - sum(at >= 0 for at in seats)
         shared = [at for at, each in enumerate(objects) if each.region is None]
         curves, widths = [objects[at].curve.points for at in shared], [objects[at].width for at in shared]
@@ -268,9 +272,6 @@ class Slots:
             elif tries[k] is None and not objects:
                 tries[k] = Attempt(Fit(reason=reason), region, None)
         return self._kept_apart(seen, tries) if self.spec.is_ribbon else tries
-
-    def _was_used(self, k: int) -> bool:
-        return self.trackers[k].track is not None
 
     def _part(self, region: Region, owners: Any, ribbons: list[int]) -> Region:
         """Return the part of a mask that belongs to some of the ribbons."""

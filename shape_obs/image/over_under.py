@@ -226,10 +226,10 @@ def _by_profile(points: Array, stops: Indices, who: Indices, at: Array, widths: 
             points[stops[other - 1] if other else 0 : stops[other]],
         )
         arc, across = _arc(curve), _arc(beyond)
-        here, there, width = at[s] * arc[-1], at[1 - s] * across[-1], widths[k]
+        here, there, width = at[s] * arc[-1], at[1 - s] * across[-1], float(widths[k])
         number = 0
         for j in range(_LANES):
-            lateral = (2 * j / (_LANES - 1) - 1) * _LANE * width
+            lateral = float((2 * j / (_LANES - 1) - 1) * _LANE * width)
             known, total = 0, 0.0
             for i in range(2 * _SAMPLES):
                 side = 1.0 if i % 2 else -1.0

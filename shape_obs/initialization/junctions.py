@@ -47,7 +47,7 @@ _LONGEST: Final = 8.0
 _NECK: Final = 0.42
 _OVERLAPPING: Final = 0.9  # of the radii of two nodes: a shorter branch lies between strands, not along one
 _BLOB: Final = 4.0
-_THICKER: Final = 0.52
+_THICKER: Final = 0.56
 _NODE: Final = 0.5  # widths: a branch shorter than this is one node that thinning took apart
 # The skeleton strays from the axis by a pixel, and the radius drops: within so many widths the largest counts.
 _JITTER: Final = 0.2

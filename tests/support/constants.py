@@ -52,7 +52,12 @@ _EVERY_SHAPE = (
     "tests/configurations/test_surface.py",
     "tests/test_degenerate_input.py",
 )
-_SEVERAL = ("tests/test_slots.py", "tests/tracking/test_scene_doubt.py", "tests/bench/test_several_rope_claims.py", "tests/cli/test_detect_several.py")
+_SEVERAL = (
+    "tests/test_slots.py",
+    "tests/tracking/test_scene_doubt.py",
+    "tests/bench/test_several_rope_claims.py",
+    "tests/cli/test_detect_several.py",
+)
 # The test files that a constant of a file concerns, after the file's own tests; those that are fast come first.
 _TESTS: dict[str, tuple[str, ...]] = {
     "belief": (*_EVERY_SHAPE, "tests/bench/test_belief_claims.py"),

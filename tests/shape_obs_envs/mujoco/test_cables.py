@@ -116,7 +116,10 @@ def test_the_goal_is_that_of_the_named_rope_or_of_all(rope, points):
     assert np.array_equal(info["truth/points"], env.truth(rope=rope).astype(np.float32))
     moved = np.linalg.norm((env._goal - observation["achieved_goal"]).reshape(-1, 3), axis=1)
     assert moved.mean() > 0.02
-    assert env.shape_obs_defaults["shapes"][0]["anchor"] == ("gripper1" if rope == 1 else "gripper0")
+    (shape,) = env.shape_obs_defaults["shapes"]
+    assert shape["count"] == 3
+    assert shape["anchor"]["centerline0"] == ("gripper1" if rope == 1 else "gripper0")
+    assert shape["anchor"]["centerline1"] == ("gripper0" if rope == 1 else "gripper1")
 
 
 def test_with_one_gripper_the_other_ropes_are_in_sockets():
@@ -283,7 +286,8 @@ def test_bad_arguments_are_refused(options, message):
 
 def test_a_servo_brings_the_named_rope_to_its_goal():
     world = gym.make("ShapeObs/Cables-v0", rope=1, render_observation=False, max_episode_steps=-1)
-    observing = ShapeObservation(Unseen(world, (160, 120)))
+    spec = {"kind": "centerline", "n": 20, "ends": "tips", "spacing": "m", "anchor": "gripper1"}
+    observing = ShapeObservation(Unseen(world, (160, 120)), [spec])
     observing.detector = TrueDetector(world.get_wrapper_attr("truth"), **observing.detector.config.to_dict())
     env = ShapeGoal(observing, features=[{"kind": "points3d", "frame": "base"}], threshold=0.01)
     servo = ShapeServo("rls")
