@@ -90,25 +90,21 @@ class Slots:
         expected = [tracker.foresee(region, moment) for tracker in self.trackers]
         last = [None if tracker.track is None else _in_image(tracker.track.nodes, scene) for tracker in self.trackers]
         seen = _Seen(region, moment, scene, expected, last)
-        tries: list[Attempt | None] = [None] * len(self.trackers)
-        doubt = np.inf
-        if self.spec.is_ribbon:
-            ahead = [None if each is None else _in_image(each.nodes, scene) for each in expected]
-            tries, met = self._follow(seen, ahead, EXPECTED)
-            doubt = self._doubt(region, tries, apart=not met)
-            if met and (doubt > 0 or self._changes(seen, tries)):
-                # Ropes that run into each other stop; where they are expected, they may have changed places.
-                halfway = [
-                    None if at is None or to is None else (at + to) / 2 for at, to in zip(last, ahead, strict=True)
-                ]
-                ways = [tries, *(self._follow(seen, nodes, WIDE)[0] for nodes in (last, halfway))]
-                doubts = [doubt, *(self._doubt(region, each) for each in ways[1:])]
-                best = int(np.argmin([self._price(seen, *each) for each in zip(ways, doubts, strict=True)]))
-                tries, doubt = ways[best], doubts[best]
+        if not self.spec.is_ribbon or not any(expected):
+            return self._search(seen, [None] * len(self.trackers))
+        ahead = [None if each is None else _in_image(each.nodes, scene) for each in expected]
+        tries, met = self._follow(seen, ahead, EXPECTED)
+        doubt = self._doubt(region, tries, apart=not met)
+        if met and (doubt > 0 or self._changes(seen, tries)):
+            # Ropes that run into each other stop; where they are expected, they may have changed places.
+            both = zip(last, ahead, strict=True)
+            halfway = [None if at is None or to is None else (at + to) / 2 for at, to in both]
+            ways = [tries, *(self._follow(seen, nodes, WIDE)[0] for nodes in (last, halfway))]
+            doubts = [doubt, *(self._doubt(region, each) for each in ways[1:])]
+            best = int(np.argmin([self._price(seen, *each) for each in zip(ways, doubts, strict=True)]))
+            tries, doubt = ways[best], doubts[best]
         if doubt > 0 and self._looks_again(doubt):
             found = self._search(seen, tries)
-            if not self.spec.is_ribbon:
-                return found
             if self._price(seen, found, self._doubt(region, found)) < self._price(seen, tries, doubt):
                 return found
             self._wait = _PATIENCE

@@ -76,9 +76,10 @@ def merge_nodes(skeleton: Skeleton) -> Skeleton:
     strand runs along.
     """
     degree = degrees(skeleton.branches)
-    inner = [branch for branch in skeleton.branches if _is_inner(branch, degree, skeleton.width)]
+    is_inner = [_is_inner(branch, degree, skeleton.width) for branch in skeleton.branches]
+    inner = [branch for branch, inside in zip(skeleton.branches, is_inner, strict=True) if inside]
     node = connected(max(degree, default=-1) + 1, np.array([branch.nodes for branch in inner], int).reshape(-1, 2))
-    kept = (branch for branch in skeleton.branches if not _is_inner(branch, degree, skeleton.width))
+    kept = (branch for branch, inside in zip(skeleton.branches, is_inner, strict=True) if not inside)
     renamed = (replace(branch, nodes=(int(node[branch.nodes[0]]), int(node[branch.nodes[1]]))) for branch in kept)
     return skeleton._replace(branches=tuple(renamed))
 
@@ -88,8 +89,10 @@ def _is_inner(branch: Branch, degree: Counter[int], width: float) -> bool:
         return False
     if branch.length < _OVERLAPPING * float(branch.radius[0] + branch.radius[-1]):
         return True
-    typical = float(np.percentile(branch.radius, 20)) / width
-    return branch.length < _BLOB * width and _THICKER < typical < _ONE
+    if branch.length >= _BLOB * width:
+        return False
+    typical = float(np.sort(branch.radius)[len(branch.radius) // 5]) / width
+    return _THICKER < typical < _ONE
 
 
 def find_zones(skeleton: Skeleton) -> Zones:
