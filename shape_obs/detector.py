@@ -25,7 +25,7 @@ from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.intersections import crossing_table, find_crossings, joined
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.find_region import prepare
-from shape_obs.image.over_under import tell_layers, upper_strands
+from shape_obs.image.over_under import tell_layers
 from shape_obs.image.pieces import own_mask, split_components
 from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
@@ -81,7 +81,6 @@ class ShapeDetector:
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
         functions = [*prepare(spec.segmentation for spec in self.shapes), *SHAPE_FUNCTIONS, *TRACK_FUNCTIONS]
         functions += (function for spec in self.shapes for function in spec.compiled_functions)
-        functions += [crossing_table, upper_strands] * any(spec.is_ribbon for spec in self.shapes)
         functions += [share_pixels, split_components, own_mask] * any(
             spec.count is not None for spec in self.config.shapes
         )

@@ -28,6 +28,7 @@ from shape_obs.tracking.seats import add_pieces, near_tracks, seat_others, seat_
 Array = npt.NDArray[np.float64]
 
 _DOUBTFUL: Final = 1.0  # squares of a width: less may speak against fits that are right
+_EXCHANGED: Final = 20.0  # of bending energy that an exchange of ends would save
 _BENDING: Final = 3.0  # squares of a width that a unit of bending energy counts as: a kink of 40 degrees has a third
 _PIECE: Final = 1.5  # widths: a piece of a rope that something cuts lies no farther from where the rope is expected
 # Points of a rope are taken over where they lie so many widths nearer to another one than to where it is expected; the
@@ -222,7 +223,9 @@ class Slots:
                 bent += more_bent(each.found.nodes, tracker.track.nodes, each.found.object_width)
         if not apart:
             strands = [(found.form, found.object_width) for found in forms if found.form.points.shape[1] == 2]
-            bent += sum(exchange_gain(one, other, width) for (one, width), (other, _) in combinations(strands, 2))
+            bent += _EXCHANGED * sum(
+                exchange_gain(one, other, width) for (one, width), (other, _) in combinations(strands, 2)
+            )
         doubt = lost + _BENDING * bent + area / float(np.median(widths)) ** 2
         return doubt if doubt > _DOUBTFUL else 0.0
 

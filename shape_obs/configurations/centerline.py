@@ -14,10 +14,12 @@ from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
 from shape_obs.configurations.chain_points import Asked, follow_chain_in_mask, nodes_along, points_along
 from shape_obs.geometry.curve import FittedCurve, Length, TrackHints, local_stretch
+from shape_obs.geometry.intersections import crossing_table
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate
 from shape_obs.geometry.topology import Chain, from_tip_to_tip, shrinkage, undo_shrinkage
 from shape_obs.image.outline_tracing import fill_holes
+from shape_obs.image.over_under import upper_strands
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.initialization.folding import closest_sides, sharp_bends, unexplained_share
@@ -255,7 +257,7 @@ class Centerline(Configuration, kind="centerline"):
         """The compiled functions that a fit may call."""
         masks = follow_chain_in_mask, match_to_rope, points_along, nodes_along
         masks += closest_sides, sharp_bends, unexplained_share, evened, local_stretch, widened
-        masks += from_tip_to_tip, learn_length, least_doubt, nearest_expected
+        masks += from_tip_to_tip, learn_length, least_doubt, nearest_expected, crossing_table, upper_strands
         axes = fill_holes, thinned, trace_skeleton, cheapest_order
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + axes + clouds

@@ -16,10 +16,13 @@ Array = npt.NDArray[np.float64]
 # In widths: ropes touch where their middles are nearer; over how much of a rope its direction is taken next to there.
 _TOUCH: Final = 1.2
 _REACH: Final = 2.0
+_NOISE: Final = 0.1  # rad^2 that ropes that have not exchanged their ends may seem to gain
 
 
 def exchange_gain(first: FittedCurve, second: FittedCurve, width: float) -> float:
     """Return by how much two ropes would bend less, in rad^2, if they exchanged their ends in a place where they meet.
+
+    What noise explains is taken off.
 
     Args:
         first: A rope, in pixels.
@@ -43,7 +46,7 @@ def exchange_gain(first: FittedCurve, second: FittedCurve, width: float) -> floa
         ]  # fmt: skip
         if None not in leads:
             gain = max(gain, _gain([each for each in leads if each is not None]))
-    return gain
+    return max(gain - _NOISE, 0.0)
 
 
 def _lead(curve: FittedCurve, index: int, step: int, width: float) -> Lead | None:
