@@ -25,7 +25,7 @@ from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.intersections import crossing_table, find_crossings, joined
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.find_region import prepare
-from shape_obs.image.over_under import tell_layers
+from shape_obs.image.over_under import find_layers
 from shape_obs.image.pieces import own_mask, split_components
 from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
@@ -227,7 +227,7 @@ class ShapeDetector:
         names = [tracker.spec.name for tracker in followed]
         widths = [tracker.strand[1] for tracker in followed if tracker.strand is not None]
         crossings = find_crossings(curves, names)
-        crossings = tell_layers(crossings, curves, names, widths, moment.frame.images, moment.frame.rgb)
+        crossings = find_layers(crossings, curves, names, widths, moment.frame.images, moment.frame.rgb)
         for k, shape in enumerate(shapes):
             own = tuple(each for each in crossings if shape.name in each.slots)
             if own and shape.name in names:

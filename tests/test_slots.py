@@ -123,7 +123,7 @@ def test_a_count_is_hashed_and_saved(tmp_path):
 
 
 @pytest.mark.parametrize("angle", [25, 45, 90])
-def test_crossing_ropes_are_told_apart(angle):
+def test_crossing_ropes_are_found(angle):
     ropes = cross(0.3), cross(0.3 + np.deg2rad(angle))
     detection = ShapeDetector([Centerline(n=20, count=2, ends="tips")]).detect_mask(drawn(*ropes))
     assert detection.ok

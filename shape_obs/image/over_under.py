@@ -34,7 +34,7 @@ _CONTRAST: Final = 3.0
 _NO_IMAGE: Final = np.zeros((0, 0, 3), np.uint8)
 
 
-def tell_layers(
+def find_layers(
     crossings: tuple[Crossing, ...],
     curves: list[Array],
     names: list[str],

@@ -1,4 +1,4 @@
-"""Several ropes of one mask: found, followed and told apart; more with `shape-obs bench claims --only several`."""
+"""Several ropes of one mask: found, followed and separated; more with `shape-obs bench claims --only several`."""
 
 import numpy as np
 import pytest

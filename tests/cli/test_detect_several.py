@@ -1,4 +1,4 @@
-"""`shape-obs detect --count` finds every rope of a photo, tells them apart and lists their crossings."""
+"""`shape-obs detect --count` finds every rope of a photo, separates them and lists their crossings."""
 
 import json
 

@@ -10,16 +10,16 @@ from shape_obs.bench.synthetic.several_ropes import RopeScene, noisy_depth, seve
 from shape_obs.frame import depth_images
 from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.intersections import find_crossings
-from shape_obs.image.over_under import tell_layers
+from shape_obs.image.over_under import find_layers
 
 _NONE = depth_images(None)
 
 
-def told(scene: RopeScene, depth, rgb) -> list[tuple[Crossing, bool | None]]:
+def judged(scene: RopeScene, depth, rgb) -> list[tuple[Crossing, bool | None]]:
     """Return the crossings of the true curves, and whether what is said of them is right; None if nothing is."""
     curves = [np.ascontiguousarray(curve[::2]) for curve in scene.curves]
     names = [str(k) for k in range(len(curves))]
-    found = tell_layers(find_crossings(curves, names), curves, names, list(scene.widths), depth, rgb)
+    found = find_layers(find_crossings(curves, names), curves, names, list(scene.widths), depth, rgb)
     lengths = [float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum()) for curve in curves]
     out = []
     for each in found:
@@ -36,7 +36,7 @@ def scenes(count: int, **options) -> list[RopeScene]:
 
 
 def test_the_picture_shows_which_strand_is_above():
-    said = [right for scene in scenes(10) for _, right in told(scene, _NONE, scene.rgb)]
+    said = [right for scene in scenes(10) for _, right in judged(scene, _NONE, scene.rgb)]
     assert len(said) >= 25
     assert said.count(False) == 0
     assert said.count(None) <= 0.05 * len(said)
@@ -46,7 +46,7 @@ def test_a_blurred_picture_says_less_but_hardly_anything_wrong():
     said = []
     for scene in scenes(10):
         blurred = np.asarray(cv2.GaussianBlur(scene.rgb, (0, 0), 1.5))
-        said += [right for _, right in told(scene, _NONE, blurred)]
+        said += [right for _, right in judged(scene, _NONE, blurred)]
     assert said.count(False) <= 0.05 * len(said)
     assert said.count(True) >= 0.6 * len(said)
 
@@ -54,7 +54,7 @@ def test_a_blurred_picture_says_less_but_hardly_anything_wrong():
 def test_the_depth_of_a_d455_shows_which_strand_is_above():
     said = []
     for k, scene in enumerate(scenes(10, width=9.0)):
-        said += [r for _, r in told(scene, depth_images(noisy_depth(scene, np.random.default_rng(k))), None)]
+        said += [r for _, r in judged(scene, depth_images(noisy_depth(scene, np.random.default_rng(k))), None)]
     assert len(said) >= 25
     assert said.count(False) <= 0.04 * len(said)
     assert said.count(True) >= 0.9 * len(said)
@@ -64,16 +64,16 @@ def test_depth_in_millimetres_says_the_same():
     (scene,) = scenes(1, width=11.0)
     metres = noisy_depth(scene, np.random.default_rng(0))
     millimetres = np.round(np.nan_to_num(metres) * 1000).astype(np.uint16)
-    first, second = (told(scene, depth_images(each), None) for each in (metres.astype(np.float32), millimetres))
+    first, second = (judged(scene, depth_images(each), None) for each in (metres.astype(np.float32), millimetres))
     assert [right for _, right in first] == [right for _, right in second]
 
 
 @pytest.mark.parametrize("rgb", [None, np.full((480, 640, 3), 120, np.uint8)])
 def test_without_evidence_nothing_is_said(rgb):
     (scene,) = scenes(1)
-    assert {right for _, right in told(scene, _NONE, rgb)} == {None}
+    assert {right for _, right in judged(scene, _NONE, rgb)} == {None}
     flat = depth_images(np.full((480, 640), 0.6, np.float32))
-    assert {right for _, right in told(scene, flat, rgb)} == {None}
+    assert {right for _, right in judged(scene, flat, rgb)} == {None}
     nothing = depth_images(np.zeros((480, 640), np.uint16))
-    assert {right for _, right in told(scene, nothing, rgb)} == {None}
-    assert tell_layers((), [], [], [], _NONE, rgb) == ()
+    assert {right for _, right in judged(scene, nothing, rgb)} == {None}
+    assert find_layers((), [], [], [], _NONE, rgb) == ()
