@@ -17,7 +17,7 @@ from shape_obs.geometry.polyline import catmull_rom
 from shape_obs.image.pieces import component_parts
 from shape_obs.image.region import Region
 from shape_obs.image.segmentation import Segmentation
-from shape_obs.image.sharing import CLOSE, EXPECTED, FOUND, WIDE, Reach, part_of, share
+from shape_obs.image.sharing import CLOSE, EXPECTED, FOUND, MOST, WIDE, Reach, part_of, share
 from shape_obs.shape import Shape
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.exchanges import exchange_gain
@@ -238,7 +238,8 @@ class Slots:
     def _search(self, seen: _Seen, earlier: list[Attempt | None]) -> list[Attempt | None]:
         """Find all objects of the mask, and fit each slot to its own."""
         region, tries = seen.region, list(earlier)
-        objects, reason = self.spec.find_objects(region)
+        every, reason = self.spec.find_objects(region)
+        objects = every[:MOST]  # the largest: pixels are shared among no more
         ahead = [None if each is None else _in_image(each.nodes, seen.scene) for each in seen.expected]
         width = float(np.median([each.width for each in objects])) if objects else 0.0
         far = _FAR * math.hypot(*seen.moment.size)
@@ -256,7 +257,7 @@ class Slots:
         seats = seat_others(
             objects, seats, targets, sorted(free, key=lambda k: self.trackers[k].track is not None), kept
         )
-        self.more = len(objects) - sum(at >= 0 for at in seats)
+        self.more = len(every) - sum(at >= 0 for at in seats)
         shared = [at for at, each in enumerate(objects) if each.region is None]
         curves, widths = [objects[at].curve.points for at in shared], [objects[at].width for at in shared]
         owners = share(region, curves, widths, FOUND)[0] if shared else None
