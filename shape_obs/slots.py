@@ -139,7 +139,7 @@ class Slots:
             return tries, False
         floor = self.spec.segmentation or Segmentation
         if apart := component_parts(seen.region, curves, floor.min_area, floor.min_share):
-            for k, part in zip(known, apart[0], strict=True):
+            for k, part in zip(known, apart, strict=True):
                 tries[k] = self._try(k, part, seen)
             return tries, False
         owners, contested, _ = share(seen.region, curves, widths, how)

@@ -9,19 +9,15 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.image.connected_runs import label_runs, nearest_pixel
-from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region
-from shape_obs.image.roi import Window
+from shape_obs.image.sharing import Owners, part_of
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.uint8]
 
 
-def component_parts(
-    region: Region, curves: Sequence[Array], min_area: int, min_share: float
-) -> tuple[list[Region], int] | None:
-    """Return the pieces of a region that belong to each curve, and how many pixels belong to none.
+def component_parts(region: Region, curves: Sequence[Array], min_area: int, min_share: float) -> list[Region] | None:
+    """Return the pieces of a region that belong to each curve.
 
     Args:
         region: Of all objects.
@@ -33,24 +29,15 @@ def component_parts(
         None where a piece belongs to two curves, or it is not clear which pieces belong to one.
     """
     points, stops = np.ascontiguousarray(np.concatenate(curves)), np.cumsum([len(curve) for curve in curves])
-    owner, apart = split_components(region.runs, points, stops)
+    owners, apart = split_components(region.runs, points, stops)
     if not apart:
         return None
-    parts, owned, (left, top, wide, high) = [], 0, region.window
-    for k in range(len(curves)):
-        mask, column, row, area = own_mask(region.runs, owner, k)
-        # What the whole region's window cuts off is cut off here.
-        near, above = max(left - column, 0), max(top - row, 0)
-        mask = mask[above : top + high - row, near : left + wide - column]
-        window = Window(column + near, row + above, mask.shape[1], mask.shape[0])
-        parts.append(find_region(mask, window, min_area, min_share))
-        owned += area
-    return parts, region.area - owned
+    return [part_of(region, owners, [k], min_area, min_share) for k in range(len(curves))]
 
 
 @compiled("(i8[:,::1], f8[:,::1], i8[::1])")
-def split_components(runs: Indices, points: Array, stops: Indices) -> tuple[Indices, bool]:
-    """Return the curve that each run of a mask belongs to where every curve has connected pieces of its own.
+def split_components(runs: Indices, points: Array, stops: Indices) -> tuple[Owners, bool]:
+    """Return which curve each pixel of a mask belongs to where every curve has connected pieces of its own.
 
     Args:
         runs: ``(R, 3)`` of the mask, see ``connected_runs``.
@@ -58,8 +45,8 @@ def split_components(runs: Indices, points: Array, stops: Indices) -> tuple[Indi
         stops: ``(K,)`` where each curve ends in ``points``.
 
     Returns:
-        ``(R,)`` the index of a curve, -1 for pieces that no curve passes; whether no piece is passed by two curves, and
-        each curve passes one with at least half of its points.
+        Bits of each pixel, see ``share_pixels``; whether no piece is passed by two curves, and each curve passes one
+        with at least half of its points.
     """
     label, count = label_runs(runs)
     owner = np.full(count, -1, np.int64)
@@ -77,34 +64,15 @@ def split_components(runs: Indices, points: Array, stops: Indices) -> tuple[Indi
             if low > 0 and runs[low - 1, 0] == row and column < runs[low - 1, 2]:
                 piece = label[low - 1]
                 if owner[piece] >= 0 and owner[piece] != k:
-                    return label, False
+                    return np.zeros(0, np.uint32), False
                 owner[piece] = k
                 met += 1
         if 2 * met < stops[k] - first:
-            return label, False
+            return np.zeros(0, np.uint32), False
+    owners, pixel = np.zeros(np.sum(runs[:, 2] - runs[:, 1]), np.uint32), 0
     for at in range(len(runs)):
-        label[at] = owner[label[at]]
-    return label, True
-
-
-@compiled("(i8[:,::1], i8[::1], i8)")
-def own_mask(runs: Indices, owner: Indices, curve: int) -> tuple[Mask, int, int, int]:
-    """Return the mask of the runs of one curve, with a pixel of background around it.
-
-    Returns:
-        ``(h, w)`` 0 and 1; the image column and row of its first pixel; how many pixels it has.
-    """
-    left, right, top, bottom, area = 1 << 30, 0, 1 << 30, 0, 0
-    for at in range(len(runs)):
-        if owner[at] == curve:
-            left, right = min(left, runs[at, 1]), max(right, runs[at, 2])
-            top, bottom = min(top, runs[at, 0]), max(bottom, runs[at, 0] + 1)
-            area += runs[at, 2] - runs[at, 1]
-    if area == 0:
-        return np.zeros((3, 3), np.uint8), 0, 0, 0
-    mask = np.zeros((bottom - top + 2, right - left + 2), np.uint8)
-    for at in range(len(runs)):
-        if owner[at] == curve:
-            for column in range(runs[at, 1] - left + 1, runs[at, 2] - left + 1):
-                mask[runs[at, 0] - top + 1, column] = 1
-    return mask, left - 1, top - 1, area
+        for _ in range(runs[at, 1], runs[at, 2]):
+            if owner[label[at]] >= 0:
+                owners[pixel] = np.uint32(1 << owner[label[at]])
+            pixel += 1
+    return owners, True

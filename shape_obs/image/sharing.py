@@ -24,18 +24,9 @@ _DENSE: Final = 0.16  # of the square of a radius: points of a curve that are cl
 MOST: Final = 32  # objects in one mask: a bit each
 
 
-@compiled("(u1[:,::1], i8[:,::1], i8, i8, f8[:,::1], i8[::1], f8[::1], f8, f8, i8)")
+@compiled("(i8[:,::1], f8[:,::1], i8[::1], f8[::1], f8, f8, i8)")
 def share_pixels(
-    mask: Mask,
-    runs: Indices,
-    left: int,
-    top: int,
-    points: Array,
-    stops: Indices,
-    radius: Array,
-    reach: float,
-    slack: float,
-    spread: int,
+    runs: Indices, points: Array, stops: Indices, radius: Array, reach: float, slack: float, spread: int
 ) -> tuple[Owners, Indices, int]:
     """Return which curves each pixel of a mask belongs to, as bits, and how much is contested.
 
@@ -44,10 +35,7 @@ def share_pixels(
     near.
 
     Args:
-        mask: ``(h, w)`` uint8, 0 = background.
-        runs: ``(R, 3)`` its runs, image coordinates.
-        left: Image column of its first pixel.
-        top: Image row of its first pixel.
+        runs: ``(R, 3)`` of the mask, see ``connected_runs``.
         points: ``(P, 2)`` pixels of all curves, one after the other, closer than their radius.
         stops: ``(K,)`` where each curve ends in ``points``; at most ``MOST`` of them.
         radius: ``(K,)`` half the width of each ribbon, pixels.
@@ -57,94 +45,128 @@ def share_pixels(
         spread: Pixels beyond the reach of all ribbons, at most so far along the mask, go to the owners of the nearest.
 
     Returns:
-        ``(h, w)`` bits, 0 for the background and for what belongs to none; ``(K,)`` how many pixels of each ribbon
-        another one reaches as well; how many pixels of the mask are beyond the reach of all.
+        Bits of each pixel of the mask in the order of the runs, 0 for what belongs to none; ``(K,)`` how many pixels of
+        each ribbon another one reaches as well; how many pixels of the mask are beyond the reach of all.
     """
-    high, wide = mask.shape
-    least, second = np.empty((high, wide), np.float32), np.empty((high, wide), np.float32)
-    nearest, owners = np.empty((high, wide), np.int8), np.zeros((high, wide), np.uint32)
+    begin = np.zeros(len(runs) + 1, np.int64)  # the first pixel of each run
     for at in range(len(runs)):
-        for column in range(runs[at, 1] - left, runs[at, 2] - left):
-            row = runs[at, 0] - top
-            least[row, column] = second[row, column] = np.inf
-            nearest[row, column] = -1
-    for k in range(len(stops)):
-        far, begin, end = radius[k] + reach, stops[k - 1] if k else 0, stops[k]
-        before = -1
-        for p in range(begin, end):
-            if 0 <= before < p < end - 1:
-                du, dv = points[p, 0] - points[before, 0], points[p, 1] - points[before, 1]
-                if du * du + dv * dv < _DENSE * radius[k] * radius[k]:
-                    continue
-            before = p
-            u, v = points[p, 0] - left, points[p, 1] - top
-            # Near a tip: pixels beyond it are outside the ribbon, or it would grow along another one that it touches.
-            tip, inner = (begin, min(begin + 2, end - 1)) if p - begin < end - 1 - p else (end - 1, max(end - 3, begin))
-            tip_u, tip_v = points[tip, 0] - left, points[tip, 1] - top
-            out_u, out_v = points[tip, 0] - points[inner, 0], points[tip, 1] - points[inner, 1]
-            at_tip = np.hypot(u - tip_u, v - tip_v) <= radius[k]
-            for row in range(max(nearest_pixel(v - far), 0), min(nearest_pixel(v + far) + 1, high)):
-                below = (row - v) * (row - v)
-                half = np.sqrt(max(far * far - below, 0.0))
-                for column in range(max(int(np.ceil(u - half)), 0), min(int(np.floor(u + half)) + 1, wide)):
-                    if mask[row, column] == 0:
-                        continue
-                    square = below + (column - u) * (column - u)
-                    excess = np.float32(np.sqrt(square) - radius[k] if square > radius[k] * radius[k] else 0.0)
-                    if at_tip and (column - tip_u) * out_u + (row - tip_v) * out_v > 0:
-                        excess = np.float32(np.hypot(column - tip_u, row - tip_v))
-                    if slack >= 0 and excess <= slack:
-                        owners[row, column] |= np.uint32(1 << k)
-                    if nearest[row, column] == k:
-                        least[row, column] = min(least[row, column], excess)
-                    elif excess < least[row, column]:
-                        second[row, column], least[row, column] = least[row, column], excess
-                        nearest[row, column] = k
-                    else:
-                        second[row, column] = min(second[row, column], excess)
-    contested, beyond = np.zeros(len(stops), np.int64), 0
-    for at in range(len(runs)):
-        for column in range(runs[at, 1] - left, runs[at, 2] - left):
-            row = runs[at, 0] - top
-            k = nearest[row, column]
-            if k < 0:
-                beyond += 1
+        begin[at + 1] = begin[at] + runs[at, 2] - runs[at, 1]
+    count = begin[-1]
+    least, second = np.full(count, np.inf, np.float32), np.full(count, np.inf, np.float32)
+    nearest, owners = np.full(count, -1, np.int8), np.zeros(count, np.uint32)
+    square = np.full(count, np.inf, np.float32)  # of the distance to one curve
+    for k in range(len(stops) if count else 0):
+        _measure(square, runs, begin, points[stops[k - 1] if k else 0 : stops[k]], radius[k], reach)
+        for at in range(count):
+            if square[at] == np.inf:
                 continue
-            if second[row, column] < np.inf:
-                contested[k] += 1
-            if slack >= 0 or second[row, column] - least[row, column] >= -slack:
-                owners[row, column] |= np.uint32(1 << k)
+            excess = np.float32(max(np.sqrt(square[at]) - radius[k], 0.0))
+            square[at] = np.inf
+            if slack >= 0 and excess <= slack:
+                owners[at] |= np.uint32(1 << k)
+            if excess < least[at]:
+                second[at], least[at], nearest[at] = least[at], excess, k
+            else:
+                second[at] = min(second[at], excess)
+    contested, beyond = np.zeros(len(stops), np.int64), 0
+    for at in range(count):
+        k = nearest[at]
+        if k < 0:
+            beyond += 1
+            continue
+        if second[at] < np.inf:
+            contested[k] += 1
+        if slack >= 0 or second[at] - least[at] >= -slack:
+            owners[at] |= np.uint32(1 << k)
     if spread > 0 and beyond > 0:
-        _spread(mask, runs, left, top, owners, spread)
+        _spread(owners, runs, begin, spread)
     return owners, contested, beyond
 
 
 @compiled
-def _spread(mask: Mask, runs: Indices, left: int, top: int, owners: Owners, steps: int) -> None:
+def _measure(square: Array, runs: Indices, begin: Indices, curve: Array, radius: float, reach: float) -> None:
+    """Lower the squares of pixels' distances to a curve where they are within its reach, in place.
+
+    Pixels beyond a tip lie as far outside the ribbon as they are from the tip, or it would grow along another one that
+    it touches.
+    """
+    rows, far, last, before = _rows(runs), radius + reach, len(curve) - 1, -1
+    for p in range(last + 1):
+        if 0 <= before < p < last:
+            du, dv = curve[p, 0] - curve[before, 0], curve[p, 1] - curve[before, 1]
+            if du * du + dv * dv < _DENSE * radius * radius:
+                continue
+        before = p
+        u, v = curve[p, 0], curve[p, 1]
+        tip, inner = (0, min(2, last)) if 2 * p < last else (last, max(last - 2, 0))
+        out_u, out_v = curve[tip, 0] - curve[inner, 0], curve[tip, 1] - curve[inner, 1]
+        at_tip = np.hypot(u - curve[tip, 0], v - curve[tip, 1]) <= radius
+        for row in range(max(nearest_pixel(v - far), runs[0, 0]), min(nearest_pixel(v + far), runs[-1, 0]) + 1):
+            below = (row - v) * (row - v)
+            half = np.sqrt(max(far * far - below, 0.0))
+            for at in range(rows[row - runs[0, 0]], rows[row - runs[0, 0] + 1]):
+                first = max(int(np.ceil(u - half)), runs[at, 1])
+                for column in range(first, min(int(np.floor(u + half)) + 1, runs[at, 2])):
+                    away = below + (column - u) * (column - u)
+                    if at_tip and (column - curve[tip, 0]) * out_u + (row - curve[tip, 1]) * out_v > 0:
+                        away = (np.hypot(column - curve[tip, 0], row - curve[tip, 1]) + radius) ** 2
+                    pixel = begin[at] + column - runs[at, 1]
+                    square[pixel] = min(square[pixel], np.float32(away))
+
+
+@compiled
+def _rows(runs: Indices) -> Indices:
+    """Return the first run of each row from that of the first run, and where the last row ends."""
+    first = np.full(runs[-1, 0] - runs[0, 0] + 2, len(runs))
+    for at in range(len(runs) - 1, -1, -1):
+        first[runs[at, 0] - runs[0, 0]] = at
+    for row in range(len(first) - 2, -1, -1):  # a row without runs begins where the next one does
+        first[row] = min(first[row], first[row + 1])
+    return first
+
+
+@compiled
+def _spread(owners: Owners, runs: Indices, begin: Indices, steps: int) -> None:
     """Give pixels of a mask that belong to none to the owners of the nearest, some steps along the mask, in place."""
-    high, wide = mask.shape
-    waiting, count, at = np.empty(mask.size, np.int64), 0, 0
-    for run in range(len(runs)):
-        row = runs[run, 0] - top
-        for column in range(runs[run, 1] - left, runs[run, 2] - left):
-            if owners[row, column]:
-                for step in range(4):
-                    v, u = row + (step == 0) - (step == 1), column + (step == 2) - (step == 3)
-                    if 0 <= v < high and 0 <= u < wide and mask[v, u] and owners[v, u] == 0:
-                        waiting[count] = row * wide + column
-                        count += 1
-                        break
+    beside = _neighbours(runs, begin)
+    waiting, count, at = np.empty(len(owners), np.int64), 0, 0
+    for pixel in range(len(owners)):
+        if owners[pixel]:
+            for k in range(4):
+                if beside[pixel, k] >= 0 and owners[beside[pixel, k]] == 0:
+                    waiting[count] = pixel
+                    count += 1
+                    break
     for _ in range(steps):
         layer = count
         while at < layer:
-            row, column = waiting[at] // wide, waiting[at] % wide
+            pixel = waiting[at]
             at += 1
-            for step in range(4):
-                v, u = row + (step == 0) - (step == 1), column + (step == 2) - (step == 3)
-                if 0 <= v < high and 0 <= u < wide and mask[v, u] and owners[v, u] == 0:
-                    owners[v, u] = owners[row, column]
-                    waiting[count] = v * wide + u
+            for k in range(4):
+                other = beside[pixel, k]
+                if other >= 0 and owners[other] == 0:
+                    owners[other] = owners[pixel]
+                    waiting[count] = other
                     count += 1
+
+
+@compiled
+def _neighbours(runs: Indices, begin: Indices) -> Indices:
+    """Return the pixels on the left, on the right, above and below each pixel of a mask, -1 for the background."""
+    beside, above = np.full((begin[-1], 4), -1), 0
+    for at in range(len(runs)):
+        for pixel in range(begin[at], begin[at + 1]):
+            beside[pixel, 0] = pixel - 1 if pixel > begin[at] else -1
+            beside[pixel, 1] = pixel + 1 if pixel < begin[at + 1] - 1 else -1
+        while runs[above, 0] < runs[at, 0] - 1 or (runs[above, 0] < runs[at, 0] and runs[above, 2] <= runs[at, 1]):
+            above += 1
+        other = above  # the runs of the row above that begin before this one ends
+        while runs[other, 0] == runs[at, 0] - 1 and runs[other, 1] < runs[at, 2]:
+            for column in range(max(runs[at, 1], runs[other, 1]), min(runs[at, 2], runs[other, 2])):
+                here, there = begin[at] + column - runs[at, 1], begin[other] + column - runs[other, 1]
+                beside[here, 2], beside[there, 3] = there, here
+            other += 1
+    return beside
 
 
 class Reach(NamedTuple):
@@ -178,11 +200,9 @@ def share(region: Region, curves: Sequence[Array], widths: Sequence[float], how:
         widths: Pixels.
         how: How far the ribbons reach.
     """
-    left, top, *_ = region.window
     points, stops = np.ascontiguousarray(np.concatenate(curves)), np.cumsum([len(curve) for curve in curves])
     radius, spread = np.array(widths) / 2 + _RAGGED, round(how.spread * max(widths))
-    image = region.mask, region.runs, left, top
-    return share_pixels(*image, points, stops, radius, how.reach, how.slack, spread)
+    return share_pixels(region.runs, points, stops, radius, how.reach, how.slack, spread)
 
 
 def part_of(region: Region, owners: Owners, curves: Iterable[int], min_area: int, min_share: float) -> Region:
@@ -190,17 +210,39 @@ def part_of(region: Region, owners: Owners, curves: Iterable[int], min_area: int
 
     Args:
         region: Of all objects.
-        owners: ``(h, w)`` bits, see ``share_pixels``.
+        owners: Bits of each pixel, see ``share_pixels``.
         curves: Their indices.
         min_area: Smaller pieces are dropped, pixels.
         min_share: So are those smaller than this share of the largest.
     """
-    own = (owners & np.uint32(sum(1 << k for k in curves))) != 0
-    rows, columns = np.flatnonzero(own.any(axis=1)), np.flatnonzero(own.any(axis=0))
-    left, top, wide, high = 0, 0, own.shape[1], own.shape[0]
-    if len(rows):  # a pixel of background around it, but for what the whole region's window cuts off
-        left, top = max(int(columns[0]) - 1, 0), max(int(rows[0]) - 1, 0)
-        wide, high = min(int(columns[-1]) + 2, wide) - left, min(int(rows[-1]) + 2, high) - top
-    window = Window(region.window.left + left, region.window.top + top, wide, high)
-    mask = np.ascontiguousarray(own[top : top + high, left : left + wide]).view(np.uint8)
-    return find_region(mask, window, min_area, min_share)
+    mask, left, top = owned_mask(region.runs, owners, sum(1 << k for k in curves))
+    # A pixel of background is around it, but for what the whole region's window cuts off.
+    near, above = max(region.window.left - left, 0), max(region.window.top - top, 0)
+    right, bottom = region.window.left + region.window.width - left, region.window.top + region.window.height - top
+    mask = mask[above:bottom, near:right]
+    return find_region(mask, Window(left + near, top + above, mask.shape[1], mask.shape[0]), min_area, min_share)
+
+
+@compiled("(i8[:,::1], u4[::1], i8)")
+def owned_mask(runs: Indices, owners: Owners, bits: int) -> tuple[Mask, int, int]:
+    """Return the mask of the pixels that have one of some bits, with a pixel of background around it.
+
+    Returns:
+        ``(h, w)`` 0 and 1; the image column and row of its first pixel.
+    """
+    left, right, top, bottom, pixel = 1 << 30, 0, 1 << 30, 0, 0
+    for at in range(len(runs)):
+        for column in range(runs[at, 1], runs[at, 2]):
+            if owners[pixel] & bits:
+                left, right = min(left, column), max(right, column + 1)
+                top, bottom = min(top, runs[at, 0]), runs[at, 0] + 1
+            pixel += 1
+    if bottom == 0:
+        return np.zeros((3, 3), np.uint8), 0, 0
+    mask, pixel = np.zeros((bottom - top + 2, right - left + 2), np.uint8), 0
+    for at in range(len(runs)):
+        for column in range(runs[at, 1], runs[at, 2]):
+            if owners[pixel] & bits:
+                mask[runs[at, 0] - top + 1, column - left + 1] = 1
+            pixel += 1
+    return mask, left - 1, top - 1

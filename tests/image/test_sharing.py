@@ -9,19 +9,22 @@ from scipy.spatial.distance import cdist
 
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
-from shape_obs.image.sharing import part_of, share_pixels
+from shape_obs.image.sharing import Reach, part_of, share, share_pixels
 
 
 def line(start, end, count=60):
     return np.linspace(start, end, count)
 
 
-def shared(mask, curves, radius, reach, slack, spread=0, at=(0, 0)):
-    left, top = at
+def shared(mask, curves, radius, reach, slack, spread=0):
     stops = np.cumsum([len(curve) for curve in curves])
     points = np.ascontiguousarray(np.concatenate(curves), dtype=np.float64)
-    runs = find_region(mask, Window(left, top, mask.shape[1], mask.shape[0]), 0, 0.0).runs
-    return share_pixels(mask, runs, left, top, points, stops, np.full(len(curves), float(radius)), reach, slack, spread)
+    runs = find_region(mask, Window(0, 0, mask.shape[1], mask.shape[0]), 0, 0.0).runs
+    radii = np.full(len(curves), float(radius))
+    owners, contested, beyond = share_pixels(runs, points, stops, radii, reach, slack, spread)
+    image = np.zeros(mask.shape, np.uint32)
+    image[mask != 0] = owners  # the runs are in the order of the pixels
+    return image, contested, beyond
 
 
 @pytest.mark.parametrize("slack", [0.5, 2.0, -1.5])
@@ -34,7 +37,6 @@ def test_pixels_go_to_the_nearest_ribbons(slack):
         ends = [rng.uniform((5, 5), (55, 35), (2, 2)) for _ in range(3)]
         curves = [line(*each, count=120) for each in ends]
         owners, contested, beyond = shared(mask, curves, radius, reach, slack)
-        assert (owners[mask == 0] == 0).all()
         rows, columns = np.nonzero(mask)
         pixels = np.stack([columns, rows], axis=1).astype(float)
         away = np.stack([cdist(pixels, curve).min(axis=1) for curve in curves], axis=1)
@@ -88,7 +90,7 @@ def test_a_part_is_a_region_of_its_own():
     cv2.line(mask, (10, 40), (70, 50), 255, 5)
     region = find_region(mask, Window(100, 50, 80, 60), 10, 0.0)
     curves = [line((110, 60), (170, 60)), line((110, 90), (170, 100))]
-    owners, _, _ = shared(region.mask, curves, 3.0, 1.0, 0.5, at=(100, 50))
+    owners = share(region, curves, [5.0, 5.0], Reach(1.0, 0.5))[0]
     parts = [part_of(region, owners, [k], 10, 0.0) for k in (0, 1)]
     assert parts[0].area + parts[1].area == region.area
     assert parts[0].box.top < 65 < 85 < parts[1].box.top
