@@ -77,6 +77,7 @@ class ShapeDetector:
         given = {"shapes": shapes, "segmentation": segmentation}
         options |= {name: value for name, value in given.items() if value is not None}
         self.config = DetectorConfig.from_dict(options)
+        self._filled = self.config.filled()
         self.shapes = self.config.resolved()
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
         functions = [*prepare(spec.segmentation for spec in self.shapes), *SHAPE_FUNCTIONS, *TRACK_FUNCTIONS]
@@ -92,8 +93,7 @@ class ShapeDetector:
     def reset(self) -> None:
         """Forget the tracks: the next frame is a cold start."""
         self._followed: list[Tracker | Slots] = [
-            Tracker(spec, self.config) if spec.count is None else Slots(spec, self.config)
-            for spec in self.config.filled()
+            Tracker(spec, self.config) if spec.count is None else Slots(spec, self.config) for spec in self._filled
         ]
         self._clock = Clock(self.config.dt)
         self._roi_memory: Any = None  # what a region of interest that moves remembers

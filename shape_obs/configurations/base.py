@@ -160,6 +160,10 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
 
     def slots(self) -> tuple[Configuration, ...]:
         """Return a configuration for each object to find: itself without a count, else one for each slot."""
+        return self._slots
+
+    @cached_property
+    def _slots(self) -> tuple[Configuration, ...]:
         if self.count is None:
             return (self,)
         named, slots = self.anchor, []

@@ -18,17 +18,13 @@ from shape_obs.geometry.intersections import crossing_table
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate
 from shape_obs.geometry.topology import Chain, from_tip_to_tip, shrinkage, undo_shrinkage
-from shape_obs.image.outline_tracing import fill_holes
 from shape_obs.image.over_under import upper_strands
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
-from shape_obs.initialization.folding import closest_sides, sharp_bends, unexplained_share
-from shape_obs.initialization.gaps import cheapest_order
-from shape_obs.initialization.medial_axis import medial_axis
+from shape_obs.initialization.folding import sharp_bends
+from shape_obs.initialization.medial_axis import AXIS_FUNCTIONS, medial_axis
 from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
-from shape_obs.initialization.skeleton import trace_skeleton
-from shape_obs.initialization.thinning import thinned
 from shape_obs.point_cloud.lifting import nearest_expected
 from shape_obs.tracking.occluders import Tips
 from shape_obs.tracking.occlusion import is_whole, known_rope, match_chain, shown, surprise
@@ -256,11 +252,10 @@ class Centerline(Configuration, kind="centerline"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         masks = follow_chain_in_mask, match_to_rope, points_along, nodes_along
-        masks += closest_sides, sharp_bends, unexplained_share, evened, local_stretch, widened
+        masks += sharp_bends, evened, local_stretch, widened
         masks += from_tip_to_tip, learn_length, least_doubt, nearest_expected, crossing_table, upper_strands
-        axes = fill_holes, thinned, trace_skeleton, cheapest_order
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
-        return masks + axes + clouds
+        return masks + AXIS_FUNCTIONS + clouds
 
 
 def _rejection_reason(observed: Observed, width: float) -> str:

@@ -18,6 +18,7 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 Owners = npt.NDArray[np.uint32]
+Singles = npt.NDArray[np.float32]
 
 _RAGGED: Final = 0.75  # pixels that the border of a ribbon may stick out
 _DENSE: Final = 0.16  # of the square of a radius: points of a curve that are closer make no difference
@@ -84,7 +85,7 @@ def share_pixels(
 
 
 @compiled
-def _measure(square: Array, runs: Indices, begin: Indices, curve: Array, radius: float, reach: float) -> None:
+def _measure(square: Singles, runs: Indices, begin: Indices, curve: Array, radius: float, reach: float) -> None:
     """Lower the squares of pixels' distances to a curve where they are within its reach, in place.
 
     Pixels beyond a tip lie as far outside the ribbon as they are from the tip, or it would grow along another one that

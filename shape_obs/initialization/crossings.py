@@ -7,15 +7,14 @@ may close upon itself while another one passes through the same zone.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter1d
 
+from shape_obs.compiled import compiled
 from shape_obs.geometry.polyline import arc_length
-from shape_obs.initialization.gaps import Lead, bending, hermite, lead, unit
+from shape_obs.initialization.gaps import Lead, bending, hermite, lead
 from shape_obs.initialization.junctions import Arm, Overlap, Zones, find_zones, follow, merge_nodes
 from shape_obs.initialization.skeleton import Branch, Skeleton
 
@@ -122,7 +121,7 @@ def _ways(overlap: Overlap) -> Iterator[tuple[tuple[Arm, Arm], Array]]:
     """Return the paths of an overlap, both ways."""
     for (first, last), path in zip(overlap.pairs, overlap.paths, strict=True):
         yield (first, last), path
-        yield (last, first), path[::-1]
+        yield (last, first), np.ascontiguousarray(path[::-1])
 
 
 def _doubts(options: Options, chosen: dict[int, int], overlaps: dict[int, Overlap]) -> Iterator[tuple[int, str]]:
@@ -140,22 +139,43 @@ def _smooth(branch: Branch, width: float) -> Branch:
     if len(branch.points) < 3:
         return branch
     sigma = _SMOOTHING * width * (len(branch.points) - 1) / max(branch.length, 1e-9)
-    pad = min(int(3 * sigma) + 1, len(branch.points) - 1)
-    padded = np.pad(branch.points, ((pad, pad), (0, 0)), "reflect", reflect_type="odd")
-    return replace(branch, points=gaussian_filter1d(padded, sigma, axis=0)[pad:-pad])
+    return Branch(smooth_curve(branch.points, sigma), branch.radius, branch.nodes)
+
+
+@compiled("(f8[:,::1], f8)")
+def smooth_curve(curve: Array, sigma: float) -> Array:
+    """Return a curve ``(P, 2)`` blurred along its points, of which ``sigma`` is a number; its ends stay.
+
+    Beyond its ends it goes on as its image in a point.
+    """
+    last, reach = len(curve) - 1, int(4 * sigma + 0.5)
+    weight = np.exp(-0.5 * (np.arange(reach + 1) / sigma) ** 2)
+    weight /= 2 * weight.sum() - weight[0]
+    smooth = weight[0] * curve
+    for d in range(2):
+        for p in range(last + 1):
+            for i in range(1, reach + 1):
+                before = curve[p - i, d] if p >= i else 2 * curve[0, d] - curve[min(i - p, last), d]
+                beyond = p + i - last
+                after = curve[p + i, d] if beyond <= 0 else 2 * curve[last, d] - curve[max(last - beyond, 0), d]
+                smooth[p, d] += weight[i] * (before + after)
+    return smooth
 
 
 def _trim(branch: Branch, free_start: bool, free_end: bool, width: float) -> Array:
     """Return the part of a branch that is clear of the zones at its ends: there the skeleton runs between strands."""
-    arc = arc_length(np.ascontiguousarray(branch.points))
-    length = arc[-1]
-    start = _CUT * width if free_start else float(branch.radius[0])
-    end = _CUT * width if free_end else float(branch.radius[-1])
-    # Of a short branch the middle is left.
-    share = min(1.0, 0.7 * length / max(start + end, 1e-9))
-    low, high = start * share, length - end * share
-    first, last = np.searchsorted(arc, (low, high))
-    return branch.points[first : max(last, first + 2)]
+    start = _CUT * width if free_start else branch.radius.item(0)
+    end = _CUT * width if free_end else branch.radius.item(-1)
+    return middle_part(branch.points, start, end)
+
+
+@compiled("(f8[:,::1], f8, f8)")
+def middle_part(curve: Array, start: float, end: float) -> Array:
+    """Return a curve without so many pixels at its start and its end; of a short one its middle is left."""
+    arc = arc_length(curve)
+    share = min(1.0, 0.7 * arc[-1] / max(start + end, 1e-9))
+    first, last = np.searchsorted(arc, start * share), np.searchsorted(arc, arc[-1] - end * share)
+    return curve[first : max(last, first + 2)]
 
 
 def _options(group: list[Arm], leads: dict[Arm, Lead], overlap: Overlap | None) -> list[tuple[float, Pairing]]:
@@ -237,7 +257,7 @@ def _curve(
     width: float,
 ) -> Array:
     """Return a strand's branches, and smooth curves through the zones between them."""
-    pieces = [trimmed[i][:: 1 - 2 * end] for i, end in route]
+    pieces = [np.ascontiguousarray(trimmed[i][:: 1 - 2 * end]) for i, end in route]
     if route[0] in partner:  # a ring is cut open where the first branch begins
         pieces.append(pieces[0][:1])
     run = [pieces[0]]
@@ -245,15 +265,18 @@ def _curve(
         leaves = (i, 1 - end)
         way = ways.get((leaves, partner[leaves]))
         if way is not None and len(way) > _FOLLOWED * width:
-            run += [_joint(before, way, width), way, _joint(way, after, width), after]
+            run += [joint(before, way, width), way, joint(way, after, width), after]
         else:
-            run += [_joint(before, after, width), after]
+            run += [joint(before, after, width), after]
     return np.concatenate(run)
 
 
-def _joint(before: Array, after: Array, width: float) -> Array:
+@compiled("(f8[:,::1], f8[:,::1], f8)")
+def joint(before: Array, after: Array, width: float) -> Array:
     """Return the points between two curves, with steps of about a pixel."""
-    reach = max(round(width / 2), 1)
+    reach = max(int(np.rint(width / 2)), 1)
     out = before[-1] - before[-min(reach + 1, len(before))]
     into = after[min(reach, len(after) - 1)] - after[0]
-    return hermite(before[-1], unit(out), after[0], unit(into), 1.0)
+    out /= max(np.hypot(out[0], out[1]), 1e-9)
+    into /= max(np.hypot(into[0], into[1]), 1e-9)
+    return hermite(before[-1], out, after[0], into, 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import combinations
 from typing import Final, NamedTuple
 
@@ -152,15 +153,22 @@ def _greedy(price: Array) -> tuple[float, npt.NDArray[np.int64]]:
 
 
 class Lead(NamedTuple):
-    """How a strand leaves a zone or a gap.
+    """How a strand leaves a zone or a gap: from a point (u, v) where it is clear of it, in pixels, away from it."""
 
-    Args:
-        point: ``(2,)`` pixels, where it is clear of the zone.
-        heading: ``(2,)`` unit vector, away from the zone.
-    """
+    u: float
+    v: float
+    heading_u: float
+    heading_v: float
 
-    point: Array
-    heading: Array
+    @property
+    def point(self) -> Array:
+        """``(2,)`` pixels."""
+        return np.array([self.u, self.v])
+
+    @property
+    def heading(self) -> Array:
+        """``(2,)`` unit vector, away from the zone."""
+        return np.array([self.heading_u, self.heading_v])
 
 
 def lead(curve: Array, reach: float) -> Lead:
@@ -168,16 +176,17 @@ def lead(curve: Array, reach: float) -> Lead:
 
     On a bend a chord is parallel to the tangent in its middle, so the two belong together.
     """
-    curve = np.ascontiguousarray(curve)
+    return Lead(*first_chord(np.ascontiguousarray(curve), reach))
+
+
+@compiled("(f8[:,::1], f8)")
+def first_chord(curve: Array, reach: float) -> tuple[float, float, float, float]:
+    """Return the point in the middle of the first ``reach`` pixels of a curve, and the direction of their chord."""
     arc = arc_length(curve)
     reach = min(reach, arc[-1])
     start, middle, end = interpolate(curve, arc, np.array([0.0, reach / 2, reach]))
-    return Lead(middle, unit(end - start))
-
-
-def unit(vector: Array) -> Array:
-    """Return a ``(2,)`` vector of length one in the same direction; zero for zero."""
-    return vector / max(float(np.hypot(vector[0], vector[1])), 1e-9)
+    along = max(np.hypot(end[0] - start[0], end[1] - start[1]), 1e-9)
+    return middle[0], middle[1], (end[0] - start[0]) / along, (end[1] - start[1]) / along
 
 
 def bending(before: Lead, after: Lead) -> float:
@@ -186,22 +195,26 @@ def bending(before: Lead, after: Lead) -> float:
     Both headings point away from the gap. Of a cubic that turns by a and b from its chord at its ends the energy is
     4 (a^2 - a b + b^2) over its length: an arc is cheaper than an S.
     """
-    gap = after.point - before.point
-    first, second = _turn(-before.heading, gap), _turn(gap, after.heading)
+    u, v = after.u - before.u, after.v - before.v
+    first = _turn(-before.heading_u, -before.heading_v, u, v)
+    second = _turn(u, v, after.heading_u, after.heading_v)
     return first * first - first * second + second * second
 
 
+@compiled("(f8[::1], f8[::1], f8[::1], f8[::1], f8)")
 def hermite(start: Array, out: Array, end: Array, into: Array, step: float) -> Array:
     """Return a smooth curve between two points with given unit tangents along the way: ``(P, 2)``, without ends."""
-    length = float(np.linalg.norm(end - start))
-    t = np.linspace(0, 1, max(round(length / step), 1) + 1)[1:-1, None]
-    return (
-        (1 + 2 * t) * (1 - t) ** 2 * start
-        + t**2 * (3 - 2 * t) * end
-        + t * (1 - t) * length * ((1 - t) * out - t * into)
-    )
+    length = np.hypot(end[0] - start[0], end[1] - start[1])
+    pieces = max(int(np.rint(length / step)), 1)
+    curve = np.empty((pieces - 1, 2))
+    for p in range(pieces - 1):
+        t = (p + 1) / pieces
+        for d in range(2):
+            curve[p, d] = (1 + 2 * t) * (1 - t) ** 2 * start[d] + t**2 * (3 - 2 * t) * end[d]
+            curve[p, d] += t * (1 - t) * length * ((1 - t) * out[d] - t * into[d])
+    return curve
 
 
-def _turn(before: Array, after: Array) -> float:
+def _turn(u: float, v: float, next_u: float, next_v: float) -> float:
     """Return the signed angle from one direction to another, radians."""
-    return float(np.arctan2(before[0] * after[1] - before[1] * after[0], before @ after))
+    return math.atan2(u * next_v - v * next_u, u * next_u + v * next_v)

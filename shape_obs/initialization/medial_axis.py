@@ -12,10 +12,11 @@ from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.image.outline_tracing import SPECK, fill_holes
 from shape_obs.image.region import Component, Region
-from shape_obs.initialization.crossings import untangle
-from shape_obs.initialization.folding import fold_outline, unexplained_share
-from shape_obs.initialization.gaps import bridge
-from shape_obs.initialization.skeleton import skeleton_graph
+from shape_obs.initialization.crossings import joint, middle_part, smooth_curve, untangle
+from shape_obs.initialization.folding import closest_sides, fold_outline, unexplained_share
+from shape_obs.initialization.gaps import bridge, cheapest_order, first_chord, hermite
+from shape_obs.initialization.skeleton import skeleton_graph, trace_skeleton
+from shape_obs.initialization.thinning import thinned
 
 Array = npt.NDArray[np.float64]
 
@@ -30,6 +31,12 @@ _MOST_HOLES: Final = 300  # narrow ones among them, which noise makes; the loops
 # Another way to join the pieces that is dearer by this little is as likely.
 _RIVAL: Final = 1.15
 _TURNS_BACK: Final = 1.8  # rad^2, see ``bending``: an arc of 155 degrees over a wide gap
+
+#: The compiled functions that finding an axis in a mask may call.
+AXIS_FUNCTIONS: Final = (
+    closest_sides, unexplained_share, fill_holes, thinned, trace_skeleton, smooth_curve, middle_part, joint,
+    first_chord, hermite, cheapest_order,
+)  # fmt: skip
 
 
 def medial_axis(observed: Any) -> FittedCurve:

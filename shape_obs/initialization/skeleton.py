@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
+from shape_obs.geometry.polyline import arc_length
 from shape_obs.image.connected_runs import find_components, find_root
 from shape_obs.image.outline_tracing import fill_holes, trace_components
 from shape_obs.initialization.thinning import smoothed, thinned
@@ -33,6 +34,8 @@ _SLIT: Final = 0.3
 # A rope that crosses itself ten times has 31 branches. The time for pairing them, and for pruning, grows with the
 # square of their number.
 _MOST_BRANCHES, _MOST_PRUNED = 60, 300
+# The outline lies half a cell before the background's centre, and a cell of the skeleton a quarter off the axis.
+_OFF_AXIS: Final = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +43,7 @@ class Branch:
     """A strand between two nodes.
 
     Args:
-        points: ``(P, 2)`` pixels, image coordinates, at steps of about a (coarse) pixel.
+        points: ``(P, 2)`` C-contiguous, pixels, image coordinates, at steps of about a (coarse) pixel.
         radius: ``(P,)`` pixels, from there to the nearest background.
         nodes: Where it begins and where it ends.
     """
@@ -52,8 +55,7 @@ class Branch:
     @cached_property
     def length(self) -> float:
         """The length, pixels."""
-        step = np.diff(self.points, axis=0)
-        return float(np.hypot(step[:, 0], step[:, 1]).sum())
+        return arc_length(self.points).item(-1)
 
     def fused(self, other: Branch, node: int) -> Branch:
         """Return this branch and another that meets it at ``node`` as one."""
@@ -67,7 +69,7 @@ class Branch:
 
     def reversed(self) -> Branch:
         """Return the same branch from its end to its start."""
-        return Branch(self.points[::-1], self.radius[::-1], (self.nodes[1], self.nodes[0]))
+        return Branch(np.ascontiguousarray(self.points[::-1]), self.radius[::-1].copy(), (self.nodes[1], self.nodes[0]))
 
 
 class Skeleton(NamedTuple):
@@ -95,23 +97,25 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
         Spurs pruned, no node between just two branches; without branches for a mask of specks.
     """
     left, top, width, height = cv2.boundingRect(mask)
-    grid = np.pad((mask[top : top + height, left : left + width] > 0).view(np.uint8), 1)
-    thickest = float(_radii(grid).max(initial=0.0))
-    cell = int(max(2 * thickest / _CELLS_ACROSS, 1))
+    grid = _framed((mask[top : top + height, left : left + width] > 0).view(np.uint8))
+    away = _distances(grid)
+    cell = int(max(2 * _thickest(away) / _CELLS_ACROSS, 1))
     if cell > 1:
         grid = _coarse(grid[1:-1, 1:-1], cell)
-        thickest = float(_radii(grid).max(initial=0.0))
-    grid = smoothed(grid)
-    holes = _fill_slits(grid, thickest)
+        away = _distances(grid)
+    smooth = smoothed(grid)
+    holes, filled = _fill_slits(smooth, _thickest(away))
     if holes > _MOST_BRANCHES:  # at least one branch for each
         return Skeleton((), 1.0, f"the mask has {holes} holes")
+    if smooth is not grid or filled:
+        grid, away = smooth, _distances(smooth)
     places, stops, nodes = trace_skeleton(thinned(grid))
     if len(stops) > _MOST_PRUNED:
         return Skeleton((), 1.0, f"the mask branches {len(stops)} times")
     # The frame is a cell wide, and a cell's middle lies between pixels where their number is even.
     shift = np.array([origin[0] + left, origin[1] + top]) - cell + (cell - 1) / 2
     pixels = np.stack([places % grid.shape[1], places // grid.shape[1]], axis=1) * float(cell) + shift
-    radius = _radii(grid).ravel()[places] * cell
+    radius = np.maximum(away.ravel()[places] - _OFF_AXIS, 0.0).astype(np.float64) * cell
     typical = float(np.median(radius)) if len(radius) else 0.5 * cell
     nodes = np.unique(nodes, return_inverse=True)[1].reshape(-1, 2)
     ends = zip([0, *stops.tolist()], stops.tolist(), nodes.tolist(), strict=False)
@@ -121,12 +125,20 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
     return Skeleton(tuple(branches), max(2 * typical, 1.0))
 
 
-def _radii(piece: Mask) -> Array:
-    """Return the distance from each cell of a framed mask, if it is one of the skeleton, to the outline, cells.
+def _distances(grid: Mask) -> npt.NDArray[np.float32]:
+    """Return the distance from each cell of a framed mask to the nearest of the background, cells."""
+    return np.asarray(cv2.distanceTransform(grid, cv2.DIST_L2, 5), np.float32)
 
-    The outline lies half a cell before the background's centre, and a cell of the skeleton a quarter off the axis.
-    """
-    return np.maximum(np.asarray(cv2.distanceTransform(piece, cv2.DIST_L2, 5), np.float64) - 0.25, 0.0)
+
+def _thickest(away: npt.NDArray[np.float32]) -> float:
+    return max(float(away.max(initial=0.0)) - _OFF_AXIS, 0.0)
+
+
+def _framed(piece: Mask) -> Mask:
+    """Return a mask with a frame of 0 one pixel wide."""
+    framed = np.zeros((piece.shape[0] + 2, piece.shape[1] + 2), np.uint8)
+    framed[1:-1, 1:-1] = piece
+    return framed
 
 
 def _coarse(piece: Mask, cell: int) -> Mask:
@@ -137,11 +149,12 @@ def _coarse(piece: Mask, cell: int) -> Mask:
     return (np.asarray(cv2.resize(framed, size, interpolation=cv2.INTER_AREA)) > 127).view(np.uint8)
 
 
-def _fill_slits(grid: Mask, thickest: float) -> int:
-    """Fill narrow holes, in place; return how many holes are left."""
+def _fill_slits(grid: Mask, thickest: float) -> tuple[int, bool]:
+    """Fill narrow holes, in place; return how many holes are left, and whether any was filled."""
     _, runs, areas, _, _ = find_components(grid, 0, 0, 1, 1, 0.0)
     holes = trace_components(grid, runs, len(areas), 0, 0)[-1]
-    return fill_holes(grid, runs, holes, 0, 0, 0.0, max(_SLIT * thickest, 1.0))
+    left = fill_holes(grid, runs, holes, 0, 0, 0.0, max(_SLIT * thickest, 1.0))
+    return left, left < len(holes)
 
 
 @compiled("(u1[:,::1],)")
