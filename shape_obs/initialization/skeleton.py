@@ -109,7 +109,7 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
         return Skeleton((), 1.0, f"the mask has {holes} holes")
     if smooth is not grid or filled:
         grid, away = smooth, _distances(smooth)
-    places, stops, nodes = trace_skeleton(thinned(grid))
+    places, stops, nodes = trace_skeleton(*thinned(grid))
     if len(stops) > _MOST_PRUNED:
         return Skeleton((), 1.0, f"the mask branches {len(stops)} times")
     # The frame is a cell wide, and a cell's middle lies between pixels where their number is even.
@@ -157,8 +157,8 @@ def _fill_slits(grid: Mask, thickest: float) -> tuple[int, bool]:
     return left, left < len(holes)
 
 
-@compiled("(u1[:,::1],)")
-def trace_skeleton(thin: Mask) -> tuple[Index, Index, Index]:
+@compiled("(u1[:,::1], i8[::1])")
+def trace_skeleton(thin: Mask, pixels: Index) -> tuple[Index, Index, Index]:
     """Trace every chain of pixels from node to node once, then the rings that no node lies on, closed.
 
     A node is a pixel with one neighbour or more than two; neighbouring pixels with more than two are one node. A
@@ -166,6 +166,7 @@ def trace_skeleton(thin: Mask) -> tuple[Index, Index, Index]:
 
     Args:
         thin: ``(h, w)`` 0 and 1, with a border of 0.
+        pixels: ``(P,)`` flat places where it is 1.
 
     Returns:
         ``(P,)`` flat places of the pixels of all chains, end to end; ``(B,)`` where each chain ends; ``(B, 2)`` the
@@ -174,7 +175,6 @@ def trace_skeleton(thin: Mask) -> tuple[Index, Index, Index]:
     is_set, across = thin.reshape(-1), thin.shape[1]
     steps = (-1, 1, -across, across, -across - 1, across + 1, 1 - across, across - 1)
     shared = ((0, 0), (0, 0), (0, 0), (0, 0), (-across, -1), (across, 1), (-across, 1), (across, -1))
-    pixels: Index = np.flatnonzero(is_set)
     degree, node = np.zeros(len(is_set), np.int8), np.empty(len(is_set), np.int64)
     linked, done = np.zeros(len(is_set), np.uint8), np.zeros(len(is_set), np.bool_)  # linked: a bit for each step
     for at in pixels:
