@@ -97,7 +97,7 @@ def test_ropes_of_scenes_are_found_as_they_run():
     """Run a sample of the measurement `shape-obs bench claims --only several`."""
     right = total = wrong = 0
     detector = ShapeDetector([Centerline(n=160, count="all", ends="tips")])
-    for seed in range(16):
+    for seed in range(24):
         rng = np.random.default_rng(seed)
         scene = several_ropes(rng, 2 + seed % 3, int(rng.integers(0, 7)))
         detector.reset()
